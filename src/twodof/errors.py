@@ -1,0 +1,42 @@
+"""The few errors this package raises: each says what went wrong, where, and what to do about it."""
+
+
+class TwodofError(Exception):
+    """Base of every error that a caller of twodof can meet.
+
+    `what` is the fact, `where` the place (file, channel, block path, parameter), `remedy` what to do about it.
+    """
+
+    def __init__(self, what: str, where: str = "", remedy: str = "") -> None:
+        self.what = what
+        self.where = where
+        self.remedy = remedy
+        super().__init__(what, where, remedy)
+
+    def __str__(self) -> str:
+        text = f"{self.where}: {self.what}" if self.where else self.what
+        return f"{text} ({self.remedy})" if self.remedy else text
+
+
+class DiagramError(TwodofError):
+    """A diagram or block cannot be built, checked, traced or loaded; `where` is the whole block path."""
+
+
+class CompileError(TwodofError):
+    """A tool chain is missing or refused what was generated."""
+
+
+class LogError(TwodofError):
+    """A flight log cannot be read, lacks what was asked for, or would be written wrongly."""
+
+
+class IdentificationError(TwodofError):
+    """The data or the model structure do not allow the estimate that was asked for."""
+
+
+class ParameterError(TwodofError):
+    """A parameter is unknown or its value is outside its bounds or of the wrong type."""
+
+
+class ExperimentError(TwodofError):
+    """An experiment cannot be flown as asked: it does not fit the rig or is malformed."""
