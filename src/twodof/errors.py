@@ -4,7 +4,8 @@
 class TwodofError(Exception):
     """Base of every error that a caller of twodof can meet.
 
-    `what` is the fact, `where` the place (file, channel, block path, parameter), `remedy` what to do about it.
+    `what` is the fact, `where` the place (file, channel, block path, parameter), `remedy` what to do about
+    it.
     """
 
     def __init__(self, what: str, where: str = "", remedy: str = "") -> None:

@@ -1,0 +1,22 @@
+"""What every test may ask for: the real flight logs, and hypothesis runs that give the same examples twice."""
+
+import os
+from pathlib import Path
+
+import pytest
+from hypothesis import settings
+
+PROJECT = Path(__file__).resolve().parents[1]
+
+# A shared, loaded machine must not turn a slow example into a failure; the same examples every run.
+settings.register_profile("twodof", deadline=None, derandomize=True, print_blob=True)
+settings.load_profile("twodof")
+
+
+@pytest.fixture(scope="session")
+def flight_data() -> Path:
+    """Folder of the seven real flight logs; skips, saying so, where it is not at hand."""
+    folder = Path(os.environ.get("TWODOF_FLIGHT_DATA", PROJECT / "../shared/flight-data"))
+    if not folder.is_dir():
+        pytest.skip(f"no flight logs in {folder}: set TWODOF_FLIGHT_DATA to the folder that holds them")
+    return folder
