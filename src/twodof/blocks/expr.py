@@ -1,0 +1,659 @@
+"""The expression graph: what a block's Python code records when it is traced.
+
+An `Expr` is an immutable, typed, hash-consed node. The functions here work on numbers (`twodof.blocks.numbers`) and
+compute, or on an Expr and record; a block's code cannot tell which. Walks over a graph are iterative, because a graph
+may be deeper than Python's stack.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import Any, Iterator
+from weakref import WeakValueDictionary
+
+import numpy as np
+
+from twodof.blocks import numbers
+from twodof.blocks.numbers import Int32, Integer, UInt32, Vector
+from twodof.errors import DiagramError
+
+KINDS = ("real", "int32", "uint32", "bool")
+LEAVES = ("const", "input", "state", "param", "tick", "dt", "bound")
+
+_table: WeakValueDictionary[tuple[Any, ...], Expr] = WeakValueDictionary()
+_tracing: ContextVar[str] = ContextVar("tracing", default="")
+_depth: ContextVar[int] = ContextVar("loop depth", default=0)
+
+
+@contextmanager
+def tracing(path: str) -> Iterator[None]:
+    """Name the block that is being traced, for the errors that its code may cause."""
+    token = _tracing.set(path)
+    try:
+        yield
+    finally:
+        _tracing.reset(token)
+
+
+def _here() -> str:
+    """The block being traced and the user's line that is at fault."""
+    frame = sys._getframe(1)
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("twodof.blocks.expr"):
+        frame = frame.f_back
+    line = f"{frame.f_code.co_filename}:{frame.f_lineno}"
+    block = _tracing.get()
+    return f"block {block}, {line}" if block else line
+
+
+def _fault(what: str, remedy: str) -> DiagramError:
+    return DiagramError(what, _here(), remedy)
+
+
+class Expr:
+    """A node: `op` on `args`, of type `kind`, an array of `width` elements unless `width` is None.
+
+    `data` holds what is not an expression: a constant's value, a leaf's name, a loop's length, a called function.
+    """
+
+    __slots__ = ("__weakref__", "args", "data", "kind", "op", "width")
+    __array_ufunc__ = None  # numpy must not make object arrays of these
+
+    op: str
+    kind: str
+    width: int | None
+    args: tuple[Expr, ...]
+    data: Any
+
+    def __hash__(self) -> int:
+        return id(self)
+
+    def __bool__(self) -> bool:
+        raise _fault(
+            "a recorded value has no truth yet (`if`, `and`, `or`, `not`, `min`, `max` ask for it)",
+            "use where(condition, a, b), and & | ~ on conditions",
+        )
+
+    def __float__(self) -> float:
+        raise _fault(
+            "a recorded value is not a Python number yet (math.* and float() ask for one)",
+            "use the functions of twodof.blocks, such as sin or sqrt",
+        )
+
+    def __int__(self) -> int:
+        raise _fault(
+            "a recorded value is not a Python integer yet (int() and range() ask for one)",
+            "use to_int32, or loop over a constant",
+        )
+
+    __index__ = __int__
+
+    def __iter__(self) -> Iterator[Expr]:
+        if self.width is None:
+            raise _fault("a scalar is iterated over", "only arrays have elements")
+        return (self[i] for i in range(self.width))
+
+    def __len__(self) -> int:
+        if self.width is None:
+            raise _fault("a scalar has no length", "only arrays have elements")
+        return self.width
+
+    def __getitem__(self, index: Any) -> Any:
+        if self.width is None:
+            raise _fault(f"a scalar {self.kind} is indexed", "only arrays have elements")
+        if isinstance(index, Expr):
+            if index.kind not in ("int32", "uint32") or index.width is not None:
+                raise _fault(f"an array is indexed with a {index.kind}", "convert the index with to_int32")
+            # Clamped as a signed number would be: a uint32 above 2^31 is above every length.
+            position = (
+                where(index < self.width, to_int32(index), int32(self.width - 1))
+                if index.kind == "uint32"
+                else index
+            )
+        else:
+            position = const(numbers.clamp_index(index, self.width), "int32")
+        return node("select", self.kind, (self, position))
+
+    def __repr__(self) -> str:
+        shape = "" if self.width is None else f"[{self.width}]"
+        if not self.args:
+            return f"{self.op}:{self.data}:{self.kind}{shape}"
+        return f"{self.op}({len(self.args)} args):{self.kind}{shape}"
+
+    def __add__(self, other: Any) -> Any:
+        return _binary("add", self, other)
+
+    def __radd__(self, other: Any) -> Any:
+        return _binary("add", other, self)
+
+    def __sub__(self, other: Any) -> Any:
+        return _binary("sub", self, other)
+
+    def __rsub__(self, other: Any) -> Any:
+        return _binary("sub", other, self)
+
+    def __mul__(self, other: Any) -> Any:
+        return _binary("mul", self, other)
+
+    def __rmul__(self, other: Any) -> Any:
+        return _binary("mul", other, self)
+
+    def __truediv__(self, other: Any) -> Any:
+        return _binary("div", self, other)
+
+    def __rtruediv__(self, other: Any) -> Any:
+        return _binary("div", other, self)
+
+    def __floordiv__(self, other: Any) -> Any:
+        return _binary("quot", self, other)
+
+    def __rfloordiv__(self, other: Any) -> Any:
+        return _binary("quot", other, self)
+
+    def __mod__(self, other: Any) -> Any:
+        return _binary("rem", self, other)
+
+    def __rmod__(self, other: Any) -> Any:
+        return _binary("rem", other, self)
+
+    def __pow__(self, other: Any) -> Any:
+        raise _fault("** is not an operation of the language", "write x * x, or pow(x, y)")
+
+    __rpow__ = __pow__
+
+    def __lshift__(self, other: Any) -> Any:
+        return _binary("shl", self, other)
+
+    def __rlshift__(self, other: Any) -> Any:
+        return _binary("shl", other, self)
+
+    def __rshift__(self, other: Any) -> Any:
+        return _binary("shr", self, other)
+
+    def __rrshift__(self, other: Any) -> Any:
+        return _binary("shr", other, self)
+
+    def __and__(self, other: Any) -> Any:
+        return _binary("and", self, other)
+
+    def __rand__(self, other: Any) -> Any:
+        return _binary("and", other, self)
+
+    def __or__(self, other: Any) -> Any:
+        return _binary("or", self, other)
+
+    def __ror__(self, other: Any) -> Any:
+        return _binary("or", other, self)
+
+    def __xor__(self, other: Any) -> Any:
+        return _binary("xor", self, other)
+
+    def __rxor__(self, other: Any) -> Any:
+        return _binary("xor", other, self)
+
+    def __lt__(self, other: Any) -> Any:
+        return _binary("lt", self, other)
+
+    def __le__(self, other: Any) -> Any:
+        return _binary("le", self, other)
+
+    def __gt__(self, other: Any) -> Any:
+        return _binary("lt", other, self)
+
+    def __ge__(self, other: Any) -> Any:
+        return _binary("le", other, self)
+
+    def __eq__(self, other: object) -> Any:
+        return _binary("eq", self, other)
+
+    def __ne__(self, other: object) -> Any:
+        return _binary("ne", self, other)
+
+    def __neg__(self) -> Any:
+        return _unary("neg", self)
+
+    def __pos__(self) -> Any:
+        return self
+
+    def __abs__(self) -> Any:
+        return _unary("abs", self)
+
+    def __invert__(self) -> Any:
+        return _unary("not", self)
+
+
+# Which scalar types an operation takes; comparisons give bool, everything else the type of its operands.
+_TAKES: dict[str, tuple[str, ...]] = {
+    **dict.fromkeys(("add", "sub", "mul", "neg", "abs", "lt", "le"), ("real", "int32", "uint32")),
+    **dict.fromkeys(("div", "sqrt"), ("real",)),
+    **dict.fromkeys(("quot", "rem", "shl", "shr"), ("int32", "uint32")),
+    **dict.fromkeys(("and", "or", "xor", "not"), ("int32", "uint32", "bool")),
+    **dict.fromkeys(("eq", "ne"), KINDS),
+}
+_REMEDY = {
+    "div": "use // on integers (it truncates)",
+    "quot": "use floor(x / y) on reals",
+    "rem": "use x - y * floor(x / y) on reals",
+}
+
+
+def node(op: str, kind: str, args: tuple[Expr, ...] = (), data: Any = None, width: int | None = None) -> Expr:
+    """The one node with these fields (hash-consed). Internal: the functions below check what goes in."""
+    tag = data.hex() if isinstance(data, float) else data
+    key = (op, kind, width, tuple(map(id, args)), tag)
+    found = _table.get(key)
+    if found is None:
+        found = Expr.__new__(Expr)
+        found.op, found.kind, found.width, found.args, found.data = op, kind, width, args, data
+        _table[key] = found
+    return found
+
+
+def const(value: Any, kind: str) -> Expr:
+    """A constant. A real is kept as the double the user wrote and rounded once, to the final precision."""
+    if kind == "real":
+        return node("const", "real", (), float(value))
+    if kind == "bool":
+        return node("const", "bool", (), bool(value))
+    integer = Int32 if kind == "int32" else UInt32
+    return node("const", kind, (), integer(value.value if isinstance(value, Integer) else int(value)).value)
+
+
+def leaf(op: str, name: str, kind: str, width: int | None = None) -> Expr:
+    """An input, state or parameter by name (`op` is one of LEAVES)."""
+    return node(op, kind, (), name, width)
+
+
+def as_expr(value: Any, kind: str | None = None) -> Expr:
+    """`value` as a scalar Expr of `kind` (of its own kind if None). Raises DiagramError if that needs a conversion."""
+    if isinstance(value, Expr):
+        if kind is not None and value.kind != kind:
+            raise _fault(
+                f"{value.kind} meets {kind} in one operation", "convert with to_real, to_int32 or to_uint32"
+            )
+        return value
+    if isinstance(value, (np.ndarray, list, tuple)):
+        raise _fault(
+            "a Python list or array is used as a scalar",
+            "make an array with vector([...]), or take one element",
+        )
+    found = numbers.kind_of(value)
+    if kind is None or found == kind:
+        return const(value, found)
+    if type(value) is int and kind in ("int32", "uint32"):
+        return const(value, kind)
+    raise _fault(
+        f"the literal {value!r} meets {kind} in one operation", "write it in that type, or convert explicitly"
+    )
+
+
+def _pair(a: Any, b: Any) -> tuple[Expr, Expr]:
+    anchor = a if isinstance(a, Expr) else b
+    if not isinstance(anchor, Expr):
+        found = {numbers.kind_of(v) for v in (a, b)}
+        strong = [v for v in (a, b) if isinstance(v, (Integer, np.floating, np.bool_))]
+        kind = numbers.kind_of(strong[0]) if strong else ("bool" if found == {"bool"} else "real")
+        return as_expr(a, kind), as_expr(b, kind)
+    return as_expr(a, anchor.kind), as_expr(b, anchor.kind)
+
+
+def _scalars(op: str, *args: Expr) -> None:
+    for a in args:
+        if a.width is not None:
+            raise _fault(
+                f"{op} is applied to an array of {a.width}",
+                "work on its elements, with build(n, lambda i: ...)",
+            )
+
+
+def _binary(op: str, a: Any, b: Any) -> Expr:
+    left, right = _pair(a, b)
+    _scalars(op, left, right)
+    if left.kind not in _TAKES[op]:
+        raise _fault(
+            f"{op} is not defined on {left.kind}", _REMEDY.get(op, f"it takes {', '.join(_TAKES[op])}")
+        )
+    return node(op, "bool" if op in ("lt", "le", "eq", "ne") else left.kind, (left, right))
+
+
+def _unary(op: str, a: Expr) -> Expr:
+    _scalars(op, a)
+    if a.kind not in _TAKES[op]:
+        raise _fault(f"{op} is not defined on {a.kind}", f"it takes {', '.join(_TAKES[op])}")
+    return node(op, a.kind, (a,))
+
+
+def _traced(*values: Any) -> bool:
+    return any(isinstance(v, Expr) for v in values)
+
+
+def where(condition: Any, a: Any, b: Any) -> Any:
+    """`a` where the condition holds, else `b`; both are evaluated. Two literals give a real."""
+    if _traced(condition, a, b):
+        c = as_expr(condition, "bool")
+        left, right = _pair(a, b)
+        _scalars("where", c, left, right)
+        return node("where", left.kind, (c, left, right))
+    strong = [v for v in (a, b) if isinstance(v, (Integer, np.floating, np.bool_, bool))]
+    kind = numbers.kind_of(strong[0]) if strong else "real"
+    return numbers.cast(a if condition else b, kind)
+
+
+def minimum(a: Any, b: Any) -> Any:
+    """`where(a < b, a, b)`: of two equals the second, and `b` if one is NaN."""
+    return where(_less(a, b), a, b)
+
+
+def maximum(a: Any, b: Any) -> Any:
+    """`where(b < a, a, b)`: of two equals the second, and `b` if one is NaN."""
+    return where(_less(b, a), a, b)
+
+
+def _less(a: Any, b: Any) -> Any:
+    return a < b if _traced(a, b) else np.bool_(a < b)
+
+
+def sqrt(x: Any) -> Any:
+    """The IEEE square root of a real; NaN below zero."""
+    if isinstance(x, Expr):
+        return _unary("sqrt", x)
+    return np.sqrt(numbers.cast(x, "real"))
+
+
+def real(value: float) -> Any:
+    """A real literal as a number of the current precision (needed only where no other operand is real)."""
+    return numbers.cast(float(value), "real")
+
+
+def int32(value: int) -> Int32:
+    """An int32 literal."""
+    return Int32(value)
+
+
+def uint32(value: int) -> UInt32:
+    """A uint32 literal."""
+    return UInt32(value)
+
+
+def to_int32(x: Any) -> Any:
+    """To int32: a real truncates and saturates, NaN gives 0; uint32 keeps its bits; bool gives 0 or 1."""
+    return _convert(x, "int32")
+
+
+def to_uint32(x: Any) -> Any:
+    """To uint32: a real truncates and saturates to [0, 2^32 - 1], NaN gives 0; int32 keeps its bits; bool gives 0 or 1."""
+    return _convert(x, "uint32")
+
+
+def to_real(x: Any) -> Any:
+    """To real, rounded to nearest; a real is returned as it is; bool gives 0 or 1."""
+    return _convert(x, "real")
+
+
+def _convert(x: Any, kind: str) -> Any:
+    if isinstance(x, Expr):
+        _scalars(f"to_{kind}", x)
+        if x.kind == kind:
+            return x
+        if x.kind == "bool":
+            return where(x, const(1, kind), const(0, kind))
+        return node("convert", kind, (x,))
+    found = numbers.kind_of(x)
+    if kind == "real":
+        if found == "real":
+            return numbers.cast(x, "real")
+        return numbers.real_type()(x.value if isinstance(x, Integer) else bool(x))
+    integer = Int32 if kind == "int32" else UInt32
+    if found == "real":
+        if x != x:
+            return integer(0)
+        return integer(int(min(max(float(x), float(integer.low)), float(integer.low + 2**32 - 1))))
+    return integer(x.value if isinstance(x, Integer) else bool(x))
+
+
+def multiply_high(a: Any, b: Any) -> Any:
+    """The upper 32 bits of the 64-bit product of two uint32."""
+    if _traced(a, b):
+        left, right = as_expr(a, "uint32"), as_expr(b, "uint32")
+        _scalars("multiply_high", left, right)
+        return node("mulhi", "uint32", (left, right))
+    return UInt32(numbers.cast(a, "uint32").value * numbers.cast(b, "uint32").value >> 32)
+
+
+def bits_of(x: Any, word: int = 0) -> Any:
+    """A 32-bit word of a real's IEEE pattern as uint32: word 0 the lower, word 1 the upper (float64 only).
+
+    NaN reads as the canonical quiet NaN. The meaning depends on the precision: for definitions of elementary
+    functions only, which exist once a precision.
+    """
+    if isinstance(x, Expr):
+        return node("bits", "uint32", (as_expr(x, "real"),), word)
+    x = numbers.cast(x, "real")
+    x = numbers.real_type()("nan") if x != x else x
+    pattern = int.from_bytes(np.abs(x).tobytes() if x != x else x.tobytes(), "little")
+    return UInt32(pattern >> (32 * word))
+
+
+def from_bits(low: Any, high: Any = None) -> Any:
+    """The real with these IEEE words: one uint32 for float32, (low, high) for float64. The inverse of `bits_of`."""
+    if _traced(low, high):
+        words = (
+            (as_expr(low, "uint32"),) if high is None else (as_expr(low, "uint32"), as_expr(high, "uint32"))
+        )
+        return node("from_bits", "real", words)
+    if high is None:
+        return np.uint32(numbers.cast(low, "uint32").value).view(np.float32)
+    pattern = numbers.cast(high, "uint32").value << 32 | numbers.cast(low, "uint32").value
+    return np.uint64(pattern).view(np.float64)
+
+
+def call(name: str, *args: Expr) -> Expr:
+    """A call of the elementary function `name` on reals; its definition is in `twodof.blocks.elementary`."""
+    return node("call", "real", tuple(as_expr(a, "real") for a in args), name)
+
+
+def vector(elements: Sequence[Any]) -> Any:
+    """An array of the given scalars, all of one type."""
+    if not elements:
+        raise _fault("an array of no elements", "an array has at least one element")
+    if not _traced(*elements):
+        strong = [v for v in elements if isinstance(v, (Integer, np.floating, np.bool_, bool))]
+        return numbers.cast_array(elements, numbers.kind_of(strong[0]) if strong else "real")
+    anchor = next(e for e in elements if isinstance(e, Expr))
+    items = tuple(as_expr(e, anchor.kind) for e in elements)
+    _scalars("vector", *items)
+    return node("vector", anchor.kind, items, None, len(items))
+
+
+def store(array: Any, index: Any, value: Any) -> Any:
+    """`array` with the element at the (clamped) index replaced; compiled to a write in place where it can be."""
+    if _traced(array, index, value):
+        base = array if isinstance(array, Expr) else vector(list(array))
+        if base.width is None:
+            raise _fault("store into a scalar", "only arrays have elements")
+        if not isinstance(index, Expr):
+            index = const(numbers.clamp_index(index, base.width), "int32")
+        elif index.kind == "uint32":
+            index = where(index < base.width, to_int32(index), int32(base.width - 1))
+        item = as_expr(value, base.kind)
+        _scalars("store", item)
+        return node("store", base.kind, (base, as_expr(index, "int32"), item), None, base.width)
+    items = list(array)
+    items[numbers.clamp_index(index, len(items))] = numbers.cast(value, numbers.kind_of(items[0]))
+    return Vector(items)
+
+
+def build(length: int, element: Callable[[Any], Any]) -> Any:
+    """The array of `element(i)` for the int32 i = 0 .. length - 1; stays a loop when compiled."""
+    if length < 1:
+        raise _fault("an array of no elements", "an array has at least one element")
+    if not _recording():
+        return vector([element(Int32(i)) for i in range(length)])
+    depth = _depth.get()
+    token = _depth.set(depth + 1)
+    try:
+        body = as_expr(element(node("bound", "int32", (), (depth, 0))))
+    finally:
+        _depth.reset(token)
+    _scalars("build", body)
+    return node("build", body.kind, (body,), (length, depth), length)
+
+
+def fold(length: int, initial: Sequence[Any], step: Callable[..., Sequence[Any]]) -> tuple[Any, ...]:
+    """Repeat `values = step(i, *values)` for the int32 i = 0 .. length - 1 from `initial`; stays a loop when compiled.
+
+    The values are scalars; `step` returns as many as it takes, of the same types. Returns the last values.
+    """
+    if not _recording():
+        kinds = [numbers.kind_of(v) for v in initial]
+        values = tuple(numbers.cast(v, k) for v, k in zip(initial, kinds, strict=True))
+        for i in range(length):
+            values = tuple(numbers.cast(v, k) for v, k in zip(step(Int32(i), *values), kinds, strict=True))
+        return values
+    starts = tuple(as_expr(v) for v in initial)
+    _scalars("fold", *starts)
+    depth = _depth.get()
+    token = _depth.set(depth + 1)
+    try:
+        index = node("bound", "int32", (), (depth, 0))
+        carried = [node("bound", s.kind, (), (depth, j + 1)) for j, s in enumerate(starts)]
+        results = tuple(step(index, *carried))
+    finally:
+        _depth.reset(token)
+    if len(results) != len(starts):
+        raise _fault(
+            f"the body of fold returns {len(results)} values and takes {len(starts)}",
+            "return one value for each initial value",
+        )
+    bodies = tuple(as_expr(r, s.kind) for r, s in zip(results, starts, strict=True))
+    _scalars("fold", *bodies)
+    # One node an output; all share (starts, bodies), so a compiler can emit them as one loop.
+    return tuple(node("fold", s.kind, starts + bodies, (length, depth, j)) for j, s in enumerate(starts))
+
+
+def _recording() -> bool:
+    return bool(_tracing.get())
+
+
+_NUMERIC: dict[str, Callable[..., Any]] = {
+    "add": lambda a, b: a + b,
+    "sub": lambda a, b: a - b,
+    "mul": lambda a, b: a * b,
+    "div": lambda a, b: a / b,
+    "quot": lambda a, b: a // b,
+    "rem": lambda a, b: a % b,
+    "shl": lambda a, b: a << b,
+    "shr": lambda a, b: a >> b,
+    "and": lambda a, b: a & b,
+    "or": lambda a, b: a | b,
+    "xor": lambda a, b: a ^ b,
+    "lt": lambda a, b: a < b,
+    "le": lambda a, b: a <= b,
+    "eq": lambda a, b: a == b,
+    "ne": lambda a, b: a != b,
+    "neg": lambda a: -a,
+    "abs": abs,
+    "not": lambda a: ~a,
+    "sqrt": sqrt,
+    "where": where,
+    "mulhi": multiply_high,
+    "select": lambda array, index: array[index],
+    "store": store,
+    "from_bits": from_bits,
+}
+
+
+def walk(roots: Iterable[Expr], loops: bool = True) -> list[Expr]:
+    """Every node below `roots` once, arguments before their users. With `loops` false, loop bodies are not entered."""
+    order: list[Expr] = []
+    seen: set[int] = set()
+    stack: list[tuple[Expr, bool]] = [(r, False) for r in reversed(list(roots))]
+    while stack:
+        item, done = stack.pop()
+        if done:
+            order.append(item)
+        elif id(item) not in seen:
+            seen.add(id(item))
+            stack.append((item, True))
+            stack.extend((a, False) for a in reversed(item.args if loops else outside(item)))
+    return order
+
+
+def outside(item: Expr) -> tuple[Expr, ...]:
+    """The arguments evaluated outside a node's loop: all of them, a fold's initial values, none of a build's."""
+    if item.op == "build":
+        return ()
+    if item.op == "fold":
+        return item.args[: len(item.args) // 2]
+    return item.args
+
+
+def leaves(roots: Iterable[Expr], op: str) -> set[str]:
+    """The names of the leaves of kind `op` that `roots` depend on."""
+    return {n.data for n in walk(roots) if n.op == op}
+
+
+def evaluate(
+    roots: Sequence[Expr], leaf_value: Callable[[Expr], Any], functions: Mapping[str, Callable[..., Any]]
+) -> list[Any]:
+    """Recompute a graph on other values: numbers compute, Exprs record anew (so this is also substitution).
+
+    `leaf_value` gives the value of an input, state, param, tick or dt leaf; `functions` the elementary functions by
+    name. Under `tracing`, loops are recorded as loops; otherwise they are run.
+    """
+    return _evaluate(roots, leaf_value, functions, {})
+
+
+def _evaluate(
+    roots: Sequence[Expr],
+    leaf_value: Callable[[Expr], Any],
+    functions: Mapping[str, Callable[..., Any]],
+    bound: dict[Any, Any],
+) -> list[Any]:
+    values: dict[int, Any] = {}
+    for item in walk(roots, loops=False):
+        args = [values[id(a)] for a in outside(item)]
+        values[id(item)] = _compute(item, args, leaf_value, functions, bound)
+    return [values[id(r)] for r in roots]
+
+
+def _compute(
+    item: Expr,
+    args: list[Any],
+    leaf_value: Callable[[Expr], Any],
+    functions: Mapping[str, Callable[..., Any]],
+    bound: dict[Any, Any],
+) -> Any:
+    op = item.op
+    if op in _NUMERIC:
+        return _NUMERIC[op](*args)
+    if op == "const":
+        return item if _recording() else numbers.cast(item.data, item.kind)
+    if op == "bound":
+        return bound[item.data]
+    if op == "convert":
+        return _convert(args[0], item.kind)
+    if op == "bits":
+        return bits_of(args[0], item.data)
+    if op == "call":
+        return functions[item.data](*args)
+    if op == "vector":
+        return vector(args)
+    if op == "build":
+        length, depth = item.data
+        return build(
+            length, lambda i: _evaluate(item.args, leaf_value, functions, {**bound, (depth, 0): i})[0]
+        )
+    if op == "fold":
+        length, depth, which = item.data
+        bodies = item.args[len(args) :]
+
+        def step(*values: Any) -> list[Any]:
+            return _evaluate(
+                bodies, leaf_value, functions, {**bound, **{(depth, j): v for j, v in enumerate(values)}}
+            )
+
+        return fold(length, args, step)[which]
+    return leaf_value(item)

@@ -1,0 +1,267 @@
+"""Values of the reference interpreter: plain numbers that obey the language's arithmetic.
+
+real is `numpy.float64` or `numpy.float32` (one IEEE rounding after each operation), bool is `numpy.bool_`;
+`Int32` and `UInt32` wrap around, divide towards zero, give 0 for x / 0 and x % 0, and mask shift counts.
+A `Vector` is a fixed-length array whose dynamic index is clamped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import Any, ClassVar
+
+import numpy as np
+
+from twodof.errors import DiagramError
+
+PRECISIONS: dict[str, type[np.floating[Any]]] = {"float64": np.float64, "float32": np.float32}
+_REAL: ContextVar[type[np.floating[Any]]] = ContextVar("real", default=np.float64)
+
+
+@contextmanager
+def precision(name: str) -> Iterator[None]:
+    """Run the enclosed code with real numbers of the precision "float64" or "float32", IEEE exceptions silent.
+
+    Raises DiagramError for another name.
+    """
+    if name not in PRECISIONS:
+        raise DiagramError(f"unknown precision {name!r}", "precision", 'use "float64" or "float32"')
+    token = _REAL.set(PRECISIONS[name])
+    try:
+        with np.errstate(all="ignore"):
+            yield
+    finally:
+        _REAL.reset(token)
+
+
+def real_type() -> type[np.floating[Any]]:
+    """The numpy scalar type of a real under the enclosing `precision`."""
+    return _REAL.get()
+
+
+class Integer:
+    """A 32-bit integer; the base of Int32 and UInt32."""
+
+    __slots__ = ("value",)
+    __array_ufunc__ = None  # numpy scalars must not absorb these
+    kind: ClassVar[str]
+    low: ClassVar[int]
+
+    def __init__(self, value: int) -> None:
+        self.value = (int(value) - self.low) % 2**32 + self.low
+
+    def _other(self, other: object) -> int:
+        if isinstance(other, type(self)):
+            return other.value
+        if type(other) is int:
+            return type(self)(other).value
+        raise DiagramError(
+            f"{self.kind} meets {type(other).__name__} in one operation",
+            "",
+            "convert with to_real, to_int32 or to_uint32",
+        )
+
+    def __add__(self, other: object) -> Any:
+        return type(self)(self.value + self._other(other))
+
+    def __radd__(self, other: object) -> Any:
+        return type(self)(self._other(other) + self.value)
+
+    def __sub__(self, other: object) -> Any:
+        return type(self)(self.value - self._other(other))
+
+    def __rsub__(self, other: object) -> Any:
+        return type(self)(self._other(other) - self.value)
+
+    def __mul__(self, other: object) -> Any:
+        return type(self)(self.value * self._other(other))
+
+    def __rmul__(self, other: object) -> Any:
+        return type(self)(self._other(other) * self.value)
+
+    def __floordiv__(self, other: object) -> Any:
+        return type(self)(_quotient(self.value, self._other(other)))
+
+    def __rfloordiv__(self, other: object) -> Any:
+        return type(self)(_quotient(self._other(other), self.value))
+
+    def __mod__(self, other: object) -> Any:
+        return type(self)(_remainder(self.value, self._other(other)))
+
+    def __rmod__(self, other: object) -> Any:
+        return type(self)(_remainder(self._other(other), self.value))
+
+    def __lshift__(self, other: object) -> Any:
+        return type(self)(self.value << (self._other(other) & 31))
+
+    def __rlshift__(self, other: object) -> Any:
+        return type(self)(self._other(other)) << self
+
+    def __rshift__(self, other: object) -> Any:
+        return type(self)(self.value >> (self._other(other) & 31))
+
+    def __rrshift__(self, other: object) -> Any:
+        return type(self)(self._other(other)) >> self
+
+    def __and__(self, other: object) -> Any:
+        return type(self)(self.value & self._other(other))
+
+    def __or__(self, other: object) -> Any:
+        return type(self)(self.value | self._other(other))
+
+    def __xor__(self, other: object) -> Any:
+        return type(self)(self.value ^ self._other(other))
+
+    __rand__, __ror__, __rxor__ = __and__, __or__, __xor__
+
+    def __invert__(self) -> Any:
+        return type(self)(~self.value)
+
+    def __neg__(self) -> Any:
+        return type(self)(-self.value)
+
+    def __abs__(self) -> Any:
+        return type(self)(abs(self.value))
+
+    def __lt__(self, other: object) -> Any:
+        return np.bool_(self.value < self._other(other))
+
+    def __le__(self, other: object) -> Any:
+        return np.bool_(self.value <= self._other(other))
+
+    def __gt__(self, other: object) -> Any:
+        return np.bool_(self.value > self._other(other))
+
+    def __ge__(self, other: object) -> Any:
+        return np.bool_(self.value >= self._other(other))
+
+    def __eq__(self, other: object) -> Any:
+        return np.bool_(self.value == self._other(other))
+
+    def __ne__(self, other: object) -> Any:
+        return np.bool_(self.value != self._other(other))
+
+    def __hash__(self) -> int:
+        return hash((self.kind, self.value))
+
+    def __repr__(self) -> str:
+        return f"{self.kind}({self.value})"
+
+
+class Int32(Integer):
+    """A signed 32-bit integer in two's complement."""
+
+    __slots__ = ()
+    kind = "int32"
+    low = -(2**31)
+
+
+class UInt32(Integer):
+    """An unsigned 32-bit integer."""
+
+    __slots__ = ()
+    kind = "uint32"
+    low = 0
+
+
+def _quotient(a: int, b: int) -> int:
+    if b == 0:
+        return 0
+    q = abs(a) // abs(b)
+    return q if (a < 0) == (b < 0) else -q
+
+
+def _remainder(a: int, b: int) -> int:
+    # MIN % -1 is MIN - (MIN / -1) * -1 with a wrapped quotient, and that is 0, as for any other a % -1.
+    return 0 if b == 0 else a - b * _quotient(a, b)
+
+
+class Vector(tuple[Any, ...]):
+    """A fixed-length array. An `Integer` index is clamped; a literal Python index must be inside."""
+
+    __slots__ = ()
+
+    def __getitem__(self, index: Any) -> Any:
+        return tuple.__getitem__(self, clamp_index(index, len(self)))
+
+
+def clamp_index(index: Any, length: int) -> int:
+    """The position that `index` addresses in an array of `length` elements.
+
+    Raises DiagramError for a literal outside [0, length) and for an index that is no integer.
+    """
+    if isinstance(index, Integer):
+        return min(max(index.value, 0), length - 1)
+    if isinstance(index, (int, np.integer)) and not isinstance(index, bool):
+        if not 0 <= index < length:
+            raise DiagramError(
+                f"index {index} is outside an array of {length}", "", "literal indices count from 0"
+            )
+        return int(index)
+    raise DiagramError(
+        f"an array is indexed with {type(index).__name__}", "", "convert the index with to_int32"
+    )
+
+
+def cast(value: Any, kind: str) -> Any:
+    """`value` as a number of `kind` under the current precision; Python literals and numpy scalars are accepted.
+
+    Raises DiagramError where a conversion would have to be explicit in the language (real to integer and so on),
+    which also catches a float64 that leaked into a float32 run.
+    """
+    real = real_type()
+    if kind == "real":
+        if isinstance(value, real):
+            return value
+        if type(value) in (int, float):
+            return real(value)
+    elif kind == "bool":
+        if isinstance(value, (bool, np.bool_)):
+            return np.bool_(value)
+    else:
+        integer = Int32 if kind == "int32" else UInt32
+        if isinstance(value, integer):
+            return value
+        if type(value) is int:
+            return integer(value)
+    raise DiagramError(
+        f"a {kind} is expected and {value!r} of type {type(value).__name__} is given",
+        "",
+        "convert it explicitly",
+    )
+
+
+def cast_array(values: Sequence[Any], kind: str) -> Vector:
+    """`values` as a Vector of numbers of `kind`; raises like `cast`."""
+    return Vector(cast(v, kind) for v in values)
+
+
+def kind_of(value: Any) -> str:
+    """The language's type of a number; a Python float or int literal is taken for a real.
+
+    Raises DiagramError for anything that is not a number of the language.
+    """
+    if isinstance(value, Integer):
+        return value.kind
+    if isinstance(value, (bool, np.bool_)):
+        return "bool"
+    if isinstance(value, (int, float, np.floating)):
+        return "real"
+    raise DiagramError(
+        f"{type(value).__name__} is no number of the language", "", "use real, int32, uint32 or bool"
+    )
+
+
+def same_bits(a: Any, b: Any) -> bool:
+    """Whether two numbers (or Vectors) are the same value to the bit; all NaNs are one value, -0.0 differs from 0.0."""
+    if isinstance(a, tuple):
+        return len(a) == len(b) and all(same_bits(x, y) for x, y in zip(a, b, strict=True))
+    if isinstance(a, Integer):
+        return type(a) is type(b) and a.value == b.value
+    if isinstance(a, np.floating):
+        if np.isnan(a) or np.isnan(b):
+            return bool(np.isnan(a) and np.isnan(b))
+        return type(a) is type(b) and a.tobytes() == b.tobytes()
+    return bool(a == b)
