@@ -1,0 +1,190 @@
+"""Diagram: blocks, sub-diagrams and named connections."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from twodof.blocks.block import Block, Param, Port, check_name
+from twodof.errors import DiagramError
+
+
+class Rate(NamedTuple):
+    """When a part runs: at the ticks with tick % divider == offset. Inside a part, rates count that part's own ticks."""
+
+    divider: int = 1
+    offset: int = 0
+
+    def within(self, outer: Rate) -> Rate:
+        """This rate, given relative to `outer`, relative to the base tick."""
+        return Rate(self.divider * outer.divider, outer.offset + outer.divider * self.offset)
+
+
+BASE = Rate(1, 0)
+
+
+@dataclass
+class Part:
+    """A block or sub-diagram under a name. `enable` and `reset` are sources of bool signals in the same diagram.
+
+    `params` binds parameters of the part to parameters of the diagram: inner name -> outer name.
+    `disabled` is what outputs do while a sub-diagram is not enabled: "hold" or "reset" (0).
+    """
+
+    name: str
+    item: Block | Diagram
+    rate: Rate = BASE
+    params: dict[str, str] = field(default_factory=dict)
+    enable: str | None = None
+    reset: str | None = None
+    disabled: str = "hold"
+    position: tuple[float, float] | None = None
+
+
+class Diagram:
+    """Blocks and sub-diagrams by name, and connections between ports.
+
+    A source is written "part.port" (or "part" if it has one output) or the name of a diagram input; a destination is
+    "part.port" (or "part" if it has one input) or the name of a diagram output.
+    """
+
+    def __init__(self, name: str, text: str = "") -> None:
+        self.name = check_name(name, "diagram")
+        self.text = text
+        self.inputs: dict[str, Port] = {}
+        self.outputs: dict[str, str | None] = {}  # name -> source
+        self.params: dict[str, Param] = {}
+        self.parts: dict[str, Part] = {}
+        self.connections: dict[tuple[str, str], str] = {}  # (part, port) -> source
+
+    def input(self, name: str, kind: str = "real", width: int | None = None, unit: str = "") -> str:
+        """Declare an input; returns its name, which is a source."""
+        self._new(name)
+        self.inputs[name] = Port(name, kind, width, unit)
+        return name
+
+    def output(self, name: str, source: str | None = None) -> None:
+        """Declare an output, fed by `source` (or connected later). Its type, width and unit are its source's."""
+        if name in self.outputs:
+            raise DiagramError(f"two outputs are named {name!r}", self.name, "names are unique")
+        check_name(name, self.name)
+        self.outputs[name] = source
+
+    def param(
+        self,
+        name: str,
+        value: object = 0.0,
+        *,
+        kind: str = "real",
+        width: int | None = None,
+        unit: str = "",
+        low: float = -float("inf"),
+        high: float = float("inf"),
+        text: str = "",
+        tunable: bool = True,
+    ) -> str:
+        """Declare a parameter of the diagram, to which parameters of its parts may be bound (see `add`)."""
+        self._new(name)
+        self.params[name] = Param(name, value, kind, width, unit, low, high, text, tunable)
+        return name
+
+    def add(
+        self,
+        name: str,
+        item: Block | Diagram,
+        *,
+        rate: Rate | tuple[int, int] = BASE,
+        params: Mapping[str, str] | None = None,
+        enable: str | None = None,
+        reset: str | None = None,
+        disabled: str = "hold",
+        position: tuple[float, float] | None = None,
+        **inputs: str,
+    ) -> str:
+        """Add a part and connect its inputs by keyword (`u="source"`); returns its name.
+
+        Raises DiagramError for a name that is taken or illegal, a rate with divider < 1 or offset outside [0, divider).
+        """
+        self._new(name)
+        path = f"{self.name}.{name}"
+        rate = Rate(*rate)
+        if not (1 <= rate.divider < 2**31 and 0 <= rate.offset < rate.divider):
+            raise DiagramError(
+                f"rate {tuple(rate)} is impossible", path, "divider >= 1 and 0 <= offset < divider"
+            )
+        if disabled not in ("hold", "reset"):
+            raise DiagramError(f"disabled={disabled!r}", path, 'use "hold" or "reset"')
+        if isinstance(item, Block) and (enable or reset):
+            raise DiagramError("a block cannot be enabled or reset", path, "put it into a sub-diagram")
+        known = {p.name for p in item.params} if isinstance(item, Block) else set(item.params)
+        for inner in params or {}:
+            if inner not in known:
+                raise DiagramError(
+                    f"there is no parameter {inner!r} to bind",
+                    path,
+                    f"there are: {', '.join(sorted(known)) or 'none'}",
+                )
+        self.parts[name] = Part(name, item, rate, dict(params or {}), enable, reset, disabled, position)
+        for port, source in inputs.items():
+            self.connect(source, f"{name}.{port}")
+        return name
+
+    def connect(self, source: str, *destinations: str) -> None:
+        """Connect `source` to each destination. Raises DiagramError if a destination is unknown or already fed."""
+        for destination in destinations:
+            if destination in self.outputs:
+                if self.outputs[destination] is not None:
+                    raise DiagramError(
+                        f"output {destination!r} is fed twice", self.name, "an input has one source"
+                    )
+                self.outputs[destination] = source
+                continue
+            part, port = self._end(destination, "input")
+            if (part, port) in self.connections:
+                raise DiagramError(
+                    f"input {destination!r} is fed twice", self.name, "an input has one source"
+                )
+            self.connections[part, port] = source
+
+    def source(self, text: str) -> tuple[str | None, str]:
+        """(part, port) that a source names, or (None, name) of a diagram input. Raises DiagramError if there is none."""
+        if text in self.inputs:
+            return None, text
+        return self._end(text, "output")
+
+    def _end(self, text: str, direction: str) -> tuple[str, str]:
+        part, _, port = text.partition(".")
+        if part not in self.parts:
+            kind = "input or part" if direction == "output" else "output or part"
+            raise DiagramError(
+                f"there is no {kind} {part!r:.80}", self.name, f"parts: {', '.join(self.parts) or 'none'}"
+            )
+        item = self.parts[part].item
+        ports = port_names(item, direction)
+        if not port and len(ports) == 1:
+            return part, ports[0]
+        if port not in ports:
+            what = (
+                f"no {direction} {port!r:.80}" if port else f"{len(ports)} {direction}s, so one must be named"
+            )
+            raise DiagramError(
+                f"{part!r} has {what}", self.name, f"{direction}s: {', '.join(ports) or 'none'}"
+            )
+        return part, port
+
+    def _new(self, name: str) -> None:
+        check_name(name, self.name)
+        if name in self.parts or name in self.inputs or name in self.params:
+            raise DiagramError(
+                f"the name {name!r} is used twice",
+                self.name,
+                "parts, inputs and parameters share one space of names",
+            )
+
+
+def port_names(item: Block | Diagram, direction: str) -> list[str]:
+    """The names of the inputs or outputs (`direction` "input" or "output") of a block or diagram."""
+    if isinstance(item, Block):
+        return [p.name for p in (item.inputs if direction == "input" else item.outputs)]
+    return list(item.inputs if direction == "input" else item.outputs)
