@@ -1,4 +1,4 @@
-"""What every test may ask for: the real flight logs, and hypothesis runs that give the same examples twice."""
+"""What every test may ask for: the real flight logs; hypothesis runs that give the same examples twice."""
 
 import os
 from pathlib import Path

@@ -1,0 +1,121 @@
+"""Documentation that fails when it is missing or wrong: docstrings, links, examples, README's code."""
+
+import ast
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+PROJECT = Path(__file__).resolve().parents[1]
+SOURCE = PROJECT / "src" / "twodof"
+PAGES = sorted([*PROJECT.glob("*.md"), *(PROJECT / "docs").rglob("*.md")])
+EXAMPLES = sorted((PROJECT / "examples").glob("*.py"))
+EXAMPLE_LINES = 60
+# An example or a README block compiles once and flies for seconds; on a loaded machine several times that.
+EXAMPLE_TIMEOUT_S = 120
+
+
+def undocumented(name: str, tree: ast.Module) -> Iterator[str]:
+    """Public modules, functions and classes without a docstring, and the methods a class does not inherit."""
+    if not ast.get_docstring(tree):
+        yield name
+    for node in tree.body:
+        if not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+            continue
+        if node.name.startswith("_"):
+            continue
+        if not ast.get_docstring(node):
+            yield f"{name}:{node.lineno} {node.name}"
+        if isinstance(node, ast.ClassDef) and not node.bases:
+            for method in node.body:
+                public = isinstance(method, ast.FunctionDef) and not method.name.startswith("_")
+                if public and not ast.get_docstring(method):
+                    yield f"{name}:{method.lineno} {node.name}.{method.name}"
+
+
+def test_everything_public_has_a_docstring() -> None:
+    missing = [
+        line
+        for path in sorted(SOURCE.rglob("*.py"))
+        for line in undocumented(str(path.relative_to(SOURCE)), ast.parse(path.read_text()))
+    ]
+    assert missing == []
+
+
+def test_a_missing_docstring_is_found() -> None:
+    tree = ast.parse('"""M."""\ndef f(): ...\nclass A:\n    """A."""\n    def g(self): ...\ndef _h(): ...\n')
+    assert list(undocumented("m.py", tree)) == ["m.py:2 f", "m.py:5 A.g"]
+
+
+def anchors(text: str) -> set[str]:
+    """The anchors a page's headings make, by the rule common Markdown hosts use."""
+    headings = re.findall(r"^#+\s+(.*)$", text, flags=re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).strip().replace(" ", "-") for heading in headings}
+
+
+def broken_links(page: Path) -> Iterator[str]:
+    """Relative links and pictures of a Markdown page that lead nowhere; the network is not asked."""
+    text = re.sub(r"```.*?```|`[^`\n]*`", "", page.read_text(), flags=re.DOTALL)
+    for target in re.findall(r"\]\(([^)\s]+)[^)]*\)", text):
+        if re.match(r"[a-z]+:", target):
+            continue
+        path, _, anchor = target.partition("#")
+        file = (page.parent / path) if path else page
+        if not file.exists():
+            yield f"{page.name}: {target}"
+        elif anchor and file.suffix == ".md" and anchor not in anchors(file.read_text()):
+            yield f"{page.name}: {target} (no such heading)"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(PROJECT)))
+def test_no_link_is_broken(page: Path) -> None:
+    assert list(broken_links(page)) == []
+
+
+def test_a_broken_link_is_found(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text(
+        "# A b\n[ok](#a-b) [ok](page.md#a-b) [x](nowhere.md) ![y](#c) `[z](code.md)` [w](https://a.b)\n"
+    )
+    assert list(broken_links(page)) == ["page.md: nowhere.md", "page.md: #c (no such heading)"]
+
+
+def run(code: Path, folder: Path) -> None:
+    """Run a Python file in an empty folder, warnings being errors; its stderr is the failure's text."""
+    environment = {**os.environ, "MPLBACKEND": "Agg", "PYTHONWARNINGS": "error"}
+    done = subprocess.run(
+        [sys.executable, str(code)],
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=EXAMPLE_TIMEOUT_S,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda example: example.name)
+def test_an_example_is_short_and_runs(example: Path, tmp_path: Path) -> None:
+    assert len(example.read_text().splitlines()) <= EXAMPLE_LINES
+    run(example, tmp_path)
+
+
+def test_readme_code_runs(tmp_path: Path) -> None:
+    blocks = re.findall(r"```python\n(.*?)```", (PROJECT / "README.md").read_text(), flags=re.DOTALL)
+    assert blocks, "README shows no example of the API"
+    script = tmp_path / "readme.py"
+    script.write_text("\n".join(blocks))
+    run(script, tmp_path)
+
+
+def test_no_file_names_a_package_index() -> None:
+    host = re.compile(r"https?://[a-z.]*(" + "|".join(["py" + "pi", "npm" + "js", "python" + "hosted"]) + ")")
+    listed = subprocess.run(["git", "ls-files"], cwd=PROJECT, capture_output=True, text=True, check=False)
+    names = listed.stdout.splitlines() or [str(path.relative_to(PROJECT)) for path in SOURCE.rglob("*.py")]
+    texts = [PROJECT / name for name in names if not name.endswith((".png", ".svg"))]
+    assert [path.name for path in texts if path.is_file() and host.search(path.read_text())] == []
