@@ -13,7 +13,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from twodof.blocks import numbers
-from twodof.blocks.expr import KINDS, Expr, as_expr, const, leaf, leaves, to_real, tracing, vector, walk
+from twodof.blocks.expr import KINDS, Expr, as_expr, const, leaf, to_real, tracing, vector
+from twodof.blocks.graph import leaves, walk
 from twodof.blocks.numbers import Integer, Vector
 from twodof.errors import DiagramError
 
@@ -70,9 +71,7 @@ class State:
     def __post_init__(self) -> None:
         _check_shape(self.kind, self.width, self.name)
         if self.continuous and self.kind != "real":
-            raise DiagramError(
-                f"a continuous state of type {self.kind}", self.name, "continuous states are real"
-            )
+            raise DiagramError(f"a continuous state of type {self.kind}", self.name, "continuous states are real")
 
 
 @dataclass(frozen=True)
@@ -97,22 +96,41 @@ class Param:
 
 
 class Namespace:
-    """What a block's methods read: attributes by name. An unknown name is an error that lists the known ones."""
+    """What a block's methods read: attributes by name, a live view of `values`. An unknown name is an error."""
 
-    def __init__(self, what: str, values: Values) -> None:
-        self.__dict__.update(values)
-        self.__dict__["_what"] = what
+    what: ClassVar[str] = "name"
+
+    def __init__(self, values: dict[str, Any]) -> None:
+        self.__dict__ = values
 
     def __getattr__(self, name: str) -> Any:
-        known = ", ".join(k for k in self.__dict__ if k != "_what") or "none"
-        raise DiagramError(f"there is no {self._what} {name!r}", "", f"there are: {known}")
+        known = ", ".join(self.__dict__) or "none"
+        raise DiagramError(f"there is no {self.what} {name!r}", "", f"there are: {known}")
 
     def __getitem__(self, name: str) -> Any:
         return getattr(self, name)
 
 
+class Inputs(Namespace):
+    """The inputs of a block."""
+
+    what = "input"
+
+
+class States(Namespace):
+    """The states of a block."""
+
+    what = "state"
+
+
+class Parameters(Namespace):
+    """The parameters of a block, given and derived."""
+
+    what = "parameter"
+
+
 class Clock:
-    """Time as a block sees it: `tick` (uint32 base tick), `dt` [s] of the block, `base_dt` [s] of the tick, `time` [s]."""
+    """Time as a block sees it: `tick` (uint32 base tick), `dt` [s] of the block, `base_dt` [s] of the tick."""
 
     def __init__(self, tick: Any, dt: Any, base_dt: Any) -> None:
         self.tick = tick
@@ -167,7 +185,7 @@ class Block:
         return {}
 
     def project(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        """Jumps of continuous states after the integration: `x` is the integrated state, `u` that of the step's start."""
+        """Jumps of continuous states after the integration: `x` is integrated, `u` is that of the step's start."""
         return {}
 
     @functools.cached_property
@@ -184,9 +202,7 @@ def library_block(type_name: str) -> Callable[[type[Block]], type[Block]]:
 
     def register(cls: type[Block]) -> type[Block]:
         if type_name in REGISTRY:
-            raise DiagramError(
-                f"the type {type_name!r} is registered twice", cls.__name__, "choose another name"
-            )
+            raise DiagramError(f"the type {type_name!r} is registered twice", cls.__name__, "choose another name")
         cls.type_name = type_name
         REGISTRY[type_name] = cls
         return cls
@@ -255,16 +271,14 @@ def _trace(block: Block) -> Trace:
     name = type(block).__name__
     check_declarations(block, name)
     with tracing(name):
-        u = Namespace("input", _leaves("input", block.inputs))
-        x = Namespace("state", _leaves("state", block.states))
+        u = Inputs(_leaves("input", block.inputs))
+        x = States(_leaves("state", block.states))
         given = _leaves("param", block.params)
-        p = Namespace("parameter", given | _leaves("param", block.derived))
+        p = Parameters(given | _leaves("param", block.derived))
         t = trace_clock()
         discrete = [s for s in block.states if not s.continuous]
         continuous = [s for s in block.states if s.continuous]
-        prepare = returned(
-            name, "prepare", block.prepare(Namespace("parameter", given), trace_clock(False)), block.derived
-        )
+        prepare = returned(name, "prepare", block.prepare(Parameters(dict(given)), trace_clock(False)), block.derived)
         outputs = returned(name, "output", block.output(u, x, p, t), block.outputs)
         update = returned(name, "update", block.update(u, x, p, t), discrete, partial=True)
         derivative = returned(name, "derivative", block.derivative(u, x, p, t), continuous)
@@ -291,17 +305,19 @@ def _trace(block: Block) -> Trace:
 
 def check_declarations(block: Block, name: str) -> None:
     """Raise DiagramError if two inputs, outputs, states or parameters share a name or a default does not fit."""
-    for what, declared in (
-        ("input", block.inputs),
-        ("output", block.outputs),
-        ("state", block.states),
+    kinds: list[tuple[str, list[Any]]] = [
+        ("input", [*block.inputs]),
+        ("output", [*block.outputs]),
+        ("state", [*block.states]),
         ("parameter", [*block.params, *block.derived]),
-    ):
+    ]
+    for what, declared in kinds:
         names = [d.name for d in declared]
         for n in names:
             if names.count(n) > 1:
                 raise DiagramError(f"two {what}s are named {n!r}", name, "names are unique within a block")
-    by_name = {p.name: p for p in [*block.params, *block.derived]}
+    parameters: list[Any] = [*block.params, *block.derived]
+    by_name = {p.name: p for p in parameters}
     for s in block.states:
         if isinstance(s.initial, str):
             source = by_name.get(s.initial)
@@ -327,22 +343,20 @@ def numeric(value: Any, kind: str, width: int | None, where: str) -> Any:
     elif isinstance(value, np.generic) and not isinstance(value, np.bool_):
         value = value.item()
     try:
+        if kind == "bool" and type(value) is int and value in (0, 1):
+            value = bool(value)
         if width is None:
             return numbers.cast(value, kind)
         if isinstance(value, (list, tuple)):
             if len(value) != width:
-                raise DiagramError(
-                    f"{len(value)} values for an array of {width}", where, f"give {width} values"
-                )
+                raise DiagramError(f"{len(value)} values for an array of {width}", where, f"give {width} values")
             return Vector(numeric(v, kind, None, where) for v in value)
         return Vector([numbers.cast(value, kind)] * width)
     except DiagramError as error:
         raise DiagramError(error.what, where, error.remedy) from error
 
 
-def names_given(
-    name: str, method: str, result: Any, declared: Sequence[Any], partial: bool = False
-) -> dict[str, Any]:
+def names_given(name: str, method: str, result: Any, declared: Sequence[Any], partial: bool = False) -> dict[str, Any]:
     """What a block's method returned as a mapping, with its names checked against those declared."""
     if not isinstance(result, Mapping):
         if len(declared) != 1:
@@ -365,35 +379,31 @@ def names_given(
     return dict(result)
 
 
-def returned(
-    name: str, method: str, result: Any, declared: Sequence[Any], partial: bool = False
-) -> dict[str, Expr]:
+def returned(name: str, method: str, result: Any, declared: Sequence[Any], partial: bool = False) -> dict[str, Expr]:
     """What a traced method returned, as Exprs of the declared types, in the order of declaration."""
     by_name = names_given(name, method, result, declared, partial)
-    return {
-        d.name: _fit(by_name[d.name], d, f"{name}.{method}: {d.name}") for d in declared if d.name in by_name
-    }
+    return {d.name: _fit(by_name[d.name], d, f"{name}.{method}: {d.name}") for d in declared if d.name in by_name}
 
 
 def _fit(value: Any, declared: Any, where: str) -> Expr:
     if declared.width is not None and isinstance(value, (list, tuple, Vector)):
         value = vector([as_expr(v, declared.kind) if not isinstance(v, Expr) else v for v in value])
-    if not isinstance(value, Expr):
-        if declared.width is not None:
-            raise DiagramError(f"a scalar is given for an array of {declared.width}", where, "give a list")
-        value = (
-            const(value, declared.kind)
-            if isinstance(value, Integer) and value.kind == declared.kind
-            else as_expr(value, declared.kind)
-        )
-    if value.kind != declared.kind or value.width != declared.width:
-
-        def shape(kind: str, width: int | None) -> str:
-            return kind if width is None else f"{kind}[{width}]"
-
+    if isinstance(value, Expr):
+        fitted = value
+    elif declared.width is not None:
+        raise DiagramError(f"a scalar is given for an array of {declared.width}", where, "give a list")
+    elif isinstance(value, Integer) and value.kind == declared.kind:
+        fitted = const(value, declared.kind)
+    else:
+        fitted = as_expr(value, declared.kind)
+    if (fitted.kind, fitted.width) != (declared.kind, declared.width):
         raise DiagramError(
-            f"a {shape(value.kind, value.width)} is given for a {shape(declared.kind, declared.width)}",
+            f"a {_shape(fitted.kind, fitted.width)} is given for a {_shape(declared.kind, declared.width)}",
             where,
             "convert it, or declare the name with that type",
         )
-    return value
+    return fitted
+
+
+def _shape(kind: str, width: int | None) -> str:
+    return kind if width is None else f"{kind}[{width}]"

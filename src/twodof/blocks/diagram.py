@@ -11,7 +11,7 @@ from twodof.errors import DiagramError
 
 
 class Rate(NamedTuple):
-    """When a part runs: at the ticks with tick % divider == offset. Inside a part, rates count that part's own ticks."""
+    """When a part runs: at ticks with tick % divider == offset. Inside a part, rates count that part's own ticks."""
 
     divider: int = 1
     offset: int = 0
@@ -110,9 +110,7 @@ class Diagram:
         path = f"{self.name}.{name}"
         rate = Rate(*rate)
         if not (1 <= rate.divider < 2**31 and 0 <= rate.offset < rate.divider):
-            raise DiagramError(
-                f"rate {tuple(rate)} is impossible", path, "divider >= 1 and 0 <= offset < divider"
-            )
+            raise DiagramError(f"rate {tuple(rate)} is impossible", path, "divider >= 1 and 0 <= offset < divider")
         if disabled not in ("hold", "reset"):
             raise DiagramError(f"disabled={disabled!r}", path, 'use "hold" or "reset"')
         if isinstance(item, Block) and (enable or reset):
@@ -135,20 +133,16 @@ class Diagram:
         for destination in destinations:
             if destination in self.outputs:
                 if self.outputs[destination] is not None:
-                    raise DiagramError(
-                        f"output {destination!r} is fed twice", self.name, "an input has one source"
-                    )
+                    raise DiagramError(f"output {destination!r} is fed twice", self.name, "an input has one source")
                 self.outputs[destination] = source
                 continue
             part, port = self._end(destination, "input")
             if (part, port) in self.connections:
-                raise DiagramError(
-                    f"input {destination!r} is fed twice", self.name, "an input has one source"
-                )
+                raise DiagramError(f"input {destination!r} is fed twice", self.name, "an input has one source")
             self.connections[part, port] = source
 
     def source(self, text: str) -> tuple[str | None, str]:
-        """(part, port) that a source names, or (None, name) of a diagram input. Raises DiagramError if there is none."""
+        """(part, port) that a source names, or (None, name) of an input. Raises DiagramError if there is none."""
         if text in self.inputs:
             return None, text
         return self._end(text, "output")
@@ -165,12 +159,8 @@ class Diagram:
         if not port and len(ports) == 1:
             return part, ports[0]
         if port not in ports:
-            what = (
-                f"no {direction} {port!r:.80}" if port else f"{len(ports)} {direction}s, so one must be named"
-            )
-            raise DiagramError(
-                f"{part!r} has {what}", self.name, f"{direction}s: {', '.join(ports) or 'none'}"
-            )
+            what = f"no {direction} {port!r:.80}" if port else f"{len(ports)} {direction}s, so one must be named"
+            raise DiagramError(f"{part!r} has {what}", self.name, f"{direction}s: {', '.join(ports) or 'none'}")
         return part, port
 
     def _new(self, name: str) -> None:

@@ -1,17 +1,16 @@
 """The expression graph: what a block's Python code records when it is traced.
 
 An `Expr` is an immutable, typed, hash-consed node. The functions here work on numbers (`twodof.blocks.numbers`) and
-compute, or on an Expr and record; a block's code cannot tell which. Walks over a graph are iterative, because a graph
-may be deeper than Python's stack.
+compute, or on an Expr and record; a block's code cannot tell which.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import Any, Iterator
+from typing import Any
 from weakref import WeakValueDictionary
 
 import numpy as np
@@ -108,9 +107,7 @@ class Expr:
                 raise _fault(f"an array is indexed with a {index.kind}", "convert the index with to_int32")
             # Clamped as a signed number would be: a uint32 above 2^31 is above every length.
             position = (
-                where(index < self.width, to_int32(index), int32(self.width - 1))
-                if index.kind == "uint32"
-                else index
+                where(index < self.width, to_int32(index), int32(self.width - 1)) if index.kind == "uint32" else index
             )
         else:
             position = const(numbers.clamp_index(index, self.width), "int32")
@@ -270,9 +267,7 @@ def as_expr(value: Any, kind: str | None = None) -> Expr:
     """`value` as a scalar Expr of `kind` (of its own kind if None). Raises DiagramError if that needs a conversion."""
     if isinstance(value, Expr):
         if kind is not None and value.kind != kind:
-            raise _fault(
-                f"{value.kind} meets {kind} in one operation", "convert with to_real, to_int32 or to_uint32"
-            )
+            raise _fault(f"{value.kind} meets {kind} in one operation", "convert with to_real, to_int32 or to_uint32")
         return value
     if isinstance(value, (np.ndarray, list, tuple)):
         raise _fault(
@@ -284,9 +279,7 @@ def as_expr(value: Any, kind: str | None = None) -> Expr:
         return const(value, found)
     if type(value) is int and kind in ("int32", "uint32"):
         return const(value, kind)
-    raise _fault(
-        f"the literal {value!r} meets {kind} in one operation", "write it in that type, or convert explicitly"
-    )
+    raise _fault(f"the literal {value!r} meets {kind} in one operation", "write it in that type, or convert explicitly")
 
 
 def _pair(a: Any, b: Any) -> tuple[Expr, Expr]:
@@ -312,9 +305,7 @@ def _binary(op: str, a: Any, b: Any) -> Expr:
     left, right = _pair(a, b)
     _scalars(op, left, right)
     if left.kind not in _TAKES[op]:
-        raise _fault(
-            f"{op} is not defined on {left.kind}", _REMEDY.get(op, f"it takes {', '.join(_TAKES[op])}")
-        )
+        raise _fault(f"{op} is not defined on {left.kind}", _REMEDY.get(op, f"it takes {', '.join(_TAKES[op])}"))
     return node(op, "bool" if op in ("lt", "le", "eq", "ne") else left.kind, (left, right))
 
 
@@ -379,20 +370,21 @@ def uint32(value: int) -> UInt32:
 
 def to_int32(x: Any) -> Any:
     """To int32: a real truncates and saturates, NaN gives 0; uint32 keeps its bits; bool gives 0 or 1."""
-    return _convert(x, "int32")
+    return convert(x, "int32")
 
 
 def to_uint32(x: Any) -> Any:
-    """To uint32: a real truncates and saturates to [0, 2^32 - 1], NaN gives 0; int32 keeps its bits; bool gives 0 or 1."""
-    return _convert(x, "uint32")
+    """To uint32: a real truncates and saturates, NaN gives 0; int32 keeps its bits; bool gives 0 or 1."""
+    return convert(x, "uint32")
 
 
 def to_real(x: Any) -> Any:
     """To real, rounded to nearest; a real is returned as it is; bool gives 0 or 1."""
-    return _convert(x, "real")
+    return convert(x, "real")
 
 
-def _convert(x: Any, kind: str) -> Any:
+def convert(x: Any, kind: str) -> Any:
+    """`x` as the scalar type `kind`; see to_int32, to_uint32 and to_real."""
     if isinstance(x, Expr):
         _scalars(f"to_{kind}", x)
         if x.kind == kind:
@@ -439,9 +431,7 @@ def bits_of(x: Any, word: int = 0) -> Any:
 def from_bits(low: Any, high: Any = None) -> Any:
     """The real with these IEEE words: one uint32 for float32, (low, high) for float64. The inverse of `bits_of`."""
     if _traced(low, high):
-        words = (
-            (as_expr(low, "uint32"),) if high is None else (as_expr(low, "uint32"), as_expr(high, "uint32"))
-        )
+        words = (as_expr(low, "uint32"),) if high is None else (as_expr(low, "uint32"), as_expr(high, "uint32"))
         return node("from_bits", "real", words)
     if high is None:
         return np.uint32(numbers.cast(low, "uint32").value).view(np.float32)
@@ -489,7 +479,7 @@ def build(length: int, element: Callable[[Any], Any]) -> Any:
     """The array of `element(i)` for the int32 i = 0 .. length - 1; stays a loop when compiled."""
     if length < 1:
         raise _fault("an array of no elements", "an array has at least one element")
-    if not _recording():
+    if not recording():
         return vector([element(Int32(i)) for i in range(length)])
     depth = _depth.get()
     token = _depth.set(depth + 1)
@@ -506,7 +496,7 @@ def fold(length: int, initial: Sequence[Any], step: Callable[..., Sequence[Any]]
 
     The values are scalars; `step` returns as many as it takes, of the same types. Returns the last values.
     """
-    if not _recording():
+    if not recording():
         kinds = [numbers.kind_of(v) for v in initial]
         values = tuple(numbers.cast(v, k) for v, k in zip(initial, kinds, strict=True))
         for i in range(length):
@@ -533,127 +523,6 @@ def fold(length: int, initial: Sequence[Any], step: Callable[..., Sequence[Any]]
     return tuple(node("fold", s.kind, starts + bodies, (length, depth, j)) for j, s in enumerate(starts))
 
 
-def _recording() -> bool:
+def recording() -> bool:
+    """Whether a block is being traced: loops are then recorded, else run."""
     return bool(_tracing.get())
-
-
-_NUMERIC: dict[str, Callable[..., Any]] = {
-    "add": lambda a, b: a + b,
-    "sub": lambda a, b: a - b,
-    "mul": lambda a, b: a * b,
-    "div": lambda a, b: a / b,
-    "quot": lambda a, b: a // b,
-    "rem": lambda a, b: a % b,
-    "shl": lambda a, b: a << b,
-    "shr": lambda a, b: a >> b,
-    "and": lambda a, b: a & b,
-    "or": lambda a, b: a | b,
-    "xor": lambda a, b: a ^ b,
-    "lt": lambda a, b: a < b,
-    "le": lambda a, b: a <= b,
-    "eq": lambda a, b: a == b,
-    "ne": lambda a, b: a != b,
-    "neg": lambda a: -a,
-    "abs": abs,
-    "not": lambda a: ~a,
-    "sqrt": sqrt,
-    "where": where,
-    "mulhi": multiply_high,
-    "select": lambda array, index: array[index],
-    "store": store,
-    "from_bits": from_bits,
-}
-
-
-def walk(roots: Iterable[Expr], loops: bool = True) -> list[Expr]:
-    """Every node below `roots` once, arguments before their users. With `loops` false, loop bodies are not entered."""
-    order: list[Expr] = []
-    seen: set[int] = set()
-    stack: list[tuple[Expr, bool]] = [(r, False) for r in reversed(list(roots))]
-    while stack:
-        item, done = stack.pop()
-        if done:
-            order.append(item)
-        elif id(item) not in seen:
-            seen.add(id(item))
-            stack.append((item, True))
-            stack.extend((a, False) for a in reversed(item.args if loops else outside(item)))
-    return order
-
-
-def outside(item: Expr) -> tuple[Expr, ...]:
-    """The arguments evaluated outside a node's loop: all of them, a fold's initial values, none of a build's."""
-    if item.op == "build":
-        return ()
-    if item.op == "fold":
-        return item.args[: len(item.args) // 2]
-    return item.args
-
-
-def leaves(roots: Iterable[Expr], op: str) -> set[str]:
-    """The names of the leaves of kind `op` that `roots` depend on."""
-    return {n.data for n in walk(roots) if n.op == op}
-
-
-def evaluate(
-    roots: Sequence[Expr], leaf_value: Callable[[Expr], Any], functions: Mapping[str, Callable[..., Any]]
-) -> list[Any]:
-    """Recompute a graph on other values: numbers compute, Exprs record anew (so this is also substitution).
-
-    `leaf_value` gives the value of an input, state, param, tick or dt leaf; `functions` the elementary functions by
-    name. Under `tracing`, loops are recorded as loops; otherwise they are run.
-    """
-    return _evaluate(roots, leaf_value, functions, {})
-
-
-def _evaluate(
-    roots: Sequence[Expr],
-    leaf_value: Callable[[Expr], Any],
-    functions: Mapping[str, Callable[..., Any]],
-    bound: dict[Any, Any],
-) -> list[Any]:
-    values: dict[int, Any] = {}
-    for item in walk(roots, loops=False):
-        args = [values[id(a)] for a in outside(item)]
-        values[id(item)] = _compute(item, args, leaf_value, functions, bound)
-    return [values[id(r)] for r in roots]
-
-
-def _compute(
-    item: Expr,
-    args: list[Any],
-    leaf_value: Callable[[Expr], Any],
-    functions: Mapping[str, Callable[..., Any]],
-    bound: dict[Any, Any],
-) -> Any:
-    op = item.op
-    if op in _NUMERIC:
-        return _NUMERIC[op](*args)
-    if op == "const":
-        return item if _recording() else numbers.cast(item.data, item.kind)
-    if op == "bound":
-        return bound[item.data]
-    if op == "convert":
-        return _convert(args[0], item.kind)
-    if op == "bits":
-        return bits_of(args[0], item.data)
-    if op == "call":
-        return functions[item.data](*args)
-    if op == "vector":
-        return vector(args)
-    if op == "build":
-        length, depth = item.data
-        return build(
-            length, lambda i: _evaluate(item.args, leaf_value, functions, {**bound, (depth, 0): i})[0]
-        )
-    if op == "fold":
-        length, depth, which = item.data
-        bodies = item.args[len(args) :]
-
-        def step(*values: Any) -> list[Any]:
-            return _evaluate(
-                bodies, leaf_value, functions, {**bound, **{(depth, j): v for j, v in enumerate(values)}}
-            )
-
-        return fold(length, args, step)[which]
-    return leaf_value(item)

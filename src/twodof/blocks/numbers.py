@@ -196,13 +196,9 @@ def clamp_index(index: Any, length: int) -> int:
         return min(max(index.value, 0), length - 1)
     if isinstance(index, (int, np.integer)) and not isinstance(index, bool):
         if not 0 <= index < length:
-            raise DiagramError(
-                f"index {index} is outside an array of {length}", "", "literal indices count from 0"
-            )
+            raise DiagramError(f"index {index} is outside an array of {length}", "", "literal indices count from 0")
         return int(index)
-    raise DiagramError(
-        f"an array is indexed with {type(index).__name__}", "", "convert the index with to_int32"
-    )
+    raise DiagramError(f"an array is indexed with {type(index).__name__}", "", "convert the index with to_int32")
 
 
 def cast(value: Any, kind: str) -> Any:
@@ -249,9 +245,7 @@ def kind_of(value: Any) -> str:
         return "bool"
     if isinstance(value, (int, float, np.floating)):
         return "real"
-    raise DiagramError(
-        f"{type(value).__name__} is no number of the language", "", "use real, int32, uint32 or bool"
-    )
+    raise DiagramError(f"{type(value).__name__} is no number of the language", "", "use real, int32, uint32 or bool")
 
 
 def same_bits(a: Any, b: Any) -> bool:
