@@ -1,0 +1,46 @@
+"""Flight logs: what is kept of a flight, in which formats, and what can be found in it.
+
+Names are loaded when they are first used, because scipy.io and pyarrow take longer to import than the rest of
+the package together.
+"""
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from twodof.flightlog.atomic import atomic_write as atomic_write
+    from twodof.flightlog.describe import Excitation as Excitation
+    from twodof.flightlog.describe import describe as describe
+    from twodof.flightlog.describe import excitations as excitations
+    from twodof.flightlog.events import Event as Event
+    from twodof.flightlog.events import Stretch as Stretch
+    from twodof.flightlog.events import modes as modes
+    from twodof.flightlog.events import openloop_edges as openloop_edges
+    from twodof.flightlog.events import setpoint_steps as setpoint_steps
+    from twodof.flightlog.events import thrust_edges as thrust_edges
+    from twodof.flightlog.events import window as window
+    from twodof.flightlog.files import convert as convert
+    from twodof.flightlog.files import read_log as read_log
+    from twodof.flightlog.files import write_log as write_log
+    from twodof.flightlog.log import Channel as Channel
+    from twodof.flightlog.log import FlightLog as FlightLog
+    from twodof.flightlog.log import Gap as Gap
+
+_HOMES = {
+    "atomic": ("atomic_write",),
+    "describe": ("Excitation", "describe", "excitations"),
+    "events": ("Event", "Stretch", "modes", "openloop_edges", "setpoint_steps", "thrust_edges", "window"),
+    "files": ("convert", "read_log", "write_log"),
+    "log": ("Channel", "FlightLog", "Gap"),
+}
+_HOME = {name: home for home, names in _HOMES.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOME:
+        return getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_HOME})

@@ -1,0 +1,46 @@
+"""Files that are either there whole or not there: written beside their place, then renamed into it."""
+
+import os
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Any, Literal
+
+from twodof.errors import LogError
+
+
+@contextmanager
+def atomic_write(path: str | Path, mode: Literal["wb", "w"] = "wb") -> Iterator[IO[Any]]:
+    """Opens a file for writing that takes the place of `path` only when the block ends well.
+
+    Whatever ends the block otherwise, Ctrl-C included, leaves what was at `path` as it was and no other file
+    behind. Text is UTF-8 with `\\n` line ends. Raises LogError where the file system refuses.
+    """
+    # A link is followed, so that what it points at is replaced and not the link.
+    target = Path(path).resolve()
+    if target.is_dir():
+        raise LogError("is a directory", str(path), "name a file")
+    partial = target.with_name(f".{target.name}.{secrets.token_hex(6)}.tmp")
+    try:
+        # os.open, and not tempfile, so that the user's umask decides who may read the result.
+        descriptor = os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
+    except OSError as refusal:
+        raise LogError(
+            f"cannot be written: {refusal.strerror}", str(path), "choose a folder that exists and is writable"
+        ) from refusal
+    text = {"encoding": "utf-8", "newline": "\n"} if mode == "w" else {}
+    try:
+        with os.fdopen(descriptor, mode, **text) as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        partial.replace(target)
+    except OSError as refusal:
+        partial.unlink(missing_ok=True)
+        raise LogError(
+            f"cannot be written: {refusal.strerror or refusal}", str(path), "nothing was changed"
+        ) from refusal
+    except BaseException:
+        partial.unlink(missing_ok=True)
+        raise

@@ -1,0 +1,175 @@
+"""What a log holds, in one table: channels, gaps, stretches with thrust, events, and which experiment it looks like."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from twodof.flightlog.events import (
+    SETPOINTS,
+    Event,
+    Stretch,
+    modes,
+    openloop_edges,
+    setpoint_steps,
+    thrust_edges,
+    window,
+)
+from twodof.flightlog.log import FlightLog
+
+# A sweep is sent as a new set-point every 20 to 60 ms; nobody steps by hand that often.
+_SWEEP_CHANGES = 20
+_SWEEP_HOLD_S = 0.1
+_SWEEP_PAUSE_S = 0.5
+
+
+@dataclass(frozen=True)
+class Excitation:
+    """An excitation found in a log: `name` is mode and shape, such as `attitude-steps`.
+
+    `amplitude` is the farthest level from where it began, in the unit of `channel`; `edges` are the times of
+    its steps [s], for a sweep of its first and last change; `window` is what to look at [s].
+    """
+
+    name: str
+    mode: str
+    shape: str
+    channel: str
+    amplitude: float
+    edges: tuple[float, ...]
+    window: tuple[float, float]
+
+
+def excitations(log: FlightLog) -> list[Excitation]:
+    """Every excitation found in a log, in order of time. Raises LogError if `T`, `q0` or `theta0` is missing."""
+    found = []
+    for stretch in modes(log):
+        if stretch.mode == "open-loop":
+            excitation = _open_loop(log, stretch)
+        elif stretch.mode in SETPOINTS:
+            excitation = _closed_loop(log, stretch)
+        else:
+            excitation = None
+        if excitation is not None:
+            found.append(excitation)
+    return found
+
+
+def describe(log: FlightLog) -> dict[str, Any]:
+    """A log in figures, as JSON values.
+
+    Keys: `source`, `provenance`, `span_s`, `duration_s`; `channels` (name, unit, fields, samples, rate_hz, span_s,
+    gaps, gaps_armed, missing, longest_gap_s); `gaps`; `armed_s`; `modes`; `events`; `excitations`; `experiment`
+    (the longest excitation, or None). What a log lacks the channels for is an empty list.
+    """
+    gaps = {name: log.gaps(name) for name in log}
+    start, end = log.span
+    channels = []
+    for name, channel in log.channels.items():
+        period = channel.period()
+        lost = gaps[name]
+        channels.append(
+            {
+                "name": name,
+                "unit": channel.unit,
+                "fields": list(channel.fields),
+                "samples": len(channel),
+                "rate_hz": 1.0 / period if np.isfinite(period) else None,
+                "span_s": [float(channel.time[0]), float(channel.time[-1])] if len(channel) else None,
+                "gaps": len(lost),
+                "gaps_armed": sum(gap.armed for gap in lost),
+                "missing": sum(gap.missing for gap in lost),
+                "longest_gap_s": max((gap.duration for gap in lost), default=0.0),
+            }
+        )
+    loops = all(name in log for name in ("T", "q0", "theta0"))
+    found = excitations(log) if loops else []
+    return {
+        "source": log.source,
+        "provenance": log.provenance,
+        "span_s": [start, end],
+        "duration_s": end - start,
+        "channels": channels,
+        "gaps": [asdict(gap) for name in log for gap in gaps[name]],
+        "armed_s": [list(stretch) for stretch in log.armed()] if "T" in log else [],
+        "modes": [asdict(stretch) for stretch in modes(log)] if loops else [],
+        "events": [asdict(event) for event in _events(log, found)],
+        "excitations": [asdict(excitation) for excitation in found],
+        "experiment": asdict(max(found, key=lambda one: one.edges[-1] - one.edges[0])) if found else None,
+    }
+
+
+def _events(log: FlightLog, found: Sequence[Excitation]) -> list[Event]:
+    events = thrust_edges(log) if "T" in log else []
+    if "lmnf" in log:
+        events += openloop_edges(log)
+    for channel in sorted({one.channel for one in found if one.channel in log and one.shape != "sweep"}):
+        events += setpoint_steps(log, channel)
+    return sorted(events, key=lambda event: event.time)
+
+
+def _open_loop(log: FlightLog, stretch: Stretch) -> Excitation | None:
+    # The message that opened the loop is up to 20 ms older than the first M made from it.
+    steps = [
+        event
+        for event in openloop_edges(log)
+        if event.channel == "lmnf.M" and stretch.t0 - 0.02 <= event.time <= stretch.t1
+    ]
+    if not steps:
+        return None
+    shape = _shape(steps, stretch.t1)
+    bounds = window(log, steps)
+    # What follows an impulse is what it was flown for.
+    return _excitation("open-loop", shape, steps, (bounds[0], stretch.t1) if shape == "impulse" else bounds)
+
+
+def _closed_loop(log: FlightLog, stretch: Stretch) -> Excitation | None:
+    name = SETPOINTS[stretch.mode]
+    if name not in log:
+        return None
+    channel = log[name].slice(stretch.t0, stretch.t1)
+    changes = np.flatnonzero(np.diff(channel.value)) + 1
+    # A set-point that is handed over with the mode is no step.
+    changes = changes[channel.time[changes] > stretch.t0 + _SWEEP_HOLD_S]
+    pauses = np.flatnonzero(np.diff(channel.time[changes]) > _SWEEP_PAUSE_S) + 1
+    swept = max(np.split(changes, pauses), key=len)
+    if swept.size > _SWEEP_CHANGES and np.median(np.diff(channel.time[swept])) < _SWEEP_HOLD_S:
+        base = float(channel.value[swept[0] - 1])
+        farthest = swept[np.argmax(np.abs(channel.value[swept] - base))]
+        ends = [
+            Event(float(channel.time[k]), "sweep", name, base, float(channel.value[farthest]))
+            for k in (swept[0], swept[-1])
+        ]
+        return _excitation(stretch.mode, "sweep", ends, window(log, ends))
+    part = FlightLog({name: channel}, log.provenance)
+    steps = [event for event in setpoint_steps(part, name) if event.time > stretch.t0 + _SWEEP_HOLD_S]
+    if not steps:
+        return None
+    return _excitation(stretch.mode, _shape(steps, stretch.t1), steps, window(log, steps))
+
+
+def _excitation(mode: str, shape: str, steps: Sequence[Event], bounds: tuple[float, float]) -> Excitation:
+    amplitude = max(abs(event.after - steps[0].before) for event in steps)
+    edges = tuple(event.time for event in steps)
+    return Excitation(f"{mode}-{shape}", mode, shape, steps[0].channel, amplitude, edges, bounds)
+
+
+def _shape(steps: Sequence[Event], end: float) -> str:
+    """impulse, doublet(s), 3-2-1-1 or steps, from the levels between the first and the last edge."""
+    base = steps[0].before
+    reach = max(abs(event.after - base) for event in steps)
+    # Levels come back through float32: a thousandth of the amplitude is no level of its own.
+    signs = [0 if abs(event.after - base) < 1e-3 * reach else int(np.sign(event.after - base)) for event in steps]
+    lengths = [b - a for a, b in pairwise([event.time for event in steps] + [end])][: len(steps) - 1]
+    inside, returned = signs[:-1], signs[-1] == 0
+    if returned and len(inside) == 1 and lengths[0] < 1.0:
+        return "impulse"
+    alternate = all(a == -b != 0 for a, b in pairwise(inside))
+    if not returned or len(inside) < 2 or len(inside) % 2 or not alternate:
+        return "steps"
+    unit = sum(lengths) / 7
+    if len(inside) == 4 and np.allclose(lengths, [3 * unit, 2 * unit, unit, unit], rtol=0.15):
+        return "3-2-1-1"
+    return "doublet" if len(inside) == 2 else "doublets"

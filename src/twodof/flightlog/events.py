@@ -1,0 +1,198 @@
+"""What happened when: thrust switched, set-points stepped, the loop opened; which loop was closed."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twodof.errors import LogError
+from twodof.flightlog.log import FlightLog
+from twodof.signals import MODES
+
+# A set-point that comes from outside is sent at 50 Hz and held for 20 ms or more; one that a loop computes
+# changes with its measurement, at 250 Hz or, from x and v, at 100 Hz (intervals up to 13.5 ms).
+HELD_S = 0.015
+# Shorter stretches are transients of a switch-over, not a mode that somebody flew.
+SHORTEST_MODE_S = 0.1
+# The message and M reach the log in float32 and float64: half a unit in the last place of float32 at 1.
+_SAME_M = 1e-7
+
+SETPOINTS = {"rate": "q0", "attitude": "theta0", "velocity": "v0", "position": "x0"}
+"""The channel that a closed loop's set-point from outside is in, by mode."""
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happened at `time` [s]: a channel went from `before` to `after`."""
+
+    time: float
+    kind: str
+    channel: str
+    before: float
+    after: float
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """A time from `t0` to `t1` [s] flown in one mode of twodof.signals.MODES."""
+
+    t0: float
+    t1: float
+    mode: str
+
+    @property
+    def duration(self) -> float:
+        """Length [s]."""
+        return self.t1 - self.t0
+
+
+def thrust_edges(log: FlightLog) -> list[Event]:
+    """Where thrust was switched on and off. Raises LogError without channel `T`."""
+    channel = log["T"]
+    edges = np.flatnonzero(np.diff((channel.value > 0.0).astype(np.int8))) + 1
+    return [
+        Event(
+            float(channel.time[k]),
+            "thrust on" if channel.value[k] > 0.0 else "thrust off",
+            "T",
+            float(channel.value[k - 1]),
+            float(channel.value[k]),
+        )
+        for k in edges
+    ]
+
+
+def setpoint_steps(log: FlightLog, name: str, held_s: float = 0.1, minimum: float = 0.0) -> list[Event]:
+    """Steps of a set-point between levels that were each held for `held_s` [s] or more.
+
+    Steps of at most `minimum` (in the channel's unit) are passed over. Raises LogError.
+    """
+    channel = log[name]
+    if len(channel) < 2:
+        return []
+    first = _run_starts(channel.value)
+    ends = np.append(channel.time[first[1:]], channel.time[-1])
+    levels = first[ends - channel.time[first] >= held_s]
+    return [
+        Event(float(channel.time[b]), "step", name, float(channel.value[a]), float(channel.value[b]))
+        for a, b in pairwise(levels)
+        if abs(channel.value[b] - channel.value[a]) > minimum
+    ]
+
+
+def openloop_edges(log: FlightLog) -> list[Event]:
+    """Where the open-loop message opened or closed the loop, or changed M or T while it was open.
+
+    Times are those of the message; M follows one or two samples later. Raises LogError without `lmnf`.
+    """
+    channel = log["lmnf"]
+    opened = channel.field("openloop") > 0.0
+    found = []
+    for k in range(len(channel)):
+        was = bool(opened[k - 1]) if k else False
+        if opened[k] != was:
+            kind = "loop opened" if opened[k] else "loop closed"
+            found.append(Event(float(channel.time[k]), kind, "lmnf.openloop", float(was), float(opened[k])))
+        for part in ("M", "T") if k and was and opened[k] else ():
+            value = channel.field(part)
+            if value[k] != value[k - 1]:
+                found.append(
+                    Event(float(channel.time[k]), "step", f"lmnf.{part}", float(value[k - 1]), float(value[k]))
+                )
+    return found
+
+
+def modes(log: FlightLog) -> list[Stretch]:
+    """Which loop was closed when, in order and without holes, on the set-points' time stamps.
+
+    Taken from the channel `mode` where there is one. Else: open loop is where M is what the latest open-loop
+    message says; off is where thrust is off; and of the loops, the one whose set-point is held, while those
+    below it compute theirs at every sample. A stretch under 0.1 s counts to the one before. Raises LogError
+    if `T`, `q0` or `theta0` is not there.
+    """
+    if "mode" in log:
+        time, code = log["mode"].time, log["mode"].value.astype(np.intp)
+        if code.size and (code.min() < 0 or code.max() >= len(MODES)):
+            raise LogError(f"modes from {code.min()} to {code.max()}", f"{log.source}: mode", f"0 to {len(MODES) - 1}")
+    else:
+        time, code = log["q0"].time, _mode_codes(log)
+    if not time.size:
+        raise LogError("no set-point was logged", f"{log.source}: q0")
+    starts = _run_starts(code)
+    ends = np.append(time[starts[1:]], time[-1])
+    merged: list[Stretch] = []
+    for start, end in zip(starts, ends, strict=True):
+        mode = MODES[code[start]]
+        brief = end - time[start] < SHORTEST_MODE_S and "mode" not in log
+        if merged and (brief or merged[-1].mode == mode):
+            merged[-1] = Stretch(merged[-1].t0, float(end), merged[-1].mode)
+        elif merged and merged[-1].duration < SHORTEST_MODE_S and "mode" not in log:
+            merged[-1] = Stretch(merged[-1].t0, float(end), mode)
+        else:
+            merged.append(Stretch(float(time[start]), float(end), mode))
+    return merged
+
+
+def window(log: FlightLog, events: Sequence[Event], before: float = 0.3, after: float = 2.0) -> tuple[float, float]:
+    """From `before` the first event to `after` the last [s], within the stretch with thrust that holds them.
+
+    A flight without thrust is bounded by the log instead. Raises LogError without an event.
+    """
+    if not events:
+        raise LogError("no event to put a window around", log.source, "describe(log) lists the log's events")
+    first, last = events[0].time, events[-1].time
+    start, end = log.span
+    for a, b in log.armed():
+        if a <= first <= b:
+            start, end = a, b
+    return max(first - before, start), min(last + after, end)
+
+
+def _mode_codes(log: FlightLog) -> NDArray[np.intp]:
+    time = log["q0"].time
+    on = np.zeros(time.shape, dtype=bool)
+    for start, end in log.armed():
+        # T's sample is a few microseconds older than the set-points' of the same step.
+        on |= (time >= start) & (time <= end + HELD_S / 5)
+    held = {mode: _held(log, channel, time) for mode, channel in SETPOINTS.items()}
+    code = np.select(
+        [~on, held["rate"], held["attitude"], held["velocity"]],
+        [MODES.index(mode) for mode in ("off", "rate", "attitude", "velocity")],
+        MODES.index("position"),
+    )
+    return np.where(_open(log, time), MODES.index("open-loop"), code)
+
+
+def _held(log: FlightLog, name: str, time: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """At which of the times a set-point was in a run of equal values of HELD_S or more; all, if not logged."""
+    if name in ("v0", "x0") and name not in log:
+        return np.ones(time.shape, dtype=bool)
+    channel = log[name]
+    if not len(channel):
+        return np.ones(time.shape, dtype=bool)
+    starts = _run_starts(channel.value)
+    ends = np.append(channel.time[starts[1:]], np.inf)
+    long = ends - channel.time[starts] >= HELD_S
+    run = np.searchsorted(channel.time[starts], time, side="right") - 1
+    return np.where(run >= 0, long[np.maximum(run, 0)], long[0])
+
+
+def _open(log: FlightLog, time: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Where M is what the latest message says: a message that is not repeated expires on board after 0.5 s."""
+    if "lmnf" not in log or "M" not in log or not len(log["lmnf"]) or not len(log["M"]):
+        return np.zeros(time.shape, dtype=bool)
+    message, moment = log["lmnf"], log["M"]
+    # M's sample is 3 to 36 us older than the set-points'; the message before that sample made it.
+    sample = moment.index(time)
+    made = message.index(moment.time[np.maximum(sample, 0)])
+    said = message.value[np.maximum(made, 0)]
+    opened = said[:, message.fields.index("openloop")] > 0.0
+    same = np.abs(moment.value[np.maximum(sample, 0)] - said[:, message.fields.index("M")]) <= _SAME_M
+    return opened & same & (sample >= 0) & (made >= 0)
+
+
+def _run_starts(values: NDArray[np.generic]) -> NDArray[np.intp]:
+    """Index of the first of each run of equal values."""
+    return np.concatenate(([0], np.flatnonzero(values[1:] != values[:-1]) + 1)).astype(np.intp)

@@ -1,0 +1,44 @@
+"""One door for every file format: the suffix of the name decides."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import MappingProxyType
+
+from twodof.errors import LogError
+from twodof.flightlog.log import FlightLog
+from twodof.flightlog.mat import read_mat, write_mat
+from twodof.flightlog.table import read_csv, read_parquet, write_csv, write_parquet
+
+_READERS: Mapping[str, Callable[[str | Path], FlightLog]] = MappingProxyType(
+    {".mat": read_mat, ".parquet": read_parquet, ".csv": read_csv}
+)
+_WRITERS: Mapping[str, Callable[[FlightLog, str | Path], None]] = MappingProxyType(
+    {".mat": write_mat, ".parquet": write_parquet, ".csv": write_csv}
+)
+
+
+def read_log(path: str | Path) -> FlightLog:
+    """Reads a log from a .mat, .parquet or .csv file. Raises LogError."""
+    _check(path)
+    return _READERS[Path(path).suffix.lower()](path)
+
+
+def write_log(log: FlightLog, path: str | Path) -> None:
+    """Writes a log to a .mat, .parquet or .csv file, atomically. Raises LogError."""
+    _check(path)
+    _WRITERS[Path(path).suffix.lower()](log, path)
+
+
+def convert(src: str | Path, dst: str | Path) -> FlightLog:
+    """Reads `src` and writes it as `dst`; returns the log. Raises LogError before anything is written."""
+    _check(dst)
+    if Path(dst).exists() and Path(src).exists() and Path(dst).samefile(src):
+        raise LogError("would be written over itself", str(src), "name another file to write")
+    log = read_log(src)
+    write_log(log, dst)
+    return log
+
+
+def _check(path: str | Path) -> None:
+    if Path(path).suffix.lower() not in _READERS:
+        raise LogError(f"no log format has the suffix {Path(path).suffix!r}", str(path), f"use {', '.join(_READERS)}")

@@ -1,0 +1,287 @@
+"""FlightLog: what happened in a flight, as channels that each have their own time stamps, unit and gaps."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from twodof.errors import LogError
+from twodof.signals import BY_MAT
+
+How = Literal["hold", "next", "nearest", "linear"]
+
+MAX_SAMPLES = 50_000_000
+"""Longest channel accepted: more than two days at 250 Hz."""
+
+# A sample is missing where an interval exceeds this many periods: half a period more than one, since the
+# drone's own intervals stray by up to a third of a period (x and v) and a lost sample doubles one.
+GAP_FACTOR = 1.5
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Samples that are missing from a channel, between the stamps `t0` and `t1` [s] of its neighbours."""
+
+    channel: str
+    t0: float
+    t1: float
+    missing: int
+    armed: bool
+
+    @property
+    def duration(self) -> float:
+        """Time without a sample [s]."""
+        return self.t1 - self.t0
+
+
+@dataclass(frozen=True, eq=False)
+class Channel:
+    """Samples of one signal.
+
+    `time` (n,) [s], strictly increasing; `value` (n,) or (n, k) in `unit`; `fields` names the k columns where
+    they have names. Arrays are copied and read-only. Raises LogError for time that does not increase, for NaN
+    or infinity, for shapes that do not match and for absurd sizes; `name` is what the message calls it.
+    """
+
+    time: NDArray[np.float64]
+    value: NDArray[np.float64]
+    unit: str = ""
+    fields: tuple[str, ...] = ()
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        time = _floats(self.time, f"{self.name or 'channel'}.time")
+        value = _floats(self.value, f"{self.name or 'channel'}.value")
+        where = self.name or "channel"
+        if time.ndim != 1 or value.ndim not in (1, 2) or len(value) != len(time):
+            raise LogError(
+                f"shapes do not match: time {time.shape}, value {value.shape}",
+                where,
+                "time is (n,), value (n,) or (n, k)",
+            )
+        if len(time) > MAX_SAMPLES:
+            raise LogError(f"{len(time)} samples", where, f"at most {MAX_SAMPLES} are accepted")
+        if value.ndim == 2 and value.shape[1] == 1:
+            value = value[:, 0]
+        width = 1 if value.ndim == 1 else value.shape[1]
+        if self.fields and len(self.fields) != width:
+            raise LogError(f"{len(self.fields)} field names for {width} columns", where)
+        _check_finite(time, where, time, "time")
+        _check_finite(value, where, time, "value")
+        backward = np.flatnonzero(np.diff(time) <= 0.0)
+        if backward.size:
+            k = int(backward[0])
+            raise LogError(
+                f"time does not increase: sample {k + 1} at {time[k + 1]!s} s follows {time[k]!s} s",
+                where,
+                "sort the samples and remove repeated stamps",
+            )
+        object.__setattr__(self, "time", time)
+        object.__setattr__(self, "value", value)
+        object.__setattr__(self, "fields", tuple(self.fields))
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    def field(self, name: str) -> NDArray[np.float64]:
+        """One named column, (n,), such as `log["lmnf"].field("M")`. Raises LogError if there is none."""
+        if name not in self.fields:
+            raise LogError(
+                f"no field {name!r}", self.name or "channel", f"there are: {', '.join(self.fields) or 'none'}"
+            )
+        return self.value if self.value.ndim == 1 else self.value[:, self.fields.index(name)]
+
+    def period(self) -> float:
+        """Sampling period [s]: mean of the intervals without a lost sample; NaN for fewer than two samples."""
+        steps = np.diff(self.time)
+        return float(np.mean(steps[steps <= GAP_FACTOR * np.median(steps)])) if steps.size else float("nan")
+
+    def index(self, t: ArrayLike, how: How = "hold") -> NDArray[np.intp]:
+        """Which sample stands for each time of `t` (m,) [s]; -1 where none does. Raises LogError.
+
+        "hold": the latest sample at or before t. "next": the first at or after t. "nearest": the closer of
+        the two, the earlier one of two that are equally close.
+        """
+        at = _floats(t, "t")
+        _check_finite(at, "t", at, "time")
+        n = len(self.time)
+        if n == 0:
+            return np.full(at.shape, -1, dtype=np.intp)
+        before = np.searchsorted(self.time, at, side="right") - 1
+        after = np.searchsorted(self.time, at, side="left")
+        if how == "hold":
+            return before
+        if how == "next":
+            return np.where(after < n, after, -1)
+        if how == "nearest":
+            low, high = np.clip(before, 0, n - 1), np.clip(after, 0, n - 1)
+            return np.where(at - self.time[low] <= self.time[high] - at, low, high) if n > 1 else low
+        raise LogError(f"no pairing called {how!r}", self.name, "use 'hold', 'next', 'nearest' or 'linear'")
+
+    def slice(self, t0: float, t1: float) -> "Channel":
+        """The samples with t0 <= time <= t1 [s]."""
+        a, b = np.searchsorted(self.time, [t0, t1], side="left")
+        b += int(b < len(self.time) and self.time[b] == t1)
+        return replace(self, time=self.time[a:b], value=self.value[a:b])
+
+
+@dataclass(frozen=True, eq=False)
+class FlightLog:
+    """Channels by the drone's .mat names (`theta`, `q`, `M`, ...) and where they came from.
+
+    `provenance` holds JSON values only: `file` (name, sha256, format), `history` (files it was made from),
+    `seed`, `versions`, and whatever the maker of the log added. Raises LogError if there is no channel.
+    """
+
+    channels: dict[str, Channel]
+    provenance: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not self.channels:
+            raise LogError("a log needs at least one channel")
+        named = {
+            name: channel if channel.name == name else replace(channel, name=name)
+            for name, channel in self.channels.items()
+        }
+        object.__setattr__(self, "channels", named)
+        object.__setattr__(self, "provenance", dict(self.provenance))
+
+    def __getitem__(self, name: str) -> Channel:
+        """A channel. Raises LogError, saying what there is, if the log lacks it."""
+        try:
+            return self.channels[name]
+        except KeyError:
+            raise LogError(f"no channel {name!r}", self.source, f"the log has: {', '.join(self.channels)}") from None
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.channels
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.channels)
+
+    @property
+    def source(self) -> str:
+        """Name of the file it came from, for messages; "log" where it came from none."""
+        file = self.provenance.get("file")
+        return str(file.get("name", "log")) if isinstance(file, Mapping) else "log"
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """First and last time stamp of any channel [s]. Raises LogError if every channel is empty."""
+        filled = [channel.time for channel in self.channels.values() if len(channel)]
+        if not filled:
+            raise LogError("no channel holds a sample", self.source)
+        return min(float(time[0]) for time in filled), max(float(time[-1]) for time in filled)
+
+    def slice(self, t0: float, t1: float) -> "FlightLog":
+        """The samples with t0 <= time <= t1 [s] of every channel; one without any stays, empty.
+
+        Raises LogError for a window that is not one or in which there is no sample at all.
+        """
+        start, end = self.span
+        if not t0 < t1:
+            raise LogError(f"window {t0!s} to {t1!s} s is empty", self.source, "give t0 < t1, in seconds")
+        cut = {name: channel.slice(t0, t1) for name, channel in self.channels.items()}
+        if not any(len(channel) for channel in cut.values()):
+            raise LogError(
+                f"no sample between {t0:g} and {t1:g} s", self.source, f"the log spans {start:g} to {end:g} s"
+            )
+        return FlightLog(cut, {**self.provenance, "slice_s": [float(t0), float(t1)]})
+
+    def resample(self, name: str, t: ArrayLike, how: How = "hold", max_age: float | None = None) -> NDArray[np.float64]:
+        """Values of a channel at the times `t` (m,) [s]: (m,), or (m, k) for one with k columns.
+
+        `how` is "hold" (latest sample at or before t), "next" (first at or after), "nearest" or "linear"
+        (between the two neighbours). Nothing is extrapolated: raises LogError where no sample stands for a
+        time, or where that sample (with "linear", the farther neighbour) is more than `max_age` [s] away.
+        """
+        channel = self[name]
+        at = _floats(t, "t")
+        if how == "linear":
+            low, high = channel.index(at, "hold"), channel.index(at, "next")
+        else:
+            low = high = channel.index(at, how)
+        unpaired = np.flatnonzero((low < 0) | (high < 0))
+        if unpaired.size:
+            span = f"{channel.time[0]!s} to {channel.time[-1]!s} s" if len(channel) else "no time: it is empty"
+            raise LogError(
+                f"no sample for t = {at[unpaired[0]]!s} s with {how!r} ({unpaired.size} of {at.size} times)",
+                f"{self.source}: {name}",
+                f"the channel spans {span}",
+            )
+        if max_age is not None and at.size:
+            age = np.maximum(np.abs(at - channel.time[low]), np.abs(at - channel.time[high]))
+            if age.max() > max_age:
+                k = int(np.argmax(age))
+                raise LogError(
+                    f"the sample for t = {at[k]!s} s is {age[k]:.4g} s away, more than {max_age:g} s",
+                    f"{self.source}: {name}",
+                    "leave the gap out or allow a larger max_age",
+                )
+        if how != "linear":
+            return channel.value[low]
+        reach = channel.time[high] - channel.time[low]
+        share = np.where(reach > 0.0, (at - channel.time[low]) / np.where(reach > 0.0, reach, 1.0), 0.0)
+        if channel.value.ndim == 2:
+            share = share[:, None]
+        return channel.value[low] + share * (channel.value[high] - channel.value[low])
+
+    def gaps(self, name: str) -> list[Gap]:
+        """Where samples of a channel are missing: intervals over 1.5 periods. Raises LogError.
+
+        A channel that is sent on events (`lmnf`), or is too irregular to have a period, has no gaps. `armed`
+        says that the gap touches a stretch with thrust (False where the log has no `T`).
+        """
+        channel = self[name]
+        row = BY_MAT.get(name)
+        if len(channel) < 3 or (row is not None and row.rate_hz == 0.0):
+            return []
+        steps = np.diff(channel.time)
+        period = channel.period()
+        wide = np.flatnonzero(steps > GAP_FACTOR * period)
+        # Messages on events come in bursts: a tenth of the intervals lost is no longer a stream with gaps.
+        if row is None and wide.size > 0.1 * steps.size:
+            return []
+        armed = self.armed() if "T" in self else []
+        found = []
+        for k in wide:
+            t0, t1 = float(channel.time[k]), float(channel.time[k + 1])
+            lost = max(1, round((t1 - t0) / period) - 1)
+            found.append(Gap(name, t0, t1, lost, any(t0 < end and t1 > start for start, end in armed)))
+        return found
+
+    def armed(self) -> list[tuple[float, float]]:
+        """Stretches with thrust: stamps [s] of the first and last sample with T > 0. Raises LogError without `T`.
+
+        An experiment flown with the rotors off (the free response) has none.
+        """
+        channel = self["T"]
+        on = np.concatenate(([False], channel.value > 0.0, [False])).astype(np.int8)
+        edges = np.diff(on)
+        first, last = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1
+        return [(float(channel.time[a]), float(channel.time[b])) for a, b in zip(first, last, strict=True)]
+
+
+def _floats(values: ArrayLike, where: str) -> NDArray[np.float64]:
+    """A read-only float64 copy."""
+    try:
+        if np.iscomplexobj(values):
+            raise TypeError("complex numbers")
+        copy = np.array(values, dtype=np.float64, order="C")
+    except (TypeError, ValueError) as reason:
+        raise LogError(f"not real numbers: {reason}", where) from reason
+    copy.flags.writeable = False
+    return copy
+
+
+def _check_finite(values: NDArray[np.float64], where: str, time: NDArray[np.float64], what: str) -> None:
+    bad = np.argwhere(~np.isfinite(values))
+    if bad.size:
+        k = int(bad[0][0])
+        raise LogError(
+            f"{what} is {values[tuple(bad[0])]!s} at sample {k} (time {time[k]!s} s), {len(bad)} such in all",
+            where,
+            "remove the sample; a gap is recorded as a gap",
+        )

@@ -1,0 +1,202 @@
+"""The public flight logs of a real drone: where they are, and how to get at them.
+
+Seven logs of an ANT-X 2DoF Drone, published under the MIT licence in two repositories of M. Di Mauro. They
+are not part of this package: a log is looked for in the folder that TWODOF_FLIGHT_DATA names, then in the
+cache, then downloaded; its checksum is verified each time.
+"""
+
+import hashlib
+import os
+import queue
+import threading
+import time
+import urllib.request
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from urllib.parse import quote
+
+from twodof.errors import LogError
+from twodof.flightlog.atomic import atomic_write
+
+VARIABLE = "TWODOF_FLIGHT_DATA"
+MAX_BYTES = 1 << 26
+_CHUNK = 1 << 16
+
+_RAW = "https://raw.githubusercontent.com/MattiaDiMauro"
+_COURSE = (
+    f"{_RAW}/Modeling-Identification-and-Control-of-a-2-DoF-Quadrotor-ANT-X-/f8ab3e060070b564418aed3f9dbb57f57b796819"
+)
+_ESTIMATION = (
+    f"{_RAW}/Model-identification-and-state-estimation-for-a-multirotor-UAV/83867039b2bf01ede021cf451a3f7bd96d69cf7f"
+)
+
+
+@dataclass(frozen=True)
+class PublicLog:
+    """One published log: our name for it, its address and its checksum."""
+
+    name: str
+    url: str
+    sha256: str
+    text: str
+
+
+def _row(name: str, folder: str, path: str, sha256: str, text: str) -> PublicLog:
+    return PublicLog(name, f"{folder}/{quote(path)}", sha256, text)
+
+
+_ROWS = (
+    _row(
+        "free-response-impulse",
+        _COURSE,
+        "Lab01_part2/part2/log_0_2024-5-22-17-22-44_2dd.mat",
+        "a7237be432402776f2ea7fe59f930c5ad2ede2ab818aeeceec19c25c5c78ebcc",
+        "1DoF, open loop, rotors off: M = 0.1 for 0.196 s, then the free response",
+    ),
+    _row(
+        "doublet-0.03",
+        _COURSE,
+        "Lab01_part2/part2/log_1_2024-5-22-17-23-18_2dd.mat",
+        "fbe156ac02db31d96af38ceecd415446b59d4831805f25484ffd00b0d4364af6",
+        "1DoF, open loop, T = 0.4: doublet of M, +-0.03 about the trim",
+    ),
+    _row(
+        "attitude-steps-10deg-default",
+        _COURSE,
+        "Lab01_part1/part1/log_0_2024-5-22-17-21-28_2dd.mat",
+        "82844fcca31dcf21ad67afa730e18007cc31327f62d5fa7af21080d4bbea1986",
+        "1DoF, attitude loop, default gains: steps of 10 deg",
+    ),
+    _row(
+        "attitude-steps-10deg-student",
+        _COURSE,
+        "Lab03/Data/log_5_2024-5-22-17-26-58_2dd.mat",
+        "9689c4ab9b915b17c87061544f5a12fb614373b93894fa88aae09e5506734710",
+        "1DoF, attitude loop, student gains: steps of 10 deg",
+    ),
+    _row(
+        "rate-doublets-30dps-student",
+        _COURSE,
+        "Lab02/Data/log_4_2024-5-22-17-25-08_2dd.mat",
+        "fcdf079a5b4f4425bb82aa9d20e9d62fbed1c2f6755c6b350b5bb5f226d9ba41",
+        "1DoF, pitch-rate loop, student gains: three doublets of 30 deg/s",
+    ),
+    _row(
+        "velocity-doublets-0.25",
+        _COURSE,
+        "Lab04/log_1_2024-5-22-17-21-22_2dd.mat",
+        "801ebe060f67aa2dbc88323c82fdc89f388646e89451393fbb832861ce2d52e4",
+        "2DoF, velocity loop, student gains: doublets of 0.25 m/s",
+    ),
+    _row(
+        "position-sweep-default",
+        _ESTIMATION,
+        "log_2_2024-5-22-17-28-50_2dd (1).mat",
+        "e40bc492c1cd3ac314eefe1220dd3866315f2aa0f873cf9c0a5f6c91a32e1244",
+        "2DoF, position loop, default gains: sweep of 0.2 m, 0.1 to 1 Hz",
+    ),
+)
+PUBLIC_LOGS: Mapping[str, PublicLog] = MappingProxyType({row.name: row for row in _ROWS})
+
+
+def find(name: str, deadline_s: float = 60.0) -> Path:
+    """The file of a public log, downloaded into the cache if it is not at hand.
+
+    `name` is one of PUBLIC_LOGS, with or without ".mat". Raises LogError for an unknown name, for a file
+    whose checksum is wrong, and where neither folder nor network has it within `deadline_s` seconds.
+    """
+    row = PUBLIC_LOGS.get(name.removesuffix(".mat"))
+    if row is None:
+        raise LogError("no such public log", name, f"there are: {', '.join(PUBLIC_LOGS)}")
+    for folder in _folders():
+        path = folder / f"{row.name}.mat"
+        if path.is_file():
+            _verify(path.read_bytes(), row, path)
+            return path
+    return download(row, cache_folder(), deadline_s)
+
+
+def available() -> dict[str, Path]:
+    """The public logs that are at hand without a network, by name.
+
+    Raises LogError for a file that bears a log's name but not its checksum.
+    """
+    found = {}
+    for row in _ROWS:
+        for folder in _folders():
+            path = folder / f"{row.name}.mat"
+            if path.is_file():
+                _verify(path.read_bytes(), row, path)
+                found[row.name] = path
+                break
+    return found
+
+
+def cache_folder() -> Path:
+    """Where downloaded logs are kept: below XDG_CACHE_HOME, or ~/.cache."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "twodof" / "flight-data"
+
+
+def download(row: PublicLog, folder: Path, deadline_s: float) -> Path:
+    """Downloads a log into `folder` and returns its path; nothing is kept unless its checksum is right.
+
+    Raises LogError where that does not succeed within `deadline_s` seconds.
+    """
+    remedy = f"set {VARIABLE} to a folder that holds {row.name}.mat, or try again with a network"
+    answer: queue.SimpleQueue[bytes | Exception] = queue.SimpleQueue()
+    # A thread, because looking up a host's name has no deadline of its own.
+    threading.Thread(target=_receive, args=(row.url, deadline_s, answer), daemon=True).start()
+    try:
+        data = answer.get(timeout=deadline_s)
+    except queue.Empty:
+        raise LogError(f"no answer within {deadline_s:g} s from {row.url}", row.name, remedy) from None
+    if isinstance(data, Exception):
+        raise LogError(f"cannot be downloaded from {row.url}: {data}", row.name, remedy) from data
+    _verify(data, row, Path(row.url))
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as refusal:
+        raise LogError(f"the cache cannot be made: {refusal.strerror}", str(folder), remedy) from refusal
+    path = folder / f"{row.name}.mat"
+    with atomic_write(path) as file:
+        file.write(data)
+    return path
+
+
+def _receive(url: str, deadline_s: float, answer: "queue.SimpleQueue[bytes | Exception]") -> None:
+    end = time.monotonic() + deadline_s
+    parts, size = [], 0
+    try:
+        with urllib.request.urlopen(url, timeout=deadline_s) as reply:
+            while part := reply.read(_CHUNK):
+                parts.append(part)
+                size += len(part)
+                if size > MAX_BYTES:
+                    raise ValueError(f"more than {MAX_BYTES} bytes")
+                if time.monotonic() > end:
+                    raise TimeoutError(f"only {size} bytes within {deadline_s:g} s")
+    except (OSError, ValueError) as reason:  # URLError, HTTP errors and time-outs are kinds of OSError
+        answer.put(reason)
+    else:
+        answer.put(b"".join(parts))
+
+
+def _folders() -> list[Path]:
+    """Where a log may lie, in order."""
+    named = os.environ.get(VARIABLE)
+    if named:
+        return [Path(named), cache_folder()]
+    # In a checkout, the folder that the tests use by default.
+    project = Path(__file__).resolve().parents[3]
+    beside = [project.parent / "shared" / "flight-data"] if (project / "pyproject.toml").is_file() else []
+    return [*beside, cache_folder()]
+
+
+def _verify(data: bytes, row: PublicLog, path: Path) -> None:
+    seen = hashlib.sha256(data).hexdigest()
+    if seen != row.sha256:
+        raise LogError(
+            f"its sha256 is {seen[:12]}..., not {row.sha256[:12]}...", str(path), "remove the file and try again"
+        )
