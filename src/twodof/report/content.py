@@ -1,0 +1,147 @@
+"""What a report shows, as plain data: whoever flew and identified fills it in, `page` lays it out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twodof.identify.validate import Comparison
+
+Array = NDArray[np.float64]
+# What a line stands for; each has its own colour and stroke, the same in every figure.
+Role = Literal["measured", "input", "set-point", "simple", "grey-box"]
+
+
+@dataclass(frozen=True)
+class Uncertain:
+    """A value with its standard deviation; `sigma` is NaN where the method gives none."""
+
+    value: float
+    sigma: float = math.nan
+
+
+@dataclass(frozen=True)
+class ParameterRow:
+    """One line of Table 1: what the paper prints, what is true (on a virtual rig), and what was found.
+
+    `symbol` may hold HTML (a subscript); `paper` is the paper's method by hand, `paper_greybox` its "greyest".
+    """
+
+    key: str
+    symbol: str
+    text: str
+    unit: str
+    paper: float | None = None
+    paper_greybox: float | None = None
+    truth: float | None = None
+    simple: Uncertain | None = None
+    greybox: Uncertain | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """A curve: `time` [s] and `value`, both of shape (n,)."""
+
+    label: str
+    role: Role
+    time: Array
+    value: Array
+
+
+@dataclass(frozen=True)
+class Span:
+    """A stretch of time [s] to point out, with a word about it."""
+
+    start: float
+    stop: float
+    label: str
+
+
+@dataclass(frozen=True)
+class Level:
+    """A horizontal band from `low` to `high` in the panel's unit (equal: a line)."""
+
+    low: float
+    high: float
+    label: str
+
+
+@dataclass(frozen=True)
+class Point:
+    """A point to read off a curve: where it is and what it says."""
+
+    time: float
+    value: float
+    label: str
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """One pair of axes; `label` names the quantity and its unit."""
+
+    label: str
+    lines: Sequence[Line]
+    marks: Sequence[Span | Level | Point] = ()
+    height: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Figure:
+    """One of the paper's figures, redrawn: panels above one another over one time axis [s]."""
+
+    number: int
+    title: str
+    caption: str
+    panels: Sequence[Panel]
+
+
+@dataclass(frozen=True, eq=False)
+class Check:
+    """What a grey-box fit leaves unexplained: one output of the data it was fitted to, and of data it has not seen.
+
+    `unit` is the output's; `note` says what the residual tests mean for the standard deviations that are given.
+    """
+
+    experiment: str
+    unit: str
+    identification: Comparison
+    validation: Sequence[Comparison] = ()
+    note: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """One machine that was flown, virtual or real, and everything found out about it."""
+
+    name: str
+    text: str
+    rows: Sequence[ParameterRow]
+    figures: Sequence[Figure] = ()
+    checks: Sequence[Check] = ()
+    doubts: Sequence[str] = ()
+
+
+@dataclass(frozen=True)
+class Erratum:
+    """A place in the paper, what it prints, and what this work shows."""
+
+    place: str
+    printed: str
+    shown: str
+
+
+@dataclass(frozen=True, eq=False)
+class Content:
+    """The whole report; `provenance` lists versions, seeds and files, so that the run can be repeated."""
+
+    title: str
+    lead: str
+    findings: Sequence[str]
+    subjects: Sequence[Subject]
+    errata: Sequence[Erratum] = ()
+    provenance: Mapping[str, str] = field(default_factory=dict)
