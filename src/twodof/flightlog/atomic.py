@@ -29,9 +29,9 @@ def atomic_write(path: str | Path, mode: Literal["wb", "w"] = "wb") -> Iterator[
         raise LogError(
             f"cannot be written: {refusal.strerror}", str(path), "choose a folder that exists and is writable"
         ) from refusal
-    text = {"encoding": "utf-8", "newline": "\n"} if mode == "w" else {}
+    encoding, newline = ("utf-8", "\n") if mode == "w" else (None, None)
     try:
-        with os.fdopen(descriptor, mode, **text) as file:
+        with os.fdopen(descriptor, str(mode), encoding=encoding, newline=newline) as file:
             yield file
             file.flush()
             os.fsync(file.fileno())

@@ -124,7 +124,7 @@ def _variable(body: memoryview, order: str, where: str) -> Variable:
     names = bytes(body[c:d])
     if not 0 < width <= 64 or len(names) != width * len(members) or len(members) > MAX_FIELDS:
         raise LogError("the struct's field names do not match its fields", where, "export it again")
-    fields = {}
+    fields: dict[str, tuple[int, ...]] = {}
     for k, (kind, start, end) in enumerate(members):
         field = names[k * width : (k + 1) * width].split(b"\0", 1)[0].decode("latin-1")
         if kind != _MATRIX:

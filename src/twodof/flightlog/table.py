@@ -187,26 +187,29 @@ def _from_tidy(table: pa.Table, described: Mapping[str, dict[str, Any]], where: 
     channel_code, channel_names = _codes(table, "channel", where)
     field_code, field_names = _codes(table, "field", where)
     found = {}
-    for name in [*described, *(name for name in channel_names if name not in described)]:
-        rows = np.flatnonzero(channel_code == channel_names.index(name)) if name in channel_names else []
-        here = field_code[rows] if len(rows) else np.empty(0, dtype=np.intp)
-        codes = here[np.sort(np.unique(here, return_index=True)[1])]
-        columns = {field_names[code]: rows[here == code] for code in codes}
-        row = described.get(name, {})
-        known = BY_MAT[name].fields if name in BY_MAT else ()
-        labels = tuple(row.get("fields", known if set(known) == set(columns) else ()))
-        chosen = [columns.get(label, np.empty(0, dtype=np.intp)) for label in labels or tuple(columns) or ("",)]
+    for name in dict.fromkeys([*described, *channel_names]):
+        code = channel_names.index(name) if name in channel_names else -1
+        rows = np.flatnonzero(channel_code == code)
+        codes = list(dict.fromkeys(field_code[rows].tolist()))
+        columns = {field_names[one]: rows[field_code[rows] == one] for one in codes}
+        unit, fields = _unit_and_fields(name, set(columns), described)
+        chosen = [columns.pop(label, rows[:0]) for label in fields or tuple(columns) or ("",)]
         stamps = time[chosen[0]]
-        if any(not np.array_equal(time[rows], stamps) for rows in columns.values()) or len(columns) not in (
-            0,
-            len(chosen),
-        ):
+        if columns or any(not np.array_equal(time[one], stamps) for one in chosen):
             raise LogError(f"the fields of {name!r} differ in their time stamps", where, "write it again")
-        if not labels and set(columns) - {"", *map(str, range(len(columns)))}:
-            labels = tuple(columns)
-        values = np.column_stack([value[rows] for rows in chosen])
-        found[name] = Channel(stamps, values, row.get("unit", unit_of(name)), labels, f"{where}: {name}")
+        values = np.column_stack([value[one] for one in chosen])
+        found[name] = Channel(stamps, values, unit, fields, f"{where}: {name}")
     return found
+
+
+def _unit_and_fields(
+    name: str, labels: set[str], described: Mapping[str, dict[str, Any]]
+) -> tuple[str, tuple[str, ...]]:
+    """From the line of JSON, else from TOPICS, else none."""
+    if name in described:
+        return described[name]["unit"], tuple(described[name]["fields"])
+    known = BY_MAT[name].fields if name in BY_MAT else ()
+    return unit_of(name), known if set(known) == labels else ()
 
 
 def _from_wide(table: pa.Table, where: str) -> dict[str, Channel]:
@@ -245,6 +248,8 @@ def _codes(table: pa.Table, column: str, where: str) -> tuple[NDArray[np.intp], 
         coded = cells.cast(pa.string()).combine_chunks().dictionary_encode()
     except pa.ArrowException as reason:
         raise LogError(f"column {column!r} is not of names: {_line(reason)}", where) from reason
+    if len(coded.dictionary) > MAX_COLUMNS:
+        raise LogError(f"{len(coded.dictionary)} names in column {column!r}", where, f"at most {MAX_COLUMNS}")
     return np.asarray(coded.indices, dtype=np.intp), coded.dictionary.to_pylist()
 
 
