@@ -1,0 +1,197 @@
+"""Continuous-time linear blocks, integrated by the step's method: integrator, lags, transfer function, state space."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from twodof.blocks.block import Block, Clock, Param, Port, State, library_block
+from twodof.blocks.expr import vector
+from twodof.blocks.library.discrete import (
+    MAX_ORDER,
+    declare_state_space,
+    state_space_change,
+    state_space_output,
+)
+from twodof.blocks.library.shape import clamp, dot, elementwise, limits_of, reals
+from twodof.errors import DiagramError
+
+
+@library_block("integrator")
+class Integrator(Block):
+    """x' = u, y = x, from `initial`.
+
+    With `limits` [low, high]: y is x clamped to them, and after each step x itself is put back within them.
+    """
+
+    def __init__(
+        self,
+        initial: Any = 0.0,
+        limits: Sequence[float] | None = None,
+        width: int | None = None,
+        unit: str = "",
+    ) -> None:
+        pair = limits_of(limits, "Integrator")
+        self.limited, self.width = pair is not None, width
+        self.inputs = [Port("u", width=width)]
+        self.outputs = [Port("y", width=width, unit=unit)]
+        self.params = [Param("initial", initial, width=width, unit=unit)]
+        if pair is not None:
+            self.params += [Param("low", pair[0], unit=unit), Param("high", pair[1], unit=unit)]
+        self.states = [State("x", "initial", width=width, unit=unit, continuous=True)]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        if not self.limited:
+            return x.x
+        return elementwise(self.width, lambda s: clamp(p.low, p.high, s), x.x)
+
+    def derivative(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return u.u
+
+    def project(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return self.output(u, x, p, t) if self.limited else {}
+
+
+@library_block("first_order")
+class FirstOrder(Block):
+    """First-order lag G(s) = gain / (time_constant s + 1): x' = (u - x) / time_constant, y = gain x."""
+
+    def __init__(self, gain: float = 1.0, time_constant: float = 1.0, initial: float = 0.0, unit: str = "") -> None:
+        self.inputs = [Port("u")]
+        self.outputs = [Port("y", unit=unit)]
+        self.params = [
+            Param("gain", gain),
+            Param("time_constant", time_constant, unit="s", low=0.0),
+            Param("initial", initial, text="initial x = y / gain"),
+        ]
+        self.states = [State("x", "initial", continuous=True)]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return p.gain * x.x
+
+    def derivative(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return (u.u - x.x) / p.time_constant
+
+
+@library_block("second_order")
+class SecondOrder(Block):
+    """Second-order lag G(s) = gain w^2 / (s^2 + 2 damping w s + w^2), w = natural_frequency.
+
+    States: position x, velocity v; x' = v, v' = w^2 (u - x) - 2 damping w v, y = gain x, rate = gain v.
+    """
+
+    def __init__(
+        self,
+        gain: float = 1.0,
+        natural_frequency: float = 1.0,
+        damping: float = 0.7,
+        initial: float = 0.0,
+        initial_rate: float = 0.0,
+        unit: str = "",
+    ) -> None:
+        self.inputs = [Port("u")]
+        self.outputs = [Port("y", unit=unit), Port("rate")]
+        self.params = [
+            Param("gain", gain),
+            Param("natural_frequency", natural_frequency, unit="rad/s", low=0.0),
+            Param("damping", damping),
+            Param("initial", initial, text="initial x = y / gain"),
+            Param("initial_rate", initial_rate, text="initial v = rate / gain"),
+        ]
+        self.states = [State("x", "initial", continuous=True), State("v", "initial_rate", continuous=True)]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return {"y": p.gain * x.x, "rate": p.gain * x.v}
+
+    def derivative(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        w = p.natural_frequency
+        return {"x": x.v, "v": w * w * (u.u - x.x) - 2.0 * p.damping * w * x.v}
+
+
+@library_block("transfer_function")
+class TransferFunction(Block):
+    """G(s) = numerator / denominator in descending powers of s; proper. Strictly proper: no feed-through.
+
+    Controllable canonical form with coefficients divided by the denominator's first, s^n + a1 s^(n-1) + ... + an:
+    x_i' = x_(i+1), x_n' = u - an x_1 - ... - a1 x_n, y = c_1 x_1 + ... + c_n x_n + d u; `initial` is x_1 .. x_n
+    (one number fills all). Order 64 at most.
+    """
+
+    def __init__(
+        self,
+        numerator: Sequence[float] = (1.0,),
+        denominator: Sequence[float] = (1.0, 1.0),
+        initial: Any = 0.0,
+        unit: str = "",
+    ) -> None:
+        name = "TransferFunction"
+        top = reals(numerator, name, "numerator")
+        bottom = reals(denominator, name, "denominator", 2)
+        if len(top) > len(bottom):
+            raise DiagramError(
+                "the numerator's degree is above the denominator's",
+                name,
+                "a proper transfer function can be computed",
+            )
+        if bottom[0] == 0.0:
+            raise DiagramError("the first coefficient of the denominator is 0", name, "leave zeros out")
+        self.order = len(bottom) - 1
+        if self.order > MAX_ORDER:
+            raise DiagramError(f"order {self.order}", name, f"the order is at most {MAX_ORDER}")
+        self.top = len(top)
+        self.direct = self.top == self.order + 1
+        self.inputs = [Port("u")]
+        self.outputs = [Port("y", unit=unit)]
+        self.params = [
+            Param("numerator", top, width=self.top),
+            Param("denominator", bottom, width=self.order + 1),
+            Param("initial", initial, width=self.order),
+        ]
+        self.derived = [Port("a", width=self.order), Port("c", width=self.order), Port("d")]
+        self.states = [State("x", "initial", width=self.order, continuous=True)]
+
+    def prepare(self, p: Any, t: Clock) -> Any:
+        first, n = p.denominator[0], self.order
+        a = [p.denominator[n - i] / first for i in range(n)]  # a[i] multiplies x_(i+1)
+
+        def b(power: int) -> Any:
+            return p.numerator[self.top - 1 - power] / first if power < self.top else 0.0 * first
+
+        d = b(n)
+        c = [b(i) - d * a[i] if self.direct else b(i) for i in range(n)]
+        return {"a": vector(a), "c": vector(c), "d": d}
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        y = dot(self.order, lambda j: p.c[j], lambda j: x.x[j])
+        return y + p.d * u.u if self.direct else y
+
+    def derivative(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        n = self.order
+        last = u.u - dot(n, lambda j: p.a[j], lambda j: x.x[j])
+        return vector([*(x.x[i + 1] for i in range(n - 1)), last])
+
+
+@library_block("state_space")
+class StateSpace(Block):
+    """x' = A x + B u, y = C x + D u, from `initial`.
+
+    A, B, C, D are lists of rows (D None: no feed-through); one input or output is a scalar port, several an array.
+    Their elements are parameters of the same names, row after row.
+    """
+
+    def __init__(
+        self,
+        A: Sequence[Sequence[float]] = ((-1.0,),),
+        B: Sequence[Sequence[float]] = ((1.0,),),
+        C: Sequence[Sequence[float]] = ((1.0,),),
+        D: Sequence[Sequence[float]] | None = None,
+        initial: Any = 0.0,
+        unit: str = "",
+    ) -> None:
+        self.size = declare_state_space(self, A, B, C, D, initial, unit, continuous=True)
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return state_space_output(self.size, u, x, p)
+
+    def derivative(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return state_space_change(self.size, u, x, p)

@@ -1,0 +1,191 @@
+"""Blocks that remember: unit, N-sample and fractional delay, zero-order hold, rate transition."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from twodof.blocks.block import Block, Clock, Param, Port, State, library_block
+from twodof.blocks.expr import build, int32, store, to_int32, to_real, where
+from twodof.blocks.library.shape import count
+
+MAX_SAMPLES = 100_000
+
+
+@library_block("unit_delay")
+class UnitDelay(Block):
+    """Delay by one sample of the block's own rate: y[k] = u[k-1], y[0] = initial. Breaks algebraic loops."""
+
+    def __init__(self, initial: Any = 0, kind: str = "real", width: int | None = None, unit: str = "") -> None:
+        self.inputs = [Port("u", kind, width, unit)]
+        self.outputs = [Port("y", kind, width, unit)]
+        self.params = [Param("initial", initial, kind, width, unit)]
+        self.states = [State("x", "initial", kind, width, unit)]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return x.x
+
+    def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return u.u
+
+
+@library_block("delay")
+class Delay(Block):
+    """Delay by `samples` samples of the block's own rate: y[k] = u[k - samples], and `initial` for k < samples.
+
+    A ring buffer of `bound` samples, read before it is written. `samples` may be tuned within 1 .. bound (bound is
+    the first value of `samples` unless it is given); a change acts at once on the samples that are kept.
+    """
+
+    def __init__(
+        self,
+        samples: int = 1,
+        bound: int | None = None,
+        initial: Any = 0,
+        kind: str = "real",
+        width: int | None = None,
+        unit: str = "",
+    ) -> None:
+        bound = samples if bound is None else bound
+        self.bound = count(bound, 1, MAX_SAMPLES, "Delay", "bound")
+        self.width = width
+        count(samples, 1, self.bound, "Delay", "samples")
+        self.inputs = [Port("u", kind, width, unit)]
+        self.outputs = [Port("y", kind, width, unit)]
+        self.params = [
+            Param("samples", samples, "int32", unit="samples", low=1, high=self.bound),
+            Param("initial", initial, kind, width, unit),
+        ]
+        self.states = [
+            State("buffer", 0 if kind != "bool" else False, kind, self.bound * (width or 1), unit),
+            State("before", "initial", kind, width, unit),
+            State("position", 0, "int32"),
+            State("age", 0, "int32"),
+        ]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        back = x.position - p.samples
+        place = where(back < 0, back + self.bound, back)
+        arrived = p.samples <= x.age
+        if self.width is None:
+            return where(arrived, x.buffer[place], x.before)
+        width = self.width
+        return build(width, lambda i: where(arrived, x.buffer[place * width + i], x.before[i]))
+
+    def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        after = x.position + 1
+        buffer = x.buffer
+        if self.width is None:
+            buffer = store(buffer, x.position, u.u)
+        else:
+            for i in range(self.width):
+                buffer = store(buffer, x.position * self.width + i, u.u[i])
+        return {
+            "buffer": buffer,
+            "position": where(after < self.bound, after, int32(0)),
+            "age": where(x.age < self.bound, x.age + 1, x.age),
+        }
+
+
+@library_block("fractional_delay")
+class FractionalDelay(Block):
+    """Delay of a held signal by `delay` seconds, which need be no multiple of the tick: y(t) = u(t - delay).
+
+    With delay / dt = n + f, 0 <= f < 1, the step from tick k on has y = u[k-n-1] before the fraction f of it and
+    y = u[k-n] after it; continuous blocks see the change where it happens (an edge: the integration is split), so a
+    linear plant is integrated as exactly as without the delay. At the tick itself y reads u[k-n-1], or u[k-n] if f = 0.
+    Inputs before the start are `initial`. For the base rate.
+
+    `samples` ticks are kept: a delay of more than samples * dt gives NaN. With `direct` false the delay is at least one
+    tick (a shorter one is taken as one tick), and the block breaks algebraic loops.
+    """
+
+    def __init__(
+        self,
+        delay: float = 0.0,
+        samples: int = 64,
+        initial: float = 0.0,
+        direct: bool = True,
+        unit: str = "",
+    ) -> None:
+        self.samples = count(samples, 1, MAX_SAMPLES, "FractionalDelay", "samples")
+        self.direct = direct
+        self.inputs = [Port("u", unit=unit)]
+        self.outputs = [Port("y", unit=unit)]
+        self.params = [
+            Param("delay", delay, unit="s", low=0.0),
+            Param("initial", initial, unit=unit),
+        ]
+        self.derived = [Port("whole", "int32"), Port("fraction"), Port("fits", "bool")]
+        self.states = [
+            State("buffer", 0.0, width=self.samples, unit=unit),
+            State("before", "initial", unit=unit),
+            State("position", 0, "int32"),
+            State("age", 0, "int32"),
+        ]
+
+    def prepare(self, p: Any, t: Clock) -> Any:
+        ratio = p.delay / t.dt
+        if not self.direct:
+            ratio = where(ratio < 1.0, 1.0, ratio)
+        whole = to_int32(ratio)
+        return {"whole": whole, "fraction": ratio - to_real(whole), "fits": ratio <= float(self.samples)}
+
+    def _past(self, back: Any, u: Any, x: Any, p: Any) -> Any:
+        """u[k - back] for 0 <= back <= samples."""
+        place = x.position - back
+        kept = x.buffer[where(place < 0, place + self.samples, place)]
+        past = where(back <= x.age, kept, x.before)
+        if self.direct:
+            past = where(back < 1, u.u, past)
+        return where(p.fits, past, math.nan)
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return self._past(where(p.fraction > 0.0, p.whole + 1, p.whole), u, x, p)
+
+    def edges(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return {"y": (p.fraction, self._past(p.whole, u, x, p))}
+
+    def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        after = x.position + 1
+        return {
+            "buffer": store(x.buffer, x.position, u.u),
+            "position": where(after < self.samples, after, int32(0)),
+            "age": where(x.age < self.samples, x.age + 1, x.age),
+        }
+
+
+@library_block("zero_order_hold")
+class ZeroOrderHold(Block):
+    """Sample and hold: at the block's own ticks y = u, held in between. May read a signal of another rate."""
+
+    crossing = True
+
+    def __init__(self, kind: str = "real", width: int | None = None, unit: str = "") -> None:
+        self.inputs = [Port("u", kind, width, unit)]
+        self.outputs = [Port("y", kind, width, unit)]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return u.u
+
+
+@library_block("rate_transition")
+class RateTransition(Block):
+    """Sample and hold, and a delay by one sample of the block's own rate: y[k] = u[k-1], y[0] = initial.
+
+    May read a signal of another rate; breaks algebraic loops over two rates.
+    """
+
+    crossing = True
+
+    def __init__(self, initial: Any = 0, kind: str = "real", width: int | None = None, unit: str = "") -> None:
+        self.inputs = [Port("u", kind, width, unit)]
+        self.outputs = [Port("y", kind, width, unit)]
+        self.params = [Param("initial", initial, kind, width, unit)]
+        self.states = [State("x", "initial", kind, width, unit)]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return x.x
+
+    def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return u.u

@@ -1,0 +1,303 @@
+"""Discrete-time linear blocks: integrator, derivative, filter, transfer function, state space, moving average."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from twodof.blocks.block import Block, Clock, Param, Port, State, library_block
+from twodof.blocks.expr import build, fold, int32, store, vector, where
+from twodof.blocks.library.shape import clamp, count, dot, elementwise, limits_of, matrix, one_of, reals
+from twodof.errors import DiagramError
+
+METHODS = ("forward", "backward", "trapezoidal")
+MAX_ORDER = 64
+
+
+@library_block("discrete_integrator")
+class DiscreteIntegrator(Block):
+    """Integral of gain * u, T the block's period, x the state.
+
+    forward: y = x, x' = x + K T u. backward: y = x + K T u, x' = y.
+    trapezoidal: y = x + K T/2 u, x' = y + K T/2 u.
+
+    `limits` [low, high] keep both y and the state within bounds. With `reset` there is a bool input of that name: while
+    it is true, x reads as `initial` (so a backward integral then equals its own sample's contribution).
+    Source: Franklin, Powell, Workman, Digital Control of Dynamic Systems, section 6.1 (the three rules).
+    """
+
+    def __init__(
+        self,
+        method: str = "forward",
+        gain: float = 1.0,
+        initial: Any = 0.0,
+        limits: Sequence[float] | None = None,
+        reset: bool = False,
+        width: int | None = None,
+        unit: str = "",
+    ) -> None:
+        self.method = one_of(method, METHODS, "DiscreteIntegrator", "method")
+        pair = limits_of(limits, "DiscreteIntegrator")
+        self.limited, self.resets, self.width = pair is not None, reset, width
+        self.inputs = [Port("u", width=width), *([Port("reset", "bool")] if reset else [])]
+        self.outputs = [Port("y", width=width, unit=unit)]
+        self.params = [Param("gain", gain), Param("initial", initial, width=width, unit=unit)]
+        if pair is not None:
+            self.params += [Param("low", pair[0], unit=unit), Param("high", pair[1], unit=unit)]
+        self.derived = [Port("step", unit="s")]
+        self.states = [State("x", "initial", width=width, unit=unit)]
+
+    def prepare(self, p: Any, t: Clock) -> Any:
+        step = p.gain * t.dt
+        return 0.5 * step if self.method == "trapezoidal" else step
+
+    def _start(self, value: Any, initial: Any, u: Any) -> Any:
+        return where(u.reset, initial, value) if self.resets else value
+
+    def _bound(self, value: Any, p: Any) -> Any:
+        return clamp(p.low, p.high, value) if self.limited else value
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        if self.method == "forward":
+            return elementwise(self.width, lambda s, s0: self._bound(self._start(s, s0, u), p), x.x, p.initial)
+        return elementwise(
+            self.width,
+            lambda v, s, s0: self._bound(self._start(s, s0, u) + p.step * v, p),
+            u.u,
+            x.x,
+            p.initial,
+        )
+
+    def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        y = self.output(u, x, p, t)
+        if self.method == "backward":
+            return y
+        return elementwise(self.width, lambda v, s: self._bound(s + p.step * v, p), u.u, y)
+
+
+@library_block("discrete_derivative")
+class DiscreteDerivative(Block):
+    """Backward difference: y[k] = gain (u[k] - u[k-1]) / T, T the block's period, u[-1] = initial."""
+
+    def __init__(self, gain: float = 1.0, initial: Any = 0.0, width: int | None = None, unit: str = "") -> None:
+        self.width = width
+        self.inputs = [Port("u", width=width)]
+        self.outputs = [Port("y", width=width, unit=unit)]
+        self.params = [Param("gain", gain), Param("initial", initial, width=width)]
+        self.derived = [Port("slope", unit="1/s")]
+        self.states = [State("x", "initial", width=width)]
+
+    def prepare(self, p: Any, t: Clock) -> Any:
+        return p.gain / t.dt
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return elementwise(self.width, lambda v, s: p.slope * (v - s), u.u, x.x)
+
+    def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return u.u
+
+
+class _Rational(Block):
+    """y = (b0 + b1 z^-1 + ... + bn z^-n) / (1 + a1 z^-1 + ... + an z^-n) u in transposed direct form II.
+
+    y = b0 u + s1, s_i' = b_i u - a_i y + s_(i+1). `numerator` and `denominator` are given in descending powers of z or
+    ascending powers of z^-1 and divided by the first coefficient of the denominator.
+    """
+
+    def _declare(self, numerator: list[float], denominator: list[float], lead: int, initial: Any, unit: str) -> None:
+        name = type(self).__name__
+        if denominator[0] == 0.0:
+            raise DiagramError("the first coefficient of the denominator is 0", name, "leave zeros out")
+        self.lead = lead  # b_i = 0 for i < lead
+        self.order = max(len(denominator) - 1, len(numerator) - 1 + lead, 1)
+        self.lengths = len(numerator), len(denominator)
+        if self.order > MAX_ORDER:
+            raise DiagramError(f"order {self.order}", name, f"the order is at most {MAX_ORDER}")
+        self.inputs = [Port("u")]
+        self.outputs = [Port("y", unit=unit)]
+        self.params = [
+            Param("numerator", numerator, width=len(numerator)),
+            Param("denominator", denominator, width=len(denominator)),
+            Param("initial", initial, width=self.order, text="initial s1 .. sn"),
+        ]
+        self.derived = [Port("b", width=self.order + 1), Port("a", width=self.order + 1)]
+        self.states = [State("s", "initial", width=self.order)]
+
+    def prepare(self, p: Any, t: Clock) -> Any:
+        first = p.denominator[0]
+        top, bottom = self.lengths
+
+        def b(i: int) -> Any:
+            return p.numerator[i - self.lead] / first if 0 <= i - self.lead < top else 0.0 * first
+
+        def a(i: int) -> Any:
+            return p.denominator[i] / first if i < bottom else 0.0 * first
+
+        orders = range(self.order + 1)
+        return {"b": vector([b(i) for i in orders]), "a": vector([a(i) for i in orders])}
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        # Without b0 there is no feed-through, which tracing would not see in 0 * u.
+        return x.s[0] if self.lead else p.b[0] * u.u + x.s[0]
+
+    def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        y = self.output(u, x, p, t)
+        news = []
+        for i in range(1, self.order + 1):
+            own = p.b[i] * u.u - p.a[i] * y
+            news.append(own + x.s[i] if i < self.order else own)
+        return vector(news)
+
+
+@library_block("discrete_filter")
+class DiscreteFilter(_Rational):
+    """H(z) = (b0 + b1 z^-1 + ...) / (a0 + a1 z^-1 + ...), `numerator` b and `denominator` a, as scipy.signal.lfilter.
+
+    Transposed direct form II: y = b0 u + s1, s_i' = b_i u - a_i y + s_(i+1), coefficients divided by a0;
+    `initial` s1 .. sn (one number fills all), n the larger order. Order 64 at most.
+    """
+
+    def __init__(
+        self,
+        numerator: Sequence[float] = (1.0,),
+        denominator: Sequence[float] = (1.0,),
+        initial: Any = 0.0,
+        unit: str = "",
+    ) -> None:
+        top = reals(numerator, "DiscreteFilter", "numerator")
+        bottom = reals(denominator, "DiscreteFilter", "denominator")
+        self._declare(top, bottom, 0, initial, unit)
+
+
+@library_block("discrete_transfer_function")
+class DiscreteTransferFunction(_Rational):
+    """H(z) = numerator / denominator in descending powers of z; proper. Strictly proper: no feed-through.
+
+    Transposed direct form II: y = b0 u + s1, s_i' = b_i u - a_i y + s_(i+1), coefficients of z^-i divided by the
+    denominator's first; `initial` s1 .. sn (one number fills all). Order 64 at most.
+    """
+
+    def __init__(
+        self,
+        numerator: Sequence[float] = (1.0,),
+        denominator: Sequence[float] = (1.0, 0.0),
+        initial: Any = 0.0,
+        unit: str = "",
+    ) -> None:
+        top = reals(numerator, "DiscreteTransferFunction", "numerator")
+        bottom = reals(denominator, "DiscreteTransferFunction", "denominator")
+        lead = len(bottom) - len(top)
+        if lead < 0:
+            raise DiagramError(
+                "the numerator's degree is above the denominator's",
+                "DiscreteTransferFunction",
+                "a causal transfer function is proper",
+            )
+        self._declare(top, bottom, lead, initial, unit)
+
+
+@library_block("discrete_state_space")
+class DiscreteStateSpace(Block):
+    """x' = A x + B u, y = C x + D u at the block's rate; x[0] = initial.
+
+    A, B, C, D are lists of rows (D None: no feed-through); one input or output is a scalar port, several an array.
+    Their elements are parameters of the same names, row after row.
+    """
+
+    def __init__(
+        self,
+        A: Sequence[Sequence[float]] = ((0.0,),),
+        B: Sequence[Sequence[float]] = ((1.0,),),
+        C: Sequence[Sequence[float]] = ((1.0,),),
+        D: Sequence[Sequence[float]] | None = None,
+        initial: Any = 0.0,
+        unit: str = "",
+    ) -> None:
+        self.size = declare_state_space(self, A, B, C, D, initial, unit, continuous=False)
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return state_space_output(self.size, u, x, p)
+
+    def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return state_space_change(self.size, u, x, p)
+
+
+class Size:
+    """Numbers of states, inputs and outputs of a state-space block, and whether it has a D."""
+
+    def __init__(self, states: int, inputs: int, outputs: int, direct: bool) -> None:
+        self.states, self.inputs, self.outputs, self.direct = states, inputs, outputs, direct
+
+
+def declare_state_space(
+    block: Block, A: Any, B: Any, C: Any, D: Any, initial: Any, unit: str, continuous: bool
+) -> Size:
+    """Declare ports, parameters and the state of a (discrete or continuous) state-space block."""
+    name = type(block).__name__
+    a = matrix(A, None, None, name, "A")
+    n = len(a)
+    a = matrix(A, n, n, name, "A")
+    b = matrix(B, n, None, name, "B")
+    c = matrix(C, None, n, name, "C")
+    size = Size(n, len(b[0]), len(c), D is not None)
+    parts = {"A": a, "B": b, "C": c}
+    if D is not None:
+        parts["D"] = matrix(D, size.outputs, size.inputs, name, "D")
+    block.inputs = [Port("u", width=None if size.inputs == 1 else size.inputs)]
+    block.outputs = [Port("y", width=None if size.outputs == 1 else size.outputs, unit=unit)]
+    block.params = [
+        *(Param(k, [v for row in rows for v in row], width=len(rows) * len(rows[0])) for k, rows in parts.items()),
+        Param("initial", initial, width=n),
+    ]
+    block.states = [State("x", "initial", width=n, continuous=continuous)]
+    return size
+
+
+def _row(size: Size, i: Any, gain_x: Any, gain_u: Any, u: Any, x: Any) -> Any:
+    total = dot(size.states, lambda j: gain_x[i * size.states + j], lambda j: x.x[j])
+    if gain_u is None:
+        return total
+    if size.inputs == 1:
+        return total + gain_u[i] * u.u
+    return total + dot(size.inputs, lambda j: gain_u[i * size.inputs + j], lambda j: u.u[j])
+
+
+def state_space_output(size: Size, u: Any, x: Any, p: Any) -> Any:
+    """C x + D u."""
+    gain = p.D if size.direct else None
+    if size.outputs == 1:
+        return _row(size, 0, p.C, gain, u, x)
+    return build(size.outputs, lambda i: _row(size, i, p.C, gain, u, x))
+
+
+def state_space_change(size: Size, u: Any, x: Any, p: Any) -> Any:
+    """A x + B u."""
+    return build(size.states, lambda i: _row(size, i, p.A, p.B, u, x))
+
+
+@library_block("moving_average")
+class MovingAverage(Block):
+    """Mean of the last n = `samples` inputs: y[k] = (u[k] + u[k-1] + ... + u[k-n+1]) / n, u[k < 0] = initial."""
+
+    def __init__(self, samples: int = 2, initial: float = 0.0, unit: str = "") -> None:
+        self.samples = count(samples, 2, 10_000, "MovingAverage", "samples")
+        self.inputs = [Port("u", unit=unit)]
+        self.outputs = [Port("y", unit=unit)]
+        self.params = [Param("initial", initial, unit=unit)]
+        self.derived = [Port("fill", width=self.samples - 1, unit=unit)]
+        self.states = [State("buffer", "fill", width=self.samples - 1, unit=unit), State("position", 0, "int32")]
+
+    def prepare(self, p: Any, t: Clock) -> Any:
+        return build(self.samples - 1, lambda _: p.initial)
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        # The sum is made anew each time: one that is carried along would collect rounding errors.
+        total = fold(self.samples - 1, [u.u], lambda i, s: [s + x.buffer[i]])[0]
+        return total / float(self.samples)
+
+    def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        after = x.position + 1
+        return {
+            "buffer": store(x.buffer, x.position, u.u),
+            "position": where(after < self.samples - 1, after, int32(0)),
+        }

@@ -1,0 +1,94 @@
+"""What the library's blocks share: elementwise evaluation, dot products, clamping, checks of constructor arguments."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from twodof.blocks.expr import build, fold, int32, maximum, minimum, where
+from twodof.errors import DiagramError
+
+NUMERIC = ("real", "int32", "uint32")
+LETTERS = "abcdefghijklmnopqrstuvwxyz"
+
+
+def elementwise(width: int | None, f: Callable[..., Any], *arrays: Any) -> Any:
+    """`f` of the scalars if `width` is None, else the array of `f` of the i-th elements."""
+    if width is None:
+        return f(*arrays)
+    return build(width, lambda i: f(*(a[i] for a in arrays)))
+
+
+def dot(length: int, a: Callable[[Any], Any], b: Callable[[Any], Any]) -> Any:
+    """((0 + a(0) * b(0)) + a(1) * b(1)) + ... over `length` terms, as a loop."""
+    return fold(length, [0.0], lambda j, total: [total + a(j) * b(j)])[0]
+
+
+def clamp(low: Any, high: Any, value: Any) -> Any:
+    """`value` within [low, high]; NaN stays NaN."""
+    return maximum(low, minimum(high, value))
+
+
+def search(breakpoints: Any, length: int, value: Any) -> Any:
+    """The largest int32 i in 0 .. length - 2 with breakpoints[i] <= value, or 0 if there is none.
+
+    Bisection in a loop with a constant bound; the breakpoints increase.
+    """
+
+    def halve(_: Any, low: Any, high: Any) -> list[Any]:
+        middle = (low + high) // 2
+        right = breakpoints[middle] <= value
+        return [where(right, middle, low), where(right, high, middle)]
+
+    return fold((length - 1).bit_length(), [int32(0), int32(length - 1)], halve)[0]
+
+
+def one_of(value: Any, choices: Sequence[str], block: str, argument: str) -> str:
+    """`value` if it is one of `choices`; else DiagramError."""
+    if value not in choices:
+        raise DiagramError(f"{argument}={value!r:.80}", block, f"use one of {', '.join(choices)}")
+    return str(value)
+
+
+def count(value: Any, low: int, high: int, block: str, argument: str) -> int:
+    """`value` if it is an integer within [low, high]; else DiagramError."""
+    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+        raise DiagramError(f"{argument}={value!r:.80}", block, f"give an integer within {low} .. {high}")
+    return value
+
+
+def letters(number: int, block: str) -> list[str]:
+    """The names a, b, c, ... of `number` inputs; DiagramError beyond z."""
+    return list(LETTERS[: count(number, 1, len(LETTERS), block, "number of inputs")])
+
+
+def reals(values: Any, block: str, argument: str, least: int = 1) -> list[float]:
+    """`values` as a list of at least `least` floats; else DiagramError."""
+    good = isinstance(values, (list, tuple)) and all(
+        isinstance(v, (int, float)) and not isinstance(v, bool) for v in values
+    )
+    if not good or len(values) < least:
+        raise DiagramError(f"{argument}={values!r:.80}", block, f"give a list of {least} or more numbers")
+    return [float(v) for v in values]
+
+
+def matrix(rows: Any, height: int | None, width: int | None, block: str, argument: str) -> list[list[float]]:
+    """`rows` as a list of rows of floats, with the height and width asked for (None: any); else DiagramError."""
+    if not isinstance(rows, (list, tuple)) or not rows:
+        raise DiagramError(f"{argument}={rows!r:.80}", block, "give a list of rows")
+    found = [reals(row, block, argument) for row in rows]
+    columns = len(found[0]) if width is None else width
+    if any(len(row) != columns for row in found) or len(found) != (len(found) if height is None else height):
+        size = " x ".join("any" if n is None else str(n) for n in (height, width))
+        raise DiagramError(f"{argument} has rows {[len(row) for row in found]}", block, f"its size is {size}")
+    return found
+
+
+def limits_of(limits: Sequence[float] | None, block: str) -> tuple[float, float] | None:
+    """The pair (low, high), low <= high, or None; else DiagramError."""
+    if limits is None:
+        return None
+    pair = reals(limits, block, "limits", 2)
+    if len(pair) != 2 or not pair[0] <= pair[1]:
+        raise DiagramError(f"limits={limits!r:.80}", block, "give [low, high] with low <= high, or None")
+    return pair[0], pair[1]
