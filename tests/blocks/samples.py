@@ -116,6 +116,6 @@ def chain(*blocks: Block) -> Diagram:
     d = Diagram("chain")
     source = d.input("r")
     for i, block in enumerate(blocks):
-        source = d.add(f"b{i}", block, u=source)
+        source = f"{d.add(f'b{i}', block, u=source)}.{block.outputs[0].name}"
     d.output("y", source)
     return d

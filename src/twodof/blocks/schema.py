@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable
 from typing import Any
 
 from twodof.blocks.block import REGISTRY, Block, Param, Port, State
@@ -140,10 +139,9 @@ def _decode(value: Any) -> Any:
 
 
 def _text(value: Any, indent: int = 0) -> str:
-    """JSON with one line for whatever contains no list or object inside a list or object of its own."""
+    """JSON in which whatever is short stands on one line and everything else has a line for each of its items."""
     flat = json.dumps(value, ensure_ascii=False)
-    inner: Iterable[Any] = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
-    if not isinstance(value, (dict, list)) or (len(flat) <= 160 and not any(isinstance(v, dict) for v in inner)):
+    if not isinstance(value, (dict, list)) or len(flat) <= 80:
         return flat
     pad = " " * (indent + 1)
     if isinstance(value, dict):
