@@ -1,0 +1,1 @@
+"""What flies: estimator, cascade, mixer, level hold, and the core that joins them. All of it diagrams."""

@@ -1,0 +1,79 @@
+"""Estimator: pitch, pitch rate, position and velocity from the IMU at 250 Hz and the time-of-flight sensor."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from twodof.blocks import Block, Diagram, Port, State, int32, where
+from twodof.errors import ParameterError
+from twodof.flight.pitch_filter import PitchFilter
+from twodof.flight.position_filter import FixedGainPosition, KalmanPosition, RailAcceleration
+
+POSITION_FILTERS = ("fixed-gain", "kalman")
+
+
+class Publisher(Block):
+    """Position and velocity as they are published: at 100 Hz, every second or third of the 250 Hz samples in turn.
+
+    What is published at a sample is read from the next one on.
+    """
+
+    inputs = (Port("x", unit="m"), Port("v", unit="m/s"))
+    outputs = (Port("x", unit="m"), Port("v", unit="m/s"))
+    states = (State("x", unit="m"), State("v", unit="m/s"), State("phase", 0, "int32"))
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        return {"x": x.x, "v": x.v}
+
+    def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        # 100 / 250 = 2 / 5: an accumulator that overflows twice in five samples.
+        phase = x.phase + int32(2)
+        due = phase >= int32(5)
+        return {
+            "x": where(due, u.x, x.x),
+            "v": where(due, u.v, x.v),
+            "phase": where(due, phase - int32(5), phase),
+        }
+
+
+def estimator(position_filter: str = "fixed-gain") -> Diagram:
+    """The estimator, made for 250 Hz.
+
+    `position_filter` is "fixed-gain", the one that the drone's logs show, or "kalman". Inputs: `acc_x`, `acc_z` [m/s2]
+    (specific force, forward-right-down), `gyro_y` [rad/s], `dist` [m] with `dist_new` (bool, true for one
+    tick a sample) and `dist_age` [s] at that tick. Outputs: `theta` [rad], `q` [rad/s], `x` [m], `v` [m/s] of this sample
+    and `x_published`, `v_published`, held at 100 Hz. Raises ParameterError for another filter.
+    """
+    if position_filter not in POSITION_FILTERS:
+        raise ParameterError(
+            f"no filter called {position_filter!r:.80}", "position_filter", f"use {' or '.join(POSITION_FILTERS)}"
+        )
+    d = Diagram("estimator", "pitch by an extended Kalman filter, position by the filter chosen")
+    for name, unit in (
+        ("acc_x", "m/s2"),
+        ("acc_z", "m/s2"),
+        ("gyro_y", "rad/s"),
+        ("dist", "m"),
+        ("dist_age", "s"),
+    ):
+        d.input(name, unit=unit)
+    d.input("dist_new", "bool")
+    d.add("pitch", PitchFilter(), acc_x="acc_x", acc_z="acc_z", gyro_y="gyro_y")
+    d.add("rail", RailAcceleration(), acc_x="acc_x", acc_z="acc_z", theta="pitch.theta")
+    position = KalmanPosition() if position_filter == "kalman" else FixedGainPosition()
+    d.add(
+        "position",
+        position,
+        acceleration="rail.acceleration",
+        dist="dist",
+        dist_new="dist_new",
+        dist_age="dist_age",
+    )
+    d.add("publisher", Publisher(), x="position.x", v="position.v")
+    d.output("theta", "pitch.theta")
+    d.output("q", "pitch.q")
+    d.output("x", "position.x")
+    d.output("v", "position.v")
+    d.output("x_published", "publisher.x")
+    d.output("v_published", "publisher.v")
+    return d

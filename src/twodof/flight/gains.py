@@ -1,0 +1,96 @@
+"""Gains: the numbers of the cascade's loops, by name, by JSON file, by the path of the parameter they set."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from twodof.errors import ParameterError
+
+_SHAPE = '{"rate": [Kp, Ki, Kd], "attitude": Kp, "velocity": [Kp, Ki], "position": Kp}'
+
+
+@dataclass(frozen=True)
+class Gains:
+    """The gains of the four loops: `rate` (Kp [s/rad], Ki [1/rad], Kd [s2/rad]), `attitude` Kp [1/s],
+    `velocity` (Kp [N s/m], Ki [N/m]), `position` Kp [1/s]. Raises ParameterError for what is not finite or negative.
+    """
+
+    rate: tuple[float, float, float]
+    attitude: float
+    velocity: tuple[float, float]
+    position: float
+
+    def __post_init__(self) -> None:
+        for name, value in self.parameters().items():
+            if not (math.isfinite(value) and value >= 0.0):
+                raise ParameterError(f"a gain of {value!r}", name, "gains are finite and not negative")
+
+    def parameters(self) -> dict[str, float]:
+        """Parameter path inside the cascade -> value."""
+        kp, ki, kd = self.rate
+        return {
+            "rate.kp": kp,
+            "rate.ki": ki,
+            "rate.kd": kd,
+            "attitude.kp": self.attitude,
+            "velocity.kp": self.velocity[0],
+            "velocity.ki": self.velocity[1],
+            "position.kp": self.position,
+        }
+
+    def to_json(self) -> dict[str, Any]:
+        """The form `from_json` reads."""
+        return {
+            "rate": list(self.rate),
+            "attitude": self.attitude,
+            "velocity": list(self.velocity),
+            "position": self.position,
+        }
+
+    @classmethod
+    def from_json(cls, data: object, where: str = "gains") -> Gains:
+        """Gains from `{"rate": [Kp, Ki, Kd], "attitude": Kp, "velocity": [Kp, Ki], "position": Kp}`.
+
+        Raises ParameterError for another shape; `where` names its source in the message.
+        """
+        if not isinstance(data, Mapping) or set(data) != {"rate", "attitude", "velocity", "position"}:
+            raise ParameterError("not a set of gains", where, f"give {_SHAPE}")
+        kp, ki, kd = _numbers(data["rate"], 3, f"{where}: rate")
+        velocity_kp, velocity_ki = _numbers(data["velocity"], 2, f"{where}: velocity")
+        (attitude,) = _numbers([data["attitude"]], 1, f"{where}: attitude")
+        (position,) = _numbers([data["position"]], 1, f"{where}: position")
+        return cls((kp, ki, kd), attitude, (velocity_kp, velocity_ki), position)
+
+
+DEFAULT = Gains((0.0854, 0.251, 0.00054), 11.0, (2.4, 2.81), 1.5)
+STUDENT = Gains((0.0651, 0.35, 0.000896), 6.1986, (2.19, 1.46), 0.7)
+NAMED: Mapping[str, Gains] = MappingProxyType({"default": DEFAULT, "student": STUDENT})
+"""The sets the drone was flown with: its own, and one designed by loop shaping in the course."""
+
+
+def load_gains(source: str | Path) -> Gains:
+    """The gains called `source` ("default", "student"), or those of a JSON file. Raises ParameterError."""
+    if str(source) in NAMED:
+        return NAMED[str(source)]
+    try:
+        data = json.loads(Path(source).read_text(encoding="utf-8"))
+    except OSError as reason:
+        raise ParameterError(
+            f"cannot be read: {reason.strerror}", str(source), f"name a file or one of {', '.join(NAMED)}"
+        ) from reason
+    except ValueError as reason:
+        raise ParameterError(f"is no JSON: {reason}", str(source), f"write {_SHAPE}") from reason
+    return Gains.from_json(data, str(source))
+
+
+def _numbers(values: object, count: int, where: str) -> list[float]:
+    ok = isinstance(values, list) and len(values) == count
+    if not ok or any(isinstance(v, bool) or not isinstance(v, (int, float)) for v in values):  # type: ignore[attr-defined]
+        raise ParameterError(f"{values!r:.80} is not {count} number{'s' * (count > 1)}", where, f"give {_SHAPE}")
+    return [float(v) for v in values]  # type: ignore[attr-defined]

@@ -1,0 +1,169 @@
+"""Position and velocity along the rail from the accelerometer at 250 Hz and the slow, stamped time-of-flight sensor.
+
+Two filters with the same ports: the fixed gains that the drone's logs show, and a Kalman filter.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from twodof.blocks import Block, Param, Port, State, where
+from twodof.blocks.elementary import cos, sin
+
+RAIL_CENTRE = 0.50  # range of the time-of-flight sensor at x = 0 [m]
+
+_INPUTS = (
+    Port("acceleration", unit="m/s2"),
+    Port("dist", unit="m"),
+    Port("dist_new", "bool"),
+    Port("dist_age", unit="s"),
+)
+
+
+class RailAcceleration(Block):
+    """Acceleration along the rail, cos(theta) f_x + sin(theta) f_z: the horizontal part of the specific force."""
+
+    inputs = (Port("acc_x", unit="m/s2"), Port("acc_z", unit="m/s2"), Port("theta", unit="rad"))
+    outputs = (Port("acceleration", unit="m/s2"),)
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        return cos(u.theta) * u.acc_x + sin(u.theta) * u.acc_z
+
+
+class FixedGainPosition(Block):
+    """x and v as on board: integrate the acceleration, and at each range sample x += k_x e, v += k_v e, e = range - x.
+
+    The first sample sets x, with v = 0. The age of a sample is not used, as the drone does not use it. Defaults: on
+    each of the drone's logs x is within 5 mm and v within 20 mm/s RMS of its own estimate. An error b of the
+    acceleration gives v the lasting error b k_x / k_v, which is the velocity bias that the logs show.
+    """
+
+    inputs = _INPUTS
+    outputs = (Port("x", unit="m"), Port("v", unit="m/s"))
+    states = (State("x", unit="m"), State("v", unit="m/s"), State("started", False, "bool"))
+    params = (
+        Param("k_x", 0.13, low=0.0, high=1.0, text="share of the innovation that corrects x"),
+        Param("k_v", 0.50, unit="1/s", low=0.0, high=20.0, text="correction of v for an innovation of 1 m"),
+    )
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        position = x.x + (x.v + 0.5 * t.dt * u.acceleration) * t.dt
+        velocity = x.v + u.acceleration * t.dt
+        e = where(u.dist_new, (u.dist - RAIL_CENTRE) - position, 0.0)
+        first = u.dist_new & ~x.started
+        running = x.started | u.dist_new
+        return {
+            "x": where(running, where(first, u.dist - RAIL_CENTRE, position + p.k_x * e), 0.0),
+            "v": where(running & ~first, velocity + p.k_v * e, 0.0),
+        }
+
+    def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        return self.output(u, x, p, t) | {"started": x.started | u.dist_new}
+
+
+_PAIRS = ("xx", "xv", "xb", "vv", "vb", "bb")
+
+
+class KalmanPosition(Block):
+    """x, v and the accelerometer's bias b by a Kalman filter: x' = v, v' = a - b + noise, b' = noise.
+
+    A range sample that is `dist_age` = s seconds old measures x - v s + (a - b) s^2 / 2, where the cart was then, to
+    second order in s; a late sample so needs no history of states. `P_xx` ... `P_bb` are the covariance's upper
+    triangle.
+    """
+
+    inputs = _INPUTS
+    outputs = (
+        Port("x", unit="m"),
+        Port("v", unit="m/s"),
+        Port("bias", unit="m/s2"),
+        *(Port(f"P_{pair}") for pair in _PAIRS),
+        Port("innovation", unit="m"),
+        Port("innovation_variance", unit="m2"),
+    )
+    states = (
+        State("x", unit="m"),
+        State("v", unit="m/s"),
+        State("bias", unit="m/s2"),
+        *(State(f"P_{pair}", f"P_{pair}_0" if pair in ("xx", "vv", "bb") else 0.0) for pair in _PAIRS),
+        State("started", False, "bool"),
+    )
+    derived = (
+        Port("P_xx_0"),
+        Port("P_vv_0"),
+        Port("P_bb_0"),
+        Port("q_xx"),
+        Port("q_xv"),
+        Port("q_vv"),
+        Port("q_bb"),
+        Port("r"),
+    )
+    params = (
+        Param("sigma_a", 0.05, unit="m/s2/sqrt(Hz)", low=0.0, text="noise density of the acceleration"),
+        Param("sigma_walk", 0.005, unit="m/s2/sqrt(s)", low=0.0, text="walk of the accelerometer's bias"),
+        Param("sigma_tof", 0.004, unit="m", low=1e-6, text="range noise"),
+        Param("sigma_v_0", 0.02, unit="m/s", low=0.0, text="uncertainty of the first velocity"),
+        Param("sigma_bias_0", 0.05, unit="m/s2", low=0.0, text="uncertainty of the first bias"),
+    )
+
+    def prepare(self, p: Any, t: Any) -> Any:
+        density = p.sigma_a * p.sigma_a
+        r = p.sigma_tof * p.sigma_tof
+        return {
+            "P_xx_0": r,
+            "P_vv_0": p.sigma_v_0 * p.sigma_v_0,
+            "P_bb_0": p.sigma_bias_0 * p.sigma_bias_0,
+            "q_xx": density * t.dt * t.dt * t.dt * (1.0 / 3.0),
+            "q_xv": density * t.dt * t.dt * 0.5,
+            "q_vv": density * t.dt,
+            "q_bb": p.sigma_walk * p.sigma_walk * t.dt,
+            "r": r,
+        }
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        dt, half = t.dt, 0.5 * t.dt * t.dt
+        a = u.acceleration - x.bias
+        position = x.x + x.v * dt + a * half
+        velocity = x.v + a * dt
+        # P = F P F' + Q with F = [[1, dt, -dt^2/2], [0, 1, -dt], [0, 0, 1]]; f_.. are the rows of F P that are needed
+        f_xx = x.P_xx + dt * x.P_xv - half * x.P_xb
+        f_xv = x.P_xv + dt * x.P_vv - half * x.P_vb
+        f_xb = x.P_xb + dt * x.P_vb - half * x.P_bb
+        f_vv = x.P_vv - dt * x.P_vb
+        f_vb = x.P_vb - dt * x.P_bb
+        xx = f_xx + dt * f_xv - half * f_xb + p.q_xx
+        xv = f_xv - dt * f_xb + p.q_xv
+        vv = f_vv - dt * f_vb + p.q_vv
+        bb = x.P_bb + p.q_bb
+        # H = [1, -s, -s^2/2]: where it was s seconds ago
+        s = u.dist_age
+        h = 0.5 * s * s
+        innovation = (u.dist - RAIL_CENTRE) - (position - velocity * s + a * h)
+        n_x, n_v, n_b = xx - s * xv - h * f_xb, xv - s * vv - h * f_vb, f_xb - s * f_vb - h * bb
+        variance = n_x - s * n_v - h * n_b + p.r
+        first = u.dist_new & ~x.started
+        use = u.dist_new & x.started
+        k_x, k_v, k_b = (where(use, n / variance, 0.0) for n in (n_x, n_v, n_b))
+        e = where(use, innovation, 0.0)
+        held = ~(x.started & ~first)
+
+        def after(old: Any, new: Any) -> Any:
+            return where(held, old, new)
+
+        return {
+            "x": where(first, u.dist - RAIL_CENTRE, after(x.x, position + k_x * e)),
+            "v": after(x.v, velocity + k_v * e),
+            "bias": after(x.bias, x.bias + k_b * e),
+            "P_xx": after(x.P_xx, xx - k_x * n_x),
+            "P_xv": after(x.P_xv, xv - k_x * n_v),
+            "P_xb": after(x.P_xb, f_xb - k_x * n_b),
+            "P_vv": after(x.P_vv, vv - k_v * n_v),
+            "P_vb": after(x.P_vb, f_vb - k_v * n_b),
+            "P_bb": after(x.P_bb, bb - k_b * n_b),
+            "innovation": e,
+            "innovation_variance": variance,
+        }
+
+    def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        new = self.output(u, x, p, t)
+        return {n: v for n, v in new.items() if not n.startswith("innovation")} | {"started": x.started | u.dist_new}
