@@ -1,0 +1,104 @@
+"""The group of commands, each loaded when it is called, and what every command does with errors and Ctrl-C."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+from types import MappingProxyType
+from typing import Any
+
+import typer
+from typer.core import TyperGroup
+
+from twodof.cli.output import print_error, print_json
+from twodof.errors import CompileError, IdentificationError, TwodofError
+
+FINE, WENT_WRONG, CALLERS_MISTAKE, INTERRUPTED = 0, 1, 2, 130
+
+# Command -> (its module, one line of help): what `twodof --help` shows without importing numpy.
+COMMANDS = MappingProxyType(
+    {
+        "log": ("log", "Look into flight logs and convert them."),
+    }
+)
+
+
+class LazyGroup(TyperGroup):
+    """A group whose commands are imported on demand: a command's module brings in whole rooms of the package."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """The names, in the order of the table."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """The command, imported now; None for a name that is none, which the caller reports."""
+        if cmd_name not in COMMANDS:
+            return None
+        module, text = COMMANDS[cmd_name]
+        app = importlib.import_module(f"twodof.cli.{module}").app
+        command = typer.main.get_command(app)
+        command.name, command.help = cmd_name, command.help or text
+        return command
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """Usage and the table, without importing a command."""
+        width = max(map(len, COMMANDS)) + 2
+        lines = [f"  {name:{width}}{text}" for name, (_, text) in COMMANDS.items()]
+        sys.stdout.write(
+            f"Usage: {ctx.command_path} COMMAND [ARGUMENTS]...\n\n{self.help}\n\nCommands:\n"
+            + "\n".join(lines)
+            + "\n\nEach command has --help. Exit status: 0 fine, 1 a flight, fit or tool went wrong, 2 a mistake in "
+            "what was asked, 130 interrupted.\n"
+        )
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run a command; Ctrl-C and a reader that has left end it quietly, each with its exit status."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            sys.stderr.write("interrupted; no file was left half written\n")
+            raise SystemExit(INTERRUPTED) from None
+        except BrokenPipeError:
+            # Whoever read our output has left (`twodof ... | head`); Python would complain again at exit.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            raise SystemExit(WENT_WRONG) from None
+
+
+def status_of(error: TwodofError) -> int:
+    """Exit status: what was asked was well formed but did not work out, or it could never have worked."""
+    return WENT_WRONG if isinstance(error, IdentificationError | CompileError) else CALLERS_MISTAKE
+
+
+app = typer.Typer(cls=LazyGroup, add_completion=False, pretty_exceptions_enable=False, no_args_is_help=True)
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        sys.stdout.write(f"twodof {importlib.import_module('twodof').__version__}\n")
+        raise typer.Exit
+
+
+@app.callback()
+def twodof(version: bool = typer.Option(False, "--version", callback=_version, is_eager=True)) -> None:
+    """An open control laboratory around the 2DoF Drone."""
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Run one command line; returns the exit status instead of ending the process.
+
+    An error of ours is printed as what, where and remedy, without a traceback; with --json also on stdout as
+    `{"error": {"kind", "what", "where", "remedy"}}`.
+    """
+    try:
+        app(args=list(arguments), prog_name="twodof")
+    except TwodofError as error:
+        print_error(error)
+        if "--json" in arguments:
+            kind = type(error).__name__
+            print_json({"error": {"kind": kind, "what": error.what, "where": error.where, "remedy": error.remedy}})
+        return status_of(error)
+    except SystemExit as end:
+        return end.code if isinstance(end.code, int) else FINE if end.code is None else WENT_WRONG
+    return FINE

@@ -1,0 +1,70 @@
+"""`twodof log info` and `twodof log convert`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.table import Table
+
+from twodof.cli.output import Json, print_json, table_console
+from twodof.flightlog.describe import describe
+from twodof.flightlog.files import convert as convert_log
+from twodof.flightlog.files import read_log
+
+app = typer.Typer(help="Look into flight logs and convert them.", no_args_is_help=True, add_completion=False)
+# More rows than this say nothing more to a reader; --json has all.
+_ROWS = 20
+
+
+@app.command()
+def info(
+    file: Annotated[Path, typer.Argument(help="A .mat, .parquet or .csv log.")],
+    json: Json = False,
+) -> None:
+    """Channels, rates, gaps, events, and the experiment that a log looks like."""
+    found = describe(read_log(file))
+    if json:
+        print_json(found)
+        return
+    console = table_console()
+    console.print(f"{found['source']}: {found['span_s'][0]:.3f} to {found['span_s'][1]:.3f} s, {_experiment(found)}")
+    table = Table("channel", "unit", "samples", "rate, Hz", "missing", "longest gap, ms", box=None, pad_edge=False)
+    for column in table.columns[2:]:
+        column.justify = "right"
+    for row in found["channels"]:
+        rate = "on events" if row["rate_hz"] is None else f"{row['rate_hz']:.2f}"
+        gap = f"{1e3 * row['longest_gap_s']:.1f}" if row["gaps"] else ""
+        table.add_row(row["name"], row["unit"] or "-", str(row["samples"]), rate, str(row["missing"] or ""), gap)
+    console.print(table)
+    for start, end in found["armed_s"]:
+        console.print(f"thrust on: {start:.3f} to {end:.3f} s")
+    for event in found["events"][:_ROWS]:
+        console.print(
+            f"{event['time']:10.3f} s  {event['kind']} {event['channel']}: {event['before']:g} to {event['after']:g}"
+        )
+    if len(found["events"]) > _ROWS:
+        console.print(f"... and {len(found['events']) - _ROWS} more events")
+
+
+def _experiment(found: dict[str, Any]) -> str:
+    experiment = found["experiment"]
+    if experiment is None:
+        return "no excitation found"
+    start, end = experiment["window"]
+    return f"{experiment['name']} between {start:.2f} and {end:.2f} s"
+
+
+@app.command()
+def convert(
+    source: Annotated[Path, typer.Argument(help="The log to read.")],
+    target: Annotated[Path, typer.Argument(help="The file to write; its suffix says the format.")],
+    json: Json = False,
+) -> None:
+    """Write a log in another format (.mat, .parquet, .csv); the target is there whole or not at all."""
+    log = convert_log(source, target)
+    if json:
+        print_json({"file": str(target), "channels": list(log.channels)})
+    else:
+        table_console().print(f"{target}: {len(log.channels)} channels", markup=False)

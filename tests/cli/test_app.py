@@ -1,0 +1,151 @@
+"""The command line as a person or a script meets it: exit statuses, errors, JSON, Ctrl-C, quick start."""
+
+import json
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twodof.cli.app import COMMANDS, run, status_of
+from twodof.errors import CompileError, ExperimentError, IdentificationError, LogError
+from twodof.flightlog.files import read_log, write_log
+from twodof.flightlog.log import Channel, FlightLog
+
+
+@pytest.fixture
+def log_file(tmp_path: Path) -> Path:
+    """Two seconds of a made-up flight with thrust from 0.5 to 1.5 s."""
+    time_s = np.arange(500) * 0.004
+    thrust = np.where((time_s >= 0.5) & (time_s <= 1.5), 0.4, 0.0)
+    channels = {"T": Channel(time_s, thrust, "-"), "theta": Channel(time_s, 0.1 * np.sin(time_s), "rad")}
+    path = tmp_path / "flight.csv"
+    write_log(FlightLog(channels), path)
+    return path
+
+
+def test_help_names_every_command_and_imports_none_of_them() -> None:
+    code = (
+        "import sys; sys.argv[1:] = ['--help']\nfrom twodof.cli import main\ntry: main()\nfinally: print(*sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    help_text, _, modules = (
+        done.stdout.rpartition("\n__main__") if "\n__main__" in done.stdout else done.stdout.rpartition("\nsys ")
+    )
+    for name, (_, text) in COMMANDS.items():
+        assert name in help_text
+        assert text in help_text
+    assert not {"numpy", "scipy", "matplotlib", "pyarrow"} & set(modules.split())
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_has_help(name: str, capfd: pytest.CaptureFixture[str]) -> None:
+    assert run([name, "--help"]) == 0
+    assert name in capfd.readouterr().out
+
+
+@pytest.mark.parametrize("arguments", [["nonsense"], ["log", "info"], ["log", "info", "x", "--nonsense"]])
+def test_a_wrong_call_is_the_callers_mistake(arguments: list[str], capfd: pytest.CaptureFixture[str]) -> None:
+    assert run(arguments) == 2
+    out, err = capfd.readouterr()
+    assert out == ""
+    assert "Usage" in err
+
+
+def test_an_error_says_what_where_and_remedy_without_a_traceback(capfd: pytest.CaptureFixture[str]) -> None:
+    assert run(["log", "info", "nowhere.mat"]) == 2
+    out, err = capfd.readouterr()
+    assert out == ""
+    assert "nowhere.mat" in err
+    assert "remedy:" in err
+    assert "Traceback" not in err
+
+
+def test_an_error_is_a_json_document_too(capfd: pytest.CaptureFixture[str]) -> None:
+    assert run(["log", "info", "nowhere.mat", "--json"]) == 2
+    error = json.loads(capfd.readouterr().out)["error"]
+    assert error["kind"] == "LogError"
+    assert error["where"] == "nowhere.mat"
+
+
+def test_status_tells_a_mistake_from_what_went_wrong() -> None:
+    assert status_of(LogError("x")) == status_of(ExperimentError("x")) == 2
+    assert status_of(IdentificationError("x")) == status_of(CompileError("x")) == 1
+
+
+def test_log_info_is_pure_json(log_file: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert run(["log", "info", str(log_file), "--json"]) == 0
+    found = json.loads(capfd.readouterr().out)
+    assert {row["name"] for row in found["channels"]} == {"T", "theta"}
+    (armed,) = found["armed_s"]
+    assert armed == pytest.approx([0.5, 1.5], abs=0.0041)
+
+
+def test_log_info_for_people_names_channels_and_thrust(log_file: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert run(["log", "info", str(log_file)]) == 0
+    out = capfd.readouterr().out
+    assert "theta" in out
+    assert "thrust on: 0.500 to 1.500 s" in out
+
+
+def test_log_convert_keeps_every_sample(log_file: Path, tmp_path: Path) -> None:
+    target = tmp_path / "flight.parquet"
+    assert run(["log", "convert", str(log_file), str(target)]) == 0
+    before, after = read_log(log_file), read_log(target)
+    assert set(before) == set(after)
+    for name in before:
+        np.testing.assert_array_equal(before[name].value, after[name].value)
+
+
+def test_ctrl_c_leaves_no_half_written_file_and_exits_130(tmp_path: Path) -> None:
+    """A real SIGINT while a file is being written: what stood there before stands there after."""
+    target = tmp_path / "report.html"
+    target.write_text("before")
+    code = f"""
+        import sys, time, types
+        import typer
+        from twodof.cli import app, main
+        from twodof.flightlog.atomic import atomic_write
+        slow = types.ModuleType("twodof.cli.log")
+        slow.app = typer.Typer()
+        @slow.app.command()
+        def log() -> None:
+            with atomic_write({str(target)!r}, "w") as file:
+                file.write("half")
+                file.flush()
+                print("writing", flush=True)
+                time.sleep(30)
+        sys.modules["twodof.cli.log"] = slow
+        sys.argv[1:] = ["log"]
+        main()
+    """
+    with subprocess.Popen(
+        [sys.executable, "-c", textwrap.dedent(code)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "writing\n"
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=10)
+    assert process.returncode == 130, err
+    assert "Traceback" not in err
+    assert target.read_text() == "before"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_it_starts_quickly() -> None:
+    """Help in half a second: 0.08 s alone, with room for a machine that runs other tests beside it."""
+    start = time.perf_counter()
+    subprocess.run([sys.executable, "-m", "twodof", "--help"], check=True, capture_output=True)
+    assert time.perf_counter() - start < 0.5
+
+
+def test_the_package_itself_is_light() -> None:
+    """`import twodof` in 0.3 s (the promise of the README), by the interpreter's own clock."""
+    code = "import time; t = time.perf_counter(); import twodof; print(time.perf_counter() - t)"
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert float(done.stdout) < 0.3
