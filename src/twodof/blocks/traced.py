@@ -119,10 +119,11 @@ def graph_from_json(block: TracedBlock, form: Mapping[str, Any], where: str) -> 
     rows = form.get("nodes")
     if not isinstance(rows, list) or len(rows) > MAX_NODES:
         raise DiagramError(f"nodes are missing or more than {MAX_NODES}", where, "save the diagram again")
+    parameters: list[Any] = [*block.params, *block.derived]
     leaves = {
         "input": {d.name: leaf("input", d.name, d.kind, d.width) for d in block.inputs},
         "state": {d.name: leaf("state", d.name, d.kind, d.width) for d in block.states},
-        "param": {d.name: leaf("param", d.name, d.kind, d.width) for d in [*block.params, *block.derived]},
+        "param": {d.name: leaf("param", d.name, d.kind, d.width) for d in parameters},
     }
     made: list[Expr] = []
     with tracing(where):
