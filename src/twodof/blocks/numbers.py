@@ -7,7 +7,8 @@ A `Vector` is a fixed-length array whose dynamic index is clamped.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import functools
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Any, ClassVar
@@ -148,6 +149,23 @@ class Integer:
 
     def __repr__(self) -> str:
         return f"{self.kind}({self.value})"
+
+
+def _deferring(operation: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    """`operation`, leaving an operand of the expression graph (which this module cannot know) to its own method."""
+
+    @functools.wraps(operation)
+    def deferred(self: Any, other: Any) -> Any:
+        return NotImplemented if hasattr(other, "op") else operation(self, other)
+
+    return deferred
+
+
+for _name in ("add", "sub", "mul", "floordiv", "mod", "lshift", "rshift", "and", "or", "xor"):
+    for _dunder in (f"__{_name}__", f"__r{_name}__"):
+        setattr(Integer, _dunder, _deferring(getattr(Integer, _dunder)))
+for _name in ("lt", "le", "gt", "ge", "eq", "ne"):
+    setattr(Integer, f"__{_name}__", _deferring(getattr(Integer, f"__{_name}__")))
 
 
 class Int32(Integer):

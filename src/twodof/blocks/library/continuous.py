@@ -155,7 +155,7 @@ class TransferFunction(Block):
         a = [p.denominator[n - i] / first for i in range(n)]  # a[i] multiplies x_(i+1)
 
         def b(power: int) -> Any:
-            return p.numerator[self.top - 1 - power] / first if power < self.top else 0.0 * first
+            return p.numerator[self.top - 1 - power] / first if power < self.top else 0.0
 
         d = b(n)
         c = [b(i) - d * a[i] if self.direct else b(i) for i in range(n)]

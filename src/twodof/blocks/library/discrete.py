@@ -128,10 +128,10 @@ class _Rational(Block):
         top, bottom = self.lengths
 
         def b(i: int) -> Any:
-            return p.numerator[i - self.lead] / first if 0 <= i - self.lead < top else 0.0 * first
+            return p.numerator[i - self.lead] / first if 0 <= i - self.lead < top else 0.0
 
         def a(i: int) -> Any:
-            return p.denominator[i] / first if i < bottom else 0.0 * first
+            return p.denominator[i] / first if i < bottom else 0.0
 
         orders = range(self.order + 1)
         return {"b": vector([b(i) for i in orders]), "a": vector([a(i) for i in orders])}

@@ -86,14 +86,13 @@ class LowPass(_FirstOrder):
 
     def prepare(self, p: Any, t: Clock) -> Any:
         step = 2.0 * math.pi * p.cutoff * t.dt
-        zero = 0.0 * p.initial
         if self.method == "forward":
-            b0, b1, a1 = zero, step, step - 1.0
+            b0, b1, a1 = 0.0, step, step - 1.0
         elif self.method == "zoh":
             decay = exp(-step)
-            b0, b1, a1 = zero, 1.0 - decay, -decay
+            b0, b1, a1 = 0.0, 1.0 - decay, -decay
         elif self.method == "backward":
-            b0, b1, a1 = step / (1.0 + step), zero, -1.0 / (1.0 + step)
+            b0, b1, a1 = step / (1.0 + step), 0.0, -1.0 / (1.0 + step)
         else:
             k = _warped(p.cutoff, t.dt)
             b0 = b1 = k / (1.0 + k)

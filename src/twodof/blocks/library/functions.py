@@ -1,0 +1,179 @@
+"""Elementary functions, rounding and conversion, element by element."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Any
+
+from twodof.blocks import elementary
+from twodof.blocks.block import Block, Clock, Port, library_block
+from twodof.blocks.expr import KINDS, sqrt, to_int32, to_real, to_uint32, where
+from twodof.blocks.library.shape import elementwise, one_of
+
+Function = Callable[[Any], Any]
+
+TRIGONOMETRIC: Mapping[str, Function] = MappingProxyType(
+    {
+        "sin": elementary.sin,
+        "cos": elementary.cos,
+        "tan": elementary.tan,
+        "asin": elementary.asin,
+        "acos": elementary.acos,
+        "atan": elementary.atan,
+        "tanh": elementary.tanh,
+    }
+)
+ELEMENTARY: Mapping[str, Function] = MappingProxyType(
+    {
+        "exp": elementary.exp,
+        "log": elementary.log,
+        "sqrt": sqrt,
+        "square": lambda v: v * v,
+        "reciprocal": lambda v: 1.0 / v,
+    }
+)
+ROUNDING: Mapping[str, Function] = MappingProxyType(
+    {
+        "floor": elementary.floor,
+        "ceil": elementary.ceil,
+        "trunc": elementary.trunc,
+        "nearest": lambda v: where(v < 0.0, -elementary.floor(0.5 - v), elementary.floor(v + 0.5)),
+    }
+)
+
+
+class _Function(Block):
+    """y = f(u), f chosen by name."""
+
+    functions: Mapping[str, Function]
+
+    def _declare(self, function: str, width: int | None, input_unit: str, unit: str) -> None:
+        self.function = one_of(function, list(self.functions), type(self).__name__, "function")
+        self.width = width
+        self.inputs = [Port("u", width=width, unit=input_unit)]
+        self.outputs = [Port("y", width=width, unit=unit)]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return elementwise(self.width, self.functions[self.function], u.u)
+
+
+@library_block("trigonometry")
+class Trigonometry(_Function):
+    """y = sin, cos, tan, asin, acos, atan or tanh of u, by `function`; angles in rad."""
+
+    functions = TRIGONOMETRIC
+
+    def __init__(self, function: str = "sin", width: int | None = None, input_unit: str = "", unit: str = "") -> None:
+        self._declare(function, width, input_unit, unit)
+
+
+@library_block("elementary")
+class Elementary(_Function):
+    """y = exp(u), log(u) (natural), sqrt(u), square u^2 or reciprocal 1/u, by `function`; IEEE where undefined."""
+
+    functions = ELEMENTARY
+
+    def __init__(self, function: str = "exp", width: int | None = None, input_unit: str = "", unit: str = "") -> None:
+        self._declare(function, width, input_unit, unit)
+
+
+@library_block("rounding")
+class Rounding(_Function):
+    """y = u rounded by `function`: floor, ceil, trunc (towards 0), nearest (halves away from 0); a real still."""
+
+    functions = ROUNDING
+
+    def __init__(self, function: str = "floor", width: int | None = None, input_unit: str = "", unit: str = "") -> None:
+        self._declare(function, width, input_unit, unit)
+
+
+@library_block("atan2")
+class Atan2(Block):
+    """y = atan2(a, b) [rad]: the angle of the point (b, a), within -pi .. pi; C99's signs of zero and infinities."""
+
+    def __init__(self, width: int | None = None, input_unit: str = "") -> None:
+        self.width = width
+        self.inputs = [Port("a", width=width, unit=input_unit), Port("b", width=width, unit=input_unit)]
+        self.outputs = [Port("y", width=width, unit="rad")]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return elementwise(self.width, elementary.atan2, u.a, u.b)
+
+
+@library_block("hypot")
+class Hypot(Block):
+    """y = sqrt(a^2 + b^2) without overflow or underflow on the way."""
+
+    def __init__(self, width: int | None = None, unit: str = "") -> None:
+        self.width = width
+        self.inputs = [Port("a", width=width, unit=unit), Port("b", width=width, unit=unit)]
+        self.outputs = [Port("y", width=width, unit=unit)]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return elementwise(self.width, elementary.hypot, u.a, u.b)
+
+
+@library_block("power")
+class Power(Block):
+    """y = a^b as C99's pow."""
+
+    def __init__(self, width: int | None = None, unit: str = "") -> None:
+        self.width = width
+        self.inputs = [Port("a", width=width), Port("b", width=width)]
+        self.outputs = [Port("y", width=width, unit=unit)]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return elementwise(self.width, elementary.pow, u.a, u.b)
+
+
+@library_block("remainder")
+class Remainder(Block):
+    """The remainder of a / b: a - b floor(a / b), with b's sign; for integers a % b, with a's sign (a % 0 = 0)."""
+
+    def __init__(self, kind: str = "real", width: int | None = None, unit: str = "") -> None:
+        self.kind = one_of(kind, ("real", "int32", "uint32"), "Remainder", "kind")
+        self.width = width
+        self.inputs = [Port("a", kind, width, unit), Port("b", kind, width, unit)]
+        self.outputs = [Port("y", kind, width, unit)]
+
+    def _of(self, a: Any, b: Any) -> Any:
+        return a - b * elementary.floor(a / b) if self.kind == "real" else a % b
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return elementwise(self.width, self._of, u.a, u.b)
+
+
+@library_block("convert")
+class Convert(Block):
+    """y = u as another type. Real to integer: rounded by `rounding`, then saturated, NaN gives 0. To bool: u != 0.
+
+    int32 to uint32 and back keep the bits; bool gives 0 or 1.
+    """
+
+    def __init__(
+        self,
+        source: str = "real",
+        target: str = "int32",
+        rounding: str = "trunc",
+        width: int | None = None,
+        unit: str = "",
+    ) -> None:
+        self.source = one_of(source, KINDS, "Convert", "source")
+        self.target = one_of(target, KINDS, "Convert", "target")
+        self.rounding = one_of(rounding, list(ROUNDING), "Convert", "rounding")
+        self.width = width
+        self.inputs = [Port("u", source, width, unit)]
+        self.outputs = [Port("y", target, width, unit)]
+
+    def _of(self, v: Any) -> Any:
+        if self.source == self.target:
+            return v
+        if self.target == "bool":
+            return v != 0
+        if self.source == "real" and self.rounding != "trunc":
+            v = ROUNDING[self.rounding](v)
+        return {"real": to_real, "int32": to_int32, "uint32": to_uint32}[self.target](v)
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return elementwise(self.width, self._of, u.u)

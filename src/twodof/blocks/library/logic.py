@@ -1,0 +1,201 @@
+"""Comparisons, logic, and small state machines: edge detector, counter, flip-flop, timer."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable, Mapping
+from functools import reduce
+from types import MappingProxyType
+from typing import Any
+
+from twodof.blocks.block import Block, Clock, Param, Port, State, library_block
+from twodof.blocks.expr import to_real, to_uint32, where
+from twodof.blocks.library.shape import NUMERIC, elementwise, letters, one_of
+
+COMPARISONS: Mapping[str, Callable[[Any, Any], Any]] = MappingProxyType(
+    {
+        "<": operator.lt,
+        "<=": operator.le,
+        ">": operator.gt,
+        ">=": operator.ge,
+        "==": operator.eq,
+        "!=": operator.ne,
+    }
+)
+LOGIC: Mapping[str, Callable[[Any, Any], Any]] = MappingProxyType(
+    {
+        "and": operator.and_,
+        "or": operator.or_,
+        "xor": operator.xor,
+        "nand": operator.and_,
+        "nor": operator.or_,
+    }
+)
+INVERTED = ("nand", "nor", "not")
+EDGES = ("rising", "falling", "either")
+
+
+@library_block("compare")
+class Compare(Block):
+    """y = (a operation b), a bool; `operation` is <, <=, >, >=, == or !=. A comparison with NaN is false, != true."""
+
+    def __init__(self, operation: str = "<", kind: str = "real", width: int | None = None, unit: str = "") -> None:
+        self.operation = one_of(operation, list(COMPARISONS), "Compare", "operation")
+        one_of(kind, NUMERIC, "Compare", "kind")
+        self.width = width
+        self.inputs = [Port("a", kind, width, unit), Port("b", kind, width, unit)]
+        self.outputs = [Port("y", "bool", width)]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return elementwise(self.width, COMPARISONS[self.operation], u.a, u.b)
+
+
+@library_block("compare_to_constant")
+class CompareToConstant(Block):
+    """y = (u operation constant), a bool; `operation` is <, <=, >, >=, == or !=."""
+
+    def __init__(
+        self,
+        operation: str = ">",
+        constant: float = 0.0,
+        kind: str = "real",
+        width: int | None = None,
+        unit: str = "",
+    ) -> None:
+        self.operation = one_of(operation, list(COMPARISONS), "CompareToConstant", "operation")
+        one_of(kind, NUMERIC, "CompareToConstant", "kind")
+        self.width = width
+        self.inputs = [Port("u", kind, width, unit)]
+        self.outputs = [Port("y", "bool", width)]
+        self.params = [Param("constant", constant if kind == "real" else int(constant), kind, unit=unit)]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return elementwise(self.width, lambda v: COMPARISONS[self.operation](v, p.constant), u.u)
+
+
+@library_block("logic")
+class Logic(Block):
+    """y = a operation b operation c ..., bools; `operation` is and, or, xor, nand, nor, or not (of one input)."""
+
+    def __init__(self, operation: str = "and", inputs: int = 2, width: int | None = None) -> None:
+        self.operation = one_of(operation, [*LOGIC, "not"], "Logic", "operation")
+        self.width = width
+        self.names = letters(1 if operation == "not" else inputs, "Logic")
+        self.inputs = [Port(name, "bool", width) for name in self.names]
+        self.outputs = [Port("y", "bool", width)]
+
+    def _of(self, *values: Any) -> Any:
+        y = reduce(LOGIC.get(self.operation, operator.and_), values)
+        return ~y if self.operation in INVERTED else y
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return elementwise(self.width, self._of, *(u[name] for name in self.names))
+
+
+@library_block("bitwise")
+class Bitwise(Block):
+    """y = a operation b on the bits of integers; `operation` is and, or, xor, left or right.
+
+    left and right shift a by the lower 5 bits of b; right keeps the sign of an int32.
+    """
+
+    def __init__(self, operation: str = "and", kind: str = "uint32", width: int | None = None) -> None:
+        self.operation = one_of(operation, ("and", "or", "xor", "left", "right"), "Bitwise", "operation")
+        one_of(kind, ("int32", "uint32"), "Bitwise", "kind")
+        self.width = width
+        self.inputs = [Port("a", kind, width), Port("b", kind, width)]
+        self.outputs = [Port("y", kind, width)]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        of = {"left": operator.lshift, "right": operator.rshift}.get(self.operation) or LOGIC[self.operation]
+        return elementwise(self.width, of, u.a, u.b)
+
+
+@library_block("edge_detector")
+class EdgeDetector(Block):
+    """y is true in the sample in which u becomes true ("rising"), false ("falling") or changes ("either").
+
+    `initial` is u before the start.
+    """
+
+    def __init__(self, edge: str = "rising", initial: bool = False) -> None:
+        self.edge = one_of(edge, EDGES, "EdgeDetector", "edge")
+        self.inputs = [Port("u", "bool")]
+        self.outputs = [Port("y", "bool")]
+        self.params = [Param("initial", initial, "bool")]
+        self.states = [State("x", "initial", "bool")]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        if self.edge == "either":
+            return u.u ^ x.x
+        return u.u & ~x.x if self.edge == "rising" else ~u.u & x.x
+
+    def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return u.u
+
+
+@library_block("counter")
+class Counter(Block):
+    """y = how many samples u was true in, this one included, since the start or the last reset; modulo `modulus`.
+
+    A sample with `reset` true starts anew from 0 (and counts itself). modulus 0: modulo 2^32. For events rather than
+    samples put an edge detector before it.
+    """
+
+    def __init__(self, modulus: int = 0) -> None:
+        self.inputs = [Port("u", "bool"), Port("reset", "bool")]
+        self.outputs = [Port("y", "uint32")]
+        self.params = [Param("modulus", modulus, "uint32")]
+        self.states = [State("x", 0, "uint32")]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        raised = where(u.reset, 0, x.x) + to_uint32(u.u)
+        return where(p.modulus == 0, raised, raised % p.modulus)
+
+    def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return self.output(u, x, p, t)
+
+
+@library_block("flip_flop")
+class FlipFlop(Block):
+    """Set-reset flip-flop: `set` makes y true, `reset` false, else it stays; with both the `dominant` one counts."""
+
+    def __init__(self, dominant: str = "reset", initial: bool = False) -> None:
+        self.dominant = one_of(dominant, ("set", "reset"), "FlipFlop", "dominant")
+        self.inputs = [Port("set", "bool"), Port("reset", "bool")]
+        self.outputs = [Port("y", "bool")]
+        self.params = [Param("initial", initial, "bool")]
+        self.states = [State("x", "initial", "bool")]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        if self.dominant == "set":
+            return u.set | (x.x & ~u.reset)
+        return (u.set | x.x) & ~u.reset
+
+    def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return self.output(u, x, p, t)
+
+
+@library_block("timer")
+class Timer(Block):
+    """How long u has been true without a break: `elapsed` [s], 0 in its first true sample; `done` from `duration` on.
+
+    Counted in the block's own periods, `duration` to the nearest; while u is false elapsed = 0 and done is false.
+    """
+
+    def __init__(self, duration: float = 1.0) -> None:
+        self.inputs = [Port("u", "bool")]
+        self.outputs = [Port("done", "bool"), Port("elapsed", unit="s")]
+        self.params = [Param("duration", duration, unit="s", low=0.0)]
+        self.derived = [Port("enough", "uint32")]
+        self.states = [State("x", 0, "uint32")]
+
+    def prepare(self, p: Any, t: Clock) -> Any:
+        return to_uint32(p.duration / t.dt + 0.5)
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return {"done": u.u & (p.enough <= x.x), "elapsed": where(u.u, to_real(x.x) * t.dt, 0.0)}
+
+    def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        # It stays at the largest number: after 2^32 samples a timer that began anew would undo `done`.
+        return where(u.u, where(x.x == 2**32 - 1, x.x, x.x + 1), 0)

@@ -1,0 +1,235 @@
+"""Arithmetic: sums, gains, products, absolute value, sign, smallest and largest."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import reduce
+from typing import Any
+
+from twodof.blocks.block import MAX_WIDTH, Block, Clock, Param, Port, library_block
+from twodof.blocks.expr import build, fold, maximum, minimum, where
+from twodof.blocks.library.shape import NUMERIC, count, dot, elementwise, letters, matrix, one_of, reals
+from twodof.errors import DiagramError
+
+
+@library_block("sum")
+class Sum(Block):
+    """y = +- a +- b +- c ..., from left to right; `signs` has a + or - for each of the inputs a, b, c, ..."""
+
+    def __init__(self, signs: str = "++", kind: str = "real", width: int | None = None, unit: str = "") -> None:
+        if not isinstance(signs, str) or not signs or set(signs) - set("+-"):
+            raise DiagramError(f"signs={signs!r:.80}", "Sum", 'give a + or - for each input, such as "+-"')
+        one_of(kind, NUMERIC, "Sum", "kind")
+        self.signs, self.width = signs, width
+        self.names = letters(len(signs), "Sum")
+        self.inputs = [Port(name, kind, width, unit) for name in self.names]
+        self.outputs = [Port("y", kind, width, unit)]
+
+    def _total(self, *terms: Any) -> Any:
+        total = terms[0] if self.signs[0] == "+" else -terms[0]
+        for sign, term in zip(self.signs[1:], terms[1:], strict=True):
+            total = total + term if sign == "+" else total - term
+        return total
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return elementwise(self.width, self._total, *(u[name] for name in self.names))
+
+
+@library_block("sum_of_elements")
+class SumOfElements(Block):
+    """y = u[0] + u[1] + ... + u[width - 1], from left to right."""
+
+    def __init__(self, width: int = 2, unit: str = "") -> None:
+        self.width = count(width, 2, MAX_WIDTH, "SumOfElements", "width")
+        self.inputs = [Port("u", width=width, unit=unit)]
+        self.outputs = [Port("y", unit=unit)]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return fold(self.width - 1, [u.u[0]], lambda i, total: [total + u.u[i + 1]])[0]
+
+
+@library_block("gain")
+class Gain(Block):
+    """y = k u."""
+
+    def __init__(
+        self,
+        k: float = 1.0,
+        width: int | None = None,
+        gain_unit: str = "",
+        input_unit: str = "",
+        unit: str = "",
+    ) -> None:
+        self.width = width
+        self.inputs = [Port("u", width=width, unit=input_unit)]
+        self.outputs = [Port("y", width=width, unit=unit)]
+        self.params = [Param("k", k, unit=gain_unit)]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return elementwise(self.width, lambda v: p.k * v, u.u)
+
+
+@library_block("matrix_gain")
+class MatrixGain(Block):
+    """y = K u, `K` a list of rows, a parameter row after row; one column makes u a scalar, one row y."""
+
+    def __init__(self, K: Sequence[Sequence[float]] = ((1.0,),), unit: str = "") -> None:
+        rows = matrix(K, None, None, "MatrixGain", "K")
+        self.rows, self.columns = len(rows), len(rows[0])
+        self.inputs = [Port("u", width=None if self.columns == 1 else self.columns)]
+        self.outputs = [Port("y", width=None if self.rows == 1 else self.rows, unit=unit)]
+        self.params = [Param("K", [v for row in rows for v in row], width=self.rows * self.columns)]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        def row(i: Any) -> Any:
+            if self.columns == 1:
+                return p.K[i] * u.u
+            return dot(self.columns, lambda j: p.K[i * self.columns + j], lambda j: u.u[j])
+
+        return row(0) if self.rows == 1 else build(self.rows, row)
+
+
+@library_block("bias")
+class Bias(Block):
+    """y = u + bias."""
+
+    def __init__(self, bias: float = 0.0, width: int | None = None, unit: str = "") -> None:
+        self.width = width
+        self.inputs = [Port("u", width=width, unit=unit)]
+        self.outputs = [Port("y", width=width, unit=unit)]
+        self.params = [Param("bias", bias, unit=unit)]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return elementwise(self.width, lambda v: v + p.bias, u.u)
+
+
+@library_block("product")
+class Product(Block):
+    """y = a b c ..., from left to right; `operations` has a * (multiply) or / (divide) for each of the inputs.
+
+    A first / starts from 1 / a.
+    """
+
+    def __init__(self, operations: str = "**", width: int | None = None, unit: str = "") -> None:
+        if not isinstance(operations, str) or not operations or set(operations) - set("*/"):
+            raise DiagramError(f"operations={operations!r:.80}", "Product", 'give a * or / for each input, like "*/"')
+        self.operations, self.width = operations, width
+        self.names = letters(len(operations), "Product")
+        self.inputs = [Port(name, width=width) for name in self.names]
+        self.outputs = [Port("y", width=width, unit=unit)]
+
+    def _total(self, *terms: Any) -> Any:
+        total = terms[0] if self.operations[0] == "*" else 1.0 / terms[0]
+        for operation, term in zip(self.operations[1:], terms[1:], strict=True):
+            total = total * term if operation == "*" else total / term
+        return total
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return elementwise(self.width, self._total, *(u[name] for name in self.names))
+
+
+@library_block("divide")
+class Divide(Block):
+    """y = a / b; for the integer kinds it truncates and a / 0 = 0."""
+
+    def __init__(self, kind: str = "real", width: int | None = None, unit: str = "") -> None:
+        one_of(kind, NUMERIC, "Divide", "kind")
+        self.kind, self.width = kind, width
+        self.inputs = [Port("a", kind, width), Port("b", kind, width)]
+        self.outputs = [Port("y", kind, width, unit)]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return elementwise(self.width, lambda a, b: a / b if self.kind == "real" else a // b, u.a, u.b)
+
+
+@library_block("dot_product")
+class DotProduct(Block):
+    """y = a[0] b[0] + a[1] b[1] + ..., from left to right."""
+
+    def __init__(self, width: int = 2, unit: str = "") -> None:
+        self.width = width
+        self.inputs = [Port("a", width=width), Port("b", width=width)]
+        self.outputs = [Port("y", unit=unit)]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return dot(self.width, lambda j: u.a[j], lambda j: u.b[j])
+
+
+@library_block("polynomial")
+class Polynomial(Block):
+    """y = c[0] u^n + c[1] u^(n-1) + ... + c[n] by Horner's rule, `coefficients` c."""
+
+    def __init__(self, coefficients: Sequence[float] = (1.0, 0.0), unit: str = "") -> None:
+        c = reals(coefficients, "Polynomial", "coefficients")
+        self.length = len(c)
+        self.inputs = [Port("u")]
+        self.outputs = [Port("y", unit=unit)]
+        self.params = [Param("coefficients", c, width=self.length)]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        y = p.coefficients[0]
+        for i in range(1, self.length):
+            y = y * u.u + p.coefficients[i]
+        return y
+
+
+@library_block("abs")
+class Abs(Block):
+    """y = |u|; for int32 the smallest number stays itself."""
+
+    def __init__(self, kind: str = "real", width: int | None = None, unit: str = "") -> None:
+        one_of(kind, NUMERIC, "Abs", "kind")
+        self.width = width
+        self.inputs = [Port("u", kind, width, unit)]
+        self.outputs = [Port("y", kind, width, unit)]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return elementwise(self.width, abs, u.u)
+
+
+@library_block("sign")
+class Sign(Block):
+    """y = 1 for u > 0, -1 for u < 0, else u itself (0, or NaN)."""
+
+    def __init__(self, kind: str = "real", width: int | None = None) -> None:
+        one_of(kind, ("real", "int32"), "Sign", "kind")
+        self.width = width
+        self.inputs = [Port("u", kind, width)]
+        self.outputs = [Port("y", kind, width)]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return elementwise(self.width, lambda v: where(v > 0, 1, where(v < 0, -1, v)), u.u)
+
+
+class _Extreme(Block):
+    """The smallest or largest of several inputs."""
+
+    def _declare(self, inputs: int, kind: str, width: int | None, unit: str) -> None:
+        name = type(self).__name__
+        one_of(kind, NUMERIC, name, "kind")
+        self.width = width
+        self.names = letters(inputs, name)
+        self.inputs = [Port(n, kind, width, unit) for n in self.names]
+        self.outputs = [Port("y", kind, width, unit)]
+
+
+@library_block("minimum")
+class Minimum(_Extreme):
+    """y = the smallest of a, b, ...: minimum(minimum(a, b), c) with minimum(a, b) = a if a < b else b."""
+
+    def __init__(self, inputs: int = 2, kind: str = "real", width: int | None = None, unit: str = "") -> None:
+        self._declare(inputs, kind, width, unit)
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return elementwise(self.width, lambda *v: reduce(minimum, v), *(u[name] for name in self.names))
+
+
+@library_block("maximum")
+class Maximum(_Extreme):
+    """y = the largest of a, b, ...: maximum(maximum(a, b), c) with maximum(a, b) = a if b < a else b."""
+
+    def __init__(self, inputs: int = 2, kind: str = "real", width: int | None = None, unit: str = "") -> None:
+        self._declare(inputs, kind, width, unit)
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return elementwise(self.width, lambda *v: reduce(maximum, v), *(u[name] for name in self.names))

@@ -1,0 +1,169 @@
+"""Nonlinear blocks: saturation, dead zone, quantiser, rate limit, relay with hysteresis, backlash."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from twodof.blocks.block import Block, Clock, Param, Port, State, library_block
+from twodof.blocks.elementary import floor
+from twodof.blocks.expr import maximum, minimum, where
+from twodof.blocks.library.shape import NUMERIC, clamp, elementwise, one_of
+
+
+@library_block("saturation")
+class Saturation(Block):
+    """y = u within [low, high]; NaN stays NaN."""
+
+    def __init__(
+        self,
+        low: float = -1.0,
+        high: float = 1.0,
+        kind: str = "real",
+        width: int | None = None,
+        unit: str = "",
+    ) -> None:
+        one_of(kind, NUMERIC, "Saturation", "kind")
+        self.width = width
+        self.inputs = [Port("u", kind, width, unit)]
+        self.outputs = [Port("y", kind, width, unit)]
+        self.params = [Param("low", low, kind, unit=unit), Param("high", high, kind, unit=unit)]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return elementwise(self.width, lambda v: clamp(p.low, p.high, v), u.u)
+
+
+@library_block("dynamic_saturation")
+class DynamicSaturation(Block):
+    """y = u within [low, high], which are inputs; NaN stays NaN."""
+
+    def __init__(self, width: int | None = None, unit: str = "") -> None:
+        self.width = width
+        self.inputs = [Port("u", width=width, unit=unit), Port("low", unit=unit), Port("high", unit=unit)]
+        self.outputs = [Port("y", width=width, unit=unit)]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return elementwise(self.width, lambda v: clamp(u.low, u.high, v), u.u)
+
+
+@library_block("dead_zone")
+class DeadZone(Block):
+    """y = 0 for low <= u <= high, u - high above, u - low below."""
+
+    def __init__(self, low: float = -0.5, high: float = 0.5, width: int | None = None, unit: str = "") -> None:
+        self.width = width
+        self.inputs = [Port("u", width=width, unit=unit)]
+        self.outputs = [Port("y", width=width, unit=unit)]
+        self.params = [Param("low", low, unit=unit), Param("high", high, unit=unit)]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        def of(v: Any) -> Any:
+            return where(p.high < v, v - p.high, where(v < p.low, v - p.low, where(v == v, 0.0, v)))
+
+        return elementwise(self.width, of, u.u)
+
+
+@library_block("quantiser")
+class Quantiser(Block):
+    """y = step floor(u / step + 1/2): the nearest multiple of step, halves upwards; y = u for step 0."""
+
+    def __init__(self, step: float = 0.1, width: int | None = None, unit: str = "") -> None:
+        self.width = width
+        self.inputs = [Port("u", width=width, unit=unit)]
+        self.outputs = [Port("y", width=width, unit=unit)]
+        self.params = [Param("step", step, unit=unit, low=0.0)]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return elementwise(self.width, lambda v: where(p.step == 0.0, v, p.step * floor(v / p.step + 0.5)), u.u)
+
+
+@library_block("rate_limit")
+class RateLimit(Block):
+    """y[k] = u[k], put within y[k-1] - falling T .. y[k-1] + rising T; y[-1] = initial.
+
+    `rising` and `falling` are per second and >= 0, T is the block's period.
+    """
+
+    def __init__(
+        self,
+        rising: float = 1.0,
+        falling: float = 1.0,
+        initial: Any = 0.0,
+        width: int | None = None,
+        unit: str = "",
+    ) -> None:
+        self.width = width
+        self.inputs = [Port("u", width=width, unit=unit)]
+        self.outputs = [Port("y", width=width, unit=unit)]
+        self.params = [
+            Param("rising", rising, low=0.0),
+            Param("falling", falling, low=0.0),
+            Param("initial", initial, width=width, unit=unit),
+        ]
+        self.derived = [Port("up"), Port("down")]
+        self.states = [State("x", "initial", width=width, unit=unit)]
+
+    def prepare(self, p: Any, t: Clock) -> Any:
+        return {"up": p.rising * t.dt, "down": p.falling * t.dt}
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return elementwise(self.width, lambda v, before: clamp(before - p.down, before + p.up, v), u.u, x.x)
+
+    def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return self.output(u, x, p, t)
+
+
+@library_block("relay")
+class Relay(Block):
+    """Switch with hysteresis: on at u >= on_at, off at u <= off_at, else as before; y = on_value or off_value.
+
+    `initial` is whether it was on before the start.
+    """
+
+    def __init__(
+        self,
+        on_at: float = 0.5,
+        off_at: float = -0.5,
+        on_value: float = 1.0,
+        off_value: float = 0.0,
+        initial: bool = False,
+        input_unit: str = "",
+        unit: str = "",
+    ) -> None:
+        self.inputs = [Port("u", unit=input_unit)]
+        self.outputs = [Port("y", unit=unit), Port("on", "bool")]
+        self.params = [
+            Param("on_at", on_at, unit=input_unit),
+            Param("off_at", off_at, unit=input_unit),
+            Param("on_value", on_value, unit=unit),
+            Param("off_value", off_value, unit=unit),
+            Param("initial", initial, "bool"),
+        ]
+        self.states = [State("x", "initial", "bool")]
+
+    def _on(self, u: Any, x: Any, p: Any) -> Any:
+        return (p.on_at <= u.u) | (x.x & ~(u.u <= p.off_at))
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        on = self._on(u, x, p)
+        return {"y": where(on, p.on_value, p.off_value), "on": on}
+
+    def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return self._on(u, x, p)
+
+
+@library_block("backlash")
+class Backlash(Block):
+    """Play of `width`: y moves only when pushed; y[k] is y[k-1], put within u - width/2 .. u + width/2."""
+
+    def __init__(self, width: float = 1.0, initial: float = 0.0, unit: str = "") -> None:
+        self.inputs = [Port("u", unit=unit)]
+        self.outputs = [Port("y", unit=unit)]
+        self.params = [Param("width", width, unit=unit, low=0.0), Param("initial", initial, unit=unit)]
+        self.states = [State("x", "initial", unit=unit)]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        half = 0.5 * p.width
+        return minimum(maximum(x.x, u.u - half), u.u + half)
+
+    def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return self.output(u, x, p, t)

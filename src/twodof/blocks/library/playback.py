@@ -1,0 +1,140 @@
+"""Sources that play recorded values, and the one-dimensional look-up."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from twodof.blocks.block import Block, Clock, Param, Port, library_block
+from twodof.blocks.expr import build, to_real, uint32, where
+from twodof.blocks.library.shape import clamp, one_of, reals, search
+from twodof.blocks.library.sources import start_param, ticks
+from twodof.errors import DiagramError
+
+MAX_POINTS = 1_000_000
+METHODS = ("hold", "linear")
+OUTSIDE = ("clip", "extrapolate")
+
+
+def _points(block: str, first: str, xs: Any, second: str, ys: Any) -> tuple[list[float], list[float]]:
+    """Two lists of equal length, at least two points, the first increasing; else DiagramError."""
+    x, y = reals(xs, block, first, 2), reals(ys, block, second, 2)
+    if len(x) != len(y) or len(x) > MAX_POINTS:
+        raise DiagramError(
+            f"{len(x)} {first} and {len(y)} {second}", block, f"give as many of each, {MAX_POINTS} at most"
+        )
+    for i in range(1, len(x)):
+        if not x[i - 1] < x[i]:
+            raise DiagramError(
+                f"{first}[{i}] = {x[i]:g} is not above the one before it", block, f"let {first} increase"
+            )
+    return x, y
+
+
+@library_block("playback")
+class Playback(Block):
+    """Plays `values`, one every `period` [s] from `start` on; before it the first one, after the last the last one.
+
+    With `repeat` the first follows the last without end. `period` is the nearest number, at least one, of ticks.
+    """
+
+    def __init__(
+        self,
+        values: Sequence[float] = (0.0, 1.0),
+        period: float = 0.1,
+        start: float = 0.0,
+        repeat: bool = False,
+        unit: str = "",
+    ) -> None:
+        column = reals(values, "Playback", "values")
+        if len(column) > MAX_POINTS:
+            raise DiagramError(f"{len(column)} values", "Playback", f"at most {MAX_POINTS} are played")
+        self.length, self.repeat = len(column), repeat
+        self.outputs = [Port("y", unit=unit)]
+        self.params = [
+            Param("values", column, width=self.length, unit=unit),
+            Param("period", period, unit="s", low=0.0),
+            start_param(start),
+        ]
+        self.derived = [Port("first", "uint32"), Port("hold", "uint32")]
+
+    def prepare(self, p: Any, t: Clock) -> Any:
+        hold = ticks(p.period, t)
+        return {"first": ticks(p.start, t), "hold": where(hold == 0, 1, hold)}
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        place = where(p.first <= t.tick, t.tick - p.first, 0) // p.hold
+        return p.values[place % uint32(self.length) if self.repeat else place]
+
+
+@library_block("table")
+class Table(Block):
+    """Plays `values` at `times` [s], which increase: "hold" (each value from its time on) or "linear" in between.
+
+    Before the first time the first value, after the last time the last one. Times are taken as the nearest ticks.
+    """
+
+    def __init__(
+        self,
+        times: Sequence[float] = (0.0, 1.0),
+        values: Sequence[float] = (0.0, 1.0),
+        method: str = "hold",
+        unit: str = "",
+    ) -> None:
+        self.method = one_of(method, METHODS, "Table", "method")
+        x, y = _points("Table", "times", times, "values", values)
+        self.length = len(x)
+        self.outputs = [Port("y", unit=unit)]
+        self.params = [
+            Param("times", x, width=self.length, unit="s", low=0.0),
+            Param("values", y, width=self.length, unit=unit),
+        ]
+        self.derived = [Port("at", "uint32", self.length)]
+
+    def prepare(self, p: Any, t: Clock) -> Any:
+        return build(self.length, lambda i: ticks(p.times[i], t))
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        i = search(p.at, self.length, t.tick)
+        left, right = p.values[i], p.values[i + 1]
+        if self.method == "hold":
+            return where(p.at[i + 1] <= t.tick, right, left)
+        since = where(p.at[i] <= t.tick, t.tick - p.at[i], 0)
+        share = where(since == 0, 0.0, to_real(since) / to_real(p.at[i + 1] - p.at[i]))
+        return where(p.at[i + 1] <= t.tick, right, left + (right - left) * share)
+
+
+@library_block("lookup")
+class Lookup(Block):
+    """Look-up with linear interpolation: y = v_i + (u - b_i) (v_(i+1) - v_i) / (b_(i+1) - b_i).
+
+    b are the `breakpoints`, which increase, v the `values`; b_i <= u < b_(i+1), found by bisection in a loop with a
+    constant bound. Beyond the ends `outside` "clip" gives the end's value, "extrapolate" goes on along the segment.
+    """
+
+    def __init__(
+        self,
+        breakpoints: Sequence[float] = (0.0, 1.0),
+        values: Sequence[float] = (0.0, 1.0),
+        outside: str = "clip",
+        input_unit: str = "",
+        unit: str = "",
+    ) -> None:
+        self.outside = one_of(outside, OUTSIDE, "Lookup", "outside")
+        b, v = _points("Lookup", "breakpoints", breakpoints, "values", values)
+        self.length = len(b)
+        self.inputs = [Port("u", unit=input_unit)]
+        self.outputs = [Port("y", unit=unit)]
+        self.params = [
+            Param("breakpoints", b, width=self.length, unit=input_unit),
+            Param("values", v, width=self.length, unit=unit),
+        ]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        b, v, last = p.breakpoints, p.values, self.length - 1
+        at = clamp(b[0], b[last], u.u) if self.outside == "clip" else u.u
+        i = search(b, self.length, at)
+        y = v[i] + (at - b[i]) * ((v[i + 1] - v[i]) / (b[i + 1] - b[i]))
+        if self.outside == "clip":
+            return where(b[last] <= at, v[last], y)
+        return y

@@ -1,0 +1,111 @@
+"""Signal routing: switches, mux, demux, selector."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from twodof.blocks.block import MAX_WIDTH, Block, Clock, Port, library_block
+from twodof.blocks.expr import vector, where
+from twodof.blocks.library.shape import count, elementwise, letters
+
+
+@library_block("switch")
+class Switch(Block):
+    """y = a where the bool `condition` is true, else b."""
+
+    def __init__(self, kind: str = "real", width: int | None = None, unit: str = "") -> None:
+        self.width = width
+        self.inputs = [Port("condition", "bool"), Port("a", kind, width, unit), Port("b", kind, width, unit)]
+        self.outputs = [Port("y", kind, width, unit)]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return elementwise(self.width, lambda a, b: where(u.condition, a, b), u.a, u.b)
+
+
+@library_block("multiport_switch")
+class MultiportSwitch(Block):
+    """y = a, b, c, ... for the int32 `index` 0, 1, 2, ...; an index beyond the ends takes the first or last."""
+
+    def __init__(self, inputs: int = 2, kind: str = "real", width: int | None = None, unit: str = "") -> None:
+        self.width = width
+        self.names = letters(inputs, "MultiportSwitch")
+        self.inputs = [Port("index", "int32"), *(Port(name, kind, width, unit) for name in self.names)]
+        self.outputs = [Port("y", kind, width, unit)]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        def of(*values: Any) -> Any:
+            y = values[-1]
+            for i in range(len(values) - 2, -1, -1):
+                y = where(u.index <= i, values[i], y)
+            return y
+
+        return elementwise(self.width, of, *(u[name] for name in self.names))
+
+
+@library_block("mux")
+class Mux(Block):
+    """y = [a, b, c, ...]: an array of the scalar inputs."""
+
+    def __init__(self, inputs: int = 2, kind: str = "real", unit: str = "") -> None:
+        self.names = letters(inputs, "Mux")
+        self.inputs = [Port(name, kind, unit=unit) for name in self.names]
+        self.outputs = [Port("y", kind, len(self.names), unit)]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return vector([u[name] for name in self.names])
+
+
+@library_block("demux")
+class Demux(Block):
+    """a = u[0], b = u[1], ...: the elements of an array as scalar outputs."""
+
+    def __init__(self, outputs: int = 2, kind: str = "real", unit: str = "") -> None:
+        self.names = letters(outputs, "Demux")
+        self.inputs = [Port("u", kind, len(self.names), unit)]
+        self.outputs = [Port(name, kind, unit=unit) for name in self.names]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return {name: u.u[i] for i, name in enumerate(self.names)}
+
+
+@library_block("selector")
+class Selector(Block):
+    """y[i] = u[indices[i]], u of `width` elements, indices from 0; one index gives a scalar."""
+
+    def __init__(self, width: int = 2, indices: Sequence[int] = (0,), kind: str = "real", unit: str = "") -> None:
+        self.indices = [count(i, 0, width - 1, "Selector", "index") for i in indices]
+        count(len(self.indices), 1, MAX_WIDTH, "Selector", "number of indices")
+        self.inputs = [Port("u", kind, width, unit)]
+        self.outputs = [Port("y", kind, None if len(self.indices) == 1 else len(self.indices), unit)]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        if len(self.indices) == 1:
+            return u.u[self.indices[0]]
+        return vector([u.u[i] for i in self.indices])
+
+
+@library_block("index")
+class Index(Block):
+    """y = u[index], `index` an int32 input counted from 0 and clamped to the array."""
+
+    def __init__(self, width: int = 2, kind: str = "real", unit: str = "") -> None:
+        self.inputs = [Port("u", kind, width, unit), Port("index", "int32")]
+        self.outputs = [Port("y", kind, unit=unit)]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return u.u[u.index]
+
+
+@library_block("concatenate")
+class Concatenate(Block):
+    """y = the elements of a, then those of b, c, ...; `widths` are those of the inputs."""
+
+    def __init__(self, widths: Sequence[int] = (2, 2), kind: str = "real", unit: str = "") -> None:
+        self.names = letters(len(widths), "Concatenate")
+        self.widths = [count(w, 1, MAX_WIDTH, "Concatenate", "width") for w in widths]
+        self.inputs = [Port(n, kind, w, unit) for n, w in zip(self.names, self.widths, strict=True)]
+        self.outputs = [Port("y", kind, sum(self.widths), unit)]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return vector([u[n][i] for n, w in zip(self.names, self.widths, strict=True) for i in range(w)])

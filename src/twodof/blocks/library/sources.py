@@ -1,0 +1,177 @@
+"""Sources: constant, time, step, ramp, pulses, doublet, 3-2-1-1, noise.
+
+Times are parameters in seconds; `prepare` turns them into whole base ticks (the nearest), so that edges fall on ticks
+and equal times give equal numbers of ticks. An edge acts in its own tick: the new value is there at tick start / dt.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from twodof.blocks.block import Block, Clock, Param, Port, library_block
+from twodof.blocks.expr import to_real, to_uint32, where
+
+
+def ticks(seconds: Any, t: Clock) -> Any:
+    """The nearest whole number of base ticks, as uint32 (0 for a negative time)."""
+    return to_uint32(seconds / t.base_dt + 0.5)
+
+
+def start_param(start: float) -> Param:
+    """The parameter `start`."""
+    return Param("start", start, unit="s", low=0.0, text="when it begins")
+
+
+@library_block("constant")
+class Constant(Block):
+    """y = value; has no rate."""
+
+    def __init__(self, value: Any = 0.0, kind: str = "real", width: int | None = None, unit: str = "") -> None:
+        self.outputs = [Port("y", kind, width, unit)]
+        self.params = [Param("value", value, kind, width, unit)]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return p.value
+
+
+@library_block("clock")
+class Time(Block):
+    """y = time since the start, tick * dt, and `tick`, the uint32 base tick itself."""
+
+    outputs = (Port("y", unit="s"), Port("tick", "uint32"))
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return {"y": t.time, "tick": t.tick}
+
+
+@library_block("step")
+class Step(Block):
+    """y = before until `start`, after from then on."""
+
+    def __init__(self, start: float = 1.0, before: float = 0.0, after: float = 1.0, unit: str = "") -> None:
+        self.outputs = [Port("y", unit=unit)]
+        self.params = [start_param(start), Param("before", before, unit=unit), Param("after", after, unit=unit)]
+        self.derived = [Port("first", "uint32")]
+
+    def prepare(self, p: Any, t: Clock) -> Any:
+        return ticks(p.start, t)
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return where(p.first <= t.tick, p.after, p.before)
+
+
+@library_block("ramp")
+class Ramp(Block):
+    """y = bias until `start`, then bias + slope (t - start)."""
+
+    def __init__(self, start: float = 0.0, slope: float = 1.0, bias: float = 0.0, unit: str = "") -> None:
+        self.outputs = [Port("y", unit=unit)]
+        self.params = [start_param(start), Param("slope", slope), Param("bias", bias, unit=unit)]
+        self.derived = [Port("first", "uint32")]
+
+    def prepare(self, p: Any, t: Clock) -> Any:
+        return ticks(p.start, t)
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        run = where(p.first <= t.tick, t.tick - p.first, 0)
+        return p.bias + p.slope * (to_real(run) * t.base_dt)
+
+
+@library_block("pulse")
+class Pulse(Block):
+    """y = bias + amplitude for `duration` from `start` on, else bias; again every `period` unless that is 0."""
+
+    def __init__(
+        self,
+        start: float = 0.0,
+        duration: float = 0.2,
+        amplitude: float = 1.0,
+        bias: float = 0.0,
+        period: float = 0.0,
+        unit: str = "",
+    ) -> None:
+        self.outputs = [Port("y", unit=unit)]
+        self.params = [
+            start_param(start),
+            Param("duration", duration, unit="s", low=0.0),
+            Param("amplitude", amplitude, unit=unit),
+            Param("bias", bias, unit=unit),
+            Param("period", period, unit="s", low=0.0, text="0: one pulse"),
+        ]
+        self.derived = [Port("first", "uint32"), Port("length", "uint32"), Port("every", "uint32")]
+
+    def prepare(self, p: Any, t: Clock) -> Any:
+        return {"first": ticks(p.start, t), "length": ticks(p.duration, t), "every": ticks(p.period, t)}
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        since = t.tick - p.first
+        since = where(p.every == 0, since, since % p.every)
+        return where((p.first <= t.tick) & (since < p.length), p.bias + p.amplitude, p.bias)
+
+
+@library_block("doublet")
+class Doublet(Block):
+    """y = bias + amplitude for half a `period` from `start` on, bias - amplitude for the other half, then bias.
+
+    Both halves are the whole number of ticks nearest to period / 2.
+    """
+
+    def __init__(
+        self,
+        start: float = 0.0,
+        period: float = 0.6,
+        amplitude: float = 1.0,
+        bias: float = 0.0,
+        unit: str = "",
+    ) -> None:
+        self.outputs = [Port("y", unit=unit)]
+        self.params = [
+            start_param(start),
+            Param("period", period, unit="s", low=0.0),
+            Param("amplitude", amplitude, unit=unit),
+            Param("bias", bias, unit=unit),
+        ]
+        self.derived = [Port("first", "uint32"), Port("half", "uint32")]
+
+    def prepare(self, p: Any, t: Clock) -> Any:
+        return {"first": ticks(p.start, t), "half": ticks(0.5 * p.period, t)}
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        since = t.tick - p.first
+        level = where(since < p.half, p.bias + p.amplitude, p.bias - p.amplitude)
+        return where((p.first <= t.tick) & (since < p.half + p.half), level, p.bias)
+
+
+@library_block("three_two_one_one")
+class ThreeTwoOneOne(Block):
+    """y - bias = +, -, +, - amplitude for 3, 2, 1 and 1 times `step` [s] from `start` on, then 0.
+
+    Source: Jategaonkar, Flight Vehicle System Identification, chapter 2.
+    """
+
+    def __init__(
+        self,
+        start: float = 0.0,
+        step: float = 0.3,
+        amplitude: float = 1.0,
+        bias: float = 0.0,
+        unit: str = "",
+    ) -> None:
+        self.outputs = [Port("y", unit=unit)]
+        self.params = [
+            start_param(start),
+            Param("step", step, unit="s", low=0.0),
+            Param("amplitude", amplitude, unit=unit),
+            Param("bias", bias, unit=unit),
+        ]
+        self.derived = [Port("first", "uint32"), Port("unit_ticks", "uint32")]
+
+    def prepare(self, p: Any, t: Clock) -> Any:
+        return {"first": ticks(p.start, t), "unit_ticks": ticks(p.step, t)}
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        since = t.tick - p.first
+        one = p.unit_ticks
+        up = (since < one * 3) | ((one * 5 <= since) & (since < one * 6))
+        level = where(up, p.bias + p.amplitude, p.bias - p.amplitude)
+        return where((p.first <= t.tick) & (since < one * 7), level, p.bias)
