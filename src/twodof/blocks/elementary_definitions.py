@@ -108,18 +108,19 @@ def _product(f: Format, a: Any, b: Any) -> tuple[Any, Any]:
 
 
 def _quarter_turns(f: Format, x: Any) -> tuple[Any, Any, Any]:
-    """The integer n nearest to x / (pi/2), modulo 2^22, and x - n pi/2 as a sum of two reals.
+    """The integer n nearest to x / (pi/2), modulo 2^22, and r = x - n pi/2 with what rounding took from it.
 
-    All steps but the last are exact while n is short enough (`Coefficients.pi_half`).
+    The products, and the first difference, are exact while n is short enough (`Coefficients.pi_half`).
     """
     shifted = x * f.coefficients.inverse[0] + f.shifter
     n = shifted - f.shifter
-    rest = x
-    for part in f.coefficients.pi_half[:-1]:
-        rest = rest - n * part
-    last = n * f.coefficients.pi_half[-1]
-    r = rest - last
-    return bits_of(shifted), r, (rest - r) - last
+    r, tail = x - n * f.coefficients.pi_half[0], None
+    for part in f.coefficients.pi_half[1:]:
+        before, product = r, n * part
+        r = before - product
+        lost = (before - r) - product
+        tail = lost if tail is None else tail + lost
+    return bits_of(shifted), r, tail
 
 
 def sin_octant(f: Format, r: Any) -> Any:
@@ -196,30 +197,34 @@ def atan2(f: Format, y: Any, x: Any) -> Any:
     endless = long == INFINITY
     n = where(endless, where(short == INFINITY, 1.0, 0.0), n)
     d = where(endless | (long == 0.0), 1.0, d)
+    # Up to 1:1 the angle is counted from the x axis, forward or backward; from there on from the y axis.
+    backward = f.negative(x)
+    high, low = (where(steep, part / 2, where(backward, part, 0.0)) for part in f.coefficients.pi)
     angle = _angle(f, n, d)
-    angle = where(steep, _from(f, 1, angle), angle)
-    angle = where(f.negative(x), _from(f, 2, angle), angle)
+    angle = high + (where(steep == backward, angle, -angle) + low)
     angle = where(f.negative(y), -angle, angle)
     return where((x == x) & (y == y), angle, x + y)
 
 
-def _arc(f: Format, x: Any) -> tuple[Any, Any]:
-    """Whether |x| <= 1/2, and asin(x) if so, else acos(|x|) / 2, which is the asin of sqrt((1 - |x|) / 2)."""
+def _arc(f: Format, x: Any) -> tuple[Any, Any, Any]:
+    """Whether |x| <= 1/2, and asin(x) as a sum if so, else acos(|x|) / 2, which is the asin of sqrt((1 - |x|) / 2)."""
     a = abs(x)
     small = a <= 0.5
     z = where(small, x * x, 0.5 - 0.5 * a)
     t = where(small, x, sqrt(z))
-    return small, t + t * z * polynomial(z, f.coefficients.asin)
+    return small, t, t * z * polynomial(z, f.coefficients.asin)
 
 
 def asin(f: Format, x: Any) -> Any:
-    small, arc = _arc(f, x)
-    large = _from(f, 1, arc + arc)
-    return where(small, arc, where(x < 0.0, -large, large))
+    small, t, rest = _arc(f, x)
+    high, low = f.coefficients.pi
+    large = (high / 2 - (t + t)) - ((rest + rest) - low / 2)
+    return where(small, t + rest, where(x < 0.0, -large, large))
 
 
 def acos(f: Format, x: Any) -> Any:
-    small, arc = _arc(f, x)
+    small, t, rest = _arc(f, x)
+    arc = t + rest
     large = where(x < 0.0, _from(f, 2, arc + arc), arc + arc)
     return where(small, _from(f, 1, arc), large)
 
