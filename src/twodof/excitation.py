@@ -46,10 +46,6 @@ _TAPS: Mapping[int, tuple[int, ...]] = MappingProxyType(
         10: (10, 7),
         11: (11, 9),
         12: (12, 6, 4, 1),
-        13: (13, 4, 3, 1),
-        14: (14, 5, 3, 1),
-        15: (15, 14),
-        16: (16, 15, 13, 4),
     }
 )
 
@@ -71,7 +67,7 @@ class Excitation(ABC):
     repeat: int = field(default=1, kw_only=True)
 
     def __post_init__(self) -> None:
-        if self.unit not in LIMITS:
+        if not isinstance(self.unit, str) or self.unit not in LIMITS:
             raise self._mistake("unit", f"unknown unit {self.unit!r}", f"use one of {', '.join(LIMITS)}")
         for name in ("lead", "settle", "pause"):
             self._number(name, 0.0, MAX_DURATION_S)
@@ -289,7 +285,7 @@ class Prbs(_Held):
         self._number("amplitude", -np.inf, np.inf)
         self._number("clock", SHORTEST_HOLD_S, MAX_DURATION_S)
         self._whole("order", min(_TAPS), max(_TAPS))
-        self._whole("seed", 1, 2**self.order - 1)
+        self._whole("seed", 1, (1 << self.order) - 1)
 
     def _levels(self) -> tuple[list[int], list[float]]:
         bits = _maximal_length(self.order, self.seed)
@@ -297,7 +293,7 @@ class Prbs(_Held):
 
     @property
     def pattern(self) -> float:
-        return (2**self.order - 1) * _us(self.clock) / 1e6
+        return ((1 << self.order) - 1) * _us(self.clock) / 1e6
 
     @property
     def peak(self) -> float:
@@ -493,7 +489,7 @@ def _sum_of_cosines(
 def _maximal_length(order: int, seed: int) -> tuple[bool, ...]:
     """One period of a linear feedback shift register's output."""
     register, bits = seed, []
-    for _ in range(2**order - 1):
+    for _ in range((1 << order) - 1):
         bits.append(bool(register & 1))
         feedback = 0
         for tap in _TAPS[order]:

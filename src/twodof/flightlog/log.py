@@ -226,7 +226,9 @@ class FlightLog:
         share = np.where(reach > 0.0, (at - channel.time[low]) / np.where(reach > 0.0, reach, 1.0), 0.0)
         if channel.value.ndim == 2:
             share = share[:, None]
-        return channel.value[low] + share * (channel.value[high] - channel.value[low])
+        between = channel.value[low] + share * (channel.value[high] - channel.value[low])
+        # A sample stays what it is, to the sign of its zero.
+        return np.where(share == 0.0, channel.value[low], between)
 
     def gaps(self, name: str) -> list[Gap]:
         """Where samples of a channel are missing: intervals over 1.5 periods. Raises LogError.

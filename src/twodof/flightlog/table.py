@@ -10,7 +10,7 @@ brackets (`theta [rad]`) if the name alone does not say it. An empty cell is no 
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -40,15 +40,12 @@ def write_parquet(log: FlightLog, path: str | Path) -> None:
     """Writes a log as Parquet, atomically. Raises LogError."""
     table = _tidy(log).replace_schema_metadata({_META: _meta(log)})
     with atomic_write(path) as file:
-        pq.write_table(table, file)
+        pq.write_table(table, file, write_page_checksum=True)
 
 
 def write_csv(log: FlightLog, path: str | Path) -> None:
     """Writes a log as CSV, atomically. Raises LogError for a channel name with a quote or a line break."""
     table = _tidy(log)
-    for column in ("channel", "field"):
-        plain = table.column(column).combine_chunks().cast(pa.string())
-        table = table.set_column(_TIDY.index(column), column, plain)
     with atomic_write(path) as file:
         file.write(f"# {_META} {_meta(log)}\n".encode("ascii"))
         try:
@@ -62,10 +59,11 @@ def read_parquet(path: str | Path) -> FlightLog:
     data = provenance.read_bytes(path)
     where = str(path)
     try:
-        file = pq.ParquetFile(BytesIO(data))
+        file = pq.ParquetFile(BytesIO(data), page_checksum_verification=True)
         _check_size(file.metadata.num_rows, file.metadata.num_columns, where)
         table = file.read()
-    except (pa.ArrowException, OSError) as reason:
+        _check_names(table.column_names, where)
+    except (pa.ArrowException, OSError, UnicodeDecodeError) as reason:
         raise LogError(f"is no Parquet file or is damaged: {_line(reason)}", where, "write it again") from reason
     meta = (table.schema.metadata or {}).get(_META.encode())
     return _log(table, meta, provenance.of_file(path, data, "parquet"), where)
@@ -87,6 +85,7 @@ def read_csv(path: str | Path) -> FlightLog:
     heading = data[at:end].decode("utf-8-sig", "replace").strip()
     names = [cell.strip().strip('"') for cell in heading.split(",")]
     _check_size(data.count(b"\n", end), len(names), where)
+    _check_names(names, where)
     texts = {"channel": pa.string(), "field": pa.string()} if set(_TIDY) <= set(names) else {}
     try:
         table = pa_csv.read_csv(
@@ -120,15 +119,14 @@ def _tidy(log: FlightLog) -> pa.Table:
         columns = [channel.value] if channel.value.ndim == 1 else list(channel.value.T)
         labels = channel.fields or (("",) if len(columns) == 1 else tuple(map(str, range(len(columns)))))
         for label, column in zip(labels, columns, strict=True):
-            names.append(pa.array([name]).dictionary_encode().take(pa.array(np.zeros(len(column), np.int32))))
-            fields.append(pa.array([label]).dictionary_encode().take(pa.array(np.zeros(len(column), np.int32))))
+            names.append(pa.repeat(pa.scalar(name), len(column)))
+            fields.append(pa.repeat(pa.scalar(label), len(column)))
             times.append(channel.time)
             values.append(np.ascontiguousarray(column))
-    kind = pa.dictionary(pa.int32(), pa.string())
     return pa.table(
         {
-            "channel": pa.chunked_array(names, kind).unify_dictionaries(),
-            "field": pa.chunked_array(fields, kind).unify_dictionaries(),
+            "channel": pa.chunked_array(names, pa.string()),
+            "field": pa.chunked_array(fields, pa.string()),
             "time": np.concatenate(times),
             "value": np.concatenate(values),
         }
@@ -137,8 +135,6 @@ def _tidy(log: FlightLog) -> pa.Table:
 
 def _log(table: pa.Table, meta: bytes | None, file: dict[str, Any], where: str) -> FlightLog:
     names = table.column_names
-    if len(set(names)) != len(names):
-        raise LogError(f"two columns have one name: {', '.join(names)}", where, "rename one")
     described, kept = _described(meta, where)
     if set(_TIDY) <= set(names):
         channels = _from_tidy(table, described, where)
@@ -246,17 +242,23 @@ def _codes(table: pa.Table, column: str, where: str) -> tuple[NDArray[np.intp], 
         raise LogError(f"{cells.null_count} empty cells in column {column!r}", where, "write it again")
     try:
         coded = cells.cast(pa.string()).combine_chunks().dictionary_encode()
-    except pa.ArrowException as reason:
+        names = coded.dictionary[: MAX_COLUMNS + 1].to_pylist()
+    except (pa.ArrowException, UnicodeDecodeError) as reason:
         raise LogError(f"column {column!r} is not of names: {_line(reason)}", where) from reason
-    if len(coded.dictionary) > MAX_COLUMNS:
-        raise LogError(f"{len(coded.dictionary)} names in column {column!r}", where, f"at most {MAX_COLUMNS}")
-    return np.asarray(coded.indices, dtype=np.intp), coded.dictionary.to_pylist()
+    if len(names) > MAX_COLUMNS:
+        raise LogError(f"more than {MAX_COLUMNS} names in column {column!r}", where, "this is no flight log")
+    return np.asarray(coded.indices, dtype=np.intp), names
 
 
 def _split(heading: str) -> tuple[str, str]:
     """Name and unit of a column's heading, such as `theta [rad]`."""
     match = _HEADING.fullmatch(heading)
     return (match["name"], match["unit"] or "") if match else (heading, "")
+
+
+def _check_names(names: Sequence[str], where: str) -> None:
+    if len(set(names)) != len(names):
+        raise LogError(f"two columns have one name: {', '.join(names)[:200]}", where, "rename one")
 
 
 def _check_size(rows: int, columns: int, where: str) -> None:

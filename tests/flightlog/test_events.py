@@ -1,0 +1,162 @@
+"""What is found in a log is what was put into it, and what the real logs' own description says."""
+
+import json
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.flightlog.synthetic import attitude_steps, channel
+from twodof.errors import LogError
+from twodof.excitation import Doublet, Excitation, Impulse, Prbs, Steps, Sweep, ThreeTwoOneOne
+from twodof.flightlog.describe import describe, excitations
+from twodof.flightlog.events import modes, openloop_edges, setpoint_steps, thrust_edges, window
+from twodof.flightlog.files import read_log
+from twodof.flightlog.log import Channel, FlightLog
+from twodof.signals import MODES
+
+# One sample of 4 ms: where between two samples a change fell is not known.
+SAMPLE = 0.0041
+
+
+def test_synthetic_events() -> None:
+    log = attitude_steps()
+    assert [(event.kind, event.after) for event in thrust_edges(log)] == [("thrust on", 0.4), ("thrust off", 0.0)]
+    steps = setpoint_steps(log, "theta0")
+    assert [event.time - 100.0 for event in steps] == pytest.approx([2.0, 3.0], abs=SAMPLE)
+    assert [(event.before, event.after) for event in steps] == [(0.0, 0.1), (0.1, 0.0)]
+    assert setpoint_steps(log, "theta0", minimum=0.1) == []
+    assert setpoint_steps(log, "q0") == []
+    assert openloop_edges(log) == []
+    assert window(log, steps) == pytest.approx((101.7, log.armed()[0][1]), abs=SAMPLE)
+    with pytest.raises(LogError, match="no event"):
+        window(log, [])
+
+
+def test_synthetic_modes() -> None:
+    found = modes(attitude_steps())
+    assert [stretch.mode for stretch in found] == ["off", "attitude", "off"]
+    assert [stretch.t0 - 100.0 for stretch in found] == pytest.approx([0.0, 1.0, 5.0], abs=SAMPLE)
+    assert all(a.t1 == b.t0 for a, b in pairwise(found))
+
+
+def test_the_channel_mode_decides_where_there_is_one() -> None:
+    log = attitude_steps()
+    time = log["T"].time
+    code = np.where(time < 103.0, MODES.index("rate"), MODES.index("position"))
+    with_mode = FlightLog({**log.channels, "mode": channel("mode", time, code)})
+    assert [stretch.mode for stretch in modes(with_mode)] == ["rate", "position"]
+    with pytest.raises(LogError, match="modes from 9 to 9"):
+        modes(FlightLog({"mode": Channel([0.0], [9.0])}))
+
+
+@pytest.mark.parametrize(
+    ("signal", "name"),
+    [
+        (Doublet(0.1, 1.0, unit="rad"), "attitude-doublet"),
+        (Doublet(0.1, 1.0, unit="rad", repeat=2), "attitude-doublets"),
+        (ThreeTwoOneOne(0.1, 0.4, unit="rad"), "attitude-3-2-1-1"),
+        (Steps((0.1, 0.0, -0.1), 0.7, unit="rad"), "attitude-steps"),
+        (Impulse(0.1, 0.5, unit="rad"), "attitude-impulse"),
+        (Sweep(0.1, 0.2, 2.0, 3.0, unit="rad"), "attitude-sweep"),
+    ],
+)
+def test_an_excitation_that_was_flown_is_recognised(signal: Excitation, name: str) -> None:
+    log = attitude_steps()
+    time = log["theta0"].time
+    # Set-points reach the controller at 50 Hz.
+    flown = signal.at(np.floor((time - 101.5) / 0.02) * 0.02)
+    theta0 = channel("theta0", time, flown)
+    q0 = channel("q0", time, 11.0 * (flown - 0.01 * np.random.default_rng(3).standard_normal(len(time))))
+    found = excitations(FlightLog({**log.channels, "theta0": theta0, "q0": q0}))
+    assert [one.name for one in found] == [name]
+    assert found[0].amplitude == pytest.approx(0.1, rel=1e-3)
+    assert found[0].edges[0] == pytest.approx(101.5, abs=0.025)
+    assert found[0].edges[-1] == pytest.approx(101.5 + signal.duration, abs=0.025)
+
+
+def test_a_log_without_loops_is_described_all_the_same() -> None:
+    found = describe(FlightLog({"theta": Channel([0.0, 0.1], [1.0, 2.0], "rad")}))
+    assert found["channels"][0]["rate_hz"] == pytest.approx(10.0)
+    assert (found["modes"], found["excitations"], found["experiment"]) == ([], [], None)
+    assert describe(FlightLog({"q": Channel([0.0], [1.0])}))["channels"][0]["rate_hz"] is None
+    with pytest.raises(LogError, match="no channel 'q0'"):
+        excitations(FlightLog({"T": Channel([0.0], [1.0])}))
+
+
+def test_prbs_edges_are_the_openloop_message() -> None:
+    signal = Prbs(0.03, 0.1, order=4)
+    time, value = signal.samples(0.02)
+    message = np.zeros((len(time), 5))
+    message[:, 0] = value
+    message[:, 2] = 1.0
+    log = FlightLog({"lmnf": channel("lmnf", 10.0 + time, message)})
+    edges = [event for event in openloop_edges(log) if event.channel == "lmnf.M"]
+    assert [event.time - 10.0 for event in edges] == pytest.approx(signal.edges()[0][1:].tolist(), abs=1e-9)
+    assert openloop_edges(log)[0].kind == "loop opened"
+
+
+REAL = [
+    ("free-response-impulse", "open-loop-impulse", 0.1, [188.456, 188.648], 188.30),
+    ("doublet-0.03", "open-loop-doublet", 0.03, [244.808, 245.108, 245.405], 244.70),
+    ("attitude-steps-10deg-default", "attitude-steps", 0.17453, [127.83, 129.82, 131.83, 133.83], 127.50),
+    ("attitude-steps-10deg-student", "attitude-steps", 0.17453, [7.02, 9.00, 11.00, 13.02], 6.70),
+    (
+        "rate-doublets-30dps-student",
+        "rate-doublets",
+        0.5236,
+        [346.64, 348.12, 349.64, 351.14, 352.64, 354.12, 355.64],
+        346.34,
+    ),
+    ("velocity-doublets-0.25", "velocity-doublets", 0.25, [151.25, 153.22, 155.22, 157.22, 159.23], 150.95),
+    ("position-sweep-default", "position-sweep", 0.2, [133.1, 159.42], 132.8),
+]
+
+
+@pytest.mark.parametrize(("file", "name", "amplitude", "edges", "start"), REAL)
+def test_real_experiments_are_recognised(
+    flight_data: Path, file: str, name: str, amplitude: float, edges: list[float], start: float
+) -> None:
+    log = read_log(flight_data / f"{file}.mat")
+    found = describe(log)
+    json.dumps(found, allow_nan=False)
+    experiment = found["experiment"]
+    assert experiment["name"] == name
+    assert experiment["amplitude"] == pytest.approx(amplitude, rel=1e-4)
+    # The description rounds to 10 ms; a message is up to one sample older than what it makes of M.
+    assert list(experiment["edges"]) == pytest.approx(edges, abs=0.006)
+    # The description's windows are rounded by hand, to .2 s at most.
+    assert experiment["window"][0] == pytest.approx(start, abs=0.2)
+
+
+def test_real_modes_and_armed_stretches(flight_data: Path) -> None:
+    found = {
+        file: [(stretch.mode, round(stretch.t0, 2)) for stretch in modes(read_log(flight_data / f"{file}.mat"))]
+        for file in ("rate-doublets-30dps-student", "velocity-doublets-0.25", "doublet-0.03")
+    }
+    assert [mode for mode, _ in found["rate-doublets-30dps-student"]] == ["off", "attitude", "rate", "attitude"]
+    # The mode changed at 346.52, the description says.
+    assert found["rate-doublets-30dps-student"][2][1] == pytest.approx(346.52, abs=0.011)
+    assert [mode for mode, _ in found["velocity-doublets-0.25"]] == [
+        "off",
+        "position",
+        "velocity",
+        "position",
+        "off",
+    ]
+    assert found["doublet-0.03"][3] == ("open-loop", 244.67)
+    armed = read_log(flight_data / "velocity-doublets-0.25.mat").armed()
+    assert armed == [pytest.approx((125.65, 165.55), abs=0.005)]
+    sweep = read_log(flight_data / "position-sweep-default.mat").armed()
+    assert [sweep[0][1], sweep[1][0]] == pytest.approx([127.68, 131.98], abs=0.01)
+
+
+def test_real_armed_dropouts(flight_data: Path) -> None:
+    log = read_log(flight_data / "position-sweep-default.mat")
+    # 1-2 armed drop-outs in a long log, gaps of 8 to 68 ms, say the facts about the platform.
+    for name in ("M", "q", "theta", "gyr"):
+        armed = [gap for gap in log.gaps(name) if gap.armed]
+        assert 1 <= len(armed) <= 2
+        assert all(0.008 - 1e-3 <= gap.duration <= 0.068 for gap in armed)
+    assert log.gaps("lmnf") == []
