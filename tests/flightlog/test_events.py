@@ -10,7 +10,7 @@ import pytest
 from tests.flightlog.synthetic import attitude_steps, channel
 from twodof.errors import LogError
 from twodof.excitation import Doublet, Excitation, Impulse, Prbs, Steps, Sweep, ThreeTwoOneOne
-from twodof.flightlog.describe import describe, excitations
+from twodof.flightlog.describe import describe, excitations, find_excitation
 from twodof.flightlog.events import modes, openloop_edges, setpoint_steps, thrust_edges, window
 from twodof.flightlog.files import read_log
 from twodof.flightlog.log import Channel, FlightLog
@@ -128,6 +128,17 @@ def test_real_experiments_are_recognised(
     assert list(experiment["edges"]) == pytest.approx(edges, abs=0.006)
     # The description's windows are rounded by hand, to .2 s at most.
     assert experiment["window"][0] == pytest.approx(start, abs=0.2)
+
+
+def test_an_excitation_is_found_by_name_or_by_shape(flight_data: Path) -> None:
+    log = read_log(flight_data / "velocity-doublets-0.25.mat")
+    for name in ("velocity-doublets", "velocity-doublet", "doublet", "doublets"):
+        assert find_excitation(log, name).edges[0] == pytest.approx(151.25, abs=0.006)
+    assert find_excitation(log, "position-steps").amplitude == 0.2
+    with pytest.raises(LogError, match=r"velocity-doublets-0\.25\.mat: no excitation 'sweep' .the log has: position-"):
+        find_excitation(log, "sweep")
+    with pytest.raises(LogError, match="the log has: attitude-steps"):
+        find_excitation(attitude_steps(), "doublet")
 
 
 def test_real_modes_and_armed_stretches(flight_data: Path) -> None:

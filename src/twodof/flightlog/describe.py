@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from twodof.errors import LogError
 from twodof.flightlog.events import (
     SETPOINTS,
     Event,
@@ -57,6 +58,20 @@ def excitations(log: FlightLog) -> list[Excitation]:
     return found
 
 
+def find_excitation(log: FlightLog, name: str) -> Excitation:
+    """The longest excitation that is called `name`: in full (`attitude-steps`) or by shape (`doublet`).
+
+    One or several doublets answer to either name. Raises LogError, saying what was found, if there is none.
+    """
+    found = excitations(log)
+    wanted = name.removesuffix("s")
+    named = [one for one in found if wanted in (one.name.removesuffix("s"), one.shape.removesuffix("s"))]
+    if not named:
+        there = ", ".join(dict.fromkeys(one.name for one in found)) or "none"
+        raise LogError(f"no excitation {name!r}", log.source, f"the log has: {there}")
+    return max(named, key=_length)
+
+
 def describe(log: FlightLog) -> dict[str, Any]:
     """A log in figures, as JSON values.
 
@@ -97,8 +112,12 @@ def describe(log: FlightLog) -> dict[str, Any]:
         "modes": [asdict(stretch) for stretch in modes(log)] if loops else [],
         "events": [asdict(event) for event in _events(log, found)],
         "excitations": [asdict(excitation) for excitation in found],
-        "experiment": asdict(max(found, key=lambda one: one.edges[-1] - one.edges[0])) if found else None,
+        "experiment": asdict(max(found, key=_length)) if found else None,
     }
+
+
+def _length(excitation: Excitation) -> float:
+    return excitation.edges[-1] - excitation.edges[0]
 
 
 def _events(log: FlightLog, found: Sequence[Excitation]) -> list[Event]:
