@@ -1,0 +1,33 @@
+"""Plant models: linear ones in closed form, and structures (diagrams with unknown parameters) for identification."""
+
+from twodof.models.lti import Held, StateSpace, StepFigures, step_figures
+from twodof.models.plant import (
+    PAPER_PITCH_RATE,
+    PAPER_VELOCITY_GREYBOX,
+    PAPER_VELOCITY_SIMPLE,
+    Longitudinal,
+    PitchRate,
+    Velocity,
+)
+from twodof.models.structure import Structure, Unknown
+from twodof.models.structures import free_response, longitudinal, pitch_and_velocity, pitch_rate, velocity
+
+__all__ = [
+    "PAPER_PITCH_RATE",
+    "PAPER_VELOCITY_GREYBOX",
+    "PAPER_VELOCITY_SIMPLE",
+    "Held",
+    "Longitudinal",
+    "PitchRate",
+    "StateSpace",
+    "StepFigures",
+    "Structure",
+    "Unknown",
+    "Velocity",
+    "free_response",
+    "longitudinal",
+    "pitch_and_velocity",
+    "pitch_rate",
+    "step_figures",
+    "velocity",
+]

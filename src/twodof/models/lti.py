@@ -1,0 +1,205 @@
+"""Linear models: state space with an input delay, exact zero-order hold, frequency response, step figures."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import expm
+
+from twodof.errors import ParameterError
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, eq=False)
+class StateSpace:
+    """x' = A x + B u(t - delay), y = C x + D u(t - delay), in continuous time.
+
+    Shapes: `a` (n, n), `b` (n, m), `c` (p, n), `d` (p, m); `delay` [s] is common to all inputs.
+    Raises ParameterError when shapes do not fit, a number is not finite or the delay is negative.
+    """
+
+    a: Array
+    b: Array
+    c: Array
+    d: Array
+    delay: float = 0.0
+
+    def __post_init__(self) -> None:
+        n, m, p = self.a.shape[0], self.b.shape[1], self.c.shape[0]
+        shapes = (self.a.shape, self.b.shape, self.c.shape, self.d.shape)
+        if shapes != ((n, n), (n, m), (p, n), (p, m)):
+            raise ParameterError(
+                f"shapes {shapes} do not form a state space", "StateSpace", "give a (n,n), b (n,m), c (p,n), d (p,m)"
+            )
+        if not all(np.isfinite(part).all() for part in (self.a, self.b, self.c, self.d)):
+            raise ParameterError("a matrix holds NaN or infinity", "StateSpace")
+        if not (math.isfinite(self.delay) and self.delay >= 0.0):
+            raise ParameterError(f"delay {self.delay} s is not a finite time >= 0", "StateSpace.delay")
+
+    @classmethod
+    def of(cls, a: ArrayLike, b: ArrayLike, c: ArrayLike, d: ArrayLike, delay: float = 0.0) -> StateSpace:
+        """A state space from anything array-like; a one-dimensional b is a column, c a row."""
+        column = np.asarray(b, dtype=float)
+        row = np.asarray(c, dtype=float)
+        return cls(
+            np.atleast_2d(np.asarray(a, dtype=float)),
+            column.reshape(-1, 1) if column.ndim < 2 else column,
+            np.atleast_2d(row),
+            np.atleast_2d(np.asarray(d, dtype=float)),
+            float(delay),
+        )
+
+    def poles(self) -> Complex:
+        """Eigenvalues of A [rad/s], shape (n,)."""
+        return np.linalg.eigvals(self.a).astype(np.complex128)
+
+    def response(self, omega: ArrayLike) -> Complex:
+        """Frequency response C (j w I - A)^-1 B + D times exp(-j w delay) at `omega` [rad/s]: shape (k, p, m)."""
+        w = np.atleast_1d(np.asarray(omega, dtype=float))
+        resolvent = 1j * w[:, None, None] * np.eye(self.a.shape[0]) - self.a
+        response = self.c @ np.linalg.solve(resolvent, np.broadcast_to(self.b, (w.size, *self.b.shape))) + self.d
+        return np.asarray(response * np.exp(-1j * w * self.delay)[:, None, None], dtype=np.complex128)
+
+    def zero_order_hold(self, dt: float) -> Held:
+        """The exact discrete model for an input held over each `dt` [s]; the delay need not be a multiple of it.
+
+        Where the delay ends inside a step the step is split at that edge (Astrom and Wittenmark, Computer-Controlled
+        Systems, section 2.3). Raises ParameterError when dt is not a positive finite time.
+        """
+        if not (math.isfinite(dt) and dt > 0.0):
+            raise ParameterError(f"sample time {dt} s is not a finite time > 0", "zero_order_hold")
+        whole = math.floor(self.delay / dt + 1e-9)
+        part = self.delay - whole * dt
+        # A delay that is a multiple of dt up to rounding is that multiple: no sliver of a step is split off.
+        part = 0.0 if part < 1e-9 * dt else part
+        phi_new, gamma_new = _held_step(self.a, self.b, dt - part)
+        phi_old, gamma_old = _held_step(self.a, self.b, part)
+        return Held(phi_new @ phi_old, phi_new @ gamma_old, gamma_new, self.c, self.d, whole, part > 0.0, dt)
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """x[k+1] = phi x[k] + old u[k-n-1] + new u[k-n]; y[k] = C x[k] + D u[k-n], or u[k-n-1] if the delay is split."""
+
+    phi: Array
+    old: Array
+    new: Array
+    c: Array
+    d: Array
+    whole: int
+    split: bool
+    dt: float
+
+    def simulate(self, u: ArrayLike, x0: ArrayLike | None = None, before: float = 0.0) -> Array:
+        """Outputs, shape (k, p), for inputs `u` of shape (k,) or (k, m); the input was `before` for all earlier time.
+
+        `x0` of shape (n,) is the state at sample 0 (default zero).
+        """
+        inputs = np.asarray(u, dtype=float)
+        inputs = inputs[:, None] if inputs.ndim == 1 else inputs
+        lead = np.full((self.whole + 1, inputs.shape[1]), before)
+        padded = np.concatenate([lead, inputs])
+        steps = inputs.shape[0]
+        u_old, u_new = padded[:steps], padded[1 : steps + 1]
+        drive = u_old @ self.old.T + u_new @ self.new.T
+        states = np.empty((steps, self.phi.shape[0]))
+        x = np.zeros(self.phi.shape[0]) if x0 is None else np.asarray(x0, dtype=float)
+        for k in range(steps):
+            states[k] = x
+            x = self.phi @ x + drive[k]
+        through = u_old if self.split else u_new
+        return np.asarray(states @ self.c.T + through @ self.d.T)
+
+    def augmented(self) -> tuple[Array, Array, Array, Array]:
+        """The same model as plain (A, B, C, D), past inputs kept as states: for tools that know no delay."""
+        n, m = self.new.shape
+        past = self.whole + 1 if self.split else self.whole
+        size = n + past * m
+        a, b = np.zeros((size, size)), np.zeros((size, m))
+        c, d = np.zeros((self.c.shape[0], size)), np.zeros((self.c.shape[0], m))
+        a[:n, :n], c[:, :n] = self.phi, self.c
+
+        def place(age: int, into: Array, matrix: Array, direct: Array) -> None:
+            rows = slice(0, matrix.shape[0])
+            if age == 0:
+                direct[rows] += matrix
+            else:
+                into[rows, n + (age - 1) * m : n + age * m] += matrix
+
+        place(self.whole, a, self.new, b)
+        if self.split:
+            place(self.whole + 1, a, self.old, b)
+        place(self.whole + 1 if self.split else self.whole, c, self.d, d)
+        if past:
+            b[n : n + m] = np.eye(m)
+        for age in range(1, past):
+            a[n + age * m : n + (age + 1) * m, n + (age - 1) * m : n + age * m] = np.eye(m)
+        return a, b, c, d
+
+
+@dataclass(frozen=True)
+class StepFigures:
+    """What one reads off a step response; times in seconds from the step, overshoot as a share of the step."""
+
+    rise_time: float
+    settling_time: float
+    overshoot: float
+    peak: float
+    peak_time: float
+    final: float
+
+
+def step_figures(t: ArrayLike, y: ArrayLike, start: float, final: float, band: float = 0.02) -> StepFigures:
+    """Figures of a step response sampled at `t` [s] (0 at the step), from value `start` to `final`.
+
+    Rise is from 10 to 90 %, settling is the last time outside +-`band` of the step, both interpolated linearly; NaN
+    where the record never gets there. Raises ParameterError when start equals final or shapes differ.
+    """
+    time, value = np.asarray(t, dtype=float), np.asarray(y, dtype=float)
+    if time.shape != value.shape or time.size < 2:
+        raise ParameterError(f"time {time.shape} and response {value.shape} differ or are too short", "step_figures")
+    if start == final:
+        raise ParameterError("start and final value are equal: there is no step", "step_figures")
+    z = (value - start) / (final - start)
+    outside = np.flatnonzero(np.abs(z - 1.0) > band)
+    if outside.size == 0:
+        settling = float(time[0])
+    elif outside[-1] == time.size - 1:
+        settling = math.nan
+    else:
+        last = int(outside[-1])
+        edge = 1.0 + math.copysign(band, z[last] - 1.0)
+        settling = float(time[last] + (edge - z[last]) / (z[last + 1] - z[last]) * (time[last + 1] - time[last]))
+    top = int(np.argmax(z))
+    return StepFigures(
+        rise_time=_first_crossing(time, z, 0.9) - _first_crossing(time, z, 0.1),
+        settling_time=settling,
+        overshoot=max(0.0, float(z[top]) - 1.0),
+        peak=float(value[top]),
+        peak_time=float(time[top]),
+        final=final,
+    )
+
+
+def _first_crossing(time: Array, z: Array, level: float) -> float:
+    above = np.flatnonzero(z >= level)
+    if above.size == 0:
+        return math.nan
+    k = int(above[0])
+    if k == 0:
+        return float(time[0])
+    return float(time[k - 1] + (level - z[k - 1]) / (z[k] - z[k - 1]) * (time[k] - time[k - 1]))
+
+
+def _held_step(a: Array, b: Array, dt: float) -> tuple[Array, Array]:
+    """exp(A dt) and its integral times B, from one exponential (Van Loan 1978), so that A may be singular."""
+    n, m = b.shape
+    block = np.zeros((n + m, n + m))
+    block[:n, :n], block[:n, n:] = a * dt, b * dt
+    both = expm(block)
+    return np.asarray(both[:n, :n]), np.asarray(both[:n, n:])

@@ -1,0 +1,182 @@
+"""Ready-made model structures: the paper's G_q and G_v, both at once, the free response with dry friction, the course's
+three-state model. Each is a diagram like any that a user builds himself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from twodof.blocks.block import Block
+from twodof.blocks.diagram import Diagram
+from twodof.models.held import (
+    HeldLinear,
+    HeldLongitudinal,
+    HeldPitchAndVelocity,
+    HeldPitchRate,
+    HeldPitchRateLag,
+    HeldVelocity,
+)
+from twodof.models.offset import Offset
+from twodof.models.pendulum import InputDelay, PitchPendulum
+from twodof.models.structure import Structure
+
+# A change of the initial state or of an offset that matters, for step sizes and for telling "no effect" from "small".
+_SCALES: Mapping[str, float] = {
+    "theta_0": 0.1,
+    "q_0": 1.0,
+    "x_0": 0.1,
+    "v_0": 0.1,
+    "u_0": 0.1,
+    "M_trim": 0.01,
+    "theta_trim": 0.02,
+    "theta_bias": 0.02,
+    "q_bias": 0.05,
+    "x_bias": 0.02,
+    "v_bias": 0.02,
+    "u_bias": 0.02,
+    "a_x_bias": 0.1,
+    "tau": 0.004,
+    "xi": 0.05,
+    "coulomb": 0.2,
+    "asymmetry": 0.1,
+    "hardening": 2.0,
+}
+
+# Wide bounds that keep a search inside what the model can mean; a fit can narrow or widen them.
+_BOUNDS: Mapping[str, tuple[float, float]] = {
+    "w_n": (0.05, 60.0),
+    "xi": (-1.0, 5.0),
+    "mu": (1.0, 5000.0),
+    "lag": (0.002, 0.2),
+    "k_v": (0.0, 50.0),
+    "p_v": (-5.0, 50.0),
+    "coulomb": (0.0, 20.0),
+}
+
+
+def pitch_rate(lag: bool = False, ring: int = 64) -> Structure:
+    """G_q, paper equation (5), from M to theta and q with an exact zero-order hold and fractional delay.
+
+    With `lag` part of the total delay `tau` is the rotors' first-order lag, 11 ms unless it is estimated. `ring`
+    bounds the delay to `ring - 2` steps. Of q alone `theta_0` and `M_trim` have the same effect: estimate one.
+    """
+    plant: HeldLinear = HeldPitchRateLag(ring) if lag else HeldPitchRate(ring)
+    return _about_trim(
+        "pitch_rate_lag" if lag else "pitch_rate",
+        "angular rate from moment, linear",
+        plant,
+        "M",
+        estimate=("w_n", "xi", "mu", "tau", "theta_0", "q_0"),
+        values={"tau": 0.015},
+        tau_high=ring - 2,
+        exclude=("m_0",),
+    )
+
+
+def velocity() -> Structure:
+    """G_v and G_x, paper equation (9), from theta to x and v with an exact zero-order hold.
+
+    `theta_trim` is subtracted from theta: the pitch at which the cart would not accelerate (a rail that is not level,
+    a biased estimate). Of v alone it cannot be told from `v_bias` unless friction shows: both stay 0 by default.
+    """
+    return _about_trim(
+        "velocity",
+        "velocity from pitch, linear friction",
+        HeldVelocity(),
+        "theta",
+        estimate=("k_v", "p_v", "v_0"),
+        values={},
+        tau_high=62,
+    )
+
+
+def pitch_and_velocity(ring: int = 64) -> Structure:
+    """G_q, G_v and G_x as one plant from M to theta, q, x and v (paper Figure 6, the attitude loop open)."""
+    return _about_trim(
+        "pitch_and_velocity",
+        "pitch and velocity from moment, linear",
+        HeldPitchAndVelocity(ring),
+        "M",
+        estimate=("w_n", "xi", "mu", "tau", "k_v", "p_v", "theta_0", "q_0", "x_0", "v_0"),
+        values={"tau": 0.015},
+        tau_high=ring - 2,
+    )
+
+
+def longitudinal(ring: int = 64) -> Structure:
+    """The course's three-state longitudinal model from M to u, q, theta and a_x (see `plant.Longitudinal`)."""
+    return _about_trim(
+        "longitudinal",
+        "three-state longitudinal model",
+        HeldLongitudinal(ring),
+        "M",
+        estimate=("X_u", "X_q", "M_u", "M_q", "X_d", "M_d"),
+        values={},
+        tau_high=ring - 2,
+    )
+
+
+def free_response(ring: int = 64, substeps: int = 1) -> Structure:
+    """Pitch with gravity, hardening spring, viscous and dry friction (see `PitchPendulum`), from M to theta and q.
+
+    By default everything but the asymmetry of the friction and the delay is estimated.
+    """
+    return _about_trim(
+        "free_response",
+        "pitch with hardening spring and dry friction",
+        PitchPendulum(),
+        "M",
+        estimate=("w_n", "xi", "mu", "coulomb", "hardening", "theta_0", "q_0"),
+        values={"tau": 0.015, "coulomb": 0.1, "mu": 130.0},
+        tau_high=ring - 2,
+        delay=InputDelay(ring),
+        substeps=substeps,
+    )
+
+
+def _about_trim(
+    name: str,
+    text: str,
+    plant: Block,
+    input: str,
+    *,
+    estimate: Sequence[str],
+    values: Mapping[str, float],
+    tau_high: int,
+    delay: InputDelay | None = None,
+    exclude: Sequence[str] = (),
+    substeps: int = 1,
+) -> Structure:
+    """input - trim -> (delay) -> plant -> + bias -> outputs; every parameter of it one of the diagram."""
+    diagram = Diagram(name, text)
+    unit = plant.inputs[0].unit
+    diagram.input(input, unit=unit)
+
+    def offer(own: str, value: float, unit: str, text: str) -> str:
+        low, high = _BOUNDS.get(own, (-float("inf"), float("inf")))
+        # The ring holds this many steps of the control period; at a smaller step `tau` reaches less far.
+        low, high = (0.0, tau_high * 0.004) if own == "tau" else (low, high)
+        return diagram.param(own, values.get(own, value), unit=unit, low=low, high=high, text=text)
+
+    for param in (*plant.params, *(delay.params if delay is not None else ())):
+        if param.name not in exclude:
+            offer(param.name, float(param.value), param.unit, param.text)
+    trim = offer(f"{input}_trim", 0.0, unit, f"constant part of {input} that moves nothing")
+    source = diagram.add("trim", Offset(unit, -1.0), params={"offset": trim}, u=input)
+    if delay is not None:
+        source = diagram.add("delay", delay, params={"tau": "tau"}, u=source)
+    bound = {param.name: param.name for param in plant.params if param.name not in exclude}
+    diagram.add("plant", plant, params=bound)
+    diagram.connect(source, f"plant.{plant.inputs[0].name}")
+    for port in plant.outputs:
+        bias = offer(f"{port.name}_bias", 0.0, port.unit, f"bias of the measured {port.name}")
+        diagram.add(f"bias_{port.name}", Offset(port.unit), params={"offset": bias}, u=f"plant.{port.name}")
+        diagram.output(port.name, f"bias_{port.name}")
+    known = diagram.params
+    return Structure(
+        diagram,
+        tuple(estimate),
+        local=tuple(own for own in known if own.endswith(("_0", "_trim", "_bias"))),
+        scale={own: size for own, size in _SCALES.items() if own in known},
+        substeps=substeps,
+    )

@@ -1,0 +1,176 @@
+"""Ready-made structures, run by the reference interpreter, against closed forms and independent integrators."""
+
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
+
+from twodof.blocks.reference import Reference
+from twodof.errors import IdentificationError
+from twodof.models import (
+    Longitudinal,
+    PitchRate,
+    Structure,
+    Velocity,
+    free_response,
+    longitudinal,
+    pitch_and_velocity,
+    pitch_rate,
+    velocity,
+)
+from twodof.models.lti import StateSpace
+
+DT = 0.004
+Array = NDArray[np.float64]
+
+
+def run(structure: Structure, values: Mapping[str, float], u: Array, dt: float = DT) -> dict[str, Array]:
+    machine = Reference(structure.diagram, dt=dt, precision="float64").machine()
+    machine.set_many(values)
+    machine.reset()
+    return machine.run(u.size, {structure.inputs[0]: u})
+
+
+def noise(steps: int, seed: int = 0) -> Array:
+    return 0.03 * np.sign(np.random.default_rng(seed).standard_normal(steps // 5)).repeat(5)
+
+
+@pytest.mark.parametrize("tau", [0.0, 0.0011, 0.004, 0.0187, 0.020])
+def test_pitch_rate_is_the_exact_hold(tau: float) -> None:
+    u = noise(200)
+    ours = run(pitch_rate(), {"tau": tau, "theta_0": 0.1, "q_0": -0.2}, u)
+    theirs = PitchRate(3.437, 0.0836, 358.5, tau).state_space().zero_order_hold(DT)
+    expected = theirs.simulate(u, x0=[0.1, -0.2], before=u[0])
+    # Rounding only: some hundred steps.
+    np.testing.assert_allclose(ours["theta"], expected[:, 0], rtol=0, atol=1e-13)
+    np.testing.assert_allclose(ours["q"], expected[:, 1], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("xi", [-0.2, 0.0, 1.0, 3.0])
+def test_pitch_rate_has_no_special_damping(xi: float) -> None:
+    u = noise(100)
+    ours = run(pitch_rate(), {"xi": xi}, u)["q"]
+    expected = PitchRate(3.437, xi, 358.5, 0.015).state_space().zero_order_hold(DT).simulate(u, before=u[0])[:, 1]
+    np.testing.assert_allclose(ours, expected, rtol=0, atol=1e-12)
+
+
+def test_velocity_is_the_exact_hold() -> None:
+    u = 5.0 * noise(200)
+    ours = run(velocity(), {"v_0": 0.05, "x_0": -0.1}, u)
+    expected = Velocity(4.748, 1.168).state_space().zero_order_hold(DT).simulate(u, x0=[-0.1, 0.05])
+    np.testing.assert_allclose(ours["x"], expected[:, 0], rtol=0, atol=1e-13)
+    np.testing.assert_allclose(ours["v"], expected[:, 1], rtol=0, atol=1e-13)
+
+
+def test_longitudinal_is_the_exact_hold_with_feed_through() -> None:
+    u = noise(100)
+    ours = run(longitudinal(), {"tau": 0.0187}, u)
+    expected = Longitudinal(tau=0.0187).state_space().zero_order_hold(DT).simulate(u, before=u[0])
+    for i, name in enumerate(("u", "q", "theta", "a_x")):
+        np.testing.assert_allclose(ours[name], expected[:, i], rtol=0, atol=1e-12)
+
+
+def test_both_at_once_are_the_cascade() -> None:
+    u = noise(150)
+    ours = run(pitch_and_velocity(), {"tau": 0.0187}, u)
+    p, v = PitchRate(3.437, 0.0836, 358.5, 0.0187).state_space(), Velocity(4.748, 1.168).state_space()
+    a = np.zeros((4, 4))
+    a[:2, :2], a[2:, 2:], a[3, 0] = p.a, v.a, -4.748
+    cascade = StateSpace(a, np.vstack([p.b, np.zeros((2, 1))]), np.eye(4), np.zeros((4, 1)), 0.0187)
+    expected = cascade.zero_order_hold(DT).simulate(u, before=u[0])
+    for i, name in enumerate(("theta", "q", "x", "v")):
+        np.testing.assert_allclose(ours[name], expected[:, i], rtol=0, atol=1e-12)
+
+
+def test_lag_and_delay_share_the_total() -> None:
+    # q is twice the integral of a ramp r t, so a lag L instead of the same pure delay is ahead by mu r L^2 / 2.
+    u = np.linspace(0.0, 0.1, 100)
+    free = {"w_n": 0.05, "xi": 0.0, "tau": 0.020}
+    delayed = run(pitch_rate(), free, u)["q"]
+    lagged = run(pitch_rate(lag=True), {**free, "lag": 0.008}, u)["q"]
+    # The held ramp is a staircase: at the samples the lag sees its steps averaged, which is r dt^2 / 12 more.
+    ahead = 358.5 * (u[1] / DT) * (0.008**2 / 2.0 + DT**2 / 12.0)
+    # What the lag has forgotten after 0.39 s, exp(-48), is nothing; the spring of 0.05 rad/s takes 2e-4 of q.
+    np.testing.assert_allclose(lagged[50:] - delayed[50:], ahead, rtol=1e-3)
+
+
+def test_trim_and_bias_shift_input_and_outputs() -> None:
+    u = noise(60)
+    plain = run(pitch_rate(), {"tau": 0.0187}, u)
+    shifted = run(pitch_rate(), {"tau": 0.0187, "M_trim": -0.0103, "q_bias": 0.5, "theta_bias": -0.1}, u - 0.0103)
+    np.testing.assert_allclose(shifted["q"], plain["q"] + 0.5, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(shifted["theta"], plain["theta"] - 0.1, rtol=0, atol=1e-12)
+
+
+def test_free_response_without_friction_is_that_of_an_accurate_integrator() -> None:
+    values = {"w_n": 3.0, "xi": 0.05, "hardening": 4.0, "coulomb": 0.0, "theta_0": 0.6, "q_0": -0.5}
+    steps = 500
+    ours = run(free_response(), values, np.zeros(steps))
+
+    def slope(_: float, x: Array) -> list[float]:
+        return [x[1], -9.0 * np.sin(x[0]) - 4.0 * x[0] ** 3 - 0.3 * x[1]]
+
+    t = DT * np.arange(steps)
+    exact = solve_ivp(slope, (0.0, t[-1]), [0.6, -0.5], t_eval=t, method="DOP853", rtol=1e-12, atol=1e-12).y
+    # RK4 at 4 ms of a swing of 3 rad/s: (w dt)^4 / 120 a radian, 6 rad here, with a constant of order one.
+    np.testing.assert_allclose(ours["theta"], exact[0], rtol=0, atol=2e-8)
+    np.testing.assert_allclose(ours["q"], exact[1], rtol=0, atol=5e-8)
+
+
+def test_dry_friction_takes_its_work_from_every_swing_and_holds_in_the_end() -> None:
+    # From one turn to the next the spring's energy falls by friction times the way: w^2 (cos B - cos A) = c (A + B).
+    w_n, c = 3.0, 0.09
+    values = {"w_n": w_n, "xi": 0.0, "hardening": 0.0, "coulomb": c, "theta_0": 0.0755, "q_0": 0.0}
+    ours = run(free_response(), values, np.zeros(1500))
+    theta, q = ours["theta"], ours["q"]
+    turns, before = [], 0.0755
+    for _ in range(3):
+        before = brentq(lambda b, a=before: w_n**2 * (np.cos(b) - np.cos(a)) - c * (a + b), 0.0, before)
+        turns.append(before)
+    found = [-theta.min(), theta[375:].max(), -theta[700:].min()]
+    # A sample misses the turn by w^2 theta dt^2 / 8 at most.
+    np.testing.assert_allclose(found, turns, rtol=0, atol=1e-6)
+    assert (q[-300:] == 0.0).all()
+    assert abs(theta[-1]) < c / w_n**2
+    assert np.ptp(theta[-300:]) == 0.0
+
+
+def test_friction_holds_until_the_moment_exceeds_it() -> None:
+    values = {"w_n": 3.0, "xi": 0.0, "hardening": 0.0, "mu": 100.0, "tau": 0.0, "coulomb": 1.0}
+    u = np.concatenate([np.full(200, 0.0099), np.full(200, 0.0101)])
+    q = run(free_response(), values, u)["q"]
+    assert (q[:200] == 0.0).all()
+    assert q[-1] > 0.0
+
+
+def test_delay_inside_a_step_is_exact_for_the_continuous_block() -> None:
+    # A constant angular acceleration that starts inside a step: q and theta are polynomials of the time since.
+    values = {"w_n": 0.05, "xi": 0.0, "hardening": 0.0, "coulomb": 0.0, "mu": 100.0, "tau": 0.0137}
+    u = np.concatenate([np.zeros(5), np.full(45, 0.01)])
+    ours = run(free_response(), values, u)
+    late = np.maximum(DT * np.arange(50) - 5 * DT - 0.0137, 0.0)
+    # The spring of 0.05 rad/s cannot be switched off; it takes w^2 t^2 / 6 of q.
+    np.testing.assert_allclose(ours["q"], late, rtol=2e-5, atol=1e-12)
+
+
+def test_structure_knows_its_unknowns() -> None:
+    structure = pitch_rate()
+    assert structure.inputs == ("M",)
+    assert structure.outputs == ("theta", "q")
+    assert structure.unknowns["w_n"].unit == "rad/s"
+    assert structure.unknowns["theta_0"].local
+    assert not structure.unknowns["mu"].local
+    guessed = structure.with_guess(mu=100.0)
+    assert guessed.unknowns["mu"].value == 100.0
+    assert structure.unknowns["mu"].value == 358.5
+
+
+def test_a_name_that_is_no_parameter_is_refused() -> None:
+    diagram = pitch_rate().diagram
+    with pytest.raises(IdentificationError, match="there is no parameter 'muu'"):
+        Structure(diagram, ("muu",))
+    with pytest.raises(IdentificationError, match="nothing is to be estimated"):
+        Structure(diagram, ())
