@@ -1,0 +1,433 @@
+"""Expressions as C99: one `Renderer` for one block in one C scope."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from twodof.blocks.expr import LEAVES, Expr, node
+from twodof.blocks.graph import outside, walk
+from twodof.blocks.numbers import Integer
+from twodof.compile.chelpers import HELPERS
+
+C_TYPES = {"real": "real", "int32": "int32_t", "uint32": "uint32_t", "bool": "bool"}
+KEYWORDS = frozenset(
+    "auto break case char const continue default do double else enum extern float for goto if inline int long register "
+    "restrict return short signed sizeof static struct switch typedef union unsigned void volatile while asm typeof "
+    "real bool true false offsetof linux unix memcpy memset NULL".split()
+)
+WIDEST_LINE = 150  # an expression that would be longer becomes two
+SMALL_ARRAY = 16  # up to here a copy is cheaper than a choice
+
+# How tightly an expression's text binds.
+ATOM, PRODUCT, SUM, SIGNED, COMPARISON, LOOSE = range(6)
+Text = tuple[str, int]
+
+
+@dataclass
+class Names:
+    """Identifiers of one C scope, each different."""
+
+    taken: set[str] = field(default_factory=set)
+    last: dict[str, int] = field(default_factory=dict)
+
+    def new(self, stem: str) -> str:
+        """`stem` with dots as underscores; with a number behind it if that is taken."""
+        name = base = stem.replace(".", "_")
+        number = 2
+        while name in self.taken or name in KEYWORDS:
+            name = f"{base}_{number}"
+            number += 1
+        self.taken.add(name)
+        return name
+
+    def numbered(self, stem: str) -> str:
+        """`stem` with the next number behind it."""
+        base = stem.replace(".", "_")
+        self.last[base] = self.last.get(base, 0) + 1
+        return self.new(f"{base}{self.last[base]}")
+
+
+@dataclass
+class Writer:
+    """Lines of C with indentation, and what they call."""
+
+    lines: list[str] = field(default_factory=list)
+    helpers: set[str] = field(default_factory=set)
+    functions: set[str] = field(default_factory=set)
+    depth: int = 1
+
+    def line(self, text: str) -> None:
+        self.lines.append("    " * self.depth + text if text else "")
+
+    @contextmanager
+    def block(self, head: str) -> Iterator[None]:
+        """`head {` ... `}` around what is written inside."""
+        self.line(f"{head} {{")
+        self.depth += 1
+        yield
+        self.depth -= 1
+        self.line("}")
+
+
+def constant(value: Any, kind: str, precision: str) -> Text:
+    """A C literal of the final type, real numbers in hexadecimal with their decimal value beside."""
+    value = value.value if isinstance(value, Integer) else value
+    if kind == "bool":
+        return ("true" if value else "false"), ATOM
+    if kind == "int32":
+        if value == -(2**31):
+            return "INT32_MIN", ATOM
+        return str(value), ATOM if value >= 0 else SIGNED
+    if kind == "uint32":
+        return f"{value}u", ATOM
+    with np.errstate(over="ignore"):
+        rounded = float(np.float32(value)) if precision == "float32" else float(value)
+    suffix = "f" if precision == "float32" else ""
+    if math.isnan(rounded):
+        return f'__builtin_nan{suffix}("")', ATOM
+    sign, binding = ("-", SIGNED) if math.copysign(1.0, rounded) < 0 else ("", ATOM)
+    if math.isinf(rounded):
+        return f"{sign}__builtin_inf{suffix}()", binding
+    digits, _, exponent = abs(rounded).hex().partition("p")
+    mantissa = digits.rstrip("0").rstrip(".") if "." in digits else digits
+    mantissa = "0x0" if mantissa == "0x" else mantissa
+    return f"{sign}{mantissa}p{exponent}{suffix} /* {rounded:.9g} */", binding
+
+
+def _paren(item: Text, loosest: int) -> str:
+    return item[0] if item[1] <= loosest else f"({item[0]})"
+
+
+def _arithmetic(op: str, args: Sequence[Text]) -> Text:
+    if op == "mul":
+        return f"{_paren(args[0], PRODUCT)} * {_paren(args[1], ATOM)}", PRODUCT
+    return f"{_paren(args[0], SUM)} {'+' if op == 'add' else '-'} {_paren(args[1], PRODUCT)}", SUM
+
+
+def loop_depths(item: Expr, known: Mapping[int, frozenset[int]]) -> frozenset[int]:
+    """The depths of the loops around `item` on whose counters or sums it depends; `known` has those of its arguments."""
+    if item.op == "bound":
+        return frozenset((item.data[0],))
+    outer = outside(item)
+    bodies = item.args[len(outer) :]
+    found = frozenset[int]().union(*(known[id(a)] for a in outer))
+    if bodies:
+        found |= frozenset[int]().union(*(known[id(b)] for b in bodies)) - {item.data[1]}
+    return found
+
+
+class Renderer:
+    """Writes the expressions of one block into a C scope.
+
+    `leaf` gives the C text of an input, state, parameter, tick or dt; `known` that of whole expressions that
+    are already at hand; `stem` names temporaries.
+    """
+
+    def __init__(
+        self,
+        writer: Writer,
+        names: Names,
+        precision: str,
+        leaf: Callable[[Expr], Text],
+        stem: str,
+        known: Mapping[Expr, str] | None = None,
+    ) -> None:
+        self.writer = writer
+        self.names = names
+        self.precision = precision
+        self.leaf = leaf
+        self.stem = stem
+        self.named: dict[int, Text] = {id(e): (t, ATOM) for e, t in (known or {}).items()}
+        self.bound: dict[tuple[int, int], Text] = {}
+        self.limits: dict[tuple[int, int], int] = {}  # loop counters: one more than the largest value
+        self.targets: dict[int, str] = {}
+        self._kept: list[Expr] = []  # nodes made here, whose identities are used as keys
+        self._resolved: dict[int, Expr] = {}
+        self._free: dict[int, frozenset[int]] = {}
+
+    def learn(self, known: Mapping[Expr, str]) -> None:
+        """More expressions that are already at hand."""
+        self.named |= {id(e): (t, ATOM) for e, t in known.items()}
+
+    def scalars(self, roots: Sequence[Expr]) -> list[Text]:
+        """The C texts of `roots`, after the lines that they need. An array's text is a name."""
+        self._find_bound(roots)
+        return self._texts([self._resolve(r) for r in roots])
+
+    def text(self, root: Expr) -> str:
+        """The C text of one expression."""
+        return self.scalars([root])[0][0]
+
+    def index(self, root: Expr, width: int) -> str:
+        """The C text of an array index, clamped unless it cannot be outside."""
+        (text,) = self.scalars([root])
+        return self._index(self._resolve(root), text, width)
+
+    def assign(self, targets: Sequence[tuple[str, Expr]]) -> None:
+        """Lines that store each expression in its lvalue, which no expression may read."""
+        self._find_bound([e for _, e in targets])
+        roots = [self._resolve(e) for _, e in targets]
+        for (target, _), root in zip(targets, roots, strict=True):
+            if root.op in ("vector", "build", "store") and id(root) not in self.named:
+                self.targets.setdefault(id(root), target)
+        texts = self._texts(roots)
+        for (target, _), root, (text, _) in zip(targets, roots, texts, strict=True):
+            if root.width is None:
+                self.writer.line(f"{target} = {text};")
+            elif text != target:
+                self.copy(target, text, root.width)
+
+    def copy(self, target: str, source: str, width: int) -> None:
+        """A line that copies an array."""
+        self.writer.line(f"memcpy({target}, {source}, sizeof {source}[0] * {width});")
+
+    def _find_bound(self, roots: Sequence[Expr]) -> None:
+        """For each node the depths of the loops around it on which it depends."""
+        for item in walk(roots):
+            if id(item) not in self._free:
+                self._kept.append(item)
+                self._free[id(item)] = loop_depths(item, self._free)
+
+    def _texts(self, roots: Sequence[Expr]) -> list[Text]:
+        order = self._order(roots)
+        uses: dict[int, int] = {}
+        for item in order:
+            for a in self._args(item):
+                uses[id(a)] = uses.get(id(a), 0) + 1
+        for r in roots:
+            uses[id(r)] = uses.get(id(r), 0) + 1
+        whole = {id(r) for r in roots if uses[id(r)] == 1}
+        texts: dict[int, Text] = {}
+        for item in order:
+            if id(item) in self.named:
+                texts[id(item)] = self.named[id(item)]
+                continue
+            args = [texts[id(a)] for a in self._args(item)]
+            made = self._statement(item, args) if item.op in ("vector", "build", "store", "fold") else None
+            if made is None:
+                made = self._expression(item, args)
+                trivial = item.op in LEAVES or (item.op == "select" and "(" not in made[0])
+                if not trivial and (uses[id(item)] > 1 or (len(made[0]) > WIDEST_LINE and id(item) not in whole)):
+                    name = self.names.numbered(f"{self.stem}_t")
+                    self.writer.line(f"const {C_TYPES[item.kind]} {name} = {made[0]};")
+                    made = name, ATOM
+                    self.named[id(item)] = made
+            else:
+                self.named[id(item)] = made
+            texts[id(item)] = made
+        return [texts[id(r)] for r in roots]
+
+    def _order(self, roots: Iterable[Expr]) -> list[Expr]:
+        order: list[Expr] = []
+        seen: set[int] = set()
+        stack = [(r, False) for r in reversed(list(roots))]
+        while stack:
+            item, done = stack.pop()
+            if done:
+                order.append(item)
+            elif id(item) not in seen:
+                seen.add(id(item))
+                stack.append((item, True))
+                stack.extend((a, False) for a in reversed(self._args(item)))
+        return order
+
+    def _args(self, item: Expr) -> tuple[Expr, ...]:
+        if id(item) in self.named:
+            return ()
+        return tuple(self._resolve(a) for a in outside(item))
+
+    def _resolve(self, item: Expr) -> Expr:
+        """`item`, or for an element of an array that is just being made, that element."""
+        start = item
+        found = self._resolved.get(id(start))
+        if found is not None:
+            return found
+        while item.op == "select" and id(item) not in self.named:
+            array, index = item.args
+            if array.op == "vector" and index.op == "const":
+                item = array.args[index.data]
+            elif array.op == "store" and array.width is not None and array.width > SMALL_ARRAY:
+                base, where, value = array.args
+                same = self._keep("eq", "bool", (self._clamped(index, array.width), self._clamped(where, array.width)))
+                other = self._keep("select", array.kind, (base, index))
+                item = self._keep("where", array.kind, (same, value, other))
+            else:
+                break
+        self._resolved[id(start)] = item
+        self._kept.append(start)
+        return item
+
+    def _keep(self, op: str, kind: str, args: tuple[Expr, ...], data: Any = None) -> Expr:
+        made = node(op, kind, args, data)
+        self._kept.append(made)
+        self._free.setdefault(id(made), loop_depths(made, self._free))
+        return made
+
+    def _clamped(self, index: Expr, width: int) -> Expr:
+        if index.op == "const":
+            return self._keep("const", "int32", (), min(max(index.data, 0), width - 1))
+        last, zero = self._keep("const", "int32", (), width - 1), self._keep("const", "int32", (), 0)
+        upper = self._keep("where", "int32", (self._keep("lt", "bool", (index, last)), index, last))
+        return self._keep("where", "int32", (self._keep("lt", "bool", (upper, zero)), zero, upper))
+
+    def _use(self, helper: str) -> str:
+        self.writer.helpers.add(helper)
+        return HELPERS[helper].name
+
+    def _index(self, index: Expr, text: Text, width: int) -> str:
+        if index.op == "const":
+            return str(min(max(index.data, 0), width - 1))
+        if index.op == "bound" and self.limits.get(index.data, width + 1) <= width:
+            return text[0]
+        return f"{self._use('clamp_index')}({text[0]}, {width - 1})"
+
+    def _expression(self, item: Expr, args: Sequence[Text]) -> Text:
+        op, kind = item.op, item.kind
+        if op == "const":
+            return constant(item.data, kind, self.precision)
+        if op == "bound":
+            return self.bound[item.data]
+        if op in LEAVES:
+            return self.leaf(item)
+        if op == "select":
+            array = self._resolve(item.args[0])
+            if array.width is None:
+                raise ValueError("select on a scalar")
+            return f"{args[0][0]}[{self._index(self._resolve(item.args[1]), args[1], array.width)}]", ATOM
+        if op == "call":
+            self.writer.functions.add(item.data)
+            return f"td_{item.data}({', '.join(a for a, _ in args)})", ATOM
+        if op == "where":
+            return f"{_paren(args[0], COMPARISON)} ? {_paren(args[1], SIGNED)} : {_paren(args[2], SIGNED)}", LOOSE
+        if op in ("lt", "le", "eq", "ne"):
+            sign = {"lt": "<", "le": "<=", "eq": "==", "ne": "!="}[op]
+            return f"{_paren(args[0], SUM)} {sign} {_paren(args[1], SUM)}", COMPARISON
+        operand = self._resolve(item.args[0]).kind
+        if kind == "bool":
+            if op == "not":
+                return f"!{_paren(args[0], ATOM)}", SIGNED
+            sign = {"and": "&&", "or": "||", "xor": "!="}[op]
+            return f"{_paren(args[0], ATOM)} {sign} {_paren(args[1], ATOM)}", LOOSE
+        if op in ("and", "or", "xor"):
+            return f"{_paren(args[0], ATOM)} {'&|^'[('and', 'or', 'xor').index(op)]} {_paren(args[1], ATOM)}", LOOSE
+        if op == "not":
+            return f"~{_paren(args[0], ATOM)}", SIGNED
+        if op == "convert":
+            if operand == "real":
+                return f"{self._use(f'real_to_{kind}')}({args[0][0]})", ATOM
+            return f"({C_TYPES[kind]}){_paren(args[0], ATOM)}", SIGNED
+        if kind != "int32" and op in ("add", "sub", "mul"):
+            return _arithmetic(op, args)
+        if kind == "real":
+            return self._real(item, args)
+        if kind == "uint32":
+            return self._unsigned(item, args)
+        return f"{self._use(f'int32_{op}')}({', '.join(a for a, _ in args)})", ATOM
+
+    def _real(self, item: Expr, args: Sequence[Text]) -> Text:
+        f = "f" if self.precision == "float32" else ""
+        if item.op == "div":
+            return f"{_paren(args[0], PRODUCT)} / {_paren(args[1], ATOM)}", PRODUCT
+        if item.op == "neg":
+            return f"-{_paren(args[0], ATOM)}", SIGNED
+        if item.op == "abs":
+            return f"__builtin_fabs{f}({args[0][0]})", ATOM
+        if item.op == "sqrt":
+            return f"__builtin_sqrt{f}({args[0][0]})", ATOM
+        if item.op == "from_bits":
+            return (
+                f"{self._use('real_from_bits' if len(args) == 2 else 'real_from_word')}({', '.join(a for a, _ in args)})",
+                ATOM,
+            )
+        raise ValueError(f"no C for {item!r}")
+
+    def _unsigned(self, item: Expr, args: Sequence[Text]) -> Text:
+        op = item.op
+        if op in ("shl", "shr"):
+            count = self._resolve(item.args[1])
+            by = f"{count.data & 31}" if count.op == "const" else f"({_paren(args[1], ATOM)} & 31u)"
+            return f"{_paren(args[0], ATOM)} {'<<' if op == 'shl' else '>>'} {by}", LOOSE
+        if op == "neg":
+            return f"0u - {_paren(args[0], PRODUCT)}", SUM
+        if op == "abs":
+            return args[0]
+        if op == "mulhi":
+            return f"(uint32_t)(((uint64_t){_paren(args[0], ATOM)} * {_paren(args[1], ATOM)}) >> 32)", SIGNED
+        if op == "bits":
+            return f"{self._use('real_word_1' if item.data else 'real_word_0')}({args[0][0]})", ATOM
+        if op in ("quot", "rem"):
+            divisor = self._resolve(item.args[1])
+            if divisor.op == "const" and divisor.data:
+                return f"{_paren(args[0], ATOM)} {'/' if op == 'quot' else '%'} {args[1][0]}", LOOSE
+            return f"{self._use(f'uint32_{op}')}({', '.join(a for a, _ in args)})", ATOM
+        raise ValueError(f"no C for {item!r}")
+
+    def _statement(self, item: Expr, args: Sequence[Text]) -> Text:
+        """Write the lines that make an array or run a loop; the name of the result."""
+        if item.op == "fold":
+            return self._fold(item, args)
+        target = self.targets.get(id(item))
+        ctype, width = C_TYPES[item.kind], item.width
+        if width is None:
+            raise ValueError("an array without a width")
+        name = target or self.names.new(f"{self.stem}_array")
+        if item.op == "vector":
+            if target is None:
+                self.writer.line(f"const {ctype} {name}[{width}] = {{{', '.join(a for a, _ in args)}}};")
+            else:
+                for i, (a, _) in enumerate(args):
+                    self.writer.line(f"{name}[{i}] = {a};")
+            return name, ATOM
+        if target is None:
+            self.writer.line(f"{ctype} {name}[{width}];")
+        if item.op == "store":
+            self.copy(name, args[0][0], width)
+            self.writer.line(f"{name}[{self._index(self._resolve(item.args[1]), args[1], width)}] = {args[2][0]};")
+            return name, ATOM
+        length, depth = item.data
+        with self._loop(length, depth) as counter:
+            ((body, _),) = self._texts([self._resolve(item.args[0])])
+            self.writer.line(f"{name}[{counter}] = {body};")
+        return name, ATOM
+
+    def _fold(self, item: Expr, args: Sequence[Text]) -> Text:
+        length, depth, which = item.data
+        bodies = item.args[len(args) :]
+        names = [self.names.new(f"{self.stem}_sum") for _ in args]
+        for name, (start, _), body in zip(names, args, bodies, strict=True):
+            self.writer.line(f"{C_TYPES[body.kind]} {name} = {start};")
+        with self._loop(length, depth):
+            for j, name in enumerate(names):
+                self.bound[depth, j + 1] = name, ATOM
+            texts = self._texts([self._resolve(b) for b in bodies])
+            if len(names) == 1:
+                self.writer.line(f"{names[0]} = {texts[0][0]};")
+            else:
+                nexts = [self.names.new(f"{name}_next") for name in names]
+                for new, (text, _), body in zip(nexts, texts, bodies, strict=True):
+                    self.writer.line(f"const {C_TYPES[body.kind]} {new} = {text};")
+                for name, new in zip(names, nexts, strict=True):
+                    self.writer.line(f"{name} = {new};")
+        for j, body in enumerate(bodies):  # the loop's other results
+            twin = self._keep("fold", body.kind, item.args, (length, depth, j))
+            self.named[id(twin)] = names[j], ATOM
+        return names[which], ATOM
+
+    @contextmanager
+    def _loop(self, length: int, depth: int) -> Iterator[str]:
+        """A C loop; inside, only those names are known that do not depend on a loop of this depth."""
+        counter = self.names.new("ijk"[depth] if depth < 3 else "i")
+        outer = self.named, self.bound, self.limits, self._resolved
+        self.named = {key: t for key, t in self.named.items() if depth not in self._free.get(key, ())}
+        self.bound = {**self.bound, (depth, 0): (counter, ATOM)}
+        self.limits = {**self.limits, (depth, 0): length}
+        self._resolved = {}
+        with self.writer.block(f"for (int32_t {counter} = 0; {counter} < {length}; {counter}++)"):
+            yield counter
+        self.named, self.bound, self.limits, self._resolved = outer

@@ -1,0 +1,291 @@
+"""The C of one tick: outputs, returned signals, discrete states."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from twodof.blocks.block import Port, State
+from twodof.blocks.expr import LEAVES, Expr
+from twodof.blocks.graph import leaves
+from twodof.compile.cexpr import ATOM, C_TYPES, Names, Renderer, Text, Writer, constant
+from twodof.compile.flat import Action, Guard, Node, Program, Signal
+from twodof.compile.layout import Layout, Member
+
+
+class Scope:
+    """What the functions of one program share: its layout, precision and the text of leaves."""
+
+    def __init__(self, program: Program, layout: Layout, precision: str) -> None:
+        self.program = program
+        self.layout = layout
+        self.precision = precision
+
+    def constant(self, value: object, kind: str) -> str:
+        return constant(value, kind, self.precision)[0]
+
+    def leaf(
+        self, node: Node, signal: Callable[[Signal], str], states: Mapping[str, str], tick: str
+    ) -> Callable[[Expr], Text]:
+        """The C text of `node`'s leaves; `states` is its own states' texts by name."""
+
+        def text(item: Expr) -> Text:
+            if item.op == "input":
+                return signal(node.drivers[item.data]), ATOM
+            if item.op == "state":
+                return states[item.data], ATOM
+            if item.op == "param":
+                return f"p->{self.parameter(node, item.data).name}", ATOM
+            if item.op == "tick":
+                return tick, ATOM
+            seconds = self.program.dt * (node.rate.divider if item.data == "dt" else 1)
+            return constant(seconds, "real", self.precision)
+
+        return text
+
+    def parameter(self, node: Node, name: str) -> Member:
+        """The member of P that a block's parameter (given or derived) stands for."""
+        if name in node.parameters:
+            return self.layout.parameters[node.parameters[name]]
+        return self.layout.derived[node, name]
+
+    def initial(self, writer: Writer, node: Node, state: State, target: str) -> None:
+        """Lines that set a state to its initial value."""
+        if isinstance(state.initial, str):
+            source = f"p->{self.parameter(node, state.initial).name}"
+            if state.width is None:
+                writer.line(f"{target} = {source};")
+            else:
+                writer.line(f"memcpy({target}, {source}, sizeof {target});")
+            return
+        fill(writer, target, state.initial, state, self.precision)
+
+
+def fill(writer: Writer, target: str, value: object, declared: Port | State, precision: str) -> None:
+    """Lines that store a constant number, or a sequence of them, in `target`."""
+    kind, width = declared.kind, declared.width
+    if width is None:
+        writer.line(f"{target} = {constant(value, kind, precision)[0]};")
+        return
+    values = list(value) if isinstance(value, (list, tuple)) else [value] * width
+    texts = [constant(v, kind, precision)[0] for v in values]
+    if len(set(texts)) == 1:
+        with writer.block(f"for (int32_t i = 0; i < {width}; i++)"):
+            writer.line(f"{target}[i] = {texts[0]};")
+    else:
+        with writer.block(""):
+            writer.line(f"static const {C_TYPES[kind]} initial[{width}] = {{{', '.join(texts)}}};")
+            writer.line(f"memcpy({target}, initial, sizeof initial);")
+
+
+def describe(node: Node) -> str:
+    """A block's path and type, for a comment."""
+    kind = node.block.type_name or type(node.block).__name__
+    return f"/* {node.path}: {kind} */" if kind.isascii() and kind.isidentifier() else f"/* {node.path} */"
+
+
+class Tick:
+    """Writes the body of the step function, apart from the integration."""
+
+    def __init__(self, scope: Scope, writer: Writer, names: Names) -> None:
+        self.scope = scope
+        self.layout = scope.layout
+        self.program = scope.program
+        self.writer = writer
+        self.names = names
+        self.texts: dict[Signal, str] = {}
+        self.renderers: dict[Node, Renderer] = {}
+        self.fractions: dict[Signal, tuple[str, str]] = {}  # edged signal -> names of its fraction and later value
+        self._due: dict[tuple[int, int], str] = {}
+
+    def signal(self, signal: Signal) -> str:
+        """The C text of a signal's value at the tick."""
+        if signal.node is None:
+            return f"u->{self.layout.inputs[signal].name}"
+        if signal in self.layout.stored:
+            return f"s->{self.layout.stored[signal].name}"
+        return self.texts[signal]
+
+    def state(self, node: Node, state: State) -> str:
+        """The lvalue of a state."""
+        prefix = "s->x." if state.continuous else "s->"
+        return prefix + self.layout.states[node, state.name].name
+
+    def renderer(self, node: Node) -> Renderer:
+        """For a node that always acts one renderer, so that its temporaries serve the whole function; else a new one."""
+        if node in self.renderers:
+            return self.renderers[node]
+        states = {s.name: self.state(node, s) for s in node.block.states}
+        leaf = self.scope.leaf(node, self.signal, states, "s->tick")
+        made = Renderer(self.writer, self.names, self.scope.precision, leaf, node.path)
+        if node.guard.always:
+            self.renderers[node] = made
+        return made
+
+    def due(self) -> None:
+        """Lines that say which rates are due."""
+        for node in self.program.nodes:
+            rate = node.rate
+            if rate.divider > 1 and rate not in self._due:
+                self._due[rate] = self.names.new(f"due_{rate.divider}_{rate.offset}")
+                self.writer.line(f"const bool {self._due[rate]} = s->tick % {rate.divider}u == {rate.offset}u;")
+
+    def condition(self, guard: Guard) -> str:
+        """The C condition under which a guard's nodes act ("" if always)."""
+        terms = [self._due[guard.rate]] if guard.rate.divider > 1 else []
+        return " && ".join(terms + [self.signal(e) for e in guard.enables])
+
+    def outputs(self) -> None:
+        """The outputs of all blocks, group by group."""
+        for signal in self.program.edged:
+            fraction, after = self.names.new(f"{signal.path}.fraction"), self.names.new(f"{signal.path}.after")
+            self.fractions[signal] = fraction, after
+            node = signal.node
+            if node is not None and not node.guard.always:
+                self.writer.line(f"real {fraction} = 1, {after} = 0;")
+        for group in self.program.tick:
+            condition = self.condition(group.guard)
+            if not condition:
+                for action in group.actions:
+                    self._action(action)
+                continue
+            with self.writer.block(f"if ({condition})"):
+                for action in group.actions:
+                    self._action(action)
+            held = [s for action in group.actions for s in action.signals]
+            if group.guard.clears and held:
+                cleared = " && ".join(self.signal(e) for e in group.guard.clears)
+                due = f"{self._due[group.guard.rate]} && " if group.guard.rate.divider > 1 else ""
+                with self.writer.block(f"if ({due}!({cleared}))"):
+                    for s in held:
+                        fill(self.writer, self.signal(s), 0, Port("y", s.kind, s.width), self.scope.precision)
+
+    def _action(self, action: Action) -> None:
+        node, write = action.node, self.writer
+        write.line(describe(node))
+        if not action.signals:
+            with write.block(f"if ({' || '.join(self.signal(r) for r in node.resets)})"):
+                for state in node.block.states:
+                    self.scope.initial(write, node, state, self.state(node, state))
+            return
+        renderer = self.renderer(node)
+        roots = [node.trace.outputs[s.port] for s in action.signals]
+        for signal, root in zip(action.signals, roots, strict=True):
+            self._output(renderer, signal, root)
+        for signal in action.signals:
+            if signal in self.fractions:
+                fraction, after = node.trace.edges[signal.port]
+                declare = "const real " if node.guard.always else ""
+                for name, root in zip(self.fractions[signal], (fraction, after), strict=True):
+                    write.line(f"{declare}{name} = {renderer.text(root)};")
+
+    def _output(self, renderer: Renderer, signal: Signal, root: Expr) -> None:
+        ctype = C_TYPES[signal.kind]
+        if signal in self.layout.stored:
+            renderer.assign([(self.signal(signal), root)])
+            return
+        name = self.names.new(signal.path)
+        self.texts[signal] = name
+        if signal.width is None:
+            self.writer.line(f"const {ctype} {name} = {renderer.text(root)};")
+            if root.op not in LEAVES:
+                renderer.learn({root: name})
+        elif root.op in ("input", "param"):
+            self.writer.line(f"const {ctype} *const {name} = {renderer.text(root)};")
+        else:
+            self.writer.line(f"{ctype} {name}[{signal.width}];")
+            renderer.assign([(name, root)])
+
+    def returned(self) -> None:
+        """The outputs and logged signals."""
+        for path, signal in self.program.outputs.items():
+            member = f"y->{self.layout.outputs[path].name}"
+            if signal.width is None:
+                self.writer.line(f"{member} = {self.signal(signal)};")
+            else:
+                self.writer.line(f"memcpy({member}, {self.signal(signal)}, sizeof {member});")
+
+    def updates(self) -> None:
+        """The next discrete states. A block's own are the only ones that its update reads."""
+        by_guard: dict[Guard, list[Node]] = {}
+        for node in self.program.nodes:
+            if any(not _keeps(name, e) for name, e in node.trace.update.items()):
+                by_guard.setdefault(node.guard, []).append(node)
+        for guard in sorted(by_guard, key=lambda g: not g.always):
+            condition = self.condition(guard)
+            if not condition:
+                for node in by_guard[guard]:
+                    self._update(node)
+                continue
+            with self.writer.block(f"if ({condition})"):
+                for node in by_guard[guard]:
+                    self._update(node)
+
+    def _update(self, node: Node) -> None:
+        self.writer.line(describe(node))
+        texts = {s.name: self.state(node, s) for s in node.discrete}
+        commit(self.writer, self.renderer(node), self.names, node, node.trace.update, texts)
+
+
+def _keeps(name: str, e: Expr) -> bool:
+    return e.op == "state" and e.data == name
+
+
+def commit(
+    writer: Writer,
+    renderer: Renderer,
+    names: Names,
+    node: Node,
+    values: Mapping[str, Expr],
+    lvalues: Mapping[str, str],
+) -> None:
+    """Lines that replace states by `values`, all of which read the states before any is replaced."""
+    changed = {name: e for name, e in values.items() if not _keeps(name, e)}
+    reads = {name: leaves([e], "state") for name, e in changed.items()}
+    later: list[tuple[str, str]] = []
+    wide: list[tuple[str, str, int]] = []
+    direct = []
+    for name, e in changed.items():
+        shared = any(name in read for other, read in reads.items() if other != name)
+        chain = _stores(name, e)
+        if chain and (shared or len(chain) > 1):
+            for index, value in chain:
+                i, v = names.new(f"{node.path}.index"), names.new(f"{node.path}.{name}_next")
+                writer.line(f"const int32_t {i} = {renderer.index(index, e.width or 1)};")
+                writer.line(f"const {C_TYPES[e.kind]} {v} = {renderer.text(value)};")
+                later.append((f"{lvalues[name]}[{i}]", v))
+        elif chain:
+            direct.append((name, e))
+        elif e.width is not None and (shared or name in reads[name]):
+            source = renderer.text(e)
+            if e.op == "state":
+                source = names.new(f"{node.path}.{name}_next")
+                writer.line(f"{C_TYPES[e.kind]} {source}[{e.width}];")
+                renderer.copy(source, renderer.text(e), e.width)
+            wide.append((lvalues[name], source, e.width))
+        elif shared:
+            new = names.new(f"{node.path}.{name}_next")
+            writer.line(f"const {C_TYPES[e.kind]} {new} = {renderer.text(e)};")
+            later.append((lvalues[name], new))
+        else:
+            direct.append((name, e))
+    for name, e in direct:
+        chain = _stores(name, e)
+        if chain:
+            ((index, value),) = chain
+            at, (new, _) = renderer.index(index, e.width or 1), renderer.scalars([value])[0]
+            writer.line(f"{lvalues[name]}[{at}] = {new};")
+        else:
+            renderer.assign([(lvalues[name], e)])
+    for target, new in later:
+        writer.line(f"{target} = {new};")
+    for target, source, width in wide:
+        renderer.copy(target, source, width)
+
+
+def _stores(name: str, e: Expr) -> list[tuple[Expr, Expr]]:
+    """(index, value) of each element that `e` replaces in the array state `name`, first to last; [] for other values."""
+    chain = []
+    while e.op == "store":
+        chain.append((e.args[1], e.args[2]))
+        e = e.args[0]
+    return chain[::-1] if _keeps(name, e) else []

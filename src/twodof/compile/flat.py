@@ -1,0 +1,132 @@
+"""The target-independent program: a flattened diagram whose ports are in an order in which they can be computed.
+
+Every emitter (C99 first) reads these; `twodof.compile.lower` makes them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from twodof.blocks.block import Block, Param, State, Trace
+from twodof.blocks.diagram import Rate
+
+
+@dataclass(eq=False)
+class Signal:
+    """A port that drives others: an output of a node, or (`node` None) an input of the program."""
+
+    path: str
+    port: str
+    kind: str
+    width: int | None
+    unit: str
+    node: Node | None = None
+
+
+@dataclass(eq=False)
+class Parameter:
+    """A parameter at the path where it is set; `declared` has its default, bounds and unit."""
+
+    path: str
+    declared: Param
+
+
+@dataclass(eq=False)
+class Condition:
+    """An enclosing sub-diagram that is enabled or reset by bool signals; `clears`: its outputs read 0 while disabled."""
+
+    path: str
+    enable: Signal | None = None
+    reset: Signal | None = None
+    clears: bool = False
+
+
+@dataclass(eq=False)
+class Node:
+    """A block in its place. `drivers`: input -> signal; `parameters`: own name -> parameter of the program."""
+
+    path: str
+    block: Block
+    rate: Rate
+    conditions: tuple[Condition, ...]
+    drivers: dict[str, Signal] = field(default_factory=dict)
+    parameters: dict[str, Parameter] = field(default_factory=dict)
+    outputs: dict[str, Signal] = field(default_factory=dict)
+
+    @property
+    def trace(self) -> Trace:
+        return self.block.trace
+
+    @property
+    def discrete(self) -> list[State]:
+        return [s for s in self.block.states if not s.continuous]
+
+    @property
+    def continuous(self) -> list[State]:
+        return [s for s in self.block.states if s.continuous]
+
+    @property
+    def guard(self) -> Guard:
+        enables = tuple(c.enable for c in self.conditions if c.enable is not None)
+        clears = tuple(c.enable for c in self.conditions if c.enable is not None and c.clears)
+        return Guard(self.rate, enables, clears)
+
+    @property
+    def resets(self) -> tuple[Signal, ...]:
+        return tuple(c.reset for c in self.conditions if c.reset is not None)
+
+
+@dataclass(frozen=True)
+class Guard:
+    """When a node acts: at the ticks of `rate` while all `enables` hold. At such a tick without one of `clears`, outputs read 0."""
+
+    rate: Rate
+    enables: tuple[Signal, ...] = ()
+    clears: tuple[Signal, ...] = ()
+
+    @property
+    def always(self) -> bool:
+        return self.rate.divider == 1 and not self.enables
+
+
+@dataclass(frozen=True)
+class Action:
+    """One thing to do: compute `signals`, all outputs of `node`, or (with none) set its states to their initial values."""
+
+    node: Node
+    signals: tuple[Signal, ...]
+
+
+@dataclass(frozen=True)
+class Group:
+    """Actions that share one guard."""
+
+    guard: Guard
+    actions: tuple[Action, ...]
+
+
+@dataclass(eq=False)
+class Program:
+    """A checked, flattened and ordered diagram.
+
+    `tick` computes the outputs of a tick; `stage` the continuous outputs that the derivative needs, once a stage of the
+    integration; `moving` are all signals that change inside a step, `edged` those of them that do so at an edge.
+    """
+
+    name: str
+    text: str
+    dt: float
+    integrator: str
+    inputs: dict[str, Signal]
+    outputs: dict[str, Signal]  # with the logged signals
+    parameters: dict[str, Parameter]
+    nodes: list[Node]
+    tick: list[Group]
+    stage: list[Group]
+    moving: frozenset[Signal]
+    edged: list[Signal]
+
+    @property
+    def integrated(self) -> list[Node]:
+        """The nodes with continuous states."""
+        return [n for n in self.nodes if n.continuous]

@@ -1,0 +1,113 @@
+"""The C structs of a program: P parameters, S states, U inputs, Y outputs, and where each path stands in them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from twodof.blocks.block import State
+from twodof.compile.cexpr import C_TYPES, Names
+from twodof.compile.flat import Node, Parameter, Program, Signal
+
+WIDEST_LOCAL = 256  # a wider array that is computed at a tick stands in S, not on the stack
+
+
+@dataclass(frozen=True)
+class Member:
+    """A struct's member: C name, type, and the path, unit and remark that its comment shows."""
+
+    name: str
+    kind: str
+    width: int | None
+    path: str = ""
+    unit: str = ""
+    remark: str = ""
+
+    def declaration(self) -> str:
+        """The member's line in the struct."""
+        size = "" if self.width is None else f"[{self.width}]"
+        return f"{C_TYPES[self.kind]} {self.name}{size};"
+
+
+@dataclass
+class Struct:
+    """Members with names of their own."""
+
+    members: list[Member] = field(default_factory=list)
+    names: Names = field(default_factory=Names)
+
+    def add(self, stem: str, kind: str, width: int | None, path: str = "", unit: str = "", remark: str = "") -> Member:
+        """A new member; its name is unique within the struct."""
+        member = Member(self.names.new(stem), kind, width, path, unit, remark)
+        self.members.append(member)
+        return member
+
+
+class Layout:
+    """Which members hold the parameters, states, held signals, inputs and outputs of a program."""
+
+    def __init__(self, program: Program) -> None:
+        self.p, self.s, self.x, self.u, self.y = Struct(), Struct(), Struct(), Struct(), Struct()
+        self.parameters: dict[Parameter, Member] = {}
+        self.derived: dict[tuple[Node, str], Member] = {}
+        self.states: dict[tuple[Node, str], Member] = {}
+        self.stored: dict[Signal, Member] = {}
+        self.inputs: dict[Signal, Member] = {}
+        self.outputs: dict[str, Member] = {}
+        self.s.names.taken.add("x")
+        self.tick = self.s.add("tick", "uint32", None, "", "", "base ticks since the start")
+        for path, q in program.parameters.items():
+            d = q.declared
+            self.parameters[q] = self.p.add(path, d.kind, d.width, path, d.unit, d.text)
+        for node in program.nodes:
+            for o in node.block.derived:
+                path = f"{node.path}.{o.name}"
+                self.derived[node, o.name] = self.p.add(path, o.kind, o.width, path, o.unit, "derived")
+            for state in node.block.states:
+                self.states[node, state.name] = self._state(node, state)
+        for group in program.tick:
+            for action in group.actions:
+                for signal in action.signals:
+                    wide = signal.width is not None and signal.width > WIDEST_LOCAL
+                    if not group.guard.always or wide:
+                        remark = "work" if group.guard.always else "held"
+                        self.stored[signal] = self.s.add(
+                            signal.path, signal.kind, signal.width, signal.path, signal.unit, remark
+                        )
+        for name, signal in program.inputs.items():
+            self.inputs[signal] = self.u.add(name, signal.kind, signal.width, name, signal.unit)
+        for path, signal in program.outputs.items():
+            self.outputs[path] = self.y.add(path, signal.kind, signal.width, path, signal.unit)
+
+    def _state(self, node: Node, state: State) -> Member:
+        path = f"{node.path}.{state.name}"
+        struct = self.x if state.continuous else self.s
+        return struct.add(path, state.kind, state.width, path, state.unit)
+
+    def dtypes(self, precision: str) -> dict[str, np.dtype[Any]]:
+        """The numpy types of P, S, U and Y: their memory is that of the C structs."""
+        x = struct_dtype(self.x.members, precision)
+        s = struct_dtype(self.s.members, precision, [("x", x)] if self.x.members else [])
+        return {
+            "P": struct_dtype(self.p.members, precision),
+            "S": s,
+            "U": struct_dtype(self.u.members, precision),
+            "Y": struct_dtype(self.y.members, precision),
+        }
+
+
+def struct_dtype(
+    members: Sequence[Member], precision: str, last: Sequence[tuple[str, np.dtype[Any]]] = ()
+) -> np.dtype[Any]:
+    """The numpy type of a C struct; an empty one holds one byte, because C has no empty structs."""
+    formats: list[tuple[str, Any]] = []
+    for m in members:
+        base: Any = np.dtype({"real": precision, "bool": "bool"}.get(m.kind, m.kind))
+        formats.append((m.name, base if m.width is None else np.dtype((base, (m.width,)))))
+    formats += last
+    if not formats:
+        formats = [("none", np.dtype("uint8"))]
+    return np.dtype({"names": [n for n, _ in formats], "formats": [f for _, f in formats]}, align=True)

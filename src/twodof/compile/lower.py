@@ -1,0 +1,449 @@
+"""From a diagram to a program: check, flatten, find what is needed, order."""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from twodof.blocks.block import Block, Param, Port
+from twodof.blocks.diagram import BASE, Diagram, Part, Rate
+from twodof.blocks.expr import Expr
+from twodof.blocks.graph import leaves
+from twodof.compile.flat import Action, Condition, Group, Guard, Node, Parameter, Program, Signal
+from twodof.errors import DiagramError
+
+MAX_DEPTH = 64
+INTEGRATORS = ("rk4", "euler")
+
+
+def lower(diagram: Diagram, dt: float, log: Iterable[str] = (), integrator: str = "rk4") -> Program:
+    """The program of `diagram` at the base tick `dt` [s], which also returns the signals whose paths are in `log`.
+
+    Raises DiagramError, with the whole path, where the diagram is incomplete or contradicts itself.
+    """
+    if not (isinstance(dt, (int, float)) and math.isfinite(dt) and dt > 0):
+        raise DiagramError(f"dt = {dt!r}", diagram.name, "give the base tick in seconds, > 0")
+    if integrator not in INTEGRATORS:
+        raise DiagramError(f"unknown integrator {integrator!r}", diagram.name, 'use "rk4" or "euler"')
+    flat = _Flat(diagram)
+    flat.connect()
+    _check_base_rate(flat.nodes)
+    everything = [s for n in flat.nodes for s in n.outputs.values()]
+    ordered = _ordered(diagram.name, everything)
+    _check_rates(flat.nodes, ordered)
+    inputs = {name: flat.input_signal(name) for name in diagram.inputs}
+    outputs = {name: flat.root.driver(name) for name in diagram.outputs}
+    for path in log:
+        outputs[path] = flat.logged(path)
+    moving = _moving(ordered)
+    integrated = [n for n in flat.nodes if n.continuous]
+    edged = [s for s in ordered if integrated and _node(s).trace.edges.get(s.port) is not None]
+    stage = _stage(integrated, ordered, moving)
+    live = _live(flat.nodes, outputs.values(), stage, edged, moving)
+    return Program(
+        diagram.name,
+        diagram.text,
+        float(dt),
+        integrator,
+        inputs,
+        outputs,
+        flat.parameters,
+        flat.nodes,
+        _grouped([s for s in ordered if s in live], flat.nodes, _tick_needs),
+        _grouped(stage, (), lambda s: [d for d in _drivers(s) if d in moving]),
+        frozenset(moving),
+        edged,
+    )
+
+
+@dataclass(eq=False)
+class _Level:
+    """A diagram in its place; `parts` are its blocks' nodes and its sub-diagrams' levels."""
+
+    diagram: Diagram
+    path: str  # of this diagram, for messages
+    prefix: str  # of its parts
+    parent: _Level | None = None
+    name: str = ""  # in the parent
+    parts: dict[str, Node | _Level] = field(default_factory=dict)
+    condition: Condition | None = None
+    root_inputs: dict[str, Signal] = field(default_factory=dict)
+
+    def driver(self, output: str) -> Signal:
+        """The signal that drives one of this diagram's outputs."""
+        source = self.diagram.outputs[output]
+        if source is None:
+            raise DiagramError("the output is not connected", f"{self.path}.{output}", "connect it or remove it")
+        return self.resolve(source)
+
+    def resolve(self, source: str) -> Signal:
+        """The signal that `source` means in this diagram, followed through the borders of sub-diagrams."""
+        at, text = self, source
+        seen: set[tuple[int, str]] = set()
+        while (id(at), text) not in seen:
+            seen.add((id(at), text))
+            part, port = at.diagram.source(text)
+            if part is None:
+                if at.parent is None:
+                    return at.root_inputs[port]
+                above = at.parent.diagram.connections.get((at.name, port))
+                if above is None:
+                    raise DiagramError("the input is not connected", f"{at.path}.{port}", "connect it or remove it")
+                at, text = at.parent, above
+                continue
+            inner = at.parts[part]
+            if isinstance(inner, Node):
+                return inner.outputs[port]
+            below = inner.diagram.outputs[port]
+            if below is None:
+                raise DiagramError("the output is not connected", f"{inner.path}.{port}", "connect it or remove it")
+            at, text = inner, below
+        raise DiagramError("a connection leads back to itself", f"{self.path}.{source}", "a loop needs a block in it")
+
+
+class _Flat:
+    """The nodes and parameters of a diagram, before their order is known."""
+
+    def __init__(self, diagram: Diagram) -> None:
+        self.diagram = diagram
+        self.nodes: list[Node] = []
+        self.parameters: dict[str, Parameter] = {}
+        self.levels: list[_Level] = []
+        self.root = _Level(diagram, diagram.name, "")
+        self.root.root_inputs = {
+            p.name: Signal(p.name, p.name, p.kind, p.width, p.unit) for p in diagram.inputs.values()
+        }
+        stack: list[tuple[_Level, Rate, tuple[Condition, ...], dict[str, Parameter], int]] = [
+            (self.root, BASE, (), {}, 0)
+        ]
+        while stack:
+            level, rate, conditions, bound, depth = stack.pop()
+            if depth > MAX_DEPTH:
+                raise DiagramError(f"sub-diagrams are nested more than {MAX_DEPTH} deep", level.path, "flatten it")
+            self.levels.append(level)
+            declared = level.diagram.params
+            own = {n: self._parameter(level.prefix + n, p, bound.get(n)) for n, p in declared.items()}
+            for part in level.diagram.parts.values():
+                inner = self._bindings(level, part, own)
+                if isinstance(part.item, Block):
+                    level.parts[part.name] = self._node(level, part, part.item, rate, conditions, inner)
+                    continue
+                path = level.prefix + part.name
+                below = _Level(part.item, path, f"{path}.", level, part.name)
+                level.parts[part.name] = below
+                around = conditions
+                if part.enable or part.reset:
+                    below.condition = Condition(path, clears=part.disabled == "reset")
+                    around = (*conditions, below.condition)
+                stack.append((below, part.rate.within(rate), around, inner, depth + 1))
+        self.nodes.sort(key=lambda n: n.path)
+
+    def _bindings(self, level: _Level, part: Part, own: Mapping[str, Parameter]) -> dict[str, Parameter]:
+        for outer in part.params.values():
+            if outer not in own:
+                raise DiagramError(
+                    f"there is no parameter {outer!r} to bind to",
+                    f"{level.path}.{part.name}",
+                    "declare it with Diagram.param",
+                )
+        return {inner: own[outer] for inner, outer in part.params.items()}
+
+    def _parameter(self, path: str, declared: Param, bound: Parameter | None) -> Parameter:
+        if bound is None:
+            self.parameters[path] = Parameter(path, declared)
+            return self.parameters[path]
+        outer = bound.declared
+        if (outer.kind, outer.width) != (declared.kind, declared.width) or _clash(outer.unit, declared.unit):
+            raise DiagramError(
+                f"it is bound to {bound.path!r}, which has another type, width or unit", path, "declare both alike"
+            )
+        return bound
+
+    def _node(
+        self,
+        level: _Level,
+        part: Part,
+        block: Block,
+        rate: Rate,
+        conditions: tuple[Condition, ...],
+        bound: Mapping[str, Parameter],
+    ) -> Node:
+        path = level.prefix + part.name
+        node = Node(path, block, part.rate.within(rate), conditions)
+        node.outputs = {
+            o.name: Signal(f"{path}.{o.name}", o.name, o.kind, o.width, o.unit, node) for o in block.outputs
+        }
+        node.parameters = {d.name: self._parameter(f"{path}.{d.name}", d, bound.get(d.name)) for d in block.params}
+        self.nodes.append(node)
+        return node
+
+    def connect(self) -> None:
+        """Give each node its drivers and each condition its signals; checks types, widths and units."""
+        for level in self.levels:
+            for name in level.diagram.outputs:
+                level.driver(name)
+            for part in level.diagram.parts.values():
+                inner = level.parts[part.name]
+                if isinstance(inner, Node):
+                    inner.drivers = {
+                        port.name: self._driver(level, part.name, port, inner.path) for port in inner.block.inputs
+                    }
+                    continue
+                for port in inner.diagram.inputs.values():
+                    self._driver(level, part.name, port, inner.path)
+                if inner.condition is not None:
+                    inner.condition.enable = self._bool(level, part.enable, inner.path, "enable")
+                    inner.condition.reset = self._bool(level, part.reset, inner.path, "reset")
+
+    def _driver(self, level: _Level, part: str, port: Port, path: str) -> Signal:
+        where = f"{path}.{port.name}"
+        source = level.diagram.connections.get((part, port.name))
+        if source is None:
+            raise DiagramError("the input is not connected", where, "connect it")
+        signal = level.resolve(source)
+        if (signal.kind, signal.width) != (port.kind, port.width):
+            raise DiagramError(
+                f"it takes {_shape(port.kind, port.width)} and {signal.path} is {_shape(signal.kind, signal.width)}",
+                where,
+                "convert the signal, or mux and demux it",
+            )
+        if _clash(signal.unit, port.unit):
+            raise DiagramError(
+                f"it takes [{port.unit}] and {signal.path} is in [{signal.unit}]", where, "convert the unit"
+            )
+        return signal
+
+    def _bool(self, level: _Level, source: str | None, path: str, what: str) -> Signal | None:
+        if not source:
+            return None
+        signal = level.resolve(source)
+        if signal.kind != "bool" or signal.width is not None:
+            raise DiagramError(f"its {what} signal {source!r} is no bool", path, "compare the signal with something")
+        return signal
+
+    def input_signal(self, name: str) -> Signal:
+        return self.root.root_inputs[name]
+
+    def logged(self, path: str) -> Signal:
+        owner, _, port = path.rpartition(".")
+        for node in self.nodes:
+            if node.path == owner and port in node.outputs:
+                return node.outputs[port]
+        raise DiagramError(f"there is no signal {path!r:.120}", self.diagram.name, "a signal's path is part.sub.port")
+
+
+def _clash(a: str, b: str) -> bool:
+    return bool(a) and bool(b) and a != b
+
+
+def _shape(kind: str, width: int | None) -> str:
+    return kind if width is None else f"{kind}[{width}]"
+
+
+def _node(signal: Signal) -> Node:
+    if signal.node is None:
+        raise ValueError(f"{signal.path} is an input of the program")
+    return signal.node
+
+
+def _check_base_rate(nodes: Sequence[Node]) -> None:
+    for node in nodes:
+        what = "continuous states" if node.continuous else "an edge inside the step" if node.trace.edges else ""
+        if what and node.rate != BASE:
+            raise DiagramError(f"{what} at the rate {tuple(node.rate)}", node.path, "keep it at the base rate")
+
+
+def _drivers(signal: Signal) -> list[Signal]:
+    """The driven signals that this one depends on in the same tick through its block."""
+    node = _node(signal)
+    found = [node.drivers[name] for name in sorted(node.trace.feedthrough[signal.port])]
+    return [d for d in found if d.node is not None]
+
+
+def _tick_needs(signal: Signal) -> list[Signal]:
+    """The signals that must be known before this one can be computed in a tick."""
+    return _drivers(signal) + _conditions(_node(signal))
+
+
+def _conditions(node: Node) -> list[Signal]:
+    signals = [s for c in node.conditions for s in (c.enable, c.reset)]
+    return [s for s in signals if s is not None and s.node is not None]
+
+
+def _ordered(name: str, signals: Sequence[Signal]) -> list[Signal]:
+    """`signals` with each after those it needs, ties by path. Raises DiagramError that lists an algebraic loop."""
+    rank = {s: i for i, s in enumerate(signals)}
+    needs = {s: set(_tick_needs(s)) for s in signals}
+    users: dict[Signal, list[Signal]] = {s: [] for s in signals}
+    for s, before in needs.items():
+        for b in before:
+            users[b].append(s)
+    waiting = {s: len(before) for s, before in needs.items()}
+    ready = [rank[s] for s in signals if waiting[s] == 0]
+    heapq.heapify(ready)
+    order = []
+    while ready:
+        s = signals[heapq.heappop(ready)]
+        order.append(s)
+        for user in users[s]:
+            waiting[user] -= 1
+            if waiting[user] == 0:
+                heapq.heappush(ready, rank[user])
+    if len(order) < len(signals):
+        loop = _loop({s: [b for b in needs[s] if waiting[b]] for s in signals if waiting[s]})
+        raise DiagramError(
+            f"algebraic loop {' <- '.join(s.path for s in loop)}",
+            name,
+            "put a delay or a continuous state into the loop",
+        )
+    return order
+
+
+def _loop(needs: Mapping[Signal, Sequence[Signal]]) -> list[Signal]:
+    """A cycle in a graph in which everything needs something."""
+    at = min(needs, key=lambda s: s.path)
+    seen: list[Signal] = []
+    while at not in seen:
+        seen.append(at)
+        at = min(needs[at], key=lambda s: s.path)
+    return [*seen[seen.index(at) :], at]
+
+
+def _check_rates(nodes: Sequence[Node], ordered: Sequence[Signal]) -> None:
+    """Raise DiagramError where a block reads a signal of another rate and is no crossing. Constants have no rate."""
+    constant: set[Signal] = set()
+    for s in ordered:
+        node = _node(s)
+        steady = not node.conditions and s.port not in node.trace.uses_tick and s.port not in node.trace.edges
+        fed = [node.drivers[i] for i in node.trace.feedthrough[s.port]]
+        if steady and all(d in constant for d in fed) and not leaves([node.trace.outputs[s.port]], "state"):
+            constant.add(s)
+    for node in nodes:
+        for name, signal in node.drivers.items():
+            rate = BASE if signal.node is None else signal.node.rate
+            if rate != node.rate and signal not in constant and not node.block.crossing:
+                raise DiagramError(
+                    f"it runs at {tuple(node.rate)} and {signal.path} at {tuple(rate)}",
+                    f"{node.path}.{name}",
+                    "put a ZeroOrderHold or RateTransition between them",
+                )
+
+
+def _moving(ordered: Sequence[Signal]) -> set[Signal]:
+    """The signals that change inside a step: by an edge, with a continuous state, or with such an input."""
+    moving: set[Signal] = set()
+    for s in ordered:
+        node = _node(s)
+        if s.port in node.trace.edges:
+            moving.add(s)
+            continue
+        if node.rate != BASE or node.block.crossing or (node.discrete and not node.continuous):
+            continue
+        own = {x.name for x in node.continuous}
+        if own & leaves([node.trace.outputs[s.port]], "state") or any(d in moving for d in _drivers(s)):
+            moving.add(s)
+    return moving
+
+
+def inputs_of(node: Node, roots: Iterable[Expr]) -> set[Signal]:
+    """The signals that expressions of `node` read."""
+    return {node.drivers[name] for name in leaves(roots, "input")}
+
+
+def _stage(integrated: Sequence[Node], ordered: Sequence[Signal], moving: set[Signal]) -> list[Signal]:
+    """The continuous outputs that the derivatives depend on, in order; edged ones are given, not computed."""
+    needed = {s for n in integrated for s in inputs_of(n, n.trace.derivative.values())}
+    chosen = []
+    for s in reversed(ordered):
+        if s in needed and s in moving and s.port not in _node(s).trace.edges:
+            chosen.append(s)
+            needed |= inputs_of(_node(s), [_node(s).trace.outputs[s.port]])
+    return chosen[::-1]
+
+
+def _live(
+    nodes: Sequence[Node],
+    outputs: Iterable[Signal],
+    stage: Sequence[Signal],
+    edged: Sequence[Signal],
+    moving: set[Signal],
+) -> set[Signal]:
+    """The signals that must be computed at the tick, because they are returned, stored or held."""
+    stack = [*outputs, *edged]
+    for n in nodes:
+        if n.block.states:
+            stack += _conditions(n)
+            stack += inputs_of(n, [*n.trace.update.values(), *n.trace.project.values()])
+            stack += [s for s in inputs_of(n, n.trace.derivative.values()) if s not in moving]
+    for s in stage:
+        node = _node(s)
+        stack += [d for d in inputs_of(node, [node.trace.outputs[s.port]]) if d not in moving]
+        if node.guard.enables:
+            stack += [s, *_conditions(node)]
+    live: set[Signal] = set()
+    while stack:
+        s = stack.pop()
+        if s.node is not None and s not in live:
+            live.add(s)
+            stack += _tick_needs(s)
+    return live
+
+
+def _grouped(signals: Sequence[Signal], nodes: Sequence[Node], needs: Callable[[Signal], list[Signal]]) -> list[Group]:
+    """`signals` in an order that keeps blocks of one guard together, as actions; `nodes` that reset start with that."""
+    chosen = set(signals)
+    starting = [n for n in nodes if n.resets and n.block.states]
+    begins = {n: i for i, n in enumerate(starting)}
+    # What is done: a signal, or the resetting of a node's states.
+    things: list[Signal | Node] = [*starting, *signals]
+    before: dict[Signal | Node, set[Signal | Node]] = {}
+    for thing in things:
+        if isinstance(thing, Node):
+            before[thing] = {s for s in _conditions(thing) if s in chosen}
+        else:
+            before[thing] = {s for s in needs(thing) if s in chosen}
+            owner = _node(thing)
+            if owner in begins:
+                before[thing].add(owner)
+    rank = {thing: i for i, thing in enumerate(things)}
+    users: dict[Signal | Node, list[Signal | Node]] = {t: [] for t in things}
+    for thing, earlier in before.items():
+        for e in earlier:
+            users[e].append(thing)
+    waiting = {t: len(earlier) for t, earlier in before.items()}
+    queues: dict[Guard, list[int]] = {}
+
+    def guard_of(thing: Signal | Node) -> Guard:
+        return thing.guard if isinstance(thing, Node) else _node(thing).guard
+
+    def push(thing: Signal | Node) -> None:
+        heapq.heappush(queues.setdefault(guard_of(thing), []), rank[thing])
+
+    for thing in things:
+        if waiting[thing] == 0:
+            push(thing)
+    groups: list[Group] = []
+    open_guard, actions = Guard(BASE), list[Action]()
+    while any(queues.values()):
+        if not queues.get(open_guard):
+            if actions:
+                groups.append(Group(open_guard, tuple(actions)))
+            # What always runs first, for it wakes what is guarded.
+            open_guard = min((g for g, q in queues.items() if q), key=lambda g: (not g.always, queues[g][0]))
+            actions = []
+        thing = things[heapq.heappop(queues[open_guard])]
+        if isinstance(thing, Node):
+            actions.append(Action(thing, ()))
+        elif actions and actions[-1].signals and actions[-1].node is thing.node:
+            actions[-1] = Action(actions[-1].node, (*actions[-1].signals, thing))
+        else:
+            actions.append(Action(_node(thing), (thing,)))
+        for user in users[thing]:
+            waiting[user] -= 1
+            if waiting[user] == 0:
+                push(user)
+    if actions:
+        groups.append(Group(open_guard, tuple(actions)))
+    return groups

@@ -1,0 +1,186 @@
+"""Shared libraries from C source: built by the system's compiler or the one in the ziglang wheel, cached by content."""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import hashlib
+import importlib.util
+import os
+import platform
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from twodof.errors import CompileError
+
+# Every target gives the same bits only under these; see the rules at the head of the emitted file.
+FLAGS = ("-std=c99", "-fPIC", "-shared", "-ffp-contract=off", "-fno-math-errno", "-w")
+ABI = "twodof-native-1"
+BUILD_SECONDS = 600
+MOST_ENTRIES = 2000
+
+
+@dataclass(frozen=True)
+class Compiler:
+    """A C compiler: its command line's beginning, and the flags only it needs."""
+
+    name: str
+    command: tuple[str, ...]
+    flags: tuple[str, ...] = ()
+
+    def identity(self) -> str:
+        """What changes when the compiler does: the resolved program, its size and its time."""
+        path = Path(self.command[0])
+        if self.name == "zig" and len(self.command) > 2:
+            found = importlib.util.find_spec("ziglang")
+            path = Path(found.origin) if found is not None and found.origin else path
+        path = path.resolve()
+        stat = path.stat()
+        return f"{self.name} {path} {stat.st_size} {stat.st_mtime_ns}"
+
+
+def find_compiler(name: str | None = None) -> Compiler:
+    """The compiler called `name` ("cc", "gcc", "clang", "zig" or a path), or else the first there is.
+
+    Raises CompileError if it is not there.
+    """
+    for candidate in (name,) if name else ("cc", "gcc", "clang", "zig"):
+        if candidate == "zig":
+            zig = shutil.which("zig")
+            if importlib.util.find_spec("ziglang") is not None:
+                return Compiler("zig", (sys.executable, "-m", "ziglang", "cc"), ("-fno-sanitize=undefined",))
+            if zig:
+                return Compiler("zig", (zig, "cc"), ("-fno-sanitize=undefined",))
+            continue
+        path = shutil.which(candidate)
+        if path:
+            return Compiler(candidate, (path,))
+    raise CompileError(
+        f"there is no C compiler {name!r}" if name else "there is no C compiler",
+        "",
+        "install cc, or the wheel ziglang (`pip install ziglang`)",
+    )
+
+
+@functools.cache
+def processor() -> str:
+    """What `-march=native` depends on."""
+    try:
+        first = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").partition("\n\n")[0]
+    except OSError:
+        first = platform.processor()
+    volatile = ("processor", "cpu MHz", "bogomips", "apicid", "initial apicid", "core id", "physical id", "microcode")
+    lines = [line for line in first.splitlines() if not line.lower().startswith(tuple(v.lower() for v in volatile))]
+    return f"{platform.machine()} {platform.system()} {hashlib.sha256(chr(10).join(lines).encode()).hexdigest()}"
+
+
+def cache_folder() -> Path:
+    """The user's folder of compiled libraries: TWODOF_CACHE, or XDG_CACHE_HOME/twodof, or ~/.cache/twodof."""
+    named = os.environ.get("TWODOF_CACHE")
+    if named:
+        return Path(named)
+    base = os.environ.get("XDG_CACHE_HOME")
+    try:
+        return (Path(base) if base else Path.home() / ".cache") / "twodof"
+    except RuntimeError:  # no home
+        return Path(tempfile.gettempdir()) / f"twodof-{os.getuid()}"
+
+
+def load(
+    source: str, compiler: Compiler, optimise: str = "-O3", native: bool = True, flags: Sequence[str] = ()
+) -> ctypes.CDLL:
+    """The library compiled from `source`, taken from the cache if it is there.
+
+    `native` tunes for this processor. Raises CompileError if the compiler refuses or hangs, or if this process rounds
+    subnormal numbers to zero.
+    """
+    _check_subnormals()
+    march = ("-mcpu=native" if platform.machine() in ("arm64", "aarch64") else "-march=native",) if native else ()
+    options = (*FLAGS, optimise, *march, *compiler.flags, *flags)
+    cpu = processor() if native else platform.machine()
+    key = hashlib.sha256("\0".join((ABI, source, compiler.identity(), *options, cpu)).encode()).hexdigest()
+    folder = cache_folder()
+    entry = folder / f"{key}.so"
+    if _whole(entry):
+        with suppress(OSError):
+            return ctypes.CDLL(str(entry))
+    try:
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        work = tempfile.TemporaryDirectory(dir=folder, prefix="build-")
+    except OSError:  # a cache that cannot be written is no reason not to run
+        work = tempfile.TemporaryDirectory(prefix="twodof-")
+    with work as name:
+        made = Path(name) / "program.so"
+        _compile(source, made, compiler, options)
+        _seal(made)
+        if made.parent.parent == folder:
+            made.replace(entry)  # atomic: another process sees the old file, none, or the whole new one
+            _prune(folder)
+            made = entry
+        return ctypes.CDLL(str(made))  # stays mapped when its file goes
+
+
+def _compile(source: str, target: Path, compiler: Compiler, options: Sequence[str]) -> None:
+    file = target.with_suffix(".c")
+    file.write_text(source, encoding="utf-8")
+    command = [*compiler.command, *options, "-o", str(target), str(file)]
+    try:
+        done = subprocess.run(command, capture_output=True, timeout=BUILD_SECONDS, check=False)
+    except subprocess.TimeoutExpired as error:
+        raise CompileError(
+            f"it did not end within {BUILD_SECONDS} s", compiler.name, "make the diagram smaller"
+        ) from error
+    except OSError as error:
+        raise CompileError(f"it does not start: {error}", compiler.name, "install a working C compiler") from error
+    if done.returncode or not target.is_file():
+        said = done.stderr.decode("utf-8", "replace").strip()[-2000:]
+        raise CompileError(
+            f"it refused the C that was generated: {said or f'exit status {done.returncode}'}",
+            compiler.name,
+            "check that the compiler works; if it does, this is a fault of twodof",
+        )
+
+
+def _seal(file: Path) -> None:
+    """Append a digest, which the loader of libraries ignores and `_whole` checks."""
+    data = file.read_bytes()
+    with file.open("ab") as stream:
+        stream.write(hashlib.sha256(data).digest())
+        stream.flush()
+        os.fsync(stream.fileno())
+
+
+def _whole(file: Path) -> bool:
+    try:
+        data = file.read_bytes()
+    except OSError:
+        return False
+    return len(data) > 32 and hashlib.sha256(data[:-32]).digest() == data[-32:]
+
+
+def _prune(folder: Path) -> None:
+    """Forget the oldest entries of a cache that has grown too large."""
+    entries = list(folder.glob("*.so"))
+    if len(entries) <= MOST_ENTRIES:
+        return
+    with suppress(OSError):
+        for old in sorted(entries, key=lambda f: f.stat().st_mtime_ns)[: len(entries) // 2]:
+            old.unlink(missing_ok=True)
+
+
+def _check_subnormals() -> None:
+    """A library built with -ffast-math sets the whole process to flush subnormals to zero, which changes results."""
+    if np.float64(2.0**-1074) * np.float64(1.0) == 0.0:
+        raise CompileError(
+            "this process rounds subnormal numbers to zero",
+            "",
+            "find the imported library that was built with -ffast-math, and import it after twodof or not at all",
+        )
