@@ -12,7 +12,7 @@ from functools import cache
 
 from twodof.blocks.elementary import ARGUMENTS, DEFINITIONS
 from twodof.blocks.expr import leaf, tracing
-from twodof.compile.cexpr import ATOM, C_TYPES, Names, Renderer, Writer
+from twodof.compile.cexpr import ATOM, Names, Renderer, Writer
 from twodof.compile.chelpers import HELPERS
 from twodof.compile.cstage import Stage
 from twodof.compile.ctick import Scope, Tick, describe, fill
@@ -134,7 +134,8 @@ class _Emitter:
         if stage:
             parts.append(self._struct("X", "continuous states", self.layout.x.members))
             parts.append(
-                f"typedef struct {{ /* what does not change inside a step */\n{_indented(stage.declarations())}}} {p}_Held;\n\n"
+                f"typedef struct {{ /* what does not change inside a step */\n"
+                f"{_indented(stage.declarations())}}} {p}_Held;\n\n"
             )
         parts.append(
             self._struct("S", "discrete and continuous states, held signals", self.layout.s.members, bool(stage))
@@ -215,7 +216,9 @@ void {p}_run(const {p}_P *p, {p}_S *s, const {p}_U *u, size_t u_stride, {p}_Y *y
         infinity = "__builtin_inf()"
 
         def bound(value: float) -> str:
-            return f"-{infinity}" if value == -float("inf") else infinity if value == float("inf") else value.hex()
+            return (
+                f"-{infinity}" if value == -float("inf") else infinity if value == float("inf") else float(value).hex()
+            )
 
         def entry(struct: str, m: Member, place: str) -> str:
             low, high = (
@@ -230,8 +233,8 @@ void {p}_run(const {p}_P *p, {p}_S *s, const {p}_U *u, size_t u_stride, {p}_Y *y
         states += [("S", m, f"x.{m.name}") for m in layout.x.members]
         signals = [("U", m, m.name) for m in layout.u.members] + [("Y", m, m.name) for m in layout.y.members] + states
         parameters = [("P", m, m.name) for m in layout.p.members]
-        text = f"""/* For live tuning and logging: path, unit, struct (P, S, U, Y), type (r real, i int32, u uint32, b bool),
-   number of elements, offset, bounds. The last entry has no path. */
+        text = f"""/* For live tuning and logging: path, unit, struct (P, S, U, Y), type (r real, i int32, u uint32,
+   b bool), number of elements, offset, bounds. The last entry has no path. */
 typedef struct {{
     const char *path, *unit;
     char where, type;
@@ -243,7 +246,8 @@ typedef struct {{
         none = "{0, 0, 0, 0, 0u, 0u, 0.0, 0.0},"
         for name, rows in (("parameters", parameters), ("signals", signals)):
             lines = [entry(*row) for row in rows]
-            text += f"extern const {p}_Entry {p}_{name}[];\nconst {p}_Entry {p}_{name}[] = {{\n{_indented([*lines, none])}}};\n\n"
+            declared = f"const {p}_Entry {p}_{name}[]"
+            text += f"extern {declared};\n{declared} = {{\n{_indented([*lines, none])}}};\n\n"
         text += f"""/* Sizes of real, P, S, U, Y: whoever loads this must agree. */
 extern const size_t {p}_sizes[5];
 const size_t {p}_sizes[5] = {{sizeof(real), sizeof({p}_P), sizeof({p}_S), sizeof({p}_U), sizeof({p}_Y)}};
