@@ -28,6 +28,27 @@ BOUND = {"float64": 2.5, "float32": 4.0}
 # Where the promise for sin, cos and tan ends: their argument is reduced with so many digits of pi.
 TURNS = {"float64": 1e5, "float32": 6400.0}
 BITS = {"float64": 53, "float32": 24}
+# What is seen, in ulp: of float32 with one argument over all of them, else over some millions. A definition that is
+# changed may not lose its accuracy unnoticed.
+SEEN: dict[str, tuple[float, float]] = {
+    "sin": (1.50, 2.48),
+    "cos": (1.50, 2.48),
+    "sin_octant": (1.30, 1.17),
+    "cos_octant": (1.08, 0.98),
+    "tan": (2.31, 2.45),
+    "atan": (1.30, 1.75),
+    "atan2": (1.77, 1.75),
+    "asin": (2.07, 2.05),
+    "acos": (1.22, 1.15),
+    "exp": (0.99, 1.00),
+    "log": (0.92, 0.93),
+    "pow": (0.76, 0.78),
+    "floor": (0.0, 0.0),
+    "ceil": (0.0, 0.0),
+    "trunc": (0.0, 0.0),
+    "tanh": (1.30, 1.32),
+    "hypot": (1.20, 1.18),
+}
 EXACT: dict[str, Callable[..., Any]] = {
     "sin": mp.sin,
     "cos": mp.cos,
@@ -82,82 +103,70 @@ def around(centres: Any, precision: str, steps: int = 3) -> NDArray[Any]:
     return np.concatenate(columns)
 
 
-def arguments(name: str, precision: str) -> tuple[NDArray[Any], ...]:
+def arguments(name: str, precision: str, scale: int = 1) -> tuple[NDArray[Any], ...]:
     """Finite arguments within the domain of `name`: random over its range, dense where it is delicate, and edges."""
+    n = 1000 * scale
+    if ARGUMENTS[name] == 2:
+        y, x = _pairs(name, precision, n)
+        return _joined(y, precision), _joined(x, precision)
     rng = np.random.default_rng(2)
     real = REALS[precision]
     tiny, info = around([0.0], precision), np.finfo(real)
+    powers_of_2 = 2.0 ** rng.uniform(-120, 0, 100)
     if name in ("sin", "cos", "tan"):
         limit = TURNS[precision]
-        quarter = np.arange(-int(limit / 1.6), int(limit / 1.6), 1 if limit < 1e4 else 97) * (np.pi / 2)
-        near = around(
-            np.concatenate([quarter[:: max(len(quarter) // 200, 1)], np.arange(-64, 65) * (np.pi / 4)]), precision, 1
-        )
-        groups = [rng.uniform(-100, 100, 3000), rng.uniform(-1, 1, 600), rng.uniform(-limit, limit, 1000), near, tiny]
+        quarters = np.arange(-int(limit / 1.6), int(limit / 1.6), int(limit / 130)) * (np.pi / 2)
+        near = around(np.concatenate([quarters, np.arange(-64, 65) * (np.pi / 4)]), precision, 1)
+        groups = [rng.uniform(-100, 100, 3 * n), rng.uniform(-1, 1, n), rng.uniform(-limit, limit, n), near, tiny]
     elif name.endswith("octant"):
-        groups = [rng.uniform(-np.pi / 4, np.pi / 4, 1600), 2.0 ** rng.uniform(-100, -1, 100), tiny[tiny >= 0]]
+        groups = [rng.uniform(-np.pi / 4, np.pi / 4, 2 * n), powers_of_2 * (np.pi / 4), tiny[tiny >= 0]]
     elif name in ("asin", "acos"):
-        close = 1.0 - np.exp(rng.uniform(-30, 0, 800))
-        groups = [
-            rng.uniform(-1, 1, 2000),
-            close,
-            -close,
-            2.0 ** rng.uniform(-140, -1, 100),
-            around([0.5, -0.5], precision),
-            tiny,
-        ]
-        groups += [[1.0, -1.0, *np.nextafter(real([1, -1]), real(0))]]
+        close = 1.0 - np.exp(rng.uniform(-30, 0, n))
+        joints = around([0.5, -0.5], precision)
+        groups = [rng.uniform(-1, 1, 3 * n), close, -close, powers_of_2, joints, tiny]
+        groups += [[1.0, -1.0], np.nextafter(real([1, -1]), real(0))]
     elif name == "exp":
         low, high = np.log(float(info.smallest_subnormal)), np.log(float(info.max))
         joints = around((np.arange(-20, 20) + 0.5) * np.log(2.0), precision, 1)
-        groups = [
-            rng.uniform(low - 3, high + 1, 3000),
-            rng.uniform(-1, 1, 1000),
-            around([low, high], precision),
-            joints,
-            tiny,
-        ]
-        groups += [2.0 ** rng.uniform(-120, 0, 50)]
+        groups = [rng.uniform(low - 3, high + 1, 3 * n), rng.uniform(-1, 1, n), powers_of_2, tiny, joints]
+        groups += [around([low, high], precision)]
     elif name == "log":
-        groups = [np.abs(patterns(1500, precision)), rng.uniform(0.5, 2, 1600), 1 + rng.normal(size=300) * 1e-4]
+        groups = [np.abs(patterns(2 * n, precision)), rng.uniform(0.5, 2, 2 * n), 1 + rng.normal(size=n) * 1e-4]
         groups += [around([1.0, 0.5**0.5, 2**0.5, info.tiny], precision), [info.max, info.smallest_subnormal]]
         groups = [np.asarray(g)[np.asarray(g) > 0] for g in groups]
     elif name in ("floor", "ceil", "trunc"):
         whole = 2.0 ** (BITS[precision] - 1)
-        groups = [patterns(500, precision), rng.uniform(-1e4, 1e4, 1000), around(np.arange(-5, 6) / 2, precision)]
+        groups = [patterns(n, precision), rng.uniform(-1e4, 1e4, n), around(np.arange(-5, 6) / 2, precision)]
         groups += [around([whole, -whole, whole / 2, 2 * whole], precision), rng.uniform(-whole, whole, 100)]
-    elif name in ("atan", "tanh"):
-        joints = around([0.25, 0.75, 1.0, 4 / 3, 4.0, 0.625, -0.25, -0.75, -1.0, -0.625], precision)
-        groups = [patterns(1000, precision), rng.uniform(-5, 5, 2000), rng.uniform(-30, 30, 600), joints, tiny]
-    elif name == "atan2":
-        a, b = rng.normal(size=1000), rng.normal(size=1000)
-        ratio, side = np.meshgrid(around([0.25, 0.75, 1.0, 4 / 3, 4.0], precision), [1.0, -1.0, 3.0, -0.1])
-        wild = patterns(3000, precision, 3)[:2400]
-        y = [a, wild[:1200], ratio.ravel() * side.ravel(), [info.max, info.max, info.tiny, 0.0, 1.0]]
-        x = [b, wild[1200:], side.ravel(), [info.max, -info.max, -info.max, 1.0, 0.0]]
-        return _joined(y, precision), _joined(x, precision)
-    elif name == "hypot":
-        wild = patterns(3000, precision, 4)[:2400]
-        close = wild[:800] * real(0.6)
-        a = [rng.normal(size=1000), wild[:1200], wild[:800], [3.0, 0.0, info.smallest_subnormal, info.max]]
-        b = [rng.normal(size=1000), wild[1200:], close, [4.0, 0.0, info.smallest_subnormal, info.tiny]]
-        return _joined(a, precision), _joined(b, precision)
-    elif name == "pow":
-        most = np.log(float(info.max))
-        x = np.exp(rng.uniform(-0.98 * most, 0.98 * most, 3000))
-        near = 1 + rng.normal(size=700) * 10.0 ** rng.uniform(-6 if precision == "float32" else -15, -1, 700)
-        near = real(near)[real(near) != 1]
-        whole = rng.integers(-30, 31, 600)
-        # Exponents that put the result anywhere between the smallest and the largest real, and a little beyond.
-        y = [
-            rng.uniform(-1.05, 1.02, 3000) * most / np.log(x),
-            rng.uniform(-1.05, 1.02, len(near)) * most / np.log(np.float64(near)),
-            whole,
-        ]
-        return _joined([x, near, rng.uniform(-5, 5, 600)], precision), _joined(y, precision)
     else:
-        raise AssertionError(f"no arguments for {name}")
+        joints = around([0.25, 0.75, 1.0, 4 / 3, 4.0, 0.625, -0.25, -0.75, -1.0, -0.625], precision)
+        groups = [patterns(n, precision), rng.uniform(-5, 5, 3 * n), rng.uniform(-30, 30, n), joints, tiny]
     return (_joined(groups, precision),)
+
+
+def _pairs(name: str, precision: str, n: int) -> tuple[list[Any], list[Any]]:
+    rng = np.random.default_rng(3)
+    real = REALS[precision]
+    info = np.finfo(real)
+    most, least = float(info.max), float(info.smallest_subnormal)
+    wild = patterns(4 * n, precision, 3)[: 2 * n]
+    if name == "atan2":
+        ratio, side = np.meshgrid(around([0.25, 0.75, 1.0, 4 / 3, 4.0], precision), [1.0, -1.0, 3.0, -0.1, most / 5])
+        y = [rng.normal(size=3 * n), wild[:n], (ratio * side).ravel(), [most, most, info.tiny, 0.0, 1.0]]
+        x = [rng.normal(size=3 * n), wild[n:], side.ravel(), [most, -most, -most, 1.0, 0.0]]
+        large = rng.uniform(0.1, 1, (2, 100)) * most
+        small = np.ceil(rng.uniform(0, 50, (2, 100))) * least
+        return [*y, large[0], small[0]], [*x, large[1], small[1]]
+    if name == "hypot":
+        a = [rng.normal(size=3 * n), wild[:n], wild[:n], [3.0, 0.0, least, most]]
+        b = [rng.normal(size=3 * n), wild[n:], wild[:n] * real(0.6), [4.0, 0.0, least, info.tiny]]
+        return a, b
+    # Exponents that put the power anywhere between the smallest and the largest real, and a little beyond.
+    x = np.exp(rng.uniform(-0.98, 0.98, 2 * n) * np.log(most))
+    near = real(1 + rng.normal(size=n) * 10.0 ** rng.uniform(-6 if precision == "float32" else -15, -1, n))
+    near = near[near != 1]
+    y = [rng.uniform(-1.05, 1.02, len(v)) * np.log(most) / np.log(np.float64(v)) for v in (x, near)]
+    return [x, near, rng.uniform(-5, 5, n)], [*y, rng.integers(-30, 31, n)]
 
 
 def _joined(groups: list[Any], precision: str) -> NDArray[Any]:
@@ -188,8 +197,31 @@ def test_error_against_mpmath(name: str, precision: str) -> None:
         errors = [ulps(g, e, precision) for g, e in zip(got, exact, strict=True)]
     worst = int(np.argmax(errors))
     at = [float(c[worst]) for c in columns]
-    exactly = name in ("floor", "ceil", "trunc")
-    assert errors[worst] <= (0.0 if exactly else BOUND[precision]), f"{errors[worst]} ulp at {at}: {got[worst]}"
+    assert errors[worst] <= accepted(name, precision), f"{errors[worst]} ulp at {at}: {got[worst]}"
+
+
+@pytest.mark.skipif(np.finfo(np.longdouble).nmant < 63, reason="long double is no wider than double here")
+@pytest.mark.parametrize("name", sorted(set(WIDE) | {"atan2", "pow", "hypot"}))
+def test_error_in_float64_on_many_arguments(name: str) -> None:
+    """Against libm in extended precision, whose own error is some 2^-11 of a double's last place."""
+    columns = arguments(name, "float64", 50)
+    got = function(name, "float64")(*columns)
+    libm = {**WIDE, "atan2": np.arctan2, "pow": np.power, "hypot": np.hypot}[name]
+    info = np.finfo(np.float64)
+    with np.errstate(all="ignore"):
+        exact = libm(*(c.astype(np.longdouble) for c in columns))
+        clear = (np.abs(exact) <= float(info.max)) & np.isfinite(got)
+        step = np.spacing(np.maximum(np.abs(exact.astype(np.float64)), float(info.tiny)))
+        # Where the exact result has rounded up to a power of two, its own last place is half as large.
+        step = np.where((np.abs(exact) < step * 2.0**52) & (step > 2.0**-1074), step / 2, step)
+        error = np.where(clear, np.abs(got - exact) / step, 0)
+    worst = int(np.argmax(error))
+    assert clear.mean() > 0.9
+    assert error[worst] <= accepted(name, "float64") + 0.01, f"{error[worst]} ulp at {[c[worst] for c in columns]}"
+
+
+def accepted(name: str, precision: str) -> float:
+    return min(BOUND[precision], SEEN[name][precision == "float32"])
 
 
 @pytest.mark.parametrize("name", sorted(WIDE))
@@ -222,7 +254,9 @@ def check_float32(name: str, x: NDArray[np.float32]) -> None:
         assert name == "tan" or not np.any(np.abs(got) > 1)
     assert np.array_equal(np.isnan(got), np.isnan(exact))
     worst = int(np.argmax(np.where(known, error, 0)))
-    assert error[worst] <= BOUND["float32"] or not known[worst], f"{error[worst]} ulp at {x[worst]!r}: {got[worst]!r}"
+    assert error[worst] <= accepted(name, "float32") or not known[worst], (
+        f"{error[worst]} ulp at {x[worst]!r}: {got[worst]!r}"
+    )
     if name in ("floor", "ceil", "trunc"):
         assert np.array_equal(got, exact.astype(np.float32), equal_nan=True)
         assert np.array_equal(np.signbit(got[known]), np.signbit(exact[known]))
@@ -445,7 +479,7 @@ def test_on_expressions_a_call_is_recorded() -> None:
 
 
 def test_tables_name_the_same_functions() -> None:
-    assert set(ARGUMENTS) == set(DEFINITIONS) == set(FUNCTIONS) == set(EXACT)
+    assert set(ARGUMENTS) == set(DEFINITIONS) == set(FUNCTIONS) == set(EXACT) == set(SEEN)
 
 
 @both
