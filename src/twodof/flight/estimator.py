@@ -40,9 +40,9 @@ def estimator(position_filter: str = "fixed-gain") -> Diagram:
     """The estimator, made for 250 Hz.
 
     `position_filter` is "fixed-gain", the one that the drone's logs show, or "kalman". Inputs: `acc_x`, `acc_z` [m/s2]
-    (specific force, forward-right-down), `gyro_y` [rad/s], `dist` [m] with `dist_new` (bool, true for one
-    tick a sample) and `dist_age` [s] at that tick. Outputs: `theta` [rad], `q` [rad/s], `x` [m], `v` [m/s] of this sample
-    and `x_published`, `v_published`, held at 100 Hz. Raises ParameterError for another filter.
+    (specific force, body axes forward-right-down), `gyro_y` [rad/s], `dist` [m] with `dist_new` (bool, true for
+    one tick a sample) and `dist_age` [s] at that tick. Outputs: `theta` [rad], `q` [rad/s], `x` [m], `v` [m/s] of
+    this sample and `x_published`, `v_published`, held at 100 Hz. Raises ParameterError for another filter.
     """
     if position_filter not in POSITION_FILTERS:
         raise ParameterError(

@@ -11,6 +11,7 @@ from types import MappingProxyType
 from typing import Any
 
 from twodof.errors import ParameterError
+from twodof.parameters import PARAMETERS, PRESETS
 
 _SHAPE = '{"rate": [Kp, Ki, Kd], "attitude": Kp, "velocity": [Kp, Ki], "position": Kp}'
 
@@ -68,10 +69,20 @@ class Gains:
         return cls((kp, ki, kd), attitude, (velocity_kp, velocity_ki), position)
 
 
-DEFAULT = Gains((0.0854, 0.251, 0.00054), 11.0, (2.4, 2.81), 1.5)
-STUDENT = Gains((0.0651, 0.35, 0.000896), 6.1986, (2.19, 1.46), 0.7)
-NAMED: Mapping[str, Gains] = MappingProxyType({"default": DEFAULT, "student": STUDENT})
+def _preset(name: str) -> Gains:
+    values = {row.name: row.default for row in PARAMETERS} | dict(PRESETS[name])
+    return Gains(
+        (values["RATE_KP"], values["RATE_KI"], values["RATE_KD"]),
+        values["ATT_KP"],
+        (values["VEL_KP"], values["VEL_KI"]),
+        values["POS_KP"],
+    )
+
+
+NAMED: Mapping[str, Gains] = MappingProxyType({name: _preset(name) for name in PRESETS})
 """The sets the drone was flown with: its own, and one designed by loop shaping in the course."""
+
+DEFAULT, STUDENT = NAMED["default"], NAMED["student"]
 
 
 def load_gains(source: str | Path) -> Gains:

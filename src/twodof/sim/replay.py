@@ -1,0 +1,187 @@
+"""Replay: the compiled flight code is fed with a log's inputs and must give the log's outputs back.
+
+This is the proof that what we compile is what flew. Each loop is entered at its own logged set-point and measurement,
+through the mode of the one compiled cascade; the integrals are seeded from the log where the log cannot tell them.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from twodof.compile import build
+from twodof.flight.cascade import ATTITUDE, RATE, VELOCITY, cascade
+from twodof.flight.gains import DEFAULT, Gains
+from twodof.flightlog.log import FlightLog
+from twodof.sim.pairing import PERIOD, Flags, Floats, Pairing, pair, runs
+
+CHANNELS = ("M", "q0", "theta0", "T")
+
+_SETTLE = 5  # samples left out where a loop starts: on board the reset ends two to four samples beyond the edge
+_FORGET = 45  # samples after which the derivative has forgotten a lost error: .714^45 = 3e-7
+# Samples that seed an integral: one alone would leave the rounding of a logged float32 in it for the whole flight.
+_SEED = 8
+_LONE_RESET = 5  # length of a reset that does not end the stretch
+_FLOAT32 = float(np.finfo(np.float32).eps)
+
+
+@dataclass(frozen=True)
+class Replay:
+    """What a replay found. Only channels whose loop was active are in `nrms` and `coverage`.
+
+    `nrms[channel]` is the RMS of (replayed - logged) over the RMS of the logged signal, `coverage[channel]` the share
+    of the active samples that was compared; `windows` are the stretches [s] in which something was compared.
+    `replayed` and `compared`, by channel, (n,) on the stamps `time` (n,), are there to look at.
+    """
+
+    nrms: Mapping[str, float]
+    coverage: Mapping[str, float]
+    windows: tuple[tuple[float, float], ...]
+    precision: str
+    time: Floats
+    replayed: Mapping[str, Floats]
+    compared: Mapping[str, Flags]
+
+    def to_json(self) -> dict[str, Any]:
+        """`{"nrms": {channel: number}, "coverage": {channel: number}, "windows_s": [[t0, t1], ...]}`."""
+        return {
+            "nrms": dict(self.nrms),
+            "coverage": dict(self.coverage),
+            "windows_s": [list(window) for window in self.windows],
+        }
+
+
+def replay(log: FlightLog, gains: Gains = DEFAULT, precision: str = "float64") -> Replay:
+    """Feeds the logged inputs to the cascade with `gains`, compiled in `precision`, and compares M, q0, theta0, T.
+
+    Where no compiler is found the reference runs instead, with a warning that says so. Raises LogError if the log lacks
+    a channel, DiagramError for an unknown precision.
+
+    Left out are five samples where a loop starts, samples whose input is missing from the log, for M also the 45 that
+    the derivative needs to forget the missing error, and the eight from which an integral is seeded after each of
+    these. The reset of the integrals is not logged; it shows where M is what the law gives with the integral in reset.
+    """
+    paired = pair(log)
+    program = build(cascade(gains), dt=PERIOD, precision=precision, log=tuple(_TERMS))
+    stage = _Stages(program, paired)
+    replayed: dict[str, Floats] = {}
+    compared: dict[str, Flags] = {}
+    in_reset = stage.find_reset()
+    lost = {name: paired.lost[name] for name in paired.lost}
+    if paired.active["M"].any():
+        plan = _Plan(paired.active["M"], lost["M"] | lost["q"] | lost["q0"], _FORGET)
+        reset = in_reset | ~paired.active["M"]
+        replayed["M"] = stage.run(RATE, plan, reset, "rate", stage.moment_missing)["M"]
+        compared["M"] = plan.compared
+    if paired.active["q0"].any():
+        replayed["q0"] = stage.run(ATTITUDE, None, in_reset, "", None)["q0"]
+        compared["q0"] = paired.active["q0"] & ~(lost["q0"] | lost["theta0"] | lost["theta"])
+    if paired.active["theta0"].any():
+        plan = _Plan(paired.active["theta0"], lost["M"] | lost["theta0"] | lost["v0"] | lost["v"], 0)
+        reset = in_reset | ~paired.active["theta0"]
+        out = stage.run(VELOCITY, plan, reset, "velocity", stage.force_missing)
+        replayed |= {"theta0": out["theta0"], "T": out["T"]}
+        compared |= {"theta0": plan.compared, "T": plan.compared & ~lost["T"]}
+    return _result(paired, precision, replayed, compared)
+
+
+def _result(paired: Pairing, precision: str, replayed: dict[str, Floats], compared: dict[str, Flags]) -> Replay:
+    nrms, coverage = {}, {}
+    for name in CHANNELS:
+        if name in compared:
+            used = compared[name]
+            coverage[name] = float(used.sum() / paired.active[name].sum())
+            if used.any():
+                logged = paired.value[name][used]
+                nrms[name] = float(np.sqrt(np.mean((replayed[name][used] - logged) ** 2) / np.mean(logged**2)))
+    anything = np.any([*compared.values(), np.zeros(len(paired.time), dtype=np.bool_)], axis=0)
+    windows = tuple((float(paired.time[a]), float(paired.time[b - 1])) for a, b in runs(anything))
+    return Replay(nrms, coverage, windows, precision, paired.time, replayed, compared)
+
+
+_TERMS = (
+    "rate.proportional",
+    "rate.derivative",
+    "rate.increment",
+    "velocity.force",
+)
+
+
+class _Plan:
+    """Where an integral is seeded and what may be compared: `seeds` (first samples) and `compared` (n,)."""
+
+    def __init__(self, active: Flags, lost: Flags, forget: int) -> None:
+        self.seeds: list[int] = []
+        self.compared = np.zeros(len(active), dtype=np.bool_)
+        for first, end in runs(active):
+            start = first + _SETTLE
+            losses = [int(k) for k in np.flatnonzero(lost[first:end]) + first] + [end]
+            for loss in losses:
+                if loss - start > _SEED:
+                    self.seeds.append(start)
+                    self.compared[start + _SEED : loss] = True
+                start = max(start, loss + 1 + forget)
+
+
+class _Stages:
+    """The compiled cascade, run over the log in one mode after the other."""
+
+    def __init__(self, program: Any, paired: Pairing) -> None:
+        self.program = program
+        self.paired = paired
+        self.n = len(paired.time)
+        value = paired.value
+        self.inputs = {name: value[name] for name in ("q0", "theta0", "v0", "q", "theta", "v")}
+
+    def find_reset(self) -> Flags:
+        """Where the integrals were held in reset while the drone was armed, (n,).
+
+        There M is P + D + Ki Ts e, to the rounding of a logged float32: at the end of a stretch, or for five samples.
+        """
+        out = self.program.machine().run(self.n, self.inputs | {"mode": RATE})
+        terms = [np.asarray(out[name], dtype=np.float64) for name in _TERMS[:3]]
+        size = np.abs(self.paired.value["M"]) + sum(np.abs(term) for term in terms)
+        fits = np.abs(self.paired.value["M"] - sum(terms)) <= 4.0 * _FLOAT32 * size
+        found = np.zeros(self.n, dtype=np.bool_)
+        for first, end in runs(self.paired.active["M"]):
+            for a, b in runs(fits[first:end]):
+                if b - a >= _LONE_RESET or (b == end - first and b - a >= 2):
+                    found[first + a : first + b] = True
+        return found
+
+    def run(self, mode: int, plan: _Plan | None, in_reset: Flags, loop: str, missing: Any) -> dict[str, Floats]:
+        """The cascade's outputs (n,) in `mode`; at each seed of the plan `loop`'s integral gets what is `missing`."""
+        machine = self.program.machine()
+        inputs = self.inputs | {"in_reset": in_reset}
+        cuts = [0, *sorted({c for s in (plan.seeds if plan else []) for c in (s, s + _SEED)}), self.n]
+        pieces = []
+        for a, b in itertools.pairwise(cuts):
+            if b == a:
+                continue
+            out = machine.run(b - a, {name: column[a:b] for name, column in inputs.items()} | {"mode": mode})
+            pieces.append(out)
+            if plan and a in plan.seeds:
+                _add_to_integral(machine, loop, float(np.mean(missing(out, a, b))))
+        return {name: np.concatenate([np.asarray(p[name], dtype=np.float64) for p in pieces]) for name in pieces[0]}
+
+    def moment_missing(self, out: Mapping[str, Any], a: int, b: int) -> Floats:
+        """What M lacks in the samples a to b."""
+        return self.paired.value["M"][a:b] - np.asarray(out["M"], dtype=np.float64)
+
+    def force_missing(self, out: Mapping[str, Any], a: int, b: int) -> Floats:
+        """What the velocity loop's force lacks in the samples a to b, from the projection turned around."""
+        machine = self.program.machine()
+        full = machine.get("projection.T_bar") * machine.get("projection.eta_T")
+        logged: Floats = -np.tan(self.paired.value["theta0"][a:b]) * full
+        return logged - np.asarray(out["velocity.force"], dtype=np.float64)
+
+
+def _add_to_integral(machine: Any, loop: str, offset: float) -> None:
+    """Shifts the compensated sum of `loop`: its value is sum - carry."""
+    value = float(machine.state(f"{loop}.sum")) - float(machine.state(f"{loop}.carry")) + offset
+    machine.set_state(f"{loop}.sum", value)
+    machine.set_state(f"{loop}.carry", float(machine.state(f"{loop}.sum")) - value)
