@@ -31,30 +31,47 @@ class RailAcceleration(Block):
 
 
 class FixedGainPosition(Block):
-    """x and v as on board: integrate the acceleration, and at each range sample x += k_x e, v += k_v e, e = range - x.
+    """x and v as on board: a filter of fixed gains, and an output that follows its position with a lag.
 
-    The first sample sets x, with v = 0. The age of a sample is not used, as the drone does not use it. Defaults: on
-    each of the drone's logs x is within 5 mm and v within 20 mm/s RMS of its own estimate. An error b of the
-    acceleration gives v the lasting error b k_x / k_v, which is the velocity bias that the logs show.
+    The filter integrates the acceleration; at each range sample, with e = range - x, x += k_x e and v += k_v e. Its v
+    is the output's; the output's x integrates the same and is drawn to the filter's with the time constant `lag`, so
+    corrections do not make it jump (the logged x has no steps, and the logged v is not its derivative). The first
+    sample sets x, with v = 0. The age of a sample is not used, as the drone does not use it. Defaults: on each of the
+    drone's logs x is within 5 mm and v within 20 mm/s RMS of its own estimate. An error b of the acceleration gives v
+    the lasting error b k_x / k_v, which is the velocity bias that the logs show.
     """
 
     inputs = _INPUTS
-    outputs = (Port("x", unit="m"), Port("v", unit="m/s"))
-    states = (State("x", unit="m"), State("v", unit="m/s"), State("started", False, "bool"))
+    outputs = (Port("x", unit="m"), Port("v", unit="m/s"), Port("x_filter", unit="m"))
+    states = (
+        State("x", unit="m"),
+        State("v", unit="m/s"),
+        State("x_filter", unit="m"),
+        State("started", False, "bool"),
+    )
+    derived = (Port("follow"),)
     params = (
-        Param("k_x", 0.13, low=0.0, high=1.0, text="share of the innovation that corrects x"),
-        Param("k_v", 0.50, unit="1/s", low=0.0, high=20.0, text="correction of v for an innovation of 1 m"),
+        Param("k_x", 0.16, low=0.0, high=1.0, text="share of the innovation that corrects x"),
+        Param("k_v", 0.56, unit="1/s", low=0.0, high=20.0, text="correction of v for an innovation of 1 m"),
+        Param("lag", 0.10, unit="s", low=0.0, high=10.0, text="time in which the output's x follows the filter's"),
     )
 
+    def prepare(self, p: Any, t: Any) -> Any:
+        return where(p.lag > t.dt, t.dt / p.lag, 1.0)
+
     def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-        position = x.x + (x.v + 0.5 * t.dt * u.acceleration) * t.dt
+        step = (x.v + 0.5 * t.dt * u.acceleration) * t.dt
         velocity = x.v + u.acceleration * t.dt
-        e = where(u.dist_new, (u.dist - RAIL_CENTRE) - position, 0.0)
+        measured = u.dist - RAIL_CENTRE
+        e = where(u.dist_new, measured - (x.x_filter + step), 0.0)
         first = u.dist_new & ~x.started
         running = x.started | u.dist_new
+        filtered = where(first, measured, x.x_filter + step + p.k_x * e)
+        out = x.x + step
         return {
-            "x": where(running, where(first, u.dist - RAIL_CENTRE, position + p.k_x * e), 0.0),
+            "x": where(running, where(first, measured, out + p.follow * (filtered - out)), 0.0),
             "v": where(running & ~first, velocity + p.k_v * e, 0.0),
+            "x_filter": where(running, filtered, 0.0),
         }
 
     def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:

@@ -1,0 +1,138 @@
+"""Dynamics: pitch about the bearing and the cart on its rail, coupled by the thrust and the drone's offset centre."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from twodof.blocks import Block, Param, Port, State, where
+from twodof.blocks.block import Clock
+from twodof.blocks.elementary import cos_octant, sin_octant
+from twodof.rig.contact import bounced, holds, rubbed
+
+GRAVITY = 9.81
+"""[m/s2]"""
+
+SLOW_PITCH = 0.02
+"""A rebound from an end stop slower than this [rad/s] ends there."""
+
+SLOW_CART = 0.005
+"""A rebound of the cart slower than this [m/s] ends at the stop."""
+
+
+def sine_cosine(angle: Any) -> tuple[Any, Any]:
+    """(sin, cos) of a pitch angle, |angle| <= pi/2, by the half angle, which needs no reduction."""
+    s, c = sin_octant(0.5 * angle), cos_octant(0.5 * angle)
+    return 2.0 * s * c, 1.0 - 2.0 * s * s
+
+
+class Dynamics(Block):
+    """theta, q, x, v of the drone on its cart; docs/physics.md, equations (1) to (4).
+
+        J q' + m_d d cos(theta) v' = moment + gust - m_d g d sin(theta) - k_1 theta - k_3 theta^3 - c q - friction
+        m v' + m_d d cos(theta) q' = m_d d sin(theta) q^2 - thrust sin(theta) + f - c_x v - friction
+
+    `running` in [0, 1] leads from the friction of the bearing with the rotors at rest to that with them running (they
+    shake it). The rings of 1DoF are stops around `ring_place` that leave the cart `ring_play` either way and give
+    nothing back. Friction acts on each coordinate by itself: that a torque which stops the pitch also moves the cart
+    is kept, that this changes the inertia it meets by (m_d d)^2 / (J m), .3 % here, is not.
+    """
+
+    crossing = True  # the gust comes at 250 Hz
+    inputs = (Port("thrust", unit="N"), Port("moment", unit="N*m"), Port("gust", unit="N*m"), Port("running"))
+    outputs = (
+        Port("theta", unit="rad"),
+        Port("q", unit="rad/s"),
+        Port("x", unit="m"),
+        Port("v", unit="m/s"),
+    )
+    params = (
+        Param("mass_drone", 0.374, unit="kg", low=0.01, high=10.0),
+        Param("mass_cart", 0.160, unit="kg", low=0.01, high=10.0),
+        Param("inertia", 2.6e-3, unit="kg*m2", low=1e-5, high=1.0, text="of the drone about the bearing"),
+        Param("offset", 5e-3, unit="m", low=-0.1, high=0.1, text="centre of mass below the bearing"),
+        Param("spring", 0.0, unit="N*m/rad", low=0.0, high=10.0, text="linear spring"),
+        Param("hardening", 0.0, unit="N*m/rad3", low=0.0, high=10.0, text="cubic spring (the cable)"),
+        Param("viscous_idle", 0.0, unit="N*m*s", low=0.0, high=1.0, text="bearing, rotors at rest"),
+        Param("viscous_run", 0.0, unit="N*m*s", low=0.0, high=1.0, text="bearing, rotors running"),
+        Param("coulomb_idle", 0.0, unit="N*m", low=0.0, high=1.0, text="bearing, rotors at rest"),
+        Param("coulomb_run", 0.0, unit="N*m", low=0.0, high=1.0, text="bearing, rotors running"),
+        Param("pitch_stop", 0.87, unit="rad", low=0.01, high=1.5, text="end stops at +- this"),
+        Param("pitch_bounce", 0.75, low=0.0, high=1.0, text="restitution of the end stops"),
+        Param("rail_viscous", 0.3, unit="N*s/m", low=0.0, high=100.0),
+        Param("rail_coulomb", 0.0, unit="N", low=0.0, high=10.0),
+        Param("rail_force", 0.0, unit="N", low=-10.0, high=10.0, text="steady push along the rail"),
+        Param("rail_stop", 0.4, unit="m", low=0.01, high=10.0, text="ends of the rail at +- this"),
+        Param("rail_bounce", 0.3, low=0.0, high=1.0, text="restitution of the ends of the rail"),
+        Param("rings", False, "bool", text="the rings lock the cart (1DoF)"),
+        Param("ring_place", 0.0, unit="m", low=-10.0, high=10.0, text="where they lock it"),
+        Param("ring_play", 5e-4, unit="m", low=0.0, high=0.1, text="play either way"),
+        Param("theta_start", 0.0, unit="rad", low=-1.5, high=1.5),
+        Param("q_start", 0.0, unit="rad/s", low=-100.0, high=100.0),
+        Param("x_start", 0.0, unit="m", low=-10.0, high=10.0),
+        Param("v_start", 0.0, unit="m/s", low=-10.0, high=10.0),
+    )
+    states = (
+        State("theta", "theta_start", unit="rad", continuous=True),
+        State("q", "q_start", unit="rad/s", continuous=True),
+        State("x", "x_start", unit="m", continuous=True),
+        State("v", "v_start", unit="m/s", continuous=True),
+    )
+    derived = (
+        Port("mass", unit="kg"),
+        Port("offset_mass", unit="kg*m"),
+        Port("per_inertia"),
+        Port("per_mass"),
+        Port("low", unit="m"),
+        Port("high", unit="m"),
+        Port("bounce"),
+    )
+
+    def prepare(self, p: Any, t: Clock) -> Any:
+        mass = p.mass_drone + p.mass_cart
+        return {
+            "mass": mass,
+            "offset_mass": p.mass_drone * p.offset,
+            "per_inertia": 1.0 / p.inertia,
+            "per_mass": 1.0 / mass,
+            "low": where(p.rings, p.ring_place - p.ring_play, -p.rail_stop),
+            "high": where(p.rings, p.ring_place + p.ring_play, p.rail_stop),
+            "bounce": where(p.rings, 0.0, p.rail_bounce),
+        }
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return {"theta": x.theta, "q": x.q, "x": x.x, "v": x.v}
+
+    def derivative(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        sine, cosine = sine_cosine(x.theta)
+        viscous = p.viscous_idle + (p.viscous_run - p.viscous_idle) * u.running
+        coulomb = p.coulomb_idle + (p.coulomb_run - p.coulomb_idle) * u.running
+        spring = x.theta * (p.spring + p.hardening * (x.theta * x.theta))
+        torque = u.moment + u.gust - (p.offset_mass * GRAVITY) * sine - spring - viscous * x.q
+        force = (p.offset_mass * x.q * x.q - u.thrust) * sine + p.rail_force - p.rail_viscous * x.v
+        coupling = p.offset_mass * cosine
+        alone = torque * p.per_inertia
+        locked = holds(x.v, force - coupling * alone, p.rail_coulomb, x.x, p.low, p.high)
+        cart = where(locked, 0.0, force * p.per_mass)  # with the pitch at rest
+        still = holds(x.q, torque - coupling * cart, coulomb, x.theta, -p.pitch_stop, p.pitch_stop)
+        per_det = 1.0 / (p.inertia * p.mass - coupling * coupling)
+        q_rate = where(locked, alone, (p.mass * torque - coupling * force) * per_det)
+        v_rate = where(locked, 0.0, (p.inertia * force - coupling * torque) * per_det)
+        return {
+            "theta": x.q,
+            "q": where(still, 0.0, q_rate),
+            "x": x.v,
+            "v": where(still, cart, v_rate),
+        }
+
+    def project(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        coulomb = p.coulomb_idle + (p.coulomb_run - p.coulomb_idle) * u.running
+        place, speed = rubbed(x.x, x.v, p.rail_coulomb * p.per_mass * t.base_dt, t.base_dt)
+        place, speed = bounced(place, speed, p.low, p.high, p.bounce, SLOW_CART)
+        theta, q = rubbed(x.theta, x.q, coulomb * p.per_inertia * t.base_dt, t.base_dt)
+        theta, q = bounced(theta, q, -p.pitch_stop, p.pitch_stop, p.pitch_bounce, SLOW_PITCH)
+        # An impulse on one coordinate leaves the momentum of the other as it is, unless that one rests.
+        _, cosine = sine_cosine(x.theta)
+        coupling = p.offset_mass * cosine
+        kick_q = where(q == 0.0, 0.0, (coupling * p.per_inertia) * (speed - x.v))
+        kick_v = where(speed == 0.0, 0.0, (coupling * p.per_mass) * (q - x.q))
+        return {"theta": theta, "q": q - kick_q, "x": place, "v": speed - kick_v}

@@ -1,0 +1,194 @@
+"""Two named sets of rig parameters, `paper` and `lab`, each number with its origin; sets as JSON files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from types import MappingProxyType
+
+from twodof.errors import ParameterError
+from twodof.flightlog.atomic import atomic_write
+from twodof.models.plant import PAPER_PITCH_RATE, PAPER_VELOCITY_GREYBOX
+from twodof.parameters import Parameter, ParameterSet
+from twodof.rig.rig import rig_params
+from twodof.rig.rotors import HOVER, lift
+
+CONDITIONS = frozenset(
+    {
+        "rings",
+        "ring_place",
+        "theta_start",
+        "q_start",
+        "x_start",
+        "v_start",
+        "wake_start",
+        "charge_start",
+        "tof_phase",
+        "noise",
+        "seed",
+        "trim",
+        "rail_force",
+        "acc_bias",
+        "gyro_bias",
+        "tof_bias",
+    }
+)
+"""Parameters of the rig diagram that belong to one flight (how it starts, trims and biases), not to the machine."""
+
+_MASS = 0.374 + 0.160
+_FULL = 1e9  # a battery that does not sag
+
+
+def _paper() -> dict[str, tuple[float, str]]:
+    pitch, cart = PAPER_PITCH_RATE, PAPER_VELOCITY_GREYBOX
+    # mu = 2 b (1 - a + 2 a T) at T = .4 and b (1 - a + a M) at T = 0, M = .1, b = arm * pair_thrust / inertia.
+    mu_idle, pulse = 130.0, 0.1
+    ratio = pitch.mu / mu_idle
+    curve = (2.0 - ratio) / (2.0 - 4.0 * HOVER - ratio * (1.0 - pulse))
+    pair_thrust = cart.k_v * _MASS / (2.0 * lift(HOVER, curve))
+    inertia = 0.1 * pair_thrust / (mu_idle / (1.0 - curve + curve * pulse))
+    viscous = 2.0 * pitch.xi * pitch.w_n * inertia
+    fit = "the paper's mu 358.5 at T = .4, and 130 at T = 0, M = .1 (our assumption)"
+    return {
+        "pair_thrust": (pair_thrust, "paper Table 1: k_v 4.748 at T = .4"),
+        "curve": (curve, fit),
+        "inertia": (inertia, fit),
+        "delay": (pitch.tau, "paper section 4.1: tau 20 ms"),
+        "lag": (0.0, "the paper's model has a pure delay"),
+        "offset": (0.0, "the paper's model has no coupling of pitch and cart"),
+        "spring": (pitch.w_n**2 * inertia, "paper section 4.1: w_n 3.437 rad/s"),
+        "hardening": (0.0, "the paper's model is linear"),
+        "viscous_idle": (viscous, "paper section 4.1: xi 0.0836"),
+        "viscous_run": (viscous, "paper section 4.1: xi 0.0836"),
+        "coulomb_idle": (0.0, "the paper's model is linear"),
+        "coulomb_run": (0.0, "the paper's model is linear"),
+        "rail_viscous": (cart.p_v * _MASS, "paper Table 1: p_v 1.168"),
+        "rail_coulomb": (0.0, "the paper's model is linear"),
+        "trim_start": (0.0, "not in the paper"),
+        "gust": (0.0, "the paper's model has no disturbance"),
+        "gyro_hover": (0.06, "hover noise of q in the logs, taken as measurement noise"),
+        "tof_age": (0.0, "not in the paper"),
+        "imu_below": (0.0, "not in the paper"),
+        "acc_scale": (1.0, "not in the paper"),
+        "gyro_scale": (1.0, "not in the paper"),
+        "capacity": (_FULL, "the paper's thrust is constant"),
+        "resistance": (0.0, "the paper's thrust is constant"),
+    }
+
+
+_CALIBRATED = "calibrate.py on the seven logs"
+_BY_ARM = "calibrate.py on the seven logs, for an arm of 0.1 m: a flight shows arm / inertia only"
+
+CALIBRATED: Mapping[str, str] = MappingProxyType(
+    {
+        "pair_thrust": "calibrate.py on the seven logs, for the masses as weighed",
+        "curve": _CALIBRATED,
+        "delay": _CALIBRATED + "; with the .4 ms that a gyro sample is old when M is computed",
+        "lag": _CALIBRATED,
+        "inertia": _BY_ARM,
+        "offset": _BY_ARM,
+        "hardening": _BY_ARM,
+        "viscous_idle": _BY_ARM,
+        "viscous_run": _BY_ARM,
+        "coulomb_idle": _BY_ARM,
+        "coulomb_run": _BY_ARM,
+        "rail_viscous": _CALIBRATED,
+        "rail_coulomb": _CALIBRATED,
+        "trim_start": _CALIBRATED,
+        "wake_lag": _CALIBRATED,
+        "tof_age": _CALIBRATED,
+        "imu_below": _CALIBRATED,
+        "acc_scale": _CALIBRATED,
+        "gyro_scale": _CALIBRATED,
+    }
+)
+"""The parameters that the calibration finds, and how; the file lab.json keeps them."""
+
+_SHARED = MappingProxyType(
+    {
+        "mass_drone": "weighed",
+        "mass_cart": "weighed",
+        "arm": "assumed: only arm / inertia shows in a flight",
+        "pitch_stop": "logs: doublet-0.03 after 245.8 s",
+        "pitch_bounce": "logs: doublet-0.03 after 245.8 s",
+        "rail_stop": "paper section 2: stroke of about 80 cm",
+        "rail_bounce": "assumed",
+        "ring_play": "assumed",
+        "capacity": "assumed: a three-cell pack of 1.3 A h",
+        "voltage_full": "three lithium-polymer cells",
+        "voltage_empty": "three lithium-polymer cells",
+        "resistance": "assumed",
+        "hover_current": "assumed: about 13 minutes in hover",
+        "acc_x_idle": "logs, motors idle",
+        "acc_z_idle": "logs, motors idle",
+        "gyro_idle": "logs, motors idle",
+        "acc_x_hover": "logs, level holds",
+        "acc_z_hover": "logs, level holds",
+        "gyro_hover": "logs, level holds: differences from sample to sample",
+        "vibration_hz": "logs, level holds: spectrum of acc",
+        "vibration_r2": "logs, level holds: spectrum of acc",
+        "acc_step": "assumed: 16 bits over +-8 g",
+        "gyro_step": "assumed: 16 bits over +-2000 deg/s",
+        "tof_rate": "logs",
+        "tof_noise": "logs, motors idle",
+        "tof_step": "the sensor counts millimetres",
+        "wake_lag": "not in the paper",
+        "gust_time": "logs, level holds: spectrum of q",
+        "gust": "logs, level holds: standard deviation of q",
+        "spring": "logs: the pendulum's own stiffness and the hardening suffice",
+    }
+)
+
+TABLE: tuple[Parameter, ...] = tuple(
+    Parameter(p.name, float(p.value), float(p.low), float(p.high), p.unit, p.text or p.name.replace("_", " "))
+    for p in rig_params().values()
+    if p.name not in CONDITIONS
+)
+"""Bounds, unit and text of every parameter of the machine."""
+
+LAB_FILE = Path(__file__).with_name("lab.json")
+NAMES = ("paper", "lab")
+
+
+def paper() -> ParameterSet:
+    """The rig that behaves as the paper's models do: linear springs, viscous friction only, no disturbance."""
+    return ParameterSet({name: value for name, (value, _) in _paper().items()}, TABLE)
+
+
+def lab() -> ParameterSet:
+    """The real drone, as `calibrate.py` found it on its logs."""
+    return load_rig(LAB_FILE)
+
+
+def origins(name: str) -> Mapping[str, str]:
+    """Where each number of the set `name` ("paper" or "lab") comes from. Raises ParameterError for another name."""
+    if name not in NAMES:
+        raise ParameterError(f"no rig called {name!r:.80}", "origins", f"use {' or '.join(NAMES)}")
+    own = {n: text for n, (_, text) in _paper().items()} if name == "paper" else dict(CALIBRATED)
+    return MappingProxyType({**_SHARED, **own})
+
+
+def load_rig(source: str | Path) -> ParameterSet:
+    """The set called `source` ("paper", "lab"), or that of a JSON file; what the file does not name stays as built.
+
+    Raises ParameterError for a file that cannot be read, is no set, or holds a value out of bounds.
+    """
+    if source == "paper":
+        return paper()
+    path = LAB_FILE if source == "lab" else Path(source)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, ValueError) as reason:
+        raise ParameterError(f"cannot be read: {reason}", str(path), f"name a file or {' or '.join(NAMES)}") from reason
+    values = ParameterSet(table=TABLE)
+    try:
+        values.load_json(text)
+    except ParameterError as reason:
+        raise ParameterError(reason.what, str(path), reason.remedy) from reason
+    return values
+
+
+def save_rig(values: ParameterSet, path: str | Path) -> None:
+    """Writes a set that `load_rig` reads back to the same bits; an interrupted write leaves the old file."""
+    with atomic_write(path, "w") as file:
+        file.write(values.to_json() + "\n")

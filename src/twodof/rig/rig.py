@@ -1,0 +1,90 @@
+"""The rig as one diagram: battery, rotors, dynamics, turbulence and sensors, for a base tick of 1 ms."""
+
+from __future__ import annotations
+
+from twodof.blocks import Block, Diagram, Param
+from twodof.rig.battery import Battery
+from twodof.rig.dynamics import Dynamics
+from twodof.rig.rotors import Rotors
+from twodof.rig.sensors import Imu, NoiseSource, RangeSensor
+from twodof.rig.turbulence import Turbulence
+
+BASE_DT = 0.001
+"""The base tick [s]."""
+
+SAMPLE = (4, 0)
+"""Rate of the IMU, of the range sensor's interface and of the flight code: 250 Hz."""
+
+SLOW = (40, 0)
+"""Rate of the battery: 25 Hz."""
+
+PARTS: tuple[tuple[str, type[Block], tuple[int, int]], ...] = (
+    ("battery", Battery, SLOW),
+    ("rotors", Rotors, (1, 0)),
+    ("turbulence", Turbulence, SAMPLE),
+    ("dynamics", Dynamics, (1, 0)),
+    ("noise_source", NoiseSource, SAMPLE),
+    ("imu", Imu, SAMPLE),
+    ("range", RangeSensor, SAMPLE),
+)
+"""Name, block and rate of each part."""
+
+MEASUREMENTS = ("acc_x", "acc_z", "gyro_y", "dist", "dist_new", "dist_age")
+"""What the flight code may read."""
+
+TRUTH = ("theta", "q", "x", "v")
+"""What it may not."""
+
+
+def rig_params() -> dict[str, Param]:
+    """Every parameter of the rig by name; parts that name the same parameter share it (`noise`, `seed`, starts)."""
+    return {param.name: param for _, block, _ in PARTS for param in block.params}
+
+
+def rig() -> Diagram:
+    """The rig. Inputs `fore` and `aft`: the commands of the rotor pairs, in [0, 1].
+
+    Outputs: the measurements `acc_x`, `acc_z` [m/s2], `gyro_y` [rad/s], `dist` [m], `dist_new`, `dist_age` [s]; the
+    truth `theta` [rad], `q` [rad/s], `x` [m], `v` [m/s]; `load` (thrust over that of hover), `voltage` [V], `charge`.
+    All parameters are the diagram's own, by their plain names; their values are those of the blocks, not of a
+    calibrated set (see `parameters`).
+    """
+    d = Diagram("rig", "fore and aft rotor pairs, pitch, cart, battery and sensors")
+    d.input("fore")
+    d.input("aft")
+    for name, param in rig_params().items():
+        d.param(
+            name,
+            param.value,
+            kind=param.kind,
+            unit=param.unit,
+            low=param.low,
+            high=param.high,
+            text=param.text,
+            tunable=param.tunable,
+        )
+    for name, block, rate in PARTS:
+        d.add(name, block(), rate=rate, params={param.name: param.name for param in block.params})
+    d.connect("fore", "rotors.fore")
+    d.connect("aft", "rotors.aft")
+    d.connect("battery.supply", "rotors.supply")
+    d.connect("rotors.load", "battery.load", "turbulence.load", "imu.load")
+    for port in ("thrust", "moment", "running"):
+        d.connect(f"rotors.{port}", f"dynamics.{port}")
+    d.connect("turbulence.moment", "dynamics.gust")
+    for port in ("theta", "q", "v"):
+        d.connect(f"dynamics.{port}", f"imu.{port}")
+    for source, port in (("n0", "n_x"), ("n1", "n_z"), ("n2", "n_q")):
+        d.connect(f"noise_source.{source}", f"imu.{port}")
+    d.connect("noise_source.n3", "range.n")
+    d.connect("dynamics.x", "range.x")
+    for port in ("acc_x", "acc_z", "gyro_y"):
+        d.output(port, f"imu.{port}")
+    for port in ("dist", "dist_new", "dist_age"):
+        d.output(port, f"range.{port}")
+    for port in TRUTH:
+        d.output(port, f"dynamics.{port}")
+    d.output("load", "rotors.load")
+    d.output("voltage", "battery.voltage")
+    d.output("charge", "battery.charge")
+    return d
