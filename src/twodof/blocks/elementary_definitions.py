@@ -32,7 +32,7 @@ class Format:
     shifter_word: int  # lowest word of the shifter
     overflow: float  # exp of it is infinite
     underflow: float  # exp of it is 0
-    exact_turn: float  # beyond it sin, cos and tan have no digit left
+    last_turn: float  # beyond it sin, cos and tan give up; the last place of x is 2^-8 there
 
     @property
     def unit(self) -> float:
@@ -58,6 +58,7 @@ class Format:
         return to_int32(self.upper(x)) < 0
 
     def replace_upper(self, x: Any, word: Any) -> Any:
+        """x with another sign and exponent word."""
         return from_bits(bits_of(x, 0), word) if self.top else from_bits(word)
 
     def power_of_two(self, n: Any) -> Any:
@@ -124,30 +125,35 @@ def _quarter_turns(f: Format, x: Any) -> tuple[Any, Any, Any]:
 
 
 def sin_octant(f: Format, r: Any) -> Any:
+    """Sine for |r| <= pi/4."""
     z = r * r
     return r + r * z * polynomial(z, f.coefficients.sin)
 
 
 def cos_octant(f: Format, r: Any) -> Any:
+    """Cosine for |r| <= pi/4."""
     z = r * r
     return 1.0 - (z * 0.5 - z * z * polynomial(z, f.coefficients.cos))
 
 
 def sin(f: Format, x: Any) -> Any:
+    """Both polynomials of the octant; the quarter turn chooses one and its sign."""
     turns, r, _ = _quarter_turns(f, x)
     y = where((turns & 1) == 0, sin_octant(f, r), cos_octant(f, r))
     y = where((turns & 2) == 0, y, -y)
-    return where(x == 0.0, x, where(abs(x) <= f.exact_turn, y, x - x))
+    return where(x == 0.0, x, where(abs(x) <= f.last_turn, y, x - x))
 
 
 def cos(f: Format, x: Any) -> Any:
+    """As `sin`, a quarter turn ahead."""
     turns, r, _ = _quarter_turns(f, x)
     y = where((turns & 1) == 0, cos_octant(f, r), sin_octant(f, r))
     y = where(((turns + 1) & 2) == 0, y, -y)
-    return where(abs(x) <= f.exact_turn, y, (x - x) + 1.0)
+    return where(abs(x) <= f.last_turn, y, (x - x) + 1.0)
 
 
 def tan(f: Format, x: Any) -> Any:
+    """Sine by cosine of the octant, or -cosine by sine on odd quarter turns."""
     # The quotient adds the errors of both, so both are taken beyond their rounding: the tail of r goes into them.
     turns, r, tail = _quarter_turns(f, x)
     z = r * r
@@ -157,7 +163,7 @@ def tan(f: Format, x: Any) -> Any:
     c = c + (lost + (z * z * polynomial(z, f.coefficients.cos) - r * tail))
     odd = (turns & 1) != 0
     y = where(odd, -c, s) / where(odd, s, c)
-    return where(x == 0.0, x, where(abs(x) <= f.exact_turn, y, x - x))
+    return where(x == 0.0, x, where(abs(x) <= f.last_turn, y, x - x))
 
 
 def _angle(f: Format, n: Any, d: Any) -> Any:
@@ -180,6 +186,7 @@ def _from(f: Format, halves: int, angle: Any) -> Any:
 
 
 def atan(f: Format, x: Any) -> Any:
+    """The angle of x : 1, or beyond 1 what is left of it from a quarter turn."""
     a = abs(x)
     steep = a > 1.0
     angle = _angle(f, where(steep, 1.0, a), where(steep, a, 1.0))
@@ -188,6 +195,7 @@ def atan(f: Format, x: Any) -> Any:
 
 
 def atan2(f: Format, y: Any, x: Any) -> Any:
+    """The angle of the shorter to the longer side, and the axis and quadrant that it counts from."""
     a, b = abs(y), abs(x)
     steep = b < a
     long, short = where(steep, a, b), where(steep, b, a)
@@ -216,6 +224,7 @@ def _arc(f: Format, x: Any) -> tuple[Any, Any, Any]:
 
 
 def asin(f: Format, x: Any) -> Any:
+    """Polynomial up to 1/2, beyond it a quarter turn less twice the half angle."""
     small, t, rest = _arc(f, x)
     high, low = f.coefficients.pi
     large = (high / 2 - (t + t)) - ((rest + rest) - low / 2)
@@ -223,6 +232,7 @@ def asin(f: Format, x: Any) -> Any:
 
 
 def acos(f: Format, x: Any) -> Any:
+    """A quarter turn less the arc sine up to 1/2, beyond it twice the half angle."""
     small, t, rest = _arc(f, x)
     arc = t + rest
     large = where(x < 0.0, _from(f, 2, arc + arc), arc + arc)
@@ -244,6 +254,7 @@ def _scaled(f: Format, y: Any, n: Any) -> Any:
 
 
 def exp(f: Format, x: Any) -> Any:
+    """2^n e^r with |r| <= ln(2)/2."""
     x = where(f.overflow < x, f.overflow, where(x < f.underflow, f.underflow, x))
     n, most, last = _halvings(f, x)
     r = most - last
@@ -261,6 +272,7 @@ def _mantissa(f: Format, x: Any) -> tuple[Any, Any]:
 
 
 def log(f: Format, x: Any) -> Any:
+    """k ln 2 + log m with m within sqrt(2) of 1, by the series of atanh."""
     c = f.coefficients
     m, k = _mantissa(f, x)
     g = m - 1.0
@@ -297,6 +309,7 @@ def _log_sum(f: Format, x: Any) -> tuple[Any, Any]:
 
 
 def pow(f: Format, x: Any, y: Any) -> Any:
+    """exp(y log x) with the logarithm and the product carried in two reals, for an error below 1 ulp."""
     a = abs(x)
     plain = (a > 0.0) & (a < INFINITY)
     log, log_low = _log_sum(f, where(plain, a, 1.0))
@@ -329,21 +342,25 @@ def _nearest(f: Format, x: Any) -> tuple[Any, Any]:
 
 
 def floor(f: Format, x: Any) -> Any:
+    """The nearest integer, less one where that is above."""
     fractional, n = _nearest(f, x)
     return where(fractional, where(x < n, n - 1.0, n), x)
 
 
 def ceil(f: Format, x: Any) -> Any:
+    """-floor(-x)."""
     return -floor(f, -x)
 
 
 def trunc(f: Format, x: Any) -> Any:
+    """The floor of |x| with the sign of x."""
     a = abs(x)
     n = floor(f, a)
     return where(f.negative(x), -n, n)
 
 
 def tanh(f: Format, x: Any) -> Any:
+    """Polynomial up to 5/8, beyond it 1 - 2 / (e^2x + 1)."""
     a = abs(x)
     z = x * x
     small = x + x * z * polynomial(z, f.coefficients.tanh)
@@ -353,6 +370,7 @@ def tanh(f: Format, x: Any) -> Any:
 
 
 def hypot(f: Format, x: Any, y: Any) -> Any:
+    """Root of the sum of squares, scaled by a power of two that cancels."""
     a, b = abs(x), abs(y)
     long = where(a < b, b, a)
     huge, tiny = 2.0 ** (f.bias // 2 - 1) < long, long < 2.0 ** (f.fraction - f.bias // 2)

@@ -317,7 +317,8 @@ def _unary(op: str, a: Expr) -> Expr:
 
 
 def _traced(*values: Any) -> bool:
-    return any(isinstance(v, Expr) for v in values)
+    # While a block is traced even literals are recorded: folded here, they would round in this run's precision.
+    return recording() or any(isinstance(v, Expr) for v in values)
 
 
 def where(condition: Any, a: Any, b: Any) -> Any:
@@ -348,14 +349,14 @@ def _less(a: Any, b: Any) -> Any:
 
 def sqrt(x: Any) -> Any:
     """The IEEE square root of a real; NaN below zero."""
-    if isinstance(x, Expr):
-        return _unary("sqrt", x)
+    if _traced(x):
+        return _unary("sqrt", as_expr(x, "real"))
     return np.sqrt(numbers.cast(x, "real"))
 
 
 def real(value: float) -> Any:
     """A real literal as a number of the current precision (needed only where no other operand is real)."""
-    return numbers.cast(float(value), "real")
+    return const(value, "real") if recording() else numbers.cast(float(value), "real")
 
 
 def int32(value: int) -> Int32:
@@ -385,7 +386,8 @@ def to_real(x: Any) -> Any:
 
 def convert(x: Any, kind: str) -> Any:
     """`x` as the scalar type `kind`; see to_int32, to_uint32 and to_real."""
-    if isinstance(x, Expr):
+    if _traced(x):
+        x = as_expr(x)
         _scalars(f"to_{kind}", x)
         if x.kind == kind:
             return x
@@ -420,7 +422,7 @@ def bits_of(x: Any, word: int = 0) -> Any:
     NaN reads as the canonical quiet NaN. The meaning depends on the precision: for definitions of elementary
     functions only, which exist once a precision.
     """
-    if isinstance(x, Expr):
+    if _traced(x):
         return node("bits", "uint32", (as_expr(x, "real"),), word)
     x = numbers.cast(x, "real")
     x = numbers.real_type()("nan") if x != x else x
@@ -441,20 +443,23 @@ def from_bits(low: Any, high: Any = None) -> Any:
 
 def call(name: str, *args: Expr) -> Expr:
     """A call of the elementary function `name` on reals; its definition is in `twodof.blocks.elementary`."""
-    return node("call", "real", tuple(as_expr(a, "real") for a in args), name)
+    values = tuple(as_expr(a, "real") for a in args)
+    _scalars(name, *values)
+    return node("call", "real", values, name)
 
 
 def vector(elements: Sequence[Any]) -> Any:
     """An array of the given scalars, all of one type."""
     if not elements:
         raise _fault("an array of no elements", "an array has at least one element")
+    strong = [v for v in elements if isinstance(v, (Expr, Integer, np.floating, np.bool_, bool))]
+    anchor = next((v for v in strong if isinstance(v, Expr)), strong[0] if strong else 0.0)
+    kind = anchor.kind if isinstance(anchor, Expr) else numbers.kind_of(anchor)
     if not _traced(*elements):
-        strong = [v for v in elements if isinstance(v, (Integer, np.floating, np.bool_, bool))]
-        return numbers.cast_array(elements, numbers.kind_of(strong[0]) if strong else "real")
-    anchor = next(e for e in elements if isinstance(e, Expr))
-    items = tuple(as_expr(e, anchor.kind) for e in elements)
+        return numbers.cast_array(elements, kind)
+    items = tuple(as_expr(e, kind) for e in elements)
     _scalars("vector", *items)
-    return node("vector", anchor.kind, items, None, len(items))
+    return node("vector", kind, items, None, len(items))
 
 
 def store(array: Any, index: Any, value: Any) -> Any:
