@@ -1,0 +1,181 @@
+"""Before flying: how accurately an excitation will tell the unknowns; after flying: predicted beside achieved.
+
+The Fisher information of an experiment is J' J with J the sensitivities of the outputs over their noise; the inverse is
+the Cramer-Rao bound, which the grey-box fit attains (Jategaonkar, Flight Vehicle System Identification, chapter 2).
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from twodof.errors import IdentificationError
+from twodof.identify.covariance import check_identifiable, covariance
+from twodof.identify.estimate import Estimate
+from twodof.identify.problem import Problem
+from twodof.identify.record import Record, Samples
+from twodof.identify.simulate import Simulator
+from twodof.models.structure import Structure
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Information:
+    """The accuracy an experiment will give: `sigma` (Cramer-Rao bound) of each unknown, in the order of `labels`.
+
+    `peaks` are the largest magnitudes of the simulated outputs, `travel` their peak-to-peak; `correlation` that of
+    the estimates to come.
+    """
+
+    structure: str
+    labels: tuple[str, ...]
+    units: tuple[str, ...]
+    values: Array
+    matrix: Array
+    sigma: Array
+    correlation: Array
+    condition_number: float
+    peaks: dict[str, float]
+    travel: dict[str, float]
+
+    def table(self) -> str:
+        """Values and predicted standard deviations as text."""
+        width = max(12, *(len(label) for label in self.labels)) + 1
+        lines = [f"{self.structure}: predicted accuracy", f"{'':{width}}{'value':>12}{'1 sigma':>11}  unit"]
+        for i, label in enumerate(self.labels):
+            lines.append(f"{label:{width}}{self.values[i]:12.5g}{self.sigma[i]:11.2g}  {self.units[i] or '-'}")
+        lines.append("peaks: " + ", ".join(f"{name} {value:.3g}" for name, value in self.peaks.items()))
+        return "\n".join(lines)
+
+    def beside(self, achieved: Estimate) -> str:
+        """Predicted beside achieved standard deviations, after flying; what was not estimated is left out."""
+        both = [label for label in self.labels if label in achieved.labels]
+        width = max(12, *(len(label) for label in both)) + 1
+        lines = [f"{'':{width}}{'predicted':>11}{'achieved':>11}{'ratio':>8}"]
+        for label in both:
+            predicted, found = float(self.sigma[self.labels.index(label)]), achieved.sigma(label)
+            lines.append(f"{label:{width}}{predicted:11.2g}{found:11.2g}{found / predicted:8.2f}")
+        return "\n".join(lines)
+
+    def to_json(self) -> str:
+        """As JSON text."""
+        return json.dumps(
+            {
+                "structure": self.structure,
+                "unknowns": {
+                    label: {"value": float(self.values[i]), "sigma": float(self.sigma[i]), "unit": self.units[i]}
+                    for i, label in enumerate(self.labels)
+                },
+                "condition_number": self.condition_number,
+                "peaks": self.peaks,
+                "travel": self.travel,
+            },
+            indent=2,
+        )
+
+
+def predict(
+    structure: Structure,
+    inputs: Mapping[str, ArrayLike],
+    dt: float,
+    noise: Mapping[str, float],
+    *,
+    values: Mapping[str, float] | None = None,
+    estimate: Collection[str] | None = None,
+    repeats: int = 1,
+) -> Information:
+    """The accuracy that `inputs` (name -> samples, each `dt` [s]) will give for the unknowns `estimate`.
+
+    `noise`: standard deviation of each output that will be measured (its unit). `values`: what the unknowns are thought
+    to be (default: the structure's guesses). `repeats`: how often the experiment is flown; local unknowns, one value a
+    flight, gain nothing from it. Raises IdentificationError as `fit` does, for unknowns the experiment cannot tell.
+    """
+    problem, x = _problem(structure, inputs, dt, noise, values, estimate)
+    jacobian = problem.central_jacobian(x)
+    labels = tuple(slot.label for slot in problem.slots)
+    where = f"structure '{structure.name}', planned experiment"
+    condition = check_identifiable(jacobian, problem.scale, labels, where)
+    shared = np.array([0.0 if slot.unknown.local else 1.0 for slot in problem.slots])
+    bound = _repeated(jacobian, shared, repeats)
+    sigma = np.sqrt(np.diag(bound))
+    simulated = simulate_planned(structure, inputs, dt, problem.values(x, 0))
+    return Information(
+        structure.name,
+        labels,
+        tuple(slot.unknown.unit for slot in problem.slots),
+        x,
+        np.asarray(np.linalg.inv(bound)),
+        sigma,
+        bound / np.outer(sigma, sigma),
+        condition.number,
+        {name: float(np.abs(y).max()) for name, y in simulated.items()},
+        {name: float(np.ptp(y)) for name, y in simulated.items()},
+    )
+
+
+def _problem(
+    structure: Structure,
+    inputs: Mapping[str, ArrayLike],
+    dt: float,
+    noise: Mapping[str, float],
+    values: Mapping[str, float] | None,
+    estimate: Collection[str] | None,
+) -> tuple[Problem, Array]:
+    record = _blank(structure, inputs, dt, tuple(noise))
+    wanted = structure.estimate if estimate is None else tuple(estimate)
+    problem = Problem(structure, [record], wanted, dict(values or {}), {})
+    for output, sigma in noise.items():
+        if output not in problem.sigma or not sigma > 0.0:
+            raise IdentificationError(
+                f"noise {sigma} for '{output}' is not a positive number for an output of the structure",
+                f"structure '{structure.name}'",
+                f"outputs: {', '.join(structure.outputs)}",
+            )
+    problem.sigma.update(noise)
+    return problem, problem.x0
+
+
+def _blank(structure: Structure, inputs: Mapping[str, ArrayLike], dt: float, outputs: Sequence[str]) -> Record:
+    """A record with the inputs and no measurements yet (zeros)."""
+    columns = {name: np.asarray(u, dtype=float) for name, u in inputs.items()}
+    lengths = {u.size for u in columns.values()}
+    if len(lengths) != 1 or min(lengths) < 2:
+        raise IdentificationError(
+            f"inputs of {sorted(lengths)} samples", f"structure '{structure.name}'", "give equal lengths, 2 or more"
+        )
+    steps = lengths.pop()
+    blank = Samples(np.arange(steps, dtype=float), np.zeros(steps))
+    return Record("planned", dt, 0.0, columns, dict.fromkeys(outputs, blank))
+
+
+def simulate_planned(
+    structure: Structure, inputs: Mapping[str, ArrayLike], dt: float, values: Mapping[str, float]
+) -> dict[str, Array]:
+    """Every output of the structure for planned inputs, from parameters `values`."""
+    return Simulator(structure, _blank(structure, inputs, dt, structure.outputs)).run(values)
+
+
+def _repeated(jacobian: Array, shared: Array, repeats: int) -> Array:
+    """The covariance after `repeats` flights that each have their own local unknowns."""
+    one = covariance(jacobian)
+    # Marginal information about the shared unknowns adds up over flights; a local one is known as well as one flight
+    # tells it, given what all flights tell of the shared ones.
+    both = shared == 1.0
+    if repeats == 1 or not both.any():
+        return one
+    information = np.linalg.inv(one)
+    pooled = one[np.ix_(both, both)] / repeats
+    result = np.zeros_like(one)
+    result[np.ix_(both, both)] = pooled
+    if not both.all():
+        own = np.linalg.inv(information[np.ix_(~both, ~both)])
+        gain = own @ information[np.ix_(~both, both)]
+        result[np.ix_(~both, ~both)] = own + gain @ pooled @ gain.T
+        result[np.ix_(~both, both)] = -gain @ pooled
+        result[np.ix_(both, ~both)] = result[np.ix_(~both, both)].T
+    return result

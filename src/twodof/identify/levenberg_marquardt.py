@@ -1,0 +1,131 @@
+"""Nonlinear least squares within bounds by Levenberg-Marquardt, with little overhead: a residual costs microseconds."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Residual = Callable[[Array], Array]
+Jacobian = Callable[[Array, Array], Array]
+
+
+@dataclass(frozen=True, eq=False)
+class Minimum:
+    """Where the sum of squares ended: `cost` is half of it, `at_bound` marks the unknowns held by a bound.
+
+    `shift` is how far the next Gauss-Newton step would go, in standard deviations of the estimate.
+    """
+
+    x: Array
+    residual: Array
+    cost: float
+    iterations: int
+    evaluations: int
+    converged: bool
+    shift: float
+    at_bound: NDArray[np.bool_]
+
+
+def minimise(
+    residual: Residual,
+    jacobian: Jacobian,
+    x0: Array,
+    lower: Array,
+    upper: Array,
+    *,
+    tolerance: float = 1e-10,
+    iterations: int = 100,
+) -> Minimum:
+    """Minimise |residual(x)|^2 / 2 for lower <= x <= upper, from `x0` (clipped into the bounds).
+
+    Damping after Nielsen (1999) with More's (1978) column scaling; an unknown at a bound that the gradient pushes
+    outwards is held there. It ends when the next step promises a relative decrease below `tolerance`, when the steps
+    have become too small to change x, or after `iterations`. `converged` says that a further Gauss-Newton step would
+    move the estimate by less than a twentieth of its standard deviation, however the search ended.
+    """
+    x = np.clip(x0, lower, upper)
+    r = residual(x)
+    cost = 0.5 * float(r @ r)
+    evaluations, damping, growth = 1, 1e-3, 2.0
+    scale = np.zeros_like(x)
+    held = np.zeros(x.shape, dtype=bool)
+    for iteration in range(1, iterations + 1):
+        jac = jacobian(x, r)
+        gradient = jac.T @ r
+        normal = jac.T @ jac
+        held = ((x <= lower) & (gradient > 0.0)) | ((x >= upper) & (gradient < 0.0))
+        free = np.flatnonzero(~held)
+        scale = np.maximum(scale, np.sqrt(np.diag(normal)))
+        floor = np.where(scale > 0.0, scale, 1.0)
+        while True:
+            step, clipped = _bounded_step(normal, gradient, damping * floor**2, free, lower - x, upper - x)
+            trial = np.clip(x + step, lower, upper)
+            promised = -float(gradient @ step) - 0.5 * float(step @ normal @ step)
+            small = bool(np.all(np.abs(step) <= 1e-14 * (np.abs(x) + 1e-14)))
+            # A step cut by a bound may promise nothing although a shorter one would.
+            if small or (promised <= tolerance * cost and not clipped):
+                return _minimum(x, r, cost, iteration, evaluations, gradient, normal, free, held)
+            r_trial = residual(trial)
+            evaluations += 1
+            cost_trial = 0.5 * float(r_trial @ r_trial)
+            gain = (cost - cost_trial) / promised if promised > 0.0 else -1.0
+            if gain > 1e-4:
+                x, r, cost = trial, r_trial, cost_trial
+                damping *= max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3)
+                damping, growth = max(damping, 1e-12), 2.0
+                break
+            damping *= growth
+            growth *= 2.0
+    jac = jacobian(x, r)
+    free = np.flatnonzero(~held)
+    return _minimum(x, r, cost, iterations, evaluations, jac.T @ r, jac.T @ jac, free, held)
+
+
+def _bounded_step(
+    normal: Array, gradient: Array, damping: Array, free: NDArray[np.int64], low: Array, high: Array
+) -> tuple[Array, bool]:
+    """The damped Gauss-Newton step of the `free` unknowns within [low, high], and whether a bound cut it.
+
+    An unknown that would cross its bound goes to it, and the others are solved for again, given that.
+    """
+    step = np.zeros_like(gradient)
+    open_ = free
+    while open_.size:
+        system = normal[np.ix_(open_, open_)] + np.diag(damping[open_])
+        cut = np.setdiff1d(free, open_, assume_unique=True)
+        target = -gradient[open_] - normal[np.ix_(open_, cut)] @ step[cut]
+        step[open_] = np.linalg.solve(system, target)
+        crossing = (step[open_] < low[open_]) | (step[open_] > high[open_])
+        if not crossing.any():
+            break
+        crossed = open_[crossing]
+        step[crossed] = np.clip(step[crossed], low[crossed], high[crossed])
+        open_ = open_[~crossing]
+    return step, open_.size < free.size
+
+
+def _minimum(
+    x: Array,
+    r: Array,
+    cost: float,
+    iterations: int,
+    evaluations: int,
+    gradient: Array,
+    normal: Array,
+    free: NDArray[np.int64],
+    held: NDArray[np.bool_],
+) -> Minimum:
+    g = gradient[free]
+    length = np.sqrt(np.diag(normal)[free])
+    length = np.where(length > 0.0, length, 1.0)
+    unit = normal[np.ix_(free, free)] / np.outer(length, length)
+    reach = float((g / length) @ np.linalg.pinv(unit, rcond=1e-12, hermitian=True) @ (g / length))
+    shift = math.sqrt(max(reach, 0.0) * r.size / (2.0 * cost)) if cost > 0.0 else 0.0
+    # Residuals that are all rounding errors have no standard deviation worth comparing with.
+    exact = cost < 1e-16 * r.size
+    return Minimum(x, r, cost, iterations, evaluations, exact or shift < 0.05, shift, held)

@@ -1,0 +1,237 @@
+"""The least-squares problem behind a fit: which unknown of which record is which entry of x, residuals, Jacobian."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twodof.errors import IdentificationError
+from twodof.identify.covariance import Rows
+from twodof.identify.record import Record
+from twodof.identify.simulate import Simulator
+from twodof.models.structure import Structure, Unknown
+
+Array = NDArray[np.float64]
+
+# Relative steps of the differences: the optimum for rounding errors of 1e-16, one-sided and two-sided.
+_ONE_SIDED = 1e-7
+_TWO_SIDED = 1e-5
+
+
+@dataclass(frozen=True)
+class Slot:
+    """One entry of x: an unknown, of one record or (`record` None) of all."""
+
+    unknown: Unknown
+    record: int | None
+    label: str
+
+
+@dataclass(frozen=True, eq=False)
+class Block(Rows):
+    """The rows of the residual that one output of one record makes."""
+
+    output: str
+
+
+class Problem:
+    """Weighted residuals (measured - simulated) / sigma of all outputs of all records as a function of x.
+
+    `values` are first guesses or fixed values by unknown, or by "unknown[record]" for one record. `band` (low, high)
+    [Hz] keeps only the discrete Fourier coefficients of the residuals inside it, scaled so that white noise of
+    standard deviation sigma still gives rows of standard deviation 1.
+    """
+
+    def __init__(
+        self,
+        structure: Structure,
+        records: Sequence[Record],
+        estimate: Collection[str],
+        values: Mapping[str, float],
+        bounds: Mapping[str, tuple[float, float]],
+        separate: Collection[str] = (),
+        band: tuple[float, float] | None = None,
+    ) -> None:
+        self.structure, self.records, self.band = structure, tuple(records), band
+        self._check(estimate, values, bounds, separate)
+        unknowns = structure.unknowns
+        self.slots = tuple(_slots(unknowns, self.records, estimate, separate))
+        self._fixed = [
+            {
+                name: float(values.get(f"{name}[{record.name}]", values.get(name, unknown.value)))
+                for name, unknown in unknowns.items()
+            }
+            for record in self.records
+        ]
+        self._pick = [
+            {slot.unknown.name: i for i, slot in enumerate(self.slots) if slot.record in (None, r)}
+            for r in range(len(self.records))
+        ]
+        self.x0 = np.array([self._fixed[slot.record or 0][slot.unknown.name] for slot in self.slots])
+        limits = [bounds.get(s.unknown.name, (s.unknown.lower, s.unknown.upper)) for s in self.slots]
+        self.lower = np.array([low for low, _ in limits])
+        self.upper = np.array([high for _, high in limits])
+        self.scale = np.array([s.unknown.scale for s in self.slots])
+        self._refuse_impossible()
+        self._simulators = [Simulator(structure, record) for record in self.records]
+        for simulator, fixed in zip(self._simulators, self._fixed, strict=True):
+            simulator.run(fixed)
+        self.blocks = tuple(self._blocks())
+        self.sigma = {output: self._spread(output) for output in self.outputs}
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Outputs that at least one record has measured, in the structure's order."""
+        measured = {block.output for block in self.blocks}
+        return tuple(name for name in self.structure.outputs if name in measured)
+
+    def values(self, x: Array, record: int) -> dict[str, float]:
+        """Every parameter's value in one record."""
+        return self._fixed[record] | {name: float(x[i]) for name, i in self._pick[record].items()}
+
+    def simulate(self, x: Array, record: int) -> dict[str, Array]:
+        """Each measured output of one record at its samples' times."""
+        return self._simulators[record].run({name: x[i] for name, i in self._pick[record].items()})
+
+    def residual(self, x: Array) -> Array:
+        """The weighted residuals of all records."""
+        return np.concatenate([self._rows(x, r) for r in range(len(self.records))])
+
+    def jacobian(self, x: Array, residual: Array) -> Array:
+        """One-sided differences of the residual; an unknown of one record re-simulates only that record."""
+        jac = np.zeros((residual.size, x.size))
+        for i, slot in enumerate(self.slots):
+            h = _ONE_SIDED * max(abs(x[i]), self.scale[i])
+            h = -h if x[i] + h > self.upper[i] else h
+            moved = x.copy()
+            moved[i] += h
+            self._differences(jac, i, slot, moved, residual, moved[i] - x[i])
+        return jac
+
+    def central_jacobian(self, x: Array) -> Array:
+        """Two-sided differences, one-sided where a bound leaves no room: for statistics, at the end of a fit."""
+        base = self.residual(x)
+        jac = np.zeros((base.size, x.size))
+        for i, slot in enumerate(self.slots):
+            h = _TWO_SIDED * max(abs(x[i]), self.scale[i])
+            up, down = x.copy(), x.copy()
+            up[i], down[i] = min(x[i] + h, self.upper[i]), max(x[i] - h, self.lower[i])
+            low = np.zeros_like(base)
+            for r in range(len(self.records)):
+                low[self._span(r)] = self._rows(down, r) if slot.record in (None, r) else base[self._span(r)]
+            self._differences(jac, i, slot, up, low, up[i] - down[i])
+        return jac
+
+    def _differences(self, jac: Array, i: int, slot: Slot, moved: Array, base: Array, h: float) -> None:
+        for r in range(len(self.records)):
+            if slot.record in (None, r):
+                rows = self._span(r)
+                jac[rows, i] = (self._rows(moved, r) - base[rows]) / h
+
+    def _span(self, record: int) -> slice:
+        own = [block.rows for block in self.blocks if block.record == record]
+        return slice(own[0].start, own[-1].stop)
+
+    def _rows(self, x: Array, record: int) -> Array:
+        simulated = self.simulate(x, record)
+        measured = self.records[record].outputs
+        return np.concatenate(
+            [
+                self._banded(measured[name].value - simulated[name], record) / self.sigma[name]
+                for name in self._simulators[record].outputs
+            ]
+        )
+
+    def _banded(self, error: Array, record: int) -> Array:
+        if self.band is None:
+            return error
+        spectrum = np.fft.rfft(error)[self._bins(error.size, record)] * math.sqrt(2.0 / error.size)
+        return np.concatenate([spectrum.real, spectrum.imag])
+
+    def _bins(self, size: int, record: int) -> NDArray[np.int64]:
+        low, high = self.band or (0.0, math.inf)
+        frequency = np.fft.rfftfreq(size, self.records[record].dt)
+        # The coefficients at 0 and at half the sampling rate are real: they would be rows of another variance.
+        inner = (frequency > 0.0) & (frequency < 0.5 / self.records[record].dt * (1.0 - 1e-9))
+        return np.flatnonzero((frequency >= low) & (frequency <= high) & inner)
+
+    def _blocks(self) -> list[Block]:
+        blocks, start = [], 0
+        for r, simulator in enumerate(self._simulators):
+            for output in simulator.outputs:
+                samples = self.records[r].outputs[output]
+                when = np.floor(samples.position).astype(np.int64)
+                if self.band is not None:
+                    if np.ptp(np.diff(samples.position)) > 1e-6:
+                        raise IdentificationError(
+                            "the frequency domain needs samples without gaps on a uniform clock",
+                            f"record '{self.records[r].name}', output '{output}'",
+                            "fit in the time domain, or resample the log first",
+                        )
+                    bins = self._bins(samples.position.size, r)
+                    if bins.size == 0:
+                        raise IdentificationError(
+                            f"no Fourier coefficient lies in {self.band[0]:g} to {self.band[1]:g} Hz",
+                            f"record '{self.records[r].name}', output '{output}'",
+                            f"the resolution is {1.0 / (self.records[r].dt * samples.position.size):g} Hz",
+                        )
+                    when = np.concatenate([bins, bins])
+                blocks.append(Block(r, slice(start, start + when.size), when, output))
+                start += when.size
+        return blocks
+
+    def _spread(self, output: str) -> float:
+        """A first weight: the signal's own standard deviation, over all records."""
+        values = np.concatenate([r.outputs[output].value for r in self.records if output in r.outputs])
+        return float(values.std()) or 1.0
+
+    def _check(
+        self,
+        estimate: Collection[str],
+        values: Mapping[str, float],
+        bounds: Mapping[str, tuple[float, float]],
+        separate: Collection[str],
+    ) -> None:
+        if not self.records:
+            raise IdentificationError("no record is given", f"structure '{self.structure.name}'", "give at least one")
+        names = [record.name for record in self.records]
+        if len(set(names)) < len(names):
+            raise IdentificationError("two records have one name", ", ".join(names), "name each differently")
+        known = self.structure.unknowns
+        keyed = [key.partition("[")[0] for key in values]
+        for name in (*estimate, *keyed, *bounds, *separate):
+            if name not in known:
+                raise IdentificationError(
+                    f"there is no unknown '{name}'",
+                    f"structure '{self.structure.name}'",
+                    f"there are: {', '.join(known)}",
+                )
+
+    def _refuse_impossible(self) -> None:
+        for slot, x, low, high in zip(self.slots, self.x0, self.lower, self.upper, strict=True):
+            if not low <= x <= high:
+                raise IdentificationError(
+                    f"the first guess {x:g} of '{slot.label}' is not within {low:g} to {high:g}",
+                    f"structure '{self.structure.name}'",
+                    "give another guess or other bounds",
+                )
+
+
+def _slots(
+    unknowns: Mapping[str, Unknown], records: Sequence[Record], estimate: Collection[str], separate: Collection[str]
+) -> list[Slot]:
+    slots = []
+    for name, unknown in unknowns.items():
+        if name not in estimate:
+            continue
+        if not (unknown.local or name in separate):
+            slots.append(Slot(unknown, None, name))
+        elif len(records) == 1:
+            slots.append(Slot(unknown, 0, name))
+        else:
+            slots.extend(Slot(unknown, r, f"{name}[{record.name}]") for r, record in enumerate(records))
+    return slots

@@ -1,0 +1,247 @@
+"""A record: the piece of a log or table that a fit uses, inputs held on a uniform grid, outputs at their own stamps."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from twodof.errors import IdentificationError
+from twodof.flightlog.log import FlightLog
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Values of one measured output; `position` is the time of each in steps since the record's start."""
+
+    position: Array
+    value: Array
+
+    @property
+    def on_grid(self) -> bool:
+        """Whether sample k lies on step k, without gaps."""
+        return bool(np.array_equal(self.position, np.arange(self.position.size)))
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """What was applied and what was measured, in one window.
+
+    `inputs[name]` has shape (steps,) and is held from one step to the next; `outputs[name]` are samples at their own
+    times. `dt` [s] is the step, `start` [s] the time of step 0 on the log's axis.
+    """
+
+    name: str
+    dt: float
+    start: float
+    inputs: Mapping[str, Array]
+    outputs: Mapping[str, Samples]
+
+    @property
+    def steps(self) -> int:
+        """Number of steps of the grid."""
+        return len(next(iter(self.inputs.values())))
+
+    @property
+    def time(self) -> Array:
+        """Times of the steps on the log's axis [s], shape (steps,)."""
+        return np.asarray(self.start + self.dt * np.arange(self.steps))
+
+    def output_time(self, output: str) -> Array:
+        """Times of the samples of `output` on the log's axis [s]."""
+        return np.asarray(self.start + self.dt * self.outputs[output].position)
+
+    @classmethod
+    def from_columns(
+        cls,
+        time: ArrayLike,
+        columns: Mapping[str, ArrayLike],
+        inputs: Sequence[str],
+        outputs: Sequence[str],
+        name: str = "record",
+    ) -> Record:
+        """A record from one table whose columns share the column `time` [s].
+
+        Raises IdentificationError for a missing column, NaN, time that does not increase, fewer than two rows.
+        """
+        channels = {}
+        for column in (*inputs, *outputs):
+            if column not in columns:
+                raise _missing(column, columns)
+            channels[column] = (time, columns[column])
+        return cls.from_channels(channels, inputs, outputs, name=name)
+
+    @classmethod
+    def from_channels(
+        cls,
+        channels: Mapping[str, tuple[ArrayLike, ArrayLike]],
+        inputs: Sequence[str],
+        outputs: Sequence[str],
+        *,
+        start: float = -math.inf,
+        stop: float = math.inf,
+        dt: float | None = None,
+        smooth: Collection[str] = (),
+        name: str = "record",
+    ) -> Record:
+        """A record from channels (time [s], value), each with its own clock, in the window `start` to `stop` [s].
+
+        The grid is that of the first input: its step is the mean of its regular intervals unless `dt` is given, its
+        phase fits all its stamps. Inputs are held: step k takes the latest sample at or before it, half a step of
+        jitter forgiven. Inputs named in `smooth` are samples of a signal that moves on between them (a measured pitch,
+        not a command): step k takes their value half-way to the next step, interpolated linearly. Outputs keep their
+        stamps. A channel may have gaps; the inputs hold across them.
+        Raises IdentificationError for a missing channel, NaN, time that does not increase, an empty window.
+        """
+        if not inputs or not outputs:
+            raise IdentificationError("no input or no output named", f"record '{name}'", "name at least one of each")
+        for channel in (*inputs, *outputs):
+            if channel not in channels:
+                raise _missing(channel, channels)
+        checked = {channel: _checked(channel, *channels[channel]) for channel in (*inputs, *outputs)}
+        clock = checked[inputs[0]][0]
+        clock = clock[(clock >= start) & (clock <= stop)]
+        if clock.size < 2:
+            raise IdentificationError(
+                f"the window {start:g} to {stop:g} s holds {clock.size} samples of the input",
+                f"record '{name}', channel '{inputs[0]}'",
+                _span_of(checked[inputs[0]][0]),
+            )
+        step, origin = _grid(clock, dt)
+        steps = round((clock[-1] - origin) / step) + 1
+        held = {}
+        for channel in inputs:
+            time, value = checked[channel]
+            if channel in smooth:
+                held[channel] = np.interp(origin + step * (np.arange(steps) + 0.5), time, value)
+                continue
+            latest = np.searchsorted(time, origin + step * (np.arange(steps) + 0.5), side="left") - 1
+            if latest[0] < 0:
+                raise IdentificationError(
+                    f"no sample at or before the window's start {origin:g} s",
+                    f"record '{name}', channel '{channel}'",
+                    "start the window later",
+                )
+            held[channel] = value[latest]
+        measured = {}
+        for channel in outputs:
+            time, value = checked[channel]
+            position = (time - origin) / step
+            near = np.round(position)
+            # A stamp that is on the grid but for rounding is on the grid; real jitter is thousands of times larger.
+            position = np.where(np.abs(position - near) < 1e-6, near, position)
+            keep = (position >= 0.0) & (position <= steps - 1)
+            if not keep.any():
+                raise IdentificationError(
+                    f"the window {start:g} to {stop:g} s holds no sample of the output",
+                    f"record '{name}', channel '{channel}'",
+                    _span_of(time),
+                )
+            measured[channel] = Samples(position[keep], value[keep])
+        return cls(name, step, origin, held, measured)
+
+    @classmethod
+    def from_log(
+        cls,
+        log: FlightLog,
+        inputs: Sequence[str] | Mapping[str, str],
+        outputs: Sequence[str] | Mapping[str, str],
+        start: float,
+        stop: float,
+        *,
+        smooth: Collection[str] = (),
+        name: str = "",
+    ) -> Record:
+        """A record from a flight log's window `start` to `stop` [s]; see `from_channels`.
+
+        Channels are named as in the log, or as {name in the structure: channel in the log}. Raises LogError for a
+        channel that the log lacks, IdentificationError as `from_channels` does.
+        """
+        ins = dict(inputs) if isinstance(inputs, Mapping) else {channel: channel for channel in inputs}
+        outs = dict(outputs) if isinstance(outputs, Mapping) else {channel: channel for channel in outputs}
+        channels = {}
+        for own, channel in (*ins.items(), *outs.items()):
+            found = log[channel]
+            if found.value.ndim != 1:
+                raise IdentificationError(
+                    f"channel '{channel}' has {found.value.shape[1]} columns", log.source, "use a scalar channel"
+                )
+            channels[own] = (found.time, found.value)
+        title = name or log.source
+        return cls.from_channels(channels, list(ins), list(outs), start=start, stop=stop, smooth=smooth, name=title)
+
+    def part(self, start: float, stop: float, name: str | None = None) -> Record:
+        """The piece from `start` to `stop` [s] on the log's axis. Raises IdentificationError if it is empty."""
+        first = max(0, math.ceil((start - self.start) / self.dt - 1e-6))
+        last = min(self.steps - 1, math.floor((stop - self.start) / self.dt + 1e-6))
+        if last - first < 1:
+            raise IdentificationError(
+                f"the window {start:g} to {stop:g} s holds {max(0, last - first + 1)} steps",
+                f"record '{self.name}'",
+                _span_of(self.time),
+            )
+        outputs = {}
+        for output, samples in self.outputs.items():
+            keep = (samples.position >= first) & (samples.position <= last)
+            if not keep.any():
+                raise IdentificationError(
+                    f"the window {start:g} to {stop:g} s holds no sample of '{output}'",
+                    f"record '{self.name}'",
+                    _span_of(self.output_time(output)),
+                )
+            outputs[output] = Samples(samples.position[keep] - first, samples.value[keep])
+        inputs = {channel: value[first : last + 1] for channel, value in self.inputs.items()}
+        return Record(name or self.name, self.dt, self.start + first * self.dt, inputs, outputs)
+
+
+def _missing(channel: str, present: Mapping[str, object]) -> IdentificationError:
+    return IdentificationError(
+        f"there is no channel '{channel}'", "record", f"present are: {', '.join(sorted(present)) or 'none'}"
+    )
+
+
+def _span_of(time: Array) -> str:
+    return f"the channel spans {time[0]:g} to {time[-1]:g} s" if time.size else "the channel is empty"
+
+
+def _checked(channel: str, time: ArrayLike, value: ArrayLike) -> tuple[Array, Array]:
+    t, y = np.asarray(time, dtype=float), np.asarray(value, dtype=float)
+    where = f"channel '{channel}'"
+    if t.ndim != 1 or t.shape != y.shape:
+        raise IdentificationError(f"time {t.shape} and value {y.shape} are not two equal columns", where)
+    if not np.isfinite(t).all():
+        raise IdentificationError(f"time stamp {int(np.argmin(np.isfinite(t)))} is not a finite number", where)
+    if not np.isfinite(y).all():
+        bad = int(np.argmin(np.isfinite(y)))
+        raise IdentificationError(
+            f"the value at {t[bad]:g} s is not a finite number", where, "leave the sample out or choose another window"
+        )
+    back = np.flatnonzero(np.diff(t) <= 0.0)
+    if back.size:
+        raise IdentificationError(
+            f"time does not increase at sample {back[0] + 1} ({t[back[0]]:g} s, then {t[back[0] + 1]:g} s)",
+            where,
+            "sort the log or cut it at the jump",
+        )
+    return t, y
+
+
+def _grid(clock: Array, dt: float | None) -> tuple[float, float]:
+    """Step and phase of the uniform grid that fits the stamps; gaps count as the whole steps they are."""
+    interval = np.diff(clock)
+    rough = float(np.median(interval)) if dt is None else dt
+    count = np.concatenate([[0.0], np.cumsum(np.maximum(1.0, np.round(interval / rough)))])
+    if dt is not None:
+        return dt, float(np.mean(clock - dt * count))
+    centred = count - count.mean()
+    step = float(centred @ clock / (centred @ centred))
+    # A clock that is exact but for rounding gives back its own first stamp and round step.
+    exact = round(step, 9)
+    if np.abs(clock - clock[0] - exact * count).max() < 1e-9:
+        return exact, float(clock[0])
+    return step, float(clock.mean() - step * count.mean())

@@ -1,0 +1,327 @@
+"""The paper's simple method for the pitch rate (section 4.1), step by step as a student does it on a plot.
+
+Experiment 1, an impulse: period -> natural frequency, settling time -> damping ratio. Experiment 2, a doublet: peak
+over the peak simulated with mu = 1 -> gain; counting samples until the response overlays the simulated one -> delay.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twodof.errors import IdentificationError
+from twodof.identify.record import Record
+from twodof.identify.validate import fit_percent
+from twodof.models.plant import PitchRate
+
+Array = NDArray[np.float64]
+
+SETTLED = 0.01
+"""A response is settled when its envelope is below this share of its first peak: exp(-4.6) = 1 %."""
+
+
+@dataclass(frozen=True, eq=False)
+class FreeResponse:
+    """What one reads off the response to the impulse; times on the log's axis [s].
+
+    `peaks` are (time, rate) of every half swing, `crossings` the times of zero rate, `period` [s] their mean spacing
+    times two, `settling_time` [s] from the first peak until the envelope is below 1 % of it; `extrapolated` says that
+    the record ended before.
+    """
+
+    crossings: Array
+    peak_times: Array
+    peaks: Array
+    period: float
+    settling_time: float
+    extrapolated: bool
+    w_n: float
+    xi: float
+
+
+@dataclass(frozen=True, eq=False)
+class Doublet:
+    """What one reads off the response to a doublet about the trim moment.
+
+    `edge` [s] and `amplitude` of the input's first edge; `peak` is the first peak of q [rad/s] above its rest,
+    `unit_peak` that simulated with mu = 1, `peak_time` [s] when; `shift` counts the samples by which the simulated
+    response must be delayed to lie on the measured one; `first_motion` counts the samples from the edge until q leaves
+    three standard deviations of its noise: later than the delay, by the time in which q climbs out of the noise.
+    """
+
+    edge: float
+    amplitude: float
+    rest: float
+    noise: float
+    peak: float
+    unit_peak: float
+    peak_time: float
+    shift: int
+    first_motion: int
+    mu: float
+    tau: float
+
+
+@dataclass(frozen=True, eq=False)
+class SimplePitch:
+    """The simple method's model with the figures it came from; FIT of q [%] by record, the first one identified."""
+
+    model: PitchRate
+    free: FreeResponse
+    doublet: Doublet
+    identification: tuple[str, float]
+    validation: tuple[tuple[str, float], ...]
+
+    def table(self) -> str:
+        """Each step as a line of text."""
+        f, d, m = self.free, self.doublet, self.model
+        halves = np.diff(f.crossings)
+        late = " (extrapolated)" if f.extrapolated else ""
+        lines = [
+            f"period        T_P = {f.period:.3f} s -> w_n = {m.w_n:.3f} rad/s",
+            f"              ({halves.size} half swings, the first {halves[0]:.3f} s, the last {halves[-1]:.3f} s)",
+            f"settling time T_S = {f.settling_time:.2f} s{late} -> xi = 4.6 / (T_S w_n) = {m.xi:.4f}",
+            f"peak {d.peak:.3f} rad/s over {d.unit_peak:.3e} rad/s with mu = 1 -> mu = {m.mu:.1f} rad/s^2",
+            f"the response lies {d.shift} samples behind the input -> tau = {1e3 * m.tau:.1f} ms",
+            f"              (q leaves its noise {d.first_motion} samples after the edge)",
+            f"identification '{self.identification[0]}': FIT {self.identification[1]:.1f} %",
+        ]
+        lines.extend(f"validation '{name}': FIT {value:.1f} %" for name, value in self.validation)
+        return "\n".join(lines)
+
+    def to_json(self) -> str:
+        """Model and intermediate figures as JSON text."""
+        f, d = self.free, self.doublet
+        return json.dumps(
+            {
+                "model": {"w_n": self.model.w_n, "xi": self.model.xi, "mu": self.model.mu, "tau": self.model.tau},
+                "free_response": {
+                    "period": f.period,
+                    "settling_time": f.settling_time,
+                    "extrapolated": f.extrapolated,
+                    "crossings": f.crossings.tolist(),
+                    "peak_times": f.peak_times.tolist(),
+                    "peaks": f.peaks.tolist(),
+                },
+                "doublet": {
+                    "edge": d.edge,
+                    "amplitude": d.amplitude,
+                    "peak": d.peak,
+                    "unit_peak": d.unit_peak,
+                    "shift_samples": d.shift,
+                    "first_motion_samples": d.first_motion,
+                },
+                "identification": dict([self.identification]),
+                "validation": dict(self.validation),
+            },
+            indent=2,
+        )
+
+
+def identify_pitch(
+    impulse: Record,
+    doublets: Sequence[Record],
+    *,
+    trim: float | None = None,
+    input: str = "M",
+    output: str = "q",
+) -> SimplePitch:
+    """Experiment 1 on `impulse`, experiment 2 on the first of `doublets`; the other doublets validate.
+
+    `trim` is the moment that holds the drone level (default: the input before each doublet's first edge). Raises
+    IdentificationError if a record lacks the excitation, or swings too little to read the figures.
+    """
+    if not doublets:
+        raise IdentificationError("no doublet is given", "identify_pitch", "give at least one record")
+    free = read_free_response(impulse, input, output)
+    doublet = read_doublet(doublets[0], free.w_n, free.xi, trim, input, output)
+    model = PitchRate(free.w_n, free.xi, doublet.mu, doublet.tau)
+    scores = [(record.name, fit_percent(*simulated_pair(model, record, trim, input, output))) for record in doublets]
+    return SimplePitch(model, free, doublet, scores[0], tuple(scores[1:]))
+
+
+def simulated_pair(
+    model: PitchRate, record: Record, trim: float | None = None, input: str = "M", output: str = "q"
+) -> tuple[Array, Array]:
+    """Measured q less its rest, and q simulated from rest at the moment `trim`, at the samples' times.
+
+    `trim` defaults to the input's first value. Raises IdentificationError as `read_doublet` does.
+    """
+    time, q, u = signals_of(record, input, output)
+    edge = edges_of(record, u, input)[0]
+    rest = float(q[time < record.start + edge * record.dt].mean())
+    simulated = model.state_space().zero_order_hold(record.dt).simulate(u - (u[0] if trim is None else trim))[:, 1]
+    return q - rest, np.interp(time, record.time, simulated)
+
+
+def read_free_response(record: Record, input: str = "M", output: str = "q") -> FreeResponse:
+    """Period and settling time of the free response after the input's last edge.
+
+    Raises IdentificationError without an edge, or with fewer than three half swings above the noise.
+    """
+    time, q, u = signals_of(record, input, output)
+    released = record.start + edges_of(record, u, input)[-1] * record.dt
+    after = time >= released
+    t, y = time[after], q[after]
+    tail = y[-max(10, y.size // 10) :]
+    y = y - tail.mean()
+    noise = float(np.std(np.diff(y))) / math.sqrt(2.0)
+    level = max(3.0 * noise, 0.5 * SETTLED * float(np.abs(y).max()))
+    runs = _runs(y, level)
+    if len(runs) < 3:
+        raise IdentificationError(
+            f"only {len(runs)} half swings stand out of the noise ({noise:.2g} rad/s)",
+            f"record '{record.name}', channel '{output}'",
+            "excite more strongly or take a longer window after the impulse",
+        )
+    crossings = np.array([_crossing(t, y, a, b) for (_, a), (b, _) in pairwise(runs)])
+    tops = [_top(t, y, a, b) for a, b in runs]
+    times, peaks = np.array([p[0] for p in tops]), np.array([p[1] for p in tops])
+    period = 2.0 * float(crossings[-1] - crossings[0]) / (crossings.size - 1)
+    settling, extrapolated = _settling(t, y, times, np.abs(peaks), period)
+    w_n = 2.0 * math.pi / period
+    return FreeResponse(crossings, times, peaks, period, settling, extrapolated, w_n, 4.6 / (settling * w_n))
+
+
+def read_doublet(
+    record: Record, w_n: float, xi: float, trim: float | None = None, input: str = "M", output: str = "q"
+) -> Doublet:
+    """Gain and delay from the response to a doublet, given the poles.
+
+    Measured and simulated peak are read from signals averaged over the same five samples, so that noise does not
+    lift the peak and the average's own rounding of the corner cancels.
+    Raises IdentificationError without an edge, without rest before it, or for a response within the noise.
+    """
+    time, q, u = signals_of(record, input, output)
+    edges = edges_of(record, u, input)
+    edge = record.start + edges[0] * record.dt
+    before = time < edge
+    if np.count_nonzero(before) < 5:
+        raise IdentificationError(
+            f"{np.count_nonzero(before)} samples precede the first edge at {edge:g} s",
+            f"record '{record.name}', channel '{output}'",
+            "start the window at least 0.05 s earlier",
+        )
+    rest, noise = float(q[before].mean()), float(q[before].std())
+    grid = np.interp(record.time, time, q - rest)
+    level = u[0] if trim is None else trim
+    unit = PitchRate(w_n, xi, 1.0, 0.0).state_space().zero_order_hold(record.dt).simulate(u - level)[:, 1]
+    first = slice(edges[0], edges[1] + 15 if len(edges) > 1 else record.steps)
+    sign = math.copysign(1.0, u[edges[0]] - u[0])
+    measured, expected = (_averaged(sign * signal)[first] for signal in (grid, unit))
+    peak, unit_peak = float(measured.max()), float(expected.max())
+    if peak < 5.0 * noise:
+        raise IdentificationError(
+            f"the response's peak {peak:.3g} rad/s hardly exceeds its noise {noise:.3g} rad/s",
+            f"record '{record.name}', channel '{output}'",
+            "use a larger or longer doublet",
+        )
+    mu = peak / unit_peak
+    shift = _best_shift(grid, mu * unit)
+    loud = sign * grid[edges[0] :] > 3.0 * noise
+    return Doublet(
+        edge=edge,
+        amplitude=float(u[edges[0]] - u[0]),
+        rest=rest,
+        noise=noise,
+        peak=peak,
+        unit_peak=unit_peak,
+        peak_time=float(record.time[first][int(measured.argmax())]),
+        shift=shift,
+        first_motion=int(np.argmax(loud[:-2] & loud[1:-1] & loud[2:])),
+        mu=mu,
+        tau=shift * record.dt,
+    )
+
+
+def signals_of(record: Record, input: str, output: str) -> tuple[Array, Array, Array]:
+    """Times and values of an output, and an input, of a record. Raises IdentificationError for one it lacks."""
+    if input not in record.inputs or output not in record.outputs:
+        raise IdentificationError(
+            f"the record does not hold '{input}' as input and '{output}' as output",
+            f"record '{record.name}'",
+            f"inputs: {', '.join(record.inputs)}; outputs: {', '.join(record.outputs)}",
+        )
+    return record.output_time(output), record.outputs[output].value, record.inputs[input]
+
+
+def edges_of(record: Record, u: Array, input: str) -> list[int]:
+    """Steps at which the input jumps by more than a fifth of its range. Raises IdentificationError if none."""
+    span = float(np.ptp(u))
+    jumps = np.flatnonzero(np.abs(np.diff(u)) > 0.2 * span) + 1 if span > 0.0 else np.array([], dtype=int)
+    if jumps.size == 0:
+        raise IdentificationError(
+            f"the input '{input}' has no edge", f"record '{record.name}'", "choose a window with the excitation"
+        )
+    return [int(k) for k in jumps]
+
+
+def _runs(y: Array, level: float) -> list[tuple[int, int]]:
+    """First and last index of each half swing: where |y| exceeds `level` with one sign."""
+    index = np.flatnonzero(np.abs(y) > level)
+    if index.size == 0:
+        return []
+    change = np.flatnonzero(np.diff(np.sign(y[index])) != 0.0)
+    starts = np.concatenate([[0], change + 1])
+    ends = np.concatenate([change, [index.size - 1]])
+    return [(int(index[a]), int(index[b])) for a, b in zip(starts, ends, strict=True)]
+
+
+def _crossing(t: Array, y: Array, a: int, b: int) -> float:
+    """Zero of the straight line through the samples between two half swings."""
+    piece = slice(max(0, a - 2), b + 3)
+    slope, offset = np.polyfit(t[piece] - t[a], y[piece], 1)
+    return float(t[a] - offset / slope)
+
+
+def _top(t: Array, y: Array, a: int, b: int) -> tuple[float, float]:
+    """Time and value of a half swing's extreme, from a parabola through the samples around it."""
+    k = a + int(np.argmax(np.abs(y[a : b + 1])))
+    half = max(2, (b - a) // 8)
+    low, high = max(a, k - half), min(b, k + half)
+    if high - low < 4 or k - low < 2 or high - k < 2:
+        return float(t[k]), float(y[k])
+    c2, c1, c0 = np.polyfit(t[low : high + 1] - t[k], y[low : high + 1], 2)
+    top = float(np.clip(-c1 / (2.0 * c2), t[low] - t[k], t[high] - t[k])) if c2 != 0.0 else 0.0
+    return float(t[k] + top), float(c0 + top * (c1 + top * c2))
+
+
+def _settling(t: Array, y: Array, times: Array, peaks: Array, period: float) -> tuple[float, bool]:
+    """When the swings fall below 1 % of the first peak, counted from it, and whether that is beyond the record.
+
+    Between two peaks the envelope is straight in the logarithm. A drone that stops dead (dry friction) has no later
+    peak: there the last moment outside the limit counts.
+    """
+    limit = SETTLED * peaks[0]
+    below = np.flatnonzero(peaks < limit)
+    if below.size:
+        k = int(below[0])
+        share = math.log(peaks[k - 1] / limit) / math.log(peaks[k - 1] / peaks[k])
+        return float(times[k - 1] + share * (times[k] - times[k - 1]) - times[0]), False
+    last = t[np.flatnonzero(np.abs(_averaged(y)) > limit)[-1]]
+    if t[-1] - last > 0.5 * period:
+        return float(last - times[0]), False
+    rate = float(np.polyfit(times, np.log(peaks), 1)[0])
+    if rate >= 0.0:
+        raise IdentificationError("the oscillation does not decay", "free response", "check the window")
+    return float(times[-1] - times[0] + math.log(limit / peaks[-1]) / rate), True
+
+
+def _averaged(y: Array) -> Array:
+    """Mean over five samples around each."""
+    return np.convolve(np.pad(y, 2, mode="edge"), np.full(5, 0.2), mode="valid")
+
+
+def _best_shift(measured: Array, simulated: Array) -> int:
+    """By how many samples (0..25) `simulated` must be delayed for the smallest squared difference."""
+    costs = [
+        float(np.mean((measured[n:] - simulated[: simulated.size - n]) ** 2))
+        for n in range(min(26, simulated.size // 2))
+    ]
+    return int(np.argmin(costs))

@@ -1,0 +1,173 @@
+"""The paper's simple method for the velocity (section 4.2): initial slope -> gain, first-order response -> pole."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from twodof.errors import IdentificationError
+from twodof.identify.record import Record
+from twodof.identify.simple_pitch import edges_of, signals_of
+from twodof.identify.validate import fit_percent
+from twodof.models.plant import Velocity
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class StepResponse:
+    """What one reads off the first half of the doublet; times on the log's axis [s].
+
+    `theta_bar` [rad] is the pitch held, `slope` [m/s^2] of the straight line through v between 10 and 40 % of its peak
+    (`line_start` to `line_stop`), `start` where that line meets the rest, `peak` [m/s] above the rest at `peak_time`.
+    """
+
+    edge: float
+    theta_bar: float
+    rest: float
+    slope: float
+    line_start: float
+    line_stop: float
+    start: float
+    peak: float
+    peak_time: float
+    k_v: float
+    p_v: float
+
+
+@dataclass(frozen=True, eq=False)
+class SimpleVelocity:
+    """The simple method's model with the figures it came from; FIT of v [%] by record, the first one identified."""
+
+    model: Velocity
+    step: StepResponse
+    identification: tuple[str, float]
+    validation: tuple[tuple[str, float], ...]
+
+    def table(self) -> str:
+        """Each step as a line of text."""
+        s = self.step
+        lines = [
+            f"slope {s.slope:.3f} m/s^2 at theta = {math.degrees(s.theta_bar):.1f} deg -> k_v = {s.k_v:.3f} m/s^2",
+            f"peak {s.peak:.3f} m/s, {s.peak_time - s.start:.3f} s after the start -> p_v = {s.p_v:.3f} 1/s",
+            f"identification '{self.identification[0]}': FIT {self.identification[1]:.1f} %",
+        ]
+        lines.extend(f"validation '{name}': FIT {value:.1f} %" for name, value in self.validation)
+        return "\n".join(lines)
+
+    def to_json(self) -> str:
+        """Model and intermediate figures as JSON text."""
+        s = self.step
+        return json.dumps(
+            {
+                "model": {"k_v": self.model.k_v, "p_v": self.model.p_v},
+                "step": {
+                    "edge": s.edge,
+                    "theta_bar": s.theta_bar,
+                    "slope": s.slope,
+                    "start": s.start,
+                    "peak": s.peak,
+                    "peak_time": s.peak_time,
+                },
+                "identification": dict([self.identification]),
+                "validation": dict(self.validation),
+            },
+            indent=2,
+        )
+
+
+def identify_velocity(
+    doublets: Sequence[Record], *, set_point: str = "theta0", pitch: str = "theta", output: str = "v"
+) -> SimpleVelocity:
+    """k_v and p_v from the first of `doublets`; the others validate.
+
+    Each record holds the inputs `set_point` and `pitch` [rad] and the output v [m/s]. Raises IdentificationError if a
+    record lacks a channel or the excitation, or if v does not stand out of its noise.
+    """
+    if not doublets:
+        raise IdentificationError("no doublet is given", "identify_velocity", "give at least one record")
+    step = read_step(doublets[0], set_point, output)
+    model = Velocity(step.k_v, step.p_v)
+    scores = [
+        (record.name, fit_percent(*simulated_pair(model, record, set_point, pitch, output))) for record in doublets
+    ]
+    return SimpleVelocity(model, step, scores[0], tuple(scores[1:]))
+
+
+def simulated_pair(
+    model: Velocity, record: Record, set_point: str = "theta0", pitch: str = "theta", output: str = "v"
+) -> tuple[Array, Array]:
+    """Measured v less its rest, and v simulated from the measured pitch less its rest, at the samples' times."""
+    time, v, theta0 = signals_of(record, set_point, output)
+    _, _, theta = signals_of(record, pitch, output)
+    first = edges_of(record, theta0, set_point)[0]
+    rest = _rest(record, time, v, record.start + first * record.dt, output)
+    simulated = model.state_space().zero_order_hold(record.dt).simulate(theta - theta[:first].mean())[:, 1]
+    return v - rest, np.interp(time, record.time, simulated)
+
+
+def read_step(record: Record, set_point: str = "theta0", output: str = "v") -> StepResponse:
+    """Gain and pole from the first half of a doublet, as if the pitch followed its set-point at once.
+
+    v = -(k_v theta_bar / p_v) (1 - exp(-p_v t)): the line's slope is that of the start, the peak at the time T after it
+    gives p_v from (1 - exp(-p_v T)) / (p_v T) = peak / (slope T), 0 where v grows as fast as the line or faster.
+    The slope of a line through the first 40 % is lower than that of the start, so both come out low, as in the paper.
+    Raises IdentificationError as `identify_velocity` does.
+    """
+    time, v, theta0 = signals_of(record, set_point, output)
+    edges = edges_of(record, theta0, set_point)
+    edge = record.start + edges[0] * record.dt
+    theta_bar = float(theta0[edges[0]] - theta0[edges[0] - 1])
+    rest = _rest(record, time, v, edge, output)
+    noise = float(v[time < edge].std())
+    until = record.start + (edges[1] if len(edges) > 1 else record.steps) * record.dt
+    # The pitch turns back some time after its set-point, and v with it.
+    half = (time >= edge) & (time <= until + 0.5 * (until - edge))
+    t, y = time[half], -math.copysign(1.0, theta_bar) * (v[half] - rest)
+    top = int(np.argmax(y))
+    peak = float(y[top])
+    if peak < 5.0 * noise or top < 8:
+        raise IdentificationError(
+            f"the peak of v, {peak:.3g} m/s, hardly exceeds its noise {noise:.3g} m/s",
+            f"record '{record.name}', channel '{output}'",
+            "use a larger or longer doublet: below the static friction the cart does not move",
+        )
+    rising = np.flatnonzero(y[: top + 1] < 0.1 * peak)
+    low = int(rising[-1]) + 1 if rising.size else 0
+    high = max(low + 3, int(np.argmax(y > 0.4 * peak)))
+    slope, offset = (float(c) for c in np.polyfit(t[low:high] - edge, y[low:high], 1))
+    start = edge - offset / slope
+    duration = float(t[top]) - start
+    ratio = peak / (slope * duration)
+    p_v = brentq(lambda z: -math.expm1(-z) / z - ratio, 1e-9, 1e3) / duration if ratio < 1.0 - 1e-9 else 0.0
+    sign = -math.copysign(1.0, theta_bar)
+    return StepResponse(
+        edge=edge,
+        theta_bar=theta_bar,
+        rest=rest,
+        slope=sign * slope,
+        line_start=float(t[low]),
+        line_stop=float(t[high - 1]),
+        start=start,
+        peak=sign * peak,
+        peak_time=float(t[top]),
+        k_v=slope / abs(theta_bar),
+        p_v=float(p_v),
+    )
+
+
+def _rest(record: Record, time: Array, v: Array, edge: float, output: str) -> float:
+    before = v[time < edge]
+    if before.size < 5:
+        raise IdentificationError(
+            f"{before.size} samples precede the first edge at {edge:g} s",
+            f"record '{record.name}', channel '{output}'",
+            "start the window earlier",
+        )
+    return float(before.mean())

@@ -1,0 +1,194 @@
+"""How well a model reproduces a record: FIT, VAF, RMSE, and what the residuals still hold."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.stats import binom, norm
+
+from twodof.errors import IdentificationError
+
+Array = NDArray[np.float64]
+
+
+def fit_percent(measured: ArrayLike, simulated: ArrayLike) -> float:
+    """FIT = 100 (1 - |y - y_sim| / |y - mean(y)|), 100 is perfect, 0 no better than the mean (MATLAB's compare)."""
+    y, error = _pair(measured, simulated)
+    spread = float(np.linalg.norm(y - y.mean()))
+    if spread == 0.0:
+        raise IdentificationError("the measured signal is constant", "fit_percent", "FIT needs a signal that moves")
+    return 100.0 * (1.0 - float(np.linalg.norm(error)) / spread)
+
+
+def vaf(measured: ArrayLike, simulated: ArrayLike) -> float:
+    """Variance accounted for, 100 (1 - var(y - y_sim) / var(y)) [%]; blind to a constant offset."""
+    y, error = _pair(measured, simulated)
+    if float(y.var()) == 0.0:
+        raise IdentificationError("the measured signal is constant", "vaf", "VAF needs a signal that moves")
+    return 100.0 * (1.0 - float(error.var()) / float(y.var()))
+
+
+def rmse(measured: ArrayLike, simulated: ArrayLike) -> float:
+    """Root of the mean squared error, in the signal's unit."""
+    return math.sqrt(float(np.mean(_pair(measured, simulated)[1] ** 2)))
+
+
+@dataclass(frozen=True, eq=False)
+class Correlation:
+    """Normalised correlation at `lags` [samples] with the `level` bound beside it (an array, one for each lag).
+
+    `passed`: no more lags lie outside than chance explains at the same level, and none lies further out than the
+    largest of so many would by chance.
+    """
+
+    lags: NDArray[np.int64]
+    value: Array
+    bound: Array
+    level: float
+
+    @property
+    def outside(self) -> int:
+        """Number of lags outside the bound."""
+        return int(np.count_nonzero(np.abs(self.value) > self.bound))
+
+    @property
+    def allowed(self) -> int:
+        """Number of lags that may lie outside by chance."""
+        return int(binom.ppf(self.level, self.lags.size, 1.0 - self.level))
+
+    @property
+    def passed(self) -> bool:
+        """Whether the residuals pass this test."""
+        ratio = norm.isf(0.5 * (1.0 - self.level) / self.lags.size) / norm.isf(0.5 * (1.0 - self.level))
+        return self.outside <= self.allowed and bool((np.abs(self.value) <= ratio * self.bound).all())
+
+
+def whiteness(residual: ArrayLike, lags: int = 25, level: float = 0.99) -> Correlation:
+    """Autocorrelation of residuals at lags 1..`lags`; white ones stay within z/sqrt(N) (Ljung, section 16.6)."""
+    e = _residual(residual, lags)
+    variance = float(e @ e)
+    value = np.array([e[:-k] @ e[k:] for k in range(1, lags + 1)]) / variance
+    bound = np.full(lags, float(norm.ppf(0.5 + level / 2.0)) / math.sqrt(e.size))
+    return Correlation(np.arange(1, lags + 1), value, bound, level)
+
+
+def cross_correlation(residual: ArrayLike, applied: ArrayLike, lags: int = 25, level: float = 0.99) -> Correlation:
+    """Correlation of residuals with the input `applied` at lags -`lags`..`lags`, positive when the residual is later.
+
+    What the model leaves unexplained of the input shows at lags >= 0, feedback at negative ones. The bound holds
+    for coloured residuals too: z sqrt(sum R_e R_u / N) (Ljung, System Identification, equation 16.74). A record that
+    is mostly rest (one doublet) has few independent pieces, which the bound takes into account.
+    """
+    e, u = _residual(residual, lags), np.asarray(applied, dtype=float)
+    if u.shape != e.shape:
+        raise IdentificationError(f"residual {e.shape} and input {u.shape} differ in length", "cross_correlation")
+    u = u - u.mean()
+    n, spread = e.size, math.sqrt(float(e @ e) * float(u @ u))
+    if spread == 0.0:
+        raise IdentificationError("the input is constant", "cross_correlation", "choose a window with excitation")
+    size = 2 * n
+    ef, uf = np.fft.rfft(e, size), np.fft.rfft(u, size)
+    both = np.fft.irfft(ef * uf.conj(), size) / spread
+    value = np.concatenate([both[-lags:], both[: lags + 1]])
+    ree, ruu = np.fft.irfft(abs(ef) ** 2, size) / (e @ e), np.fft.irfft(abs(uf) ** 2, size) / (u @ u)
+    # Far lags of R_e are noise themselves; they are cut where a real correlation has died out.
+    reach = min(n - 1, 10 * lags)
+    total = ree[0] * ruu[0] + 2.0 * float(ree[1 : reach + 1] @ ruu[1 : reach + 1])
+    width = float(norm.ppf(0.5 + level / 2.0)) * math.sqrt(max(total, 1.0) / n)
+    return Correlation(np.arange(-lags, lags + 1), value, np.full(2 * lags + 1, width), level)
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """One output of one record beside the model: figures, signals (for plots) and residual tests.
+
+    `inputs` holds the cross-correlation with each input; tests are None for records too short for them.
+    """
+
+    record: str
+    output: str
+    time: Array
+    measured: Array
+    simulated: Array
+    fit_percent: float
+    vaf: float
+    rmse: float
+    whiteness: Correlation | None
+    inputs: dict[str, Correlation]
+
+    @property
+    def residual(self) -> Array:
+        """Measured less simulated."""
+        return self.measured - self.simulated
+
+    def to_json(self) -> dict[str, object]:
+        """The figures as plain numbers (no signals)."""
+        return {
+            "record": self.record,
+            "output": self.output,
+            "samples": int(self.time.size),
+            "fit_percent": self.fit_percent,
+            "vaf": self.vaf,
+            "rmse": self.rmse,
+            "residual_white": None if self.whiteness is None else self.whiteness.passed,
+            "residual_independent_of": {name: test.passed for name, test in self.inputs.items()},
+        }
+
+
+def compare(
+    record: str,
+    output: str,
+    time: Array,
+    measured: Array,
+    simulated: Array,
+    applied: dict[str, Array],
+    lags: int = 25,
+) -> Comparison:
+    """Figures and residual tests of one output; `applied` are the inputs at the same times.
+
+    An input that is constant, and a record shorter than 4 `lags`, have no test.
+    """
+    long_enough = measured.size >= 4 * lags and float(np.ptp(measured - simulated)) > 0.0
+    error = measured - simulated
+    return Comparison(
+        record,
+        output,
+        time,
+        measured,
+        simulated,
+        fit_percent(measured, simulated),
+        vaf(measured, simulated),
+        rmse(measured, simulated),
+        whiteness(error, lags) if long_enough else None,
+        {
+            name: cross_correlation(error, signal, lags)
+            for name, signal in applied.items()
+            if long_enough and float(np.ptp(signal)) > 0.0
+        },
+    )
+
+
+def _pair(measured: ArrayLike, simulated: ArrayLike) -> tuple[Array, Array]:
+    y, model = np.asarray(measured, dtype=float), np.asarray(simulated, dtype=float)
+    if y.shape != model.shape or y.size == 0:
+        raise IdentificationError(f"measured {y.shape} and simulated {model.shape} differ or are empty", "validate")
+    if not (np.isfinite(y).all() and np.isfinite(model).all()):
+        raise IdentificationError("a signal holds NaN or infinity", "validate")
+    return y, y - model
+
+
+def _residual(residual: ArrayLike, lags: int) -> Array:
+    e = np.asarray(residual, dtype=float)
+    if e.ndim != 1 or e.size <= 2 * lags:
+        raise IdentificationError(
+            f"{e.size} residuals are too few for {lags} lags", "residual test", "use a longer record or fewer lags"
+        )
+    if not np.isfinite(e).all():
+        raise IdentificationError("the residuals hold NaN or infinity", "residual test")
+    e = e - e.mean()
+    if not float(e @ e) > 0.0:
+        raise IdentificationError("the residuals are all equal", "residual test", "there is nothing left to test")
+    return np.asarray(e)

@@ -1,0 +1,91 @@
+"""Records: what grid they choose, what they hold, and what they refuse."""
+
+import numpy as np
+import pytest
+
+from twodof.errors import IdentificationError
+from twodof.identify.record import Record
+
+T = 0.004 * np.arange(100)
+
+
+def test_a_uniform_table_is_taken_as_it_is() -> None:
+    record = Record.from_columns(T + 7.0, {"u": T, "y": 2.0 * T}, ["u"], ["y"])
+    assert record.dt == 0.004
+    assert record.start == 7.0
+    assert (record.inputs["u"] == T).all()
+    assert record.outputs["y"].on_grid
+    assert (record.outputs["y"].value == 2.0 * T).all()
+
+
+def test_jitter_and_gaps_do_not_move_the_grid() -> None:
+    rng = np.random.default_rng(0)
+    period = 0.0040037
+    stamps = 100.0 + period * np.arange(500) + rng.uniform(-1e-4, 1e-4, 500)
+    lost = np.ones(500, dtype=bool)
+    lost[[50, 51, 200, 333]] = False
+    u = np.floor(np.arange(500) / 100.0)
+    record = Record.from_channels({"u": (stamps[lost], u[lost]), "y": (stamps, u)}, ["u"], ["y"])
+    # The fitted period's error: jitter over the length, 1e-4 / (sqrt(3 * 500) * 250 / 2) and some.
+    assert record.dt == pytest.approx(period, abs=5e-8)
+    assert record.steps == 500
+    held = u.copy()
+    held[[50, 51, 200, 333]] = u[[49, 49, 199, 332]]
+    assert (record.inputs["u"] == held).all()
+
+
+def test_slower_inputs_are_held_and_smooth_ones_taken_mid_step() -> None:
+    slow = T[::5]
+    record = Record.from_channels(
+        {"u": (T, T), "slow": (slow, slow), "y": (T, T)}, ["u", "slow"], ["y"], start=0.1, stop=0.3
+    )
+    assert np.allclose(record.inputs["slow"], np.floor((record.time + 1e-9) / 0.02) * 0.02, atol=1e-12)
+    smooth = Record.from_channels({"u": (T, T), "y": (T, T)}, ["u"], ["y"], smooth=["u"], start=0.1, stop=0.3)
+    assert np.allclose(smooth.inputs["u"], smooth.time + 0.002, atol=1e-12)
+
+
+def test_outputs_keep_their_own_stamps() -> None:
+    tof = np.arange(0.011, 0.39, 0.0545)
+    record = Record.from_channels({"u": (T, T), "y": (tof, np.sin(tof))}, ["u"], ["y"])
+    assert np.allclose(record.output_time("y"), tof, atol=1e-12)
+    assert not record.outputs["y"].on_grid
+
+
+def test_a_part_is_a_window_on_the_same_axis() -> None:
+    record = Record.from_columns(T, {"u": T, "y": T}, ["u"], ["y"]).part(0.1, 0.2)
+    assert record.start == pytest.approx(0.1)
+    assert record.steps == 26
+    assert np.allclose(record.output_time("y"), record.outputs["y"].value)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"u": None}, "there is no channel 'u'.*present are: y"),
+        ({"y": (T, np.where(T[7] == T, np.nan, T))}, "channel 'y': the value at 0.028 s is not a finite number"),
+        ({"u": (np.where(T[7] == T, np.nan, T), T)}, "channel 'u': time stamp 7 is not a finite number"),
+        ({"u": (T[[0, 1, 3, 2]], T[:4])}, "channel 'u': time does not increase at sample 3"),
+        ({"u": (T[[0, 1, 1, 2]], T[:4])}, "does not increase"),
+        ({"u": (T, T[:-1])}, "not two equal columns"),
+        ({"y": (T + 100.0, T)}, "holds no sample of the output"),
+    ],
+)
+def test_bad_channels_are_refused_by_name(change: dict[str, object], said: str) -> None:
+    channels = {"u": (T, T), "y": (T, T), **change}
+    present = {name: value for name, value in channels.items() if value is not None}
+    with pytest.raises(IdentificationError, match=said):
+        Record.from_channels(present, ["u"], ["y"])
+
+
+def test_an_empty_window_says_what_there_is() -> None:
+    with pytest.raises(IdentificationError, match=r"window 5 to 6 s holds 0 samples.*spans 0 to 0.396 s"):
+        Record.from_channels({"u": (T, T), "y": (T, T)}, ["u"], ["y"], start=5.0, stop=6.0)
+    with pytest.raises(IdentificationError, match="holds 0 steps"):
+        Record.from_columns(T, {"u": T, "y": T}, ["u"], ["y"]).part(5.0, 6.0)
+    with pytest.raises(IdentificationError, match="no input or no output"):
+        Record.from_columns(T, {"u": T}, ["u"], [])
+
+
+def test_a_window_before_the_first_sample_of_an_input_is_refused() -> None:
+    with pytest.raises(IdentificationError, match="channel 'late': no sample at or before"):
+        Record.from_channels({"u": (T, T), "late": (T + 0.1, T), "y": (T, T)}, ["u", "late"], ["y"])

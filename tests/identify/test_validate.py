@@ -1,0 +1,80 @@
+"""Measures of fit in closed form; residual tests that pass on noise and fail on what is not noise."""
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from twodof.errors import IdentificationError
+from twodof.identify.validate import compare, cross_correlation, fit_percent, rmse, vaf, whiteness
+
+
+def test_measures_in_closed_form() -> None:
+    y = np.array([1.0, -1.0, 1.0, -1.0])
+    assert fit_percent(y, y) == 100.0
+    assert fit_percent(y, np.zeros(4)) == 0.0
+    assert fit_percent(y, 0.5 * y) == pytest.approx(50.0)
+    assert vaf(y, 0.5 * y) == pytest.approx(75.0)
+    assert rmse(y, 0.5 * y) == pytest.approx(0.5)
+    # An offset costs FIT and RMSE, VAF does not see it.
+    assert fit_percent(y, y + 0.1) == pytest.approx(90.0)
+    assert vaf(y, y + 0.1) == pytest.approx(100.0)
+
+
+def test_white_residuals_pass_as_often_as_promised() -> None:
+    # Over 400 seeds: a lag lies outside its 99 % bound 1 % of the time, and both verdicts hold nearly always.
+    rng = np.random.default_rng(0)
+    u = np.sign(rng.standard_normal(100)).repeat(10)
+    white = [whiteness(e) for e in rng.standard_normal((400, 1000))]
+    cross = [cross_correlation(e, u) for e in rng.standard_normal((400, 1000))]
+    outside = np.mean([test.outside / 25 for test in white])
+    # 10,000 lags: one per cent with a standard deviation of 0.1 %; the finite record makes the bound 2 % wide.
+    assert outside == pytest.approx(0.01, abs=0.004)
+    assert np.mean([test.passed for test in white]) > 0.95
+    assert np.mean([test.outside / 51 for test in cross]) == pytest.approx(0.01, abs=0.008)
+    assert np.mean([test.passed for test in cross]) > 0.93
+
+
+def test_coloured_residuals_fail_whiteness_but_not_independence() -> None:
+    rng = np.random.default_rng(1)
+    u = np.sign(rng.standard_normal(200)).repeat(10)
+    coloured = [lfilter([1.0], [1.0, -0.7], rng.standard_normal(2000)) for _ in range(100)]
+    assert not any(whiteness(e).passed for e in coloured)
+    assert np.mean([cross_correlation(e, u).passed for e in coloured]) > 0.85
+
+
+def test_what_is_left_of_the_input_shows_at_its_lag() -> None:
+    rng = np.random.default_rng(2)
+    u = np.sign(rng.standard_normal(2000))
+    test = cross_correlation(0.3 * np.roll(u, 4) + rng.standard_normal(2000), u)
+    assert not test.passed
+    assert test.lags[np.argmax(test.value)] == 4
+
+
+def test_a_comparison_carries_figures_and_tests() -> None:
+    rng = np.random.default_rng(3)
+    u = np.sign(rng.standard_normal(60)).repeat(10)
+    y = np.cumsum(u) / 10.0
+    measured = y + 0.1 * rng.standard_normal(600)
+    one = compare("r", "q", np.arange(600.0), measured, y, {"u": u, "held": np.ones(600)})
+    assert one.rmse == pytest.approx(0.1, rel=0.1)
+    assert one.whiteness is not None
+    assert one.whiteness.passed
+    assert set(one.inputs) == {"u"}
+    assert one.to_json()["residual_white"] is True
+    short = compare("r", "q", np.arange(50.0), measured[:50], y[:50], {"u": u[:50]})
+    assert short.whiteness is None
+
+
+def test_what_cannot_be_judged_is_refused() -> None:
+    with pytest.raises(IdentificationError, match="constant"):
+        fit_percent(np.ones(5), np.zeros(5))
+    with pytest.raises(IdentificationError, match="differ or are empty"):
+        rmse(np.ones(5), np.zeros(4))
+    with pytest.raises(IdentificationError, match="NaN"):
+        vaf(np.array([1.0, np.nan]), np.zeros(2))
+    with pytest.raises(IdentificationError, match="too few"):
+        whiteness(np.ones(30))
+    with pytest.raises(IdentificationError, match="all equal"):
+        whiteness(np.ones(300))
+    with pytest.raises(IdentificationError, match="input is constant"):
+        cross_correlation(np.arange(300.0), np.ones(300))
