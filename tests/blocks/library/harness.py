@@ -14,8 +14,8 @@ def alone(block: Block) -> Diagram:
     """A diagram that is `block` under the name "block", its ports being those of the diagram."""
     d = Diagram("alone")
     for port in block.inputs:
-        d.input(port.name, port.kind, port.width, port.unit)
-    d.add("block", block, **{port.name: port.name for port in block.inputs})
+        d.input(f"{port.name}_in", port.kind, port.width, port.unit)
+    d.add("block", block, **{port.name: f"{port.name}_in" for port in block.inputs})
     for port in block.outputs:
         d.output(f"{port.name}_out", f"block.{port.name}")
     return d
@@ -33,11 +33,25 @@ def run(
     machine = Reference(alone(block), dt, precision).machine()
     machine.set_many({f"block.{name}": value for name, value in (params or {}).items()})
     machine.reset()
-    return {name.removesuffix("_out"): rows for name, rows in machine.run(steps, inputs or {}).items()}
+    rows = machine.run(steps, {f"{name}_in": value for name, value in (inputs or {}).items()})
+    return {name.removesuffix("_out"): values for name, values in rows.items()}
 
 
 def run_y(block: Block, u: Any, dt: float = 0.01, params: Mapping[str, Any] | None = None) -> np.ndarray:
-    """The output of a block with the input `u` (an array of one row a step) and one output."""
-    (port,) = block.inputs[:1]
-    (rows,) = run(block, len(u), dt, {port.name: u}, params).values()
-    return rows
+    """The first output of a block whose first input is `u`, an array of one row a step."""
+    rows = run(block, len(u), dt, {block.inputs[0].name: u}, params)
+    return rows[block.outputs[0].name]
+
+
+def assert_close(found: Any, expected: Any, relative: float = 1e-12) -> None:
+    """Equal to `relative` times the largest expected magnitude.
+
+    The default leaves room for the other order in which scipy adds: some thousand roundings of 1e-16.
+    """
+    expected = np.asarray(expected, dtype=float)
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=relative * max(1e-300, float(np.max(np.abs(expected)))))
+
+
+def noise(steps: int, seed: int = 1) -> np.ndarray:
+    """A test input of standard normal numbers."""
+    return np.random.default_rng(seed).standard_normal(steps)

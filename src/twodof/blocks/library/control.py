@@ -31,7 +31,7 @@ class Pid(Block):
     "clamping": i' = i where v is beyond a bound and Ki e points further beyond it;
     "back-calculation": i' = (i' above) + Kb T (M - v).
 
-    `reset` "integral" or "all" adds a bool input `reset`: while it is true, i (with "all" f too) reads as its initial
+    `reset` "integral" or "all" adds a bool input `clear`: while it is true, i (with "all" f too) reads as its initial
     value.
     Source: Astrom, Hagglund, Advanced PID Control, chapters 3 and 13.
     """
@@ -59,7 +59,7 @@ class Pid(Block):
         self.limited = pair is not None
         if anti_windup != "none" and not self.limited:
             raise DiagramError("anti-windup without limits", "Pid", "give limits=[low, high]")
-        self.inputs = [Port("e", unit=unit), *([Port("reset", "bool")] if reset != "none" else [])]
+        self.inputs = [Port("e", unit=unit), *([Port("clear", "bool")] if reset != "none" else [])]
         self.outputs = [Port("M", unit=output_unit)]
         self.params = [
             Param("Kp", Kp),
@@ -86,8 +86,8 @@ class Pid(Block):
 
     def _starts(self, u: Any, x: Any, p: Any) -> tuple[Any, Any]:
         """The states i and f, or their initial values in a reset."""
-        i = x.i if self.resets == "none" else where(u.reset, p.initial_integral, x.i)
-        return i, where(u.reset, p.initial_filter, x.f) if self.resets == "all" else x.f
+        i = x.i if self.resets == "none" else where(u.clear, p.initial_integral, x.i)
+        return i, where(u.clear, p.initial_filter, x.f) if self.resets == "all" else x.f
 
     def _parts(self, u: Any, x: Any, p: Any) -> tuple[Any, Any, Any]:
         """(I, D, v)."""

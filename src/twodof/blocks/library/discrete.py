@@ -21,8 +21,8 @@ class DiscreteIntegrator(Block):
     forward: y = x, x' = x + K T u. backward: y = x + K T u, x' = y.
     trapezoidal: y = x + K T/2 u, x' = y + K T/2 u.
 
-    `limits` [low, high] keep both y and the state within bounds. With `reset` there is a bool input of that name: while
-    it is true, x reads as `initial` (so a backward integral then equals its own sample's contribution).
+    `limits` [low, high] keep both y and the state within bounds. With `reset` there is a bool input `clear`: while it
+    is true, x reads as `initial` (so a backward integral then equals its own sample's contribution).
     Source: Franklin, Powell, Workman, Digital Control of Dynamic Systems, section 6.1 (the three rules).
     """
 
@@ -39,7 +39,7 @@ class DiscreteIntegrator(Block):
         self.method = one_of(method, METHODS, "DiscreteIntegrator", "method")
         pair = limits_of(limits, "DiscreteIntegrator")
         self.limited, self.resets, self.width = pair is not None, reset, width
-        self.inputs = [Port("u", width=width), *([Port("reset", "bool")] if reset else [])]
+        self.inputs = [Port("u", width=width), *([Port("clear", "bool")] if reset else [])]
         self.outputs = [Port("y", width=width, unit=unit)]
         self.params = [Param("gain", gain), Param("initial", initial, width=width, unit=unit)]
         if pair is not None:
@@ -52,7 +52,7 @@ class DiscreteIntegrator(Block):
         return 0.5 * step if self.method == "trapezoidal" else step
 
     def _start(self, value: Any, initial: Any, u: Any) -> Any:
-        return where(u.reset, initial, value) if self.resets else value
+        return where(u.clear, initial, value) if self.resets else value
 
     def _bound(self, value: Any, p: Any) -> Any:
         return clamp(p.low, p.high, value) if self.limited else value

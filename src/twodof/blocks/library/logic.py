@@ -136,20 +136,20 @@ class EdgeDetector(Block):
 
 @library_block("counter")
 class Counter(Block):
-    """y = how many samples u was true in, this one included, since the start or the last reset; modulo `modulus`.
+    """y = how many samples u was true in, this one included, since the start or the last `clear`; modulo `modulus`.
 
-    A sample with `reset` true starts anew from 0 (and counts itself). modulus 0: modulo 2^32. For events rather than
+    A sample with `clear` true starts anew from 0 (and counts itself). modulus 0: modulo 2^32. For events rather than
     samples put an edge detector before it.
     """
 
     def __init__(self, modulus: int = 0) -> None:
-        self.inputs = [Port("u", "bool"), Port("reset", "bool")]
+        self.inputs = [Port("u", "bool"), Port("clear", "bool")]
         self.outputs = [Port("y", "uint32")]
         self.params = [Param("modulus", modulus, "uint32")]
         self.states = [State("x", 0, "uint32")]
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        raised = where(u.reset, 0, x.x) + to_uint32(u.u)
+        raised = where(u.clear, 0, x.x) + to_uint32(u.u)
         return where(p.modulus == 0, raised, raised % p.modulus)
 
     def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
@@ -158,19 +158,19 @@ class Counter(Block):
 
 @library_block("flip_flop")
 class FlipFlop(Block):
-    """Set-reset flip-flop: `set` makes y true, `reset` false, else it stays; with both the `dominant` one counts."""
+    """Set-reset flip-flop: `set` makes y true, `clear` false, else it stays; with both the `dominant` one counts."""
 
-    def __init__(self, dominant: str = "reset", initial: bool = False) -> None:
-        self.dominant = one_of(dominant, ("set", "reset"), "FlipFlop", "dominant")
-        self.inputs = [Port("set", "bool"), Port("reset", "bool")]
+    def __init__(self, dominant: str = "clear", initial: bool = False) -> None:
+        self.dominant = one_of(dominant, ("set", "clear"), "FlipFlop", "dominant")
+        self.inputs = [Port("set", "bool"), Port("clear", "bool")]
         self.outputs = [Port("y", "bool")]
         self.params = [Param("initial", initial, "bool")]
         self.states = [State("x", "initial", "bool")]
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         if self.dominant == "set":
-            return u.set | (x.x & ~u.reset)
-        return (u.set | x.x) & ~u.reset
+            return u.set | (x.x & ~u.clear)
+        return (u.set | x.x) & ~u.clear
 
     def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         return self.output(u, x, p, t)
