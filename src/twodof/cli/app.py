@@ -20,6 +20,8 @@ FINE, WENT_WRONG, CALLERS_MISTAKE, INTERRUPTED = 0, 1, 2, 130
 # Command -> (its module, one line of help): what `twodof --help` shows without importing numpy.
 COMMANDS = MappingProxyType(
     {
+        "identify": ("identify", "Identify a model from a flight log."),
+        "replay": ("replay", "Feed a log's inputs to the compiled flight code and compare its outputs."),
         "log": ("log", "Look into flight logs and convert them."),
     }
 )

@@ -46,7 +46,8 @@ def print_error(error: TwodofError) -> None:
 
 def table_console() -> Console:
     """The console for tables: as wide as the terminal, or wide enough for any table where there is none."""
-    return Console(highlight=False) if sys.stdout.isatty() else Console(highlight=False, width=120)
+    width = None if sys.stdout.isatty() else 120
+    return Console(highlight=False, soft_wrap=True, width=width)
 
 
 class Steps:

@@ -148,8 +148,8 @@ def correlation_figure(tests: Mapping[str, Correlation], title: str) -> str:
 
 
 def estimates_figure(subjects: Sequence[Subject], title: str) -> str:
-    """For each parameter, one line a machine: by hand, grey-box, each with one sigma, the truth and the paper."""
-    keys = list(dict.fromkeys(row.key for subject in subjects for row in subject.rows))
+    """For each of the paper's parameters, one line a machine: by hand, grey-box, one sigma, truth and paper."""
+    keys = list(dict.fromkeys(row.key for one in subjects for row in one.rows if row.paper is not None))
     with matplotlib.rc_context(_RC):
         columns = 3
         canvas = Canvas(figsize=(9.6, 0.3 + (0.85 + 0.3 * len(subjects)) * -(-len(keys) // columns)))

@@ -1,0 +1,48 @@
+"""`twodof replay LOG`: does the compiled flight code give back what flew?"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.table import Table
+
+from twodof.cli.output import Json, print_json, table_console
+from twodof.flight.gains import load_gains
+from twodof.flightlog.files import read_log
+from twodof.sim.replay import replay as replay_log
+
+app = typer.Typer(add_completion=False)
+
+
+class Precision(StrEnum):
+    """The reals of the compiled code."""
+
+    float32 = "float32"
+    float64 = "float64"
+
+
+@app.command()
+def replay(
+    file: Annotated[Path, typer.Argument(metavar="LOG", help="A closed-loop flight log.")],
+    gains: Annotated[str, typer.Option(help="default, student, or a JSON file of gains.")] = "default",
+    precision: Annotated[Precision, typer.Option(help="Reals of the compiled code.")] = Precision.float64,
+    json: Json = False,
+) -> None:
+    """Feed a log's inputs to the compiled flight code and compare what it gives with what was logged."""
+    result = replay_log(read_log(file), load_gains(gains), precision.value)
+    if json:
+        print_json(result.to_json())
+        return
+    console = table_console()
+    table = Table("channel", "nrms", "coverage, %", box=None, pad_edge=False)
+    for column in table.columns[1:]:
+        column.justify = "right"
+    for channel, share in result.coverage.items():
+        difference = result.nrms.get(channel)
+        table.add_row(channel, "-" if difference is None else f"{difference:.2e}", f"{100.0 * share:.1f}")
+    console.print(table)
+    windows = ", ".join(f"{start:.2f} to {end:.2f} s" for start, end in result.windows)
+    console.print(f"{precision.value}, gains {gains}; compared: {windows or 'nothing, no loop was active'}")

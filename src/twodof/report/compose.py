@@ -1,0 +1,154 @@
+"""From characterisations to the report: Table 1's rows, the checks, what the data could not tell, the findings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from html import escape
+
+from twodof.identify.estimate import Estimate
+from twodof.models.plant import PAPER_PITCH_RATE, PAPER_VELOCITY_GREYBOX, PAPER_VELOCITY_SIMPLE
+from twodof.report.characterise import Characterisation
+from twodof.report.content import Check, Content, ParameterRow, Subject, Uncertain
+from twodof.report.errata import errata
+from twodof.report.numbers import plain, with_sigma
+from twodof.report.redrawn import figures
+
+_PAPER = (
+    ParameterRow("w_n", "ω<sub>n</sub>", "natural frequency", "rad/s", PAPER_PITCH_RATE.w_n),
+    ParameterRow("xi", "ξ", "damping ratio", "", PAPER_PITCH_RATE.xi),
+    ParameterRow("mu", "μ", "gain, moment to angular acceleration", "rad/s²", PAPER_PITCH_RATE.mu),
+    ParameterRow("tau", "τ", "delay", "ms", 1e3 * PAPER_PITCH_RATE.tau),
+    ParameterRow(
+        "k_v", "k<sub>v</sub>", "gain, pitch to deceleration", "m/s²",
+        PAPER_VELOCITY_SIMPLE.k_v, PAPER_VELOCITY_GREYBOX.k_v,
+    ),
+    ParameterRow(
+        "p_v", "p<sub>v</sub>", "pole of the velocity", "1/s",
+        PAPER_VELOCITY_SIMPLE.p_v, PAPER_VELOCITY_GREYBOX.p_v,
+    ),
+)  # fmt: skip
+_DRY = (
+    ParameterRow("coulomb", "f<sub>c</sub>", "dry friction over inertia", "rad/s²"),
+    ParameterRow("hardening", "k<sub>3</sub>", "hardening of the spring", "1/s²"),
+)
+# A table in milliseconds reads better than one in hundredths of a second.
+_SHOWN_TIMES: Mapping[str, float] = {"tau": 1e3}
+
+
+@dataclass(frozen=True, eq=False)
+class Machine:
+    """One machine of the report: its name, a paragraph about it (HTML), what was found, and the truth if known (SI)."""
+
+    name: str
+    text: str
+    found: Characterisation
+    truth: Mapping[str, float]
+    remarks: Sequence[str] = ()
+
+
+def rows(machine: Machine) -> list[ParameterRow]:
+    """Table 1 for one machine; parameters that neither method found and nobody knows are left out."""
+    found, made = machine.found, []
+    for row in (*_PAPER, *_DRY):
+        scale = _SHOWN_TIMES.get(row.key, 1.0)
+        truth = machine.truth.get(row.key)
+        full = replace(
+            row,
+            truth=None if truth is None else scale * truth,
+            simple=_scaled(found.simple.get(row.key), scale),
+            greybox=_scaled(found.greybox.get(row.key), scale),
+        )
+        if row in _PAPER or full.greybox is not None:
+            made.append(full)
+    return made
+
+
+def _scaled(value: Uncertain | None, scale: float) -> Uncertain | None:
+    return None if value is None else Uncertain(scale * value.value, scale * value.sigma)
+
+
+def subject(machine: Machine) -> Subject:
+    """Everything the report shows of one machine."""
+    return Subject(
+        machine.name,
+        machine.text,
+        rows(machine),
+        list(figures(machine.found)),
+        list(_checks(machine.found)),
+        [*machine.remarks, *_doubts(machine.found)],
+    )
+
+
+def _checks(found: Characterisation) -> list[Check]:
+    return [
+        Check(name, unit, estimate.identification[0], estimate.validation, _note(estimate))
+        for name, unit, estimate in (
+            ("free response", "rad/s", found.dry or found.free),
+            ("doublet", "rad/s", found.forced),
+            ("velocity", "m/s", found.travel),
+        )
+        if estimate is not None
+    ]
+
+
+def _note(estimate: Estimate) -> str:
+    if estimate.white:
+        return "White residuals: the standard deviations are the Cramér-Rao bound at the estimate."
+    shared = [label for label in estimate.labels if label not in estimate.local]
+    wider = max(estimate.sigma(label) / estimate.cramer_rao(label) for label in shared)
+    return (
+        "The residuals are coloured, so the standard deviations given are the robust ones, up to "
+        f"{wider:.1f} times those that white noise would allow."
+    )
+
+
+def _doubts(found: Characterisation) -> list[str]:
+    said = [escape(text) for text in found.refusals]
+    for name, estimate in (
+        ("Free response", found.dry or found.free),
+        ("Doublet", found.forced),
+        ("Velocity", found.travel),
+    ):
+        if estimate is not None:
+            said.extend(f"{name}: {escape(remark)}." for remark in estimate.remarks)
+    return list(dict.fromkeys(said))
+
+
+def content(machines: Sequence[Machine], provenance: Mapping[str, str]) -> Content:
+    """The whole report about several machines."""
+    return Content(
+        "The 2DoF Drone, characterised",
+        "The paper’s three identification experiments, flown through compiled flight code, evaluated by hand as the "
+        "paper does and by output error, and compared with its Table 1.",
+        [finding for machine in machines for finding in _findings(machine)],
+        [subject(machine) for machine in machines],
+        errata(),
+        provenance,
+    )
+
+
+def _findings(machine: Machine) -> list[str]:
+    """One sentence about a machine: the gain and the worst deviation from the truth, or what stands for it."""
+    table = {row.key: row for row in rows(machine)}
+    name = escape(machine.name)
+    known = [
+        row for row in table.values() if row.truth is not None and row.greybox is not None and row.greybox.sigma > 0.0
+    ]
+    if known:
+        worst = max(known, key=lambda row: _sigmas(row))
+        inside = sum(_sigmas(row) <= 3.0 for row in known)
+        value = with_sigma(worst.greybox or Uncertain(0.0))
+        text = (
+            f"<b>{name}</b>: {inside} of {len(known)} grey-box estimates lie within 3 σ of the truth; the farthest is "
+            f"<i>{worst.symbol}</i> = {value} where {plain(worst.truth or 0.0)} is true, {_sigmas(worst):.1f} σ off."
+        )
+        return [text]
+    shown = [f"<i>{row.symbol}</i> = {with_sigma(row.greybox)}" for row in table.values() if row.greybox is not None]
+    return [f"<b>{name}</b>: {', '.join(shown[:6])}."] if shown else []
+
+
+def _sigmas(row: ParameterRow) -> float:
+    if row.truth is None or row.greybox is None:
+        return 0.0
+    return abs(row.greybox.value - row.truth) / row.greybox.sigma

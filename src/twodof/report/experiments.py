@@ -1,0 +1,107 @@
+"""The paper's three experiments as records: which excitation to look for in a log and which channels to take."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+
+from twodof.errors import LogError
+from twodof.flightlog.describe import Excitation, excitations
+from twodof.flightlog.log import FlightLog
+from twodof.identify.record import Record
+
+# Beyond this the drone is at its end stop (0.87 rad) and no model of the free motion holds.
+_NEAR_STOP_RAD = 0.84
+# A free response is over when q has stayed below this share of its peak for this long; what follows in a log is
+# somebody's hand. Half a swing lasts .9 s and more, so a passage through zero is not taken for the end.
+_OVER_SHARE, _OVER_S = 0.005, 1.0
+# Rest that is kept before the first edge: the simple method reads the trim and the noise from it.
+_REST_S = 0.1
+
+
+@dataclass(frozen=True)
+class ExperimentKind:
+    """What to look for (modes and shapes of `flightlog.describe`), and inputs and outputs of the record."""
+
+    name: str
+    text: str
+    modes: tuple[str, ...]
+    shapes: tuple[str, ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+
+
+KINDS: Mapping[str, ExperimentKind] = MappingProxyType(
+    {
+        kind.name: kind
+        for kind in (
+            ExperimentKind("impulse", "free response to an impulse of M", ("open-loop",), ("impulse",), ("M",), ("q",)),
+            ExperimentKind(
+                "doublet", "doublet of M, open loop", ("open-loop",), ("doublet", "doublets"), ("M",), ("q",)
+            ),
+            ExperimentKind(
+                "velocity",
+                "motion along the rail: pitch to velocity",
+                ("attitude", "velocity", "position"),
+                ("doublet", "doublets", "sweep", "steps"),
+                ("theta0", "theta"),
+                ("v",),
+            ),
+        )
+    }
+)
+
+
+def cut(
+    log: FlightLog, kind: ExperimentKind, window: tuple[float, float] | None = None, name: str | None = None
+) -> Record:
+    """The record of an experiment: the longest excitation of its kind in the log, or the `window` [s] given.
+
+    A doublet ends where the drone nears an end stop, a free response where it is over. Raises LogError where the log
+    does not hold the excitation, and IdentificationError as `Record.from_channels` does.
+    """
+    start, stop = _window(log, kind) if window is None else window
+    if "theta" in log and kind.name == "doublet":
+        theta = log["theta"].slice(start, stop)
+        beyond = np.flatnonzero(np.abs(theta.value) > _NEAR_STOP_RAD)
+        stop = float(theta.time[beyond[0]]) if beyond.size else stop
+    if kind.name == "impulse" and window is None:
+        stop = _end_of_motion(log, start, stop)
+    channels = {one: (log[one].time, log[one].value) for one in (*kind.inputs, *kind.outputs)}
+    return Record.from_channels(
+        channels, kind.inputs, kind.outputs, start=start, stop=stop, name=log.source if name is None else name
+    )
+
+
+def _end_of_motion(log: FlightLog, start: float, stop: float) -> float:
+    q = log["q"].slice(start, stop)
+    loud = q.time[np.abs(q.value) > _OVER_SHARE * np.abs(q.value).max()]
+    quiet = np.flatnonzero(np.diff(loud, append=np.inf) > _OVER_S)
+    # Before the impulse it is quiet too, but nothing has been loud yet.
+    return min(stop, float(loud[quiet[0]]) + _OVER_S)
+
+
+def _window(log: FlightLog, kind: ExperimentKind) -> tuple[float, float]:
+    found = [one for one in excitations(log) if one.mode in kind.modes and one.shape in kind.shapes]
+    if not found:
+        there = ", ".join(dict.fromkeys(one.name for one in excitations(log))) or "none"
+        raise LogError(
+            f"holds no excitation for the experiment '{kind.name}' ({kind.text})",
+            log.source,
+            f"excitations found: {there}; or name a window",
+        )
+    one = max(found, key=lambda excitation: excitation.edges[-1] - excitation.edges[0])
+    return _after_start(log, one)
+
+
+def _after_start(log: FlightLog, one: Excitation) -> tuple[float, float]:
+    """The excitation's window, without the moment in which the rotors come up before it."""
+    start, stop = one.window
+    for armed, _ in log.armed() if "T" in log else []:
+        if start <= armed < one.edges[0]:
+            # Half of what lies between: the thrust has settled, and there is rest to read the trim from.
+            start = min(0.5 * (armed + one.edges[0]), one.edges[0] - _REST_S)
+    return start, stop

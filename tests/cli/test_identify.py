@@ -1,0 +1,114 @@
+"""`twodof identify` on logs whose truth is known, and on the real ones."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twodof.cli.app import run
+from twodof.flightlog.files import write_log
+from twodof.flightlog.log import Channel, FlightLog
+from twodof.models.plant import PitchRate, Velocity
+
+TRUTH = PitchRate(w_n=3.437, xi=0.0836, mu=358.5, tau=0.018)
+DT = 0.004
+
+
+def save(path: Path, channels: dict[str, np.ndarray]) -> Path:
+    time = DT * np.arange(len(next(iter(channels.values()))))
+    write_log(FlightLog({name: Channel(time, value) for name, value in channels.items()}), path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def pitch_logs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """An impulse and a doublet of the linear model, with the white noise of a gyro whose motors idle."""
+    folder = tmp_path_factory.mktemp("logs")
+    generator = np.random.default_rng(1)
+    made = []
+    for name, steps, pulses in (
+        ("impulse", 4500, ((100, 150, 0.02),)),
+        ("doublet", 500, ((100, 175, 0.03), (175, 250, -0.03))),
+    ):
+        moment = np.zeros(steps)
+        for start, stop, level in pulses:
+            moment[start:stop] = level
+        states = TRUTH.state_space().zero_order_hold(DT).simulate(moment)
+        q = states[:, 1] + generator.normal(0.0, 0.002, steps)
+        made.append(save(folder / f"{name}.csv", {"M": moment, "q": q, "theta": states[:, 0]}))
+    return made[0], made[1]
+
+
+def answer(arguments: list[str], capfd: pytest.CaptureFixture[str]) -> dict:
+    assert run([*arguments, "--json"]) == 0
+    return json.loads(capfd.readouterr().out)
+
+
+def test_grey_box_finds_the_truth_within_three_sigma(
+    pitch_logs: tuple[Path, Path], capfd: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["identify", str(pitch_logs[0]), "--experiment", "impulse", "--window", "0", "18"]
+    found = answer(arguments, capfd)["estimates"]
+    for name in ("w_n", "xi", "mu", "tau"):
+        assert abs(found[name]["value"] - getattr(TRUTH, name)) < 3.0 * found[name]["sigma"], name
+
+
+def test_values_fix_what_is_not_estimated(pitch_logs: tuple[Path, Path], capfd: pytest.CaptureFixture[str]) -> None:
+    arguments = ["identify", str(pitch_logs[1]), "--experiment", "doublet", "--window", "0", "2"]
+    arguments += ["--estimate", "mu", "--estimate", "tau", "--value", "w_n=3.437", "--value", "xi=0.0836"]
+    found = answer(arguments, capfd)
+    assert set(found["estimates"]) == {"mu", "tau"}
+    assert found["fixed"]["w_n"] == 3.437
+    assert found["estimates"]["mu"]["value"] == pytest.approx(358.5, rel=0.01)
+
+
+def test_a_velocity_doublet_tells_gain_and_pole(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    steps = 600
+    theta = np.zeros(steps)
+    theta[50:250], theta[250:450] = 0.26, -0.26
+    states = Velocity(4.748, 1.168).state_space().zero_order_hold(DT).simulate(theta)
+    v = states[:, 1] + np.random.default_rng(2).normal(0.0, 0.002, steps)
+    log = save(tmp_path / "velocity.csv", {"theta0": theta, "theta": theta, "v": v})
+    arguments = ["identify", str(log), "--experiment", "velocity", "--window", "0", "2.4"]
+    found = answer(arguments, capfd)["estimates"]
+    for name, truth in (("k_v", 4.748), ("p_v", 1.168)):
+        assert abs(found[name]["value"] - truth) < 3.0 * found[name]["sigma"], name
+    by_hand = answer([*arguments, "--method", "simple"], capfd)["model"]
+    # The line through 10 to 40 % of the peak has the slope that the response has at 25 % of it: with 0.8 s of
+    # p_v = 1.168 the peak is at 61 % of the final value, so 1 - 0.25 * 0.61 of the initial slope.
+    assert by_hand["k_v"] == pytest.approx(4.748 * 0.848, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "says"),
+    [
+        (["--experiment", "impulse", "--window", "30", "40"], 1, "holds 0 samples"),
+        (["--experiment", "velocity", "--window", "0", "2"], 2, "no channel 'theta0'"),
+        (["--experiment", "impulse", "--window", "0", "18", "--estimate", "nonsense"], 1, "nonsense"),
+        (["--experiment", "impulse", "--window", "0", "18", "--value", "mu"], 2, "NAME=NUMBER"),
+        (["--experiment", "impulse", "--window", "0", "18", "--method", "simple"], 1, "only the poles"),
+        (["--experiment", "doublet", "--window", "0", "2", "--method", "simple"], 2, "--impulse"),
+    ],
+)
+def test_what_cannot_be_identified_is_said(
+    pitch_logs: tuple[Path, Path],
+    arguments: list[str],
+    status: int,
+    says: str,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    assert run(["identify", str(pitch_logs[0]), *arguments]) == status
+    out, err = capfd.readouterr()
+    assert out == ""
+    assert says in err
+
+
+def test_the_real_drone_by_hand_has_the_poles_that_a_student_reads(
+    flight_data: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """The free response's first swings pass zero every 1.04 to 1.17 s; xi by the paper's rule is .18 +- .03."""
+    arguments = ["identify", str(flight_data / "doublet-0.03.mat"), "--experiment", "doublet", "--method", "simple"]
+    found = answer([*arguments, "--impulse", str(flight_data / "free-response-impulse.mat")], capfd)
+    assert 2.0 * 1.04 < found["free_response"]["period"] < 2.0 * 1.17
+    assert found["model"]["xi"] == pytest.approx(0.18, abs=0.03)

@@ -1,0 +1,55 @@
+"""`twodof replay`: the form that others rely on, and that what we compile is what flew."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from twodof.cli.app import run
+
+
+def test_the_document_has_the_agreed_form_and_the_law_is_found_again(
+    flight_data: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    log = str(flight_data / "velocity-doublets-0.25.mat")
+    assert run(["replay", log, "--gains", "student", "--precision", "float64", "--json"]) == 0
+    found = json.loads(capfd.readouterr().out)
+    assert set(found) == {"nrms", "coverage", "windows_s"}
+    assert set(found["nrms"]) == set(found["coverage"]) == {"M", "q0", "theta0", "T"}
+    # The bound of the drone's own float32 logging (platform.md: 2.5e-7 or better).
+    assert max(found["nrms"].values()) <= 3e-7
+    assert min(found["coverage"].values()) >= 0.85
+    assert all(start < stop for start, stop in found["windows_s"])
+
+
+def test_only_loops_that_were_active_are_compared(flight_data: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    log = str(flight_data / "attitude-steps-10deg-default.mat")
+    assert run(["replay", log, "--json"]) == 0
+    assert set(json.loads(capfd.readouterr().out)["nrms"]) == {"M", "q0"}
+
+
+def test_gains_from_a_file_are_those_that_count(
+    flight_data: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """The default gains with another attitude gain: q0 is off in proportion, M still fits."""
+    gains = {"rate": [0.0854, 0.251, 0.00054], "attitude": 5.5, "velocity": [2.4, 2.81], "position": 1.5}
+    file = tmp_path / "gains.json"
+    file.write_text(json.dumps(gains))
+    log = str(flight_data / "attitude-steps-10deg-default.mat")
+    assert run(["replay", log, "--gains", str(file), "--json"]) == 0
+    nrms = json.loads(capfd.readouterr().out)["nrms"]
+    assert nrms["q0"] == pytest.approx(0.5, abs=1e-6)
+    assert nrms["M"] <= 3e-7
+
+
+@pytest.mark.parametrize("gains", ["nowhere.json", "[]"])
+def test_bad_gains_are_the_callers_mistake(
+    gains: str, flight_data: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    if gains == "[]":
+        (tmp_path / "gains.json").write_text(gains)
+        gains = str(tmp_path / "gains.json")
+    assert run(["replay", str(flight_data / "doublet-0.03.mat"), "--gains", gains]) == 2
+    out, err = capfd.readouterr()
+    assert out == ""
+    assert gains in err.replace("\n", "")

@@ -1,0 +1,39 @@
+"""Cutting an experiment out of a log: the right stretch, or a word about what is there instead."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twodof.errors import IdentificationError, LogError
+from twodof.flightlog.files import read_log
+from twodof.report.experiments import KINDS, cut
+
+
+def test_the_impulse_ends_when_the_drone_has_come_to_rest(flight_data: Path) -> None:
+    """flight-data's table: pulse at 188.456, free until about 197; later somebody touches the drone."""
+    record = cut(read_log(flight_data / "free-response-impulse.mat"), KINDS["impulse"])
+    assert 188.0 < record.start < 188.456
+    assert 197.0 < record.time[-1] < 200.0
+
+
+def test_the_doublet_ends_before_the_stop_and_begins_after_the_rotors_are_up(flight_data: Path) -> None:
+    """flight-data's table: rotors on at 244.67, first edge at 244.808, the stop is hit after 245.8 s."""
+    log = read_log(flight_data / "doublet-0.03.mat")
+    record = cut(log, KINDS["doublet"])
+    assert 244.67 < record.start < 244.75
+    assert 245.7 < record.time[-1] < 245.8
+    theta = log["theta"].slice(record.start, record.time[-1]).value
+    assert np.abs(theta).max() <= 0.84
+
+
+def test_a_log_without_the_excitation_says_what_it_holds(flight_data: Path) -> None:
+    log = read_log(flight_data / "doublet-0.03.mat")
+    with pytest.raises(LogError, match="open-loop-doublet"):
+        cut(log, KINDS["impulse"])
+
+
+def test_an_empty_window_is_refused(flight_data: Path) -> None:
+    log = read_log(flight_data / "free-response-impulse.mat")
+    with pytest.raises(IdentificationError, match="holds 0 samples"):
+        cut(log, KINDS["impulse"], (10.0, 20.0))
