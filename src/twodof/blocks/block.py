@@ -162,7 +162,7 @@ class Block:
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
         if "__init__" in cls.__dict__:
-            cls.__init__ = _recording_config(cls.__init__)  # type: ignore[method-assign]
+            type.__setattr__(cls, "__init__", _recording_config(cls.__init__))
 
     def prepare(self, p: Any, t: Clock) -> Any:
         """The derived parameters; runs when a parameter changes. `t.tick` may not be used here."""

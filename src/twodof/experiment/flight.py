@@ -1,0 +1,159 @@
+"""Flying an experiment on the virtual rig: a start that fits, the flight, and whether its data are good enough."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twodof.errors import ExperimentError
+from twodof.experiment.protocol import SETPOINT, Experiment
+from twodof.experiment.record import flight_log
+from twodof.experiment.script import Script, script
+from twodof.flight.gains import DEFAULT, Gains
+from twodof.flightlog.log import FlightLog
+from twodof.flightlog.provenance import versions
+from twodof.parameters import ParameterSet
+from twodof.rig.parameters import load_rig
+from twodof.sim.closed_loop import ClosedLoop, Start
+
+MARGIN = 0.02
+"""Rail kept free at each end [m]."""
+
+PITCH_MARGIN = np.radians(2.0)
+"""Pitch kept free before each stop [rad]."""
+
+_LONG_RAIL = 5.0
+
+
+@dataclass(frozen=True)
+class Check:
+    """Whether a flight is good for its purpose in one respect, and what was seen."""
+
+    name: str
+    passed: bool
+    seen: str
+
+
+@dataclass(frozen=True, eq=False)
+class Flight:
+    """A flown experiment: its log, where it started, and the checks of its data. The same seed gives the same bits."""
+
+    experiment: Experiment
+    log: FlightLog
+    x_start: float
+    seed: int
+    checks: tuple[Check, ...]
+
+    @property
+    def good(self) -> bool:
+        """Whether every check passed."""
+        return all(check.passed for check in self.checks)
+
+
+class Laboratory:
+    """A virtual rig on which experiments are flown, compiled once.
+
+    `rig` is "paper", "lab", a file or a set of parameters; `conditions` are further rig parameters such as `trim` or
+    `rail_force`; `noise` scales all noise (0: none).
+    """
+
+    def __init__(
+        self,
+        rig: str | ParameterSet = "paper",
+        gains: Gains = DEFAULT,
+        noise: float = 1.0,
+        conditions: Mapping[str, Any] | None = None,
+        position_filter: str = "fixed-gain",
+    ) -> None:
+        self.rig_name = rig if isinstance(rig, str) else "own"
+        self.parameters = load_rig(rig) if isinstance(rig, str) else rig
+        self.noise = noise
+        self.loop = ClosedLoop(gains, self.parameters, conditions, position_filter)
+        self._conditions = dict(conditions or {})
+
+    def fly(self, experiment: Experiment, seed: int = 1) -> Flight:
+        """Flies `experiment` with the noise of `seed`, from a start on the rail that fits.
+
+        Raises ExperimentError if none does, or if the pitch would reach a stop.
+        """
+        x_start = self.start(experiment)
+        plan = script(experiment, x_start)
+        out = self._fly(experiment, plan, x_start, seed=np.uint32(seed).item(), noise=self.noise)
+        provenance = {
+            "experiment": experiment.name,
+            "excitation": experiment.excitation.to_dict(),
+            "rig": self.rig_name,
+            "seed": seed,
+            "versions": versions(),
+        }
+        log = flight_log(out, np.asarray(plan.setpoints["mode"], dtype=np.int32), provenance)
+        return Flight(experiment, log, x_start, seed, self._checks(experiment, plan, out))
+
+    def start(self, experiment: Experiment) -> float:
+        """The x [m] from which the flight stays in the middle of the rail: it is flown without noise on a long one.
+
+        Raises ExperimentError if it needs more rail than there is, or more pitch.
+        """
+        plan = script(experiment)
+        out = self._fly(experiment, plan, 0.0, seed=1, noise=0.0, rail_stop=_LONG_RAIL)
+        flown = slice(plan.begin, plan.end)
+        steepest = float(np.abs(out["true_theta"][flown]).max())
+        stop = self.parameters["pitch_stop"]
+        if steepest > stop - PITCH_MARGIN:
+            raise ExperimentError(
+                f"the pitch would reach {np.degrees(steepest):.0f} deg, and the stop is at {np.degrees(stop):.0f} deg",
+                experiment.name,
+                "use a smaller or shorter excitation",
+            )
+        if experiment.rings:
+            return 0.0
+        low, high = float(out["true_x"][flown].min()), float(out["true_x"][flown].max())
+        room = 2.0 * (self.parameters["rail_stop"] - MARGIN)
+        if high - low > room:
+            raise ExperimentError(
+                f"the cart would travel {high - low:.2f} m, and the rail leaves {room:.2f} m",
+                experiment.name,
+                "use a smaller or shorter excitation",
+            )
+        return -0.5 * (low + high)
+
+    def _fly(
+        self, experiment: Experiment, plan: Script, x_start: float, **conditions: float
+    ) -> dict[str, NDArray[Any]]:
+        machine = {"rail_stop": self.parameters["rail_stop"]} | self._conditions
+        self.loop.configure(machine | {"rings": experiment.rings, "ring_place": x_start} | conditions)
+        self.loop.start(Start(x=x_start))
+        return self.loop.fly(plan.steps, plan.setpoints)
+
+    def _checks(self, experiment: Experiment, plan: Script, out: Mapping[str, NDArray[Any]]) -> tuple[Check, ...]:
+        flown = slice(plan.begin, plan.end)
+        steepest = float(np.abs(out["true_theta"][flown]).max())
+        checks = [
+            Check("pitch free", steepest < self.parameters["pitch_stop"] - 1e-3, f"{np.degrees(steepest):.1f} deg"),
+            _excited(experiment, plan, out),
+        ]
+        if not experiment.rings:
+            farthest = float(np.abs(out["true_x"][flown]).max())
+            checks.append(Check("rail free", farthest < self.parameters["rail_stop"] - 1e-3, f"{farthest:.3f} m"))
+        return tuple(checks)
+
+
+def _excited(experiment: Experiment, plan: Script, out: Mapping[str, NDArray[Any]]) -> Check:
+    """Whether the response stands out of what the signal did before (five standard deviations)."""
+    name = {"M_open": "q", "q0": "q", "theta0": "theta", "v0": "v", "x0": "x"}[SETPOINT[experiment.mode]]
+    before = out[name][max(0, plan.begin - 250) : plan.begin]
+    largest = float(np.abs(out[name][plan.begin : plan.end] - before.mean()).max())
+    return Check(
+        "excited", largest > 5.0 * float(before.std()), f"{name} moves by {largest:.3g}, {before.std():.2g} before"
+    )
+
+
+def simulate(
+    experiment: Experiment, rig: str | ParameterSet = "paper", seed: int = 1, gains: Gains = DEFAULT
+) -> Flight:
+    """Flies `experiment` once on the virtual rig; for several flights keep a `Laboratory`."""
+    return Laboratory(rig, gains).fly(experiment, seed)

@@ -1,0 +1,154 @@
+"""An experiment as a protocol: what is excited, in which loop, with the cart locked or free, and what flies around."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from math import radians
+from types import MappingProxyType
+
+from twodof.errors import ExperimentError
+from twodof.excitation import Doublet, Excitation, Impulse, Prbs, Steps, Sweep
+from twodof.rig.rotors import HOVER
+
+SETPOINT = MappingProxyType(
+    {"open-loop": "M_open", "rate": "q0", "attitude": "theta0", "velocity": "v0", "position": "x0"}
+)
+"""The set-point that an excitation is added to, by mode."""
+
+UNIT = MappingProxyType({"open-loop": "-", "rate": "rad/s", "attitude": "rad", "velocity": "m/s", "position": "m"})
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One flight: `still` s with the motors off, `hold` s with `thrust`, the excitation, `rest` s, motors off.
+
+    `mode` names the loop that `excitation` enters, a key of `SETPOINT`. With `rings` the cart is locked (1DoF) and the
+    hold is a level hold, which finds the trim moment that an open-loop excitation is flown about; without, it holds
+    the start's position. At `thrust` 0 nothing is held: the motors stand but for the moment. Raises ExperimentError
+    for an excitation in another unit than the loop's, or a time below 0.
+    """
+
+    name: str
+    mode: str
+    excitation: Excitation
+    rings: bool
+    thrust: float = HOVER
+    still: float = 0.5
+    hold: float = 8.0
+    rest: float = 1.0
+    text: str = ""
+
+    def __post_init__(self) -> None:
+        if self.mode not in SETPOINT:
+            raise ExperimentError(f"no mode {self.mode!r:.80}", self.name, f"use one of {', '.join(SETPOINT)}")
+        if self.excitation.unit != UNIT[self.mode]:
+            raise ExperimentError(
+                f"an excitation in {self.excitation.unit!r} for the {self.mode} loop",
+                self.name,
+                f"give it in {UNIT[self.mode]!r}",
+            )
+        if not 0.0 <= self.thrust <= 1.0:
+            raise ExperimentError(f"thrust {self.thrust:g}", self.name, "give 0 to 1; the drone hovers at 0.4")
+        if self.thrust == 0.0 and self.mode != "open-loop":
+            raise ExperimentError("a closed loop without thrust", self.name, "give thrust, or fly it in open loop")
+        if self.rings and self.mode in ("velocity", "position"):
+            raise ExperimentError(f"the {self.mode} loop with the cart locked", self.name, "fly it without rings")
+        for what in ("still", "hold", "rest"):
+            if not 0.0 <= getattr(self, what) <= 600.0:
+                raise ExperimentError(f"{what} = {getattr(self, what)!r} s", self.name, "give 0 to 600 s")
+
+    @property
+    def lead(self) -> float:
+        """From the start of the flight to that of the excitation [s]."""
+        return self.still + (self.hold if self.thrust > 0.0 else 0.0)
+
+    @property
+    def duration(self) -> float:
+        """The whole flight [s]; the motors are off for `still` s at its end."""
+        return self.lead + self.excitation.duration + self.rest + self.still
+
+
+_IDENTIFICATION = (
+    Experiment(
+        "impulse",
+        "open-loop",
+        Impulse(0.1, 0.2, lead=0.5),
+        rings=True,
+        thrust=0.0,
+        rest=24.0,
+        text="the paper's experiment 1: M = 0.1 for 0.2 s, then the free response",
+    ),
+    Experiment(
+        "doublet",
+        "open-loop",
+        Doublet(0.03, 0.6, lead=0.2),
+        rings=True,
+        hold=20.0,
+        rest=0.4,
+        text="the paper's experiment 2: a doublet of the moment about its trim",
+    ),
+    Experiment(
+        "velocity-doublet",
+        "attitude",
+        Doublet(radians(15.0), 1.6, unit="rad", lead=0.2),
+        rings=False,
+        rest=0.6,
+        text="the paper's section 4.2: a doublet of the pitch set-point, cart free",
+    ),
+)
+
+_COURSE = (
+    Experiment(
+        "attitude-steps",
+        "attitude",
+        Steps((radians(10.0), 0.0, radians(-10.0), 0.0), 2.0, unit="rad", lead=0.5),
+        rings=True,
+        text="steps of +-10 deg of the pitch set-point",
+    ),
+    Experiment(
+        "rate-doublets",
+        "rate",
+        Doublet(radians(30.0), 1.0, unit="rad/s", lead=0.5, repeat=3, pause=2.0, settle=1.0),
+        rings=True,
+        text="three doublets of +-30 deg/s of the pitch-rate set-point",
+    ),
+    Experiment(
+        "velocity-doublets",
+        "velocity",
+        Doublet(0.15, 4.0, unit="m/s", lead=0.5),
+        rings=False,
+        text="a doublet of +-0.15 m/s of the velocity set-point",
+    ),
+    Experiment(
+        "position-sweep",
+        "position",
+        Sweep(0.15, 0.1, 1.0, 25.0, unit="m", lead=0.5),
+        rings=False,
+        text="a sweep of the position set-point from 0.1 to 1 Hz",
+    ),
+    Experiment(
+        "attitude-prbs",
+        "attitude",
+        Prbs(radians(4.0), 0.06, 7, unit="rad", lead=0.5),
+        rings=True,
+        text="a pseudo-random binary pitch set-point, for identification in closed loop",
+    ),
+)
+
+IDENTIFICATION: Mapping[str, Experiment] = MappingProxyType({one.name: one for one in _IDENTIFICATION})
+"""The paper's three identification experiments, by name."""
+
+EXPERIMENTS: Mapping[str, Experiment] = MappingProxyType({one.name: one for one in (*_IDENTIFICATION, *_COURSE)})
+"""All ready-made experiments, by name."""
+
+
+def experiment(name: str, **changes: object) -> Experiment:
+    """The ready-made experiment `name`, with fields changed. Raises ExperimentError for a name that is not there."""
+    if name not in EXPERIMENTS:
+        raise ExperimentError(f"no experiment called {name!r:.80}", "", f"there are: {', '.join(EXPERIMENTS)}")
+    known = EXPERIMENTS[name].__dataclass_fields__
+    for field in changes:
+        if field not in known:
+            raise ExperimentError(f"an experiment has no {field!r:.80}", name, f"it has: {', '.join(known)}")
+    return replace(EXPERIMENTS[name], **changes)
