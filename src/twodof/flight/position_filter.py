@@ -53,6 +53,7 @@ class FixedGainPosition(Block):
     params = (
         Param("k_x", 0.16, low=0.0, high=1.0, text="share of the innovation that corrects x"),
         Param("k_v", 0.56, unit="1/s", low=0.0, high=20.0, text="correction of v for an innovation of 1 m"),
+        Param("bias", 0.0, unit="m/s2", low=-5.0, high=5.0, text="added to the acceleration, to replay a flight's own"),
         Param("lag", 0.10, unit="s", low=0.0, high=10.0, text="time in which the output's x follows the filter's"),
     )
 
@@ -60,8 +61,9 @@ class FixedGainPosition(Block):
         return where(p.lag > t.dt, t.dt / p.lag, 1.0)
 
     def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-        step = (x.v + 0.5 * t.dt * u.acceleration) * t.dt
-        velocity = x.v + u.acceleration * t.dt
+        acceleration = u.acceleration + p.bias
+        step = (x.v + 0.5 * t.dt * acceleration) * t.dt
+        velocity = x.v + acceleration * t.dt
         measured = u.dist - RAIL_CENTRE
         e = where(u.dist_new, measured - (x.x_filter + step), 0.0)
         first = u.dist_new & ~x.started

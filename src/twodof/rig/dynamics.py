@@ -33,11 +33,12 @@ class Dynamics(Block):
 
     `running` in [0, 1] leads from the friction of the bearing with the rotors at rest to that with them running (they
     shake it). The rings of 1DoF are stops around `ring_place` that leave the cart `ring_play` either way and give
-    nothing back. Friction acts on each coordinate by itself: that a torque which stops the pitch also moves the cart
-    is kept, that this changes the inertia it meets by (m_d d)^2 / (J m), .3 % here, is not.
+    nothing back. The sine and cosine of theta are integrated beside it (s' = c q, c' = -s q) and set to theta's own
+    at the end of each step, so no stage needs a trigonometric function. Friction acts on each coordinate by itself:
+    that a torque which stops the pitch also moves the cart is kept, that this changes the inertia it meets by
+    (m_d d)^2 / (J m), .3 % here, is not.
     """
 
-    crossing = True  # the gust comes at 250 Hz
     inputs = (Port("thrust", unit="N"), Port("moment", unit="N*m"), Port("gust", unit="N*m"), Port("running"))
     outputs = (
         Port("theta", unit="rad"),
@@ -76,6 +77,8 @@ class Dynamics(Block):
         State("q", "q_start", unit="rad/s", continuous=True),
         State("x", "x_start", unit="m", continuous=True),
         State("v", "v_start", unit="m/s", continuous=True),
+        State("sine", "sine_start", continuous=True),
+        State("cosine", "cosine_start", continuous=True),
     )
     derived = (
         Port("mass", unit="kg"),
@@ -85,10 +88,15 @@ class Dynamics(Block):
         Port("low", unit="m"),
         Port("high", unit="m"),
         Port("bounce"),
+        Port("inertia_mass"),
+        Port("weight", unit="N*m"),
+        Port("sine_start"),
+        Port("cosine_start"),
     )
 
     def prepare(self, p: Any, t: Clock) -> Any:
         mass = p.mass_drone + p.mass_cart
+        sine, cosine = sine_cosine(p.theta_start)
         return {
             "mass": mass,
             "offset_mass": p.mass_drone * p.offset,
@@ -97,24 +105,27 @@ class Dynamics(Block):
             "low": where(p.rings, p.ring_place - p.ring_play, -p.rail_stop),
             "high": where(p.rings, p.ring_place + p.ring_play, p.rail_stop),
             "bounce": where(p.rings, 0.0, p.rail_bounce),
+            "inertia_mass": p.inertia * mass,
+            "weight": p.mass_drone * p.offset * GRAVITY,
+            "sine_start": sine,
+            "cosine_start": cosine,
         }
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         return {"theta": x.theta, "q": x.q, "x": x.x, "v": x.v}
 
     def derivative(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        sine, cosine = sine_cosine(x.theta)
         viscous = p.viscous_idle + (p.viscous_run - p.viscous_idle) * u.running
         coulomb = p.coulomb_idle + (p.coulomb_run - p.coulomb_idle) * u.running
         spring = x.theta * (p.spring + p.hardening * (x.theta * x.theta))
-        torque = u.moment + u.gust - (p.offset_mass * GRAVITY) * sine - spring - viscous * x.q
-        force = (p.offset_mass * x.q * x.q - u.thrust) * sine + p.rail_force - p.rail_viscous * x.v
-        coupling = p.offset_mass * cosine
+        torque = u.moment + u.gust - p.weight * x.sine - spring - viscous * x.q
+        force = (p.offset_mass * x.q * x.q - u.thrust) * x.sine + p.rail_force - p.rail_viscous * x.v
+        coupling = p.offset_mass * x.cosine
         alone = torque * p.per_inertia
         locked = holds(x.v, force - coupling * alone, p.rail_coulomb, x.x, p.low, p.high)
         cart = where(locked, 0.0, force * p.per_mass)  # with the pitch at rest
         still = holds(x.q, torque - coupling * cart, coulomb, x.theta, -p.pitch_stop, p.pitch_stop)
-        per_det = 1.0 / (p.inertia * p.mass - coupling * coupling)
+        per_det = 1.0 / (p.inertia_mass - coupling * coupling)
         q_rate = where(locked, alone, (p.mass * torque - coupling * force) * per_det)
         v_rate = where(locked, 0.0, (p.inertia * force - coupling * torque) * per_det)
         return {
@@ -122,6 +133,8 @@ class Dynamics(Block):
             "q": where(still, 0.0, q_rate),
             "x": x.v,
             "v": where(still, cart, v_rate),
+            "sine": x.cosine * x.q,
+            "cosine": -x.sine * x.q,
         }
 
     def project(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
@@ -131,8 +144,15 @@ class Dynamics(Block):
         theta, q = rubbed(x.theta, x.q, coulomb * p.per_inertia * t.base_dt, t.base_dt)
         theta, q = bounced(theta, q, -p.pitch_stop, p.pitch_stop, p.pitch_bounce, SLOW_PITCH)
         # An impulse on one coordinate leaves the momentum of the other as it is, unless that one rests.
-        _, cosine = sine_cosine(x.theta)
+        sine, cosine = sine_cosine(theta)
         coupling = p.offset_mass * cosine
         kick_q = where(q == 0.0, 0.0, (coupling * p.per_inertia) * (speed - x.v))
         kick_v = where(speed == 0.0, 0.0, (coupling * p.per_mass) * (q - x.q))
-        return {"theta": theta, "q": q - kick_q, "x": place, "v": speed - kick_v}
+        return {
+            "theta": theta,
+            "q": q - kick_q,
+            "x": place,
+            "v": speed - kick_v,
+            "sine": sine,
+            "cosine": cosine,
+        }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from twodof.blocks import Block, Diagram, Param
+from twodof.blocks.library.delays import ZeroOrderHold
 from twodof.rig.battery import Battery
 from twodof.rig.dynamics import Dynamics
 from twodof.rig.rotors import Rotors
@@ -65,13 +66,16 @@ def rig() -> Diagram:
         )
     for name, block, rate in PARTS:
         d.add(name, block(), rate=rate, params={param.name: param.name for param in block.params})
-    d.connect("fore", "rotors.fore")
-    d.connect("aft", "rotors.aft")
-    d.connect("battery.supply", "rotors.supply")
+    # Held here, so that the rotors and the dynamics are continuous and see their inputs at each stage of a step.
+    for source, to in (("battery.supply", "rotors.supply"), ("turbulence.moment", "dynamics.gust")):
+        held = d.add(f"{to.split('.')[1]}_held", ZeroOrderHold(), u=source)
+        d.connect(held, to)
+    for name in ("fore", "aft"):
+        held = d.add(f"{name}_held", ZeroOrderHold(), u=name)
+        d.connect(held, f"rotors.{name}")
     d.connect("rotors.load", "battery.load", "turbulence.load", "imu.load")
     for port in ("thrust", "moment", "running"):
         d.connect(f"rotors.{port}", f"dynamics.{port}")
-    d.connect("turbulence.moment", "dynamics.gust")
     for port in ("theta", "q", "v"):
         d.connect(f"dynamics.{port}", f"imu.{port}")
     for source, port in (("n0", "n_x"), ("n1", "n_z"), ("n2", "n_q")):

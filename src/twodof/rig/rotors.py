@@ -33,7 +33,6 @@ class Rotors(Block):
     after it; a doublet flown 0.14 s after a restart meets hardly any trim).
     """
 
-    crossing = True  # the commands come at the controller's rate, the supply at the battery's
     inputs = (Port("fore"), Port("aft"), Port("supply"))
     outputs = (
         Port("thrust", unit="N"),

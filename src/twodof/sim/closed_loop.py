@@ -1,0 +1,208 @@
+"""The closed loop: the rig and the flight code as one diagram, compiled as one step, and started where one likes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_discrete_are
+
+from twodof.blocks import Diagram
+from twodof.blocks.library.delays import ZeroOrderHold
+from twodof.blocks.reference import Reference
+from twodof.compile import Program, build
+from twodof.errors import ExperimentError
+from twodof.flight.core import INPUTS, OUTPUTS, core
+from twodof.flight.gains import DEFAULT, Gains
+from twodof.parameters import ParameterSet
+from twodof.rig.dynamics import GRAVITY
+from twodof.rig.parameters import lab
+from twodof.rig.rig import BASE_DT, MEASUREMENTS, SAMPLE, TRUTH, rig
+from twodof.rig.rotors import HOVER, RING
+from twodof.rig.sensors import RAIL_CENTRE
+from twodof.signals import MODES
+
+TICKS = SAMPLE[0]
+"""Base ticks in a step of the flight code."""
+
+SETPOINTS = tuple(name for name, _, _, _ in INPUTS if name not in MEASUREMENTS)
+"""Inputs of the closed loop: mode, set-points and the like, of the flight code."""
+
+_ARMED = 1000  # more than any count of samples that the flight code waits for after arming
+
+
+def closed_loop(gains: Gains = DEFAULT, position_filter: str = "fixed-gain") -> Diagram:
+    """The rig flown by the flight code, for a base tick of 1 ms.
+
+    Inputs: those of the flight code that are not measured (`SETPOINTS`). Outputs: those of the flight code; the
+    measurements; the truth as `true_theta`, `true_q`, `true_x`, `true_v`; `load`, `voltage`, `charge`. Parameters:
+    `rig.<name>` and `flight.<path>`. Raises ParameterError for an unknown position filter.
+    """
+    d = Diagram("closed_loop", "the virtual rig and the code that flies it")
+    for name, kind, unit, _ in INPUTS:
+        if name in SETPOINTS:
+            d.input(name, kind, unit=unit)
+            d.add(f"{name}_held", ZeroOrderHold(kind=kind, unit=unit), rate=SAMPLE, u=name)
+    d.add("rig", rig())
+    d.add("flight", core(gains, position_filter), rate=SAMPLE)
+    for name in SETPOINTS:
+        d.connect(f"{name}_held", f"flight.{name}")
+    for name in MEASUREMENTS:
+        d.connect(f"rig.{name}", f"flight.{name}")
+    for name in ("fore", "aft"):
+        d.connect(f"flight.{name}", f"rig.{name}")
+    for name, _, _ in OUTPUTS:
+        d.output(name, f"flight.{name}")
+    for name in MEASUREMENTS:
+        d.output(name, f"rig.{name}")
+    for name in TRUTH:
+        d.output(f"true_{name}", f"rig.{name}")
+    for name in ("load", "voltage", "charge"):
+        d.output(name, f"rig.{name}")
+    return d
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where a simulated flight starts: the rig's state, the estimates (None: as the truth) and what flew before.
+
+    `commands` are (M, T) of the control steps before the start, the latest last; the rotors and the delay line are
+    filled with them (none: the rotors stand, or with `hover` they run at T = .4 and the integrals are out of reset).
+    `states` overwrites single states by path, such as "flight.cascade.rate.sum".
+    """
+
+    theta: float = 0.0
+    q: float = 0.0
+    x: float = 0.0
+    v: float = 0.0
+    estimates: Mapping[str, float] = field(default_factory=dict)
+    commands: tuple[tuple[float, float], ...] = ()
+    hover: bool = False
+    wake: float | None = None
+    states: Mapping[str, Any] = field(default_factory=dict)
+
+
+class ClosedLoop:
+    """A compiled closed loop with one rig and one set of gains, to be flown again and again.
+
+    `rig` is a set from `twodof.rig.parameters` (None: `lab`), `conditions` are further parameters of the rig (`noise`,
+    `seed`, `rings`, `trim`, ...). Without a C compiler it runs on the reference interpreter, with its warning.
+    """
+
+    def __init__(
+        self,
+        gains: Gains = DEFAULT,
+        rig: ParameterSet | None = None,
+        conditions: Mapping[str, Any] | None = None,
+        position_filter: str = "fixed-gain",
+        log: tuple[str, ...] = (),
+    ) -> None:
+        # Gains are parameters: one program, compiled once, flies them all.
+        self.program: Program | Reference = build(closed_loop(position_filter=position_filter), BASE_DT, log=log)
+        self.machine = self.program.machine()
+        self.tune(gains)
+        self.position_filter = position_filter
+        self.rig = dict((lab() if rig is None else rig).snapshot())
+        self.conditions = dict(conditions or {})
+        self.configure(self.rig | self.conditions)
+
+    def configure(self, values: Mapping[str, Any]) -> None:
+        """Sets parameters of the rig by name. Raises ParameterError for an unknown or impossible one."""
+        self.machine.set_many({f"rig.{name}": value for name, value in values.items()})
+
+    def tune(self, gains: Gains) -> None:
+        """Sets the gains of the cascade."""
+        self.machine.set_many({f"flight.cascade.{path}": value for path, value in gains.parameters().items()})
+
+    def start(self, at: Start) -> None:
+        """Puts everything to the start. Raises ExperimentError for a start beyond a stop."""
+        limits = {"theta": "rig.pitch_stop", "x": "rig.rail_stop"}
+        for name, limit in limits.items():
+            bound = float(self.machine.get(limit))
+            if not abs(getattr(at, name)) <= bound:
+                raise ExperimentError(
+                    f"{name} = {getattr(at, name):g} is beyond the stop at {bound:g}", "start", "start inside"
+                )
+        running = at.hover or (bool(at.commands) and at.commands[-1][1] > 0.0)
+        wake = at.wake if at.wake is not None else float(running)
+        starts = {"theta_start": at.theta, "q_start": at.q, "x_start": at.x, "v_start": at.v, "wake_start": wake}
+        self.configure(starts)
+        self.machine.reset()
+        self._spin(at.commands or (((0.0, HOVER),) if at.hover else ()))
+        estimate = {"theta": at.theta, "x": at.x, "v": at.v} | dict(at.estimates)
+        states: dict[str, Any] = {
+            "flight.previous.theta": estimate["theta"],
+            "flight.estimator.pitch.theta": estimate["theta"],
+            "flight.estimator.pitch.started": True,
+            "flight.estimator.position.x": estimate["x"],
+            "flight.estimator.position.v": estimate["v"],
+            "flight.estimator.position.started": True,
+            "flight.estimator.publisher.x": estimate["x"],
+            "flight.estimator.publisher.v": estimate["v"],
+            "rig.battery.load": float(running),
+        }
+        if self.position_filter == "fixed-gain":
+            states["flight.estimator.position.x_filter"] = estimate["x"]
+        states |= {f"flight.estimator.pitch.{name}": value for name, value in self._settled_pitch().items()}
+        if running:
+            states["flight.arming.count"] = _ARMED
+        for path, value in (states | dict(at.states)).items():
+            self.machine.set_state(path, value)
+
+    def _settled_pitch(self) -> dict[str, float]:
+        """The covariance to which the pitch filter settles: a flight does not start with an uncertain pitch."""
+        sigma = {n: float(self.machine.get(f"flight.estimator.pitch.sigma_{n}")) for n in ("gyro", "walk", "acc")}
+        dt = TICKS * BASE_DT
+        predict = np.array([[1.0, -dt], [0.0, 1.0]])
+        noise = np.diag([sigma["gyro"] ** 2 * dt, sigma["walk"] ** 2 * dt])
+        measure = np.array([[-GRAVITY, 0.0]])
+        prior = solve_discrete_are(predict.T, measure.T, noise, np.array([[sigma["acc"] ** 2]]))
+        gain = prior @ measure.T / (measure @ prior @ measure.T + sigma["acc"] ** 2)
+        after = prior - gain @ measure @ prior
+        return {"variance": after[0, 0], "covariance": after[0, 1], "bias_variance": after[1, 1]}
+
+    def _spin(self, commands: tuple[tuple[float, float], ...]) -> None:
+        """Fills the delay lines with what was commanded and runs the rotors' lag over it."""
+        if not commands:
+            return
+        held = np.repeat(np.asarray(commands, dtype=np.float64), TICKS, axis=0)
+        delay, lag = float(self.machine.get("rig.delay")), float(self.machine.get("rig.lag"))
+        back = max(1, round(delay / BASE_DT))
+        decay = float(np.exp(-BASE_DT / lag)) if lag > 0.0 else 0.0
+        for name, sign in (("fore", 1.0), ("aft", -1.0)):
+            command = np.clip(held[:, 1] + sign * held[:, 0], 0.0, 1.0)
+            speed = command[0]
+            for arrived in command[: max(0, len(command) - back)]:
+                speed = arrived + decay * (speed - arrived)
+            ring = np.full(RING, command[0])
+            recent = command[-RING:]
+            ring[RING - len(recent) :] = recent  # place 0 is written next, so the latest stands last
+            self.machine.set_state(f"rig.rotors.{name}", float(speed))
+            self.machine.set_state(f"rig.rotors.{name}_ring", ring.tolist())
+
+    def fly(self, steps: int, setpoints: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
+        """Flies `steps` control steps (4 ms each). A set-point is one value or an array of `steps` values.
+
+        `mode` is a name or an index into `signals.MODES`. Returns each signal at the control steps, (steps,).
+        Raises ExperimentError for an unknown set-point or mode.
+        """
+        inputs: dict[str, Any] = {}
+        for name, value in setpoints.items():
+            if name not in SETPOINTS:
+                raise ExperimentError(f"no set-point called {name!r:.80}", "fly", f"there are: {', '.join(SETPOINTS)}")
+            if name == "mode" and isinstance(value, str):
+                if value not in MODES:
+                    raise ExperimentError(f"no mode called {value!r:.80}", "fly", f"use one of {', '.join(MODES)}")
+                value = MODES.index(value)
+            array = np.asarray(value)
+            inputs[name] = np.repeat(array, TICKS) if array.ndim else array[()].item()
+        out = self.machine.run(steps * TICKS, inputs)
+        return {name: np.asarray(values[::TICKS]) for name, values in out.items()}
+
+
+def range_at(x: float) -> float:
+    """The range sensor's reading [m] for a cart at `x` [m]."""
+    return x + RAIL_CENTRE
