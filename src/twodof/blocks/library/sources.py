@@ -1,4 +1,4 @@
-"""Sources: constant, time, step, ramp, pulses, doublet, 3-2-1-1, noise.
+"""Sources: constant, time, step, ramp, pulses, doublet, 3-2-1-1.
 
 Times are parameters in seconds; `prepare` turns them into whole base ticks (the nearest), so that edges fall on ticks
 and equal times give equal numbers of ticks. An edge acts in its own tick: the new value is there at tick start / dt.

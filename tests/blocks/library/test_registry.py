@@ -1,0 +1,116 @@
+"""What holds for every block of the library: JSON, both precisions, and that what is compiled gives the same bits."""
+
+import numpy as np
+import pytest
+
+from tests.blocks.library.samples import EXTRA, LIBRARY, ROOMS, SAMPLES, random_inputs, room
+from twodof.blocks import library
+from twodof.blocks.block import Block
+from twodof.blocks.diagram import Diagram
+from twodof.blocks.reference import Reference, ReferenceMachine
+from twodof.blocks.schema import from_json, to_json
+from twodof.compile import build
+from twodof.compile.program import Machine
+
+DT = 0.004
+
+
+def test_the_library_exports_what_it_registers() -> None:
+    exported = {getattr(library, name) for name in library.__all__}
+    assert {c for c in exported if isinstance(c, type) and c.type_name} == set(LIBRARY.values())
+    assert set(EXTRA) <= set(LIBRARY)
+
+
+@pytest.mark.parametrize("type_name", LIBRARY)
+def test_every_block_has_defaults_and_a_docstring(type_name: str) -> None:
+    cls = LIBRARY[type_name]
+    assert cls.__doc__
+    for config in SAMPLES[type_name]:
+        block = cls(**config)
+        assert isinstance(block.trace.outputs, dict)
+        assert len(block.outputs) >= 1
+
+
+def feed(machine: Machine | ReferenceMachine, d_inputs: dict[str, np.ndarray], steps: int) -> dict[str, np.ndarray]:
+    return {name: np.asarray(rows) for name, rows in machine.run(steps, d_inputs).items()}
+
+
+def different(first: dict[str, np.ndarray], second: dict[str, np.ndarray]) -> list[str]:
+    """The signals that differ in a bit; every NaN is the same, -0.0 is not 0.0."""
+    names = []
+    for name, a in first.items():
+        b = second[name]
+        if a.dtype.kind == "f":
+            same = (a == b) & (np.signbit(a) == np.signbit(b)) | (np.isnan(a) & np.isnan(b))
+        else:
+            same = a == b
+        if a.shape != b.shape or not np.all(same):
+            names.append(name)
+    return names
+
+
+def tunable_reals(blocks: dict[str, Block]) -> dict[str, float]:
+    """Scalar real parameters by path, each a quarter larger where that is allowed."""
+    return {
+        f"{part}.{p.name}": 1.25 * p.value
+        for part, block in blocks.items()
+        for p in block.params
+        if p.kind == "real" and p.width is None and p.low <= 1.25 * p.value <= p.high
+    }
+
+
+@pytest.mark.parametrize(("precision", "rate"), [("float64", (1, 0)), ("float32", (1, 0)), ("float64", (3, 1))])
+@pytest.mark.parametrize("name", [n for n in ROOMS if n != "continuous"])
+def test_compiled_blocks_give_the_same_bits(name: str, precision: str, rate: tuple[int, int]) -> None:
+    compare(room(name, rate), precision)
+
+
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+def test_compiled_continuous_blocks_give_the_same_bits(precision: str) -> None:
+    compare(room("continuous"), precision)
+
+
+def test_a_difference_of_one_bit_is_found() -> None:
+    rows = {"a": np.array([1.0, np.nan, 0.0]), "b": np.array([True, False])}
+    assert different(rows, {k: v.copy() for k, v in rows.items()}) == []
+    for name, changed in (
+        ("a", [np.nextafter(1.0, 2.0), np.nan, 0.0]),
+        ("a", [1.0, 0.0, 0.0]),
+        ("a", [1.0, np.nan, -0.0]),
+        ("b", [True, True]),
+    ):
+        assert different(rows, rows | {name: np.array(changed)}) == [name]
+
+
+def compare(d: Diagram, precision: str) -> None:
+    """The reference and the compiled program agree in every output and state, over three kinds of inputs."""
+    blocks = {part: p.item for part, p in d.parts.items() if isinstance(p.item, Block)}
+    program = build(d, DT, precision)
+    assert not isinstance(program, Reference), "there is no compiler to compare with"
+    machines = (Reference(d, DT, precision).machine(), program.machine())
+    for seed, strange, steps in ((1, False, 120), (2, False, 60), (3, True, 40)):
+        with np.errstate(over="ignore"):  # 1e300 is infinite in float32
+            inputs = {
+                name: values.astype(precision) if values.dtype.kind == "f" else values
+                for name, values in random_inputs(d, steps, seed, strange).items()
+            }
+        rows = [feed(machine, inputs, steps) for machine in machines]
+        assert different(*rows) == []
+        for machine in machines:
+            machine.set_many(tunable_reals(blocks))
+    for part, block in blocks.items():
+        for state in block.states:
+            path = f"{part}.{state.name}"
+            ends = [{path: np.asarray(machine.state(path))} for machine in machines]
+            assert different(*ends) == []
+
+
+@pytest.mark.parametrize("name", ROOMS)
+def test_json_keeps_every_block(name: str) -> None:
+    d = room(name)
+    text = to_json(d)
+    again = from_json(text)
+    assert to_json(again) == text
+    inputs = random_inputs(d, 30, 4, False)
+    rows = [feed(Reference(x, DT).machine(), inputs, 30) for x in (d, again)]
+    assert different(*rows) == []
