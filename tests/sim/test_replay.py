@@ -63,6 +63,10 @@ def test_the_json_form(flight_data: Path) -> None:
     assert all(a < b for a, b in data["windows_s"])
 
 
+# Without a plant behind it the loop does not settle: integrals so weak that M stays within its limits.
+WEAK = Gains((0.0651, 0.01, 0.000896), 6.1986, (2.19, 0.1), 0.7)
+
+
 def made_up(seed: int, mode: int = POSITION, seconds: float = 8.0) -> FlightLog:
     """A flight of our own cascade on random measurements: off, armed with three samples of reset, reset at the end."""
     rng = np.random.default_rng(seed)
@@ -75,11 +79,11 @@ def made_up(seed: int, mode: int = POSITION, seconds: float = 8.0) -> FlightLog:
 
     # A pitch of 1 rad before arming would wind an integral up that is not held in reset.
     armed = np.arange(n) >= 250
-    theta, q = np.where(armed, smooth(0.1), 1.0), smooth(0.5)
-    x, v = smooth(0.1)[slow], smooth(0.1)[slow]
+    theta, q = np.where(armed, smooth(0.02), 1.0), smooth(0.1)
+    x, v = smooth(0.01)[slow], smooth(0.01)[slow]
     in_reset = (np.arange(n) < 253) | (np.arange(n) >= n - 40)
     out = (
-        Reference(cascade(STUDENT), 0.004)
+        Reference(cascade(WEAK), 0.004)
         .machine()
         .run(
             n,
@@ -106,7 +110,7 @@ def without(log: FlightLog, name: str, samples: list[int]) -> FlightLog:
 
 
 def test_a_flight_of_our_own_is_given_back_exactly() -> None:
-    result = replay(made_up(1), STUDENT)
+    result = replay(made_up(1), WEAK)
     # Nothing was rounded to float32: what is left is the order of sums and the tangent that undoes the projection.
     assert max(result.nrms.values()) < 1e-14
     assert min(result.coverage.values()) > 0.98
@@ -114,27 +118,27 @@ def test_a_flight_of_our_own_is_given_back_exactly() -> None:
 
 @pytest.mark.parametrize("name", ["M", "q", "q0", "theta", "theta0", "v", "v0", "T"])
 def test_a_flight_with_samples_missing_is_given_back_where_it_can_be(name: str) -> None:
-    dropped = [430, 900, 901, 902, 1300] if name != "v" else [200, 400, 401]
+    dropped = [430, 900, 901, 902] if name != "v" else [200, 400, 401]
     log = without(made_up(2), name, dropped)
-    result = replay(log, STUDENT)
+    result = replay(log, WEAK)
     # The derivative forgets a missing error by .714 a sample: 53 samples leave 2e-8 of it, and it is a tenth of M.
     assert max(result.nrms.values()) < 2e-9
-    assert 0.85 < min(result.coverage.values()) < 1.0
+    assert 0.9 < min(result.coverage.values()) < 1.0
 
 
 def test_a_sample_that_is_wrong_is_not_hidden() -> None:
     log = made_up(3)
     value = log["q"].value.copy()
     value[1000] += 0.1
-    result = replay(FlightLog(log.channels | {"q": Channel(log["q"].time, value)}), STUDENT)
+    result = replay(FlightLog(log.channels | {"q": Channel(log["q"].time, value)}), WEAK)
     assert result.nrms["M"] > 1e-4
 
 
 def test_in_attitude_mode_no_outer_loop_is_compared() -> None:
-    result = replay(made_up(4, ATTITUDE), STUDENT)
+    result = replay(made_up(4, ATTITUDE), WEAK)
     assert set(result.nrms) == {"M", "q0"}
     assert max(result.nrms.values()) < 1e-14
 
 
 def test_a_log_that_never_armed_has_nothing_to_compare() -> None:
-    assert replay(made_up(5, OFF), STUDENT).nrms == {}
+    assert replay(made_up(5, OFF), WEAK).nrms == {}

@@ -6,10 +6,11 @@ from typing import Any
 
 from twodof.blocks import Block, Diagram, Port, State, int32, where
 from twodof.errors import ParameterError
+from twodof.flight.longitudinal_filter import LongitudinalFilter
 from twodof.flight.pitch_filter import PitchFilter
 from twodof.flight.position_filter import FixedGainPosition, KalmanPosition, RailAcceleration
 
-POSITION_FILTERS = ("fixed-gain", "kalman")
+POSITION_FILTERS = ("joint", "fixed-gain", "kalman")
 
 
 class Publisher(Block):
@@ -36,17 +37,19 @@ class Publisher(Block):
         }
 
 
-def estimator(position_filter: str = "fixed-gain") -> Diagram:
+def estimator(position_filter: str = "joint") -> Diagram:
     """The estimator, made for 250 Hz.
 
-    `position_filter` is "fixed-gain", the one that the drone's logs show, or "kalman". Inputs: `acc_x`, `acc_z` [m/s2]
-    (specific force, body axes forward-right-down), `gyro_y` [rad/s], `dist` [m] with `dist_new` (bool, true for
-    one tick a sample) and `dist_age` [s] at that tick. Outputs: `theta` [rad], `q` [rad/s], `x` [m], `v` [m/s] of
-    this sample and `x_published`, `v_published`, held at 100 Hz. Raises ParameterError for another filter.
+    `position_filter` is "joint" (one extended Kalman filter for pitch and position, which comes closest to the drone's
+    own estimates), or one of two that are fed with the pitch of a filter of its own: "fixed-gain" and "kalman".
+    Inputs: `acc_x`, `acc_z` [m/s2] (specific force, body axes forward-right-down), `gyro_y` [rad/s], `dist` [m] with
+    `dist_new` (bool, true for one tick a sample) and `dist_age` [s] at that tick. Outputs: `theta` [rad], `q` [rad/s],
+    `x` [m], `v` [m/s] of this sample and `x_published`, `v_published`, held at 100 Hz. Raises ParameterError for
+    another filter.
     """
     if position_filter not in POSITION_FILTERS:
         raise ParameterError(
-            f"no filter called {position_filter!r:.80}", "position_filter", f"use {' or '.join(POSITION_FILTERS)}"
+            f"no filter called {position_filter!r:.80}", "position_filter", f"use {', '.join(POSITION_FILTERS)}"
         )
     d = Diagram("estimator", "pitch by an extended Kalman filter, position by the filter chosen")
     for name, unit in (
@@ -58,6 +61,25 @@ def estimator(position_filter: str = "fixed-gain") -> Diagram:
     ):
         d.input(name, unit=unit)
     d.input("dist_new", "bool")
+    if position_filter == "joint":
+        d.add("filter", LongitudinalFilter())
+        for name in d.inputs:
+            d.connect(name, f"filter.{name}")
+        pitch = position = "filter"
+    else:
+        pitch, position = _separate(d, position_filter)
+    d.add("publisher", Publisher(), x=f"{position}.x", v=f"{position}.v")
+    d.output("theta", f"{pitch}.theta")
+    d.output("q", f"{pitch}.q")
+    d.output("x", f"{position}.x")
+    d.output("v", f"{position}.v")
+    d.output("x_published", "publisher.x")
+    d.output("v_published", "publisher.v")
+    return d
+
+
+def _separate(d: Diagram, position_filter: str) -> tuple[str, str]:
+    """Adds the pitch filter and, fed with its pitch, a position filter; returns their names."""
     d.add("pitch", PitchFilter(), acc_x="acc_x", acc_z="acc_z", gyro_y="gyro_y")
     d.add("rail", RailAcceleration(), acc_x="acc_x", acc_z="acc_z", theta="pitch.theta")
     position = KalmanPosition() if position_filter == "kalman" else FixedGainPosition()
@@ -69,11 +91,4 @@ def estimator(position_filter: str = "fixed-gain") -> Diagram:
         dist_new="dist_new",
         dist_age="dist_age",
     )
-    d.add("publisher", Publisher(), x="position.x", v="position.v")
-    d.output("theta", "pitch.theta")
-    d.output("q", "pitch.q")
-    d.output("x", "position.x")
-    d.output("v", "position.v")
-    d.output("x_published", "publisher.x")
-    d.output("v_published", "publisher.v")
-    return d
+    return "pitch", "position"
