@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twodof.errors import IdentificationError
-from twodof.excitation import Doublet, Excitation, Multisine, ThreeTwoOneOne
+from twodof.excitation import LIMITS, Doublet, Excitation, Multisine, ThreeTwoOneOne
 from twodof.identify.information import Information, predict, simulate_planned
 from twodof.models.structure import Structure
 
@@ -22,7 +22,8 @@ class Limits:
     """What an experiment may do to the rig.
 
     `within`: largest magnitude of outputs, `travel`: largest peak-to-peak (an experiment picks a start that fits the
-    rail), `least` and `most`: the excitation's amplitude; below `least` the machine sticks.
+    rail), `least` and `most`: the excitation's amplitude; below `least` the machine sticks, and no excitation exceeds
+    what `twodof.excitation.LIMITS` allows for its unit.
     """
 
     within: Mapping[str, float] = field(default_factory=dict)
@@ -159,7 +160,7 @@ def _largest(
     reason = broken(low)
     if reason:
         return 0.0, f"{reason} at the least amplitude {low:g}"
-    high = min(limits.most, 1.0)
+    high = min(limits.most, LIMITS[family(shape, low).unit])
     if not broken(high):
         return high, ""
     while high / low > 1.01:

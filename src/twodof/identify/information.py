@@ -126,16 +126,16 @@ def _problem(
     values: Mapping[str, float] | None,
     estimate: Collection[str] | None,
 ) -> tuple[Problem, Array]:
-    record = _blank(structure, inputs, dt, tuple(noise))
-    wanted = structure.estimate if estimate is None else tuple(estimate)
-    problem = Problem(structure, [record], wanted, dict(values or {}), {})
     for output, sigma in noise.items():
-        if output not in problem.sigma or not sigma > 0.0:
+        if output not in structure.outputs or not sigma > 0.0:
             raise IdentificationError(
                 f"noise {sigma} for '{output}' is not a positive number for an output of the structure",
                 f"structure '{structure.name}'",
                 f"outputs: {', '.join(structure.outputs)}",
             )
+    record = _blank(structure, inputs, dt, tuple(noise))
+    wanted = structure.estimate if estimate is None else tuple(estimate)
+    problem = Problem(structure, [record], wanted, dict(values or {}), {})
     problem.sigma.update(noise)
     return problem, problem.x0
 

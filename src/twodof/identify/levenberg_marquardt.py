@@ -46,11 +46,21 @@ def minimise(
     Damping after Nielsen (1999) with More's (1978) column scaling; an unknown at a bound that the gradient pushes
     outwards is held there. It ends when the next step promises a relative decrease below `tolerance`, when the steps
     have become too small to change x, or after `iterations`. `converged` says that a further Gauss-Newton step would
-    move the estimate by less than a twentieth of its standard deviation, however the search ended.
+    move the estimate by less than a twentieth of its standard deviation, however the search ended. A residual that is
+    not finite at `x0` is returned as it is, not converged.
     """
-    x = np.clip(x0, lower, upper)
+    # A trial too far out may overflow; its cost is then infinite or NaN, and it is stepped back from.
+    with np.errstate(over="ignore", invalid="ignore"):
+        return _minimise(residual, jacobian, np.clip(x0, lower, upper), lower, upper, tolerance, iterations)
+
+
+def _minimise(
+    residual: Residual, jacobian: Jacobian, x: Array, lower: Array, upper: Array, tolerance: float, iterations: int
+) -> Minimum:
     r = residual(x)
     cost = 0.5 * float(r @ r)
+    if not math.isfinite(cost):
+        return Minimum(x, r, cost, 0, 1, False, math.nan, np.zeros(x.shape, dtype=bool))
     evaluations, damping, growth = 1, 1e-3, 2.0
     scale = np.zeros_like(x)
     held = np.zeros(x.shape, dtype=bool)

@@ -14,9 +14,9 @@ class PitchPendulum(Block):
     """q' = mu M - 2 xi w_n q - w_n^2 sin(theta) - hardening theta^3 - friction, theta' = q.
 
     Friction is Coulomb's: it opposes q with `coulomb` (1 + `asymmetry`) for q > 0, `coulomb` (1 - `asymmetry`) for
-    q < 0 [rad/s^2], and holds the drone at rest while the rest of the right-hand side is smaller. It acts once a step
-    as an impulse that may stop the rotation but not reverse it, so it sticks exactly and the speed at which a swing
-    ends is off by at most coulomb dt.
+    q < 0 [rad/s^2], and holds the drone at rest while the rest of the right-hand side is smaller. It acts once a step,
+    as an impulse that knows when in the step the rotation stops: so the drone sticks exactly, and what is simulated
+    stays a smooth function of the parameters, which an estimation needs.
     """
 
     inputs = (Port("M"),)
@@ -42,17 +42,29 @@ class PitchPendulum(Block):
 
     def derivative(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
         """All but the dry friction while it moves; nothing while it sticks."""
-        spring = p.w_n * p.w_n * sin(x.theta) + p.hardening * (x.theta * x.theta * x.theta)
-        drive = p.mu * u.M - 2.0 * p.xi * p.w_n * x.q - spring
-        # Without this the impulse below would hold the speed, but let the angle creep by the integration's error.
-        held = (drive <= p.coulomb * (1.0 + p.asymmetry)) & (-drive <= p.coulomb * (1.0 - p.asymmetry))
-        return {"theta": x.q, "q": where((x.q == 0.0) & held, 0.0, drive)}
+        drive, stuck = self._drive(u, x, p)
+        return {"theta": x.q, "q": where(stuck, 0.0, drive)}
 
     def project(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
         """The dry friction's impulse over the step; the angle as if it had acted evenly over it."""
-        most = p.coulomb * (1.0 + where(x.q < 0.0, -p.asymmetry, p.asymmetry)) * t.dt
-        impulse = maximum(-most, minimum(most, x.q))
-        return {"theta": x.theta - 0.5 * t.dt * impulse, "q": x.q - impulse}
+        drive, stuck = self._drive(u, x, p)
+        more, less = p.coulomb * (1.0 + p.asymmetry), p.coulomb * (1.0 - p.asymmetry)
+        before = x.q - drive * t.dt
+        # A rotation that stops after a part of the step goes on the other way, if the drive exceeds the friction there.
+        slowed, lifted = x.q - more * t.dt, x.q + less * t.dt
+        left_up = t.dt - before / (more - drive)
+        left_down = t.dt + before / (less + drive)
+        from_up = where(slowed < 0.0, minimum(0.0, (drive + less) * left_up), slowed)
+        from_down = where(lifted > 0.0, maximum(0.0, (drive - more) * left_down), lifted)
+        after = where(stuck, x.q, where(before > 0.0, from_up, from_down))
+        return {"theta": x.theta - 0.5 * t.dt * (x.q - after), "q": after}
+
+    def _drive(self, u: Any, x: Any, p: Any) -> tuple[Any, Any]:
+        """The right-hand side without dry friction, and whether that holds it at rest."""
+        spring = p.w_n * p.w_n * sin(x.theta) + p.hardening * (x.theta * x.theta * x.theta)
+        drive = p.mu * u.M - 2.0 * p.xi * p.w_n * x.q - spring
+        held = (drive <= p.coulomb * (1.0 + p.asymmetry)) & (-drive <= p.coulomb * (1.0 - p.asymmetry))
+        return drive, (x.q == 0.0) & held
 
 
 @library_block("models.InputDelay")

@@ -53,6 +53,8 @@ _BOUNDS: Mapping[str, tuple[float, float]] = {
     "coulomb": (0.0, 20.0),
 }
 
+_ANY = (-float("inf"), float("inf"))
+
 
 def pitch_rate(lag: bool = False, ring: int = 64) -> Structure:
     """G_q, paper equation (5), from M to theta and q with an exact zero-order hold and fractional delay.
@@ -152,15 +154,15 @@ def _about_trim(
     unit = plant.inputs[0].unit
     diagram.input(input, unit=unit)
 
-    def offer(own: str, value: float, unit: str, text: str) -> str:
-        low, high = _BOUNDS.get(own, (-float("inf"), float("inf")))
+    def offer(own: str, value: float, unit: str, text: str, own_bounds: tuple[float, float] = _ANY) -> str:
+        low, high = _BOUNDS.get(own, own_bounds)
         # The ring holds this many steps of the control period; at a smaller step `tau` reaches less far.
         low, high = (0.0, tau_high * 0.004) if own == "tau" else (low, high)
         return diagram.param(own, values.get(own, value), unit=unit, low=low, high=high, text=text)
 
     for param in (*plant.params, *(delay.params if delay is not None else ())):
         if param.name not in exclude:
-            offer(param.name, float(param.value), param.unit, param.text)
+            offer(param.name, float(param.value), param.unit, param.text, (param.low, param.high))
     trim = offer(f"{input}_trim", 0.0, unit, f"constant part of {input} that moves nothing")
     source = diagram.add("trim", Offset(unit, -1.0), params={"offset": trim}, u=input)
     if delay is not None:

@@ -1,0 +1,258 @@
+"""The grey-box fit: several experiments, any diagram, both domains, honest uncertainty, and what it refuses."""
+
+import json
+import time
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from tests.identify.signals import DT, doublet, pitch_record
+from twodof.blocks.diagram import Diagram
+from twodof.blocks.library import FirstOrder
+from twodof.errors import IdentificationError
+from twodof.identify import Record, fit, fit_percent
+from twodof.identify.simulate import program_of
+from twodof.models import (
+    PAPER_PITCH_RATE,
+    PitchRate,
+    Structure,
+    free_response,
+    pitch_rate,
+    velocity,
+)
+
+Array = NDArray[np.float64]
+U = doublet(1500, 0.5, 0.6, 0.03)
+
+
+def lag_structure() -> Structure:
+    """What a user would build: gain and first-order lag, from column u to column y."""
+    d = Diagram("my_lag")
+    d.input("u")
+    d.param("K", 1.0, low=0.0)
+    d.param("T", 0.1, unit="s", low=1e-3)
+    d.add("lag", FirstOrder(), params={"gain": "K", "time_constant": "T"}, u="u")
+    d.output("y", "lag")
+    return Structure(d, ("K", "T"))
+
+
+def test_a_users_own_diagram_fits_columns_of_a_table() -> None:
+    rng = np.random.default_rng(0)
+    t = 0.01 * np.arange(600)
+    u = np.sign(np.sin(1.3 * t))
+    a = np.exp(-0.01 / 0.25)
+    clean = lfilter([0.0, 2.0 * (1.0 - a)], [1.0, -a], u)
+    table = {"time": t, "u": u, "y": clean + 0.05 * rng.standard_normal(600)}
+    record = Record.from_columns(table["time"], table, ["u"], ["y"])
+    found = fit(lag_structure(), record)
+    assert abs(found["K"] - 2.0) < 3.0 * found.sigma("K")
+    assert abs(found["T"] - 0.25) < 3.0 * found.sigma("T")
+    assert found.noise["y"] == pytest.approx(0.05, rel=0.1)
+    assert found.white
+
+
+def test_one_fit_of_1500_samples_takes_milliseconds() -> None:
+    record = pitch_record(PAPER_PITCH_RATE, U, 0.06, np.random.default_rng(0))
+    structure = pitch_rate()
+    program_of(structure, record.dt)
+    took = []
+    for _ in range(7):
+        start = time.perf_counter()
+        fit(structure, record)
+        took.append(time.perf_counter() - start)
+    # The promise is 20 ms; the best of seven leaves out what else the machine does.
+    assert min(took) < 0.020
+
+
+def test_several_records_share_what_the_drone_has_and_keep_what_each_had() -> None:
+    rng = np.random.default_rng(1)
+    records = [
+        pitch_record(PAPER_PITCH_RATE, sign * U[:700], 0.06, rng, name=name) for sign, name in ((1, "up"), (-1, "down"))
+    ]
+    alone, both = fit(pitch_rate(), records[0]), fit(pitch_rate(), records)
+    assert {"theta_0[up]", "q_0[down]", "mu"} < set(both.labels)
+    # Twice the data, half the variance.
+    assert both.cramer_rao("mu") == pytest.approx(alone.cramer_rao("mu") / np.sqrt(2.0), rel=0.1)
+    for label, true in (("w_n", 3.437), ("xi", 0.0836), ("mu", 358.5), ("tau", 0.020)):
+        assert abs(both[label] - true) < 3.5 * both.sigma(label)
+
+
+def test_a_gain_that_differs_between_experiments_is_told_apart() -> None:
+    # Thrust off and thrust on: the same pendulum, two gains.
+    rng = np.random.default_rng(2)
+    weak = PitchRate(3.437, 0.0836, 130.0, 0.020)
+    records = [pitch_record(weak, U, 0.002, rng, name="off"), pitch_record(PAPER_PITCH_RATE, U, 0.06, rng, name="on")]
+    found = fit(pitch_rate(), records, separate=["mu"])
+    assert abs(found["mu[off]"] - 130.0) < 3.5 * found.sigma("mu[off]")
+    assert abs(found["mu[on]"] - 358.5) < 3.5 * found.sigma("mu[on]")
+
+
+def test_validation_records_get_their_own_initial_state_only() -> None:
+    rng = np.random.default_rng(3)
+    seen = pitch_record(PAPER_PITCH_RATE, U, 0.06, rng, name="seen")
+    plant = PAPER_PITCH_RATE.state_space().zero_order_hold(DT)
+    q = plant.simulate(U, x0=[0.2, -0.5])[:, 1] + 0.06 * rng.standard_normal(U.size)
+    unseen = Record.from_columns(DT * np.arange(U.size), {"M": U, "q": q}, ["M"], ["q"], "unseen")
+    found = fit(pitch_rate(), seen, validation=unseen)
+    (one,) = found.validation
+    assert one.record == "unseen"
+    assert one.rmse == pytest.approx(0.06, rel=0.1)
+    assert one.fit_percent == pytest.approx(fit_percent(one.measured, one.simulated))
+
+
+def test_the_frequency_domain_agrees_and_drops_a_drift() -> None:
+    rng = np.random.default_rng(4)
+    record = pitch_record(PAPER_PITCH_RATE, U, 0.06, rng)
+    in_time, in_band = fit(pitch_rate(), record), fit(pitch_rate(), record, band=(0.1, 20.0))
+    for label in ("w_n", "xi", "mu", "tau"):
+        assert in_band[label] == pytest.approx(in_time[label], abs=2.0 * in_time.sigma(label))
+        assert in_band.cramer_rao(label) == pytest.approx(in_time.cramer_rao(label), rel=0.25)
+    # A slow disturbance, one wave of 1 rad/s over the record (0.17 Hz), ruins the fit in time, not one above 0.3 Hz.
+    t = DT * np.arange(U.size)
+    q = record.outputs["q"].value + np.sin(2.0 * np.pi * t / (DT * U.size))
+    drifting = Record.from_columns(t, {"M": U, "q": q}, ["M"], ["q"])
+    truth = {"w_n": 3.437, "xi": 0.0836, "mu": 358.5, "tau": 0.020}
+
+    def worst(band: tuple[float, float] | None) -> float:
+        found = fit(pitch_rate(), drifting, estimate=tuple(truth), band=band)
+        return max(abs(found[label] - true) / in_time.sigma(label) for label, true in truth.items())
+
+    assert worst(None) > 10.0
+    assert worst((0.3, 20.0)) < 5.0
+
+
+def test_quoted_intervals_hold_for_coloured_residuals() -> None:
+    # Noise through a lag of 5 samples: the white-noise covariance is several times too small, the robust one is not.
+    rng = np.random.default_rng(5)
+    truth = {"w_n": 3.437, "xi": 0.0836, "mu": 358.5, "tau": 0.020}
+    clean = PAPER_PITCH_RATE.state_space().zero_order_hold(DT).simulate(U)[:, 1]
+    errors, claimed, robust = [], [], []
+    for _ in range(60):
+        e = lfilter([0.02], [1.0, -0.8], rng.standard_normal(U.size + 100))[100:]
+        record = Record.from_columns(DT * np.arange(U.size), {"M": U, "q": clean + e}, ["M"], ["q"])
+        found = fit(pitch_rate(), record, estimate=tuple(truth))
+        assert not found.white
+        errors.append([found[label] - true for label, true in truth.items()])
+        claimed.append(np.diag(found.covariance))
+        robust.append(np.diag(found.robust))
+        assert found.sigma("mu") == pytest.approx(np.sqrt(found.robust[found.labels.index("mu")][2]), rel=1e-9)
+    scatter = np.var(errors, axis=0)
+    # 60 samples tell a variance to 18 %, and the estimate of the residuals' colour has its own scatter.
+    assert (np.mean(robust, axis=0) / scatter > 0.5).all()
+    assert (np.mean(robust, axis=0) / scatter < 2.0).all()
+    assert (np.mean(claimed, axis=0)[:3] / scatter[:3] < 0.3).all()
+
+
+def test_residuals_tell_that_the_structure_is_wrong() -> None:
+    rng = np.random.default_rng(6)
+    values = {"w_n": 3.0, "xi": 0.03, "coulomb": 0.25, "mu": 130.0}
+    u = np.concatenate([np.zeros(50), np.full(50, 0.1), np.zeros(1900)])
+    machine = program_of(free_response(), DT).machine()
+    machine.set_many(values)
+    machine.reset()
+    q = machine.run(u.size, {"M": u})["q"] + 0.01 * rng.standard_normal(u.size)
+    record = Record.from_columns(DT * np.arange(u.size), {"M": u, "q": q}, ["M"], ["q"])
+    wrong = fit(pitch_rate(), record)
+    right = fit(free_response(), record, estimate=("w_n", "xi", "mu", "coulomb", "hardening", "tau"))
+    assert not wrong.white
+    assert any("not white" in remark for remark in wrong.remarks)
+    assert right.white
+    for label, true in values.items():
+        assert abs(right[label] - true) < 3.5 * right.sigma(label)
+
+
+def test_a_bound_that_holds_is_named() -> None:
+    record = pitch_record(PAPER_PITCH_RATE, U, 0.06, np.random.default_rng(7))
+    found = fit(pitch_rate(), record, bounds={"mu": (100.0, 300.0)}, values={"mu": 200.0})
+    assert found.at_bound == ("mu",)
+    assert found["mu"] == 300.0
+    assert np.isnan(found.covariance[found.labels.index("mu")]).all()
+    assert any("mu is held by its bound" in remark for remark in found.remarks)
+    assert json.loads(found.to_json())["estimates"]["mu"]["sigma"] is None
+
+
+def test_the_result_speaks_to_people_and_machines() -> None:
+    record = pitch_record(PAPER_PITCH_RATE, U, 0.06, np.random.default_rng(8))
+    found = fit(pitch_rate(), record)
+    table, plain = found.table(), json.loads(found.to_json())
+    assert "rad/s^2" in table
+    assert "FIT" in table
+    assert plain["estimates"]["mu"]["value"] == found["mu"]
+    assert plain["identification"][0]["fit_percent"] == found.identification[0].fit_percent
+    low, high = found.interval("mu", 0.95)
+    assert high - low == pytest.approx(2 * 1.959964 * found.sigma("mu"), rel=1e-6)
+    with pytest.raises(IdentificationError, match="'lag' was not estimated"):
+        found["lag"]
+
+
+def test_unknowns_the_data_cannot_tell_apart_are_named() -> None:
+    record = pitch_record(PAPER_PITCH_RATE, U, 0.06, np.random.default_rng(9))
+    with pytest.raises(IdentificationError, match="cannot tell apart 'theta_0' and 'M_trim'"):
+        fit(pitch_rate(), record, estimate=("w_n", "xi", "mu", "tau", "q_0", "theta_0", "M_trim"))
+    with pytest.raises(IdentificationError, match="say nothing about 'theta_bias'"):
+        fit(pitch_rate(), record, estimate=("mu", "theta_bias"))
+    # Over-parametrised by the user: only K = eta / J shows.
+    d = Diagram("eta_over_J")
+    d.input("u")
+    d.param("eta", 2.0, low=0.1)
+    d.param("J", 1.0, low=0.1)
+    d.add("gain", FirstOrder(time_constant=0.2), params={"gain": "eta"}, u="u")
+    d.add("inertia", FirstOrder(time_constant=0.01), params={"gain": "J"}, u="gain")
+    d.output("y", "inertia")
+    rng = np.random.default_rng(10)
+    t = 0.01 * np.arange(300)
+    u = np.sign(np.sin(2 * t))
+    table = {"u": u, "y": lfilter([0.05], [1.0, -0.95], u) + 0.1 * rng.standard_normal(300)}
+    with pytest.raises(IdentificationError, match=r"cannot tell apart 'eta' and 'J'.*fix one of them"):
+        fit(Structure(d, ("eta", "J")), Record.from_columns(t, table, ["u"], ["y"]))
+
+
+def test_without_excitation_nothing_is_told() -> None:
+    still = pitch_record(PAPER_PITCH_RATE, np.zeros(500), 0.06, np.random.default_rng(11))
+    with pytest.raises(IdentificationError, match="say nothing about 'mu'"):
+        fit(pitch_rate(), still, estimate=("mu", "q_0"))
+
+
+def test_what_does_not_match_is_refused_by_name() -> None:
+    record = pitch_record(PAPER_PITCH_RATE, U, 0.06, np.random.default_rng(12))
+    with pytest.raises(IdentificationError, match=r"there is no unknown 'muu'.*there are: w_n"):
+        fit(pitch_rate(), record, estimate=("muu",))
+    with pytest.raises(IdentificationError, match="there is no unknown 'k'"):
+        fit(pitch_rate(), record, values={"k": 1.0})
+    with pytest.raises(IdentificationError, match="input 'theta' is not in the record"):
+        fit(velocity(), record)
+    with pytest.raises(IdentificationError, match="no record is given"):
+        fit(pitch_rate(), [])
+    with pytest.raises(IdentificationError, match="two records have one name"):
+        fit(pitch_rate(), [record, record])
+    with pytest.raises(IdentificationError, match="nothing is to be estimated"):
+        fit(pitch_rate(), record, estimate=())
+    with pytest.raises(IdentificationError, match="first guess 9000 of 'mu' is not within"):
+        fit(pitch_rate(), record, values={"mu": 9000.0})
+    with pytest.raises(IdentificationError, match=r"noise -1\.0 for 'q'"):
+        fit(pitch_rate(), record, noise={"q": -1.0})
+    with pytest.raises(IdentificationError, match="no Fourier coefficient lies in"):
+        fit(pitch_rate(), record, band=(0.01, 0.02))
+    unmeasured = Record.from_columns(DT * np.arange(10), {"M": U[:10], "z": U[:10]}, ["M"], ["z"])
+    with pytest.raises(IdentificationError, match="none of the structure's outputs"):
+        fit(pitch_rate(), unmeasured)
+
+
+def test_gaps_are_for_the_time_domain() -> None:
+    record = pitch_record(PAPER_PITCH_RATE, U, 0.06, np.random.default_rng(13))
+    t, q = record.output_time("q"), record.outputs["q"].value
+    lost = np.ones(t.size, dtype=bool)
+    lost[[200, 201, 640]] = False
+    gappy = Record.from_channels({"M": (t, U), "q": (t[lost], q[lost])}, ["M"], ["q"])
+    found = fit(pitch_rate(), gappy)
+    assert abs(found["mu"] - 358.5) < 3.5 * found.sigma("mu")
+    with pytest.raises(IdentificationError, match="without gaps"):
+        fit(pitch_rate(), gappy, band=(0.1, 10.0))
+
+
+def test_a_model_that_is_not_finite_is_refused() -> None:
+    record = pitch_record(PAPER_PITCH_RATE, U, 0.06, np.random.default_rng(14))
+    with pytest.raises(IdentificationError, match="not finite at the first guess"):
+        fit(free_response(), record, values={"xi": -1.0, "w_n": 60.0, "hardening": 1e9})
