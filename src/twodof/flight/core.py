@@ -69,7 +69,8 @@ def core(gains: Gains = DEFAULT, position_filter: str = "joint") -> Diagram:
     """What flies: estimator, level hold, cascade, mixer, with the ports `INPUTS` and `OUTPUTS`, made for 250 Hz.
 
     Parameter paths: `estimator.filter...` (of the joint filter; else `estimator.pitch...`, `estimator.position...`),
-    `cascade.rate.kp` and so on (see `cascade`), `hold.settle`, `hold.window`, `arming.samples`. Raises ParameterError for an unknown position filter.
+    `cascade.rate.kp` and so on (see `cascade`), `hold.settle`, `hold.window`, `arming.samples`. Raises
+    ParameterError for an unknown position filter.
     """
     d = Diagram("flight", "estimator, level hold, cascade and mixer at 250 Hz")
     for name, kind, unit, _ in INPUTS:
