@@ -90,7 +90,7 @@ def test_what_was_not_flown_is_left_out_and_nothing_else() -> None:
 
 def test_a_flight_that_tells_nothing_is_a_doubt_and_not_a_crash() -> None:
     rest = held(400)
-    silent = record("still", {"M": rest}, "q", np.random.default_rng(0).normal(0.0, 0.02, rest.size))
+    silent = record("still", {"M": rest}, {"q": np.random.default_rng(0).normal(0.0, 0.02, rest.size)})
     found = characterise(Flights([silent], [silent], ()), dry_friction=False)
     assert found.refusals
     assert any("no edge" in refusal for refusal in found.refusals)

@@ -14,16 +14,20 @@ from twodof.identify.greybox import fit
 from twodof.identify.record import Record
 from twodof.identify.simple_pitch import SimplePitch, identify_pitch, read_doublet, read_free_response
 from twodof.identify.simple_velocity import SimpleVelocity, identify_velocity, read_step
-from twodof.models.structures import free_response, pitch_rate, velocity
+from twodof.models.rail import rail_from_gyro
+from twodof.models.structures import free_response, pitch_rate
 from twodof.report.content import Uncertain
+from twodof.report.experiments import only
 
 # Below this many repetitions a spread says nothing about a standard deviation.
 _REPETITIONS = 3
+_TRAVELS = 3
 
 
 @dataclass(frozen=True, eq=False)
 class Flights:
-    """Records of the three experiments; of each the first identifies and is drawn, the next two validate.
+    """Records of the three experiments; of each the first identifies and is drawn, the next two validate (of the
+    velocity the first three identify).
 
     All repetitions together give the spread of the readings by hand. An experiment that was not flown is empty.
     `by_hand` names what the simple method may be read from: a drone that moves along the rail without having been
@@ -95,7 +99,10 @@ def characterise(flights: Flights, dry_friction: bool) -> Characterisation:
             )
         )
     if velocities:
-        travel = attempt(lambda: fit(velocity(), velocities[0], validation=velocities[1:3]))
+        seen = [only(record, "x") for record in velocities]
+        # One doublet tells p_v to a tenth: several identify, if one is left to validate.
+        first = min(_TRAVELS, max(1, len(seen) - 1))
+        travel = attempt(lambda: fit(rail_from_gyro(), seen[:first], validation=seen[first : first + 2]))
     greybox = {}
     for estimate, keys in ((poles, ("w_n", "xi")), (forced, ("mu", "tau")), (travel, ("k_v", "p_v"))):
         if estimate is not None:

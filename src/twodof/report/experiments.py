@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twodof.errors import LogError
 from twodof.flightlog.describe import Excitation, excitations
 from twodof.flightlog.log import FlightLog
 from twodof.identify.record import Record
 
+Array = NDArray[np.float64]
+
+# The range sensor's reading at mid rail.
+_RAIL_CENTRE_M = 0.50
 # Beyond this the drone is at its end stop (0.87 rad) and no model of the free motion holds.
 _NEAR_STOP_RAD = 0.84
 # A free response is over when q has stayed below this share of its peak for this long; what follows in a log is
@@ -24,7 +29,10 @@ _REST_S = 0.1
 
 @dataclass(frozen=True)
 class ExperimentKind:
-    """What to look for (modes and shapes of `flightlog.describe`), and inputs and outputs of the record."""
+    """What to look for (modes and shapes of `flightlog.describe`), and inputs and outputs of the record.
+
+    An output `x` is not the on-board estimate of that name but what the range sensor saw, x = dist - 0.50 m.
+    """
 
     name: str
     text: str
@@ -47,8 +55,8 @@ KINDS: Mapping[str, ExperimentKind] = MappingProxyType(
                 "motion along the rail: pitch to velocity",
                 ("attitude", "velocity", "position"),
                 ("doublet", "doublets", "sweep", "steps"),
-                ("theta0", "theta"),
-                ("v",),
+                ("theta0", "theta", "q"),
+                ("v", "x"),
             ),
         )
     }
@@ -70,10 +78,21 @@ def cut(
         stop = float(theta.time[beyond[0]]) if beyond.size else stop
     if kind.name == "impulse" and window is None:
         stop = _end_of_motion(log, start, stop)
-    channels = {one: (log[one].time, log[one].value) for one in (*kind.inputs, *kind.outputs)}
+    channels = {one: _channel(log, one, one in kind.outputs) for one in (*kind.inputs, *kind.outputs)}
     return Record.from_channels(
         channels, kind.inputs, kind.outputs, start=start, stop=stop, name=log.source if name is None else name
     )
+
+
+def only(record: Record, *outputs: str) -> Record:
+    """The same record with these of its outputs: a fit uses all that it finds."""
+    return replace(record, outputs={name: record.outputs[name] for name in outputs})
+
+
+def _channel(log: FlightLog, name: str, measured: bool) -> tuple[Array, Array]:
+    if name == "x" and measured:
+        return log["dist"].time, log["dist"].value - _RAIL_CENTRE_M
+    return log[name].time, log[name].value
 
 
 def _end_of_motion(log: FlightLog, start: float, stop: float) -> float:

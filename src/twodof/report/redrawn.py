@@ -14,9 +14,12 @@ from twodof.identify.record import Record
 from twodof.identify.simple_pitch import SETTLED, edges_of
 from twodof.identify.simple_pitch import simulated_pair as pitch_pair
 from twodof.identify.simple_velocity import simulated_pair as velocity_pair
+from twodof.identify.simulate import Simulator
 from twodof.identify.validate import Comparison
+from twodof.models.rail import rail_from_gyro
 from twodof.report.characterise import Characterisation
 from twodof.report.content import Figure, Level, Line, Panel, Point, Span
+from twodof.report.experiments import only
 from twodof.report.numbers import plain
 
 Array = NDArray[np.float64]
@@ -132,24 +135,43 @@ def _figure_7(found: Characterisation) -> Figure:
 
 
 def _figure_8(found: Characterisation) -> Figure:
-    panels, caption = [], "From the top: identification, validation. "
-    for index, record in enumerate(found.flights.velocities[:2]):
-        zero = _first_edge(record, "theta0")
-        lines = [_measured(record, "v", zero)]
-        scores = []
-        if found.velocity is not None:
-            shown, model = velocity_pair(found.velocity.model, record)
-            rest = float(np.mean(record.outputs["v"].value - shown))
-            lines.append(Line("simple", "simple", record.output_time("v") - zero, model + rest))
-            fits = [found.velocity.identification, *found.velocity.validation]
-            scores.append(f"by hand {fits[index][1]:.1f} %")
-        comparison = _of_record(found.travel, record)
-        if comparison is not None:
-            lines.append(_simulated(comparison, zero))
-            scores.append(f"grey-box {comparison.fit_percent:.1f} %")
-        caption += f"FIT {'of the first' if index == 0 else 'of the second'}: {', '.join(scores)}. " if scores else ""
-        panels.append(Panel(_V, lines, height=1.3))
-    return Figure(8, "velocity model, verification", caption, panels)
+    record = found.flights.velocities[0]
+    zero = _first_edge(record, "theta0")
+    lines, panels = [_measured(record, "v", zero)], []
+    caption = "Above, the velocity as the on-board filter estimates it. "
+    if found.velocity is not None:
+        shown, model = velocity_pair(found.velocity.model, record)
+        rest = float(np.mean(record.outputs["v"].value - shown))
+        lines.append(Line("simple", "simple", record.output_time("v") - zero, model + rest))
+        hand = [found.velocity.identification, *found.velocity.validation]
+        caption += f"FIT of v by hand: {', '.join(f'{value:.1f} %' for _, value in hand)}. "
+    if found.travel is not None:
+        lines.append(Line("grey-box", "grey-box", record.output_time("v") - zero, _velocity(found.travel, record)))
+        caption += (
+            "Below, the position as the range sensor sees it: the grey-box model goes from the gyro to the range, so "
+            "that the filter’s errors do not become the model’s. FIT of x: "
+        )
+        used, unseen = found.travel.identification[:1], found.travel.validation[:1]
+        caption += ", ".join(
+            f"{one.fit_percent:.1f} % ({word})"
+            for one, word in (*((c, "identification") for c in used), *((c, "validation") for c in unseen))
+        )
+        for one in (*used, *unseen):
+            other = next(r for r in found.flights.velocities if r.name == one.record)
+            start = _first_edge(other, "theta0")
+            position = [_measured(other, "x", start), _simulated(one, start)]
+            panels.append(Panel("x [m]", position, height=0.9))
+    return Figure(8, "velocity model, verification", f"{caption}.", [Panel(_V, lines, height=1.3), *panels])
+
+
+def _velocity(estimate: Estimate, record: Record) -> Array:
+    """v of the fitted model, at the samples of the on-board estimate, in a record that the fit has used."""
+    values = dict(estimate.fixed)
+    for label in estimate.labels:
+        name, _, owner = label.partition("[")
+        if owner in ("", f"{record.name}]"):
+            values[name] = estimate[label]
+    return Simulator(rail_from_gyro(), only(record, "v")).run(values)["v"]
 
 
 def _first_edge(record: Record, channel: str) -> float:
