@@ -46,7 +46,7 @@ _NAME = {real: name for name, real in numbers.PRECISIONS.items()}
 
 
 def _apply(name: str, *values: Any) -> Any:
-    if any(isinstance(v, Expr) for v in values):
+    if expr.recording() or any(isinstance(v, Expr) for v in values):
         return expr.call(name, *values)
     reals = (numbers.cast(v, "real") for v in values)
     return DEFINITIONS[name][_NAME[numbers.real_type()]](*reals)

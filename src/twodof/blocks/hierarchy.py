@@ -237,11 +237,15 @@ class Hierarchy:
         for cell in self.cells:
             for port in cell.block.outputs:
                 for item in self._ready(PortOf(cell, port.name), done):
-                    if schedule and schedule[-1][0] is item.cell:
+                    if schedule and schedule[-1][0] is item.cell and not self._feeds_itself(item):
                         schedule[-1][1].append(item.port)
                     else:
                         schedule.append((item.cell, [item.port]))
         return schedule
+
+    def _feeds_itself(self, item: PortOf) -> bool:
+        """Whether a port reads another output of its own cell, which must then be computed before, not beside it."""
+        return any(need.cell is item.cell for need in self._needs(item))
 
     def _ready(self, item: PortOf, done: set[tuple[str, str]]) -> Iterator[PortOf]:
         """`item` and all it needs that is not `done`, needs first. Raises DiagramError at an algebraic loop."""
@@ -320,7 +324,7 @@ class Hierarchy:
                 held = cell.rate != BASE or cell.block.crossing or (bool(cell.discrete) and not cell.continuous)
                 if moving and not held:
                     varying.add((cell.path, port))
-                    if chosen and chosen[-1][0] is cell:
+                    if chosen and chosen[-1][0] is cell and not self._feeds_itself(PortOf(cell, port)):
                         chosen[-1][1].append(port)
                     else:
                         chosen.append((cell, [port]))

@@ -16,11 +16,12 @@ from twodof.blocks.numbers import Integer
 from twodof.compile.chelpers import HELPERS
 
 C_TYPES = {"real": "real", "int32": "int32_t", "uint32": "uint32_t", "bool": "bool"}
-KEYWORDS = frozenset(
-    "auto break case char const continue default do double else enum extern float for goto if inline int long register "
-    "restrict return short signed sizeof static struct switch typedef union unsigned void volatile while asm typeof "
-    "real bool true false offsetof linux unix memcpy memset NULL".split()
-)
+RESERVED = """
+    auto break case char const continue default do double else enum extern float for goto if inline int
+    long register restrict return short signed sizeof static struct switch typedef union unsigned void
+    volatile while asm typeof real bool true false offsetof linux unix memcpy memset NULL
+"""
+KEYWORDS = frozenset(RESERVED.split())
 WIDEST_LINE = 150  # an expression that would be longer becomes two
 SMALL_ARRAY = 16  # up to here a copy is cheaper than a choice
 
@@ -111,7 +112,7 @@ def _arithmetic(op: str, args: Sequence[Text]) -> Text:
 
 
 def loop_depths(item: Expr, known: Mapping[int, frozenset[int]]) -> frozenset[int]:
-    """The depths of the loops around `item` on whose counters or sums it depends; `known` has those of its arguments."""
+    """The depths of the loops around `item` whose counters or sums it reads; `known` has those of its arguments."""
     if item.op == "bound":
         return frozenset((item.data[0],))
     outer = outside(item)
@@ -341,10 +342,8 @@ class Renderer:
         if item.op == "sqrt":
             return f"__builtin_sqrt{f}({args[0][0]})", ATOM
         if item.op == "from_bits":
-            return (
-                f"{self._use('real_from_bits' if len(args) == 2 else 'real_from_word')}({', '.join(a for a, _ in args)})",
-                ATOM,
-            )
+            helper = self._use("real_from_bits" if len(args) == 2 else "real_from_word")
+            return f"{helper}({', '.join(a for a, _ in args)})", ATOM
         raise ValueError(f"no C for {item!r}")
 
     def _unsigned(self, item: Expr, args: Sequence[Text]) -> Text:

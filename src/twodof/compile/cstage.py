@@ -65,8 +65,8 @@ class Stage:
                 for s in node.continuous
             ]
             if not node.guard.always:
-                for (target, _), s in zip(targets, node.continuous, strict=True):
-                    if s.width is None:
+                for (target, _), state in zip(targets, node.continuous, strict=True):
+                    if state.width is None:
                         writer.line(f"{target} = 0;")
                     else:
                         writer.line(f"memset({target}, 0, sizeof {target});")
@@ -208,7 +208,8 @@ class Stage:
             writer.line("")
             writer.line(f"/* Runge and Kutta's method of order 4 over h; {len(members)} continuous states. */")
         writer.line(
-            f"static void {p}_integrate(const {p}_P *restrict p, const {p}_Held *restrict held, {p}_X *restrict x, real h)"
+            f"static void {p}_integrate(const {p}_P *restrict p, const {p}_Held *restrict held, "
+            f"{p}_X *restrict x, real h)"
         )
         with _Braces(writer):
             if self.program.integrator == "euler":

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from twodof.blocks.block import Port, State
+from twodof.blocks.block import Param, Port, State
 from twodof.blocks.expr import LEAVES, Expr
 from twodof.blocks.graph import leaves
 from twodof.compile.cexpr import ATOM, C_TYPES, Names, Renderer, Text, Writer, constant
@@ -60,7 +60,7 @@ class Scope:
         fill(writer, target, state.initial, state, self.precision)
 
 
-def fill(writer: Writer, target: str, value: object, declared: Port | State, precision: str) -> None:
+def fill(writer: Writer, target: str, value: object, declared: Port | State | Param, precision: str) -> None:
     """Lines that store a constant number, or a sequence of them, in `target`."""
     kind, width = declared.kind, declared.width
     if width is None:
@@ -111,7 +111,7 @@ class Tick:
         return prefix + self.layout.states[node, state.name].name
 
     def renderer(self, node: Node) -> Renderer:
-        """For a node that always acts one renderer, so that its temporaries serve the whole function; else a new one."""
+        """A node that always acts has one renderer, so that its temporaries serve the whole function."""
         if node in self.renderers:
             return self.renderers[node]
         states = {s.name: self.state(node, s) for s in node.block.states}
@@ -283,7 +283,7 @@ def commit(
 
 
 def _stores(name: str, e: Expr) -> list[tuple[Expr, Expr]]:
-    """(index, value) of each element that `e` replaces in the array state `name`, first to last; [] for other values."""
+    """(index, value) of each element that `e` replaces in the array state `name`, in order; [] for other values."""
     chain = []
     while e.op == "store":
         chain.append((e.args[1], e.args[2]))

@@ -33,7 +33,7 @@ class Parameter:
 
 @dataclass(eq=False)
 class Condition:
-    """An enclosing sub-diagram that is enabled or reset by bool signals; `clears`: its outputs read 0 while disabled."""
+    """A sub-diagram that is enabled or reset by bool signals; `clears`: its outputs read 0 while it is disabled."""
 
     path: str
     enable: Signal | None = None
@@ -78,7 +78,10 @@ class Node:
 
 @dataclass(frozen=True)
 class Guard:
-    """When a node acts: at the ticks of `rate` while all `enables` hold. At such a tick without one of `clears`, outputs read 0."""
+    """When a node acts: at the ticks of `rate` while all `enables` hold.
+
+    At such a tick without one of `clears`, its outputs read 0.
+    """
 
     rate: Rate
     enables: tuple[Signal, ...] = ()
@@ -91,7 +94,7 @@ class Guard:
 
 @dataclass(frozen=True)
 class Action:
-    """One thing to do: compute `signals`, all outputs of `node`, or (with none) set its states to their initial values."""
+    """Compute `signals`, outputs of `node`, or (with none) set its states to their initial values if it is reset."""
 
     node: Node
     signals: tuple[Signal, ...]

@@ -130,6 +130,7 @@ class Machine:
         self.program = program
         self.parameters = program.parameters
         kinds = program.dtypes
+        self._plain = program.precision == "float64"
         self._p, self._s, self._u, self._y = (np.zeros(1, kinds[k]) for k in "PSUY")
         self._at = tuple(a.ctypes.data for a in (self._p, self._s, self._u, self._y))
         layout, lowered = program.layout, program.flat
@@ -233,14 +234,14 @@ class Machine:
             if data.shape[:1] != (steps,):
                 raise DiagramError(f"{data.shape[0]} values for {steps} steps", name, "give one value, or one a step")
             columns[member] = _fitting(data, signal)
-        u, stride = self._u, 0
-        if columns and steps:
-            u, stride = np.empty(steps, self._u.dtype), 1
-            u[:] = self._u[0]
+        u: NDArray[Any] = self._u
+        stride = 1 if columns and steps else 0
+        if stride:
+            u = np.repeat(self._u, steps)
             for member, data in columns.items():
                 u[member] = data
             self._u[0] = u[-1]
-        y = np.empty(max(steps, 1), self._y.dtype)
+        y: NDArray[Any] = np.empty(max(steps, 1), self._y.dtype)
         p, s, *_ = self._at
         self.program.c_run(p, s, u.ctypes.data, stride, y.ctypes.data, 1, steps)
         return {path: np.ascontiguousarray(y[member][:steps]) for path, member in self._outputs.items()}
@@ -253,7 +254,7 @@ class Machine:
 
     def _write(self, name: str, value: Any) -> None:
         signal, member = self._input(name)
-        if type(value) is float and signal.kind == "real" and signal.width is None:
+        if type(value) is float and self._plain and signal.kind == "real" and signal.width is None:
             self._u[member] = value
             return
         with numbers.precision(self.program.precision):
