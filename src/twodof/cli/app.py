@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import os
 import sys
+import warnings
 from collections.abc import Sequence
 from types import MappingProxyType
 from typing import Any
@@ -20,9 +21,11 @@ FINE, WENT_WRONG, CALLERS_MISTAKE, INTERRUPTED = 0, 1, 2, 130
 # Command -> (its module, one line of help): what `twodof --help` shows without importing numpy.
 COMMANDS = MappingProxyType(
     {
+        "simulate": ("simulate", "Fly an experiment, or a log's set-points, on a virtual rig."),
         "identify": ("identify", "Identify a model from a flight log."),
         "replay": ("replay", "Feed a log's inputs to the compiled flight code and compare its outputs."),
         "log": ("log", "Look into flight logs and convert them."),
+        "calibrate": ("calibrate", "Calibrate the virtual rig on the real drone's logs."),
     }
 )
 
@@ -87,6 +90,10 @@ def twodof(version: bool = typer.Option(False, "--version", callback=_version, i
     """An open control laboratory around the 2DoF Drone."""
 
 
+def _note(message: Warning | str, *_: object) -> None:
+    sys.stderr.write(f"note: {message}\n")
+
+
 def run(arguments: Sequence[str]) -> int:
     """Run one command line; returns the exit status instead of ending the process.
 
@@ -94,7 +101,9 @@ def run(arguments: Sequence[str]) -> int:
     `{"error": {"kind", "what", "where", "remedy"}}`.
     """
     try:
-        app(args=list(arguments), prog_name="twodof")
+        with warnings.catch_warnings():
+            warnings.showwarning = _note
+            app(args=list(arguments), prog_name="twodof")
     except TwodofError as error:
         print_error(error)
         if "--json" in arguments:

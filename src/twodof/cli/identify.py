@@ -20,8 +20,9 @@ from twodof.identify.simple_pitch import identify_pitch
 from twodof.identify.simple_velocity import identify_velocity
 from twodof.models.plant import PAPER_PITCH_RATE
 from twodof.models.structure import Structure
-from twodof.models.structures import free_response, pitch_rate, velocity
-from twodof.report.experiments import KINDS, cut
+from twodof.models.structures import free_response, pitch_rate, rail, velocity
+from twodof.report.characterise import TRAVEL
+from twodof.report.experiments import KINDS, cut, only
 
 app = typer.Typer(add_completion=False)
 
@@ -42,13 +43,14 @@ class Method(StrEnum):
 
 
 class Model(StrEnum):
-    """Ready-made structures for the grey-box method."""
+    """Ready-made structures for the grey-box method; `velocity` is the paper's, between on-board estimates."""
 
     auto = "auto"
     pitch_rate = "pitch-rate"
     pitch_rate_lag = "pitch-rate-lag"
     free_response = "free-response"
     velocity = "velocity"
+    rail = "rail"
 
 
 @app.command()
@@ -114,6 +116,11 @@ def _by_output_error(
         # A doublet is over before the poles show: they are the caller's, or the paper's.
         wanted = ("mu", "tau", "M_trim", "q_0")
         values = {"w_n": PAPER_PITCH_RATE.w_n, "xi": PAPER_PITCH_RATE.xi, **values}
+    if experiment is Experiment.velocity:
+        # From the on-board pitch to the on-board velocity, as in the paper, or from the gyro to the range sensor.
+        output = "v" if model is Model.velocity else "x"
+        record, others = only(record, output), [only(other, output) for other in others]
+        wanted = TRAVEL if wanted is None and output == "x" else wanted
     return fit(structure, record, estimate=wanted, values=values, validation=others)
 
 
@@ -123,9 +130,10 @@ def _structure(experiment: Experiment, model: Model) -> Structure:
         Model.pitch_rate_lag: lambda: pitch_rate(lag=True),
         Model.free_response: free_response,
         Model.velocity: velocity,
+        Model.rail: rail,
     }
     if model is Model.auto:
-        return velocity() if experiment is Experiment.velocity else pitch_rate()
+        return rail() if experiment is Experiment.velocity else pitch_rate()
     return made[model]()
 
 

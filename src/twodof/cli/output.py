@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Annotated, Any
 
@@ -50,32 +50,23 @@ def table_console() -> Console:
     return Console(highlight=False, soft_wrap=True, width=width)
 
 
-class Steps:
-    """A progress bar over named steps; `self(text)` begins the next one."""
-
-    def __init__(self, bar: Progress, total: int) -> None:
-        self._bar = bar
-        self._task = bar.add_task("", total=total)
-        self._begun = False
-
-    def __call__(self, text: str) -> None:
-        """Begin the step that `text` names: the one before it is done."""
-        self._bar.update(self._task, description=text, advance=1 if self._begun else 0)
-        self._begun = True
-
-    def finish(self) -> None:
-        """All steps are done."""
-        self._bar.update(self._task, description="done", completed=self._bar.tasks[0].total)
-
-
 @contextmanager
-def steps(total: int) -> Iterator[Steps]:
-    """A progress bar of `total` steps on stderr; without a terminal nothing is drawn."""
-    console = Console(stderr=True)
+def progress() -> Iterator[Callable[[str, float], None]]:
+    """A progress bar on stderr; the function given is called with what is being done and the share done, 0 to 1.
+
+    Without a terminal nothing is drawn.
+    """
     bar = Progress(
-        TextColumn("{task.description:<38}"), BarColumn(), TimeElapsedColumn(), console=console, transient=True
+        TextColumn("{task.description:<44}"),
+        BarColumn(),
+        TimeElapsedColumn(),
+        console=Console(stderr=True),
+        transient=True,
     )
     with bar:
-        progress = Steps(bar, total)
-        yield progress
-        progress.finish()
+        task = bar.add_task("", total=1.0)
+
+        def report(text: str, share: float) -> None:
+            bar.update(task, description=text, completed=share)
+
+        yield report

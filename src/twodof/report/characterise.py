@@ -14,14 +14,15 @@ from twodof.identify.greybox import fit
 from twodof.identify.record import Record
 from twodof.identify.simple_pitch import SimplePitch, identify_pitch, read_doublet, read_free_response
 from twodof.identify.simple_velocity import SimpleVelocity, identify_velocity, read_step
-from twodof.models.rail import rail_from_gyro
-from twodof.models.structures import free_response, pitch_rate
+from twodof.models.structures import free_response, pitch_rate, rail
 from twodof.report.content import Uncertain
 from twodof.report.experiments import only
 
 # Below this many repetitions a spread says nothing about a standard deviation.
 _REPETITIONS = 3
 _TRAVELS = 3
+# The range sensor's age beyond its stamp is estimated too: taken for zero it passes for less friction.
+TRAVEL = ("k_v", "p_v", "tau", "theta_0", "x_0", "v_0")
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +103,7 @@ def characterise(flights: Flights, dry_friction: bool) -> Characterisation:
         seen = [only(record, "x") for record in velocities]
         # One doublet tells p_v to a tenth: several identify, if one is left to validate.
         first = min(_TRAVELS, max(1, len(seen) - 1))
-        travel = attempt(lambda: fit(rail_from_gyro(), seen[:first], validation=seen[first : first + 2]))
+        travel = attempt(lambda: fit(rail(), seen[:first], estimate=TRAVEL, validation=seen[first : first + 2]))
     greybox = {}
     for estimate, keys in ((poles, ("w_n", "xi")), (forced, ("mu", "tau")), (travel, ("k_v", "p_v"))):
         if estimate is not None:

@@ -16,7 +16,7 @@ from twodof.identify.simple_pitch import simulated_pair as pitch_pair
 from twodof.identify.simple_velocity import simulated_pair as velocity_pair
 from twodof.identify.simulate import Simulator
 from twodof.identify.validate import Comparison
-from twodof.models.rail import rail_from_gyro
+from twodof.models.structures import rail
 from twodof.report.characterise import Characterisation
 from twodof.report.content import Figure, Level, Line, Panel, Point, Span
 from twodof.report.experiments import only
@@ -171,7 +171,7 @@ def _velocity(estimate: Estimate, record: Record) -> Array:
         name, _, owner = label.partition("[")
         if owner in ("", f"{record.name}]"):
             values[name] = estimate[label]
-    return Simulator(rail_from_gyro(), only(record, "v")).run(values)["v"]
+    return Simulator(rail(), only(record, "v")).run(values)["v"]
 
 
 def _first_edge(record: Record, channel: str) -> float:

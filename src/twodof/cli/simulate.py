@@ -1,0 +1,91 @@
+"""`twodof simulate`: fly a ready-made experiment, or a log's set-points, on a virtual rig."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.table import Table
+
+from twodof.cli.output import Json, print_json, table_console
+from twodof.experiment.flight import Laboratory
+from twodof.experiment.protocol import EXPERIMENTS
+from twodof.experiment.protocol import experiment as named_experiment
+from twodof.flight.gains import Gains, load_gains
+from twodof.flightlog.files import read_log, write_log
+from twodof.rig.parameters import load_rig
+from twodof.sim.like import simulate_like
+
+app = typer.Typer(add_completion=False)
+
+
+@app.command()
+def simulate(
+    experiment: Annotated[str | None, typer.Argument(help=f"One of {', '.join(EXPERIMENTS)}.")] = None,
+    like: Annotated[Path | None, typer.Option(metavar="LOG", help="Fly the set-points of this log instead.")] = None,
+    rig: Annotated[str, typer.Option(help="lab, paper, or a JSON file of rig parameters.")] = "lab",
+    gains: Annotated[str, typer.Option(help="default, student, or a JSON file of gains.")] = "default",
+    window: Annotated[
+        tuple[float, float] | None, typer.Option(metavar="T0 T1", help="With --like: stretch of the log [s].")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the noise; the same seed gives the same flight.")] = 1,
+    out: Annotated[Path | None, typer.Option(help="Write the flight's log (.mat, .parquet, .csv).")] = None,
+    json: Json = False,
+) -> None:
+    """Fly an experiment on a virtual rig, or, with --like, a log's set-points without noise and compare.
+
+    Exit status 1 says that the flight is not good for its purpose: a stop was hit or nothing moved.
+    """
+    if (experiment is None) == (like is None):
+        raise typer.BadParameter("name an experiment or a log with --like, one of the two")
+    if like is not None:
+        if out is not None:
+            raise typer.BadParameter("--out goes with an experiment, not with --like")
+        _fly_like(like, rig, load_gains(gains), window, json)
+    elif window is not None:
+        raise typer.BadParameter("--window goes with --like")
+    elif experiment is not None:
+        _fly(experiment, rig, load_gains(gains), seed, out, json)
+
+
+def _fly_like(like: Path, rig: str, gains: Gains, window: tuple[float, float] | None, json: bool) -> None:
+    result = simulate_like(read_log(like), load_rig(rig), gains, window)
+    if json:
+        print_json(result.to_json())
+        return
+    console = table_console()
+    table = Table("channel", "FIT, %", box=None, pad_edge=False)
+    table.columns[1].justify = "right"
+    for channel, fit in result.fit.items():
+        table.add_row(channel, f"{fit:.1f}")
+    console.print(table)
+    stretches = ", ".join(f"{start:.2f} to {end:.2f} s" for start, end in result.windows)
+    console.print(f"rig {rig}, without noise; compared: {stretches}")
+
+
+def _fly(experiment: str, rig: str, gains: Gains, seed: int, out: Path | None, json: bool) -> None:
+    flight = Laboratory(rig, gains).fly(named_experiment(experiment), seed)
+    if out is not None:
+        write_log(flight.log, out)
+    if json:
+        print_json(
+            {
+                "experiment": experiment,
+                "rig": rig,
+                "seed": seed,
+                "x_start_m": flight.x_start,
+                "good": flight.good,
+                "checks": [{"name": c.name, "passed": c.passed, "seen": c.seen} for c in flight.checks],
+                "file": None if out is None else str(out),
+            }
+        )
+    else:
+        console = table_console()
+        console.print(f"{experiment} on the rig {rig}, seed {seed}, start x = {flight.x_start:+.3f} m")
+        for check in flight.checks:
+            console.print(f"  {'ok    ' if check.passed else 'FAILED'} {check.name}: {check.seen}", markup=False)
+        if out is not None:
+            console.print(f"written: {out}", markup=False)
+    if not flight.good:
+        raise typer.Exit(1)
