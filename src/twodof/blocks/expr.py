@@ -318,7 +318,12 @@ def _unary(op: str, a: Expr) -> Expr:
 
 def _traced(*values: Any) -> bool:
     # While a block is traced even literals are recorded: folded here, they would round in this run's precision.
-    return recording() or any(isinstance(v, Expr) for v in values)
+    if _tracing.get():
+        return True
+    for v in values:  # any() would be shorter and, in the reference's innermost loop, twice as slow
+        if isinstance(v, Expr):
+            return True
+    return False
 
 
 def where(condition: Any, a: Any, b: Any) -> Any:
@@ -328,6 +333,8 @@ def where(condition: Any, a: Any, b: Any) -> Any:
         left, right = _pair(a, b)
         _scalars("where", c, left, right)
         return node("where", left.kind, (c, left, right))
+    if type(a) is type(b) is numbers.real_type():
+        return a if condition else b
     strong = [v for v in (a, b) if isinstance(v, (Integer, np.floating, np.bool_, bool))]
     kind = numbers.kind_of(strong[0]) if strong else "real"
     return numbers.cast(a if condition else b, kind)
