@@ -17,6 +17,7 @@ from twodof.report.content import (
     Point,
     Span,
     Subject,
+    Table,
     Uncertain,
 )
 
@@ -91,5 +92,6 @@ def content() -> Content:
         ["<b>μ 357.9 ± 1.3</b> where 358.5 is true", "FIT 96 %"],
         [subject("virtual rig, paper", 1, True), subject("real drone", 2, False)],
         [Erratum("Equation 6", "c = 2ξω<sub>n</sub>/J", "c = 2ξω<sub>n</sub>J")],
+        [Table("replay", "Replayed", "What was seen.", ["flight", "M"], [["steps <1>", "1e-7"]])],
         {"seed": "1", "sum": str(math.fsum([0.1] * 10))},
     )

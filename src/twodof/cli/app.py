@@ -21,6 +21,7 @@ FINE, WENT_WRONG, CALLERS_MISTAKE, INTERRUPTED = 0, 1, 2, 130
 # Command -> (its module, one line of help): what `twodof --help` shows without importing numpy.
 COMMANDS = MappingProxyType(
     {
+        "demo": ("demo", "Fly, identify and compare with the paper; write the report."),
         "simulate": ("simulate", "Fly an experiment, or a log's set-points, on a virtual rig."),
         "identify": ("identify", "Identify a model from a flight log."),
         "replay": ("replay", "Feed a log's inputs to the compiled flight code and compare its outputs."),

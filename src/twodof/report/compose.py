@@ -9,7 +9,7 @@ from html import escape
 from twodof.identify.estimate import Estimate
 from twodof.models.plant import PAPER_PITCH_RATE, PAPER_VELOCITY_GREYBOX, PAPER_VELOCITY_SIMPLE
 from twodof.report.characterise import Characterisation
-from twodof.report.content import Check, Content, ParameterRow, Subject, Uncertain
+from twodof.report.content import Check, Content, ParameterRow, Subject, Table, Uncertain
 from twodof.report.errata import errata
 from twodof.report.numbers import plain, with_sigma
 from twodof.report.redrawn import figures
@@ -115,8 +115,8 @@ def _doubts(found: Characterisation) -> list[str]:
     return list(dict.fromkeys(said))
 
 
-def content(machines: Sequence[Machine], provenance: Mapping[str, str]) -> Content:
-    """The whole report about several machines."""
+def content(machines: Sequence[Machine], provenance: Mapping[str, str], tables: Sequence[Table] = ()) -> Content:
+    """The whole report about several machines; `tables` are sections of their own."""
     return Content(
         "The 2DoF Drone, characterised",
         "The paper’s three identification experiments, flown through compiled flight code, evaluated by hand as the "
@@ -124,6 +124,7 @@ def content(machines: Sequence[Machine], provenance: Mapping[str, str]) -> Conte
         [finding for machine in machines for finding in _findings(machine)],
         [subject(machine) for machine in machines],
         errata(),
+        tables,
         provenance,
     )
 

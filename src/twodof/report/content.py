@@ -135,6 +135,20 @@ class Erratum:
     shown: str
 
 
+@dataclass(frozen=True)
+class Table:
+    """A table of its own section: `anchor` for links, a paragraph (HTML), heads and rows of text.
+
+    The first column of a row is its name.
+    """
+
+    anchor: str
+    title: str
+    text: str
+    heads: Sequence[str]
+    rows: Sequence[Sequence[str]]
+
+
 @dataclass(frozen=True, eq=False)
 class Content:
     """The whole report; `provenance` lists versions, seeds and files, so that the run can be repeated."""
@@ -144,4 +158,5 @@ class Content:
     findings: Sequence[str]
     subjects: Sequence[Subject]
     errata: Sequence[Erratum] = ()
+    tables: Sequence[Table] = ()
     provenance: Mapping[str, str] = field(default_factory=dict)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from twodof.errors import LogError
 from twodof.flightlog.describe import Excitation, excitations
+from twodof.flightlog.events import modes
 from twodof.flightlog.log import FlightLog
 from twodof.identify.record import Record
 
@@ -117,8 +118,11 @@ def _window(log: FlightLog, kind: ExperimentKind) -> tuple[float, float]:
 
 
 def _after_start(log: FlightLog, one: Excitation) -> tuple[float, float]:
-    """The excitation's window, without the moment in which the rotors come up before it."""
+    """The excitation's window, without what comes before its mode and the moment in which the rotors come up."""
     start, stop = one.window
+    for stretch in modes(log):
+        if stretch.mode == one.mode and start < stretch.t0 < one.edges[0]:
+            start = stretch.t0
     for armed, _ in log.armed() if "T" in log else []:
         if start <= armed < one.edges[0]:
             # Half of what lies between: the thrust has settled, and there is rest to read the trim from.

@@ -7,7 +7,7 @@ from html import escape
 from importlib.resources import files
 
 from twodof.identify.validate import Correlation
-from twodof.report.content import Check, Content, Erratum, Figure, ParameterRow, Subject
+from twodof.report.content import Check, Content, Erratum, Figure, ParameterRow, Subject, Table
 from twodof.report.figures import correlation_figure, estimates_figure, time_figure
 from twodof.report.numbers import deviation, plain, with_sigma
 
@@ -26,6 +26,7 @@ def to_html(content: Content) -> str:
     sections = [
         ("table-1", "Table 1", "".join(_table_section(content.subjects))),
         *_figure_sections(content.subjects),
+        *((table.anchor, table.title, _free_table(table)) for table in content.tables),
         ("residuals", "What the models leave unexplained", "".join(_residual_section(content.subjects))),
         ("doubts", "What the data could not tell", "".join(_doubt_section(content.subjects))),
         ("errata", "Errata of the paper", "".join(_errata_section(content.errata))),
@@ -79,6 +80,18 @@ def _parameter_table(rows: Sequence[ParameterRow]) -> str:
         )
     head = "".join(f'<th scope="col">{name}</th>' for name in heads)
     return f'<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{"".join(lines)}</tbody></table></div>'
+
+
+def _free_table(table: Table) -> str:
+    head = "".join(f'<th scope="col">{escape(name)}</th>' for name in table.heads)
+    body = "".join(
+        f'<tr><th scope="row">{escape(row[0])}</th>' + "".join(f"<td>{escape(cell)}</td>" for cell in row[1:]) + "</tr>"
+        for row in table.rows
+    )
+    return (
+        f'<p class="text">{table.text}</p><div class="scroll"><table><thead><tr>{head}</tr></thead>'
+        f"<tbody>{body}</tbody></table></div>"
+    )
 
 
 def _value(value: float | None) -> str:

@@ -1,0 +1,131 @@
+"""`twodof demo`: the whole way, from flying to the report."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.table import Table
+
+from twodof.cli.output import Json, print_json, progress, table_console
+from twodof.errors import LogError
+from twodof.flightlog.atomic import atomic_write
+from twodof.flightlog.provenance import versions
+from twodof.flightlog.public_data import VARIABLE, available
+from twodof.report.compose import Machine, content, rows
+from twodof.report.content import ParameterRow
+from twodof.report.numbers import plain, with_sigma
+from twodof.report.page import to_html
+from twodof.report.walk import REPETITIONS, comparisons, real, virtual
+
+app = typer.Typer(add_completion=False)
+
+_REPORT = Path("out/demo/report.html")
+# What the progress bar counts: three steps and more for each rig, the real drone's logs, the report.
+_EXPECTED = 19
+
+
+@app.command()
+def demo(
+    out: Annotated[Path, typer.Option(help="The report to write.")] = _REPORT,
+    json: Json = False,
+) -> None:
+    """Fly the paper's experiments on the virtual rigs, identify, compare with its Table 1, write the report.
+
+    The real drone's logs are identified too where they are at hand. Exit status 1: a parameter of the virtual rigs
+    could not be identified, or a flight was not good.
+    """
+    began = time.monotonic()
+    with progress() as report:
+        begun = 0
+
+        def step(text: str) -> None:
+            nonlocal begun
+            report(text, min(1.0, begun / _EXPECTED))
+            begun += 1
+
+        rigs = [virtual(name, step) for name in ("paper", "lab")]
+        logs = available()
+        drone = real(logs, step)
+        tables = comparisons(logs, step)
+        step("write the report")
+        machines = [*rigs, *([drone] if drone is not None else [])]
+        _write(out, to_html(content(machines, _provenance(list(logs)), tables)))
+    seconds = time.monotonic() - began
+    if json:
+        print_json(
+            {
+                "machines": [{"name": machine.name, "parameters": _parameters(machine)} for machine in machines],
+                "real_logs": sorted(logs),
+                "report": str(out),
+                "seconds": seconds,
+            }
+        )
+    else:
+        _print(machines, len(logs), out, seconds)
+    if any(machine.remarks or not _complete(machine) for machine in rigs):
+        raise typer.Exit(1)
+
+
+def _provenance(logs: list[str]) -> dict[str, str]:
+    return {
+        **versions(),
+        "virtual flights": f"seeds 1 to {REPETITIONS} of each experiment on each rig",
+        "real flights": ", ".join(logs) or "none at hand",
+    }
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as refusal:
+        raise LogError(
+            f"the folder cannot be made: {refusal.strerror}", str(path.parent), "name another place with --out"
+        ) from refusal
+    with atomic_write(path, "w") as file:
+        file.write(text)
+
+
+def _complete(machine: Machine) -> bool:
+    return all(row.simple is not None and row.greybox is not None for row in rows(machine) if row.paper is not None)
+
+
+def _parameters(machine: Machine) -> dict[str, dict[str, Any]]:
+    return {
+        row.key: {
+            "unit": row.unit,
+            "paper": row.paper,
+            "paper_greybox": row.paper_greybox,
+            "truth": row.truth,
+            "simple": None if row.simple is None else row.simple.value,
+            "simple_sigma": None if row.simple is None else row.simple.sigma,
+            "greybox": None if row.greybox is None else row.greybox.value,
+            "greybox_sigma": None if row.greybox is None else row.greybox.sigma,
+        }
+        for row in rows(machine)
+    }
+
+
+def _print(machines: list[Machine], logs: int, out: Path, seconds: float) -> None:
+    console = table_console()
+    for machine in machines:
+        table = Table(title=machine.name, title_justify="left", box=None, pad_edge=False)
+        for name in ("", "unit", "paper", "truth", "simple", "grey-box"):
+            table.add_column(name, justify="left" if name in ("", "unit") else "right", min_width=9)
+        for row in rows(machine):
+            table.add_row(*_cells(row))
+        console.print(table)
+        console.print()
+    if not logs:
+        console.print(f"The real drone's logs are not at hand; {VARIABLE} names the folder that holds them.")
+    console.print(f"Report: {out.resolve()} ({seconds:.0f} s)", markup=False)
+
+
+def _cells(row: ParameterRow) -> list[str]:
+    paper = "–" if row.paper is None else plain(row.paper)
+    if row.paper_greybox is not None:
+        paper += f" / {plain(row.paper_greybox)}"
+    found = ["–" if one is None else with_sigma(one) for one in (row.simple, row.greybox)]
+    return [row.key, row.unit or "-", paper, "–" if row.truth is None else plain(row.truth), *found]
