@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.blocks.library.harness import assert_close, noise, run, run_y
+from tests.blocks.library.harness import alone, assert_close, noise, run, run_y
 from twodof.blocks.library import (
     Backlash,
     Bitwise,
@@ -23,6 +23,7 @@ from twodof.blocks.library import (
     Saturation,
     Timer,
 )
+from twodof.blocks.reference import Reference
 from twodof.errors import DiagramError
 
 U = 2.0 * noise(60)
@@ -143,6 +144,13 @@ def test_a_timer_measures_how_long(values: list[bool], duration: int) -> None:
         true_for = true_for + 1 if value else 0
     assert rows["done"].tolist() == done
     assert rows["elapsed"].tolist() == elapsed
+
+
+def test_a_timer_does_not_begin_anew_after_all_its_numbers() -> None:
+    machine = Reference(alone(Timer(1.0)), 0.01).machine()
+    machine.set_state("block.x", 2**32 - 2)
+    assert machine.run(5, {"u_in": True})["done_out"].tolist() == [True] * 5
+    assert machine.state("block.x") == 2**32 - 1
 
 
 def test_mistakes_in_arguments_are_refused() -> None:

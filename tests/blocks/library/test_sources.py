@@ -161,9 +161,9 @@ def test_a_sine_does_not_drift(precision: str, bound: float) -> None:
 @pytest.mark.parametrize(("first", "last"), [(0.5, 10.0), (10.0, 0.5), (3.0, 3.0)])
 def test_a_sweep_is_scipys_chirp(law: str, method: str, first: float, last: float) -> None:
     t = DT * np.arange(600)
-    y = y_of(Sweep(first, last, 10.0, law=law))
+    y = y_of(Sweep(first, last, 10.0, law=law, phase=np.radians(35.0)))
     # 2.4 s at up to 10 Hz are 150 rad, and f0 L / log(f1/f0) = 33 turns are subtracted from each other.
-    np.testing.assert_allclose(y, signal.chirp(t, first, 10.0, last, method=method, phi=-90), rtol=0, atol=1e-11)
+    np.testing.assert_allclose(y, signal.chirp(t, first, 10.0, last, method=method, phi=-90 + 35), rtol=0, atol=1e-11)
 
 
 def test_a_sweep_ends() -> None:
@@ -194,10 +194,11 @@ def test_noise_has_the_moments_it_is_told() -> None:
     assert np.all(np.abs(np.var(y, axis=0) / 0.25 - 1.0) < 4 * np.sqrt(2 / n))
     correlation = np.corrcoef(y.T)
     assert np.all(np.abs(correlation[~np.eye(3, dtype=bool)]) < 4 / np.sqrt(n))
-    w = y_of(UniformNoise(-1.0, 3.0, seed=3, stream=1), n)
-    assert np.min(w) >= -1.0
-    assert np.max(w) < 3.0
-    assert abs(np.mean(w) - 1.0) < 4 * 4 / np.sqrt(12 * n)
+    for width in (None, 2):
+        w = y_of(UniformNoise(-1.0, 3.0, seed=3, stream=1, width=width), n)
+        assert np.min(w) >= -1.0
+        assert np.max(w) < 3.0
+        assert np.all(np.abs(np.mean(w, axis=0) - 1.0) < 4 * 4 / np.sqrt(12 * n))
 
 
 def test_noise_is_a_function_of_seed_stream_and_tick() -> None:
