@@ -7,7 +7,7 @@ from scipy.signal import cont2discrete
 
 from twodof.errors import ParameterError
 from twodof.models.lti import StateSpace, step_figures
-from twodof.models.plant import PAPER_PITCH_RATE, Longitudinal, PitchRate, Velocity
+from twodof.models.plant import PAPER_PITCH_RATE, Longitudinal, PitchRate, Velocity, thrust_curve
 
 DT = 0.004
 
@@ -110,3 +110,15 @@ def test_paper_equations_7_and_8() -> None:
     # T_P = 1.83 s and T_S = 16 s are what the paper measured; its model gives them back as printed.
     assert PAPER_PITCH_RATE.period == pytest.approx(1.83, abs=0.006)
     assert PAPER_PITCH_RATE.settling_time == pytest.approx(16.0, abs=0.02)
+
+
+def test_thrust_curve_comes_back_from_the_two_gains_it_makes() -> None:
+    a, b = 0.3, 160.0
+    idle, run = b * (1.0 - a + a * 0.1), 2.0 * b * (1.0 - a + 2.0 * a * 0.4)
+    assert thrust_curve(idle, run) == pytest.approx(a, rel=1e-12)
+    # The real drone's gains, 112 to 118 and 288 +- 8, need a curve of about .3.
+    assert thrust_curve(115.0, 288.0) == pytest.approx(0.3, abs=0.05)
+    with pytest.raises(ParameterError, match="no thrust curve"):
+        thrust_curve(200.0, 300.0)
+    with pytest.raises(ParameterError, match="not both positive"):
+        thrust_curve(0.0, 900.0)

@@ -19,6 +19,7 @@ from twodof.models import (
     longitudinal,
     pitch_and_velocity,
     pitch_rate,
+    rail,
     velocity,
 )
 from twodof.models.lti import StateSpace
@@ -154,6 +155,49 @@ def test_delay_inside_a_step_is_exact_for_the_continuous_block() -> None:
     late = np.maximum(DT * np.arange(50) - 5 * DT - 0.0137, 0.0)
     # The spring of 0.05 rad/s cannot be switched off; it takes w^2 t^2 / 6 of q.
     np.testing.assert_allclose(ours["q"], late, rtol=2e-5, atol=1e-12)
+
+
+def test_rail_is_that_of_an_accurate_integrator() -> None:
+    t = DT * np.arange(400)
+    q = 0.8 * np.sign(np.sin(2.0 * np.pi * t / 0.8 + 1e-9))
+    ours = run(rail(), {"theta_0": 0.1, "x_0": 0.05, "v_0": -0.1}, q)
+    lift = np.interp(t, t, np.cumsum(q) * DT - q * DT) + 0.1
+
+    def slope(_: float, x: Array, rate: float) -> list[float]:
+        return [rate, x[2], -4.748 * np.sin(x[0]) - 1.168 * x[2]]
+
+    x, states = np.array([0.1, 0.05, -0.1]), []
+    for rate in q:
+        states.append(x)
+        x = solve_ivp(slope, (0.0, DT), x, args=(rate,), method="DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
+    exact = np.array(states)
+    np.testing.assert_allclose(ours["theta"], lift, rtol=0, atol=1e-12)
+    # RK4 at 4 ms of a rate of at most 1.2 1/s: (p dt)^5 / 120 a step, 400 of them.
+    np.testing.assert_allclose(ours["x"], exact[:, 1], rtol=0, atol=1e-11)
+    np.testing.assert_allclose(ours["v"], exact[:, 2], rtol=0, atol=1e-11)
+
+
+def test_dry_friction_of_the_rail_stops_the_cart_in_closed_form() -> None:
+    # From v_0 under constant friction c: at rest after v_0 / c, v_0^2 / (2 c) further on.
+    ours = run(rail(), {"k_v": 0.0, "p_v": 0.0, "coulomb": 0.5, "v_0": 0.3}, np.zeros(400))
+    t = DT * np.arange(400)
+    np.testing.assert_allclose(ours["v"], np.maximum(0.3 - 0.5 * t, 0.0), rtol=0, atol=1e-12)
+    assert ours["x"][-1] == pytest.approx(0.3**2 / (2.0 * 0.5), abs=0.5 * DT**2)
+
+
+def test_lift_is_one_at_hover_and_grows_with_the_square_of_the_moment() -> None:
+    structure = rail(thrust=True)
+    machine = Reference(structure.diagram, dt=DT, precision="float64", log=("lift.lift",)).machine()
+    machine.set_many({"curve": 0.3})
+
+    def lift(moment: float, thrust: float) -> float:
+        return float(machine.step({"q": 0.0, "M": moment, "T": thrust})["lift.lift"])
+
+    hover = 0.7 * 0.4 + 0.3 * 0.16
+    assert lift(0.0, 0.4) == pytest.approx(1.0, rel=1e-12)
+    assert lift(0.2, 0.4) == pytest.approx(1.0 + 0.3 * 0.04 / hover, rel=1e-12)
+    # Beyond T the one pair stands still and the other gives all.
+    assert lift(0.5, 0.4) == pytest.approx((0.7 * 0.9 + 0.3 * 0.81) / (2.0 * hover), rel=1e-12)
 
 
 def test_structure_knows_its_unknowns() -> None:

@@ -17,7 +17,7 @@ from twodof.errors import IdentificationError
 from twodof.identify.covariance import check_identifiable, covariance, robust_covariance
 from twodof.identify.estimate import Estimate
 from twodof.identify.levenberg_marquardt import Minimum, minimise
-from twodof.identify.problem import Problem
+from twodof.identify.problem import Block, Problem
 from twodof.identify.record import Record
 from twodof.identify.validate import Comparison, compare
 from twodof.models.structure import Structure
@@ -36,14 +36,17 @@ def fit(
     noise: Mapping[str, float] | None = None,
     band: tuple[float, float] | None = None,
     validation: Record | Sequence[Record] = (),
+    like: str = "",
 ) -> Estimate:
     """Fit `structure` to `records`.
 
     `estimate`: the unknowns to find (default: the structure's choice); all others keep their values. `values`: first
     guesses and fixed values by unknown, or by "unknown[record]" for one record. `bounds`: (lower, upper) by unknown.
     `separate`: unknowns that get one value for each record although they are not local. `noise`: standard deviation of
-    outputs whose weight is to be fixed. `band`: fit in the frequency domain, from and to these frequencies [Hz].
-    `validation`: records that the model must reproduce without having seen them; only their local unknowns are fitted.
+    outputs (or "output[record]") whose weight is to be fixed. `band`: fit in the frequency domain, from and to these
+    frequencies [Hz].
+    `validation`: records that the model must reproduce without having seen them; only their local unknowns are fitted,
+    the separate ones are those of the record `like` (default: the last).
 
     Raises IdentificationError for unknown names, a record without the structure's channels, a model that is not
     finite at the first guess, and unknowns that the data cannot tell (apart), naming them.
@@ -53,7 +56,7 @@ def fit(
         raise IdentificationError("nothing is to be estimated", f"structure '{structure.name}'", "name an unknown")
     given = dict(values or {})
     problem = Problem(structure, _several(records), wanted, given, dict(bounds or {}), separate, band)
-    minimum = _solve(problem, dict(noise or {}))
+    minimum = _solve(problem, noise or {})
     jacobian = problem.central_jacobian(minimum.x)
     labels = [slot.label for slot in problem.slots]
     free = np.flatnonzero(~minimum.at_bound)
@@ -73,12 +76,12 @@ def fit(
         values=minimum.x,
         covariance=white,
         robust=robust,
-        noise=dict(problem.sigma),
+        noise=problem.noise(),
         fixed={name: value for name, value in problem.values(minimum.x, 0).items() if name not in wanted},
         at_bound=tuple(label for label, held in zip(labels, minimum.at_bound, strict=True) if held),
         condition_number=condition.number,
         identification=_comparisons(problem, minimum.x),
-        validation=_validation(structure, problem, minimum.x, _several(validation)),
+        validation=_validation(structure, problem, minimum.x, _several(validation), like),
         iterations=minimum.iterations,
         converged=minimum.converged,
         domain="time domain" if band is None else f"frequency domain, {band[0]:g} to {band[1]:g} Hz",
@@ -89,17 +92,10 @@ def _several(records: Record | Sequence[Record]) -> tuple[Record, ...]:
     return (records,) if isinstance(records, Record) else tuple(records)
 
 
-def _solve(problem: Problem, noise: dict[str, float]) -> Minimum:
-    """Minimise; with several outputs of unknown noise re-weight by the residuals until the weights stand still."""
-    for output, sigma in noise.items():
-        if output not in problem.sigma or not sigma > 0.0:
-            raise IdentificationError(
-                f"noise {sigma} for '{output}' is not a positive number for a measured output",
-                f"structure '{problem.structure.name}'",
-                f"measured outputs: {', '.join(problem.outputs)}",
-            )
-    problem.sigma.update(noise)
-    open_weights = [output for output in problem.outputs if output not in noise]
+def _solve(problem: Problem, noise: Mapping[str, float]) -> Minimum:
+    """Minimise; with several noises unknown re-weight by the residuals until the weights stand still."""
+    fixed = problem.set_noise(noise)
+    open_weights = [block for block in problem.blocks if (block.record, block.output) not in fixed]
     x = problem.x0
     for _ in range(20):
         minimum = minimise(problem.residual, problem.jacobian, x, problem.lower, problem.upper)
@@ -111,24 +107,24 @@ def _solve(problem: Problem, noise: dict[str, float]) -> Minimum:
                 "choose other first guesses, or a smaller step (substeps)",
             )
         change = _reweight(problem, minimum, open_weights)
-        # With one output its weight does not move the minimum; with several, a per cent is far below what their
-        # estimated spread is worth.
-        if change < 0.01 or len(problem.outputs) == 1:
+        # One weight alone does not move the minimum; of several, a per cent is far below what their estimated
+        # spread is worth.
+        if change < 0.01 or len(problem.blocks) == 1:
             break
     return minimum
 
 
-def _reweight(problem: Problem, minimum: Minimum, outputs: Sequence[str]) -> float:
-    """Set each output's sigma to that of its residuals (degrees of freedom shared by rows); the largest change."""
+def _reweight(problem: Problem, minimum: Minimum, blocks: Sequence[Block]) -> float:
+    """Set the sigma of each block to that of its residuals (degrees of freedom shared by rows); the largest change."""
     residual = minimum.residual
     freedom = max(1, residual.size - len(problem.slots)) / residual.size
     change = 0.0
-    for output in outputs:
-        rows = np.concatenate([residual[b.rows] for b in problem.blocks if b.output == output])
+    for block in blocks:
+        rows = residual[block.rows]
         factor = math.sqrt(float(rows @ rows) / (rows.size * freedom))
         # A perfect model of noise-free data leaves rounding errors: a weight far below them would be noise itself.
         factor = max(factor, 1e-9)
-        problem.sigma[output] *= factor
+        problem.sigma[block.record, block.output] *= factor
         change = max(change, abs(factor - 1.0))
     return change
 
@@ -152,13 +148,19 @@ def _comparisons(problem: Problem, x: Array) -> tuple[Comparison, ...]:
     return tuple(found)
 
 
-def _validation(structure: Structure, problem: Problem, x: Array, records: Sequence[Record]) -> tuple[Comparison, ...]:
-    """Simulate records the fit has not seen: shared values as estimated (separate ones as of the first record)."""
+def _validation(
+    structure: Structure, problem: Problem, x: Array, records: Sequence[Record], like: str
+) -> tuple[Comparison, ...]:
+    """Simulate records that the fit has not seen, with the values of record `like`; local unknowns are fitted."""
+    names = [record.name for record in problem.records]
+    if like and like not in names:
+        raise IdentificationError(f"there is no record '{like}'", "validation", f"there are: {', '.join(names)}")
     found: list[Comparison] = []
-    shared = {name: value for name, value in problem.values(x, 0).items() if not structure.unknowns[name].local}
-    local = [slot.unknown.name for slot in problem.slots if slot.unknown.local]
+    unknowns = structure.unknowns
+    values = problem.values(x, names.index(like) if like else len(names) - 1)
+    shared = {name: value for name, value in values.items() if not unknowns[name].local}
+    local = {slot.unknown.name for slot in problem.slots if slot.unknown.local}
     for record in records:
-        own = Problem(structure, [record], sorted(set(local)), shared, {})
-        minimum = _solve(own, {k: v for k, v in problem.sigma.items() if k in own.sigma}) if local else None
-        found.extend(_comparisons(own, own.x0 if minimum is None else minimum.x))
+        own = Problem(structure, [record], local, shared, {})
+        found.extend(_comparisons(own, _solve(own, {}).x if local else own.x0))
     return tuple(found)

@@ -136,7 +136,7 @@ def _problem(
     record = _blank(structure, inputs, dt, tuple(noise))
     wanted = structure.estimate if estimate is None else tuple(estimate)
     problem = Problem(structure, [record], wanted, dict(values or {}), {})
-    problem.sigma.update(noise)
+    problem.set_noise(noise)
     return problem, problem.x0
 
 

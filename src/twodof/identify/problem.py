@@ -41,6 +41,8 @@ class Block(Rows):
 class Problem:
     """Weighted residuals (measured - simulated) / sigma of all outputs of all records as a function of x.
 
+    `sigma` holds the standard deviation of each output of each record, by (index of the record, output): a record flown
+    with the rotors at rest has a tenth of the noise.
     `values` are first guesses or fixed values by unknown, or by "unknown[record]" for one record. `band` (low, high)
     [Hz] keeps only the discrete Fourier coefficients of the residuals inside it, scaled so that white noise of
     standard deviation sigma still gives rows of standard deviation 1.
@@ -82,13 +84,38 @@ class Problem:
         for simulator, fixed in zip(self._simulators, self._fixed, strict=True):
             simulator.run(fixed)
         self.blocks = tuple(self._blocks())
-        self.sigma = {output: self._spread(output) for output in self.outputs}
+        # A first weight: the signal's own standard deviation.
+        self.sigma = {
+            (b.record, b.output): float(self.records[b.record].outputs[b.output].value.std()) or 1.0
+            for b in self.blocks
+        }
 
     @property
     def outputs(self) -> tuple[str, ...]:
         """Outputs that at least one record has measured, in the structure's order."""
         measured = {block.output for block in self.blocks}
         return tuple(name for name in self.structure.outputs if name in measured)
+
+    def set_noise(self, noise: Mapping[str, float]) -> set[tuple[int, str]]:
+        """Fix sigma by output or "output[record]"; returns what was fixed. Raises IdentificationError for others."""
+        fixed = set()
+        for name, sigma in noise.items():
+            keys = [(r, o) for r, o in self.sigma if name in (o, f"{o}[{self.records[r].name}]")]
+            if not keys or not (math.isfinite(sigma) and sigma > 0.0):
+                raise IdentificationError(
+                    f"noise {sigma} for '{name}' is not a positive number for a measured output",
+                    f"structure '{self.structure.name}'",
+                    f"measured outputs: {', '.join(self.outputs)}",
+                )
+            for key in keys:
+                self.sigma[key] = sigma
+            fixed.update(keys)
+        return fixed
+
+    def noise(self) -> dict[str, float]:
+        """sigma by output, or by "output[record]" if there are several records."""
+        several = len(self.records) > 1
+        return {(f"{o}[{self.records[r].name}]" if several else o): s for (r, o), s in self.sigma.items()}
 
     def values(self, x: Array, record: int) -> dict[str, float]:
         """Every parameter's value in one record."""
@@ -142,7 +169,7 @@ class Problem:
         measured = self.records[record].outputs
         return np.concatenate(
             [
-                self._banded(measured[name].value - simulated[name], record) / self.sigma[name]
+                self._banded(measured[name].value - simulated[name], record) / self.sigma[record, name]
                 for name in self._simulators[record].outputs
             ]
         )
@@ -187,11 +214,6 @@ class Problem:
                 start += when.size
         return blocks
 
-    def _spread(self, output: str) -> float:
-        """A first weight: the signal's own standard deviation, over all records."""
-        values = np.concatenate([r.outputs[output].value for r in self.records if output in r.outputs])
-        return float(values.std()) or 1.0
-
     def _check(
         self,
         estimate: Collection[str],
@@ -228,9 +250,9 @@ def _slots(
     unknowns: Mapping[str, Unknown], records: Sequence[Record], estimate: Collection[str], separate: Collection[str]
 ) -> list[Slot]:
     slots = []
-    for name, unknown in unknowns.items():
-        if name not in estimate:
-            continue
+    # In the order asked for; a set has none.
+    for name in dict.fromkeys(estimate if isinstance(estimate, Sequence) else sorted(estimate)):
+        unknown = unknowns[name]
         if not (unknown.local or name in separate):
             slots.append(Slot(unknown, None, name))
         elif len(records) == 1:

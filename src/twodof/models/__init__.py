@@ -10,7 +10,7 @@ from twodof.models.plant import (
     Velocity,
 )
 from twodof.models.structure import Structure, Unknown
-from twodof.models.structures import free_response, longitudinal, pitch_and_velocity, pitch_rate, velocity
+from twodof.models.structures import free_response, longitudinal, pitch_and_velocity, pitch_rate, rail, velocity
 
 __all__ = [
     "PAPER_PITCH_RATE",
@@ -28,6 +28,7 @@ __all__ = [
     "longitudinal",
     "pitch_and_velocity",
     "pitch_rate",
+    "rail",
     "step_figures",
     "velocity",
 ]

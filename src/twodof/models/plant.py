@@ -94,6 +94,27 @@ class Longitudinal:
         )
 
 
+def thrust_curve(mu_idle: float, mu_run: float, moment: float = 0.1, thrust: float = 0.4) -> float:
+    """Quadratic share a of the thrust curve (1 - a) u + a u^2, from two gains of the pitch rate [rad/s^2].
+
+    `mu_idle` is that found with the rotors off by a pulse of `moment`, of which only one pair gives thrust: in
+    proportion to 1 - a + a moment. `mu_run` is that found around the command `thrust`: to 2 (1 - a + 2 a thrust).
+    Raises ParameterError for a gain that is not positive, or gains whose ratio no curve gives.
+    """
+    if not (mu_idle > 0.0 and mu_run > 0.0):
+        raise ParameterError(f"gains {mu_idle} and {mu_run} are not both positive", "thrust_curve")
+    ratio = mu_run / mu_idle
+    below = 2.0 - 4.0 * thrust - ratio * (1.0 - moment)
+    share = (2.0 - ratio) / below if below != 0.0 else math.nan
+    if not 0.0 <= share <= 1.0:
+        raise ParameterError(
+            f"no thrust curve makes {mu_run:g} at T = {thrust:g} of {mu_idle:g} at rest",
+            "thrust_curve",
+            "identify both gains again",
+        )
+    return share
+
+
 PAPER_PITCH_RATE = PitchRate(w_n=3.437, xi=0.0836, mu=358.5, tau=0.020)
 """Paper section 4.1: the simple method's result on the authors' drone."""
 

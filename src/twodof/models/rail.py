@@ -1,86 +1,82 @@
-"""The cart from raw measurements: pitch by integrating the gyro, position as the range sensor sees it.
-
-The on-board estimates of pitch and velocity are filtered with what the flight itself excites (acceleration tilts the
-gravity they lean on), so a model between them takes on the filter's errors. Gyro and range sensor have errors of their
-own, but those are nearly white.
-"""
+"""The cart on its rail as the gyro and the range sensor see it, without any estimate in between."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 from twodof.blocks.block import Block, Clock, Param, Port, State, library_block
-from twodof.blocks.diagram import Diagram
 from twodof.blocks.elementary import sin
-from twodof.blocks.expr import where
-from twodof.models.structure import Structure
+from twodof.blocks.expr import maximum, minimum, where
+from twodof.models.friction import rubbed, sticks
 
 
-@library_block("models.RailFromGyro")
-class RailFromGyro(Block):
-    """theta' = q - q_bias, v' = -k_v sin(theta) - p_v v - coulomb sign(v): paper equation (9) without the small angle,
-    and with dry friction on the bars, which the paper neglects. x' = v, seen `x_age` late: x - x_age v."""
+@library_block("models.Lift")
+class Lift(Block):
+    """Thrust of both rotor pairs, commanded T +- M, over that of level flight at `hover`.
 
-    inputs = (Port("q", unit="rad/s"),)
-    outputs = (Port("x", unit="m"), Port("v", unit="m/s"), Port("theta", unit="rad"))
+    A pair gives (1 - curve) u + curve u^2 for a command u within 0 to 1. A hard pitch manoeuvre lifts more: the square
+    of M adds to both pairs, and a pair at rest cannot give less than nothing.
+    """
+
+    inputs = (Port("M"), Port("T"))
+    outputs = (Port("lift"),)
+    params = (
+        Param("curve", 0.3, low=0.0, high=1.0, text="quadratic share of the thrust curve"),
+        Param("hover", 0.4, low=0.01, high=1.0, text="thrust command at which k_v is stated"),
+    )
+    derived = (Port("per_hover"),)
+
+    def prepare(self, p: Any, t: Clock) -> dict[str, Any]:
+        """One over the thrust at hover."""
+        return {"per_hover": 0.5 / self._pair(p.hover, p)}
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        """The two pairs."""
+        fore, aft = (maximum(0.0, minimum(1.0, command)) for command in (u.T + u.M, u.T - u.M))
+        return (self._pair(fore, p) + self._pair(aft, p)) * p.per_hover
+
+    @staticmethod
+    def _pair(command: Any, p: Any) -> Any:
+        return command * ((1.0 - p.curve) + p.curve * command)
+
+
+@library_block("models.Rail")
+class Rail(Block):
+    """theta' = q, x' = v, v' = -k_v lift sin(theta) - p_v v - dry friction: paper equation (9) without small angles.
+
+    `lift` is the thrust over that at which k_v is stated (a constant 1 where it does not vary).
+
+    The measured q is integrated to theta here, since an on-board estimate of theta errs while the cart accelerates:
+    it takes the accelerometer for the direction of gravity.
+    """
+
+    inputs = (Port("q", unit="rad/s"), Port("lift"))
+    outputs = (Port("theta", unit="rad"), Port("x", unit="m"), Port("v", unit="m/s"))
     states = (
-        State("theta", initial="theta_0", unit="rad", continuous=True),
-        State("x", initial="x_0", unit="m", continuous=True),
-        State("v", initial="v_0", unit="m/s", continuous=True),
+        State("theta", "theta_0", unit="rad", continuous=True),
+        State("x", "x_0", unit="m", continuous=True),
+        State("v", "v_0", unit="m/s", continuous=True),
     )
     params = (
-        Param("k_v", 4.748, unit="m/s2", low=0.0, high=50.0, text="thrust over mass"),
-        Param("p_v", 1.168, unit="1/s", low=-5.0, high=50.0, text="viscous friction over mass"),
-        Param("coulomb", 0.0, unit="m/s2", low=0.0, high=5.0, text="dry friction over mass"),
-        Param("x_age", 0.0, unit="s", low=-0.2, high=0.2, text="age of a range beyond its stamp"),
-        Param("q_bias", 0.0, unit="rad/s", text="bias of the gyro"),
-        Param("theta_0", 0.0, unit="rad", text="pitch at the start"),
+        Param("k_v", 4.748, unit="m/s^2", text="gain from pitch to deceleration"),
+        Param("p_v", 1.168, unit="1/s", text="pole of the linear friction"),
+        Param("coulomb", 0.0, unit="m/s^2", low=0.0, text="dry friction of the rail"),
+        Param("theta_0", 0.0, unit="rad", text="pitch at the start, from where the cart would not accelerate"),
         Param("x_0", 0.0, unit="m", text="position at the start"),
         Param("v_0", 0.0, unit="m/s", text="velocity at the start"),
     )
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
-        """The states, x as the sensor sees it."""
-        return {"x": x.x - p.x_age * x.v, "v": x.v, "theta": x.theta}
+        """The states."""
+        return {"theta": x.theta, "x": x.x, "v": x.v}
 
     def derivative(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
-        """The class's equations."""
-        against = where(x.v > 0.0, p.coulomb, where(x.v < 0.0, -p.coulomb, 0.0))
-        return {
-            "theta": u.q - p.q_bias,
-            "x": x.v,
-            "v": -p.k_v * sin(x.theta) - p.p_v * x.v - against,
-        }
+        """All but the dry friction while it moves; nothing while it sticks."""
+        drive = -p.k_v * u.lift * sin(x.theta) - p.p_v * x.v
+        return {"theta": u.q, "x": x.v, "v": where(sticks(x.v, drive, p.coulomb, p.coulomb), 0.0, drive)}
 
-
-_SCALES: Mapping[str, float] = {
-    "coulomb": 0.05,
-    "q_bias": 0.05,
-    "x_age": 0.02,
-    "theta_0": 0.1,
-    "x_0": 0.1,
-    "v_0": 0.1,
-}
-
-
-def rail_from_gyro() -> Structure:
-    """G_v and G_x, paper equation (9), from the pitch rate q to the position x; also gives v and theta.
-
-    By default k_v, p_v, the range's age and the start are estimated; `coulomb` and `q_bias` can be. Dry and viscous
-    friction have much the same effect in one doublet, and so have the bias and the start: these need a long record.
-    """
-    plant = RailFromGyro()
-    diagram = Diagram("rail_from_gyro", "position from pitch rate")
-    diagram.input("q", unit="rad/s")
-    for param in plant.params:
-        diagram.param(param.name, float(param.value), unit=param.unit, low=param.low, high=param.high, text=param.text)
-    diagram.add("plant", plant, params={param.name: param.name for param in plant.params}, q="q")
-    for port in plant.outputs:
-        diagram.output(port.name, f"plant.{port.name}")
-    return Structure(
-        diagram,
-        ("k_v", "p_v", "x_age", "theta_0", "x_0", "v_0"),
-        local=("q_bias", "theta_0", "x_0", "v_0"),
-        scale=_SCALES,
-    )
+    def project(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
+        """The dry friction's impulse over the step; the position as if it had acted evenly over it."""
+        drive = -p.k_v * u.lift * sin(x.theta) - p.p_v * x.v
+        after = rubbed(x.v, drive, p.coulomb, p.coulomb, t.dt)
+        return {"x": x.x - 0.5 * t.dt * (x.v - after), "v": after}

@@ -4,10 +4,13 @@ three-state model. Each is a diagram like any that a user builds himself.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 from twodof.blocks.block import Block
 from twodof.blocks.diagram import Diagram
+from twodof.blocks.library import Constant
 from twodof.models.held import (
     HeldLinear,
     HeldLongitudinal,
@@ -16,8 +19,10 @@ from twodof.models.held import (
     HeldPitchRateLag,
     HeldVelocity,
 )
+from twodof.models.input_delay import InputDelay
 from twodof.models.offset import Offset
-from twodof.models.pendulum import InputDelay, PitchPendulum
+from twodof.models.pendulum import PitchPendulum
+from twodof.models.rail import Lift, Rail
 from twodof.models.structure import Structure
 
 # A change of the initial state or of an offset that matters, for step sizes and for telling "no effect" from "small".
@@ -31,12 +36,15 @@ _SCALES: Mapping[str, float] = {
     "theta_trim": 0.02,
     "theta_bias": 0.02,
     "q_bias": 0.05,
+    "q_trim": 0.01,
     "x_bias": 0.02,
     "v_bias": 0.02,
     "u_bias": 0.02,
     "a_x_bias": 0.1,
     "tau": 0.004,
     "xi": 0.05,
+    "rotor_delay": 0.004,
+    "curve": 0.1,
     "coulomb": 0.2,
     "asymmetry": 0.1,
     "hardening": 2.0,
@@ -52,8 +60,6 @@ _BOUNDS: Mapping[str, tuple[float, float]] = {
     "p_v": (-5.0, 50.0),
     "coulomb": (0.0, 20.0),
 }
-
-_ANY = (-float("inf"), float("inf"))
 
 
 def pitch_rate(lag: bool = False, ring: int = 64) -> Structure:
@@ -90,6 +96,30 @@ def velocity() -> Structure:
         values={},
         tau_high=62,
     )
+
+
+def rail(thrust: bool = False, ring: int = 64) -> Structure:
+    """G_v without small angles, from the measured q to theta, x and v (see `Rail`): for gyro and raw range.
+
+    `tau` is how old the measured position is when it is stamped, `q_trim` the gyro's bias. With `thrust` the commands
+    M and T are inputs too, `rotor_delay` [s] ahead of the thrust they make (see `Lift`): hard manoeuvres lift more.
+    """
+    diagram = Diagram("rail_thrust" if thrust else "rail", "cart on its rail from the measured pitch rate")
+    diagram.input("q", unit="rad/s")
+    _offer(diagram, "q_trim", 0.0, "rad/s", "bias of the gyro")
+    diagram.add("trim", Offset("rad/s", -1.0), params={"offset": "q_trim"}, u="q")
+    _offer(diagram, "tau", 0.0, "s", "age of the measured position", (0.0, (ring - 2) * 0.004))
+    diagram.add("delay", InputDelay(ring), params={"tau": "tau"}, u="trim")
+    if thrust:
+        diagram.input("M")
+        diagram.input("T")
+        _offer(diagram, "curve", 0.3, "", "quadratic share of the thrust curve", (0.0, 1.0))
+        _offer(diagram, "rotor_delay", 0.02, "s", "from command to thrust", (0.0, (ring - 2) * 0.004))
+        diagram.add("lift", Lift(), params={"curve": "curve"}, M="M", T="T")
+        diagram.add("rotors", InputDelay(ring), params={"tau": "rotor_delay"}, u="lift")
+    else:
+        diagram.add("rotors", Constant(1.0))
+    return _with_outputs(diagram, Rail(), {"q": "delay", "lift": "rotors"}, ("k_v", "p_v", "theta_0", "x_0", "v_0"))
 
 
 def pitch_and_velocity(ring: int = 64) -> Structure:
@@ -153,32 +183,54 @@ def _about_trim(
     diagram = Diagram(name, text)
     unit = plant.inputs[0].unit
     diagram.input(input, unit=unit)
-
-    def offer(own: str, value: float, unit: str, text: str, own_bounds: tuple[float, float] = _ANY) -> str:
-        low, high = _BOUNDS.get(own, own_bounds)
-        # The ring holds this many steps of the control period; at a smaller step `tau` reaches less far.
-        low, high = (0.0, tau_high * 0.004) if own == "tau" else (low, high)
-        return diagram.param(own, values.get(own, value), unit=unit, low=low, high=high, text=text)
-
-    for param in (*plant.params, *(delay.params if delay is not None else ())):
-        if param.name not in exclude:
-            offer(param.name, float(param.value), param.unit, param.text, (param.low, param.high))
-    trim = offer(f"{input}_trim", 0.0, unit, f"constant part of {input} that moves nothing")
+    trim = _offer(diagram, f"{input}_trim", 0.0, unit, f"constant part of {input} that moves nothing")
     source = diagram.add("trim", Offset(unit, -1.0), params={"offset": trim}, u=input)
+    # The ring holds this many steps of the control period; at a smaller step `tau` reaches less far.
+    reach = (0.0, tau_high * 0.004)
+    _offer(diagram, "tau", values.get("tau", 0.0), "s", "delay of the input", reach)
     if delay is not None:
         source = diagram.add("delay", delay, params={"tau": "tau"}, u=source)
+    return _with_outputs(diagram, plant, {plant.inputs[0].name: source}, estimate, values, exclude, substeps)
+
+
+def _with_outputs(
+    diagram: Diagram,
+    plant: Block,
+    sources: Mapping[str, str],
+    estimate: Sequence[str],
+    values: Mapping[str, float] = MappingProxyType({}),
+    exclude: Sequence[str] = (),
+    substeps: int = 1,
+) -> Structure:
+    """Add the plant, a bias behind each of its outputs, and say what is local and on which scale."""
     bound = {param.name: param.name for param in plant.params if param.name not in exclude}
+    for param in plant.params:
+        if param.name in bound and param.name not in diagram.params:
+            guess = values.get(param.name, float(param.value))
+            _offer(diagram, param.name, guess, param.unit, param.text, (param.low, param.high))
     diagram.add("plant", plant, params=bound)
-    diagram.connect(source, f"plant.{plant.inputs[0].name}")
+    for destination, source in sources.items():
+        diagram.connect(source, f"plant.{destination}")
     for port in plant.outputs:
-        bias = offer(f"{port.name}_bias", 0.0, port.unit, f"bias of the measured {port.name}")
+        bias = _offer(diagram, f"{port.name}_bias", 0.0, port.unit, f"bias of the measured {port.name}")
         diagram.add(f"bias_{port.name}", Offset(port.unit), params={"offset": bias}, u=f"plant.{port.name}")
         diagram.output(port.name, f"bias_{port.name}")
-    known = diagram.params
     return Structure(
         diagram,
         tuple(estimate),
-        local=tuple(own for own in known if own.endswith(("_0", "_trim", "_bias"))),
-        scale={own: size for own, size in _SCALES.items() if own in known},
+        local=tuple(own for own in diagram.params if own.endswith(("_0", "_trim", "_bias"))),
+        scale={own: size for own, size in _SCALES.items() if own in diagram.params},
         substeps=substeps,
     )
+
+
+def _offer(
+    diagram: Diagram,
+    name: str,
+    value: float,
+    unit: str,
+    text: str,
+    bounds: tuple[float, float] = (-math.inf, math.inf),
+) -> str:
+    low, high = _BOUNDS.get(name, bounds)
+    return diagram.param(name, value, unit=unit, low=low, high=high, text=text)

@@ -1,0 +1,48 @@
+"""A delay of the input that is no multiple of the sample time, for structures integrated in continuous time."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from twodof.blocks.block import Block, Clock, Param, Port, State, library_block
+from twodof.blocks.expr import int32, maximum, store, to_int32, to_real, where
+
+
+@library_block("models.InputDelay")
+class InputDelay(Block):
+    """Delay of a held input by `tau` seconds, not a multiple of the tick: y(t) = u(t - tau), u = u[0] before the start.
+
+    A continuous block behind it sees the change inside the step (an edge). Unlike the library's fractional delay it
+    starts from the record's own first value, so a trim moment needs no parameter. `tau` is at most `ring - 2` ticks.
+    """
+
+    def __init__(self, ring: int = 64) -> None:
+        self.ring = ring
+        self.inputs = (Port("u"),)
+        self.outputs = (Port("y"),)
+        self.params = (Param("tau", 0.0, unit="s", low=0.0, text="delay of the input"),)
+        self.derived = (Port("whole", "int32"), Port("fraction"))
+        self.states = (State("past", 0.0, width=ring), State("step", 0, kind="int32"))
+
+    def prepare(self, p: Any, t: Clock) -> dict[str, Any]:
+        """The delay in whole ticks and the fraction of one that is left."""
+        # A delay that is a multiple of the tick up to rounding is that multiple.
+        steps = p.tau / t.dt
+        whole = to_int32(steps + 1e-9)
+        return {"whole": whole, "fraction": maximum(steps - to_real(whole), 0.0)}
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        """The input of `whole + 1` ticks ago if the delay ends inside the step."""
+        return self._ago(where(p.fraction > 0.0, p.whole + 1, p.whole), u, x)
+
+    def edges(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, tuple[Any, Any]]:
+        """The younger value arrives after `fraction` of the step."""
+        return {"y": (p.fraction, self._ago(p.whole, u, x))}
+
+    def update(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
+        """Keep the input."""
+        return {"past": store(x.past, x.step % self.ring, u.u), "step": x.step + 1}
+
+    def _ago(self, steps: Any, u: Any, x: Any) -> Any:
+        then = where(x.step < steps, int32(0), x.step - steps)
+        return where((steps == 0) | (x.step == 0), u.u, x.past[then % self.ring])
