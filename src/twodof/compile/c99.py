@@ -30,6 +30,12 @@ GUARDS = """#if defined(__FAST_MATH__)
 #elif defined(__GNUC__)
 #pragma GCC optimize("fp-contract=off")
 #endif
+/* In place, so that the states of an integration stay in registers; but not where size counts. */
+#if defined(__GNUC__) && defined(__OPTIMIZE__) && !defined(__OPTIMIZE_SIZE__)
+#define td_inline static inline __attribute__((always_inline))
+#else
+#define td_inline static inline
+#endif
 """
 
 

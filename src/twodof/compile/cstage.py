@@ -12,6 +12,7 @@ from twodof.compile.flat import Guard, Node, Signal
 from twodof.compile.layout import Member, Struct
 
 ONE_SIXTH = 1 / 6
+LONGEST_INLINE = 300  # lines of a derivative that may appear four times in the machine code
 
 
 class Stage:
@@ -31,6 +32,7 @@ class Stage:
         self._states: dict[tuple[Node, str], Member] = {}
         self._hoisted: dict[tuple[Node, Expr], Member] = {}
         self._tick: Member | None = None
+        self._qualifier = "td_inline"
 
     def derivative(self, writer: Writer) -> None:
         """The function that gives the derivatives of the continuous states."""
@@ -39,10 +41,7 @@ class Stage:
         renderers: dict[Node, Renderer] = {}
         p = self.prefix
         writer.depth = 0
-        writer.line(
-            f"static void {p}_derivative(const {p}_P *restrict p, const {p}_Held *restrict held, "
-            f"const {p}_X *restrict x, {p}_X *restrict slope)"
-        )
+        head = len(writer.lines)
         writer.line("{")
         writer.depth = 1
         for group in self.program.stage:
@@ -76,6 +75,13 @@ class Stage:
         writer.depth = 0
         writer.line("}")
         writer.line("")
+        if len(writer.lines) - head > LONGEST_INLINE:
+            self._qualifier = "static"
+        writer.lines.insert(
+            head,
+            f"{self._qualifier} void {p}_derivative(const {p}_P *restrict p, const {p}_Held *restrict held, "
+            f"const {p}_X *restrict x, {p}_X *restrict slope)",
+        )
 
     def _guarded(self, writer: Writer, guard: Guard) -> _Maybe:
         return _Maybe(writer, "" if guard.always else f"if (held->{self._flag(guard).name})")
@@ -200,7 +206,7 @@ class Stage:
         if self.program.integrator == "rk4":
             writer.line("/* to = from + h * slope */")
             writer.line(
-                f"static inline void {p}_along({p}_X *restrict to, const {p}_X *restrict from, real h, "
+                f"{self._qualifier} void {p}_along({p}_X *restrict to, const {p}_X *restrict from, real h, "
                 f"const {p}_X *restrict slope)"
             )
             with _Braces(writer):
@@ -208,7 +214,7 @@ class Stage:
             writer.line("")
             writer.line(f"/* Runge and Kutta's method of order 4 over h; {len(members)} continuous states. */")
         writer.line(
-            f"static void {p}_integrate(const {p}_P *restrict p, const {p}_Held *restrict held, "
+            f"{self._qualifier} void {p}_integrate(const {p}_P *restrict p, const {p}_Held *restrict held, "
             f"{p}_X *restrict x, real h)"
         )
         with _Braces(writer):

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 
 from twodof.blocks.block import Param, Port, State
 from twodof.blocks.expr import LEAVES, Expr
@@ -10,6 +11,7 @@ from twodof.blocks.graph import leaves
 from twodof.compile.cexpr import ATOM, C_TYPES, Names, Renderer, Text, Writer, constant
 from twodof.compile.flat import Action, Guard, Node, Program, Signal
 from twodof.compile.layout import Layout, Member
+from twodof.compile.lower import inputs_of
 
 
 class Scope:
@@ -94,8 +96,12 @@ class Tick:
         self.names = names
         self.texts: dict[Signal, str] = {}
         self.renderers: dict[Node, Renderer] = {}
+        self.computed: set[Signal | Node] = set()  # signals computed so far, nodes reset so far
+        self.updated: set[Node] = set()
+        self.stored: dict[Node, dict[Expr, str]] = {}  # expressions that stand in S
         self.fractions: dict[Signal, tuple[str, str]] = {}  # edged signal -> names of its fraction and later value
         self._due: dict[tuple[int, int], str] = {}
+        self._tick_signals = {s for g in self.program.tick for a in g.actions for s in a.signals}
 
     def signal(self, signal: Signal) -> str:
         """The C text of a signal's value at the tick."""
@@ -111,15 +117,23 @@ class Tick:
         return prefix + self.layout.states[node, state.name].name
 
     def renderer(self, node: Node) -> Renderer:
-        """A node that always acts has one renderer, so that its temporaries serve the whole function."""
+        """A node has one renderer in each C block, so that its temporaries serve all that is computed there."""
         if node in self.renderers:
             return self.renderers[node]
         states = {s.name: self.state(node, s) for s in node.block.states}
         leaf = self.scope.leaf(node, self.signal, states, "s->tick")
-        made = Renderer(self.writer, self.names, self.scope.precision, leaf, node.path)
-        if node.guard.always:
-            self.renderers[node] = made
+        made = Renderer(self.writer, self.names, self.scope.precision, leaf, node.path, self.stored.get(node))
+        self.renderers[node] = made
         return made
+
+    @contextmanager
+    def _guarded(self, condition: str) -> Iterator[None]:
+        """An `if` block; what is declared in it is forgotten at its end."""
+        outside = self.renderers
+        self.renderers = dict(outside)
+        with self.writer.block(f"if ({condition})"):
+            yield
+        self.renderers = outside
 
     def due(self) -> None:
         """Lines that say which rates are due."""
@@ -148,9 +162,10 @@ class Tick:
                 for action in group.actions:
                     self._action(action)
                 continue
-            with self.writer.block(f"if ({condition})"):
+            with self._guarded(condition):
                 for action in group.actions:
                     self._action(action)
+                self._early_updates(group.guard)
             held = [s for action in group.actions for s in action.signals]
             if group.guard.clears and held:
                 cleared = " && ".join(self.signal(e) for e in group.guard.clears)
@@ -166,23 +181,36 @@ class Tick:
             with write.block(f"if ({' || '.join(self.signal(r) for r in node.resets)})"):
                 for state in node.block.states:
                     self.scope.initial(write, node, state, self.state(node, state))
+            self.computed.add(node)
             return
         renderer = self.renderer(node)
         roots = [node.trace.outputs[s.port] for s in action.signals]
+        together: dict[Signal, Expr] = {}  # outputs that share their temporaries, as none reads another
         for signal, root in zip(action.signals, roots, strict=True):
-            self._output(renderer, signal, root)
+            if signal not in self.layout.stored or together.keys() & inputs_of(node, [root]):
+                self._store(renderer, node, together)
+                together = {}
+            if signal in self.layout.stored:
+                together[signal] = root
+            else:
+                self._output(renderer, signal, root)
+        self._store(renderer, node, together)
         for signal in action.signals:
             if signal in self.fractions:
                 fraction, after = node.trace.edges[signal.port]
                 declare = "const real " if node.guard.always else ""
                 for name, root in zip(self.fractions[signal], (fraction, after), strict=True):
                     write.line(f"{declare}{name} = {renderer.text(root)};")
+        self.computed.update(action.signals)
+
+    def _store(self, renderer: Renderer, node: Node, outputs: Mapping[Signal, Expr]) -> None:
+        renderer.assign([(self.signal(s), root) for s, root in outputs.items()])
+        known = {root: self.signal(s) for s, root in outputs.items() if root.op not in LEAVES}
+        renderer.learn(known)
+        self.stored.setdefault(node, {}).update(known)
 
     def _output(self, renderer: Renderer, signal: Signal, root: Expr) -> None:
         ctype = C_TYPES[signal.kind]
-        if signal in self.layout.stored:
-            renderer.assign([(self.signal(signal), root)])
-            return
         name = self.names.new(signal.path)
         self.texts[signal] = name
         if signal.width is None:
@@ -207,8 +235,8 @@ class Tick:
     def updates(self) -> None:
         """The next discrete states. A block's own are the only ones that its update reads."""
         by_guard: dict[Guard, list[Node]] = {}
-        for node in self.program.nodes:
-            if any(not _keeps(name, e) for name, e in node.trace.update.items()):
+        for node in self._changing():
+            if node not in self.updated:
                 by_guard.setdefault(node.guard, []).append(node)
         for guard in sorted(by_guard, key=lambda g: not g.always):
             condition = self.condition(guard)
@@ -216,9 +244,27 @@ class Tick:
                 for node in by_guard[guard]:
                     self._update(node)
                 continue
-            with self.writer.block(f"if ({condition})"):
+            with self._guarded(condition):
                 for node in by_guard[guard]:
                     self._update(node)
+
+    def _changing(self) -> list[Node]:
+        """The nodes with discrete states that may change."""
+        return [n for n in self.program.nodes if any(not _keeps(k, e) for k, e in n.trace.update.items())]
+
+    def _early_updates(self, guard: Guard) -> None:
+        """The updates, of nodes of `guard`, that need nothing more: here they share the temporaries of the outputs.
+
+        Nobody but a block itself reads its states, and only one with continuous states reads them again in this tick.
+        """
+        for node in self._changing():
+            if node.guard != guard or node.continuous or node in self.updated:
+                continue
+            read = [node.drivers[name] for name in leaves(node.trace.update.values(), "input")]
+            needed = {s for s in [*read, *node.outputs.values()] if s in self._tick_signals}
+            if needed <= self.computed and (not node.resets or node in self.computed):
+                self.updated.add(node)
+                self._update(node)
 
     def _update(self, node: Node) -> None:
         self.writer.line(describe(node))
