@@ -7,7 +7,7 @@ through the mode of the one compiled cascade; the integrals are seeded from the 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,8 +23,9 @@ CHANNELS = ("M", "q0", "theta0", "T")
 
 _SETTLE = 5  # samples left out where a loop starts: on board the reset ends two to four samples beyond the edge
 _FORGET = 45  # samples after which the derivative has forgotten a lost error: .714^45 = 3e-7
-# Samples that seed an integral: one alone would leave the rounding of a logged float32 in it for the whole flight.
-_SEED = 8
+# Samples that seed a loop: one alone would leave the rounding of a logged float32 in its integral for the whole flight.
+# With two unknowns, integral and derivative, twelve tell the integral as well as six tell it alone.
+_SEED = 12
 _LONE_RESET = 5  # length of a reset that does not end the stretch
 _FLOAT32 = float(np.finfo(np.float32).eps)
 
@@ -61,29 +62,28 @@ def replay(log: FlightLog, gains: Gains = DEFAULT, precision: str = "float64") -
     Where no compiler is found the reference runs instead, with a warning that says so. Raises LogError if the log lacks
     a channel, DiagramError for an unknown precision.
 
-    Left out are five samples where a loop starts, samples whose input is missing from the log, for M also the 45 that
-    the derivative needs to forget the missing error, and the eight from which an integral is seeded after each of
-    these. The reset of the integrals is not logged; it shows where M is what the law gives with the integral in reset.
+    Left out are five samples where a loop starts, samples whose input is missing from the log, and the twelve after
+    each of these from which the loop is seeded: its integral, and for M the derivative's memory of the missing error.
+    The reset of the integrals is not logged; it shows where M is what the law gives with the integral in reset. Where
+    a missing sample hides whether there was one, nothing is compared.
     """
     paired = pair(log)
     program = build(cascade(gains), dt=PERIOD, precision=precision, log=tuple(_TERMS))
     stage = _Stages(program, paired)
     replayed: dict[str, Floats] = {}
     compared: dict[str, Flags] = {}
-    in_reset = stage.find_reset()
-    lost = {name: paired.lost[name] for name in paired.lost}
+    in_reset, doubt = stage.find_reset()
+    lost = paired.lost
     if paired.active["M"].any():
-        plan = _Plan(paired.active["M"], lost["M"] | lost["q"] | lost["q0"], _FORGET)
-        reset = in_reset | ~paired.active["M"]
-        replayed["M"] = stage.run(RATE, plan, reset, "rate", stage.moment_missing)["M"]
+        plan = _Plan(paired.active["M"], lost["M"] | lost["q"] | lost["q0"] | doubt, in_reset)
+        replayed["M"] = stage.run(RATE, in_reset | ~paired.active["M"], plan, stage.seed_rate)["M"]
         compared["M"] = plan.compared
     if paired.active["q0"].any():
-        replayed["q0"] = stage.run(ATTITUDE, None, in_reset, "", None)["q0"]
+        replayed["q0"] = stage.run(ATTITUDE, in_reset)["q0"]
         compared["q0"] = paired.active["q0"] & ~(lost["q0"] | lost["theta0"] | lost["theta"])
     if paired.active["theta0"].any():
-        plan = _Plan(paired.active["theta0"], lost["M"] | lost["theta0"] | lost["v0"] | lost["v"], 0)
-        reset = in_reset | ~paired.active["theta0"]
-        out = stage.run(VELOCITY, plan, reset, "velocity", stage.force_missing)
+        plan = _Plan(paired.active["theta0"], lost["M"] | lost["theta0"] | lost["v0"] | lost["v"] | doubt, in_reset)
+        out = stage.run(VELOCITY, in_reset | ~paired.active["theta0"], plan, stage.seed_velocity)
         replayed |= {"theta0": out["theta0"], "T": out["T"]}
         compared |= {"theta0": plan.compared, "T": plan.compared & ~lost["T"]}
     return _result(paired, precision, replayed, compared)
@@ -112,19 +112,22 @@ _TERMS = (
 
 
 class _Plan:
-    """Where an integral is seeded and what may be compared: `seeds` (first samples) and `compared` (n,)."""
+    """Where a loop is seeded and what may be compared: `seeds` (first samples) and `compared` (n,)."""
 
-    def __init__(self, active: Flags, lost: Flags, forget: int) -> None:
+    def __init__(self, active: Flags, lost: Flags, in_reset: Flags) -> None:
         self.seeds: list[int] = []
         self.compared = np.zeros(len(active), dtype=np.bool_)
+        onsets = np.flatnonzero(np.diff(in_reset.astype(np.int8)) == 1) + 1
         for first, end in runs(active):
             start = first + _SETTLE
             losses = [int(k) for k in np.flatnonzero(lost[first:end]) + first] + [end]
             for loss in losses:
+                # What an integral lacks before a reset says nothing of it afterwards.
+                start = max([start, *(int(k) for k in onsets if start < k < start + _SEED)])
                 if loss - start > _SEED:
                     self.seeds.append(start)
                     self.compared[start + _SEED : loss] = True
-                start = max(start, loss + 1 + forget)
+                start = max(start, loss + 1)
 
 
 class _Stages:
@@ -137,8 +140,8 @@ class _Stages:
         value = paired.value
         self.inputs = {name: value[name] for name in ("q0", "theta0", "v0", "q", "theta", "v")}
 
-    def find_reset(self) -> Flags:
-        """Where the integrals were held in reset while the drone was armed, (n,).
+    def find_reset(self) -> tuple[Flags, Flags]:
+        """Where the integrals were held in reset while the drone was armed, (n,), and where that cannot be known.
 
         There M is P + D + Ki Ts e, to the rounding of a logged float32: at the end of a stretch, or for five samples.
         """
@@ -151,33 +154,66 @@ class _Stages:
             for a, b in runs(fits[first:end]):
                 if b - a >= _LONE_RESET or (b == end - first and b - a >= 2):
                     found[first + a : first + b] = True
-        return found
+        return self._with_doubt(found, fits)
 
-    def run(self, mode: int, plan: _Plan | None, in_reset: Flags, loop: str, missing: Any) -> dict[str, Floats]:
-        """The cascade's outputs (n,) in `mode`; at each seed of the plan `loop`'s integral gets what is `missing`."""
+    def _with_doubt(self, found: Flags, fits: Flags) -> tuple[Flags, Flags]:
+        """The reset found, and where it cannot be known: beside it, or at the end of a stretch, after a missing sample.
+
+        Until the derivative has forgotten a missing error, M does not tell the reset. It lasted if it is there before
+        and afterwards.
+        """
+        lost = self.paired.lost["M"] | self.paired.lost["q"] | self.paired.lost["q0"]
+        unknown = np.convolve(lost, np.ones(_FORGET + 1))[: self.n] > 0.5
+        in_reset, doubt = found.copy(), np.zeros(self.n, dtype=np.bool_)
+        for first, end in runs(self.paired.active["M"]):
+            for a, b in runs(unknown[first:end] & ~found[first:end]):
+                before = a > 0 and bool(found[first + a - 1])
+                after = b < end - first and bool(found[first + b])
+                if before and after:
+                    in_reset[first + a : first + b] = True
+                elif before or after or b == end - first:
+                    while a > 0 and fits[first + a - 1] and not found[first + a - 1]:
+                        a -= 1  # too short to be called a reset, but it may have begun here
+                    doubt[first + a : first + b] = True
+        return in_reset, doubt
+
+    def run(
+        self,
+        mode: int,
+        in_reset: Flags,
+        plan: _Plan | None = None,
+        seed: Callable[[Any, Mapping[str, Any], int, int], None] | None = None,
+    ) -> dict[str, Floats]:
+        """The cascade's outputs (n,) in `mode`; `seed` sets the machine right after each of the plan's seeds."""
         machine = self.program.machine()
         inputs = self.inputs | {"in_reset": in_reset}
-        cuts = [0, *sorted({c for s in (plan.seeds if plan else []) for c in (s, s + _SEED)}), self.n]
+        seeds = plan.seeds if plan else []
+        cuts = sorted({0, self.n, *seeds, *(s + _SEED for s in seeds)})
         pieces = []
         for a, b in itertools.pairwise(cuts):
-            if b == a:
-                continue
             out = machine.run(b - a, {name: column[a:b] for name, column in inputs.items()} | {"mode": mode})
             pieces.append(out)
-            if plan and a in plan.seeds:
-                _add_to_integral(machine, loop, float(np.mean(missing(out, a, b))))
+            if seed and a in seeds:
+                seed(machine, out, a, b)
         return {name: np.concatenate([np.asarray(p[name], dtype=np.float64) for p in pieces]) for name in pieces[0]}
 
-    def moment_missing(self, out: Mapping[str, Any], a: int, b: int) -> Floats:
-        """What M lacks in the samples a to b."""
-        return self.paired.value["M"][a:b] - np.asarray(out["M"], dtype=np.float64)
+    def seed_rate(self, machine: Any, out: Mapping[str, Any], a: int, b: int) -> None:
+        """Gives integral and derivative what M lacks in the samples a to b: a constant, and one that decays."""
+        missing = self.paired.value["M"][a:b] - np.asarray(out["M"], dtype=np.float64)
+        lag = 1.0 / machine.get("rate.N")
+        decay = (lag / (lag + PERIOD)) ** np.arange(b - a)
+        (lasting, decaying), *_ = np.linalg.lstsq(np.column_stack([np.ones(b - a), decay]), missing)
+        _add_to_integral(machine, "rate", float(lasting))
+        kd = machine.get("rate.kd")
+        if kd > 0.0:
+            machine.set_state("rate.slope", machine.state("rate.slope") + float(decaying * decay[-1] / kd))
 
-    def force_missing(self, out: Mapping[str, Any], a: int, b: int) -> Floats:
-        """What the velocity loop's force lacks in the samples a to b, from the projection turned around."""
-        machine = self.program.machine()
+    def seed_velocity(self, machine: Any, out: Mapping[str, Any], a: int, b: int) -> None:
+        """Gives the integral what the force lacks in the samples a to b; the logged force is the projection undone."""
         full = machine.get("projection.T_bar") * machine.get("projection.eta_T")
-        logged: Floats = -np.tan(self.paired.value["theta0"][a:b]) * full
-        return logged - np.asarray(out["velocity.force"], dtype=np.float64)
+        logged = -np.tan(self.paired.value["theta0"][a:b]) * full
+        missing = logged - np.asarray(out["velocity.force"], dtype=np.float64)
+        _add_to_integral(machine, "velocity", float(np.mean(missing)))
 
 
 def _add_to_integral(machine: Any, loop: str, offset: float) -> None:
