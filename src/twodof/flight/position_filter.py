@@ -38,7 +38,7 @@ class FixedGainPosition(Block):
     corrections do not make it jump (the logged x has no steps, and the logged v is not its derivative). The first
     sample sets x, with v = 0. The age of a sample is not used, as the drone does not use it. Defaults: on each of the
     drone's logs x is within 5 mm and v within 20 mm/s RMS of its own estimate. An error b of the acceleration gives v
-    the lasting error b k_x / k_v, which is the velocity bias that the logs show.
+    the lasting error b k_x / k_v, which is the velocity bias that the logs show; `bias` gives it to a simulated flight.
     """
 
     inputs = _INPUTS
@@ -53,7 +53,7 @@ class FixedGainPosition(Block):
     params = (
         Param("k_x", 0.16, low=0.0, high=1.0, text="share of the innovation that corrects x"),
         Param("k_v", 0.56, unit="1/s", low=0.0, high=20.0, text="correction of v for an innovation of 1 m"),
-        Param("bias", 0.0, unit="m/s2", low=-5.0, high=5.0, text="added to the acceleration, to replay a flight's own"),
+        Param("bias", 0.0, unit="m/s2", low=-5.0, high=5.0, text="added to the acceleration; 0 on board"),
         Param("lag", 0.10, unit="s", low=0.0, high=10.0, text="time in which the output's x follows the filter's"),
     )
 

@@ -135,7 +135,7 @@ class RangeSensor(Block):
     """Time-of-flight range with its own clock: a 32-bit phase accumulator that turns `tof_rate` times a second.
 
     `dist` holds the last sample, `dist_new` is true in the one tick that hands it over, `dist_age` is how old the
-    measured x is in that tick. Before the first sample `dist` is the range at the start.
+    stamp says that it is (the measured x is older). Before the first sample `dist` is the range at the start.
     """
 
     crossing = True
@@ -144,6 +144,7 @@ class RangeSensor(Block):
     params = (
         Param("tof_rate", 18.35, unit="Hz", low=0.1, high=100.0),
         Param("tof_age", 0.03, unit="s", low=0.0, high=0.12, text="age of the measured x when handed over"),
+        Param("tof_stamp", 0.0, unit="s", low=0.0, high=0.12, text="age that its stamp admits to"),
         Param("tof_noise", 0.004, unit="m", low=0.0, high=1.0, text="standard deviation"),
         Param("tof_bias", 0.0, unit="m", low=-1.0, high=1.0),
         Param("tof_step", 0.001, unit="m", low=0.0, high=0.1, text="quantisation"),
@@ -189,7 +190,7 @@ class RangeSensor(Block):
         older = self._past(p.whole + 1, u, x, p)
         measured = younger + p.fraction * (older - younger)
         fresh = measured + (RAIL_CENTRE + p.tof_bias) + (p.noise * p.tof_noise) * u.n
-        return {"dist": where(new, rounded(fresh, p.grain), x.dist), "dist_new": new, "dist_age": p.tof_age}
+        return {"dist": where(new, rounded(fresh, p.grain), x.dist), "dist_new": new, "dist_age": p.tof_stamp}
 
     def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         return {

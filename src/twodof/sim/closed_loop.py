@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_discrete_are
 
 from twodof.blocks import Diagram
 from twodof.blocks.library.delays import ZeroOrderHold
@@ -18,7 +19,6 @@ from twodof.errors import ExperimentError
 from twodof.flight.core import INPUTS, OUTPUTS, core
 from twodof.flight.gains import DEFAULT, Gains
 from twodof.parameters import ParameterSet
-from twodof.rig.dynamics import GRAVITY
 from twodof.rig.parameters import lab
 from twodof.rig.rig import BASE_DT, MEASUREMENTS, SAMPLE, TRUTH, rig
 from twodof.rig.rotors import HOVER, RING
@@ -31,10 +31,22 @@ TICKS = SAMPLE[0]
 SETPOINTS = tuple(name for name, _, _, _ in INPUTS if name not in MEASUREMENTS)
 """Inputs of the closed loop: mode, set-points and the like, of the flight code."""
 
+FILTERS: Mapping[str, tuple[str, str]] = MappingProxyType(
+    {
+        "joint": ("flight.estimator.filter", "flight.estimator.filter"),
+        "fixed-gain": ("flight.estimator.pitch", "flight.estimator.position"),
+        "kalman": ("flight.estimator.pitch", "flight.estimator.position"),
+    }
+)
+"""Paths of the blocks that estimate pitch and position, by the position filter's name."""
+
+_SETTLE_TICKS = 100_000  # the gyro's bias settles within some tens of seconds
+_SETTLE_TICKS_INTERPRETED = 2_000
+_COVARIANCE = re.compile(r"\.(P_\w+|\w*variance)$").search
 _ARMED = 1000  # more than any count of samples that the flight code waits for after arming
 
 
-def closed_loop(gains: Gains = DEFAULT, position_filter: str = "fixed-gain") -> Diagram:
+def closed_loop(gains: Gains = DEFAULT, position_filter: str = "joint") -> Diagram:
     """The rig flown by the flight code, for a base tick of 1 ms.
 
     Inputs: those of the flight code that are not measured (`SETPOINTS`). Outputs: those of the flight code; the
@@ -89,7 +101,8 @@ class ClosedLoop:
     """A compiled closed loop with one rig and one set of gains, to be flown again and again.
 
     `rig` is a set from `twodof.rig.parameters` (None: `lab`), `conditions` are further parameters of the rig (`noise`,
-    `seed`, `rings`, `trim`, ...). Without a C compiler it runs on the reference interpreter, with its warning.
+    `seed`, `rings`, `trim`, ...), `tuning` those of the flight code besides the gains, by path. Without a C compiler it
+    runs on the reference interpreter, with its warning.
     """
 
     def __init__(
@@ -97,17 +110,22 @@ class ClosedLoop:
         gains: Gains = DEFAULT,
         rig: ParameterSet | None = None,
         conditions: Mapping[str, Any] | None = None,
-        position_filter: str = "fixed-gain",
+        position_filter: str = "joint",
+        tuning: Mapping[str, Any] | None = None,
         log: tuple[str, ...] = (),
     ) -> None:
         # Gains are parameters: one program, compiled once, flies them all.
-        self.program: Program | Reference = build(closed_loop(position_filter=position_filter), BASE_DT, log=log)
+        diagram = closed_loop(position_filter=position_filter)
+        self.program: Program | Reference = build(diagram, BASE_DT, log=log)
         self.machine = self.program.machine()
         self.tune(gains)
-        self.position_filter = position_filter
+        self.machine.set_many({f"flight.{path}": value for path, value in (tuning or {}).items()})
+        self.filters = FILTERS[position_filter]
+        self.states = frozenset(_state_paths(diagram))
         self.rig = dict((lab() if rig is None else rig).snapshot())
         self.conditions = dict(conditions or {})
         self.configure(self.rig | self.conditions)
+        self._settled = self._settle()
 
     def configure(self, values: Mapping[str, Any]) -> None:
         """Sets parameters of the rig by name. Raises ParameterError for an unknown or impossible one."""
@@ -133,36 +151,33 @@ class ClosedLoop:
         self.machine.reset()
         self._spin(at.commands or (((0.0, HOVER),) if at.hover else ()))
         estimate = {"theta": at.theta, "x": at.x, "v": at.v} | dict(at.estimates)
+        pitch, position = self.filters
         states: dict[str, Any] = {
+            **self._settled,
             "flight.previous.theta": estimate["theta"],
-            "flight.estimator.pitch.theta": estimate["theta"],
-            "flight.estimator.pitch.started": True,
-            "flight.estimator.position.x": estimate["x"],
-            "flight.estimator.position.v": estimate["v"],
-            "flight.estimator.position.started": True,
+            f"{pitch}.theta": estimate["theta"],
+            f"{pitch}.started": True,
+            f"{position}.x": estimate["x"],
+            f"{position}.v": estimate["v"],
+            f"{position}.started": True,
             "flight.estimator.publisher.x": estimate["x"],
             "flight.estimator.publisher.v": estimate["v"],
             "rig.battery.load": float(running),
         }
-        if self.position_filter == "fixed-gain":
-            states["flight.estimator.position.x_filter"] = estimate["x"]
-        states |= {f"flight.estimator.pitch.{name}": value for name, value in self._settled_pitch().items()}
+        if f"{position}.x_filter" in self.states:
+            states[f"{position}.x_filter"] = estimate["x"]
         if running:
             states["flight.arming.count"] = _ARMED
         for path, value in (states | dict(at.states)).items():
             self.machine.set_state(path, value)
 
-    def _settled_pitch(self) -> dict[str, float]:
-        """The covariance to which the pitch filter settles: a flight does not start with an uncertain pitch."""
-        sigma = {n: float(self.machine.get(f"flight.estimator.pitch.sigma_{n}")) for n in ("gyro", "walk", "acc")}
-        dt = TICKS * BASE_DT
-        predict = np.array([[1.0, -dt], [0.0, 1.0]])
-        noise = np.diag([sigma["gyro"] ** 2 * dt, sigma["walk"] ** 2 * dt])
-        measure = np.array([[-GRAVITY, 0.0]])
-        prior = solve_discrete_are(predict.T, measure.T, noise, np.array([[sigma["acc"] ** 2]]))
-        gain = prior @ measure.T / (measure @ prior @ measure.T + sigma["acc"] ** 2)
-        after = prior - gain @ measure @ prior
-        return {"variance": after[0, 0], "covariance": after[0, 1], "bias_variance": after[1, 1]}
+    def _settle(self) -> dict[str, Any]:
+        """The covariances to which the estimator settles at rest: a flight does not start with a doubtful pitch."""
+        paths = [path for path in sorted(self.states) if path.startswith("flight.estimator.") and _COVARIANCE(path)]
+        self.machine.reset()
+        compiled = isinstance(self.program, Program)
+        self.machine.run(_SETTLE_TICKS if compiled else _SETTLE_TICKS_INTERPRETED)
+        return {path: self.machine.state(path) for path in paths}
 
     def _spin(self, commands: tuple[tuple[float, float], ...]) -> None:
         """Fills the delay lines with what was commanded and runs the rotors' lag over it."""
@@ -201,6 +216,15 @@ class ClosedLoop:
             inputs[name] = np.repeat(array, TICKS) if array.ndim else array[()].item()
         out = self.machine.run(steps * TICKS, inputs)
         return {name: np.asarray(values[::TICKS]) for name, values in out.items()}
+
+
+def _state_paths(diagram: Diagram, prefix: str = "") -> Iterator[str]:
+    """The paths of all states of a diagram."""
+    for name, part in diagram.parts.items():
+        if isinstance(part.item, Diagram):
+            yield from _state_paths(part.item, f"{prefix}{name}.")
+        else:
+            yield from (f"{prefix}{name}.{state.name}" for state in part.item.states)
 
 
 def range_at(x: float) -> float:

@@ -14,19 +14,16 @@ from twodof.flightlog.log import FlightLog
 from twodof.parameters import ParameterSet
 from twodof.rig.parameters import lab
 from twodof.rig.predict import trim_moment
-from twodof.sim.closed_loop import ClosedLoop, Start
+from twodof.sim.closed_loop import FILTERS, ClosedLoop, Start
 from twodof.sim.flown import Flown, flown
 
 CHANNELS = ("theta", "q", "x", "v")
 """Logged estimates that are compared."""
 
-# The position filter's outputs at each step; the published ones are held at 100 Hz.
-_SIMULATED = {
-    "theta": "theta",
-    "q": "q",
-    "x": "flight.estimator.position.x",
-    "v": "flight.estimator.position.v",
-}
+_SIGMA_ACC = 20.0
+"""Acceleration noise of the simulated pitch filter [m/s2]: the drone's pitch hardly follows its accelerometer."""
+
+_FILTER = FILTERS["fixed-gain"][1]
 
 
 @dataclass(frozen=True)
@@ -59,8 +56,19 @@ def fit_percent(logged: NDArray[np.float64], simulated: NDArray[np.float64]) -> 
 
 
 def like_loop() -> ClosedLoop:
-    """The compiled loop that `LoggedFlight.simulate` needs; one serves any number of flights, rigs and gains."""
-    return ClosedLoop(conditions={"noise": 0.0}, log=(_SIMULATED["x"], _SIMULATED["v"]))
+    """The compiled loop that `LoggedFlight.simulate` needs; one serves any number of flights, rigs and gains.
+
+    Its position filter is the fixed-gain one, which has the drone's own faults; its pitch hardly follows the
+    accelerometer, as the drone's own does.
+    """
+    # The filter's outputs at each step; the published ones are held at 100 Hz.
+    log = (f"{_FILTER}.x", f"{_FILTER}.v")
+    return ClosedLoop(
+        conditions={"noise": 0.0},
+        position_filter="fixed-gain",
+        tuning={"estimator.pitch.sigma_acc": _SIGMA_ACC},
+        log=log,
+    )
 
 
 class LoggedFlight:
@@ -83,9 +91,9 @@ class LoggedFlight:
         flight = self.flown
         loop.tune(self.gains)
         loop.configure({**rig, **self._conditions(rig)})
-        k_x, k_v = (float(loop.machine.get(f"flight.estimator.position.{n}")) for n in ("k_x", "k_v"))
+        k_x, k_v = (float(loop.machine.get(f"{_FILTER}.{n}")) for n in ("k_x", "k_v"))
         # An acceleration error b gives v the lasting error b k_x / k_v.
-        loop.machine.set("flight.estimator.position.bias", flight.velocity_bias * k_v / k_x)
+        loop.machine.set(f"{_FILTER}.bias", flight.velocity_bias * k_v / k_x)
         wake = 1.0 - float(np.exp(-flight.spun_up / rig["wake_lag"]))
         start = flight.start
         loop.start(
@@ -104,7 +112,8 @@ class LoggedFlight:
             )
         )
         out = loop.fly(len(flight.time), {"mode": flight.mode, **flight.setpoint})
-        return {name: np.interp(self.time[name], flight.time, out[_SIMULATED[name]]) for name in CHANNELS}
+        steps = {"theta": out["theta"], "q": out["q"], "x": out[f"{_FILTER}.x"], "v": out[f"{_FILTER}.v"]}
+        return {name: np.interp(self.time[name], flight.time, steps[name]) for name in CHANNELS}
 
     def _conditions(self, rig: Mapping[str, float]) -> dict[str, Any]:
         flight = self.flown
