@@ -5,7 +5,7 @@ import math
 import pytest
 
 from twodof.report.content import Uncertain
-from twodof.report.numbers import deviation, plain, with_sigma
+from twodof.report.numbers import deviation, plain, power_of_ten, with_sigma
 
 
 @pytest.mark.parametrize(
@@ -35,3 +35,10 @@ def test_plain_numbers_have_four_significant_digits(value: float, text: str) -> 
 def test_deviation_is_in_percent_and_in_standard_deviations() -> None:
     assert deviation(Uncertain(102.0, 4.0), 100.0) == "+2.0 %, 0.5 σ"
     assert deviation(Uncertain(98.0), 100.0) == "−2.0 %"
+    assert deviation(Uncertain(102.0, 4.0), 100.0, in_sigmas=False) == "+2.0 %"
+
+
+def test_small_numbers_have_a_power_of_ten() -> None:
+    assert power_of_ten(4.94e-8) == "4.9·10⁻⁸"
+    assert power_of_ten(-2.5e3) == "−2.5·10³"
+    assert power_of_ten(0.0) == "0"

@@ -91,7 +91,7 @@ def twodof(version: bool = typer.Option(False, "--version", callback=_version, i
     """An open control laboratory around the 2DoF Drone."""
 
 
-def _note(message: Warning | str, *_: object) -> None:
+def _note(message: Warning | str, *_: Any, **__: Any) -> None:
     sys.stderr.write(f"note: {message}\n")
 
 

@@ -38,6 +38,7 @@ def demo(
     could not be identified, or a flight was not good.
     """
     began = time.monotonic()
+    _make_folder(out)
     with progress() as report:
         begun = 0
 
@@ -52,7 +53,9 @@ def demo(
         tables = comparisons(logs, step)
         step("write the report")
         machines = [*rigs, *([drone] if drone is not None else [])]
-        _write(out, to_html(content(machines, _provenance(list(logs)), tables)))
+        page = to_html(content(machines, _provenance(list(logs)), tables))
+        with atomic_write(out, "w") as file:
+            file.write(page)
     seconds = time.monotonic() - began
     if json:
         print_json(
@@ -77,15 +80,14 @@ def _provenance(logs: list[str]) -> dict[str, str]:
     }
 
 
-def _write(path: Path, text: str) -> None:
+def _make_folder(path: Path) -> None:
+    """Before anything is flown: half a minute later is too late to learn that there is no place for the report."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as refusal:
         raise LogError(
             f"the folder cannot be made: {refusal.strerror}", str(path.parent), "name another place with --out"
         ) from refusal
-    with atomic_write(path, "w") as file:
-        file.write(text)
 
 
 def _complete(machine: Machine) -> bool:

@@ -16,8 +16,8 @@ from twodof.flightlog.files import read_log
 from twodof.identify.estimate import Estimate
 from twodof.identify.greybox import fit
 from twodof.identify.record import Record
-from twodof.identify.simple_pitch import identify_pitch
-from twodof.identify.simple_velocity import identify_velocity
+from twodof.identify.simple_pitch import SimplePitch, identify_pitch
+from twodof.identify.simple_velocity import SimpleVelocity, identify_velocity
 from twodof.models.plant import PAPER_PITCH_RATE
 from twodof.models.structure import Structure
 from twodof.models.structures import free_response, pitch_rate, rail, velocity
@@ -88,7 +88,9 @@ def identify(
         table_console().print(text, markup=False)
 
 
-def _by_hand(experiment: Experiment, record: Record, others: Sequence[Record], impulse: Path | None) -> object:
+def _by_hand(
+    experiment: Experiment, record: Record, others: Sequence[Record], impulse: Path | None
+) -> SimplePitch | SimpleVelocity:
     if experiment is Experiment.velocity:
         return identify_velocity([record, *others])
     if experiment is Experiment.impulse:

@@ -104,7 +104,7 @@ def characterise(flights: Flights, dry_friction: bool) -> Characterisation:
         # One doublet tells p_v to a tenth: several identify, if one is left to validate.
         first = min(_TRAVELS, max(1, len(seen) - 1))
         travel = attempt(lambda: fit(rail(), seen[:first], estimate=TRAVEL, validation=seen[first : first + 2]))
-    greybox = {}
+    greybox: dict[str, Uncertain] = {}
     for estimate, keys in ((poles, ("w_n", "xi")), (forced, ("mu", "tau")), (travel, ("k_v", "p_v"))):
         if estimate is not None:
             greybox |= {key: Uncertain(estimate[key], estimate.sigma(key)) for key in keys}

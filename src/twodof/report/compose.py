@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from html import escape
 
@@ -32,6 +32,8 @@ _DRY = (
     ParameterRow("coulomb", "f<sub>c</sub>", "dry friction over inertia", "rad/s²"),
     ParameterRow("hardening", "k<sub>3</sub>", "hardening of the spring", "1/s²"),
 )
+# From here on two errors go together, or one is large, to a degree that a reader should know.
+_CORRELATED, _ROUGH = 0.8, 0.1
 # A table in milliseconds reads better than one in hundredths of a second.
 _SHOWN_TIMES: Mapping[str, float] = {"tau": 1e3}
 
@@ -86,7 +88,7 @@ def _checks(found: Characterisation) -> list[Check]:
         for name, unit, estimate in (
             ("free response", "rad/s", found.dry or found.free),
             ("doublet", "rad/s", found.forced),
-            ("velocity", "m/s", found.travel),
+            ("velocity", "m", found.travel),
         )
         if estimate is not None
     ]
@@ -98,21 +100,55 @@ def _note(estimate: Estimate) -> str:
     shared = [label for label in estimate.labels if label not in estimate.local]
     wider = max(estimate.sigma(label) / estimate.cramer_rao(label) for label in shared)
     return (
-        "The residuals are coloured, so the standard deviations given are the robust ones, up to "
-        f"{wider:.1f} times those that white noise would allow."
+        "The residuals are coloured, so the standard deviations given are the robust ones, at most "
+        f"{wider:.1f} times those that white noise would leave."
     )
 
 
 def _doubts(found: Characterisation) -> list[str]:
     said = [escape(text) for text in found.refusals]
+    if found.forced is not None:
+        said.append(
+            "Doublet: the poles. It is over before they show, so ω<sub>n</sub> and ξ are those of the free response, "
+            "flown without thrust; friction falls when the rotors run, and the doublet cannot say by how much."
+        )
+    if found.travel is not None:
+        said.append(
+            "Velocity: dry friction on the bars. In one doublet it acts much as viscous friction does, so only "
+            "p<sub>v</sub> is estimated and takes on both."
+        )
     for name, estimate in (
         ("Free response", found.dry or found.free),
         ("Doublet", found.forced),
         ("Velocity", found.travel),
     ):
         if estimate is not None:
-            said.extend(f"{name}: {escape(remark)}." for remark in estimate.remarks)
-    return list(dict.fromkeys(said))
+            said.extend(f"{name}: {text}" for text in _unsure(estimate))
+    return said
+
+
+def _unsure(estimate: Estimate) -> Iterator[str]:
+    """The pair that is hardest to tell apart, what is known only roughly, and the fit's own remarks.
+
+    Those on residuals are left to the section about residuals.
+    """
+    own = [i for i, label in enumerate(estimate.labels) if label not in estimate.local and estimate.sigma(label) > 0.0]
+    pairs = [(abs(estimate.correlation[i, j]), i, j) for i in own for j in own if i < j]
+    strongest, i, j = max(pairs, default=(0.0, 0, 0))
+    if strongest > _CORRELATED:
+        sense = "more" if estimate.correlation[i, j] > 0.0 else "less"
+        yield (
+            f"{estimate.labels[i]} and {estimate.labels[j]} are told apart badly: their errors correlate by "
+            f"{estimate.correlation[i, j]:.2f}, so more of one with {sense} of the other fits almost as well."
+        )
+    for k in own:
+        label = estimate.labels[k]
+        share = estimate.sigma(label) / abs(estimate.values[k])
+        if share > _ROUGH:
+            yield f"{label} is known to {100.0 * share:.0f} % only."
+    for remark in estimate.remarks:
+        if "residual" not in remark and "told apart" not in remark:
+            yield f"{escape(remark)}."
 
 
 def content(machines: Sequence[Machine], provenance: Mapping[str, str], tables: Sequence[Table] = ()) -> Content:

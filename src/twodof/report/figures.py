@@ -224,7 +224,8 @@ def _svg(canvas: Canvas, title: str) -> str:
     """The canvas as an SVG element for inline use: same bytes for the same data, colours by CSS variable."""
     with matplotlib.rc_context({"svg.hashsalt": title}):
         out = io.StringIO()
-        FigureCanvasSVG(canvas).print_svg(out, metadata={"Date": None, "Creator": None})
+        FigureCanvasSVG(canvas)
+        canvas.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
     text = out.getvalue()
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)

@@ -28,9 +28,20 @@ def with_sigma(estimate: Uncertain) -> str:
     return f"{value} ± {estimate.sigma:.{decimals}f}"
 
 
-def deviation(estimate: Uncertain, truth: float) -> str:
-    """How far an estimate is from the truth, in percent and in standard deviations."""
+def deviation(estimate: Uncertain, truth: float, in_sigmas: bool = True) -> str:
+    """How far an estimate is from the truth in percent and, if its sigma claims to cover that, in sigmas."""
     percent = f"{100.0 * (estimate.value - truth) / truth:+.1f} %".replace("-", "−")
-    if not math.isfinite(estimate.sigma) or estimate.sigma <= 0.0:
+    if not in_sigmas or not math.isfinite(estimate.sigma) or estimate.sigma <= 0.0:
         return percent
     return f"{percent}, {abs(estimate.value - truth) / estimate.sigma:.1f} σ"
+
+
+def power_of_ten(value: float) -> str:
+    """A small number as `4.9·10⁻⁸`."""
+    if not math.isfinite(value) or value == 0.0:
+        return plain(value)
+    mantissa, _, exponent = f"{value:.1e}".partition("e")
+    return f"{mantissa}·10{str(int(exponent)).translate(_RAISED)}".replace("-", "−")
+
+
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")

@@ -7,7 +7,7 @@ from html import escape
 from importlib.resources import files
 
 from twodof.identify.validate import Correlation
-from twodof.report.content import Check, Content, Erratum, Figure, ParameterRow, Subject, Table
+from twodof.report.content import Check, Content, Erratum, Figure, ParameterRow, Subject, Table, Uncertain
 from twodof.report.figures import correlation_figure, estimates_figure, time_figure
 from twodof.report.numbers import deviation, plain, with_sigma
 
@@ -33,7 +33,9 @@ def to_html(content: Content) -> str:
         ("provenance", "Provenance", _provenance_table(content)),
     ]
     sections = [section for section in sections if section[2]]
-    links = "".join(f'<li><a href="#{anchor}">{escape(name)}</a></li>' for anchor, name, _ in sections)
+    links = "".join(
+        f'<li><a href="#{anchor}">{escape(name.partition(":")[0])}</a></li>' for anchor, name, _ in sections
+    )
     findings = "".join(f"<li>{finding}</li>" for finding in content.findings)
     body = "".join(
         f'<section id="{anchor}"><h2>{escape(name)}</h2>{inner}</section>' for anchor, name, inner in sections
@@ -70,16 +72,20 @@ def _parameter_table(rows: Sequence[ParameterRow]) -> str:
         cells = [_value(row.paper), _value(row.paper_greybox)]
         if known:
             cells.append(_value(row.truth))
-        for estimate in (row.simple, row.greybox):
+        for estimate, counted in ((row.simple, False), (row.greybox, True)):
             cells.append("–" if estimate is None else with_sigma(estimate))
             if known:
-                cells.append("" if estimate is None or row.truth is None else deviation(estimate, row.truth))
+                cells.append(_off(estimate, row.truth, counted))
         lines.append(
             f'<tr><th scope="row"><i>{row.symbol}</i> <span>{escape(row.text)}</span></th>'
             f"<td>{escape(row.unit) or '–'}</td>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>"
         )
     head = "".join(f'<th scope="col">{name}</th>' for name in heads)
     return f'<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{"".join(lines)}</tbody></table></div>'
+
+
+def _off(estimate: Uncertain | None, truth: float | None, counted: bool) -> str:
+    return "" if estimate is None or truth is None else deviation(estimate, truth, counted)
 
 
 def _free_table(table: Table) -> str:
@@ -149,7 +155,7 @@ def _residual_section(subjects: Sequence[Subject]) -> Iterator[str]:
 def _verdict(*tests: Correlation | None) -> str:
     run = [test for test in tests if test is not None]
     if not run:
-        return "–"
+        return "<span>too few samples to test</span>"
     outside, lags = sum(test.outside for test in run), sum(test.lags.size for test in run)
     allowed = sum(test.allowed for test in run)
     word = '<b class="good">yes</b>' if all(test.passed for test in run) else '<b class="bad">no</b>'

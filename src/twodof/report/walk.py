@@ -16,6 +16,7 @@ from twodof.report.characterise import Flights, characterise
 from twodof.report.compose import Machine
 from twodof.report.content import Table
 from twodof.report.experiments import KINDS, cut
+from twodof.report.numbers import power_of_ten
 from twodof.rig.dynamics import GRAVITY
 from twodof.rig.parameters import lab
 from twodof.rig.predict import moment_gain, velocity_damping, velocity_gain
@@ -42,7 +43,7 @@ _TEXT = {
     "cannot all hold it: what lies many σ off shows what a structure leaves out.",
     "real": "The public logs of a real drone (not the paper’s): one free response, one doublet of the moment, two "
     "doublets of the velocity. The motors had been restarted 0.14 s before the doublet, and the moment that "
-    "trims it had not built up yet, which lengthens τ.",
+    "trims it had not built up yet, which lengthens τ and makes its reading by hand a rough one.",
 }
 
 
@@ -138,7 +139,7 @@ def comparisons(logs: Mapping[str, Path], progress: Progress) -> list[Table]:
         log = read_log(logs[name])
         laws = replay(log, NAMED[gains])
         if laws.nrms:
-            shown = (f"{laws.nrms[c]:.1e}" if c in laws.nrms else "–" for c in ("M", "q0", "theta0", "T"))
+            shown = (power_of_ten(laws.nrms[c]) if c in laws.nrms else "–" for c in ("M", "q0", "theta0", "T"))
             replayed.append((name, *shown, f"{100.0 * min(laws.coverage.values()):.0f} %"))
         fit = simulate_like(log, rig, NAMED[gains], window).fit
         flown.append((name, *(f"{fit[c]:.1f}" if c in channels else "–" for c in ("theta", "q", "x", "v"))))

@@ -1,0 +1,82 @@
+"""The demo, once, as a user runs it: the table, the report, and that the methods find what is true."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from twodof.cli.app import run
+
+KEYS = ["w_n", "xi", "mu", "tau", "k_v", "p_v"]
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], str]:
+    """The JSON document and the report's text; the real logs are left out, other tests are about them."""
+    folder = tmp_path_factory.mktemp("demo")
+    report = folder / "new folder" / "report.html"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TWODOF_FLIGHT_DATA", str(folder))
+        patch.setenv("XDG_CACHE_HOME", str(folder))
+        written: list[str] = []
+        patch.setattr("sys.stdout", Collector(written))
+        assert run(["demo", "--json", "--out", str(report)]) == 0
+    return json.loads("".join(written)), report.read_text()
+
+
+class Collector:
+    """A stdout that keeps what is written (capfd cannot be used by a fixture of a module)."""
+
+    def __init__(self, kept: list[str]) -> None:
+        self.kept = kept
+
+    def write(self, text: str) -> None:
+        self.kept.append(text)
+
+    def flush(self) -> None:
+        """Nothing is held back."""
+
+    def isatty(self) -> bool:
+        return False
+
+
+def test_the_table_has_paper_simple_and_greybox_for_the_six_parameters(demo: tuple[dict[str, Any], str]) -> None:
+    machines = demo[0]["machines"]
+    assert [machine["name"] for machine in machines] == ["virtual rig “paper”", "virtual rig “lab”"]
+    for machine in machines:
+        assert list(machine["parameters"])[:6] == KEYS
+        for key in KEYS:
+            row = machine["parameters"][key]
+            assert all(row[column] is not None for column in ("paper", "simple", "greybox", "greybox_sigma"))
+
+
+def test_on_the_paper_rig_the_simple_method_is_as_good_as_the_issue_asks(demo: tuple[dict[str, Any], str]) -> None:
+    """w_n 2 %, xi 15 %, mu 7 %, tau one sample of 4 ms."""
+    rows = demo[0]["machines"][0]["parameters"]
+    for key, share in (("w_n", 0.02), ("xi", 0.15), ("mu", 0.07)):
+        assert rows[key]["simple"] == pytest.approx(rows[key]["truth"], rel=share), key
+    assert rows["tau"]["simple"] == pytest.approx(rows["tau"]["truth"], abs=4.0)
+
+
+def test_on_the_paper_rig_the_truth_is_within_three_sigma_of_the_grey_box(demo: tuple[dict[str, Any], str]) -> None:
+    for key, row in demo[0]["machines"][0]["parameters"].items():
+        assert abs(row["greybox"] - row["truth"]) < 3.0 * row["greybox_sigma"], key
+
+
+def test_the_report_is_whole(demo: tuple[dict[str, Any], str]) -> None:
+    page = demo[1]
+    assert page.startswith("<!doctype html>")
+    assert page.endswith("</html>\n")
+    for number in (3, 4, 5, 7, 8):
+        assert f'id="figure-{number}"' in page
+    assert "none at hand" in page
+
+
+def test_a_report_that_cannot_be_written_is_the_callers_mistake(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("twodof.cli.demo.virtual", lambda *_: pytest.fail("flew before looking where to write"))
+    (tmp_path / "file").write_text("")
+    assert run(["demo", "--out", str(tmp_path / "file" / "report.html")]) == 2
+    assert "remedy" in capfd.readouterr().err
