@@ -41,7 +41,7 @@ def test_each_part_of_the_friction_pendulum_earns_its_place(free: Record, spring
 
 
 def test_gain_without_thrust(spring: Estimate) -> None:
-    # 112 to 118 rad/s^2 is known; which part of the spin-up counts as delay moves it by a few per cent.
+    # 112 to 118 rad/s2 is known; which part of the spin-up counts as delay moves it by a few per cent.
     assert 108.0 < spring["mu"] < 124.0
     assert spring["hardening"] > 10.0 * spring.sigma("hardening")
 

@@ -37,7 +37,7 @@ def test_pitch_figures_come_back_from_noisy_records() -> None:
         assert found.model.tau == pytest.approx(0.020, abs=0.004)
         assert min(value for _, value in found.validation) > 90.0
         assert found.doublet.amplitude == pytest.approx(0.03)
-        # The first motion that can be seen is later: q must climb 3 sigma at mu A = 10.8 rad/s^2.
+        # The first motion that can be seen is later: q must climb 3 sigma at mu A = 10.8 rad/s2.
         assert found.doublet.first_motion >= found.doublet.shift
     assert "T_S" in found.table()
     assert json.loads(found.to_json())["model"]["tau"] == found.model.tau

@@ -98,6 +98,16 @@ def test_lag_and_delay_share_the_total() -> None:
     np.testing.assert_allclose(lagged[50:] - delayed[50:], ahead, rtol=1e-3)
 
 
+@pytest.mark.parametrize("structure", [pitch_rate(ring=8), free_response(ring=8)])
+def test_a_delay_longer_than_the_ring_is_no_number(structure: Structure) -> None:
+    u = noise(40)
+    # Six steps are kept; between the first sample, which fills the past, and the end.
+    within = run(structure, {"tau": 6 * DT}, u)["q"]
+    beyond = run(structure, {"tau": 6 * DT}, u, dt=DT / 2)["q"]
+    assert np.isfinite(within).all()
+    assert np.isnan(beyond[-1])
+
+
 def test_trim_and_bias_shift_input_and_outputs() -> None:
     u = noise(60)
     plain = run(pitch_rate(), {"tau": 0.0187}, u)

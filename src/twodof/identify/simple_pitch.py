@@ -87,7 +87,7 @@ class SimplePitch:
             f"period        T_P = {f.period:.3f} s -> w_n = {m.w_n:.3f} rad/s",
             f"              ({halves.size} half swings, the first {halves[0]:.3f} s, the last {halves[-1]:.3f} s)",
             f"settling time T_S = {f.settling_time:.2f} s{late} -> xi = 4.6 / (T_S w_n) = {m.xi:.4f}",
-            f"peak {d.peak:.3f} rad/s over {d.unit_peak:.3e} rad/s with mu = 1 -> mu = {m.mu:.1f} rad/s^2",
+            f"peak {d.peak:.3f} rad/s over {d.unit_peak:.3e} rad/s with mu = 1 -> mu = {m.mu:.1f} rad/s2",
             f"the response lies {d.shift} samples behind the input -> tau = {1e3 * m.tau:.1f} ms",
             f"              (q leaves its noise {d.first_motion} samples after the edge)",
             f"identification '{self.identification[0]}': FIT {self.identification[1]:.1f} %",

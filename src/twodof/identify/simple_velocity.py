@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 class StepResponse:
     """What one reads off the first half of the doublet; times on the log's axis [s].
 
-    `theta_bar` [rad] is the pitch held, `slope` [m/s^2] of the straight line through v between 10 and 40 % of its peak
+    `theta_bar` [rad] is the pitch held, `slope` [m/s2] of the straight line through v between 10 and 40 % of its peak
     (`line_start` to `line_stop`), `start` where that line meets the rest, `peak` [m/s] above the rest at `peak_time`.
     """
 
@@ -54,7 +54,7 @@ class SimpleVelocity:
         """Each step as a line of text."""
         s = self.step
         lines = [
-            f"slope {s.slope:.3f} m/s^2 at theta = {math.degrees(s.theta_bar):.1f} deg -> k_v = {s.k_v:.3f} m/s^2",
+            f"slope {s.slope:.3f} m/s2 at theta = {math.degrees(s.theta_bar):.1f} deg -> k_v = {s.k_v:.3f} m/s2",
             f"peak {s.peak:.3f} m/s, {s.peak_time - s.start:.3f} s after the start -> p_v = {s.p_v:.3f} 1/s",
             f"identification '{self.identification[0]}': FIT {self.identification[1]:.1f} %",
         ]

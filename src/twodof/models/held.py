@@ -6,6 +6,7 @@ parameter changes, so that one compiled program serves a whole estimation; a ste
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -23,8 +24,8 @@ class HeldLinear(Block):
     """x' = A x + B u(t - dead time), y = C x + D u(t - dead time) for a scalar input held between steps.
 
     Inputs before step 0 equal that of step 0. The dead time, by default the parameter `tau`, is a real number of
-    seconds, from 0 to `ring - 2` steps. Each state is named in `plant_states` (name, unit) and starts from the
-    parameter "<name>_0".
+    seconds, from 0 to `ring - 2` steps; a longer one gives NaN. Each state is named in `plant_states` (name, unit)
+    and starts from the parameter "<name>_0".
     """
 
     plant_states: Sequence[tuple[str, str]] = ()
@@ -53,6 +54,7 @@ class HeldLinear(Block):
             *(Port(f"new_{i}") for i in names),
             Port("whole", "int32"),
             Port("split", "bool"),
+            Port("fits", "bool"),
         )
 
     def matrices(self, p: Any) -> tuple[Matrix, Sequence[Any], Matrix, Sequence[Any]]:
@@ -75,7 +77,7 @@ class HeldLinear(Block):
         phi = _exponential(a, t.dt)
         full = _integral(a, b, t.dt)
         late = _integral(a, b, t.dt * (1.0 - where(split, part, 0.0)))
-        result: dict[str, Any] = {"whole": whole, "split": split}
+        result: dict[str, Any] = {"whole": whole, "split": split, "fits": steps <= self.ring - 2.0}
         for i, row in enumerate(names):
             result[f"old_{row}"] = full[i] - late[i]
             result[f"new_{row}"] = late[i]
@@ -116,8 +118,10 @@ class HeldLinear(Block):
         step = to_int32(x.step)
 
         def ago(steps: Any) -> Any:
+            # More than the ring keeps is no number rather than a wrong one.
             then = where(step < steps, uint32(0), x.step - to_uint32(steps))
-            return where((steps == 0) | (step == 0), present, x.past[then % self.ring])
+            past = where(p.fits, x.past[then % self.ring], math.nan)
+            return where((steps == 0) | (step == 0), present, past)
 
         return ago(p.whole + 1), ago(p.whole)
 
@@ -178,7 +182,7 @@ class HeldPitchRate(HeldLinear):
     plant_params = (
         Param("w_n", 3.437, unit="rad/s", low=0.0, text="natural frequency"),
         Param("xi", 0.0836, text="damping ratio"),
-        Param("mu", 358.5, unit="rad/s^2", text="gain from normalised moment to angular acceleration"),
+        Param("mu", 358.5, unit="rad/s2", text="gain from normalised moment to angular acceleration"),
     )
 
     def matrices(self, p: Any) -> tuple[Matrix, Sequence[Any], Matrix, Sequence[Any]]:
@@ -228,7 +232,7 @@ class HeldVelocity(HeldLinear):
     plant_inputs = (Port("theta", unit="rad"),)
     plant_outputs = (Port("x", unit="m"), Port("v", unit="m/s"))
     plant_params = (
-        Param("k_v", 4.748, unit="m/s^2", text="gain from pitch to deceleration"),
+        Param("k_v", 4.748, unit="m/s2", text="gain from pitch to deceleration"),
         Param("p_v", 1.168, unit="1/s", text="pole of the linear friction"),
     )
 
@@ -277,15 +281,15 @@ class HeldLongitudinal(HeldLinear):
         Port("u", unit="m/s"),
         Port("q", unit="rad/s"),
         Port("theta", unit="rad"),
-        Port("a_x", unit="m/s^2"),
+        Port("a_x", unit="m/s2"),
     )
     plant_params = (
         Param("X_u", -0.1068, unit="1/s", text="velocity damping"),
         Param("X_q", 0.1192, unit="m/s", text="acceleration by pitch rate"),
         Param("M_u", -5.9755, unit="rad/(m s)", text="pitch acceleration by velocity"),
         Param("M_q", -2.6478, unit="1/s", text="pitch damping"),
-        Param("X_d", -10.1647, unit="m/s^2", text="acceleration by moment"),
-        Param("M_d", 450.71, unit="rad/s^2", text="pitch acceleration by moment"),
+        Param("X_d", -10.1647, unit="m/s2", text="acceleration by moment"),
+        Param("M_d", 450.71, unit="rad/s2", text="pitch acceleration by moment"),
     )
 
     def matrices(self, p: Any) -> tuple[Matrix, Sequence[Any], Matrix, Sequence[Any]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from twodof.blocks.block import Block, Clock, Param, Port, State, library_block
@@ -13,7 +14,8 @@ class InputDelay(Block):
     """Delay of a held input by `tau` seconds, not a multiple of the tick: y(t) = u(t - tau), u = u[0] before the start.
 
     A continuous block behind it sees the change inside the step (an edge). Unlike the library's fractional delay it
-    starts from the record's own first value, so a trim moment needs no parameter. `tau` is at most `ring - 2` ticks.
+    starts from the record's own first value, so a trim moment needs no parameter. `tau` is at most `ring - 2` ticks;
+    a longer one gives NaN.
     """
 
     def __init__(self, ring: int = 64) -> None:
@@ -21,7 +23,7 @@ class InputDelay(Block):
         self.inputs = (Port("u"),)
         self.outputs = (Port("y"),)
         self.params = (Param("tau", 0.0, unit="s", low=0.0, text="delay of the input"),)
-        self.derived = (Port("whole", "int32"), Port("fraction"))
+        self.derived = (Port("whole", "int32"), Port("fraction"), Port("fits", "bool"))
         self.states = (State("past", 0.0, width=ring), State("step", 0, kind="int32"))
 
     def prepare(self, p: Any, t: Clock) -> dict[str, Any]:
@@ -29,20 +31,21 @@ class InputDelay(Block):
         # A delay that is a multiple of the tick up to rounding is that multiple.
         steps = p.tau / t.dt
         whole = to_int32(steps + 1e-9)
-        return {"whole": whole, "fraction": maximum(steps - to_real(whole), 0.0)}
+        return {"whole": whole, "fraction": maximum(steps - to_real(whole), 0.0), "fits": steps <= self.ring - 2.0}
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         """The input of `whole + 1` ticks ago if the delay ends inside the step."""
-        return self._ago(where(p.fraction > 0.0, p.whole + 1, p.whole), u, x)
+        return self._ago(where(p.fraction > 0.0, p.whole + 1, p.whole), u, x, p)
 
     def edges(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, tuple[Any, Any]]:
         """The younger value arrives after `fraction` of the step."""
-        return {"y": (p.fraction, self._ago(p.whole, u, x))}
+        return {"y": (p.fraction, self._ago(p.whole, u, x, p))}
 
     def update(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
         """Keep the input."""
         return {"past": store(x.past, x.step % self.ring, u.u), "step": x.step + 1}
 
-    def _ago(self, steps: Any, u: Any, x: Any) -> Any:
+    def _ago(self, steps: Any, u: Any, x: Any, p: Any) -> Any:
         then = where(x.step < steps, int32(0), x.step - steps)
-        return where((steps == 0) | (x.step == 0), u.u, x.past[then % self.ring])
+        past = where(p.fits, x.past[then % self.ring], math.nan)
+        return where((steps == 0) | (x.step == 0), u.u, past)

@@ -15,7 +15,7 @@ class PitchPendulum(Block):
     """q' = mu M - 2 xi w_n q - w_n^2 sin(theta) - hardening theta^3 - friction, theta' = q.
 
     Friction is Coulomb's: it opposes q with `coulomb` (1 + `asymmetry`) for q > 0, `coulomb` (1 - `asymmetry`) for
-    q < 0 [rad/s^2], and holds the drone at rest while the rest of the right-hand side is smaller (see `friction`).
+    q < 0 [rad/s2], and holds the drone at rest while the rest of the right-hand side is smaller (see `friction`).
     """
 
     inputs = (Port("M"),)
@@ -27,10 +27,10 @@ class PitchPendulum(Block):
     params = (
         Param("w_n", 3.437, unit="rad/s", low=0.0, text="natural frequency of small swings"),
         Param("xi", 0.0836, text="viscous damping ratio"),
-        Param("mu", 358.5, unit="rad/s^2", text="gain from normalised moment to angular acceleration"),
-        Param("coulomb", 0.0, unit="rad/s^2", low=0.0, text="dry friction"),
+        Param("mu", 358.5, unit="rad/s2", text="gain from normalised moment to angular acceleration"),
+        Param("coulomb", 0.0, unit="rad/s2", low=0.0, text="dry friction"),
         Param("asymmetry", 0.0, low=-1.0, high=1.0, text="share by which friction differs with direction"),
-        Param("hardening", 0.0, unit="rad/s^2", text="cubic part of the spring"),
+        Param("hardening", 0.0, unit="rad/s2", text="cubic part of the spring"),
         Param("theta_0", 0.0, unit="rad", text="pitch at the start"),
         Param("q_0", 0.0, unit="rad/s", text="pitch rate at the start"),
     )

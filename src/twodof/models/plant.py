@@ -9,14 +9,14 @@ from twodof.errors import ParameterError
 from twodof.models.lti import StateSpace
 
 GRAVITY = 9.81
-"""Standard gravity as the course rounds it [m/s^2]."""
+"""Standard gravity as the course rounds it [m/s2]."""
 
 
 @dataclass(frozen=True)
 class PitchRate:
     """G_q = q / M = mu s exp(-tau s) / (s^2 + 2 xi w_n s + w_n^2), paper equation (5).
 
-    `w_n` [rad/s], `xi` [-], `mu` [rad/s^2 per unit of normalised moment], `tau` [s]. States are theta and q, so the
+    `w_n` [rad/s], `xi` [-], `mu` [rad/s2 per unit of normalised moment], `tau` [s]. States are theta and q, so the
     outputs are theta [rad] and q [rad/s]. Raises ParameterError for w_n <= 0 or tau < 0.
     """
 
@@ -54,7 +54,7 @@ class PitchRate:
 
 @dataclass(frozen=True)
 class Velocity:
-    """G_v = v / theta = -k_v / (s + p_v), paper section 4.2; `k_v` [m/s^2 per rad], `p_v` [1/s].
+    """G_v = v / theta = -k_v / (s + p_v), paper section 4.2; `k_v` [m/s2 per rad], `p_v` [1/s].
 
     States are x and v, so the outputs are x [m] and v [m/s] (G_x = 1/s).
     """
@@ -72,7 +72,7 @@ class Longitudinal:
     """The course's three-state model: states u (velocity, body axis) [m/s], q [rad/s], theta [rad]; input M.
 
     u' = Xu u + Xq q - g theta + Xd M, q' = Mu u + Mq q + Md M, theta' = q. Outputs u, q, theta and the accelerometer's
-    Xu u + Xq q + Xd M [m/s^2]. `tau` [s] delays the input. Defaults are the course simulator's numbers.
+    Xu u + Xq q + Xd M [m/s2]. `tau` [s] delays the input. Defaults are the course simulator's numbers.
     """
 
     x_u: float = -0.1068
@@ -95,7 +95,7 @@ class Longitudinal:
 
 
 def thrust_curve(mu_idle: float, mu_run: float, moment: float = 0.1, thrust: float = 0.4) -> float:
-    """Quadratic share a of the thrust curve (1 - a) u + a u^2, from two gains of the pitch rate [rad/s^2].
+    """Quadratic share a of the thrust curve (1 - a) u + a u^2, from two gains of the pitch rate [rad/s2].
 
     `mu_idle` is that found with the rotors off by a pulse of `moment`, of which only one pair gives thrust: in
     proportion to 1 - a + a moment. `mu_run` is that found around the command `thrust`: to 2 (1 - a + 2 a thrust).

@@ -58,9 +58,9 @@ class Rail(Block):
         State("v", "v_0", unit="m/s", continuous=True),
     )
     params = (
-        Param("k_v", 4.748, unit="m/s^2", text="gain from pitch to deceleration"),
+        Param("k_v", 4.748, unit="m/s2", text="gain from pitch to deceleration"),
         Param("p_v", 1.168, unit="1/s", text="pole of the linear friction"),
-        Param("coulomb", 0.0, unit="m/s^2", low=0.0, text="dry friction of the rail"),
+        Param("coulomb", 0.0, unit="m/s2", low=0.0, text="dry friction of the rail"),
         Param("theta_0", 0.0, unit="rad", text="pitch at the start, from where the cart would not accelerate"),
         Param("x_0", 0.0, unit="m", text="position at the start"),
         Param("v_0", 0.0, unit="m/s", text="velocity at the start"),

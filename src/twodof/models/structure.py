@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import dataclass, field, replace
 
 from twodof.blocks.block import Param
@@ -77,8 +78,7 @@ class Structure:
 
     def with_guess(self, **values: float) -> Structure:
         """The same structure with other first guesses. Raises IdentificationError for an unknown name."""
-        diagram = Diagram(self.diagram.name, self.diagram.text)
-        diagram.__dict__.update(self.diagram.__dict__)
+        diagram = copy(self.diagram)
         diagram.params = dict(self.diagram.params)
         for name, value in values.items():
             diagram.params[name] = replace(self._param(name), value=float(value))
