@@ -81,6 +81,13 @@ def test_a_log_without_a_channel_is_refused() -> None:
         pair(FlightLog(channels))
 
 
+def test_a_channel_of_one_sample_is_refused() -> None:
+    channels = _channels()
+    channels["v"] = Channel(channels["v"].time[:1], channels["v"].value[:1])
+    with pytest.raises(LogError, match="v: "):
+        pair(FlightLog(channels))
+
+
 @pytest.mark.parametrize(
     ("name", "expected"),
     [

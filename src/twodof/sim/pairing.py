@@ -44,7 +44,7 @@ class Pairing:
 
 
 def pair(log: FlightLog) -> Pairing:
-    """Pairs the channels of a log. Raises LogError if one of M, T, q0, theta0, v0, q, theta, v is missing or empty.
+    """Pairs the channels of a log. Raises LogError if one of M, T, q0, theta0, v0, q, theta, v is missing or too short.
 
     The rules, which the drone's logs show: the grid is M's. A set-point's sample is the first one at or after M's
     stamp (it comes some microseconds later), a measurement's the latest one at or before it: q is .3 to .7 ms old,
@@ -110,8 +110,8 @@ def _stale(channel: Channel, index: NDArray[np.intp], age: Floats) -> Flags:
 
 def _filled(log: FlightLog, name: str) -> Channel:
     channel = log[name]
-    if not len(channel) or channel.value.ndim != 1:
-        raise LogError("the channel is empty or no scalar", f"{log.source}: {name}", "replay a whole flight")
+    if len(channel) < 2 or channel.value.ndim != 1:
+        raise LogError("the channel is no scalar, or holds no two samples", f"{log.source}: {name}", "give a flight")
     return channel
 
 
