@@ -58,11 +58,11 @@ def test_one_fit_of_1500_samples_takes_milliseconds() -> None:
     structure = pitch_rate()
     program_of(structure, record.dt)
     took = []
-    for _ in range(7):
+    for _ in range(20):
         start = time.perf_counter()
         fit(structure, record)
         took.append(time.perf_counter() - start)
-    # The promise is 20 ms; the best of seven leaves out what else the machine does.
+    # The promise is 20 ms; the best of twenty leaves out what else the machine does.
     assert min(took) < 0.020
 
 
