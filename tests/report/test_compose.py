@@ -8,7 +8,7 @@ import pytest
 
 from tests.report.made_flights import flights, held, record
 from twodof.models.plant import PAPER_PITCH_RATE, PAPER_VELOCITY_GREYBOX
-from twodof.report.characterise import Characterisation, Flights, characterise
+from twodof.report.characterise import Characterisation, Flights, Spread, characterise
 from twodof.report.compose import Machine, content, rows
 from twodof.report.page import to_html
 from twodof.report.redrawn import figures
@@ -45,11 +45,26 @@ def test_simple_column_is_as_good_as_reading_a_plot_can_be(found: Characterisati
     assert all(estimate.sigma > 0.0 for key, estimate in found.simple.items() if key != "tau")
 
 
+def test_the_spread_over_repetitions_is_that_of_the_noise(found: Characterisation) -> None:
+    """White noise and the right structure: the spread does not contradict the claimed sigma."""
+    for key in ("w_n", "xi", "mu", "tau"):
+        assert found.spreads[key].value > 0.0
+        assert not found.spreads[key].exceeds(found.greybox[key].sigma), key
+    assert "k_v" not in found.spreads, "two flights identify together: there are no three such pairs"
+
+
+def test_a_claim_that_the_repetitions_do_not_bear_out_is_a_doubt(found: Characterisation) -> None:
+    wild = replace(found, spreads={**found.spreads, "mu": Spread(5.0 * found.greybox["mu"].sigma, 3)})
+    assert "believe the spread" not in to_html(content([Machine("rig", "", found, {})], {}))
+    assert "believe the spread" in to_html(content([Machine("rig", "", wild, {})], {}))
+
+
 def test_one_flight_has_no_spread() -> None:
     once = characterise(flights(repetitions=1), dry_friction=False)
     assert all(math.isnan(estimate.sigma) for estimate in once.simple.values())
     assert once.forced is not None
     assert once.forced.validation == ()
+    assert once.spreads == {}
 
 
 def test_the_five_figures_are_drawn_from_the_first_edge_on(found: Characterisation) -> None:

@@ -105,6 +105,7 @@ def _parameters(machine: Machine) -> dict[str, dict[str, Any]]:
             "simple_sigma": None if row.simple is None else row.simple.sigma,
             "greybox": None if row.greybox is None else row.greybox.value,
             "greybox_sigma": None if row.greybox is None else row.greybox.sigma,
+            "greybox_spread": row.greybox_spread,
         }
         for row in rows(machine)
     }

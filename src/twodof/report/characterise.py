@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import chi2
 
 from twodof.errors import IdentificationError
 from twodof.identify.estimate import Estimate
@@ -43,13 +44,26 @@ class Flights:
     trim: float | None = None
 
 
+@dataclass(frozen=True)
+class Spread:
+    """Standard deviation of an estimate among `count` repetitions."""
+
+    value: float
+    count: int
+
+    def exceeds(self, sigma: float) -> bool:
+        """Whether it is too large to be chance if `sigma` is right (chi-square, once in a thousand)."""
+        return (self.count - 1) * (self.value / sigma) ** 2 > float(chi2.ppf(0.999, self.count - 1))
+
+
 @dataclass(frozen=True, eq=False)
 class Characterisation:
     """Everything found out about one machine.
 
     `free`, `forced` and `travel` are the grey-box fits of the three experiments, `dry` that of the free response with
-    dry friction and hardening; `simple` and `greybox` hold the parameters of Table 1 by key; `refusals` say what could
-    not be identified and why.
+    dry friction and hardening; `simple` and `greybox` hold the parameters of Table 1 by key; `spreads`, where there
+    are repetitions, the standard deviation of the grey-box estimates among them; `refusals` say what could not be
+    identified and why.
     """
 
     flights: Flights
@@ -61,6 +75,7 @@ class Characterisation:
     travel: Estimate | None
     simple: Mapping[str, Uncertain]
     greybox: Mapping[str, Uncertain]
+    spreads: Mapping[str, Spread]
     refusals: Sequence[str]
 
 
@@ -71,51 +86,61 @@ def characterise(flights: Flights, dry_friction: bool) -> Characterisation:
     spring (real bearings) or from the paper's linear one. What the data refuse is noted and left out, not raised.
     """
     refusals: list[str] = []
+    pitch = _pitch_by_hand(flights, refusals)
+    along = _velocity_by_hand(flights, refusals)
+    guess = {} if pitch is None else {"w_n": pitch.model.w_n, "xi": pitch.model.xi}
+    gain = {} if pitch is None else {"mu": pitch.model.mu}
+    seen = [only(record, "x") for record in flights.velocities]
+    # One doublet tells p_v to a tenth: several identify, if one is left to validate.
+    together = min(_TRAVELS, max(1, len(seen) - 1))
 
-    def attempt(work: Callable[[], Estimate]) -> Estimate | None:
+    def swing(records: Sequence[Record], unseen: Sequence[Record] = ()) -> Estimate:
+        return fit(pitch_rate(), records, values=guess, validation=unseen)
+
+    def rub(records: Sequence[Record], unseen: Sequence[Record] = ()) -> Estimate:
+        return fit(free_response(), records, validation=unseen)
+
+    def force(records: Sequence[Record], unseen: Sequence[Record] = ()) -> Estimate:
+        return fit(pitch_rate(), records, estimate=_FORCED, values=poles | gain, validation=unseen)
+
+    def move(records: Sequence[Record], unseen: Sequence[Record] = ()) -> Estimate:
+        return fit(rail(), records, estimate=TRAVEL, validation=unseen)
+
+    greybox: dict[str, Uncertain] = {}
+    spreads: dict[str, Spread] = {}
+
+    def identify(work: _Fit, records: Sequence[Record], keys: Sequence[str], count: int = 1) -> Estimate | None:
+        """The fit of the first `count` records; into the table the values of `keys` and their spread."""
+        if not records:
+            return None
         try:
-            return work()
+            found = work(records[:count], records[count : count + 2])
         except IdentificationError as error:
             refusals.append(str(error))
             return None
+        greybox.update({key: Uncertain(found[key], found.sigma(key)) for key in keys})
+        spreads.update(_repeated(work, records, keys, count))
+        return found
 
-    impulses, doublets, velocities = flights.impulses, flights.doublets, flights.velocities
-    pitch = _pitch_by_hand(flights, refusals)
-    along = _velocity_by_hand(flights, refusals)
-    free = dry = forced = travel = None
-    if impulses:
-        free = attempt(lambda: fit(pitch_rate(), impulses[0], validation=impulses[1:3], values=_guess(pitch)))
-        if dry_friction:
-            dry = attempt(lambda: fit(free_response(), impulses[0], validation=impulses[1:3]))
-    poles = dry if dry is not None else free
-    if doublets and poles is not None:
-        known = {"w_n": poles["w_n"], "xi": poles["xi"]} | ({"mu": pitch.model.mu} if pitch else {})
-        forced = attempt(
-            lambda: fit(
-                pitch_rate(),
-                doublets[0],
-                estimate=("mu", "tau", "M_trim", "q_0"),
-                values=known,
-                validation=doublets[1:3],
-            )
-        )
-    if velocities:
-        seen = [only(record, "x") for record in velocities]
-        # One doublet tells p_v to a tenth: several identify, if one is left to validate.
-        first = min(_TRAVELS, max(1, len(seen) - 1))
-        travel = attempt(lambda: fit(rail(), seen[:first], estimate=TRAVEL, validation=seen[first : first + 2]))
-    greybox: dict[str, Uncertain] = {}
-    for estimate, keys in ((poles, ("w_n", "xi")), (forced, ("mu", "tau")), (travel, ("k_v", "p_v"))):
-        if estimate is not None:
-            greybox |= {key: Uncertain(estimate[key], estimate.sigma(key)) for key in keys}
-    if dry is not None:
-        greybox |= {key: Uncertain(dry[key], dry.sigma(key)) for key in ("coulomb", "hardening")}
+    dry = identify(rub, flights.impulses, ("w_n", "xi", "coulomb", "hardening")) if dry_friction else None
+    free = identify(swing, flights.impulses, () if dry is not None else ("w_n", "xi"))
+    poles = {key: greybox[key].value for key in ("w_n", "xi") if key in greybox}
+    forced = identify(force, flights.doublets, ("mu", "tau")) if poles else None
+    travel = identify(move, seen, ("k_v", "p_v"), together)
     simple = _readings(flights, pitch, along)
-    return Characterisation(flights, pitch, along, free, dry, forced, travel, simple, greybox, refusals)
+    return Characterisation(flights, pitch, along, free, dry, forced, travel, simple, greybox, spreads, refusals)
 
 
-def _guess(pitch: SimplePitch | None) -> dict[str, float]:
-    return {} if pitch is None else {"w_n": pitch.model.w_n, "xi": pitch.model.xi}
+_FORCED = ("mu", "tau", "M_trim", "q_0")
+_Fit = Callable[[Sequence[Record], Sequence[Record]], Estimate]
+
+
+def _repeated(work: _Fit, records: Sequence[Record], keys: Sequence[str], count: int) -> dict[str, Spread]:
+    """The spread of the same estimate over the repetitions: what the claimed standard deviations must stand up to."""
+    if not keys or len(records) // count < _REPETITIONS:
+        return {}
+    found = [work(records[k : k + count], ()) for k in range(0, len(records) - count + 1, count)]
+    return {key: Spread(_spread([one[key] for one in found]), len(found)) for key in keys}
 
 
 def _pitch_by_hand(flights: Flights, refusals: list[str]) -> SimplePitch | None:

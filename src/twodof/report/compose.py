@@ -60,6 +60,7 @@ def rows(machine: Machine) -> list[ParameterRow]:
             truth=None if truth is None else scale * truth,
             simple=_scaled(found.simple.get(row.key), scale),
             greybox=_scaled(found.greybox.get(row.key), scale),
+            greybox_spread=scale * found.spreads[row.key].value if row.key in found.spreads else None,
         )
         if row in _PAPER or full.greybox is not None:
             made.append(full)
@@ -124,6 +125,14 @@ def _doubts(found: Characterisation) -> list[str]:
     ):
         if estimate is not None:
             said.extend(f"{name}: {text}" for text in _unsure(estimate))
+    for row in _PAPER:
+        claimed, spread = found.greybox.get(row.key), found.spreads.get(row.key)
+        if claimed is not None and spread is not None and spread.exceeds(claimed.sigma):
+            said.append(
+                f"{row.symbol}: repeated flights spread {spread.value / claimed.sigma:.1f} times as far as the "
+                "standard deviation claimed from one. What differs from flight to flight acts on the drone and not on the "
+                "sensor, where output error looks for it: believe the spread."
+            )
     return said
 
 

@@ -30,6 +30,7 @@ class ParameterRow:
     """One line of Table 1: what the paper prints, what is true (on a virtual rig), and what was found.
 
     `symbol` may hold HTML (a subscript); `paper` is the paper's method by hand, `paper_greybox` its "greyest".
+    `greybox_spread` is the standard deviation of the grey-box estimate among repeated flights.
     """
 
     key: str
@@ -41,6 +42,7 @@ class ParameterRow:
     truth: float | None = None
     simple: Uncertain | None = None
     greybox: Uncertain | None = None
+    greybox_spread: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,8 +27,8 @@ def to_html(content: Content) -> str:
         ("table-1", "Table 1", "".join(_table_section(content.subjects))),
         *_figure_sections(content.subjects),
         *((table.anchor, table.title, _free_table(table)) for table in content.tables),
-        ("residuals", "What the models leave unexplained", "".join(_residual_section(content.subjects))),
-        ("doubts", "What the data could not tell", "".join(_doubt_section(content.subjects))),
+        ("residuals", "Residuals: what the models leave unexplained", "".join(_residual_section(content.subjects))),
+        ("doubts", "Doubts: what the data could not tell", "".join(_doubt_section(content.subjects))),
         ("errata", "Errata of the paper", "".join(_errata_section(content.errata))),
         ("provenance", "Provenance", _provenance_table(content)),
     ]
@@ -52,9 +52,10 @@ def to_html(content: Content) -> str:
 
 def _table_section(subjects: Sequence[Subject]) -> Iterator[str]:
     yield (
-        '<p class="text">By hand as the paper does it (simple) and by output error (grey-box), each with one '
-        "standard deviation. In the figure the bar is the truth where there is one, dashed lines are the "
-        "paper’s values.</p>"
+        '<p class="text">By hand as the paper does it (simple) and by output error (grey-box), each with one standard '
+        "deviation; below an estimate, how far it is from the truth. In the figure the black bar is the truth where it "
+        "is known, dashed lines are the paper’s values. The last column is the spread of the grey-box estimate over "
+        "repeated flights: a standard deviation claimed from one flight has to stand up to it.</p>"
     )
     yield _key(("simple", "grey-box"), "marks")
     yield f'<figure class="wide">{estimates_figure(subjects, "Estimates and paper side by side")}</figure>'
@@ -65,27 +66,29 @@ def _table_section(subjects: Sequence[Subject]) -> Iterator[str]:
 
 def _parameter_table(rows: Sequence[ParameterRow]) -> str:
     known = any(row.truth is not None for row in rows)
-    heads = ["Parameter", "Unit", "Paper", "Paper, greyest"]
-    heads += ["Truth", "Simple", "off by", "Grey-box", "off by"] if known else ["Simple", "Grey-box"]
+    repeated = any(row.greybox_spread is not None for row in rows)
+    heads = ["Parameter", "Unit", "Paper", "greyest", *(["Truth"] if known else []), "Simple", "Grey-box"]
+    heads += ["repeated"] if repeated else []
     lines = []
     for row in rows:
-        cells = [_value(row.paper), _value(row.paper_greybox)]
-        if known:
-            cells.append(_value(row.truth))
-        for estimate, counted in ((row.simple, False), (row.greybox, True)):
-            cells.append("–" if estimate is None else with_sigma(estimate))
-            if known:
-                cells.append(_off(estimate, row.truth, counted))
+        cells = [_value(row.paper), _value(row.paper_greybox), *([_value(row.truth)] if known else [])]
+        cells += [_found(row.simple, row.truth, in_sigmas=False), _found(row.greybox, row.truth, in_sigmas=True)]
+        if repeated:
+            cells.append("–" if row.greybox_spread is None else f"± {plain(row.greybox_spread, 2)}")
         lines.append(
-            f'<tr><th scope="row"><i>{row.symbol}</i> <span>{escape(row.text)}</span></th>'
+            f'<tr><th scope="row"><i>{row.symbol}</i> <small>{escape(row.text)}</small></th>'
             f"<td>{escape(row.unit) or '–'}</td>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>"
         )
     head = "".join(f'<th scope="col">{name}</th>' for name in heads)
     return f'<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{"".join(lines)}</tbody></table></div>'
 
 
-def _off(estimate: Uncertain | None, truth: float | None, counted: bool) -> str:
-    return "" if estimate is None or truth is None else deviation(estimate, truth, counted)
+def _found(estimate: Uncertain | None, truth: float | None, in_sigmas: bool) -> str:
+    """An estimate, and below it how far it is from the truth."""
+    if estimate is None:
+        return "–"
+    below = "" if truth is None else f"<small>{deviation(estimate, truth, in_sigmas)}</small>"
+    return f"{with_sigma(estimate)}{below}"
 
 
 def _free_table(table: Table) -> str:

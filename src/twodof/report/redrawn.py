@@ -81,8 +81,8 @@ def _figure_4(found: Characterisation) -> Figure:
         ]
         caption += (
             f"The first peak is {one.peak:.2f} rad/s above the rest and would be {1e3 * one.unit_peak:.2f}·10<sup>−3"
-            f"</sup> rad/s with μ = 1: μ = {one.mu:.1f} rad/s² (paper: 2.40, 6.68·10<sup>−3</sup>, 358.5). The response "
-            f"lies {one.shift} samples, {1e3 * one.tau:.0f} ms, behind the input."
+            f"</sup> rad/s with μ = 1: μ = {one.mu:.1f} rad/s² (paper: 2.40, 6.68·10<sup>−3</sup>, 358.5). The "
+            f"response lies {one.shift} samples, {1e3 * one.tau:.0f} ms, behind the input."
         )
     panels = [_input_panel(record, zero), Panel(_Q, [_measured(record, "q", zero)], marks, 1.7)]
     return Figure(4, "doublet, identification data", caption, panels)

@@ -38,9 +38,9 @@ _GYRO_AGE_S = 0.35e-3
 _TEXT = {
     "paper": "The rig with the paper’s parameters: viscous friction only, a pure delay. μ is 358.5 at the hover’s "
     "thrust and, our assumption, 130 with the rotors at rest. Here the truth is known.",
-    "lab": "The rig calibrated on the real drone’s logs: dry friction, a hardening spring, rotors with a lag, gusts, "
-    "an old range, a pendulum’s coupling with the cart. The truth is known, and the paper’s linear models "
-    "cannot all hold it: what lies many σ off shows what a structure leaves out.",
+    "lab": "The rig calibrated on the real drone’s logs: dry friction, a hardening spring, rotors with a lag, gusts "
+    "that push each flight off its course, an old range, a pendulum’s coupling with the cart. The truth is known, and "
+    "the paper’s linear models cannot all hold it: what lies many σ off shows what a structure leaves out.",
     "real": "The public logs of a real drone (not the paper’s): one free response, one doublet of the moment, two "
     "doublets of the velocity. The motors had been restarted 0.14 s before the doublet, and the moment that "
     "trims it had not built up yet, which lengthens τ and makes its reading by hand a rough one.",
@@ -148,7 +148,7 @@ def comparisons(logs: Mapping[str, Path], progress: Progress) -> list[Table]:
     return [
         Table(
             "replay",
-            "What we compile is what flew",
+            "Replay: what we compile is what flew",
             "The compiled control laws, fed with each log’s inputs: RMS of the difference to what the real flight "
             "controller logged, over the RMS of the logged signal (float64; the logs are float32, so a few 10⁻⁸ to "
             "10⁻⁷ is agreement to the last digit).",
@@ -157,7 +157,7 @@ def comparisons(logs: Mapping[str, Path], progress: Progress) -> list[Table]:
         ),
         Table(
             "like",
-            "The lab rig, flown like the real drone",
+            "Lab rig: flown like the real drone",
             "The logged set-points flown on the noise-free lab rig in closed loop from the logged initial state: FIT "
             "in percent of the logged estimates over the whole window. Hover noise alone, which no model can "
             "foresee, holds q at 72 to 94 % and θ at 95 to 99 % on the attitude steps.",
