@@ -28,7 +28,7 @@ GUARDS = """#if defined(__FAST_MATH__)
 #if defined(__clang__)
 #pragma STDC FP_CONTRACT OFF
 #elif defined(__GNUC__)
-#pragma GCC optimize("fp-contract=off")
+#pragma GCC optimize("fp-contract=off", "no-tree-pre") /* no-tree-pre: fewer registers spilled */
 #endif
 /* In place, so that the states of an integration stay in registers; but not where size counts. */
 #if defined(__GNUC__) && defined(__OPTIMIZE__) && !defined(__OPTIMIZE_SIZE__)
