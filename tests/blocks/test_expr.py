@@ -9,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from twodof.blocks import expr, numbers
-from twodof.blocks.expr import Expr, build, fold, leaf, maximum, minimum, to_int32, to_real, to_uint32, vector, where
+from twodof.blocks.arrays import build, fold, vector
+from twodof.blocks.expr import Expr, leaf, maximum, minimum, to_int32, to_real, to_uint32, where
 from twodof.blocks.graph import evaluate, free_bounds, leaves, walk
 from twodof.blocks.numbers import Int32, UInt32, same_bits
 from twodof.errors import DiagramError

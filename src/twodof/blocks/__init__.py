@@ -1,5 +1,6 @@
 """The block language: write a block once, interpret it, compile it. See docs/language.md."""
 
+from twodof.blocks.arrays import build, fold, store, vector
 from twodof.blocks.block import Block, Param, Port, State
 from twodof.blocks.diagram import Diagram, Rate
 from twodof.blocks.elementary import (
@@ -20,20 +21,16 @@ from twodof.blocks.elementary import (
     trunc,
 )
 from twodof.blocks.expr import (
-    build,
-    fold,
     int32,
     maximum,
     minimum,
     multiply_high,
     real,
     sqrt,
-    store,
     to_int32,
     to_real,
     to_uint32,
     uint32,
-    vector,
     where,
 )
 

@@ -13,7 +13,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from twodof.blocks import numbers
-from twodof.blocks.expr import KINDS, Expr, as_expr, const, leaf, to_real, tracing, vector
+from twodof.blocks.arrays import vector
+from twodof.blocks.expr import KINDS, Expr, as_expr, const, leaf, to_real, tracing
 from twodof.blocks.graph import leaves, walk
 from twodof.blocks.numbers import Integer, Vector
 from twodof.errors import DiagramError

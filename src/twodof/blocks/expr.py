@@ -7,7 +7,7 @@ compute, or on an Expr and record; a block's code cannot tell which.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Any
@@ -16,15 +16,15 @@ from weakref import WeakValueDictionary
 import numpy as np
 
 from twodof.blocks import numbers
-from twodof.blocks.numbers import Int32, Integer, UInt32, Vector
+from twodof.blocks.numbers import Int32, Integer, UInt32
 from twodof.errors import DiagramError
 
 KINDS = ("real", "int32", "uint32", "bool")
+LANGUAGE = ("twodof.blocks.expr", "twodof.blocks.arrays")  # frames of these are not the user's
 LEAVES = ("const", "input", "state", "param", "tick", "dt", "bound")
 
 _table: WeakValueDictionary[tuple[Any, ...], Expr] = WeakValueDictionary()
 _tracing: ContextVar[str] = ContextVar("tracing", default="")
-_depth: ContextVar[int] = ContextVar("loop depth", default=0)
 
 
 @contextmanager
@@ -40,14 +40,18 @@ def tracing(path: str) -> Iterator[None]:
 def _here() -> str:
     """The block being traced and the user's line that is at fault."""
     frame = sys._getframe(1)
-    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("twodof.blocks.expr"):
+    while frame.f_back is not None and frame.f_globals.get("__name__", "") in (
+        "twodof.blocks.expr",
+        "twodof.blocks.arrays",
+    ):
         frame = frame.f_back
     line = f"{frame.f_code.co_filename}:{frame.f_lineno}"
     block = _tracing.get()
     return f"block {block}, {line}" if block else line
 
 
-def _fault(what: str, remedy: str) -> DiagramError:
+def fault(what: str, remedy: str) -> DiagramError:
+    """A mistake in a block's code, with the block and the user's line that made it."""
     return DiagramError(what, _here(), remedy)
 
 
@@ -70,19 +74,19 @@ class Expr:
         return id(self)
 
     def __bool__(self) -> bool:
-        raise _fault(
+        raise fault(
             "a recorded value has no truth yet (`if`, `and`, `or`, `not`, `min`, `max` ask for it)",
             "use where(condition, a, b), and & | ~ on conditions",
         )
 
     def __float__(self) -> float:
-        raise _fault(
+        raise fault(
             "a recorded value is not a Python number yet (math.* and float() ask for one)",
             "use the functions of twodof.blocks, such as sin or sqrt",
         )
 
     def __int__(self) -> int:
-        raise _fault(
+        raise fault(
             "a recorded value is not a Python integer yet (int() and range() ask for one)",
             "use to_int32, or loop over a constant",
         )
@@ -91,20 +95,20 @@ class Expr:
 
     def __iter__(self) -> Iterator[Expr]:
         if self.width is None:
-            raise _fault("a scalar is iterated over", "only arrays have elements")
+            raise fault("a scalar is iterated over", "only arrays have elements")
         return (self[i] for i in range(self.width))
 
     def __len__(self) -> int:
         if self.width is None:
-            raise _fault("a scalar has no length", "only arrays have elements")
+            raise fault("a scalar has no length", "only arrays have elements")
         return self.width
 
     def __getitem__(self, index: Any) -> Any:
         if self.width is None:
-            raise _fault(f"a scalar {self.kind} is indexed", "only arrays have elements")
+            raise fault(f"a scalar {self.kind} is indexed", "only arrays have elements")
         if isinstance(index, Expr):
             if index.kind not in ("int32", "uint32") or index.width is not None:
-                raise _fault(f"an array is indexed with a {index.kind}", "convert the index with to_int32")
+                raise fault(f"an array is indexed with a {index.kind}", "convert the index with to_int32")
             # Clamped as a signed number would be: a uint32 above 2^31 is above every length.
             position = (
                 where(index < self.width, to_int32(index), int32(self.width - 1)) if index.kind == "uint32" else index
@@ -156,7 +160,7 @@ class Expr:
         return _binary("rem", other, self)
 
     def __pow__(self, other: Any) -> Any:
-        raise _fault("** is not an operation of the language", "write x * x, or pow(x, y)")
+        raise fault("** is not an operation of the language", "write x * x, or pow(x, y)")
 
     __rpow__ = __pow__
 
@@ -267,10 +271,10 @@ def as_expr(value: Any, kind: str | None = None) -> Expr:
     """`value` as a scalar Expr of `kind` (of its own kind if None). Raises DiagramError if that needs a conversion."""
     if isinstance(value, Expr):
         if kind is not None and value.kind != kind:
-            raise _fault(f"{value.kind} meets {kind} in one operation", "convert with to_real, to_int32 or to_uint32")
+            raise fault(f"{value.kind} meets {kind} in one operation", "convert with to_real, to_int32 or to_uint32")
         return value
     if isinstance(value, (np.ndarray, list, tuple)):
-        raise _fault(
+        raise fault(
             "a Python list or array is used as a scalar",
             "make an array with vector([...]), or take one element",
         )
@@ -279,7 +283,7 @@ def as_expr(value: Any, kind: str | None = None) -> Expr:
         return const(value, found)
     if type(value) is int and kind in ("int32", "uint32"):
         return const(value, kind)
-    raise _fault(f"the literal {value!r} meets {kind} in one operation", "write it in that type, or convert explicitly")
+    raise fault(f"the literal {value!r} meets {kind} in one operation", "write it in that type, or convert explicitly")
 
 
 def _pair(a: Any, b: Any) -> tuple[Expr, Expr]:
@@ -292,10 +296,11 @@ def _pair(a: Any, b: Any) -> tuple[Expr, Expr]:
     return as_expr(a, anchor.kind), as_expr(b, anchor.kind)
 
 
-def _scalars(op: str, *args: Expr) -> None:
+def scalars(op: str, *args: Expr) -> None:
+    """Raise DiagramError if one of `args` is an array."""
     for a in args:
         if a.width is not None:
-            raise _fault(
+            raise fault(
                 f"{op} is applied to an array of {a.width}",
                 "work on its elements, with build(n, lambda i: ...)",
             )
@@ -303,35 +308,32 @@ def _scalars(op: str, *args: Expr) -> None:
 
 def _binary(op: str, a: Any, b: Any) -> Expr:
     left, right = _pair(a, b)
-    _scalars(op, left, right)
+    scalars(op, left, right)
     if left.kind not in _TAKES[op]:
-        raise _fault(f"{op} is not defined on {left.kind}", _REMEDY.get(op, f"it takes {', '.join(_TAKES[op])}"))
+        raise fault(f"{op} is not defined on {left.kind}", _REMEDY.get(op, f"it takes {', '.join(_TAKES[op])}"))
     return node(op, "bool" if op in ("lt", "le", "eq", "ne") else left.kind, (left, right))
 
 
 def _unary(op: str, a: Expr) -> Expr:
-    _scalars(op, a)
+    scalars(op, a)
     if a.kind not in _TAKES[op]:
-        raise _fault(f"{op} is not defined on {a.kind}", f"it takes {', '.join(_TAKES[op])}")
+        raise fault(f"{op} is not defined on {a.kind}", f"it takes {', '.join(_TAKES[op])}")
     return node(op, a.kind, (a,))
 
 
-def _traced(*values: Any) -> bool:
+def traced(*values: Any) -> bool:
     # While a block is traced even literals are recorded: folded here, they would round in this run's precision.
     if _tracing.get():
         return True
-    for v in values:  # any() would be shorter and, in the reference's innermost loop, twice as slow
-        if isinstance(v, Expr):
-            return True
-    return False
+    return Expr in map(type, values)  # any() would cost the reference's innermost loop twice the time
 
 
 def where(condition: Any, a: Any, b: Any) -> Any:
     """`a` where the condition holds, else `b`; both are evaluated. Two literals give a real."""
-    if _traced(condition, a, b):
+    if traced(condition, a, b):
         c = as_expr(condition, "bool")
         left, right = _pair(a, b)
-        _scalars("where", c, left, right)
+        scalars("where", c, left, right)
         return node("where", left.kind, (c, left, right))
     if type(a) is type(b) is numbers.real_type():
         return a if condition else b
@@ -351,12 +353,12 @@ def maximum(a: Any, b: Any) -> Any:
 
 
 def _less(a: Any, b: Any) -> Any:
-    return a < b if _traced(a, b) else np.bool_(a < b)
+    return a < b if traced(a, b) else np.bool_(a < b)
 
 
 def sqrt(x: Any) -> Any:
     """The IEEE square root of a real; NaN below zero."""
-    if _traced(x):
+    if traced(x):
         return _unary("sqrt", as_expr(x, "real"))
     return np.sqrt(numbers.cast(x, "real"))
 
@@ -393,9 +395,9 @@ def to_real(x: Any) -> Any:
 
 def convert(x: Any, kind: str) -> Any:
     """`x` as the scalar type `kind`; see to_int32, to_uint32 and to_real."""
-    if _traced(x):
+    if traced(x):
         x = as_expr(x)
-        _scalars(f"to_{kind}", x)
+        scalars(f"to_{kind}", x)
         if x.kind == kind:
             return x
         if x.kind == "bool":
@@ -416,9 +418,9 @@ def convert(x: Any, kind: str) -> Any:
 
 def multiply_high(a: Any, b: Any) -> Any:
     """The upper 32 bits of the 64-bit product of two uint32."""
-    if _traced(a, b):
+    if traced(a, b):
         left, right = as_expr(a, "uint32"), as_expr(b, "uint32")
-        _scalars("multiply_high", left, right)
+        scalars("multiply_high", left, right)
         return node("mulhi", "uint32", (left, right))
     return UInt32(numbers.cast(a, "uint32").value * numbers.cast(b, "uint32").value >> 32)
 
@@ -429,7 +431,7 @@ def bits_of(x: Any, word: int = 0) -> Any:
     NaN reads as the canonical quiet NaN. The meaning depends on the precision: for definitions of elementary
     functions only, which exist once a precision.
     """
-    if _traced(x):
+    if traced(x):
         return node("bits", "uint32", (as_expr(x, "real"),), word)
     x = numbers.cast(x, "real")
     x = numbers.real_type()("nan") if x != x else x
@@ -439,7 +441,7 @@ def bits_of(x: Any, word: int = 0) -> Any:
 
 def from_bits(low: Any, high: Any = None) -> Any:
     """The real with these IEEE words: one uint32 for float32, (low, high) for float64. The inverse of `bits_of`."""
-    if _traced(low, high):
+    if traced(low, high):
         words = (as_expr(low, "uint32"),) if high is None else (as_expr(low, "uint32"), as_expr(high, "uint32"))
         return node("from_bits", "real", words)
     if high is None:
@@ -451,88 +453,8 @@ def from_bits(low: Any, high: Any = None) -> Any:
 def call(name: str, *args: Expr) -> Expr:
     """A call of the elementary function `name` on reals; its definition is in `twodof.blocks.elementary`."""
     values = tuple(as_expr(a, "real") for a in args)
-    _scalars(name, *values)
+    scalars(name, *values)
     return node("call", "real", values, name)
-
-
-def vector(elements: Sequence[Any]) -> Any:
-    """An array of the given scalars, all of one type."""
-    if not elements:
-        raise _fault("an array of no elements", "an array has at least one element")
-    strong = [v for v in elements if isinstance(v, (Expr, Integer, np.floating, np.bool_, bool))]
-    anchor = next((v for v in strong if isinstance(v, Expr)), strong[0] if strong else 0.0)
-    kind = anchor.kind if isinstance(anchor, Expr) else numbers.kind_of(anchor)
-    if not _traced(*elements):
-        return numbers.cast_array(elements, kind)
-    items = tuple(as_expr(e, kind) for e in elements)
-    _scalars("vector", *items)
-    return node("vector", kind, items, None, len(items))
-
-
-def store(array: Any, index: Any, value: Any) -> Any:
-    """`array` with the element at the (clamped) index replaced; compiled to a write in place where it can be."""
-    if _traced(array, index, value):
-        base = array if isinstance(array, Expr) else vector(list(array))
-        if base.width is None:
-            raise _fault("store into a scalar", "only arrays have elements")
-        if not isinstance(index, Expr):
-            index = const(numbers.clamp_index(index, base.width), "int32")
-        elif index.kind == "uint32":
-            index = where(index < base.width, to_int32(index), int32(base.width - 1))
-        item = as_expr(value, base.kind)
-        _scalars("store", item)
-        return node("store", base.kind, (base, as_expr(index, "int32"), item), None, base.width)
-    items = list(array)
-    items[numbers.clamp_index(index, len(items))] = numbers.cast(value, numbers.kind_of(items[0]))
-    return Vector(items)
-
-
-def build(length: int, element: Callable[[Any], Any]) -> Any:
-    """The array of `element(i)` for the int32 i = 0 .. length - 1; stays a loop when compiled."""
-    if length < 1:
-        raise _fault("an array of no elements", "an array has at least one element")
-    if not recording():
-        return vector([element(Int32(i)) for i in range(length)])
-    depth = _depth.get()
-    token = _depth.set(depth + 1)
-    try:
-        body = as_expr(element(node("bound", "int32", (), (depth, 0))))
-    finally:
-        _depth.reset(token)
-    _scalars("build", body)
-    return node("build", body.kind, (body,), (length, depth), length)
-
-
-def fold(length: int, initial: Sequence[Any], step: Callable[..., Sequence[Any]]) -> tuple[Any, ...]:
-    """Repeat `values = step(i, *values)` for the int32 i = 0 .. length - 1 from `initial`; stays a loop when compiled.
-
-    The values are scalars; `step` returns as many as it takes, of the same types. Returns the last values.
-    """
-    if not recording():
-        kinds = [numbers.kind_of(v) for v in initial]
-        values = tuple(numbers.cast(v, k) for v, k in zip(initial, kinds, strict=True))
-        for i in range(length):
-            values = tuple(numbers.cast(v, k) for v, k in zip(step(Int32(i), *values), kinds, strict=True))
-        return values
-    starts = tuple(as_expr(v) for v in initial)
-    _scalars("fold", *starts)
-    depth = _depth.get()
-    token = _depth.set(depth + 1)
-    try:
-        index = node("bound", "int32", (), (depth, 0))
-        carried = [node("bound", s.kind, (), (depth, j + 1)) for j, s in enumerate(starts)]
-        results = tuple(step(index, *carried))
-    finally:
-        _depth.reset(token)
-    if len(results) != len(starts):
-        raise _fault(
-            f"the body of fold returns {len(results)} values and takes {len(starts)}",
-            "return one value for each initial value",
-        )
-    bodies = tuple(as_expr(r, s.kind) for r, s in zip(results, starts, strict=True))
-    _scalars("fold", *bodies)
-    # One node an output; all share (starts, bodies), so a compiler can emit them as one loop.
-    return tuple(node("fold", s.kind, starts + bodies, (length, depth, j)) for j, s in enumerate(starts))
 
 
 def recording() -> bool:

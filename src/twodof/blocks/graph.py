@@ -6,20 +6,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from twodof.blocks import numbers
-from twodof.blocks.expr import (
-    Expr,
-    bits_of,
-    build,
-    convert,
-    fold,
-    from_bits,
-    multiply_high,
-    recording,
-    sqrt,
-    store,
-    vector,
-    where,
-)
+from twodof.blocks.arrays import build, fold, store, vector
+from twodof.blocks.expr import Expr, bits_of, convert, from_bits, multiply_high, recording, sqrt, where
 from twodof.errors import DiagramError
 
 OPERATIONS: dict[str, Callable[..., Any]] = {

@@ -26,13 +26,16 @@ class Cell:
 
     @property
     def discrete(self) -> list[State]:
+        """Its states that change by `update`."""
         return [s for s in self.block.states if not s.continuous]
 
     @property
     def continuous(self) -> list[State]:
+        """Its states that change by `derivative` and `project`."""
         return [s for s in self.block.states if s.continuous]
 
     def rate_due(self, tick: int) -> bool:
+        """Whether its rate makes it run at base tick `tick`."""
         return tick % self.rate.divider == self.rate.offset
 
 
@@ -45,6 +48,7 @@ class PortOf:
 
     @property
     def declared(self) -> Port:
+        """The port as its block declares it."""
         return next(p for p in self.cell.block.outputs if p.name == self.port)
 
     def __str__(self) -> str:

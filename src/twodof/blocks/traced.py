@@ -5,18 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from twodof.blocks.arrays import vector
 from twodof.blocks.block import SECTIONS, Block, Clock, Trace, check_name
 from twodof.blocks.elementary import FUNCTIONS
-from twodof.blocks.expr import (
-    KINDS,
-    Expr,
-    const,
-    convert,
-    leaf,
-    node,
-    tracing,
-    vector,
-)
+from twodof.blocks.expr import KINDS, Expr, const, convert, leaf, node, tracing
 from twodof.blocks.graph import OPERATIONS, evaluate, free_bounds, walk
 from twodof.errors import DiagramError
 

@@ -10,8 +10,9 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+from twodof.blocks.arrays import fold, store
 from twodof.blocks.block import Block, Clock, Param, Port, State, library_block
-from twodof.blocks.expr import fold, maximum, real, store, to_int32, to_real, to_uint32, uint32, where
+from twodof.blocks.expr import maximum, real, to_int32, to_real, to_uint32, uint32, where
 from twodof.models.plant import GRAVITY
 
 # Taylor terms of the matrix exponential, by Horner: |A| dt <= 2 leaves 2^20 / 20! < 5e-13.
