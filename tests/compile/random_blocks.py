@@ -128,7 +128,7 @@ class Body:
             array, kind, width = r.choice(self.pool.arrays)
             self.let(name, f"store({array}, {self.pick('int32')}, {self.pick(kind)})", kind, width)
         elif shape < 0.14:
-            kind, width = r.choice(KINDS), r.choice((2, 3, 18))
+            kind, width = r.choice(KINDS), r.choice((2, 3, 3, 3, 18))
             self.let(name, f"build({width}, lambda i_{name}: {self.inner(f'i_{name}', kind)})", kind, width)
         elif shape < 0.18:
             first, second = r.choice(KINDS), r.choice(KINDS)
@@ -234,7 +234,9 @@ class RandomBlock(Block):
             if rng.random() < 0.6:
                 self._method(rng, "project", "u, x, p, t", everything, moving, 3)
 
-    def _method(self, rng: random.Random, name: str, arguments: str, see: list[Pool], give: list[Any], size: int) -> None:
+    def _method(
+        self, rng: random.Random, name: str, arguments: str, see: list[Pool], give: list[Any], size: int
+    ) -> None:
         pool = Pool()
         for part in see:
             for kind, texts in part.scalars.items():
@@ -255,4 +257,4 @@ class RandomBlock(Block):
 
 
 def _shape(rng: random.Random) -> tuple[str, int | None]:
-    return rng.choice(KINDS), rng.choice((None, None, None, None, 3, 18))
+    return rng.choice(KINDS), rng.choice((None,) * 15 + (3, 3, 3, 18))

@@ -64,6 +64,7 @@ CONTINUOUS: tuple[Any, ...] = (
     lambda r: lib.TransferFunction((1.0,), (0.5, 1.0, 1.0)),
 )
 DIVIDERS = (1, 1, 1, 1, 2, 3, 4)
+SLOW = (1, 1, 3, 5, 8)
 
 
 @dataclass
@@ -77,10 +78,15 @@ class Source:
 
 
 class Maker:
-    """Makes one random diagram; `paths` are all its blocks' output ports."""
+    """Makes one random diagram; `paths` are all its blocks' output ports.
 
-    def __init__(self, seed: int) -> None:
+    A `small` one has few blocks, many of them at slow rates, so that the reference can run 20,000 steps of it.
+    """
+
+    def __init__(self, seed: int, small: bool = False) -> None:
         self.rng = random.Random(seed)
+        self.small = small
+        self.size = 3 if small else 8
         self.paths: list[str] = []
         self.sources: dict[str, str] = {}  # of random blocks, for a failure's report
 
@@ -93,7 +99,7 @@ class Maker:
         d.input("flag", "bool")
         d.input("vector_in", width=3)
         sources = [Source(n, p, (1, 0), True) for n, p in d.inputs.items()]
-        self.fill(d, "", sources, (1, 0), self.rng.randint(3, 6), 0)
+        self.fill(d, "", sources, (1, 0), self.rng.randint(2, 3) if self.small else self.rng.randint(3, 6), 0)
         for i, path in enumerate(self.rng.sample(self.paths, min(2, len(self.paths)))):
             part = path.split(".")[0]
             item = d.parts[part].item
@@ -115,7 +121,7 @@ class Maker:
             if depth < 2 and r.random() < (0.3 if depth == 0 else 0.15):
                 made += self.sub(d, name, prefix, rate, depth, waiting, conditions, before)
                 continue
-            divider = r.choice(DIVIDERS)
+            divider = r.choice(SLOW if self.small else DIVIDERS)
             own = (divider, r.randrange(divider))
             whole = (rate[0] * own[0], rate[1] + rate[0] * own[1])
             block = self.block(whole)
@@ -129,7 +135,9 @@ class Maker:
                 made.append(Source(f"{name}.{p.name}", p, own, not block.trace.feedthrough[p.name]))
         for destination, port, own, before in waiting:
             crossing = self.crossing(d, destination)
-            driver = self.driver(d, port, own, [*sources, *made[:before], *(s for s in made[before:] if s.early)], crossing)
+            driver = self.driver(
+                d, port, own, [*sources, *made[:before], *(s for s in made[before:] if s.early)], crossing
+            )
             d.connect(driver, destination)
         for name, before in conditions:
             flags = [s for s in [*sources, *made[:before], *(m for m in made[before:] if m.early)]]
@@ -160,9 +168,9 @@ class Maker:
         if what < 0.4:
             made: Block = r.choice(LIBRARY)(r)
         elif what < 0.75 or rate != (1, 0):
-            made = RandomBlock(r.randrange(2**31))
+            made = RandomBlock(r.randrange(2**31), size=self.size)
         elif what < 0.85:
-            made = RandomBlock(r.randrange(2**31), continuous=True)
+            made = RandomBlock(r.randrange(2**31), continuous=True, size=self.size)
         elif what < 0.93:
             made = r.choice(CONTINUOUS)(r)
         else:
@@ -188,7 +196,7 @@ class Maker:
         inner.input("in1", "bool")
         whole = (rate[0] * own[0], rate[1] + rate[0] * own[1])
         fed = [Source(n, p, (1, 0), True) for n, p in inner.inputs.items()]
-        made = self.fill(inner, f"{prefix}{name}.", fed, whole, r.randint(1, 3), depth + 1)
+        made = self.fill(inner, f"{prefix}{name}.", fed, whole, 1 if self.small else r.randint(1, 3), depth + 1)
         outside = []
         for i, s in enumerate(r.sample(made, min(2, len(made)))):
             if s.rate == (1, 0):
