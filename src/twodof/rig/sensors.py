@@ -113,7 +113,8 @@ class Imu(Block):
         acc_z = sine * along - GRAVITY * cosine - p.imu_below * (u.q * u.q)
 
         def error(axis: str, fresh: Any, idle: Any, hover: Any) -> Any:
-            return p.noise * (idle * fresh + hover * u.load * self._vibration(axis, fresh, x, p))
+            # The band-pass is a sample behind, so that its noise is independent of the white one.
+            return p.noise * (idle * fresh + hover * u.load * x[f"{axis}_y1"])
 
         return {
             "acc_x": rounded(acc_x + error("x", u.n_x, p.acc_x_idle, p.acc_x_hover), p.acc_grain),

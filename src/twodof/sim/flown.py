@@ -28,6 +28,7 @@ HISTORY = 24
 _SETTLE = 0.5  # s after arming until the hold counts, as the rotors and the rate loop settle
 _SETTLE_STEP = 2.0  # s after a set-point step
 _HOLD = 6.0  # s, longest hold used
+_HANDED_OVER = 5e-4  # m
 _FILTER = 100  # steps over which the derivative's state is rebuilt; it forgets .714 a step
 
 
@@ -37,7 +38,8 @@ class Flown:
 
     `time` (n,) [s] are the steps by the drone's clock; `mode` (n,) indices into `signals.MODES`; `setpoint[name]` (n,)
     for x0, v0, theta0, q0, M_open, thrust. `hold` [s] is the time before the window from which the trim moment
-    (`trim_moment`, the mean M, at the mean pitch `trim_theta`) and the velocity bias are taken, None if there was none.
+    (`trim_moment`, the mean M, at the mean pitch `trim_theta`) is taken, None if there was none; `velocity_bias` [m/s]
+    is from before the window too.
     `states` are controller states at the first step; `spun_up` [s] is how long the rotors have run.
     """
 
@@ -87,7 +89,8 @@ def default_window(log: FlightLog) -> tuple[float, float]:
 def _steps(log: FlightLog, stretch: Stretch) -> Floats:
     """Times at which the set-point of a stretch changes; the switches into and out of its mode do not count.
 
-    Changes below .2 % of the set-point's range are not meant: a set-point that follows its measurement drifts.
+    Changes below .2 % of the set-point's range are not meant: a set-point that follows its measurement drifts. Nor is a
+    jump to where the cart is: the loop is handed over there.
     """
     name = SETPOINTS.get(stretch.mode, "M")
     if stretch.duration <= 0.1:
@@ -96,6 +99,9 @@ def _steps(log: FlightLog, stretch: Stretch) -> Floats:
     if not len(channel):
         return np.empty(0)
     changed = np.flatnonzero(np.abs(np.diff(channel.value)) > max(1e-6, 0.002 * float(np.ptp(channel.value)))) + 1
+    if stretch.mode == "position":
+        away = np.abs(channel.value[changed] - _held(log, "x", channel.time[changed])) > _HANDED_OVER
+        changed = changed[away]
     return channel.time[changed]
 
 
@@ -116,7 +122,7 @@ def flown(log: FlightLog, gains: Gains, window: tuple[float, float] | None = Non
     armed_at, hold = _hold(log, begin, mode[0])
     start = {name: float(np.interp(begin, log[name].time, log[name].value)) for name in ("theta", "q", "x", "v")}
     start["theta_previous"] = float(_held(log, "theta", np.array([begin]))[0])
-    trim_moment, trim_theta, bias = _trim(log, hold)
+    trim_moment, trim_theta = _trim(log, hold)
     ranges = log["dist"].time if "dist" in log else np.empty(0)
     later = ranges[ranges >= begin]
     return Flown(
@@ -129,7 +135,7 @@ def flown(log: FlightLog, gains: Gains, window: tuple[float, float] | None = Non
         hold=hold,
         trim_moment=trim_moment,
         trim_theta=trim_theta,
-        velocity_bias=bias if mode.max() >= MODES.index("velocity") else 0.0,
+        velocity_bias=_velocity_bias(log, begin) if mode.max() >= MODES.index("velocity") else 0.0,
         spun_up=begin - armed_at if armed_at is not None else 0.0,
         tof_delay=float(later[0] - begin) if later.size else 0.0,
         window=(t0, t1),
@@ -211,19 +217,27 @@ def _loop_opened(log: FlightLog, begin: float) -> float:
     return begin
 
 
-def _trim(log: FlightLog, hold: tuple[float, float] | None) -> tuple[float | None, float, float]:
-    """(mean M, mean theta, velocity bias) of the hold.
+def _trim(log: FlightLog, hold: tuple[float, float] | None) -> tuple[float | None, float]:
+    """(mean M, mean theta) of the hold.
 
-    The bias is the mean estimated v less the slope of the range. A rail bias is not taken: the mean pitch of a
-    hold is mostly what stiction leaves (used as a bias it costs 5 to 15 points of FIT on theta in both flights on
-    the rail).
+    A rail bias is not taken: the mean pitch of a hold is mostly what stiction leaves (used as a bias it costs 5 to 15
+    points of FIT on theta in both flights on the rail).
     """
     if hold is None:
-        return None, 0.0, 0.0
-    mean = {name: float(np.mean(log[name].slice(*hold).value)) for name in ("M", "theta", "v")}
-    ranges = log["dist"].slice(*hold)
-    slope = float(np.polyfit(ranges.time - hold[0], ranges.value, 1)[0]) if len(ranges) > 4 else mean["v"]
-    return mean["M"], mean["theta"], mean["v"] - slope
+        return None, 0.0
+    return float(np.mean(log["M"].slice(*hold).value)), float(np.mean(log["theta"].slice(*hold).value))
+
+
+def _velocity_bias(log: FlightLog, begin: float) -> float:
+    """Mean estimated v less the way that the estimated x went, over the last 6 s before `begin`, motors on or off.
+
+    x cannot drift away from its range sensor, so over 6 s this is good to 1 mm/s; over a short hold it is not.
+    """
+    since = max(begin - _HOLD, float(log["x"].time[0]))
+    v, x = log["v"].slice(since, begin), log["x"].slice(since, begin)
+    if len(v) < 2 or len(x) < 2 or begin - since < 1.0:
+        return 0.0
+    return float(np.mean(v.value) - (x.value[-1] - x.value[0]) / (x.time[-1] - x.time[0]))
 
 
 def _controller_states(log: FlightLog, gains: Gains, begin: float, mode: str) -> dict[str, float]:
