@@ -175,7 +175,12 @@ def _readings(flights: Flights, pitch: SimplePitch | None, along: SimpleVelocity
     if along is not None:
         steps = [read_step(record) for record in flights.velocities]
         values |= {"k_v": [one.k_v for one in steps], "p_v": [one.p_v for one in steps]}
-    return {key: Uncertain(found[0], _spread(found)) for key, found in values.items()}
+    read = {key: Uncertain(found[0], _spread(found)) for key, found in values.items()}
+    if "tau" in read:
+        # Samples are counted: readings that all agree are still uncertain by the width of a sample.
+        width = flights.doublets[0].dt / math.sqrt(12.0)
+        read["tau"] = Uncertain(read["tau"].value, math.hypot(read["tau"].sigma, width))
+    return read
 
 
 def _spread(values: Sequence[float]) -> float:

@@ -130,8 +130,8 @@ def _doubts(found: Characterisation) -> list[str]:
         if claimed is not None and spread is not None and spread.exceeds(claimed.sigma):
             said.append(
                 f"{row.symbol}: repeated flights spread {spread.value / claimed.sigma:.1f} times as far as the "
-                "standard deviation claimed from one. What differs from flight to flight acts on the drone and not on the "
-                "sensor, where output error looks for it: believe the spread."
+                "standard deviation claimed from one. What differs from flight to flight acts on the drone and not on "
+                "the sensor, where output error looks for it: believe the spread."
             )
     return said
 
