@@ -78,9 +78,7 @@ def test_no_link_is_broken(page: Path) -> None:
 
 def test_a_broken_link_is_found(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
-    page.write_text(
-        "# A b\n[ok](#a-b) [ok](page.md#a-b) [x](nowhere.md) ![y](#c) `[z](code.md)` [w](https://a.b)\n"
-    )
+    page.write_text("# A b\n[ok](#a-b) [ok](page.md#a-b) [x](nowhere.md) ![y](#c) `[z](code.md)` [w](https://a.b)\n")
     assert list(broken_links(page)) == ["page.md: nowhere.md", "page.md: #c (no such heading)"]
 
 
