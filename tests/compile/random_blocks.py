@@ -7,16 +7,17 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+from twodof import blocks
 from twodof.blocks import Block, Param, Port, State, elementary, expr
 
 KINDS = ("real", "real", "real", "int32", "uint32", "bool")
+WORDS = """where minimum maximum sqrt to_real to_int32 to_uint32 int32 uint32 real multiply_high vector store build
+    fold"""
 NAMESPACE = {
-    name: getattr(expr, name)
-    for name in (
-        "where minimum maximum sqrt to_real to_int32 to_uint32 int32 uint32 real multiply_high bits_of vector "
-        "store build fold"
-    ).split()
-} | {name: getattr(elementary, name) for name in elementary.ARGUMENTS if not name.endswith("octant")}
+    **{name: getattr(blocks, name) for name in WORDS.split()},
+    **{name: getattr(elementary, name) for name in elementary.ARGUMENTS if not name.endswith("octant")},
+    "bits_of": expr.bits_of,
+}
 CHEAP = ("floor", "trunc", "ceil")
 DEAR = ("sin", "cos", "atan2", "exp", "log", "pow", "tanh", "hypot", "atan")
 

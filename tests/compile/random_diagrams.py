@@ -140,7 +140,7 @@ class Maker:
             )
             d.connect(driver, destination)
         for name, before in conditions:
-            flags = [s for s in [*sources, *made[:before], *(m for m in made[before:] if m.early)]]
+            flags = [*sources, *made[:before], *(m for m in made[before:] if m.early)]
             flags = [s for s in flags if s.port.kind == "bool" and s.port.width is None]
             if flags:
                 part = d.parts[name]

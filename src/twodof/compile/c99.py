@@ -204,6 +204,7 @@ class _Emitter:
         if stage:
             stage.commit(tick)
         writer.line("s->tick += 1u;")
+        tick.forget_idle_rates()
 
     def _run(self) -> str:
         p = self.prefix

@@ -105,6 +105,11 @@ def _paren(item: Text, loosest: int) -> str:
     return item[0] if item[1] <= loosest else f"({item[0]})"
 
 
+def _loop_key(item: Expr) -> tuple[Any, ...]:
+    """What the results of one fold have in common."""
+    return (*map(id, item.args), *item.data[:2])
+
+
 def _arithmetic(op: str, args: Sequence[Text]) -> Text:
     if op == "mul":
         return f"{_paren(args[0], PRODUCT)} * {_paren(args[1], ATOM)}", PRODUCT
@@ -151,6 +156,7 @@ class Renderer:
         self._kept: list[Expr] = []  # nodes made here, whose identities are used as keys
         self._resolved: dict[int, Expr] = {}
         self._free: dict[int, frozenset[int]] = {}
+        self._wanted: dict[tuple[Any, ...], set[int]] = {}  # of each fold, which of its results
 
     def learn(self, known: Mapping[Expr, str]) -> None:
         """More expressions that are already at hand."""
@@ -203,6 +209,9 @@ class Renderer:
                 uses[id(a)] = uses.get(id(a), 0) + 1
         for r in roots:
             uses[id(r)] = uses.get(id(r), 0) + 1
+        for item in order:
+            if item.op == "fold":
+                self._wanted.setdefault(_loop_key(item), set()).add(item.data[2])
         whole = {id(r) for r in roots if uses[id(r)] == 1}
         texts: dict[int, Text] = {}
         for item in order:
@@ -307,6 +316,9 @@ class Renderer:
         if op == "where":
             return f"{_paren(args[0], COMPARISON)} ? {_paren(args[1], SIGNED)} : {_paren(args[2], SIGNED)}", LOOSE
         if op in ("lt", "le", "eq", "ne"):
+            same = self._resolve(item.args[0]) is self._resolve(item.args[1])
+            if same and item.args[0].kind != "real":  # compilers warn about these; a real may be NaN
+                return ("true" if op in ("le", "eq") else "false"), ATOM
             sign = {"lt": "<", "le": "<=", "eq": "==", "ne": "!="}[op]
             return f"{_paren(args[0], SUM)} {sign} {_paren(args[1], SUM)}", COMPARISON
         operand = self._resolve(item.args[0]).kind
@@ -398,25 +410,38 @@ class Renderer:
     def _fold(self, item: Expr, args: Sequence[Text]) -> Text:
         length, depth, which = item.data
         bodies = item.args[len(args) :]
-        names = [self.names.new(f"{self.stem}_sum") for _ in args]
-        for name, (start, _), body in zip(names, args, bodies, strict=True):
-            self.writer.line(f"{C_TYPES[body.kind]} {name} = {start};")
+        needed = self._carried(bodies, depth, {which} | self._wanted.get(_loop_key(item), set()))
+        names = {j: self.names.new(f"{self.stem}_sum") for j in needed}
+        for j, name in names.items():
+            self.writer.line(f"{C_TYPES[bodies[j].kind]} {name} = {args[j][0]};")
         with self._loop(length, depth):
-            for j, name in enumerate(names):
+            for j, name in names.items():
                 self.bound[depth, j + 1] = name, ATOM
-            texts = self._texts([self._resolve(b) for b in bodies])
+            texts = self._texts([self._resolve(bodies[j]) for j in needed])
             if len(names) == 1:
-                self.writer.line(f"{names[0]} = {texts[0][0]};")
+                self.writer.line(f"{names[needed[0]]} = {texts[0][0]};")
             else:
-                nexts = [self.names.new(f"{name}_next") for name in names]
-                for new, (text, _), body in zip(nexts, texts, bodies, strict=True):
-                    self.writer.line(f"const {C_TYPES[body.kind]} {new} = {text};")
-                for name, new in zip(names, nexts, strict=True):
-                    self.writer.line(f"{name} = {new};")
-        for j, body in enumerate(bodies):  # the loop's other results
-            twin = self._keep("fold", body.kind, item.args, (length, depth, j))
-            self.named[id(twin)] = names[j], ATOM
+                nexts = [self.names.new(f"{names[j]}_next") for j in needed]
+                for j, new, (text, _) in zip(needed, nexts, texts, strict=True):
+                    self.writer.line(f"const {C_TYPES[bodies[j].kind]} {new} = {text};")
+                for j, new in zip(needed, nexts, strict=True):
+                    self.writer.line(f"{names[j]} = {new};")
+        for j, name in names.items():  # the loop's other results
+            twin = self._keep("fold", bodies[j].kind, item.args, (length, depth, j))
+            self.named[id(twin)] = name, ATOM
         return names[which], ATOM
+
+    def _carried(self, bodies: Sequence[Expr], depth: int, wanted: set[int]) -> list[int]:
+        """The values that a fold must carry so that those `wanted` come out."""
+        found: set[int] = set()
+        stack = list(wanted)
+        while stack:
+            j = stack.pop()
+            if j not in found:
+                found.add(j)
+                read = [e.data for e in walk([bodies[j]]) if e.op == "bound"]
+                stack += [k - 1 for d, k in read if d == depth and k > 0]
+        return sorted(found)
 
     @contextmanager
     def _loop(self, length: int, depth: int) -> Iterator[str]:

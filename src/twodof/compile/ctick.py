@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 
@@ -142,6 +143,13 @@ class Tick:
             if rate.divider > 1 and rate not in self._due:
                 self._due[rate] = self.names.new(f"due_{rate.divider}_{rate.offset}")
                 self.writer.line(f"const bool {self._due[rate]} = s->tick % {rate.divider}u == {rate.offset}u;")
+
+    def forget_idle_rates(self) -> None:
+        """Take out the lines of rates that nothing asked for."""
+        for name in self._due.values():
+            lines = [i for i, line in enumerate(self.writer.lines) if re.search(rf"\b{name}\b", line)]
+            if len(lines) == 1:
+                del self.writer.lines[lines[0]]
 
     def condition(self, guard: Guard) -> str:
         """The C condition under which a guard's nodes act ("" if always)."""
