@@ -1,0 +1,70 @@
+"""`twodof simulate`: a flight from a seed, a flight like a log, and what is refused."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twodof.cli.app import run
+from twodof.flightlog.files import read_log
+
+
+def test_a_seed_is_a_flight_and_another_seed_another(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    logs = []
+    for name, seed in (("a", 1), ("b", 1), ("c", 2)):
+        file = tmp_path / f"{name}.parquet"
+        assert run(["simulate", "doublet", "--rig", "paper", "--seed", str(seed), "--out", str(file), "--json"]) == 0
+        found = json.loads(capfd.readouterr().out)
+        assert found["good"] is True
+        assert found["file"] == str(file)
+        logs.append(read_log(file))
+    np.testing.assert_array_equal(logs[0]["q"].value, logs[1]["q"].value)
+    assert np.any(logs[0]["q"].value != logs[2]["q"].value)
+    assert logs[0].provenance["seed"] == 1
+
+
+def test_what_is_simulated_can_be_identified(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """The two commands that a student types first; the paper rig's mu is 358.5."""
+    file = str(tmp_path / "flight.mat")
+    assert run(["simulate", "doublet", "--rig", "paper", "--out", file]) == 0
+    capfd.readouterr()
+    assert run(["identify", file, "--experiment", "doublet", "--json"]) == 0
+    found = json.loads(capfd.readouterr().out)["estimates"]["mu"]
+    assert found["value"] == pytest.approx(358.5, rel=0.02)
+
+
+def test_flown_like_a_log_it_has_the_agreed_form(flight_data: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    log = str(flight_data / "rate-doublets-30dps-student.mat")
+    arguments = ["simulate", "--like", log, "--rig", "lab", "--gains", "student", "--window", "346.6", "355.6"]
+    assert run([*arguments, "--json"]) == 0
+    found = json.loads(capfd.readouterr().out)
+    assert set(found) == {"fit_percent", "windows_s"}
+    assert set(found["fit_percent"]) == {"theta", "q", "x", "v"}
+    assert found["windows_s"] == [[346.6, 355.6]]
+    # The issue's bound for this flight.
+    assert found["fit_percent"]["q"] >= 88.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ([], "one of the two"),
+        (["doublet", "--like", "x.mat"], "one of the two"),
+        (["doublet", "--window", "0", "1"], "--like"),
+        (["nonsense"], "no experiment called"),
+        (["doublet", "--rig", "nonsense"], "nonsense"),
+        (["doublet", "--gains", "nonsense"], "nonsense"),
+        (["doublet", "--out", "flight.foo"], ".foo"),
+        (["--like", "nowhere.mat"], "nowhere.mat"),
+    ],
+)
+def test_a_mistake_is_refused_with_its_remedy(
+    arguments: list[str], says: str, capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run(["simulate", *arguments]) == 2
+    out, err = capfd.readouterr()
+    assert out == ""
+    assert says in err
+    assert list(tmp_path.iterdir()) == []
