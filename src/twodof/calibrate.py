@@ -98,6 +98,7 @@ PRIOR_WEIGHT = 0.02
 _DIFFERENCE = 0.02  # of a prior's standard deviation: above the steps that sticking makes in the misfit
 _TOLERANCE = 1e-5
 _ITERATIONS = 30
+_BLOCK = 250  # samples: about a second
 
 
 def to_rig(unknowns: Mapping[str, float]) -> dict[str, float]:
@@ -134,9 +135,10 @@ def to_rig(unknowns: Mapping[str, float]) -> dict[str, float]:
 class Calibration:
     """What a calibration found.
 
-    `rig` is the set; `estimate` and `deviation` the unknowns and their standard deviations (from the misfit's spread,
-    priors included: an optimistic figure, since turbulence is not white); `fit[flight][channel]` [%] on all flights;
-    `left_out[flight][channel]` [%] of each flight by the set calibrated on the others (empty if not asked for).
+    `rig` is the set; `estimate` and `deviation` the unknowns and their standard deviations (robust to misfits that are
+    coloured over a second, as turbulence is); `fit[flight][channel]` [%] on all flights; `left_out[flight][channel]`
+    [%] of each flight by the set calibrated on the others (empty if not asked for). `converged` says that no further
+    step promised a relative decrease of the misfit by 1e-5.
     """
 
     rig: ParameterSet
@@ -273,7 +275,19 @@ def _solve(loop: ClosedLoop, logged: Mapping[Flight, LoggedFlight], start: Array
     high = np.array([(u.high - u.mean) / u.deviation for u in UNKNOWNS]) - 2.0 * _DIFFERENCE
     found = minimise(residual, jacobian, (start - mean) / unit, low, high, tolerance=_TOLERANCE, iterations=_ITERATIONS)
     jac = jacobian(found.x, found.residual)
-    # Each channel's misfit counts as one number of its relative size, so the sum is scaled by the count of channels.
-    variance = 2.0 * found.cost / max(1, len(found.residual) - len(found.x))
-    deviation = unit * np.sqrt(np.diag(np.linalg.inv(jac.T @ jac)) * variance)
-    return _Solution(mean + unit * found.x, deviation, found.cost, found.converged)
+    deviation = unit * np.sqrt(np.diag(_covariance(jac, found.residual, len(UNKNOWNS))))
+    return _Solution(mean + unit * found.x, deviation, found.cost, found.iterations < _ITERATIONS)
+
+
+def _covariance(jac: Array, residual: Array, priors: int) -> Array:
+    """Of the unknowns, from the Jacobian (n, k) and the residual (n,), whose first `priors` rows are the priors.
+
+    The sandwich estimator with the misfits of each block of samples taken as one (Newey and West, Econometrica 55-3,
+    1987, with blocks in place of lags).
+    """
+    curvature = np.linalg.inv(jac.T @ jac)
+    middle = jac[:priors].T @ jac[:priors] * PRIOR_WEIGHT**2
+    for first in range(priors, len(residual), _BLOCK):
+        push = jac[first : first + _BLOCK].T @ residual[first : first + _BLOCK]
+        middle += np.outer(push, push)
+    return np.asarray(curvature @ middle @ curvature)

@@ -131,6 +131,7 @@ _SHARED = MappingProxyType(
         "gyro_step": "assumed: 16 bits over +-2000 deg/s",
         "tof_rate": "logs",
         "tof_noise": "logs, motors idle",
+        "tof_stamp": "logs: a range's stamp is that of its arrival",
         "tof_step": "the sensor counts millimetres",
         "wake_lag": "not in the paper",
         "gust_time": "logs, level holds: spectrum of q",

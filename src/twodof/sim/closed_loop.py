@@ -199,12 +199,13 @@ class ClosedLoop:
             self.machine.set_state(f"rig.rotors.{name}_ring", ring.tolist())
 
     def fly(self, steps: int, setpoints: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
-        """Flies `steps` control steps (4 ms each). A set-point is one value or an array of `steps` values.
+        """Flies `steps` control steps (4 ms each). A set-point is one value or an array of `steps` values, and 0
+        (or false) where it is not given.
 
         `mode` is a name or an index into `signals.MODES`. Returns each signal at the control steps, (steps,).
         Raises ExperimentError for an unknown set-point or mode.
         """
-        inputs: dict[str, Any] = {}
+        inputs: dict[str, Any] = dict.fromkeys(SETPOINTS, 0.0) | {"mode": 0, "in_reset": False, "use_trim": False}
         for name, value in setpoints.items():
             if name not in SETPOINTS:
                 raise ExperimentError(f"no set-point called {name!r:.80}", "fly", f"there are: {', '.join(SETPOINTS)}")
