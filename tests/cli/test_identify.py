@@ -69,7 +69,9 @@ def test_a_velocity_doublet_tells_gain_and_pole(tmp_path: Path, capfd: pytest.Ca
     theta[50:250], theta[250:450] = 0.26, -0.26
     states = Velocity(4.748, 1.168).state_space().zero_order_hold(DT).simulate(theta)
     v = states[:, 1] + np.random.default_rng(2).normal(0.0, 0.002, steps)
-    channels = {"theta0": theta, "theta": theta, "q": np.zeros(steps), "v": v, "dist": 0.5 + states[:, 0]}
+    still = np.zeros(steps)
+    channels = {"theta0": theta, "theta": theta, "q": still, "M": still, "T": still + 0.4}
+    channels |= {"v": v, "dist": 0.5 + states[:, 0]}
     log = save(tmp_path / "velocity.csv", channels)
     arguments = ["identify", str(log), "--experiment", "velocity", "--window", "0", "2.4", "--model", "velocity"]
     found = answer(arguments, capfd)["estimates"]

@@ -1,6 +1,7 @@
 """Records of the paper's three experiments on the paper's models, with white noise on the outputs."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -40,18 +41,26 @@ def travel(rate: np.ndarray) -> dict[str, np.ndarray]:
 def flights(repetitions: int = 3, seed: int = 0) -> Flights:
     generator = np.random.default_rng(seed)
     pitch = PAPER_PITCH_RATE.state_space().zero_order_hold(DT)
-    impulse = held(5000, (100, 150, 0.02))
+    # Without thrust only one pair of rotors pushes, at the foot of its curve.
+    idle = replace(PAPER_PITCH_RATE, mu=130.0).state_space().zero_order_hold(DT)
+    impulse = held(5000, (100, 150, 0.05))
     doublet = held(400, (100, 175, 0.03), (175, 250, -0.03))
     rate = held(600, (100, 110, 6.5), (300, 310, -13.0), (500, 510, 6.5))
     theta0 = held(600, (100, 300, 0.26), (300, 500, -0.26))
     motion = travel(rate)
     impulses, doublets, velocities = [], [], []
     for index in range(1, repetitions + 1):
-        q = pitch.simulate(impulse)[:, 1] + generator.normal(0.0, Q_NOISE, impulse.size)
+        q = idle.simulate(impulse)[:, 1] + generator.normal(0.0, Q_NOISE, impulse.size)
         impulses.append(record(f"impulse {index}", {"M": impulse}, {"q": q}))
         q = pitch.simulate(doublet)[:, 1] + generator.normal(0.0, Q_NOISE, doublet.size)
         doublets.append(record(f"doublet {index}", {"M": doublet}, {"q": q}))
-        inputs = {"theta0": theta0, "theta": motion["theta"], "q": rate}
+        inputs = {
+            "theta0": theta0,
+            "theta": motion["theta"],
+            "q": rate,
+            "M": held(rate.size),
+            "T": held(rate.size) + 0.4,
+        }
         outputs = {
             "v": motion["v"] + generator.normal(0.0, V_NOISE, rate.size),
             "x": motion["x"] + generator.normal(0.0, X_NOISE, rate.size),

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from twodof.models.plant import PAPER_PITCH_RATE, PAPER_VELOCITY_GREYBOX, PAPER_VELOCITY_SIMPLE, Velocity
-from twodof.report.errata import doublet_travel, errata, impulse_angle_deg, unit_peak
+from twodof.report.errata import doublet_travel, errata, impulse_angle_deg, read_by_hand, unit_peak
 
 
 def test_unit_peak_is_that_of_the_step_response_at_the_doublets_turn() -> None:
@@ -41,8 +41,17 @@ def test_the_longest_doublet_that_the_paper_suggests_takes_the_whole_rail() -> N
     assert max(travels) > 0.8
 
 
+def test_reading_the_papers_grey_box_model_by_hand_gives_the_papers_other_column() -> None:
+    """The line through 10 to 40 % of the peak has the slope at 25 %: 1 - 0.25 (1 - exp(-p_v T)) of the initial one."""
+    k_v, p_v = read_by_hand()
+    model = PAPER_VELOCITY_GREYBOX
+    assert k_v == pytest.approx(model.k_v * (1.0 - 0.25 * -math.expm1(-model.p_v * 0.8)), rel=0.01)
+    assert k_v == pytest.approx(PAPER_VELOCITY_SIMPLE.k_v, rel=0.02)
+    assert p_v == pytest.approx(PAPER_VELOCITY_SIMPLE.p_v, rel=0.05)
+
+
 def test_each_erratum_says_where_what_and_why() -> None:
     found = errata()
-    assert len(found) == 6
+    assert len(found) == 7
     assert all(one.place and one.printed and one.shown for one in found)
     assert "μ = 348.9" in found[3].shown

@@ -135,7 +135,7 @@ def _structure(experiment: Experiment, model: Model) -> Structure:
         Model.rail: rail,
     }
     if model is Model.auto:
-        return rail() if experiment is Experiment.velocity else pitch_rate()
+        return rail(thrust=True) if experiment is Experiment.velocity else pitch_rate()
     return made[model]()
 
 

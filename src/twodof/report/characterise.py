@@ -9,12 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
-from twodof.errors import IdentificationError
+from twodof.errors import IdentificationError, ParameterError
 from twodof.identify.estimate import Estimate
 from twodof.identify.greybox import fit
 from twodof.identify.record import Record
 from twodof.identify.simple_pitch import SimplePitch, identify_pitch, read_doublet, read_free_response
 from twodof.identify.simple_velocity import SimpleVelocity, identify_velocity, read_step
+from twodof.models.plant import thrust_curve
 from twodof.models.structures import free_response, pitch_rate, rail
 from twodof.report.content import Uncertain
 from twodof.report.experiments import only
@@ -104,7 +105,7 @@ def characterise(flights: Flights, dry_friction: bool) -> Characterisation:
         return fit(pitch_rate(), records, estimate=_FORCED, values=poles | gain, validation=unseen)
 
     def move(records: Sequence[Record], unseen: Sequence[Record] = ()) -> Estimate:
-        return fit(rail(), records, estimate=TRAVEL, validation=unseen)
+        return fit(rail(thrust=bool(curve)), records, estimate=TRAVEL, values=curve, validation=unseen)
 
     greybox: dict[str, Uncertain] = {}
     spreads: dict[str, Spread] = {}
@@ -126,9 +127,21 @@ def characterise(flights: Flights, dry_friction: bool) -> Characterisation:
     free = identify(swing, flights.impulses, () if dry is not None else ("w_n", "xi"))
     poles = {key: greybox[key].value for key in ("w_n", "xi") if key in greybox}
     forced = identify(force, flights.doublets, ("mu", "tau")) if poles else None
+    curve = _curve(dry or free, forced, refusals)
     travel = identify(move, seen, ("k_v", "p_v"), together)
     simple = _readings(flights, pitch, along)
     return Characterisation(flights, pitch, along, free, dry, forced, travel, simple, greybox, spreads, refusals)
+
+
+def _curve(idle: Estimate | None, run: Estimate | None, refusals: list[str]) -> dict[str, float]:
+    """The thrust curve that the gains without and with thrust amount to; empty where there is none."""
+    if idle is None or run is None:
+        return {}
+    try:
+        return {"curve": thrust_curve(idle["mu"], run["mu"])}
+    except ParameterError as error:
+        refusals.append(f"{error.what}: the velocity’s model takes the thrust for constant")
+        return {}
 
 
 _FORCED = ("mu", "tau", "M_trim", "q_0")

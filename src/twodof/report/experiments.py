@@ -56,7 +56,7 @@ KINDS: Mapping[str, ExperimentKind] = MappingProxyType(
                 "motion along the rail: pitch to velocity",
                 ("attitude", "velocity", "position"),
                 ("doublet", "doublets", "sweep", "steps"),
-                ("theta0", "theta", "q"),
+                ("theta0", "theta", "q", "M", "T"),
                 ("v", "x"),
             ),
         )

@@ -171,7 +171,7 @@ def _velocity(estimate: Estimate, record: Record) -> Array:
         name, _, owner = label.partition("[")
         if owner in ("", f"{record.name}]"):
             values[name] = estimate[label]
-    return Simulator(rail(), only(record, "v")).run(values)["v"]
+    return Simulator(rail(thrust="curve" in values), only(record, "v")).run(values)["v"]
 
 
 def _first_edge(record: Record, channel: str) -> float:
