@@ -10,7 +10,7 @@ from twodof.models.plant import PAPER_PITCH_RATE, PAPER_VELOCITY_GREYBOX
 from twodof.report.characterise import Flights
 
 DT = 0.004
-Q_NOISE, V_NOISE, X_NOISE = 0.02, 0.005, 0.004
+Q_NOISE, Q_NOISE_IDLE, V_NOISE, X_NOISE = 0.02, 0.002, 0.005, 0.004
 
 
 def held(steps: int, *pulses: tuple[int, int, float]) -> np.ndarray:
@@ -50,7 +50,7 @@ def flights(repetitions: int = 3, seed: int = 0) -> Flights:
     motion = travel(rate)
     impulses, doublets, velocities = [], [], []
     for index in range(1, repetitions + 1):
-        q = idle.simulate(impulse)[:, 1] + generator.normal(0.0, Q_NOISE, impulse.size)
+        q = idle.simulate(impulse)[:, 1] + generator.normal(0.0, Q_NOISE_IDLE, impulse.size)
         impulses.append(record(f"impulse {index}", {"M": impulse}, {"q": q}))
         q = pitch.simulate(doublet)[:, 1] + generator.normal(0.0, Q_NOISE, doublet.size)
         doublets.append(record(f"doublet {index}", {"M": doublet}, {"q": q}))
