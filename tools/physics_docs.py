@@ -1,0 +1,98 @@
+"""Writes the tables of docs/physics.md from the rig's parameters: `python tools/physics_docs.py`.
+
+A table stands between `<!-- made: NAME -->` and `<!-- end -->`; the text around it is written by hand. A test compares
+the page with what this gives.
+"""
+
+import re
+import sys
+from collections.abc import Iterator, Mapping
+from math import sqrt
+from pathlib import Path
+
+from twodof.rig.parameters import CONDITIONS, NAMES, TABLE, load_rig, origins
+from twodof.rig.predict import moment_gain, rotor_moment, velocity_damping, velocity_gain
+from twodof.rig.rig import PARTS, rig_params
+from twodof.rig.rotors import HOVER
+
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "physics.md"
+GRAVITY = 9.81
+PULSE = 0.1
+
+
+def render(text: str) -> str:
+    """The page's text with all its tables made afresh. Raises KeyError for a table that is not known."""
+    tables = {"parameters": _parameters, "conditions": _conditions, "models": _models}
+
+    def made(match: re.Match[str]) -> str:
+        lines = [f"<!-- made: {match[1]} -->", *tables[match[1]](), "<!-- end -->"]
+        return "\n".join(lines)
+
+    return re.sub(r"<!-- made: (\w+) -->\n.*?<!-- end -->", made, text, flags=re.DOTALL)
+
+
+def models(rig: Mapping[str, float]) -> dict[str, tuple[float, str, str]]:
+    """Value, unit and equation of what the paper's models call the rig's parameters; docs/physics.md section 8."""
+    inertia, mass = rig["inertia"], rig["mass_drone"] + rig["mass_cart"]
+    w_n = sqrt((rig["spring"] + rig["mass_drone"] * GRAVITY * rig["offset"]) / inertia)
+    return {
+        "w_n": (w_n, "rad/s", "(31)"),
+        "xi, rotors at rest": (rig["viscous_idle"] / (2.0 * inertia * w_n), "", "(32)"),
+        "xi, rotors running": (rig["viscous_run"] / (2.0 * inertia * w_n), "", "(32)"),
+        f"mu at T = 0, M = {PULSE}": (rotor_moment(rig, PULSE, 0.0) / (PULSE * inertia), "rad/s2", "(34)"),
+        f"mu at T = {HOVER}": (moment_gain(rig, HOVER), "rad/s2", "(33)"),
+        "tau": (rig["delay"] + rig["lag"], "s", "(35)"),
+        f"k_v at T = {HOVER}": (velocity_gain(rig), "m/s2", "(36)"),
+        "p_v": (velocity_damping(rig), "1/s", "(36)"),
+        "bearing's dry friction, rotors at rest": (rig["coulomb_idle"] / inertia, "rad/s2", "(15)"),
+        "bearing's dry friction, rotors running": (rig["coulomb_run"] / inertia, "rad/s2", "(15)"),
+        "rail's dry friction": (rig["rail_coulomb"] / mass, "m/s2", "(15)"),
+        "hardening k_3 / J": (rig["hardening"] / inertia, "rad/s2 per rad3", "(2)"),
+    }
+
+
+def _models() -> Iterator[str]:
+    found = {name: models(load_rig(name).snapshot()) for name in NAMES}
+    yield f"| | equation | unit | {' | '.join(f'`{name}`' for name in NAMES)} |"
+    yield "|---|---|---|" + "---|" * len(NAMES)
+    for key, (_, unit, equation) in found[NAMES[0]].items():
+        values = " | ".join(f"{found[name][key][0]:.4g}" for name in NAMES)
+        yield f"| {key} | {equation} | {unit} | {values} |"
+
+
+def _parameters() -> Iterator[str]:
+    rigs = {name: load_rig(name).snapshot() for name in NAMES}
+    rows = {row.name: row for row in TABLE}
+    for part, block, _ in PARTS:
+        own = [param.name for param in block.params if param.name in rows]
+        if not own:
+            continue
+        yield from ("", f"**{part.replace('_', ' ').capitalize()}**", "")
+        yield "| parameter | unit | `paper` | `lab` | is | from |"
+        yield "|---|---|---|---|---|---|"
+        for name in own:
+            values = " | ".join(f"{rigs[rig][name]:.4g}" for rig in NAMES)
+            yield f"| `{name}` | {rows[name].unit} | {values} | {rows.pop(name).text} | {_origin(name)} |"
+    yield ""
+
+
+def _origin(name: str) -> str:
+    """Where the numbers of both sets come from; once, if from the same place."""
+    texts = {rig: origins(rig)[name] for rig in NAMES}
+    if len(set(texts.values())) == 1:
+        return texts[NAMES[0]]
+    return "; ".join(f"*{rig}*: {text}" for rig, text in texts.items())
+
+
+def _conditions() -> Iterator[str]:
+    yield "| parameter | unit | default | |"
+    yield "|---|---|---|---|"
+    for name, param in rig_params().items():
+        if name in CONDITIONS:
+            value = f"{param.value:.4g}" if isinstance(param.value, float) else f"{param.value}"
+            yield f"| `{name}` | {param.unit} | {value} | {param.text or name.replace('_', ' ')} |"
+
+
+if __name__ == "__main__":
+    PAGE.write_text(render(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    sys.stdout.write(f"{PAGE} written\n")
