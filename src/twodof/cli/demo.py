@@ -18,7 +18,7 @@ from twodof.report.compose import Machine, content, rows
 from twodof.report.content import ParameterRow
 from twodof.report.numbers import plain, with_sigma
 from twodof.report.page import to_html
-from twodof.report.walk import REPETITIONS, comparisons, real, virtual
+from twodof.report.walk import REPETITIONS, comparisons, planned, real, virtual
 
 app = typer.Typer(add_completion=False)
 
@@ -47,10 +47,11 @@ def demo(
             report(text, min(1.0, begun / _EXPECTED))
             begun += 1
 
-        rigs = [virtual(name, step) for name in ("paper", "lab")]
+        flown = {name: virtual(name, step) for name in ("paper", "lab")}
+        rigs = list(flown.values())
         logs = available()
         drone = real(logs, step)
-        tables = comparisons(logs, step)
+        tables = [planned(flown), *comparisons(logs, step)]
         step("write the report")
         machines = [*rigs, *([drone] if drone is not None else [])]
         page = to_html(content(machines, _provenance(list(logs)), tables))

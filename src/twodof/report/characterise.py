@@ -102,7 +102,7 @@ def characterise(flights: Flights, dry_friction: bool) -> Characterisation:
         return fit(free_response(), records, validation=unseen)
 
     def force(records: Sequence[Record], unseen: Sequence[Record] = ()) -> Estimate:
-        return fit(pitch_rate(), records, estimate=_FORCED, values=poles | gain, validation=unseen)
+        return fit(pitch_rate(), records, estimate=FORCED, values=poles | gain, validation=unseen)
 
     def move(records: Sequence[Record], unseen: Sequence[Record] = ()) -> Estimate:
         return fit(rail(thrust=bool(curve)), records, estimate=TRAVEL, values=curve, validation=unseen)
@@ -144,7 +144,8 @@ def _curve(idle: Estimate | None, run: Estimate | None, refusals: list[str]) -> 
         return {}
 
 
-_FORCED = ("mu", "tau", "M_trim", "q_0")
+# What a doublet can tell; the poles show only after it is over.
+FORCED = ("mu", "tau", "M_trim", "q_0")
 _Fit = Callable[[Sequence[Record], Sequence[Record]], Estimate]
 
 

@@ -11,14 +11,16 @@ from twodof.experiment.protocol import IDENTIFICATION
 from twodof.flight.gains import NAMED
 from twodof.flightlog.files import read_log
 from twodof.flightlog.log import FlightLog
+from twodof.identify.information import predict
 from twodof.identify.record import Record
-from twodof.report.characterise import Flights, characterise
+from twodof.models.structures import pitch_rate
+from twodof.report.characterise import FORCED, Flights, characterise
 from twodof.report.compose import Machine
 from twodof.report.content import Table
 from twodof.report.experiments import KINDS, cut
-from twodof.report.numbers import power_of_ten
+from twodof.report.numbers import plain, power_of_ten
 from twodof.rig.dynamics import GRAVITY
-from twodof.rig.parameters import lab
+from twodof.rig.parameters import lab, load_rig
 from twodof.rig.predict import moment_gain, velocity_damping, velocity_gain
 from twodof.rig.rotors import HOVER
 from twodof.sim.like import simulate_like
@@ -68,6 +70,46 @@ def virtual(rig: str, progress: Progress) -> Machine:
     found = characterise(flights, dry_friction=laboratory.parameters["coulomb_idle"] > 0.0)
     truth = truth_of(laboratory.parameters.snapshot())
     return Machine(f"virtual rig “{rig}”", _TEXT[rig], found, truth, remarks)
+
+
+def planned(machines: Mapping[str, Machine]) -> Table:
+    """What the doublet was bound to tell, by Fisher information before flying, beside what it told; by rig name."""
+    rows = []
+    for name, machine in machines.items():
+        found, doublet = machine.found, machine.found.flights.doublets[0]
+        if found.forced is None:
+            continue
+        rig = load_rig(name)
+        information = predict(
+            pitch_rate(),
+            {"M": doublet.inputs["M"]},
+            doublet.dt,
+            {"q": rig["gyro_hover"]},
+            values={key: machine.truth[key] for key in ("w_n", "xi", "mu", "tau")},
+            estimate=FORCED,
+        )
+        for key, unit, scale in (("mu", "rad/s²", 1.0), ("tau", "ms", 1e3)):
+            predicted = scale * float(information.sigma[information.labels.index(key)])
+            spread = found.spreads.get(key)
+            rows.append(
+                (
+                    f"{machine.name}, {'μ' if key == 'mu' else 'τ'}",
+                    unit,
+                    plain(predicted, 2),
+                    plain(scale * found.greybox[key].sigma, 2),
+                    "–" if spread is None else plain(scale * spread.value, 2),
+                )
+            )
+    return Table(
+        "planned",
+        "Plan: what the doublet could tell, and what it told",
+        "Before flying, the Fisher information of the doublet and the gyro’s noise, taken for white, give the standard "
+        "deviations that no estimate can beat on average (Cramér-Rao). After flying, the fit claims its own, and "
+        "repeated flights show them. The rotors’ vibration is not white, which leaves less of it where the response "
+        "is; gusts are not in the plan.",
+        ("Machine and parameter", "Unit", "predicted σ", "claimed σ", "spread of repeated flights"),
+        rows,
+    )
 
 
 def truth_of(rig: Mapping[str, float]) -> dict[str, float]:
