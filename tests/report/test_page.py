@@ -88,6 +88,10 @@ def test_numbers_in_the_table_are_those_given(page: str) -> None:
         assert shown in text, shown
 
 
+def test_a_caption_ties_numbers_to_their_units(page: str) -> None:
+    assert "M = 0.1 for 0.2\N{NO-BREAK SPACE}s, then free. Period 1.83\N{NO-BREAK SPACE}s" in page
+
+
 def test_names_are_text_and_not_markup() -> None:
     made = content()
     hostile = replace(made.subjects[0], name="<script>alert(1)</script> & co")

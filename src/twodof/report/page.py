@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from html import escape
 from importlib.resources import files
@@ -119,7 +120,13 @@ def _figure_sections(subjects: Sequence[Subject]) -> Iterator[tuple[str, str, st
 
 def _figure_card(subject: Subject, figure: Figure) -> str:
     drawing = time_figure(figure, escape(f"{figure.title}, {subject.name}", quote=True))
-    return f"<figure><h3>{escape(subject.name)}</h3>{drawing}<figcaption>{figure.caption}</figcaption></figure>"
+    caption = _tied(figure.caption)
+    return f"<figure><h3>{escape(subject.name)}</h3>{drawing}<figcaption>{caption}</figcaption></figure>"
+
+
+def _tied(text: str) -> str:
+    """The same text with numbers tied to their units, so that no line begins with a unit."""
+    return re.sub(r"(?<=\d) (?=%|°|m?s\b|rad|m/s|1/s|σ)", "\N{NO-BREAK SPACE}", text)
 
 
 def _key(roles: Sequence[str], kind: str) -> str:

@@ -130,6 +130,8 @@ def _figure_7(found: Characterisation) -> Figure:
             f"k<sub>v</sub> = {plain(step.k_v)} m/s²; the peak, {step.peak_time - step.start:.2f} s after the start, "
             f"gives p<sub>v</sub> = {plain(step.p_v)} 1/s."
         )
+    else:
+        caption += "The velocity loop was closed, so there is no doublet of pitch to read by hand."
     panels = [Panel("θ [°]", pitch, height=1.1), Panel(_V, [_measured(record, "v", zero)], marks, 1.3)]
     return Figure(7, "velocity experiment", caption, panels)
 
