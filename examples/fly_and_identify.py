@@ -1,20 +1,34 @@
-"""Fly a doublet on the virtual rig and identify gain and delay from its log."""
+"""Fly the paper's three identification experiments on the virtual rig and identify its models from the logs."""
 
 from twodof.experiment.flight import Laboratory
-from twodof.experiment.protocol import experiment
-from twodof.identify.greybox import fit
-from twodof.identify.record import Record
-from twodof.models.structures import pitch_rate
+from twodof.experiment.protocol import IDENTIFICATION
+from twodof.identify import fit, identify_pitch
+from twodof.models import PAPER_VELOCITY_GREYBOX, pitch_rate, rail
+from twodof.models.plant import thrust_curve
+from twodof.report.experiments import KINDS, cut, only
 
-flight = Laboratory("paper").fly(experiment("doublet"), seed=1)
-print(f"checks: {', '.join(f'{check.name} ({check.seen})' for check in flight.checks)}")
+laboratory = Laboratory("paper")
+flights = {name: laboratory.fly(experiment, seed=1) for name, experiment in IDENTIFICATION.items()}
+for name, flight in flights.items():
+    print(f"{name}: " + ", ".join(f"{check.name} ({check.seen})" for check in flight.checks))
 
-# The last 1.2 s before the motors stop: rest at the trim moment, the doublet, a little of what follows.
-log = flight.log
-stop = log.armed()[-1][1]
-channels = {name: (log[name].time, log[name].value) for name in ("M", "q")}
-record = Record.from_channels(channels, ["M"], ["q"], start=stop - 1.15, stop=stop, name="doublet")
 
-# The doublet is over before the poles show, so they are given; the trim and the rate at the start are not.
-found = fit(pitch_rate(), record, estimate=("mu", "tau", "M_trim", "q_0"), values={"w_n": 3.437, "xi": 0.0836})
-print(found.table())
+# What was applied and what was measured around each excitation, cut out of the logs.
+impulse = cut(flights["impulse"].log, KINDS["impulse"], name="impulse")
+doublet = cut(flights["doublet"].log, KINDS["doublet"], name="doublet")
+velocity = only(cut(flights["velocity-doublet"].log, KINDS["velocity"], name="velocity"), "x")
+
+# 1. By hand, as the paper does: period and settling time, then the doublet's peak and its delay.
+print(identify_pitch(impulse, [doublet]).table())
+
+# 2. By output error. The impulse was flown with the rotors off and the doublet in hover: each has its own gain mu.
+pitch = fit(pitch_rate(), [impulse, doublet], separate=["mu"])
+print(pitch.table())
+
+# 3. The cart, from the gyro to the range sensor, with the thrust curve that the two gains imply.
+curve = thrust_curve(pitch["mu[impulse]"], pitch["mu[doublet]"])
+moving = fit(rail(thrust=True), velocity, values={"curve": curve})
+print(moving.table())
+
+print(f"paper: k_v {PAPER_VELOCITY_GREYBOX.k_v}, p_v {PAPER_VELOCITY_GREYBOX.p_v}; found in 95 %: ", end="")
+print("k_v {:.2f} to {:.2f}, p_v {:.2f} to {:.2f}".format(*moving.interval("k_v"), *moving.interval("p_v")))

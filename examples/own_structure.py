@@ -4,9 +4,8 @@ import numpy as np
 
 from twodof.blocks import Diagram
 from twodof.blocks.library import FirstOrder
-from twodof.identify.greybox import fit
-from twodof.identify.record import Record
-from twodof.models.structure import Structure
+from twodof.identify import Record, fit
+from twodof.models import Structure
 
 motor = Diagram("motor", "speed of a motor from its voltage")
 motor.input("u", unit="V")
