@@ -1,0 +1,199 @@
+/* The rig: rotors, dynamics, contacts, sensors, battery. */
+static inline real lift(real speed, real curve)
+{
+    return speed * (1 - curve + curve * speed);
+}
+
+/* What acts on the rig during one tick. */
+typedef struct {
+    real fore, aft, supply, gust, wake_moment;
+} Drive;
+
+typedef struct {
+    real thrust, moment, running, load;
+} Thrust;
+
+static inline Thrust thrust_of(const Loop *l, const Drive *d, real fore, real aft)
+{
+    const Parameters *p = &l->p;
+    if (l->c.direct) {
+        fore = d->fore;
+        aft = d->aft;
+    }
+    const real up_fore = lift(fore, p->rig_curve) * d->supply, up_aft = lift(aft, p->rig_curve) * d->supply;
+    const real load = (up_fore + up_aft) * l->c.per_hover, speed = (fore + aft) * (R(0.5) / HOVER);
+    return (Thrust){
+        .thrust = p->rig_pair_thrust * (up_fore + up_aft),
+        .moment = p->rig_arm * p->rig_pair_thrust * (up_fore - up_aft) + p->rig_trim_start * load + d->wake_moment,
+        .running = speed < 1 ? speed : 1,
+        .load = load,
+    };
+}
+
+/* Whether a body stays at rest: stuck, or pressed against a stop. */
+static inline int holds(real speed, real load, real friction, real place, real low, real high)
+{
+    if (speed != 0)
+        return 0;
+    return fabs(load) <= friction || (place >= high && load > 0) || (place <= low && load < 0);
+}
+
+static inline Motion rates(const Loop *l, const Drive *d, const Motion *m)
+{
+    const Parameters *p = &l->p;
+    const Derived *c = &l->c;
+    const Thrust t = thrust_of(l, d, m->fore, m->aft);
+    const real viscous = p->rig_viscous_idle + (p->rig_viscous_run - p->rig_viscous_idle) * t.running;
+    const real coulomb = p->rig_coulomb_idle + (p->rig_coulomb_run - p->rig_coulomb_idle) * t.running;
+    const real spring = m->theta * (p->rig_spring + p->rig_hardening * m->theta * m->theta);
+    const real torque = t.moment + d->gust - c->weight * m->sine - spring - viscous * m->q;
+    const real force =
+        (c->offset_mass * m->q * m->q - t.thrust) * m->sine + p->rig_rail_force - p->rig_rail_viscous * m->v;
+    const real coupling = c->offset_mass * m->cosine, alone = torque * c->per_inertia;
+    const int locked = holds(m->v, force - coupling * alone, p->rig_rail_coulomb, m->x, c->low, c->high);
+    const real cart = locked ? 0 : force * c->per_mass;
+    Motion rate = {.theta = m->q, .x = m->v, .sine = m->cosine * m->q, .cosine = -m->sine * m->q};
+    if (holds(m->q, torque - coupling * cart, coulomb, m->theta, -p->rig_pitch_stop, p->rig_pitch_stop)) {
+        rate.v = cart;
+    } else if (locked) {
+        rate.q = alone;
+    } else {
+        const real per_determinant = 1 / (c->inertia_mass - coupling * coupling);
+        rate.q = (c->mass * torque - coupling * force) * per_determinant;
+        rate.v = (p->rig_inertia * force - coupling * torque) * per_determinant;
+    }
+    rate.fore = (d->fore - m->fore) * c->per_lag;
+    rate.aft = (d->aft - m->aft) * c->per_lag;
+    return rate;
+}
+
+static inline Motion along(const Motion *m, real h, const Motion *k)
+{
+    return (Motion){m->theta + h * k->theta, m->q + h * k->q,       m->x + h * k->x,
+                    m->v + h * k->v,         m->sine + h * k->sine, m->cosine + h * k->cosine,
+                    m->fore + h * k->fore,   m->aft + h * k->aft};
+}
+
+static inline Motion integrated(const Loop *l, const Drive *d, const Motion *m)
+{
+    const Motion k1 = rates(l, d, m);
+    const Motion at2 = along(m, TICK / 2, &k1), k2 = rates(l, d, &at2);
+    const Motion at3 = along(m, TICK / 2, &k2), k3 = rates(l, d, &at3);
+    const Motion at4 = along(m, TICK, &k3), k4 = rates(l, d, &at4);
+#define MEAN(part) m->part + TICK / 6 * (k1.part + 2 * k2.part + 2 * k3.part + k4.part)
+    return (Motion){MEAN(theta), MEAN(q), MEAN(x), MEAN(v), MEAN(sine), MEAN(cosine), MEAN(fore), MEAN(aft)};
+}
+
+/* Friction that can take `loss` of speed within the tick. */
+static inline void rub(real *place, real *speed, real loss)
+{
+    const real lost = within(*speed, -loss, loss);
+    *place -= TICK / 2 * lost;
+    *speed -= lost;
+}
+
+/* A stop gives back a share of the speed; a rebound slower than `rest` ends there. */
+static inline void bounce(real *place, real *speed, real low, real high, real restitution, real rest)
+{
+    real stop;
+    if (*place > high && *speed > 0)
+        stop = high;
+    else if (*place < low && *speed < 0)
+        stop = low;
+    else
+        return;
+    const real back = -restitution * *speed;
+    *place = fabs(back) < rest ? stop : stop - restitution * (*place - stop);
+    *speed = fabs(back) < rest ? 0 : back;
+}
+
+static inline void contacts(const Loop *l, Motion *m, real running)
+{
+    const Parameters *p = &l->p;
+    const Derived *c = &l->c;
+    const real q = m->q, v = m->v;
+    const real coulomb = p->rig_coulomb_idle + (p->rig_coulomb_run - p->rig_coulomb_idle) * running;
+    rub(&m->x, &m->v, p->rig_rail_coulomb * c->per_mass * TICK);
+    bounce(&m->x, &m->v, c->low, c->high, c->bounce, SLOW_CART);
+    rub(&m->theta, &m->q, coulomb * c->per_inertia * TICK);
+    bounce(&m->theta, &m->q, -p->rig_pitch_stop, p->rig_pitch_stop, p->rig_pitch_bounce, SLOW_PITCH);
+    m->sine = sin(m->theta);
+    m->cosine = cos(m->theta);
+    const real coupling = c->offset_mass * m->cosine, speed = m->v, turning = m->q;
+    if (turning != 0)
+        m->q -= coupling * c->per_inertia * (speed - v);
+    if (speed != 0)
+        m->v -= coupling * c->per_mass * (turning - q);
+}
+
+static inline real shaken(const Derived *c, const Parameters *p, Vibration *f, real fresh)
+{
+    const real y = c->vibration_gain * (fresh - f->w2) + c->vibration_turn * f->y1 - p->rig_vibration_r2 * f->y2;
+    *f = (Vibration){.w1 = fresh, .w2 = f->w1, .y1 = y, .y2 = f->y1};
+    return y;
+}
+
+static inline real rounded(real value, real grain)
+{
+    return grain > 0 ? floor(value / grain + R(0.5)) * grain : value;
+}
+
+static inline void sense_motion(Loop *l, real load)
+{
+    const Parameters *p = &l->p;
+    const Derived *c = &l->c;
+    const Motion *m = &l->motion;
+    const real along_rail = (m->v - l->imu_v) / SAMPLE, turning = (m->q - l->imu_q) / SAMPLE;
+    const real n_x = normal(&l->noise), n_z = normal(&l->noise), n_q = normal(&l->noise);
+    const real e_x = p->rig_acc_x_idle * n_x + p->rig_acc_x_hover * load * shaken(c, p, &l->shake_x, n_x);
+    const real e_z = p->rig_acc_z_idle * n_z + p->rig_acc_z_hover * load * shaken(c, p, &l->shake_z, n_z);
+    const real e_q = p->rig_gyro_idle * n_q + p->rig_gyro_hover * load * shaken(c, p, &l->shake_q, n_q);
+    const real force_x = m->cosine * along_rail + GRAVITY * m->sine + p->rig_imu_below * turning;
+    const real acc_x = p->rig_acc_scale * force_x + p->rig_acc_bias;
+    const real acc_z = m->sine * along_rail - GRAVITY * m->cosine - p->rig_imu_below * m->q * m->q;
+    l->y.acc_x = rounded(acc_x + p->rig_noise * e_x, c->acc_grain);
+    l->y.acc_z = rounded(acc_z + p->rig_noise * e_z, c->acc_grain);
+    l->y.gyro_y = rounded(p->rig_gyro_scale * m->q + p->rig_gyro_bias + p->rig_noise * e_q, c->gyro_grain);
+    l->imu_q = m->q;
+    l->imu_v = m->v;
+}
+
+static inline real place_ago(const Loop *l, int back)
+{
+    if (back < 1)
+        return l->motion.x;
+    return back <= l->filled ? l->places[(l->place - back) & (PLACES - 1)] : l->p.rig_x_start;
+}
+
+static inline void sense_range(Loop *l)
+{
+    const Parameters *p = &l->p;
+    const uint32_t before = l->phase;
+    const real n = normal(&l->noise);
+    l->phase += l->c.tof_advance;
+    l->dist_new = l->phase < before;
+    l->y.dist_new = (real)l->dist_new;
+    l->y.dist_age = p->rig_tof_stamp;
+    if (l->dist_new) {
+        const real young = place_ago(l, l->c.tof_back), old = place_ago(l, l->c.tof_back + 1);
+        const real measured = young + l->c.tof_fraction * (old - young);
+        l->y.dist = rounded(measured + RAIL_CENTRE + p->rig_tof_bias + p->rig_noise * p->rig_tof_noise * n,
+                          l->c.tof_grain);
+    }
+    l->places[l->place] = l->motion.x;
+    l->place = (l->place + 1) & (PLACES - 1);
+    if (l->filled < PLACES)
+        l->filled++;
+}
+
+static void discharge(Loop *l)
+{
+    const Parameters *p = &l->p;
+    const real current = p->rig_hover_current * l->battery_load * sqrt(l->battery_load);
+    const real open = p->rig_voltage_empty + (p->rig_voltage_full - p->rig_voltage_empty) * l->charge;
+    const real voltage = open - p->rig_resistance * current, share = (voltage > 0 ? voltage : 0) * l->c.per_reference;
+    l->supply = share * share;
+    l->y.voltage = voltage > 0 ? voltage : 0;
+    l->y.charge = l->charge;
+    l->charge = within(l->charge - current * l->c.per_capacity * BATTERY, 0, 1);
+}
