@@ -1,0 +1,139 @@
+"""The emitted C: readable, without globals or allocation, accepted by strict compilers, usable from C."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.compile import examples
+from tests.compile.differential import random_cases, sources
+from twodof.blocks import Diagram
+from twodof.compile import build, native
+from twodof.compile.cexpr import constant
+from twodof.compile.program import emit_program
+
+STRICT = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-Wshadow", "-pedantic", "-ffp-contract=off"]
+ALL = [examples.loop, examples.switched, examples.edge, examples.delay]
+
+
+def strictly(compiler: str, source: str, folder: Path, *more: str) -> subprocess.CompletedProcess[str]:
+    file = folder / "emitted.c"
+    file.write_text(source, encoding="utf-8")
+    found = native.find_compiler(compiler)
+    command = [*found.command, *STRICT, *found.flags, *more, "-c", "-o", str(folder / "emitted.o"), str(file)]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+@pytest.mark.parametrize("compiler", [c for c in ("gcc", "zig") if c == "zig" or shutil.which(c)])
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+def test_strict_compilers_do_not_complain(compiler: str, precision: str, tmp_path: Path) -> None:
+    emitted = [emit_program(make(), 0.01, precision).source for make in ALL]
+    emitted.append(sources(random_cases(range(300, 308), 1), precision, "rk4")[0].text)
+    for source in emitted:
+        done = strictly(compiler, source, tmp_path)
+        assert done.returncode == 0, done.stderr
+
+
+def test_fast_math_is_refused(tmp_path: Path) -> None:
+    done = strictly("zig", emit_program(examples.loop(), 0.01).source, tmp_path, "-ffast-math")
+    assert done.returncode != 0
+    assert "fast-math" in done.stderr
+
+
+def test_the_c_is_the_kind_a_person_writes() -> None:
+    source = emit_program(examples.loop(), 0.01, log=("pendulum.q",)).source
+    code = re.sub(r"/\*.*?\*/", "", source, flags=re.DOTALL)
+    assert not re.search(r"\b(malloc|calloc|free|goto|fmin|fmax|sin|cos|pow|sqrt)\s*\(", code)
+    assert "math.h" not in code
+    # File scope: types, functions and constant tables, nothing that can change.
+    for line in code.splitlines():
+        if re.match(r"[A-Za-z]", line) and line.rstrip().endswith((";", "{")) and "(" not in line:
+            assert re.match(r"(typedef|extern const|const|static const) ", line), line
+    assert not re.search(r"\bstatic (?!inline|const|void|real)", code)
+    # Nothing is called step or advance, and all that is visible bears the diagram's name.
+    visible = re.findall(r"^(?:void|real|int|bool|const \w+) \*?(\w+)[(\[]", code, flags=re.MULTILINE)
+    assert visible
+    assert all(name.startswith("loop_") for name in visible), visible
+    for path in ("held", "gain", "back", "error", "sum", "pendulum"):
+        assert f"/* {path}: " in source
+    assert "real k; /* gain of the feedback */" in source
+    assert "s->held_y" in source  # names come from paths
+    step = source[source.index("void loop_step") :]
+    order = [step.index(text) for text in ("/* pendulum:", "if (due_4_1)", "/* gain:", "/* error:")]
+    assert order == sorted(order)
+    assert step.count("if (due_4_1)") == 1  # blocks of one rate share one guard
+    assert max(map(len, source.splitlines())) < 260
+
+
+def test_a_users_text_cannot_leave_its_comment() -> None:
+    hostile = Diagram("hostile", "*/ int main(void); /* ??/ \n #include")
+    hostile.input("u", unit='"*/\\')
+    hostile.param("k", 1.0, unit="%s\n", text="*/ #error /*")
+    hostile.output("y", "u")
+    source = emit_program(hostile, 0.01).source
+    code = re.sub(r"/\*.*?\*/", "", source, flags=re.DOTALL)
+    assert "main" not in code
+    assert "#error /" not in code
+    assert not re.search(r'"[^"\n]*\n', re.sub(r'"[^"\n]*"', "", code))
+    assert native.load(source, native.find_compiler("zig"), "-O0") is not None
+
+
+def test_constants_are_exact() -> None:
+    rng = np.random.default_rng(1)
+    values = [*rng.normal(size=50), 0.0, -0.0, 0.1, 1e-310, 5e-324, 1.7e308, -1 / 3]
+    for value in values:
+        text, _ = constant(float(value), "real", "float64")
+        assert float.fromhex(text.split(" /*")[0]).hex() == float(value).hex()
+        single = constant(float(value), "real", "float32")[0].split(" /*")[0]
+        with np.errstate(all="ignore"):
+            rounded = float(np.float32(value))
+        if np.isfinite(rounded):
+            assert float.fromhex(single.removesuffix("f")).hex() == rounded.hex()
+    assert constant(float("nan"), "real", "float32")[0] == '__builtin_nanf("")'
+    assert constant(-float("inf"), "real", "float64")[0] == "-__builtin_inf()"
+    assert constant(-(2**31), "int32", "float64")[0] == "INT32_MIN"
+
+
+MAIN = r"""
+#include <stdio.h>
+int main(void)
+{
+    loop_P p;
+    loop_S s;
+    loop_U u[3] = {{0}};
+    loop_Y y[3];
+    loop_defaults(&p);
+    loop_prepare(&p);
+    loop_init(&p, &s);
+    u[0].r = u[1].r = u[2].r = 0.5;
+    loop_run(&p, &s, u, 1, y, 1, 3);
+    for (const loop_Entry *e = loop_parameters; e->path; e++)
+        printf("%s [%s] %c %.17g\n", e->path, e->unit, e->type, *(const real *)((const char *)&p + e->offset));
+    for (const loop_Entry *e = loop_signals; e->path; e++)
+        if (e->where == 'S' && e->type == 'r')
+            printf("%s %.17g\n", e->path, *(const real *)((const char *)&s + e->offset));
+    printf("y %.17g\n", y[2].y);
+    return 0;
+}
+"""
+
+
+def test_the_tables_lead_a_c_program_to_parameters_and_signals(tmp_path: Path) -> None:
+    (tmp_path / "main.c").write_text(emit_program(examples.loop(), 0.01).source + MAIN, encoding="utf-8")
+    found = native.find_compiler()
+    command = [*found.command, "-std=c99", *found.flags, "-o", str(tmp_path / "main"), str(tmp_path / "main.c")]
+    subprocess.run(command, check=True)
+    said = subprocess.run([str(tmp_path / "main")], capture_output=True, text=True, check=True).stdout.splitlines()
+    assert "k [] r 2" in said
+    assert "sum.limit [rad] r 1" in said
+    assert "pendulum.stiffness [] r 4" in said
+    machine = build(examples.loop(), 0.01).machine()
+    y = machine.run(3, {"r": 0.5})["y"][-1]
+    assert f"y {y:.17g}" in said
+    assert f"sum.sum {machine.state('sum.sum'):.17g}" in said
+    assert f"pendulum.theta {machine.state('pendulum.theta'):.17g}" in said
