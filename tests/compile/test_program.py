@@ -10,6 +10,7 @@ import pytest
 
 from tests.compile import examples
 from twodof.blocks import Diagram
+from twodof.blocks import build as build_array
 from twodof.blocks.library import DiscreteIntegrator, Gain, Sum
 from twodof.blocks.reference import Reference
 from twodof.compile import Machine, Program, build, native
@@ -235,3 +236,48 @@ def test_names_that_would_clash_in_c_do_not() -> None:
     machine = compiled(d)
     machine.set_many({"a.b_c.k": 3.0, "a_b.c.k": 5.0})
     assert machine.step({"int": 1.0, "double": 10.0})["if"] == 53.0
+
+
+def test_a_bound_itself_is_allowed_in_either_precision() -> None:
+    """0.1 rounded to float32 lies above 0.1: what is compared is what was given."""
+    d = Diagram("bound")
+    d.input("u")
+    d.param("k", 0.05, low=-0.1, high=0.1)
+    d.add("gain", Gain(), u="u", params={"k": "k"})
+    d.output("y", "gain")
+    machine = compiled(d, precision="float32")
+    machine.set("k", 0.1)
+    assert machine.get("k") == float(np.float32(0.1))
+
+
+def test_rates_beyond_the_tick_are_never_due_but_once() -> None:
+    """Three nested sub-diagrams of divider 2^31 - 1 run at tick 0 and not again within 2^32 ticks."""
+    d = Diagram("d0")
+    d.add("count", examples.Counter(), rate=(2**31 - 1, 0))
+    d.output("n", "count.n")
+    for k in range(1, 3):
+        outer = Diagram(f"d{k}")
+        outer.add("part", d, rate=(2**31 - 1, 0))
+        outer.output("n", "part.n")
+        d = outer
+    machine = compiled(d)
+    machine.run(5)
+    assert machine.state("part.part.count.n") == 1
+
+
+def test_arrays_that_would_burst_the_stack_are_refused() -> None:
+    class Wide(examples.Positive):
+        def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+            return build_array(100_000, lambda i: u.u)[7] > 0.0
+
+    d = Diagram("wide")
+    d.input("u")
+    d.add("wide", Wide(), u="u")
+    d.output("y", "wide")
+    with pytest.raises(DiagramError, match="stack"):
+        build(d, 0.01)
+
+
+def test_a_long_state_stands_in_the_heap() -> None:
+    out = compiled(examples.delay(500_000)).run(10, {"u": 1.0})
+    assert out["y"].tolist() == [0.0] * 10

@@ -18,6 +18,7 @@ from twodof.compile.cstage import Stage
 from twodof.compile.ctick import Scope, Tick, describe, fill
 from twodof.compile.flat import Program
 from twodof.compile.layout import Layout, Member
+from twodof.errors import DiagramError
 
 GUARDS = """#if defined(__FAST_MATH__)
 #error "compile without -ffast-math: it changes results"
@@ -37,6 +38,9 @@ GUARDS = """#if defined(__FAST_MATH__)
 #define td_inline static inline
 #endif
 """
+
+
+MOST_ON_STACK = 40_000  # elements: 320 kB of the 512 kB that the smallest usual thread has
 
 
 @dataclass(frozen=True)
@@ -113,6 +117,7 @@ class _Emitter:
         self.scope = Scope(program, layout, precision)
         self.helpers: set[str] = set()
         self.functions: set[str] = set()
+        self.continuous = sum(m.width or 1 for m in layout.x.members)
 
     def text(self) -> str:
         """Structs, functions and tables."""
@@ -153,6 +158,12 @@ class _Emitter:
     def _written(self, head: str, write: Callable[[Writer], None]) -> str:
         writer = Writer()
         write(writer)
+        if writer.elements + 6 * self.continuous > MOST_ON_STACK:
+            raise DiagramError(
+                f"its arrays have more than {MOST_ON_STACK} elements at once, too many for a stack",
+                self.prefix,
+                "make them shorter, or states, which do not stand on the stack",
+            )
         self.helpers |= writer.helpers
         self.functions |= writer.functions
         body = "\n".join(writer.lines) + "\n"

@@ -62,6 +62,7 @@ class Writer:
     helpers: set[str] = field(default_factory=set)
     functions: set[str] = field(default_factory=set)
     depth: int = 1
+    elements: int = 0  # of local arrays
 
     def line(self, text: str) -> None:
         self.lines.append("    " * self.depth + text if text else "")
@@ -388,6 +389,7 @@ class Renderer:
         if width is None:
             raise ValueError("an array without a width")
         name = target or self.names.new(f"{self.stem}_array")
+        self.writer.elements += 0 if target else width
         if item.op == "vector":
             if target is None:
                 self.writer.line(f"const {ctype} {name}[{width}] = {{{', '.join(a for a, _ in args)}}};")

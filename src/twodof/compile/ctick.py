@@ -14,6 +14,8 @@ from twodof.compile.flat import Action, Guard, Node, Program, Signal
 from twodof.compile.layout import Layout, Member
 from twodof.compile.lower import inputs_of
 
+TICKS = 2**32  # a tick is a uint32
+
 
 class Scope:
     """What the functions of one program share: its layout, precision and the text of leaves."""
@@ -142,7 +144,10 @@ class Tick:
             rate = node.rate
             if rate.divider > 1 and rate not in self._due:
                 self._due[rate] = self.names.new(f"due_{rate.divider}_{rate.offset}")
-                self.writer.line(f"const bool {self._due[rate]} = s->tick % {rate.divider}u == {rate.offset}u;")
+                due = f"s->tick % {rate.divider}u == {rate.offset}u"
+                if rate.divider >= TICKS:  # sub-diagrams multiply their rates
+                    due = f"s->tick == {rate.offset}u" if rate.offset < TICKS else "false"
+                self.writer.line(f"const bool {self._due[rate]} = {due};")
 
     def forget_idle_rates(self) -> None:
         """Take out the lines of rates that nothing asked for."""
@@ -228,6 +233,7 @@ class Tick:
         elif root.op in ("input", "param"):
             self.writer.line(f"const {ctype} *const {name} = {renderer.text(root)};")
         else:
+            self.writer.elements += signal.width
             self.writer.line(f"{ctype} {name}[{signal.width}];")
             renderer.assign([(name, root)])
 

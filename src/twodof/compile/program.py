@@ -156,10 +156,10 @@ class Machine:
 
     def set_many(self, values: Mapping[str, Any]) -> None:
         """Set several parameters before the next step, or, if one is refused with ParameterError, none."""
-        with numbers.precision(self.program.precision):
+        with numbers.precision("float64"):  # bounds are compared with what is given, then it is rounded
             new = {self._member(path): self._checked(path, value) for path, value in values.items()}
-        for member, value in new.items():
-            self._p[member][0] = value
+            for member, value in new.items():
+                self._p[member][0] = value
         self.program.c_prepare(self._at[0])
 
     def get(self, path: str) -> Any:
@@ -238,8 +238,9 @@ class Machine:
         stride = 1 if columns and steps else 0
         if stride:
             u = np.repeat(self._u, steps)
-            for member, data in columns.items():
-                u[member] = data
+            with np.errstate(over="ignore"):
+                for member, data in columns.items():
+                    u[member] = data
             self._u[0] = u[-1]
         y: NDArray[Any] = np.empty(max(steps, 1), self._y.dtype)
         p, s, *_ = self._at
