@@ -65,6 +65,7 @@ class Writer:
     elements: int = 0  # of local arrays
 
     def line(self, text: str) -> None:
+        """One more line, indented."""
         self.lines.append("    " * self.depth + text if text else "")
 
     @contextmanager

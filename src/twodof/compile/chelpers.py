@@ -14,6 +14,7 @@ class Helper:
     float32: str
 
     def text(self, precision: str) -> str:
+        """The definition for a precision."""
         return self.float32 if precision == "float32" else self.float64
 
 

@@ -26,6 +26,7 @@ class Scope:
         self.precision = precision
 
     def constant(self, value: object, kind: str) -> str:
+        """A literal of the program's precision."""
         return constant(value, kind, self.precision)[0]
 
     def leaf(

@@ -55,24 +55,29 @@ class Node:
 
     @property
     def trace(self) -> Trace:
+        """The block's expressions."""
         return self.block.trace
 
     @property
     def discrete(self) -> list[State]:
+        """The states that `update` gives."""
         return [s for s in self.block.states if not s.continuous]
 
     @property
     def continuous(self) -> list[State]:
+        """The states that `derivative` moves."""
         return [s for s in self.block.states if s.continuous]
 
     @property
     def guard(self) -> Guard:
+        """When the node acts."""
         enables = tuple(c.enable for c in self.conditions if c.enable is not None)
         clears = tuple(c.enable for c in self.conditions if c.enable is not None and c.clears)
         return Guard(self.rate, enables, clears)
 
     @property
     def resets(self) -> tuple[Signal, ...]:
+        """The signals any of which resets the node's states."""
         return tuple(c.reset for c in self.conditions if c.reset is not None)
 
 
@@ -89,6 +94,7 @@ class Guard:
 
     @property
     def always(self) -> bool:
+        """Whether the nodes act at every tick."""
         return self.rate.divider == 1 and not self.enables
 
 
