@@ -7,8 +7,8 @@ import numpy as np
 from twodof.experiment.flight import Laboratory
 from twodof.experiment.protocol import experiment
 from twodof.identify import Limits, best, doublets, fit, multisines, three_two_one_ones
+from twodof.identify.experiments import KINDS, cut
 from twodof.models import PAPER_PITCH_RATE, pitch_rate
-from twodof.report.experiments import KINDS, cut
 
 # What is known beforehand: a rough model, the noise of q in hover [rad/s], and how far the pitch may go.
 guess = {"w_n": PAPER_PITCH_RATE.w_n, "xi": PAPER_PITCH_RATE.xi, "mu": 360.0, "tau": 0.02}

@@ -3,9 +3,9 @@
 from twodof.experiment.flight import Laboratory
 from twodof.experiment.protocol import IDENTIFICATION
 from twodof.identify import fit, identify_pitch
+from twodof.identify.experiments import KINDS, cut, only
 from twodof.models import PAPER_VELOCITY_GREYBOX, pitch_rate, rail
 from twodof.models.plant import thrust_curve
-from twodof.report.experiments import KINDS, cut, only
 
 laboratory = Laboratory("paper")
 flights = {name: laboratory.fly(experiment, seed=1) for name, experiment in IDENTIFICATION.items()}

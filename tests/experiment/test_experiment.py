@@ -14,7 +14,7 @@ from twodof.experiment.record import BOOT
 from twodof.experiment.script import script
 from twodof.flight.core import PERIOD
 from twodof.flight.gains import DEFAULT
-from twodof.flightlog.describe import describe
+from twodof.flightlog.contents import describe
 from twodof.flightlog.files import read_log, write_log
 from twodof.sim.replay import replay
 

@@ -10,7 +10,7 @@ import pytest
 from tests.flightlog.synthetic import attitude_steps, channel
 from twodof.errors import LogError
 from twodof.excitation import Doublet, Excitation, Impulse, Prbs, Steps, Sweep, ThreeTwoOneOne
-from twodof.flightlog.describe import describe, excitations, find_excitation
+from twodof.flightlog.contents import describe, excitations, find_excitation
 from twodof.flightlog.events import modes, openloop_edges, setpoint_steps, thrust_edges, window
 from twodof.flightlog.files import read_log
 from twodof.flightlog.log import Channel, FlightLog

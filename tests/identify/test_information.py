@@ -28,6 +28,7 @@ from twodof.models.offset import Offset
 
 U = doublet(1500, 0.5, 0.6, 0.03)
 CHOSEN = ("w_n", "xi", "mu", "tau")
+LIMIT = PITCH_LIMITS.within["theta"]
 
 
 def test_a_constant_is_known_to_sigma_over_root_n() -> None:
@@ -68,9 +69,9 @@ def test_the_best_doublet_is_a_minimum_within_the_pitch_limit() -> None:
     found = best(pitch_rate(), doublets(), shapes.tolist(), 8.0, DT, {"q": 0.06}, PITCH_LIMITS, estimate=CHOSEN)
     costs = [cost for _, _, cost in found.tried]
     assert found.cost == np.nanmin(costs)
-    assert found.information.peaks["theta"] <= math.radians(50.0)
+    assert found.information.peaks["theta"] <= LIMIT
     # Nothing is left on the table: 2 % more amplitude would break the limit or the range of M.
-    assert found.information.peaks["theta"] > 0.98 * math.radians(50.0) or found.excitation.peak == 1.0
+    assert found.information.peaks["theta"] > 0.98 * LIMIT or found.excitation.peak == 1.0
     # The paper's own doublet keeps far from the limit and tells less.
     paper = predict(pitch_rate(), {"M": U}, DT, {"q": 0.06}, estimate=CHOSEN)
     assert found.information.sigma[found.information.labels.index("mu")] < paper.sigma[paper.labels.index("mu")]
@@ -83,14 +84,14 @@ def test_every_kind_keeps_the_limits(family: Family) -> None:
     played = np.zeros(round(6.0 / DT) + 1)
     played[: min(u.size, played.size)] = u[: played.size]
     theta = simulate_planned(pitch_rate(), {"M": played}, DT, {"tau": 0.015})["theta"]
-    assert np.abs(theta).max() <= math.radians(50.0) * 1.001
+    assert np.abs(theta).max() <= LIMIT * 1.001
 
 
 def test_the_rail_limits_a_velocity_experiment() -> None:
     found = best(
         velocity(), doublets("rad"), [0.8, 1.2, 1.6, 2.0], 5.0, DT, {"v": 0.008}, RAIL_LIMITS, estimate=("k_v", "p_v")
     )
-    assert found.information.travel["x"] <= 0.8
+    assert found.information.travel["x"] <= RAIL_LIMITS.travel["x"]
     # A cart that sticks below 10 degrees: a long doublet of at least that much leaves the rail, and that is said.
     sticky = Limits(travel={"x": 0.8}, least=math.radians(10.0))
     with pytest.raises(IdentificationError, match=r"x travels more than 0.8 at the least amplitude 0.1745"):

@@ -14,6 +14,7 @@ from twodof.cli.output import Json, print_json, table_console
 from twodof.errors import IdentificationError
 from twodof.flightlog.files import read_log
 from twodof.identify.estimate import Estimate
+from twodof.identify.experiments import KINDS, cut, only
 from twodof.identify.greybox import fit
 from twodof.identify.record import Record
 from twodof.identify.simple_pitch import SimplePitch, identify_pitch
@@ -22,7 +23,6 @@ from twodof.models.plant import PAPER_PITCH_RATE
 from twodof.models.structure import Structure
 from twodof.models.structures import free_response, pitch_rate, rail, velocity
 from twodof.report.characterise import TRAVEL
-from twodof.report.experiments import KINDS, cut, only
 
 app = typer.Typer(add_completion=False)
 

@@ -9,7 +9,7 @@ import typer
 from rich.table import Table
 
 from twodof.cli.output import Json, print_json, table_console
-from twodof.flightlog.describe import describe
+from twodof.flightlog.contents import describe
 from twodof.flightlog.files import convert as convert_log
 from twodof.flightlog.files import read_log
 

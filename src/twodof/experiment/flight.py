@@ -67,7 +67,7 @@ class Laboratory:
         gains: Gains = DEFAULT,
         noise: float = 1.0,
         conditions: Mapping[str, Any] | None = None,
-        position_filter: str = "fixed-gain",
+        position_filter: str = "joint",
     ) -> None:
         self.rig_name = rig if isinstance(rig, str) else "own"
         self.parameters = load_rig(rig) if isinstance(rig, str) else rig

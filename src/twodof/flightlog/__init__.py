@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from twodof.flightlog.atomic import atomic_write as atomic_write
-    from twodof.flightlog.describe import Excitation as Excitation
-    from twodof.flightlog.describe import describe as describe
-    from twodof.flightlog.describe import excitations as excitations
-    from twodof.flightlog.describe import find_excitation as find_excitation
+    from twodof.flightlog.contents import Excitation as Excitation
+    from twodof.flightlog.contents import describe as describe
+    from twodof.flightlog.contents import excitations as excitations
+    from twodof.flightlog.contents import find_excitation as find_excitation
     from twodof.flightlog.events import Event as Event
     from twodof.flightlog.events import Stretch as Stretch
     from twodof.flightlog.events import modes as modes
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "atomic": ("atomic_write",),
-    "describe": ("Excitation", "describe", "excitations", "find_excitation"),
+    "contents": ("Excitation", "describe", "excitations", "find_excitation"),
     "events": ("Event", "Stretch", "modes", "openloop_edges", "setpoint_steps", "thrust_edges", "window"),
     "files": ("convert", "read_log", "write_log"),
     "log": ("Channel", "FlightLog", "Gap"),

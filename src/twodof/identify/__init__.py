@@ -11,6 +11,7 @@ from twodof.identify.best_excitation import (
     three_two_one_ones,
 )
 from twodof.identify.estimate import Estimate
+from twodof.identify.experiments import KINDS, ExperimentKind, cut, only
 from twodof.identify.frequency import FrequencyResponse, frequency_response
 from twodof.identify.greybox import fit
 from twodof.identify.information import Information, predict
@@ -29,12 +30,14 @@ from twodof.identify.validate import (
 )
 
 __all__ = [
+    "KINDS",
     "PITCH_LIMITS",
     "RAIL_LIMITS",
     "Comparison",
     "Correlation",
     "Design",
     "Estimate",
+    "ExperimentKind",
     "FrequencyResponse",
     "Information",
     "Limits",
@@ -45,6 +48,7 @@ __all__ = [
     "best",
     "compare",
     "cross_correlation",
+    "cut",
     "doublets",
     "fit",
     "fit_percent",
@@ -52,6 +56,7 @@ __all__ = [
     "identify_pitch",
     "identify_velocity",
     "multisines",
+    "only",
     "predict",
     "rmse",
     "three_two_one_ones",

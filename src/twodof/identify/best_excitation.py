@@ -32,11 +32,14 @@ class Limits:
     most: float = math.inf
 
 
-PITCH_LIMITS = Limits(within={"theta": math.radians(50.0)})
-"""Pitch must stay under 50 degrees or the drone hits a carbon rod (paper, section 4.1)."""
+# A tenth of each is kept free: the model that plans the flight is the one that the flight shall correct.
+_FREE = 0.9
 
-RAIL_LIMITS = Limits(within={"theta": math.radians(50.0)}, travel={"x": 0.8})
-"""And the cart has a stroke of about 0.8 m."""
+PITCH_LIMITS = Limits(within={"theta": _FREE * math.radians(50.0)})
+"""Pitch must stay under 50 degrees or the drone hits a carbon rod (paper, section 4.1); a tenth is kept free."""
+
+RAIL_LIMITS = Limits(within={"theta": _FREE * math.radians(50.0)}, travel={"x": _FREE * 0.8})
+"""And the cart has a stroke of about 0.8 m, of which a tenth is kept free as well."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,6 +8,7 @@ from twodof.models.plant import (
     Longitudinal,
     PitchRate,
     Velocity,
+    thrust_curve,
 )
 from twodof.models.structure import Structure, Unknown
 from twodof.models.structures import free_response, longitudinal, pitch_and_velocity, pitch_rate, rail, velocity
@@ -30,5 +31,6 @@ __all__ = [
     "pitch_rate",
     "rail",
     "step_figures",
+    "thrust_curve",
     "velocity",
 ]

@@ -11,6 +11,7 @@ from scipy.stats import chi2
 
 from twodof.errors import IdentificationError, ParameterError
 from twodof.identify.estimate import Estimate
+from twodof.identify.experiments import only
 from twodof.identify.greybox import fit
 from twodof.identify.record import Record
 from twodof.identify.simple_pitch import SimplePitch, identify_pitch, read_doublet, read_free_response
@@ -18,7 +19,6 @@ from twodof.identify.simple_velocity import SimpleVelocity, identify_velocity, r
 from twodof.models.plant import thrust_curve
 from twodof.models.structures import free_response, pitch_rate, rail
 from twodof.report.content import Uncertain
-from twodof.report.experiments import only
 
 # Below this many repetitions a spread says nothing about a standard deviation.
 _REPETITIONS = 3

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from twodof.errors import IdentificationError
 from twodof.identify.estimate import Estimate
+from twodof.identify.experiments import only
 from twodof.identify.record import Record
 from twodof.identify.simple_pitch import SETTLED, edges_of
 from twodof.identify.simple_pitch import simulated_pair as pitch_pair
@@ -19,7 +20,6 @@ from twodof.identify.validate import Comparison
 from twodof.models.structures import rail
 from twodof.report.characterise import Characterisation
 from twodof.report.content import Figure, Level, Line, Panel, Point, Span
-from twodof.report.experiments import only
 from twodof.report.numbers import plain
 
 Array = NDArray[np.float64]

@@ -11,13 +11,13 @@ from twodof.experiment.protocol import IDENTIFICATION
 from twodof.flight.gains import NAMED
 from twodof.flightlog.files import read_log
 from twodof.flightlog.log import FlightLog
+from twodof.identify.experiments import KINDS, cut
 from twodof.identify.information import predict
 from twodof.identify.record import Record
 from twodof.models.structures import pitch_rate
 from twodof.report.characterise import FORCED, Flights, characterise
 from twodof.report.compose import Machine
 from twodof.report.content import Table
-from twodof.report.experiments import KINDS, cut
 from twodof.report.numbers import plain, power_of_ten
 from twodof.rig.dynamics import GRAVITY
 from twodof.rig.parameters import lab, load_rig

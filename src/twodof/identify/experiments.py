@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twodof.errors import LogError
-from twodof.flightlog.describe import Excitation, excitations
+from twodof.flightlog.contents import Excitation, excitations
 from twodof.flightlog.events import modes
 from twodof.flightlog.log import FlightLog
 from twodof.identify.record import Record
@@ -30,7 +30,7 @@ _REST_S = 0.1
 
 @dataclass(frozen=True)
 class ExperimentKind:
-    """What to look for (modes and shapes of `flightlog.describe`), and inputs and outputs of the record.
+    """What to look for (modes and shapes of `flightlog.contents`), and inputs and outputs of the record.
 
     An output `x` is not the on-board estimate of that name but what the range sensor saw, x = dist - 0.50 m.
     """

@@ -7,7 +7,7 @@ import pytest
 
 from twodof.errors import IdentificationError, LogError
 from twodof.flightlog.files import read_log
-from twodof.report.experiments import KINDS, cut
+from twodof.identify.experiments import KINDS, cut
 
 
 def test_the_impulse_ends_when_the_drone_has_come_to_rest(flight_data: Path) -> None:
