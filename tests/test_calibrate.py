@@ -23,7 +23,7 @@ def shipped() -> dict[str, float]:
     """The unknowns that the shipped set stands for."""
     rig = lab()
     inertia, mass = rig["inertia"], rig["mass_drone"] + rig["mass_cart"]
-    same = ("delay", "lag", "wake_lag", "tof_age", "imu_below", "acc_scale", "gyro_scale")
+    same = ("delay", "lag", "wake_lag", "tof_age", "imu_below")
     return {name: rig[name] for name in same} | {
         "b": rig["arm"] * rig["pair_thrust"] / inertia,
         "a": rig["curve"],

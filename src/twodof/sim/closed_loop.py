@@ -22,7 +22,6 @@ from twodof.parameters import ParameterSet
 from twodof.rig.parameters import lab
 from twodof.rig.rig import BASE_DT, MEASUREMENTS, SAMPLE, TRUTH, rig
 from twodof.rig.rotors import HOVER, RING
-from twodof.rig.sensors import RAIL_CENTRE
 from twodof.signals import MODES
 
 TICKS = SAMPLE[0]
@@ -226,8 +225,3 @@ def _state_paths(diagram: Diagram, prefix: str = "") -> Iterator[str]:
             yield from _state_paths(part.item, f"{prefix}{name}.")
         else:
             yield from (f"{prefix}{name}.{state.name}" for state in part.item.states)
-
-
-def range_at(x: float) -> float:
-    """The range sensor's reading [m] for a cart at `x` [m]."""
-    return x + RAIL_CENTRE

@@ -119,7 +119,7 @@ def flown(log: FlightLog, gains: Gains, window: tuple[float, float] | None = Non
     begin = float(grid[0])
     history = begin + PERIOD * np.arange(-HISTORY, 0)
     commands = tuple(zip(_held(log, "M", history + 0.5 * PERIOD), _held(log, "T", history + 0.5 * PERIOD), strict=True))
-    armed_at, hold = _hold(log, begin, mode[0])
+    armed_at, hold = _hold(log, begin)
     start = {name: float(np.interp(begin, log[name].time, log[name].value)) for name in ("theta", "q", "x", "v")}
     start["theta_previous"] = float(_held(log, "theta", np.array([begin]))[0])
     trim_moment, trim_theta = _trim(log, hold)
@@ -179,19 +179,20 @@ def _mode_at(log: FlightLog, grid: Floats) -> NDArray[np.int32]:
     return found[latest]
 
 
-def _hold(log: FlightLog, begin: float, mode: int) -> tuple[float | None, tuple[float, float] | None]:
-    """(when the rotors started, the hold) before `begin`; in open loop the hold may belong to the flight before."""
+def _hold(log: FlightLog, begin: float) -> tuple[float | None, tuple[float, float] | None]:
+    """(when the rotors started, the hold) before `begin`.
+
+    What is held is a pitch or a place: what was flown in open loop, or with the rate or velocity loop alone, does not
+    count, and where nothing else was flown since the rotors started, the hold is that of the flight before.
+    """
     armed_at, found = None, None
     for a, b in log.armed():
         if a > begin:
             break
         if b >= begin:
             armed_at = a
-        end = min(b, begin)
+        end = min(b, _loop_opened(log, begin) if b >= begin else b)
         start = max(a + _SETTLE, end - _HOLD, _last_step(log, a, end) + _SETTLE_STEP)
-        if mode == MODES.index("open-loop") and b >= begin:
-            start = max(start, end - _HOLD)
-            end = min(end, _loop_opened(log, begin))
         if end - start > 0.2:
             found = (start, end)
     return armed_at, found
@@ -211,8 +212,9 @@ def _last_step(log: FlightLog, a: float, b: float) -> float:
 
 
 def _loop_opened(log: FlightLog, begin: float) -> float:
+    """When the mode that is flown at `begin` was entered if it holds neither pitch nor place, else `begin`."""
     for stretch in modes(log):
-        if stretch.mode == "open-loop" and stretch.t0 <= begin <= stretch.t1:
+        if stretch.t0 <= begin < stretch.t1 and stretch.mode in ("open-loop", "rate", "velocity"):
             return stretch.t0
     return begin
 
