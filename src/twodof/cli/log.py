@@ -1,4 +1,4 @@
-"""`twodof log info` and `twodof log convert`."""
+"""`twodof log info`, `twodof log convert` and `twodof log fetch`."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from twodof.cli.output import Json, print_json, table_console
 from twodof.flightlog.contents import describe
 from twodof.flightlog.files import convert as convert_log
 from twodof.flightlog.files import read_log
+from twodof.flightlog.public_data import PUBLIC_LOGS, find
 
 app = typer.Typer(help="Look into flight logs and convert them.", no_args_is_help=True, add_completion=False)
 # More rows than this say nothing more to a reader; --json has all.
@@ -68,3 +69,21 @@ def convert(
         print_json({"file": str(target), "channels": list(log.channels)})
     else:
         table_console().print(f"{target}: {len(log.channels)} channels", markup=False)
+
+
+@app.command()
+def fetch(
+    names: Annotated[
+        list[str] | None, typer.Argument(help="Names of public logs; all of them if none is named.")
+    ] = None,
+    deadline: Annotated[float, typer.Option(min=1.0, help="Seconds to wait for each download.")] = 60.0,
+    json: Json = False,
+) -> None:
+    """Find the public logs of the real drone, downloading those that are not at hand; checksums are verified."""
+    found = {}
+    for name in names or PUBLIC_LOGS:
+        found[name] = find(name, deadline)
+        if not json:
+            table_console().print(f"{name}: {found[name]}", markup=False, soft_wrap=True)
+    if json:
+        print_json({name: str(path) for name, path in found.items()})
