@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from twodof.blocks.reference import Reference
+from twodof.compile import build
 from twodof.errors import ExperimentError, ParameterError
 from twodof.flight.gains import DEFAULT, STUDENT
 from twodof.rig.parameters import lab, paper
 from twodof.rig.predict import trim_moment
 from twodof.signals import MODES
-from twodof.sim.closed_loop import ClosedLoop, Start
+from twodof.sim.closed_loop import ClosedLoop, Start, closed_loop
 
 
 @pytest.fixture(scope="module")
@@ -126,6 +128,18 @@ def test_what_cannot_be_is_refused(loop: ClosedLoop) -> None:
         loop.configure({"mass_drone": -1.0})
     with pytest.raises(ParameterError, match="no filter called"):
         ClosedLoop(position_filter="magic")
+
+
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+def test_the_interpreter_flies_the_same_bits(precision: str) -> None:
+    diagram = closed_loop()
+    setpoints = {"mode": 3, "theta0": 0.1, "thrust": 0.4}
+    ours, theirs = (
+        machine.run(300, setpoints)
+        for machine in (build(diagram, 1e-3, precision).machine(), Reference(diagram, 1e-3, precision).machine())
+    )
+    for name, values in theirs.items():
+        assert np.array_equal(ours[name], np.asarray(values)), name
 
 
 def test_on_the_paper_rig_the_rings_hold_the_cart_and_the_loop_is_linear() -> None:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from twodof.errors import LogError
 from twodof.flight.gains import Gains
@@ -153,10 +153,10 @@ def _grid(log: FlightLog, t0: float, t1: float) -> Floats:
     period, origin = np.polyfit(index, stamps, 1)
     first = int(np.ceil((t0 - origin) / period))
     last = int(np.floor((t1 - origin) / period))
-    return origin + period * np.arange(first, last + 1)
+    return np.asarray(origin + period * np.arange(first, last + 1), dtype=np.float64)
 
 
-def _held(log: FlightLog, name: str, at: Floats) -> Floats:
+def _held(log: FlightLog, name: str, at: ArrayLike) -> Floats:
     """The latest sample of a channel at or before each time; the first one before that."""
     channel = log[name]
     if not len(channel):
@@ -165,18 +165,16 @@ def _held(log: FlightLog, name: str, at: Floats) -> Floats:
 
 
 def _mode_at(log: FlightLog, grid: Floats) -> NDArray[np.int32]:
-    """The mode at each step; where the log calls it off, the mode before or, at the start, after it."""
+    """The mode at each step, (n,)."""
     found = np.zeros(len(grid), dtype=np.int32)
     for stretch in modes(log):
         inside = (grid >= stretch.t0 - 0.5 * PERIOD) & (grid < stretch.t1 - 0.5 * PERIOD)
         found[inside] = MODES.index(stretch.mode)
-    flying = np.flatnonzero(found)
-    if not flying.size:
+    if not found.any():
         raise LogError(
             f"nothing is flown between {grid[0]:g} and {grid[-1]:g} s", log.source, "give a window with thrust or M"
         )
-    latest = np.maximum.accumulate(np.where(found > 0, np.arange(len(grid)), flying[0]))
-    return found[latest]
+    return found
 
 
 def _hold(log: FlightLog, begin: float) -> tuple[float | None, tuple[float, float] | None]:
