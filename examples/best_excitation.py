@@ -1,18 +1,13 @@
 """Design the excitation that tells most before flying it, fly it, and compare what it told with what was promised."""
 
-from math import radians
-
 import numpy as np
 
-from twodof.experiment.flight import Laboratory
-from twodof.experiment.protocol import experiment
-from twodof.identify import Limits, best, doublets, fit, multisines, three_two_one_ones
-from twodof.identify.experiments import KINDS, cut
+from twodof.experiment import Laboratory, experiment
+from twodof.identify import KINDS, PITCH_LIMITS, best, cut, doublets, fit, multisines, three_two_one_ones
 from twodof.models import PAPER_PITCH_RATE, pitch_rate
 
-# What is known beforehand: a rough model, the noise of q in hover [rad/s], and how far the pitch may go.
+# What is known beforehand: a rough model, and below the noise of q in hover [rad/s] and how far the pitch may go.
 guess = {"w_n": PAPER_PITCH_RATE.w_n, "xi": PAPER_PITCH_RATE.xi, "mu": 360.0, "tau": 0.02}
-limits = Limits(within={"theta": radians(40.0)})
 wanted = ("mu", "tau", "M_trim", "q_0")
 families = {"doublet": doublets(), "3-2-1-1": three_two_one_ones(), "multisine": multisines()}
 shapes = {"doublet": np.arange(0.2, 1.3, 0.1), "3-2-1-1": np.arange(0.7, 2.2, 0.3), "multisine": (0.8, 1.2, 1.6)}
@@ -20,7 +15,17 @@ shapes = {"doublet": np.arange(0.2, 1.3, 0.1), "3-2-1-1": np.arange(0.7, 2.2, 0.
 print(f"{'':12}{'length, s':>10}{'amplitude':>11}{'sigma mu':>10}{'sigma tau, ms':>15}")
 designs = {}
 for name, family in families.items():
-    design = best(pitch_rate(), family, shapes[name], 2.5, 0.004, {"q": 0.06}, limits, values=guess, estimate=wanted)
+    design = best(
+        pitch_rate(),
+        family,
+        shapes[name],
+        duration=2.5,
+        dt=0.004,
+        noise={"q": 0.06},
+        limits=PITCH_LIMITS,
+        values=guess,
+        estimate=wanted,
+    )
     designs[name] = design
     promised = dict(zip(design.information.labels, design.information.sigma, strict=True))
     print(f"{name:12}{design.excitation.pattern:10.2f}{design.excitation.peak:11.4f}", end="")

@@ -5,8 +5,7 @@ from math import degrees
 
 import numpy as np
 
-from twodof.experiment.flight import Laboratory
-from twodof.experiment.protocol import experiment
+from twodof.experiment import Laboratory, experiment
 from twodof.flight.gains import DEFAULT, STUDENT
 from twodof.flightlog import setpoint_steps
 from twodof.models import step_figures

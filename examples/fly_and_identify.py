@@ -1,17 +1,13 @@
 """Fly the paper's three identification experiments on the virtual rig and identify its models from the logs."""
 
-from twodof.experiment.flight import Laboratory
-from twodof.experiment.protocol import IDENTIFICATION
-from twodof.identify import fit, identify_pitch
-from twodof.identify.experiments import KINDS, cut, only
-from twodof.models import PAPER_VELOCITY_GREYBOX, pitch_rate, rail
-from twodof.models.plant import thrust_curve
+from twodof.experiment import IDENTIFICATION, Laboratory
+from twodof.identify import KINDS, cut, fit, identify_pitch, only
+from twodof.models import PAPER_VELOCITY_GREYBOX, pitch_rate, rail, thrust_curve
 
 laboratory = Laboratory("paper")
 flights = {name: laboratory.fly(experiment, seed=1) for name, experiment in IDENTIFICATION.items()}
 for name, flight in flights.items():
     print(f"{name}: " + ", ".join(f"{check.name} ({check.seen})" for check in flight.checks))
-
 
 # What was applied and what was measured around each excitation, cut out of the logs.
 impulse = cut(flights["impulse"].log, KINDS["impulse"], name="impulse")

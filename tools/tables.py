@@ -1,7 +1,7 @@
-"""Writes the tables of docs/physics.md from the rig's parameters: `python tools/physics_docs.py`.
+"""Writes the tables in docs/physics.md and docs/flight.md from the code: `python tools/tables.py`.
 
 A table stands between `<!-- made: NAME -->` and `<!-- end -->`; the text around it is written by hand. A test compares
-the page with what this gives.
+the pages with what this gives.
 """
 
 import re
@@ -10,19 +10,30 @@ from collections.abc import Iterator, Mapping
 from math import sqrt
 from pathlib import Path
 
+from twodof.flight.gains import NAMED
 from twodof.rig.parameters import CONDITIONS, NAMES, TABLE, load_rig, origins
 from twodof.rig.predict import moment_gain, rotor_moment, velocity_damping, velocity_gain
 from twodof.rig.rig import PARTS, rig_params
 from twodof.rig.rotors import HOVER
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "physics.md"
+DOCS = Path(__file__).resolve().parents[1] / "docs"
+PAGES = (DOCS / "physics.md", DOCS / "flight.md")
 GRAVITY = 9.81
+UNITS = {
+    "rate.kp": "s/rad",
+    "rate.ki": "1/rad",
+    "rate.kd": "s2/rad",
+    "attitude.kp": "1/s",
+    "velocity.kp": "N s/m",
+    "velocity.ki": "N/m",
+    "position.kp": "1/s",
+}
 PULSE = 0.1
 
 
 def render(text: str) -> str:
     """The page's text with all its tables made afresh. Raises KeyError for a table that is not known."""
-    tables = {"parameters": _parameters, "conditions": _conditions, "models": _models}
+    tables = {"parameters": _parameters, "conditions": _conditions, "models": _models, "gains": _gains}
 
     def made(match: re.Match[str]) -> str:
         lines = [f"<!-- made: {match[1]} -->", *tables[match[1]](), "<!-- end -->"]
@@ -60,6 +71,14 @@ def _models() -> Iterator[str]:
         yield f"| {key} | {equation} | {unit} | {values} |"
 
 
+def _gains() -> Iterator[str]:
+    sets = {name: gains.parameters() for name, gains in NAMED.items()}
+    yield f"| parameter | unit | {' | '.join(sets)} |"
+    yield "|---|---|" + "---|" * len(sets)
+    for path, unit in UNITS.items():
+        yield f"| `cascade.{path}` | {unit} | {' | '.join(f'{values[path]:g}' for values in sets.values())} |"
+
+
 def _parameters() -> Iterator[str]:
     rigs = {name: load_rig(name).snapshot() for name in NAMES}
     rows = {row.name: row for row in TABLE}
@@ -94,5 +113,6 @@ def _conditions() -> Iterator[str]:
 
 
 if __name__ == "__main__":
-    PAGE.write_text(render(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
-    sys.stdout.write(f"{PAGE} written\n")
+    for page in PAGES:
+        page.write_text(render(page.read_text(encoding="utf-8")), encoding="utf-8")
+        sys.stdout.write(f"{page} written\n")

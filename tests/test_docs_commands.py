@@ -1,0 +1,42 @@
+"""The commands that the documentation shows are run, page by page, and print what the page says, numbers apart."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tools.console import PAGES, Command, commands, paired, run
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_the_commands_of_a_page_do_what_it_says(page: Path, tmp_path: Path) -> None:
+    found = commands(page.read_text(encoding="utf-8"))
+    results = [(command, run(command, tmp_path)) for command in found]
+    assert any(result is not None for _, result in results)
+    for command, result in results:
+        if result is not None:
+            status, output = result
+            assert (status != 0) == command.refused, output
+            not_printed = [line for line, other in paired(command.shown, output) if other is None]
+            assert not_printed == [], f"{command.line}: run `python tools/console.py`, or correct the page"
+
+
+def test_a_line_that_is_not_printed_is_found() -> None:
+    output = "mu   358.63   0.93  rad/s2\ntau  0.0196   0.0004  s\n"
+    assert [other for _, other in paired(["mu   1.0   2.0  rad/s2", "tau  3  4  s"], output)] == output.splitlines()
+    assert [other for _, other in paired(["mu   1.0   2.0  rad/s"], output)] == [None]
+    assert [other for _, other in paired(["tau  3  4  s", "mu   1  2  rad/s2"], output)] == [
+        output.splitlines()[1],
+        None,
+    ]
+
+
+def test_a_page_is_read_as_commands_with_output() -> None:
+    text = "```console\n$ twodof a\nx 1\n\ny 2\n$ twodof b\nerror: no\n```\n$ not this\n```console\n$ twodof c\n```\n"
+    assert commands(text) == [
+        Command("twodof a", ["x 1", "y 2"]),
+        Command("twodof b", ["error: no"]),
+        Command("twodof c", []),
+    ]
+    assert [command.refused for command in commands(text)] == [False, True, False]

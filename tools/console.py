@@ -1,0 +1,94 @@
+"""Runs the commands that the documentation shows and brings the shown output up to date: `python tools/console.py`.
+
+In a ```console block a line `$ twodof ...` is a command, and what follows are lines of its output, not necessarily all.
+`$LOGS` is the folder of the real drone's logs; where there is none, the commands that need it are passed over.
+"""
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+PROJECT = Path(__file__).resolve().parents[1]
+PAGES = [page for page in sorted((PROJECT / "docs").glob("*.md")) if "```console" in page.read_text(encoding="utf-8")]
+# A command compiles once and flies or fits for a second; on a loaded machine several times that.
+DEADLINE_S = 120
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command line and the lines of its output that the page shows."""
+
+    line: str
+    shown: list[str]
+
+    @property
+    def refused(self) -> bool:
+        """Whether the page shows it as a mistake."""
+        return any(line.startswith("error:") for line in self.shown)
+
+
+def commands(text: str) -> list[Command]:
+    """The commands of a page's console blocks."""
+    found: list[Command] = []
+    for block in re.findall(r"```console\n(.*?)```", text, flags=re.DOTALL):
+        for line in block.splitlines():
+            if line.startswith("$ "):
+                found.append(Command(line[2:], []))
+            elif line.strip():
+                found[-1].shown.append(line)
+    return found
+
+
+def run(command: Command, folder: Path) -> tuple[int, str] | None:
+    """Exit status and output of a command run in `folder`; None for one whose logs are not at hand."""
+    logs = Path(os.environ.get("TWODOF_FLIGHT_DATA", PROJECT / "../shared/flight-data")).resolve()
+    if "$LOGS" in command.line and not logs.is_dir():
+        return None
+    arguments = shlex.split(command.line.replace("$LOGS", str(logs)))
+    done = subprocess.run(
+        [sys.executable, "-m", *arguments],
+        cwd=folder,
+        env={**os.environ, "COLUMNS": "200"},
+        capture_output=True,
+        text=True,
+        timeout=DEADLINE_S,
+        check=False,
+    )
+    return done.returncode, done.stdout + done.stderr
+
+
+def paired(shown: list[str], output: str) -> Iterator[tuple[str, str | None]]:
+    """Each shown line with the next line of output that has the same words, numbers apart; None where none has."""
+    lines = iter(output.splitlines())
+    for line in shown:
+        yield line, next((other for other in lines if words(other) == words(line)), None)
+
+
+def words(line: str) -> list[str]:
+    """What of a line does not depend on the noise of a flight: everything but numbers."""
+    return [word for word in line.split() if not re.search(r"\d", word)]
+
+
+def refreshed(text: str) -> str:
+    """A page's text with the numbers that its commands print now."""
+    with tempfile.TemporaryDirectory() as folder:
+        for command in commands(text):
+            result = run(command, Path(folder))
+            if result is not None and command.shown:
+                now = [other or line for line, other in paired(command.shown, result[1])]
+                text = text.replace(
+                    "\n".join([f"$ {command.line}", *command.shown]), "\n".join([f"$ {command.line}", *now])
+                )
+    return text
+
+
+if __name__ == "__main__":
+    for page in PAGES:
+        page.write_text(refreshed(page.read_text(encoding="utf-8")), encoding="utf-8")
+        sys.stdout.write(f"{page} written\n")
