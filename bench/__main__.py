@@ -23,6 +23,7 @@ BENCHMARKS: Mapping[str, Callable[[bool], list[Figure]]] = {
     "start_up": start_up.run,
 }
 RESULTS = Path(__file__).with_name("results")
+WIDTH = 160  # of the tables where no terminal sets it
 
 
 def shown(value: float) -> str:
@@ -80,7 +81,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if unknown:
         parser.error(f"there is no benchmark {unknown[0]!r}; there are {', '.join(BENCHMARKS)}")
     about = {"date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")} | machine()
-    console = Console()
+    console = Console(width=None if sys.stdout.isatty() else WIDTH)
     console.print(f"{about['processor']}, {about['cores']} cores, load {about['load']}")
     console.print("\n".join(f"{name}: {version}" for name, version in about["compilers"].items()), style="dim")
     results: dict[str, list[Figure]] = {}

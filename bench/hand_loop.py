@@ -27,13 +27,13 @@ ONLY_OURS = frozenset({"rig.seed"})
 
 
 class HandLoop:
-    """One instance of the loop, in float64 or float32, with the parameters of `machine`.
+    """One instance of the loop, in float64 or float32, with the parameters of `machine`; `flags` are added to `FLAGS`.
 
     Raises CompileError if there is no C compiler, ParameterError if the two loops do not have the same parameters.
     """
 
-    def __init__(self, machine: Machine, precision: str, seed: int = 1) -> None:
-        self.library = _built(precision)
+    def __init__(self, machine: Machine, precision: str, seed: int = 1, flags: tuple[str, ...] = ()) -> None:
+        self.library = _built(precision, flags)
         self.outputs = _names(self.library, "hand_outputs")
         real = np.dtype(precision)
         integers = [("mode", np.dtype("int32")), ("use_trim", np.dtype("int32"))]
@@ -90,13 +90,13 @@ def _names(library: ctypes.CDLL, symbol: str) -> list[str]:
 
 
 @functools.cache
-def _built(precision: str) -> ctypes.CDLL:
+def _built(precision: str, flags: tuple[str, ...]) -> ctypes.CDLL:
     compiler = find_compiler()
     single = ("-DSINGLE",) if precision == "float32" else ()
     with tempfile.TemporaryDirectory(prefix="twodof-bench-") as folder:
         made = Path(folder) / "hand.so"
         source = str(FOLDER / "closed_loop.c")
-        command = [*compiler.command, *FLAGS, *single, "-shared", "-fPIC", "-o", str(made), source, "-lm"]
+        command = [*compiler.command, *FLAGS, *flags, *single, "-shared", "-fPIC", "-o", str(made), source, "-lm"]
         done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
         if done.returncode:
             raise CompileError(done.stderr.strip()[-2000:], source, "make it compile")

@@ -1,7 +1,6 @@
 """The benchmarks run, the loops that they time compute the same, and their check would see it if they did not."""
 
 import json
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -18,8 +17,6 @@ from twodof.identify import Record
 from twodof.identify.simulate import Simulator
 from twodof.models import pitch_rate
 from twodof.rig.parameters import lab
-
-pytestmark = pytest.mark.skipif(not shutil.which("cc"), reason="the peer is C and there is no cc")
 
 
 @pytest.mark.parametrize("precision", closed_loop.PRECISIONS)
