@@ -25,7 +25,6 @@ ROWS = [
     {"calibrate", "report", "campaign"},
     {"lab"},
     {"cli"},
-    {"__main__"},
 ]
 ROW_OF = {room: index for index, row in enumerate(ROWS) for room in row}
 # What the rows alone would allow: the ground knows the drone by the wire, identification by the log.

@@ -12,7 +12,7 @@ from twodof.cli.app import run
 
 
 def fetch(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "twodof", "log", "fetch", *arguments]
+    command = [str(Path(sys.executable).with_name("twodof")), "log", "fetch", *arguments]
     return subprocess.run(command, capture_output=True, text=True, check=False, env={**os.environ, **environment})
 
 

@@ -122,7 +122,7 @@ def _by_output_error(
         # From the on-board pitch to the on-board velocity, as in the paper, or from the gyro to the range sensor.
         output = "v" if model is Model.velocity else "x"
         record, others = only(record, output), [only(other, output) for other in others]
-        wanted = TRAVEL if wanted is None and output == "x" else wanted
+        wanted = (*TRAVEL, "q_trim") if wanted is None and output == "x" else wanted
     return fit(structure, record, estimate=wanted, values=values, validation=others)
 
 

@@ -35,7 +35,7 @@ class Flights:
     All repetitions together give the spread of the readings by hand. An experiment that was not flown is empty.
     `by_hand` names what the simple method may be read from: a drone that moves along the rail without having been
     given a doublet of pitch has no step response to read. `trim` is the moment that holds the drone level (default:
-    the moment before the doublet).
+    the moment before the doublet). With `gyro_bias` the gyro's bias is estimated too, as a real gyro needs it.
     """
 
     impulses: Sequence[Record]
@@ -43,6 +43,7 @@ class Flights:
     velocities: Sequence[Record]
     by_hand: frozenset[str] = frozenset({"pitch", "velocity"})
     trim: float | None = None
+    gyro_bias: bool = False
 
 
 @dataclass(frozen=True)
@@ -104,8 +105,10 @@ def characterise(flights: Flights, dry_friction: bool) -> Characterisation:
     def force(records: Sequence[Record], unseen: Sequence[Record] = ()) -> Estimate:
         return fit(pitch_rate(), records, estimate=FORCED, values=poles | gain, validation=unseen)
 
+    wanted = (*TRAVEL, "q_trim") if flights.gyro_bias else TRAVEL
+
     def move(records: Sequence[Record], unseen: Sequence[Record] = ()) -> Estimate:
-        return fit(rail(thrust=bool(curve)), records, estimate=TRAVEL, values=curve, validation=unseen)
+        return fit(rail(thrust=bool(curve)), records, estimate=wanted, values=curve, validation=unseen)
 
     greybox: dict[str, Uncertain] = {}
     spreads: dict[str, Spread] = {}

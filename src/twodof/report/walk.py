@@ -155,7 +155,7 @@ def _real_flights(logs: Mapping[str, FlightLog]) -> Flights:
             for number, window in enumerate(((151.0, 155.2), (155.0, 159.2)), start=1)
         ]
     # The drone was at rest at M = 0 when the motors started; the velocity loop gave no doublet of pitch to read.
-    return Flights(impulses, doublets, velocities, by_hand=frozenset({"pitch"}), trim=0.0)
+    return Flights(impulses, doublets, velocities, by_hand=frozenset({"pitch"}), trim=0.0, gyro_bias=True)
 
 
 # Public log -> gains it was flown with, window for the simulation like it, channels that count there.
