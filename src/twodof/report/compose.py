@@ -190,7 +190,11 @@ def _findings(machine: Machine) -> list[str]:
             f"<i>{worst.symbol}</i> = {value} where {plain(worst.truth or 0.0)} is true, {_sigmas(worst):.1f} σ off."
         )
         return [text]
-    shown = [f"<i>{row.symbol}</i> = {with_sigma(row.greybox)}" for row in table.values() if row.greybox is not None]
+    shown = [
+        f"<i>{row.symbol}</i> = {with_sigma(row.greybox)} {row.unit}".strip()
+        for row in table.values()
+        if row.greybox is not None
+    ]
     return [f"<b>{name}</b>: {', '.join(shown[:6])}."] if shown else []
 
 

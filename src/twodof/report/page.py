@@ -37,7 +37,7 @@ def to_html(content: Content) -> str:
     links = "".join(
         f'<li><a href="#{anchor}">{escape(name.partition(":")[0])}</a></li>' for anchor, name, _ in sections
     )
-    findings = "".join(f"<li>{finding}</li>" for finding in content.findings)
+    findings = "".join(f"<li>{_tied(finding)}</li>" for finding in content.findings)
     body = "".join(
         f'<section id="{anchor}"><h2>{escape(name)}</h2>{inner}</section>' for anchor, name, inner in sections
     )
@@ -125,8 +125,8 @@ def _figure_card(subject: Subject, figure: Figure) -> str:
 
 
 def _tied(text: str) -> str:
-    """The same text with numbers tied to their units, so that no line begins with a unit."""
-    return re.sub(r"(?<=\d) (?=%|°|m?s\b|rad|m/s|1/s|σ)", "\N{NO-BREAK SPACE}", text)
+    """The same text with numbers tied to their units and deviations, so that no line begins with one."""
+    return re.sub(r"(?<=\d) (?=%|°|m?s\b|rad|m/s|1/s|σ|±)|(?<=±) ", "\N{NO-BREAK SPACE}", text)
 
 
 def _key(roles: Sequence[str], kind: str) -> str:
