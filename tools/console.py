@@ -50,9 +50,9 @@ def run(command: Command, folder: Path) -> tuple[int, str] | None:
     logs = Path(os.environ.get("TWODOF_FLIGHT_DATA", PROJECT / "../shared/flight-data")).resolve()
     if "$LOGS" in command.line and not logs.is_dir():
         return None
-    arguments = shlex.split(command.line.replace("$LOGS", str(logs)))
+    program, *arguments = shlex.split(command.line.replace("$LOGS", str(logs)))
     done = subprocess.run(
-        [sys.executable, "-m", *arguments],
+        [str(Path(sys.executable).with_name(program)), *arguments],
         cwd=folder,
         env={**os.environ, "COLUMNS": "200"},
         capture_output=True,
