@@ -114,7 +114,8 @@ def test_it_finds_the_shipped_set_again_and_predicts_what_it_left_out(flight_dat
     assert found.converged
     for name in CALIBRATED:
         assert found.rig[name] == pytest.approx(lab()[name], rel=2e-3), name
-    # Flights of a kind that others show are predicted nearly as well as they are fitted. The free response is the only
+    # Flights of a kind that others show are predicted nearly as well as they are fitted; the sweep, faster than the one
+    # other flight with a free cart, within 5 points. The free response is the only
     # flight with the rotors at rest and the doublet the only one in open loop: nothing else shows their friction.
     for name, channel, loss in (
         ("attitude-steps-10deg-default", "theta", 0.2),
@@ -123,7 +124,7 @@ def test_it_finds_the_shipped_set_again_and_predicts_what_it_left_out(flight_dat
         ("rate-doublets-30dps-student", "q", 0.3),
         ("velocity-doublets-0.25", "v", 2.0),
         ("velocity-doublets-0.25", "theta", 3.0),
-        ("position-sweep-default", "x", 4.5),
-        ("position-sweep-default", "v", 4.2),
+        ("position-sweep-default", "x", 5.0),
+        ("position-sweep-default", "v", 5.0),
     ):
         assert found.left_out[name][channel] >= found.fit[name][channel] - loss, (name, channel)
