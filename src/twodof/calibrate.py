@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from twodof.errors import IdentificationError
 from twodof.flight.gains import NAMED
 from twodof.flightlog.files import read_log
+from twodof.flightlog.public_data import PUBLIC_LOGS
 from twodof.identify.levenberg_marquardt import minimise
 from twodof.parameters import ParameterSet
 from twodof.rig.dynamics import GRAVITY
@@ -41,15 +42,20 @@ class Flight:
     weights: Mapping[str, float]
 
 
+def _flight(name: str, weights: Mapping[str, float]) -> Flight:
+    log = PUBLIC_LOGS[name]
+    return Flight(name, log.window, log.gains, weights)
+
+
 FLIGHTS: tuple[Flight, ...] = (
-    Flight("free-response-impulse", (188.30, 197.50), "default", {"q": 1.0}),
+    _flight("free-response-impulse", {"q": 1.0}),
     # Weighs less: in open loop a wrong trim moment grows without bound.
-    Flight("doublet-0.03", (244.70, 245.75), "default", {"q": 0.5}),
-    Flight("attitude-steps-10deg-default", (127.50, 135.80), "default", {"theta": 1.0, "q": 1.0}),
-    Flight("attitude-steps-10deg-student", (6.70, 15.00), "student", {"theta": 1.0, "q": 1.0}),
-    Flight("rate-doublets-30dps-student", (346.60, 355.60), "student", {"q": 1.0, "theta": 0.3}),
-    Flight("velocity-doublets-0.25", (150.80, 160.50), "student", {"v": 1.0, "theta": 1.0, "x": 0.5, "q": 0.5}),
-    Flight("position-sweep-default", (133.00, 159.40), "default", {"x": 1.0, "v": 1.0, "theta": 0.5, "q": 0.5}),
+    _flight("doublet-0.03", {"q": 0.5}),
+    _flight("attitude-steps-10deg-default", {"theta": 1.0, "q": 1.0}),
+    _flight("attitude-steps-10deg-student", {"theta": 1.0, "q": 1.0}),
+    _flight("rate-doublets-30dps-student", {"q": 1.0, "theta": 0.3}),
+    _flight("velocity-doublets-0.25", {"v": 1.0, "theta": 1.0, "x": 0.5, "q": 0.5}),
+    _flight("position-sweep-default", {"x": 1.0, "v": 1.0, "theta": 0.5, "q": 0.5}),
 )
 """The seven flights of the public registry, by its windows."""
 

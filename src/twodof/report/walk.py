@@ -11,6 +11,7 @@ from twodof.experiment.protocol import IDENTIFICATION
 from twodof.flight.gains import NAMED
 from twodof.flightlog.files import read_log
 from twodof.flightlog.log import FlightLog
+from twodof.flightlog.public_data import PUBLIC_LOGS
 from twodof.identify.experiments import KINDS, cut
 from twodof.identify.information import predict
 from twodof.identify.record import Record
@@ -158,33 +159,21 @@ def _real_flights(logs: Mapping[str, FlightLog]) -> Flights:
     return Flights(impulses, doublets, velocities, by_hand=frozenset({"pitch"}), trim=0.0, gyro_bias=True)
 
 
-# Public log -> gains it was flown with, window for the simulation like it, channels that count there.
-_FLOWN = {
-    "free-response-impulse": ("default", (188.30, 197.50), ("q",)),
-    "doublet-0.03": ("default", (244.70, 245.75), ("q",)),
-    "attitude-steps-10deg-default": ("default", (127.50, 135.80), ("theta", "q")),
-    "attitude-steps-10deg-student": ("student", (6.70, 15.00), ("theta", "q")),
-    "rate-doublets-30dps-student": ("student", (346.60, 355.60), ("q",)),
-    "velocity-doublets-0.25": ("student", (150.80, 160.50), ("v", "theta")),
-    "position-sweep-default": ("default", (133.00, 159.40), ("x", "v")),
-}
-
-
 def comparisons(logs: Mapping[str, Path], progress: Progress) -> list[Table]:
     """Compiled code against the real flights: the laws replayed, and the lab rig flown like them."""
     replayed, flown = [], []
     rig = lab()
-    for name, (gains, window, channels) in _FLOWN.items():
+    for name, known in PUBLIC_LOGS.items():
         if name not in logs:
             continue
         progress(f"real drone: replay {name}")
         log = read_log(logs[name])
-        laws = replay(log, NAMED[gains])
+        laws = replay(log, NAMED[known.gains])
         if laws.nrms:
             shown = (power_of_ten(laws.nrms[c]) if c in laws.nrms else "–" for c in ("M", "q0", "theta0", "T"))
             replayed.append((name, *shown, f"{100.0 * min(laws.coverage.values()):.0f} %"))
-        fit = simulate_like(log, rig, NAMED[gains], window).fit
-        flown.append((name, *(f"{fit[c]:.1f}" if c in channels else "–" for c in ("theta", "q", "x", "v"))))
+        fit = simulate_like(log, rig, NAMED[known.gains], known.window).fit
+        flown.append((name, *(f"{fit[c]:.1f}" if c in known.compared else "–" for c in ("theta", "q", "x", "v"))))
     if not flown:
         return []
     return [
