@@ -103,7 +103,7 @@ def machine() -> dict[str, Any]:
         "processor": _processor(),
         "cores": os.cpu_count(),
         "load": [round(x, 2) for x in os.getloadavg()] if hasattr(os, "getloadavg") else None,
-        "system": platform.platform(),
+        "system": " ".join((platform.system(), platform.machine(), *platform.libc_ver())),
         "python": platform.python_version(),
         "compilers": {name: version for name in ("cc", "clang", "zig") if (version := compiler_version(name))},
         "packages": {name: version for name in packages if (version := _package(name))},
