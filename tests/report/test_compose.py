@@ -91,7 +91,7 @@ def test_table_1_has_the_papers_numbers_and_shows_the_delay_in_milliseconds(foun
 
 
 def test_the_whole_report_names_machine_figures_and_errata(found: Characterisation) -> None:
-    page = to_html(content([Machine("rig one", "<p>", found, TRUTH)], {"seed": "0"}))
+    page = to_html(content([Machine("rig one", "<p>", found, TRUTH)], {"seed": "0"})).replace("\u00a0", " ")
     for text in ("rig one", "Figure 3", "Figure 8", "Errata of the paper", "within 3 σ of the truth", "6.88"):
         assert text in page, text
 

@@ -9,7 +9,18 @@ import pytest
 
 from twodof.errors import ParameterError
 from twodof.parameters import ParameterSet
-from twodof.rig.parameters import CALIBRATED, CONDITIONS, LAB_FILE, TABLE, lab, load_rig, origins, paper, save_rig
+from twodof.rig.parameters import (
+    CALIBRATED,
+    CONDITIONS,
+    LAB_FILE,
+    Q_AGE,
+    TABLE,
+    lab,
+    load_rig,
+    origins,
+    paper,
+    save_rig,
+)
 from twodof.rig.rig import rig, rig_params
 
 
@@ -19,7 +30,7 @@ def test_the_paper_rig_has_the_papers_numbers() -> None:
     assert (p["spring"] / inertia) ** 0.5 == pytest.approx(3.437, rel=1e-12)  # w_n
     assert p["viscous_run"] / inertia / (2.0 * 3.437) == pytest.approx(0.0836, rel=1e-12)  # xi
     assert p["viscous_idle"] == p["viscous_run"]
-    assert p["delay"] == 0.020
+    assert p["delay"] == 0.020 + Q_AGE
     assert p["lag"] == 0.0
     assert p["rail_viscous"] / mass == pytest.approx(1.168, rel=1e-12)  # p_v
     for name in ("coulomb_idle", "coulomb_run", "rail_coulomb", "hardening", "offset", "gust"):

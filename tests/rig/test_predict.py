@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from twodof.rig.parameters import lab, paper
+from twodof.rig.parameters import Q_AGE, lab, paper
 from twodof.rig.predict import (
     moment_gain,
     restoring_moment,
@@ -34,8 +34,8 @@ def test_the_paper_rig_pitches_and_slides_by_its_gains() -> None:
     loop = ClosedLoop(rig=paper(), conditions={"noise": 0.0, "rings": True, "ring_play": 0.0})
     loop.start(Start(hover=True))
     q = loop.fly(10, {"mode": "open-loop", "M_open": 0.01, "thrust": 0.4})["true_q"]
-    # From 20 ms on q' = mu M - c q; c is 2 xi w_n = .575 1/s.
-    t = 9 * 0.004 - 0.020
+    # From the delay on q' = mu M - c q; c is 2 xi w_n = .575 1/s.
+    t = 9 * 0.004 - (0.020 + Q_AGE)
     assert q[9] == pytest.approx(358.5 * 0.01 * (1.0 - np.exp(-0.575 * t)) / 0.575, rel=1e-3)  # the spring, 11.8 theta
     loop.configure({"rings": False})
     loop.start(Start(theta=0.2, hover=True))

@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 
 from twodof.flight.core import PERIOD
 from twodof.flightlog.log import Channel, FlightLog
+from twodof.rig.parameters import Q_AGE
 from twodof.signals import MODES, topic
 
 BOOT = 10.0
 """Time stamp of the first step [s]: the drone's logs count from when the flight controller booted."""
 
 # Stamps against that of the moment M of the same step, as the real logs have them (docs/physics.md, sensors).
-_AGE = {"acc": 1.1e-3, "gyr": 1.1e-3, "dist": 1.0e-3, "q": 0.35e-3}
+_AGE = {"acc": 1.1e-3, "gyr": 1.1e-3, "dist": 1.0e-3, "q": Q_AGE}
 _LATER = {"theta": 0.33e-3, "x": 1.3e-3, "v": 1.3e-3, "q0": 3e-6, "theta0": 5e-6, "v0": 7e-6, "x0": 9e-6, "T": 11e-6}
 _LATER |= {"thrust0": 13e-6, "mode": 15e-6}
 

@@ -21,7 +21,7 @@ from twodof.report.compose import Machine
 from twodof.report.content import Table
 from twodof.report.numbers import plain, power_of_ten
 from twodof.rig.dynamics import GRAVITY
-from twodof.rig.parameters import lab, load_rig
+from twodof.rig.parameters import Q_AGE, lab, load_rig
 from twodof.rig.predict import moment_gain, velocity_damping, velocity_gain
 from twodof.rig.rotors import HOVER
 from twodof.sim.like import simulate_like
@@ -34,9 +34,6 @@ REPETITIONS = 10
 """Flights of each experiment on a virtual rig, seeds 1 to 10: their spread is the one sigma of a reading by hand."""
 
 _PAPER_EXPERIMENT = {"impulse": "impulse", "doublet": "doublet", "velocity": "velocity-doublet"}
-
-# Age of a gyro sample when M is computed, as the logs stamp it (docs/physics.md): a log's delay lacks it.
-_GYRO_AGE_S = 0.35e-3
 
 _TEXT = {
     "paper": "The rig with the paper’s parameters: viscous friction only, a pure delay. μ is 358.5 at the hover’s "
@@ -122,7 +119,7 @@ def truth_of(rig: Mapping[str, float]) -> dict[str, float]:
         "w_n": w_n,
         "xi": rig["viscous_idle"] / (2.0 * inertia * w_n),
         "mu": moment_gain(rig, HOVER),
-        "tau": rig["delay"] + rig["lag"] - _GYRO_AGE_S,
+        "tau": rig["delay"] + rig["lag"] - Q_AGE,
         "k_v": velocity_gain(rig),
         "p_v": velocity_damping(rig),
         **{name: value for name, value in dry.items() if value > 0.0},
