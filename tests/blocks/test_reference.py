@@ -8,7 +8,7 @@ import pytest
 from scipy.linalg import expm
 
 from tests.blocks.samples import Adder, Bouncer, Counter, Gain, Hold, Lag, Late, Memory, chain
-from twodof.blocks import Block, Diagram, Port, State
+from twodof.blocks import Block, Diagram, Param, Port, State
 from twodof.blocks.reference import Reference
 from twodof.errors import DiagramError, ParameterError
 
@@ -252,3 +252,11 @@ def test_units_are_compared_at_connections() -> None:
     d.add("g", speed, u="angle")
     with pytest.raises(DiagramError, match=r"it takes \[rad/s\] and angle gives \[rad\]"):
         Reference(d, 1.0)
+
+
+def test_a_bound_that_float32_rounds_is_still_reachable() -> None:
+    gain = Gain()
+    gain.params = (Param("k", 0.05, low=0.0, high=0.1),)
+    m = Reference(chain(gain), 1.0, "float32").machine()
+    m.set("b0.k", 0.1)  # as float32 it is 0.10000000149
+    assert m.get("b0.k") == float(np.float32(0.1))

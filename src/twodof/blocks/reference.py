@@ -364,13 +364,11 @@ def _checked(parameters: Mapping[str, Param], path: str, value: Any, running: bo
         number = numeric(value, p.kind, p.width, path)
     except DiagramError as error:
         raise ParameterError(error.what, path, error.remedy) from error
-    for item in number if isinstance(number, Vector) else (number,):
-        scalar = plain(item)
-        if not p.low <= scalar <= p.high:
+    # The bounds hold for what was given: rounded to float32 it may lie beyond them.
+    for given in np.ravel(np.asarray(value, dtype=np.float64)):
+        if not p.low <= given <= p.high:
             raise ParameterError(
-                f"{scalar} is outside [{p.low}, {p.high}] {p.unit}".rstrip(),
-                path,
-                "choose a value within the bounds",
+                f"{given} is outside [{p.low}, {p.high}] {p.unit}".rstrip(), path, "choose a value within the bounds"
             )
     return number
 
