@@ -18,7 +18,7 @@ from tests.rig.plants import dynamics, settings
 from tools.tables import PAGES, models, render
 from twodof.compile import Program, build
 from twodof.models import PAPER_PITCH_RATE, PAPER_VELOCITY_GREYBOX, StateSpace
-from twodof.rig.parameters import lab, paper
+from twodof.rig.parameters import Q_AGE, lab, paper
 from twodof.rig.predict import trim_moment
 from twodof.rig.rig import rig
 
@@ -139,7 +139,9 @@ def test_the_accelerometer_is_the_second_derivative_of_its_place(whole: Program)
 def test_the_paper_rig_is_the_papers_pitch_rate(whole: Program) -> None:
     steps = 3000
     moment = np.where((np.arange(steps) % 600) < 300, 0.03, -0.03)
-    values = paper().snapshot()
+    # By the log's stamps q is older than M, and the rig's delay holds that age; here nothing has a stamp.
+    assert paper()["delay"] - Q_AGE == pytest.approx(PAPER_PITCH_RATE.tau, abs=1e-15)
+    values = {**paper().snapshot(), "delay": PAPER_PITCH_RATE.tau}
     # The rotors stand at the start: the moment waits until the thrust is there.
     moment[:200] = 0.0
     out = fly(whole, steps, 0.4 + moment, 0.4 - moment, values, rings=True)
@@ -149,7 +151,7 @@ def test_the_paper_rig_is_the_papers_pitch_rate(whole: Program) -> None:
         [0.0, plant.mu],
         [[1.0, 0.0], [0.0, 1.0]],
         [[0.0], [0.0]],
-        values["delay"],
+        plant.tau,
     )
     expected = exact.zero_order_hold(TICK).simulate(moment)
     # Battery 1e9 A h: the supply falls by some 1e-12; what remains is RK4's error and rounding.

@@ -11,7 +11,7 @@ from math import sqrt
 from pathlib import Path
 
 from twodof.flight.gains import NAMED
-from twodof.rig.parameters import CONDITIONS, NAMES, TABLE, load_rig, origins
+from twodof.rig.parameters import CONDITIONS, NAMES, Q_AGE, TABLE, load_rig, origins
 from twodof.rig.predict import moment_gain, rotor_moment, velocity_damping, velocity_gain
 from twodof.rig.rig import PARTS, rig_params
 from twodof.rig.rotors import HOVER
@@ -52,7 +52,7 @@ def models(rig: Mapping[str, float]) -> dict[str, tuple[float, str, str]]:
         "xi, rotors running": (rig["viscous_run"] / (2.0 * inertia * w_n), "", "(32)"),
         f"mu at T = 0, M = {PULSE}": (rotor_moment(rig, PULSE, 0.0) / (PULSE * inertia), "rad/s2", "(34)"),
         f"mu at T = {HOVER}": (moment_gain(rig, HOVER), "rad/s2", "(33)"),
-        "tau": (rig["delay"] + rig["lag"], "s", "(35)"),
+        "tau": (rig["delay"] + rig["lag"] - Q_AGE, "s", "(35)"),
         f"k_v at T = {HOVER}": (velocity_gain(rig), "m/s2", "(36)"),
         "p_v": (velocity_damping(rig), "1/s", "(36)"),
         "bearing's dry friction, rotors at rest": (rig["coulomb_idle"] / inertia, "rad/s2", "(15)"),
