@@ -6,13 +6,15 @@ import re
 import shutil
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from tests.compile import examples
 from tests.compile.differential import random_cases, sources
-from twodof.blocks import Diagram
+from twodof.blocks import Block, Diagram, Param, Port, State, sin, to_int32, to_real, to_uint32
+from twodof.blocks.reference import Reference
 from twodof.compile import build, native
 from twodof.compile.cexpr import constant
 from twodof.compile.program import emit_program
@@ -137,3 +139,43 @@ def test_the_tables_lead_a_c_program_to_parameters_and_signals(tmp_path: Path) -
     assert f"y {y:.17g}" in said
     assert f"sum.sum {machine.state('sum.sum'):.17g}" in said
     assert f"pendulum.theta {machine.state('pendulum.theta'):.17g}" in said
+
+
+class Named(Block):
+    """A block whose ports, parameter and states bear given names and whose code calls helpers and functions."""
+
+    def __init__(self, port: str) -> None:
+        self.port = port
+        self.inputs = [Port(port)]
+        self.outputs = [Port(port)]
+        self.params = [Param(port, 0.5)]
+        self.states = [State(port, 0.25, continuous=True), State(f"{port}2", 0.5)]
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        n = to_int32(u[self.port])
+        return sin(x[self.port]) * p[self.port] + to_real((n + 1) * n) + x[f"{self.port}2"] + to_real(to_uint32(n))
+
+    def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        return {f"{self.port}2": u[self.port]}
+
+    def derivative(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        return {self.port: u[self.port] - x[self.port]}
+
+
+@pytest.mark.parametrize(
+    ("part", "port"),
+    [
+        *[("part", name) for name in ("INT32_MAX", "SIZE_MAX", "int", "NULL", "real", "memcpy", "unix", "s", "held")],
+        *[("int32", "t"), ("int32", "add"), ("real_to", "int32"), ("td", "sin"), ("td", "inline"), ("INT32", "MIN")],
+        *[("prog", name) for name in ("X", "P", "Held", "derivative", "integrate", "along", "step")],
+    ],
+)
+def test_no_name_can_collide_with_what_c_or_the_file_defines(part: str, port: str) -> None:
+    d = Diagram("prog")
+    d.input(port)
+    d.add(part, Named(port), **{port: port})
+    d.add("behind", Named(port), **{port: f"{part}.{port}"})
+    d.output(port, f"behind.{port}")
+    rows = [{port: 0.3 * k} for k in range(4)]
+    machine, reference = build(d, 0.01, optimise="-O0").machine(), Reference(d, 0.01).machine()
+    assert [machine.step(row) for row in rows] == [reference.step(row) for row in rows]

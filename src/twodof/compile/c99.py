@@ -184,7 +184,7 @@ class _Emitter:
             fill(writer, f"p->{member.name}", _listed(d.value), d, self.precision)
 
     def _prepare(self, writer: Writer) -> None:
-        names = Names({"p"})
+        names = self.scope.names("p")
         for node in self.program.nodes:
             if not node.block.derived:
                 continue
@@ -202,7 +202,7 @@ class _Emitter:
                 self.scope.initial(writer, node, state, target)
 
     def _step(self, writer: Writer, stage: Stage | None) -> None:
-        tick = Tick(self.scope, writer, Names({"p", "s", "u", "y"}))
+        tick = Tick(self.scope, writer, self.scope.names("p", "s", "u", "y"))
         tick.due()
         tick.outputs()
         if self.program.outputs:

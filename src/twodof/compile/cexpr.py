@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -10,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from twodof.blocks.elementary import ARGUMENTS
 from twodof.blocks.expr import LEAVES, Expr, node
 from twodof.blocks.graph import outside, walk
 from twodof.blocks.numbers import Integer
@@ -22,6 +24,9 @@ RESERVED = """
     volatile while asm typeof real bool true false offsetof linux unix memcpy memset NULL
 """
 KEYWORDS = frozenset(RESERVED.split())
+# What the included headers and the emitted file itself define beside those: macros, types, helpers.
+DEFINED = re.compile(r"[A-Z][A-Z0-9_]*_(MAX|MIN|C|WIDTH)|[a-z0-9_]+_t|td_inline")
+FUNCTIONS = frozenset(HELPERS) | {f"td_{name}" for name in ARGUMENTS}
 WIDEST_LINE = 150  # an expression that would be longer becomes two
 SMALL_ARRAY = 16  # up to here a copy is cheaper than a choice
 
@@ -41,7 +46,7 @@ class Names:
         """`stem` with dots as underscores; with a number behind it if that is taken."""
         name = base = stem.replace(".", "_")
         number = 2
-        while name in self.taken or name in KEYWORDS:
+        while name in self.taken or name in KEYWORDS or name in FUNCTIONS or DEFINED.fullmatch(name):
             name = f"{base}_{number}"
             number += 1
         self.taken.add(name)

@@ -36,7 +36,7 @@ class Stage:
 
     def derivative(self, writer: Writer) -> None:
         """The function that gives the derivatives of the continuous states."""
-        names = Names({"p", "held", "x", "slope"})
+        names = self.scope.names("p", "held", "x", "slope")
         local: dict[Signal, str] = {}
         renderers: dict[Node, Renderer] = {}
         p = self.prefix

@@ -15,6 +15,7 @@ from twodof.compile.layout import Layout, Member
 from twodof.compile.lower import inputs_of
 
 TICKS = 2**32  # a tick is a uint32
+OWN = ("P", "S", "U", "Y", "X", "Held", "derivative", "integrate", "along", "step")  # what a body may name
 
 
 class Scope:
@@ -24,6 +25,10 @@ class Scope:
         self.program = program
         self.layout = layout
         self.precision = precision
+
+    def names(self, *arguments: str) -> Names:
+        """Identifiers of a function: its locals may hide neither its `arguments` nor what the program defines."""
+        return Names({*arguments, *(f"{self.program.name}_{own}" for own in OWN)})
 
     def constant(self, value: object, kind: str) -> str:
         """A literal of the program's precision."""
