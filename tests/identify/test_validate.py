@@ -5,6 +5,7 @@ import pytest
 from scipy.signal import lfilter
 
 from twodof.errors import IdentificationError
+from twodof.identify.covariance import Rows, robust_covariance
 from twodof.identify.validate import compare, cross_correlation, fit_percent, rmse, vaf, whiteness
 
 
@@ -18,6 +19,13 @@ def test_measures_in_closed_form() -> None:
     # An offset costs FIT and RMSE, VAF does not see it.
     assert fit_percent(y, y + 0.1) == pytest.approx(90.0)
     assert vaf(y, y + 0.1) == pytest.approx(100.0)
+
+
+def test_the_first_lag_is_one_sample() -> None:
+    # 1, -1, 1, ...: n - k products of (-1)^k at lag k, over n squares.
+    found = whiteness(np.tile([1.0, -1.0], 50))
+    assert found.lags[0] == 1
+    assert found.value == pytest.approx([(-1.0) ** k * (100 - k) / 100.0 for k in range(1, 26)])
 
 
 def test_white_residuals_pass_as_often_as_promised() -> None:
@@ -78,3 +86,25 @@ def test_what_cannot_be_judged_is_refused() -> None:
         whiteness(np.ones(300))
     with pytest.raises(IdentificationError, match="input is constant"):
         cross_correlation(np.arange(300.0), np.ones(300))
+
+
+def test_the_robust_covariance_is_the_double_sum_over_lags_even_across_gaps() -> None:
+    """(J'J)^-1 sum_st J_s' w(s - t) c(s - t) J_t (J'J)^-1 with Bartlett's weights (Newey and West, 1987)."""
+    rng = np.random.default_rng(5)
+    when = np.delete(np.arange(60), [7, 8, 30])
+    n = when.size
+    jacobian, residual = rng.standard_normal((n, 2)), np.convolve(rng.standard_normal(n + 4), np.ones(5), "valid")
+    spread = np.zeros(60)
+    spread[when] = residual
+    reach = 16  # 2 sqrt(60), rounded up
+    meat = np.zeros((2, 2))
+    for s in range(n):
+        for t in range(n):
+            lag = abs(int(when[s]) - int(when[t]))
+            if lag <= reach:
+                correlation = float(spread[: 60 - lag] @ spread[lag:]) / n
+                meat += (1.0 - lag / (reach + 1.0)) * correlation * np.outer(jacobian[s], jacobian[t])
+    bread = np.linalg.inv(jacobian.T @ jacobian)
+    expected = n / (n - 2) * bread @ meat @ bread
+    found = robust_covariance(jacobian, residual, [Rows(0, slice(0, n), when)], spectral=False)
+    assert found == pytest.approx(expected, rel=1e-9)
