@@ -79,22 +79,37 @@ def test_the_wrong_gains_do_not_fit(flight_data: Path, loop: ClosedLoop) -> None
     assert fits[0] > fits[1] + 5.0
 
 
-def test_nothing_inside_the_window_is_used_but_the_set_points(flight_data: Path, loop: ClosedLoop) -> None:
-    """Another answer of the drone inside the window changes the FIT and leaves the simulation as it was, to the bit."""
-    log = read_log(flight_data / "attitude-steps-10deg-default.mat")
-    window = (127.5, 135.8)
+@pytest.mark.parametrize(
+    ("name", "outputs"),
+    [
+        ("free-response-impulse", ()),
+        ("attitude-steps-10deg-default", ("M", "q0")),
+        ("velocity-doublets-0.25", ("M", "q0", "theta0", "T")),
+        ("position-sweep-default", ("M", "q0", "theta0", "T", "v0")),
+    ],
+)
+def test_nothing_inside_the_window_is_used_but_the_set_points(
+    flight_data: Path, loop: ClosedLoop, name: str, outputs: tuple[str, ...]
+) -> None:
+    """Another answer of the drone inside the window changes the FIT and leaves the simulation as it was, to the bit.
+
+    All estimates, what the closed loops put out (`outputs`) and all sensors differ; no range sample arrives.
+    """
+    flight = next(f for f in FLIGHTS if f.name == name)
+    log, gains, window = read_log(flight_data / f"{name}.mat"), NAMED[flight.gains], flight.window
     changed = dict(log.channels)
-    for name in ("theta", "q", "x", "v", "M", "acc", "gyr", "dist"):
-        channel = changed[name]
-        inside = (channel.time > window[0] + 0.01) & (channel.time < window[1])
-        value = channel.value.copy()
+    for channel in ("theta", "q", "x", "v", "acc", "gyr", "dist", *outputs):
+        c = changed[channel]
+        inside = (c.time > window[0] + 0.02) & (c.time < window[1])
+        value = c.value.copy()
         value[inside] *= 0.5
-        changed[name] = Channel(channel.time, value, channel.unit, channel.fields, name)
+        keep = ~inside if channel == "dist" else np.ones(len(c), dtype=bool)
+        changed[channel] = Channel(c.time[keep], value[keep], c.unit, c.fields, channel)
     rig = lab().snapshot()
-    ours = LoggedFlight(log, NAMED["default"], window).simulate(loop, rig)
-    theirs = LoggedFlight(FlightLog(changed), NAMED["default"], window).simulate(loop, rig)
-    for name in ours:
-        assert ours[name].tobytes() == theirs[name].tobytes()
+    ours = LoggedFlight(log, gains, window).simulate(loop, rig)
+    theirs = LoggedFlight(FlightLog(changed), gains, window).simulate(loop, rig)
+    for estimate in ours:
+        assert ours[estimate].tobytes() == theirs[estimate].tobytes()
 
 
 def test_modes_are_found_and_change_in_flight(flight_data: Path) -> None:

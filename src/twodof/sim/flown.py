@@ -40,7 +40,8 @@ class Flown:
     for x0, v0, theta0, q0, M_open, thrust. `hold` [s] is the time before the window from which the trim moment
     (`trim_moment`, the mean M, at the mean pitch `trim_theta`) is taken, None if there was none; `velocity_bias` [m/s]
     is from before the window too.
-    `states` are controller states at the first step; `spun_up` [s] is how long the rotors have run.
+    `states` are controller states at the first step; `spun_up` [s] is how long the rotors have run,
+    `tof_elapsed` [s] how long ago the last range sample was.
     """
 
     time: Floats
@@ -54,7 +55,7 @@ class Flown:
     trim_theta: float
     velocity_bias: float
     spun_up: float
-    tof_delay: float
+    tof_elapsed: float
     window: tuple[float, float]
 
     @property
@@ -124,7 +125,7 @@ def flown(log: FlightLog, gains: Gains, window: tuple[float, float] | None = Non
     start["theta_previous"] = float(_held(log, "theta", np.array([begin]))[0])
     trim_moment, trim_theta = _trim(log, hold)
     ranges = log["dist"].time if "dist" in log else np.empty(0)
-    later = ranges[ranges >= begin]
+    earlier = ranges[ranges < begin]
     return Flown(
         time=grid,
         mode=mode,
@@ -137,7 +138,7 @@ def flown(log: FlightLog, gains: Gains, window: tuple[float, float] | None = Non
         trim_theta=trim_theta,
         velocity_bias=_velocity_bias(log, begin) if mode.max() >= MODES.index("velocity") else 0.0,
         spun_up=begin - armed_at if armed_at is not None else 0.0,
-        tof_delay=float(later[0] - begin) if later.size else 0.0,
+        tof_elapsed=float(begin - earlier[-1]) if earlier.size else 0.0,
         window=(t0, t1),
     )
 

@@ -130,7 +130,7 @@ class LoggedFlight:
             "rings": not flight.rails,
             "ring_place": flight.start["x"],
             "trim": trim,
-            "tof_phase": (1.0 - flight.tof_delay * rig["tof_rate"]) % 1.0,
+            "tof_phase": (flight.tof_elapsed * rig["tof_rate"]) % 1.0,
         }
 
     def compare(self, loop: ClosedLoop, rig: Mapping[str, float]) -> Likeness:
