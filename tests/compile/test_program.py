@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.compile import examples
-from twodof.blocks import Diagram
+from twodof.blocks import Diagram, int32
 from twodof.blocks import build as build_array
 from twodof.blocks.library import DiscreteIntegrator, Gain, Sum
 from twodof.blocks.reference import Reference
@@ -248,6 +248,19 @@ def test_a_bound_itself_is_allowed_in_either_precision() -> None:
     machine = compiled(d, precision="float32")
     machine.set("k", 0.1)
     assert machine.get("k") == float(np.float32(0.1))
+
+
+@pytest.mark.parametrize("given", [2**31, 2**32 + 3, -(2**31) - 1, int32(7), [1], 2.5])
+def test_an_integer_is_bounded_before_it_wraps_around(given: Any) -> None:
+    d = Diagram("bounded")
+    d.input("u", "int32")
+    d.param("k", 3, kind="int32", low=-5, high=5)
+    d.add("sum", Sum("++", "int32"), a="u", b="u")
+    d.output("y", "sum")
+    for machine in (compiled(d), Reference(d, 0.01).machine()):
+        with pytest.raises(ParameterError):
+            machine.set("k", given)
+        assert machine.get("k") == 3
 
 
 def test_rates_beyond_the_tick_are_never_due_but_once() -> None:

@@ -17,7 +17,7 @@ from twodof.blocks.arrays import vector
 from twodof.blocks.expr import KINDS, Expr, as_expr, const, leaf, to_real, tracing
 from twodof.blocks.graph import leaves, walk
 from twodof.blocks.numbers import Integer, Vector
-from twodof.errors import DiagramError
+from twodof.errors import DiagramError, ParameterError
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")
 MAX_WIDTH = 1_000_000
@@ -355,6 +355,18 @@ def numeric(value: Any, kind: str, width: int | None, where: str) -> Any:
         return Vector([numbers.cast(value, kind)] * width)
     except DiagramError as error:
         raise DiagramError(error.what, where, error.remedy) from error
+
+
+def check_bounds(declared: Param, value: Any, path: str) -> None:
+    """Raise ParameterError if a number of `value`, as given (neither rounded nor wrapped), is out of bounds."""
+    for given in value if isinstance(value, (list, tuple, np.ndarray)) else (value,):
+        number = given.value if isinstance(given, Integer) else given
+        if not declared.low <= number <= declared.high:
+            raise ParameterError(
+                f"{number} is outside [{declared.low}, {declared.high}] {declared.unit}".rstrip(),
+                path,
+                "choose a value within the bounds",
+            )
 
 
 def names_given(name: str, method: str, result: Any, declared: Sequence[Any], partial: bool = False) -> dict[str, Any]:

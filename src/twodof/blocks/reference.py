@@ -12,7 +12,18 @@ from typing import Any
 import numpy as np
 
 from twodof.blocks import numbers
-from twodof.blocks.block import Clock, Inputs, Param, Parameters, Port, State, States, names_given, numeric
+from twodof.blocks.block import (
+    Clock,
+    Inputs,
+    Param,
+    Parameters,
+    Port,
+    State,
+    States,
+    check_bounds,
+    names_given,
+    numeric,
+)
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.hierarchy import Cell, Hierarchy, PortOf
 from twodof.blocks.numbers import Integer, UInt32, Vector
@@ -364,12 +375,7 @@ def _checked(parameters: Mapping[str, Param], path: str, value: Any, running: bo
         number = numeric(value, p.kind, p.width, path)
     except DiagramError as error:
         raise ParameterError(error.what, path, error.remedy) from error
-    # The bounds hold for what was given: rounded to float32 it may lie beyond them.
-    for given in np.ravel(np.asarray(value, dtype=np.float64)):
-        if not p.low <= given <= p.high:
-            raise ParameterError(
-                f"{given} is outside [{p.low}, {p.high}] {p.unit}".rstrip(), path, "choose a value within the bounds"
-            )
+    check_bounds(p, value, path)
     return number
 
 

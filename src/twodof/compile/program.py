@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twodof.blocks import numbers
-from twodof.blocks.block import Param, numeric
+from twodof.blocks.block import Param, check_bounds, numeric
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.numbers import Integer, Vector
 from twodof.blocks.reference import Reference
@@ -182,15 +182,9 @@ class Machine:
             number = numeric(value, declared.kind, declared.width, path)
         except DiagramError as error:
             raise ParameterError(error.what, path, error.remedy) from error
+        check_bounds(declared, value, path)
         scalars = number if isinstance(number, Vector) else (number,)
         plain = [n.value if isinstance(n, Integer) else n.item() for n in scalars]
-        for item in plain:
-            if not declared.low <= item <= declared.high:
-                raise ParameterError(
-                    f"{item} is outside [{declared.low}, {declared.high}] {declared.unit}".rstrip(),
-                    path,
-                    "choose a value within the bounds",
-                )
         return plain[0] if declared.width is None else plain
 
     def state(self, path: str) -> Any:
