@@ -137,18 +137,18 @@ def differences(
         machine = Program(flat, source.text, layout, source.precision, library).machine()
         results = machine.run(len(case.rows), case.columns())
         for name, want in columns.items():
-            at = np.flatnonzero(~_same(want, results[name]))
+            at = np.flatnonzero(~same(want, results[name]))
             if at.size:
                 k = int(at[0])
                 found.append(f"{case.diagram.name} {name} step {k}: {want[k]} by the reference, {results[name][k]}")
         for path, last in states.items():
             state = machine.state(path)
-            if not np.all(_same(np.atleast_1d(np.array(last)), np.atleast_1d(np.array(state)))):
+            if not np.all(same(np.atleast_1d(np.array(last)), np.atleast_1d(np.array(state)))):
                 found.append(f"{case.diagram.name} state {path}: {last} by the reference, {state}")
     return found
 
 
-def _same(a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.bool_]:
+def same(a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.bool_]:
     """Row by row the same bits, all NaNs being one value."""
     if a.dtype.kind == "f":
         bits = f"u{a.dtype.itemsize}"
