@@ -171,3 +171,11 @@ def test_real_armed_dropouts(flight_data: Path) -> None:
         assert 1 <= len(armed) <= 2
         assert all(0.008 - 1e-3 <= gap.duration <= 0.068 for gap in armed)
     assert log.gaps("lmnf") == []
+
+
+@pytest.mark.parametrize("file", ["doublet-0.03", "attitude-steps-10deg-default", "position-sweep-default"])
+def test_the_open_loop_is_found_without_its_messages(flight_data: Path, file: str) -> None:
+    """A loop moves M at each sample; where M stands still with the rotors running, no loop is closed."""
+    log = read_log(flight_data / f"{file}.mat")
+    without = FlightLog({name: c for name, c in log.channels.items() if name != "lmnf"})
+    assert modes(without) == modes(log)

@@ -108,9 +108,9 @@ def modes(log: FlightLog) -> list[Stretch]:
     """Which loop was closed when, in order and without holes, on the set-points' time stamps.
 
     Taken from the channel `mode` where there is one. Else: open loop is where M is what the latest open-loop
-    message says; off is where thrust is off; and of the loops, the one whose set-point is held, while those
-    below it compute theirs at every sample. A stretch under 0.1 s counts to the one before. Raises LogError
-    if `T`, `q0` or `theta0` is not there.
+    message says (or, without such messages, where M stands still); off is where thrust is off; and of the loops,
+    the one whose set-point is held, while those below it compute theirs at every sample. A stretch under 0.1 s
+    counts to the one before. Raises LogError if `T`, `q0` or `theta0` is not there.
     """
     if "mode" in log:
         time, code = log["mode"].time, log["mode"].value.astype(np.intp)
@@ -162,7 +162,7 @@ def _mode_codes(log: FlightLog) -> NDArray[np.intp]:
         [MODES.index(mode) for mode in ("off", "rate", "attitude", "velocity")],
         MODES.index("position"),
     )
-    return np.where(_open(log, time), MODES.index("open-loop"), code)
+    return np.where(_open(log, time, on), MODES.index("open-loop"), code)
 
 
 def _held(log: FlightLog, name: str, time: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -179,10 +179,16 @@ def _held(log: FlightLog, name: str, time: NDArray[np.float64]) -> NDArray[np.bo
     return np.where(run >= 0, long[np.maximum(run, 0)], long[0])
 
 
-def _open(log: FlightLog, time: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Where M is what the latest message says: a message that is not repeated expires on board after 0.5 s."""
-    if "lmnf" not in log or "M" not in log or not len(log["lmnf"]) or not len(log["M"]):
+def _open(log: FlightLog, time: NDArray[np.float64], on: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Where M is what the latest message says: a message that is not repeated expires on board after 0.5 s.
+
+    Where no messages were logged: where M stands still, which no loop's does, with the thrust on or M not 0.
+    """
+    if "M" not in log or not len(log["M"]):
         return np.zeros(time.shape, dtype=bool)
+    if "lmnf" not in log or not len(log["lmnf"]):
+        now = log["M"].value[np.maximum(log["M"].index(time), 0)]
+        return _held(log, "M", time) & (on | (now != 0.0))
     message, moment = log["lmnf"], log["M"]
     # M's sample is 3 to 36 us older than the set-points'; the message before that sample made it.
     sample = moment.index(time)
