@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
+from scipy.linalg import expm
 from scipy.optimize import brentq
 
 from twodof.blocks.reference import Reference
@@ -228,3 +229,17 @@ def test_a_name_that_is_no_parameter_is_refused() -> None:
         Structure(diagram, ("muu",))
     with pytest.raises(IdentificationError, match="nothing is to be estimated"):
         Structure(diagram, ())
+
+
+def test_a_step_of_many_time_constants_is_held_exactly() -> None:
+    """The fastest rotors that are allowed and data at 20 Hz: the step is 25 times the lag."""
+    dt, u = 0.05, noise(100)
+    ours = run(pitch_rate(lag=True), {"lag": 0.002, "tau": 0.002}, u, dt)
+    a = np.array([[0.0, 1.0, 0.0], [-(3.437**2), -2.0 * 0.0836 * 3.437, 358.5], [0.0, 0.0, -500.0]])
+    whole = expm(dt * np.block([[a, np.array([[0.0], [0.0], [500.0]])], [np.zeros((1, 4))]]))
+    x, expected = np.zeros(3), []
+    for value in u:
+        expected.append(x[1])
+        x = whole[:3, :3] @ x + whole[:3, 3] * value
+    # The pieces of the step are doubled six times, and rounding with them.
+    np.testing.assert_allclose(ours["q"], expected, rtol=0, atol=1e-11 * np.abs(expected).max())
