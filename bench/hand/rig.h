@@ -50,7 +50,9 @@ static inline Motion rates(const Loop *l, const Drive *d, const Motion *m)
     const real force =
         (c->offset_mass * m->q * m->q - t.thrust) * m->sine + p->rig_rail_force - p->rig_rail_viscous * m->v;
     const real coupling = c->offset_mass * m->cosine, alone = torque * c->per_inertia;
-    const int locked = holds(m->v, force - coupling * alone, p->rig_rail_coulomb, m->x, c->low, c->high);
+    const int stuck = holds(m->q, torque, coulomb, m->theta, -p->rig_pitch_stop, p->rig_pitch_stop);
+    const real load = stuck ? force : force - coupling * alone;
+    const int locked = holds(m->v, load, p->rig_rail_coulomb, m->x, c->low, c->high);
     const real cart = locked ? 0 : force * c->per_mass;
     Motion rate = {.theta = m->q, .x = m->v, .sine = m->cosine * m->q, .cosine = -m->sine * m->q};
     if (holds(m->q, torque - coupling * cart, coulomb, m->theta, -p->rig_pitch_stop, p->rig_pitch_stop)) {
@@ -114,16 +116,16 @@ static inline void contacts(const Loop *l, Motion *m, real running)
     const real q = m->q, v = m->v;
     const real coulomb = p->rig_coulomb_idle + (p->rig_coulomb_run - p->rig_coulomb_idle) * running;
     rub(&m->x, &m->v, p->rig_rail_coulomb * c->per_mass * TICK);
+    const real slid = m->v;
     bounce(&m->x, &m->v, c->low, c->high, c->bounce, SLOW_CART);
     rub(&m->theta, &m->q, coulomb * c->per_inertia * TICK);
+    const real turned = m->q;
     bounce(&m->theta, &m->q, -p->rig_pitch_stop, p->rig_pitch_stop, p->rig_pitch_bounce, SLOW_PITCH);
     m->sine = sin(m->theta);
     m->cosine = cos(m->theta);
     const real coupling = c->offset_mass * m->cosine, speed = m->v, turning = m->q;
-    if (turning != 0)
-        m->q -= coupling * c->per_inertia * (speed - v);
-    if (speed != 0)
-        m->v -= coupling * c->per_mass * (turning - q);
+    m->q -= coupling * c->per_inertia * (speed - (turning == 0 ? slid : v));
+    m->v -= coupling * c->per_mass * (turning - (speed == 0 ? turned : q));
 }
 
 static inline real shaken(const Derived *c, const Parameters *p, Vibration *f, real fresh)

@@ -129,3 +129,37 @@ def test_rings_leave_the_cart_their_play_and_no_more(program: Program) -> None:
     assert np.ptp(out["x"]) > 5e-4
     held = machine(program, **{**p, "ring_play": 0.0}, theta_start=0.5).run(6000, {"thrust": 2.5, "running": 1.0})
     assert np.all(held["x"] == 0.05)
+
+
+@pytest.mark.parametrize("dry", [0.0, 1.0])
+def test_the_rail_s_end_swings_a_drone_that_rests(program: Program, dry: float) -> None:
+    """The impulse of a stop keeps the momentum of the other coordinate, whether that one is stuck or only still."""
+    rough = {name: dry * STICKY[name] for name in ("coulomb_idle", "coulomb_run", "rail_coulomb")}
+    m = machine(program, **{**STICKY, **rough, "rail_viscous": 0.0, "rail_stop": 0.4}, x_start=0.3998, v_start=0.5)
+    out = m.run(2)
+    assert out["q"][0] == 0.0
+    change = out["v"][1] - out["v"][0]
+    assert change < -0.6
+    # Friction, which changes v too but not q, takes 6e-5 m/s in the tick.
+    lever = SMOOTH["mass_drone"] * SMOOTH["offset"]
+    assert out["q"][1] == pytest.approx(-lever * change / SMOOTH["inertia"], rel=1e-3)
+
+
+def test_the_pitch_stop_pushes_a_cart_that_sticks(program: Program) -> None:
+    small = {**STICKY, "offset": 0.004, "spring": 0.0, "pitch_stop": 0.8}
+    out = machine(program, **small, theta_start=0.799, q_start=3.0).run(2)
+    assert out["v"][0] == 0.0
+    # The speed before the impact is 3 rad/s less what gravity takes of it within the tick, .4 %.
+    change = -(1.0 + 0.75) * 3.0
+    lever = SMOOTH["mass_drone"] * small["offset"]
+    assert out["v"][1] == pytest.approx(-lever * np.cos(0.8) * change / MASS, rel=0.01)
+
+
+def test_what_is_stuck_twice_stays_to_the_bit(program: Program) -> None:
+    """Pitch and cart both within their friction: neither may be loosened by an acceleration that the other has not."""
+    for turn in (-0.99, 0.99):
+        for push in (-0.999, 0.999):
+            m = machine(program, **{**STICKY, "rail_force": push * 0.03})
+            out = m.run(2000, {"moment": turn * 8e-4})
+            for name in ("theta", "q", "x", "v"):
+                assert np.all(out[name] == 0.0)

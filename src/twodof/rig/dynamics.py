@@ -122,7 +122,9 @@ class Dynamics(Block):
         force = (p.offset_mass * x.q * x.q - u.thrust) * x.sine + p.rail_force - p.rail_viscous * x.v
         coupling = p.offset_mass * x.cosine
         alone = torque * p.per_inertia
-        locked = holds(x.v, force - coupling * alone, p.rail_coulomb, x.x, p.low, p.high)
+        stuck = holds(x.q, torque, coulomb, x.theta, -p.pitch_stop, p.pitch_stop)
+        load = force - where(stuck, 0.0, coupling * alone)
+        locked = holds(x.v, load, p.rail_coulomb, x.x, p.low, p.high)
         cart = where(locked, 0.0, force * p.per_mass)  # with the pitch at rest
         still = holds(x.q, torque - coupling * cart, coulomb, x.theta, -p.pitch_stop, p.pitch_stop)
         per_det = 1.0 / (p.inertia_mass - coupling * coupling)
@@ -139,15 +141,16 @@ class Dynamics(Block):
 
     def project(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         coulomb = p.coulomb_idle + (p.coulomb_run - p.coulomb_idle) * u.running
-        place, speed = rubbed(x.x, x.v, p.rail_coulomb * p.per_mass * t.base_dt, t.base_dt)
-        place, speed = bounced(place, speed, p.low, p.high, p.bounce, SLOW_CART)
-        theta, q = rubbed(x.theta, x.q, coulomb * p.per_inertia * t.base_dt, t.base_dt)
-        theta, q = bounced(theta, q, -p.pitch_stop, p.pitch_stop, p.pitch_bounce, SLOW_PITCH)
-        # An impulse on one coordinate leaves the momentum of the other as it is, unless that one rests.
+        place, slid = rubbed(x.x, x.v, p.rail_coulomb * p.per_mass * t.base_dt, t.base_dt)
+        place, speed = bounced(place, slid, p.low, p.high, p.bounce, SLOW_CART)
+        theta, turned = rubbed(x.theta, x.q, coulomb * p.per_inertia * t.base_dt, t.base_dt)
+        theta, q = bounced(theta, turned, -p.pitch_stop, p.pitch_stop, p.pitch_bounce, SLOW_PITCH)
+        # An impulse on one coordinate leaves the momentum of the other as it is. Friction holds what rests against the
+        # small impulses of friction, not against those of an impact.
         sine, cosine = sine_cosine(theta)
         coupling = p.offset_mass * cosine
-        kick_q = where(q == 0.0, 0.0, (coupling * p.per_inertia) * (speed - x.v))
-        kick_v = where(speed == 0.0, 0.0, (coupling * p.per_mass) * (q - x.q))
+        kick_q = (coupling * p.per_inertia) * (speed - where(q == 0.0, slid, x.v))
+        kick_v = (coupling * p.per_mass) * (q - where(speed == 0.0, turned, x.q))
         return {
             "theta": theta,
             "q": q - kick_q,
