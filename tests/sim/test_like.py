@@ -141,3 +141,24 @@ def test_a_window_without_flight_is_refused(flight_data: Path) -> None:
     without = FlightLog({name: c for name, c in log.channels.items() if name != "theta0"})
     with pytest.raises(LogError, match="theta0"):
         simulate_like(without, window=(127.5, 135.8))
+
+
+def test_a_1dof_log_needs_no_channels_of_the_cart(flight_data: Path, loop: ClosedLoop) -> None:
+    """theta and q fit as with the cart's channels; x and v, which are not there, are not compared."""
+    log, window = read_log(flight_data / "attitude-steps-10deg-default.mat"), (127.5, 135.8)
+    without = FlightLog({name: c for name, c in log.channels.items() if name not in ("x", "v", "x0", "v0")})
+    whole = LoggedFlight(log, window=window).compare(loop, lab().snapshot())
+    bare = LoggedFlight(without, window=window).compare(loop, lab().snapshot())
+    assert set(whole.fit) == {"theta", "q", "x", "v"}
+    assert set(bare.to_json()["fit_percent"]) == {"theta", "q"}
+    for name in bare.fit:
+        # The place on the rail, which is 0 here, hardly acts on the pitch of a cart that rings hold.
+        assert bare.fit[name] == pytest.approx(whole.fit[name], abs=0.1)
+
+
+def test_a_flight_of_the_cart_needs_its_channels(flight_data: Path) -> None:
+    log = read_log(flight_data / "position-sweep-default.mat")
+    for lost in ("x", "v", "x0"):
+        without = FlightLog({name: c for name, c in log.channels.items() if name != lost})
+        with pytest.raises(LogError, match=f"'{lost}'|: {lost}"):
+            simulate_like(without, window=(132.8, 161.4))

@@ -37,7 +37,8 @@ class Flown:
     """A window of a log on the control grid of n steps, and the start of its simulation.
 
     `time` (n,) [s] are the steps by the drone's clock; `mode` (n,) indices into `signals.MODES`; `setpoint[name]` (n,)
-    for x0, v0, theta0, q0, M_open, thrust. `hold` [s] is the time before the window from which the trim moment
+    for x0, v0, theta0, q0, M_open, thrust; x0 and v0, and x and v of `start`, are zeros where the log lacks them and no
+    mode of the window needs them (1DoF). `hold` [s] is the time before the window from which the trim moment
     (`trim_moment`, the mean M, at the mean pitch `trim_theta`) is taken, None if there was none; `velocity_bias` [m/s]
     is from before the window too.
     `states` are controller states at the first step; `spun_up` [s] is how long the rotors have run,
@@ -109,19 +110,25 @@ def _steps(log: FlightLog, stretch: Stretch) -> Floats:
 def flown(log: FlightLog, gains: Gains, window: tuple[float, float] | None = None) -> Flown:
     """Reads a window (None: the default one) of `log`, flown with `gains`.
 
-    Raises LogError for a window without 10 control steps, and as `FlightLog` does for missing channels.
+    Raises LogError for a window without 10 control steps, and as `FlightLog` does for missing channels: x, v, x0 and v0
+    only where a mode of the window needs the cart.
     """
     t0, t1 = window if window is not None else default_window(log)
     grid = _grid(log, t0, t1)
     mode = _mode_at(log, grid)
     ahead = grid + 0.5 * PERIOD
-    setpoint = {name: _held(log, name, ahead) for name in ("x0", "v0", "theta0", "q0")}
+    rails = bool(np.any(mode >= MODES.index("velocity")))
+    setpoint = {name: _held(log, name, ahead) for name in ("x0", "v0") if rails or logged(log, name)}
+    setpoint = dict.fromkeys(("x0", "v0"), np.zeros(len(grid))) | setpoint
+    setpoint |= {name: _held(log, name, ahead) for name in ("theta0", "q0")}
     setpoint |= {"M_open": _held(log, "M", ahead), "thrust": _held(log, "T", ahead)}
     begin = float(grid[0])
     history = begin + PERIOD * np.arange(-HISTORY, 0)
     commands = tuple(zip(_held(log, "M", history + 0.5 * PERIOD), _held(log, "T", history + 0.5 * PERIOD), strict=True))
     armed_at, hold = _hold(log, begin)
-    start = {name: float(np.interp(begin, log[name].time, log[name].value)) for name in ("theta", "q", "x", "v")}
+    known = ("theta", "q", *(name for name in ("x", "v") if rails or logged(log, name)))
+    start = {"x": 0.0, "v": 0.0}
+    start |= {name: float(np.interp(begin, log[name].time, log[name].value)) for name in known}
     start["theta_previous"] = float(_held(log, "theta", np.array([begin]))[0])
     trim_moment, trim_theta = _trim(log, hold)
     ranges = log["dist"].time if "dist" in log else np.empty(0)
@@ -136,11 +143,16 @@ def flown(log: FlightLog, gains: Gains, window: tuple[float, float] | None = Non
         hold=hold,
         trim_moment=trim_moment,
         trim_theta=trim_theta,
-        velocity_bias=_velocity_bias(log, begin) if mode.max() >= MODES.index("velocity") else 0.0,
+        velocity_bias=_velocity_bias(log, begin) if rails else 0.0,
         spun_up=begin - armed_at if armed_at is not None else 0.0,
         tof_elapsed=float(begin - earlier[-1]) if earlier.size else 0.0,
         window=(t0, t1),
     )
+
+
+def logged(log: FlightLog, name: str) -> bool:
+    """Whether the log holds samples of a channel."""
+    return name in log and len(log[name]) > 0
 
 
 def _grid(log: FlightLog, t0: float, t1: float) -> Floats:

@@ -16,10 +16,10 @@ from twodof.parameters import ParameterSet
 from twodof.rig.parameters import lab
 from twodof.rig.predict import trim_moment
 from twodof.sim.closed_loop import FILTERS, ClosedLoop, Start
-from twodof.sim.flown import Flown, flown
+from twodof.sim.flown import Flown, flown, logged
 
 CHANNELS = ("theta", "q", "x", "v")
-"""Logged estimates that are compared."""
+"""Logged estimates that are compared; of a 1DoF log, those that it holds."""
 
 _FILTER = FILTERS["fixed-gain"][1]
 
@@ -44,7 +44,8 @@ class Likeness:
     """How a simulated flight compares with the logged one.
 
     `fit` by channel, 100 (1 - |y - y_sim| / |y - mean(y)|) [%]; `time[name]`, `logged[name]`, `simulated[name]` (n,) at
-    the logged stamps; `windows` [s]. In 1DoF (rings) x and v stand still and their FIT says nothing.
+    the logged stamps; `windows` [s]. In 1DoF (rings) x and v stand still and their FIT says nothing; where a 1DoF log
+    lacks them they are left out.
     """
 
     fit: Mapping[str, float]
@@ -89,7 +90,8 @@ class LoggedFlight:
         self.flown = flown(log, gains, window)
         t0, t1 = self.flown.window
         end = min(t1, float(self.flown.time[-1]))
-        cut = {name: log[name].slice(t0, end) for name in CHANNELS}
+        needed = CHANNELS if self.flown.rails else ("theta", "q")
+        cut = {name: log[name].slice(t0, end) for name in CHANNELS if name in needed or logged(log, name)}
         self.time = {name: channel.time for name, channel in cut.items()}
         self.logged = {name: channel.value for name, channel in cut.items()}
 
@@ -120,7 +122,7 @@ class LoggedFlight:
         )
         out = loop.fly(len(flight.time), {"mode": flight.mode, **flight.setpoint})
         steps = {"theta": out["theta"], "q": out["q"], "x": out[f"{_FILTER}.x"], "v": out[f"{_FILTER}.v"]}
-        return {name: np.interp(self.time[name], flight.time, steps[name]) for name in CHANNELS}
+        return {name: np.interp(self.time[name], flight.time, steps[name]) for name in self.time}
 
     def _conditions(self, rig: Mapping[str, float]) -> dict[str, Any]:
         flight = self.flown
@@ -136,7 +138,7 @@ class LoggedFlight:
     def compare(self, loop: ClosedLoop, rig: Mapping[str, float]) -> Likeness:
         """Simulates, and compares with the log."""
         simulated = self.simulate(loop, rig)
-        fit = {name: fit_percent(self.logged[name], simulated[name]) for name in CHANNELS}
+        fit = {name: fit_percent(self.logged[name], values) for name, values in simulated.items()}
         return Likeness(fit, self.time, self.logged, simulated, (self.flown.window,), self.flown)
 
 
