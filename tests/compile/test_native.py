@@ -139,3 +139,21 @@ def test_a_process_that_flushes_subnormals_is_refused(monkeypatch: pytest.Monkey
     if "xmmintrin.h" in done.stderr:
         pytest.skip("not an x86 processor")
     assert "subnormal" in done.stdout, done.stderr
+
+
+def test_without_a_home_a_folder_that_others_can_write_is_not_trusted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def homeless() -> Path:
+        raise RuntimeError("no home")
+
+    for name in ("TWODOF_CACHE", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(Path, "home", homeless)
+    monkeypatch.setattr(native.tempfile, "tempdir", str(tmp_path))
+    own = native.cache_folder()
+    assert own.parent == tmp_path
+    assert native.cache_folder() == own
+    assert own.stat().st_mode & 0o077 == 0
+    own.chmod(0o777)
+    assert native.cache_folder() != own

@@ -294,3 +294,15 @@ def test_arrays_that_would_burst_the_stack_are_refused() -> None:
 def test_a_long_state_stands_in_the_heap() -> None:
     out = compiled(examples.delay(500_000)).run(10, {"u": 1.0})
     assert out["y"].tolist() == [0.0] * 10
+
+
+@pytest.mark.parametrize("steps", [-1, 1.5, None, True, 10**12])
+def test_a_number_of_steps_that_cannot_be_run_is_refused(steps: Any) -> None:
+    d = Diagram("gain")
+    d.input("r")
+    d.add("gain", Gain(2.0), u="r")
+    d.output("y", "gain")
+    for program in (build(d, 0.01), Reference(d, 0.01)):
+        with pytest.raises(DiagramError, match="steps"):
+            program.machine().run(steps, {"r": 1.0})
+        assert program.machine().run(0)["y"].size == 0

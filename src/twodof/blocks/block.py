@@ -21,6 +21,7 @@ from twodof.errors import DiagramError, ParameterError
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")
 MAX_WIDTH = 1_000_000
+MAX_STEPS = 100_000_000
 
 Values = Mapping[str, Any]
 
@@ -32,6 +33,13 @@ def check_name(name: object, where: str) -> str:
             f"{name!r:.80} is no name", where, "use a letter, then up to 62 letters, digits or _ (ASCII)"
         )
     return name
+
+
+def check_steps(steps: object, where: str) -> int:
+    """`steps` if it is a number of steps that one call may run, 0 to MAX_STEPS; else DiagramError."""
+    if isinstance(steps, (bool, np.bool_)) or not isinstance(steps, (int, np.integer)) or not 0 <= steps <= MAX_STEPS:
+        raise DiagramError(f"{steps!r:.40} steps", where, f"run 0 to {MAX_STEPS} steps in one call")
+    return int(steps)
 
 
 def _check_shape(kind: str, width: int | None, name: str) -> None:

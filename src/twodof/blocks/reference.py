@@ -21,6 +21,7 @@ from twodof.blocks.block import (
     State,
     States,
     check_bounds,
+    check_steps,
     names_given,
     numeric,
 )
@@ -192,6 +193,7 @@ class ReferenceMachine:
 
     def run(self, steps: int, inputs: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """`steps` steps; an input is one value, or a sequence of `steps` values. Returns arrays by signal name."""
+        steps = check_steps(steps, self.program.diagram.name)
         columns = {
             name: _column(value, steps, self.program.diagram.inputs.get(name)) for name, value in (inputs or {}).items()
         }

@@ -9,6 +9,7 @@ import importlib.util
 import os
 import platform
 import shutil
+import stat
 import subprocess
 import sys
 import tempfile
@@ -102,7 +103,18 @@ def cache_folder() -> Path:
     try:
         return (Path(base) if base else Path.home() / ".cache") / "twodof"
     except RuntimeError:  # no home
-        return Path(tempfile.gettempdir()) / f"twodof-{os.getuid()}"
+        return _private_folder(Path(tempfile.gettempdir()) / f"twodof-{os.getuid()}")
+
+
+def _private_folder(folder: Path) -> Path:
+    """`folder`, made if it is not there; a fresh one instead if others could have put a library into it."""
+    try:
+        folder.mkdir(mode=0o700, exist_ok=True)
+        found = folder.lstat()
+    except OSError:
+        return Path(tempfile.mkdtemp(prefix="twodof-"))
+    ours = stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o022
+    return folder if ours else Path(tempfile.mkdtemp(prefix="twodof-"))
 
 
 def load(

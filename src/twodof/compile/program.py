@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twodof.blocks import numbers
-from twodof.blocks.block import Param, check_bounds, numeric
+from twodof.blocks.block import Param, check_bounds, check_steps, numeric
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.numbers import Integer, Vector
 from twodof.blocks.reference import Reference
@@ -218,6 +218,7 @@ class Machine:
 
     def run(self, steps: int, inputs: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """`steps` steps; an input is one value, or a sequence of `steps` values. Returns arrays by signal name."""
+        steps = check_steps(steps, self.program.flat.name)
         columns: dict[str, NDArray[Any]] = {}
         for name, value in (inputs or {}).items():
             signal, member = self._input(name)
