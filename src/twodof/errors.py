@@ -31,6 +31,10 @@ class LogError(TwodofError):
     """A flight log cannot be read, lacks what was asked for, or would be written wrongly."""
 
 
+class DownloadError(LogError):
+    """A public log is not at hand and cannot be fetched now."""
+
+
 class IdentificationError(TwodofError):
     """The data or the model structure do not allow the estimate that was asked for."""
 

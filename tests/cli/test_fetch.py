@@ -34,3 +34,11 @@ def test_what_is_at_hand_is_named(flight_data: Path) -> None:
     done = fetch("doublet-0.03", "--json", TWODOF_FLIGHT_DATA=str(flight_data))
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout) == {"doublet-0.03": str(flight_data / "doublet-0.03.mat")}
+
+
+def test_without_a_network_it_is_not_the_callers_mistake(tmp_path: Path) -> None:
+    nowhere = {"https_proxy": "http://127.0.0.1:9", "HTTPS_PROXY": "http://127.0.0.1:9"}
+    done = fetch("doublet-0.03", "--json", TWODOF_FLIGHT_DATA=str(tmp_path), XDG_CACHE_HOME=str(tmp_path), **nowhere)
+    assert done.returncode == 1
+    assert json.loads(done.stdout)["error"]["kind"] == "DownloadError"
+    assert list(tmp_path.iterdir()) == []

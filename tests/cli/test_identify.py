@@ -1,14 +1,17 @@
 """`twodof identify` on logs whose truth is known, and on the real ones."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from twodof.cli import identify
 from twodof.cli.app import run
 from twodof.flightlog.files import write_log
 from twodof.flightlog.log import Channel, FlightLog
+from twodof.identify.greybox import fit
 from twodof.models.plant import PitchRate, Velocity
 
 TRUTH = PitchRate(w_n=3.437, xi=0.0836, mu=358.5, tau=0.018)
@@ -86,11 +89,17 @@ def test_a_velocity_doublet_tells_gain_and_pole(tmp_path: Path, capfd: pytest.Ca
 @pytest.mark.parametrize(
     ("arguments", "status", "says"),
     [
-        (["--experiment", "impulse", "--window", "30", "40"], 1, "holds 0 samples"),
+        (["--experiment", "impulse", "--window", "30", "40"], 2, "no sample between"),
+        (["--experiment", "impulse", "--window", "5", "5"], 2, "is empty"),
+        (["--experiment", "impulse", "--window", "6", "5"], 2, "is empty"),
+        (["--experiment", "impulse", "--window", "nan", "5"], 2, "finite"),
+        (["--experiment", "impulse", "--window", "0", "18", "--value", "zeta=1"], 2, "zeta"),
+        (["--experiment", "impulse", "--window", "0", "18", "--value", "xi=nan"], 2, "out of bounds"),
+        (["--experiment", "impulse", "--window", "0", "18", "--model", "rail"], 2, "--model rail"),
         (["--experiment", "velocity", "--window", "0", "2"], 2, "no channel 'theta0'"),
-        (["--experiment", "impulse", "--window", "0", "18", "--estimate", "nonsense"], 1, "nonsense"),
+        (["--experiment", "impulse", "--window", "0", "18", "--estimate", "nonsense"], 2, "nonsense"),
         (["--experiment", "impulse", "--window", "0", "18", "--value", "mu"], 2, "NAME=NUMBER"),
-        (["--experiment", "impulse", "--window", "0", "18", "--method", "simple"], 1, "only the poles"),
+        (["--experiment", "impulse", "--window", "0", "18", "--method", "simple"], 2, "only the poles"),
         (["--experiment", "doublet", "--window", "0", "2", "--method", "simple"], 2, "--impulse"),
     ],
 )
@@ -105,6 +114,18 @@ def test_what_cannot_be_identified_is_said(
     out, err = capfd.readouterr()
     assert out == ""
     assert says in err
+
+
+def test_a_search_that_did_not_converge_is_shown_but_not_called_fine(
+    pitch_logs: tuple[Path, Path], capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A fit that stops short is one whose iterations ran out; the command must not pass it off as an answer."""
+    monkeypatch.setattr(identify, "fit", lambda *a, **k: replace(fit(*a, **k), converged=False))
+    arguments = ["identify", str(pitch_logs[1]), "--experiment", "doublet", "--window", "0", "2", "--json"]
+    assert run(arguments) == 1
+    out, err = capfd.readouterr()
+    assert json.loads(out)["converged"] is False
+    assert "did not converge" in err
 
 
 def test_the_real_drone_by_hand_has_the_poles_that_a_student_reads(

@@ -46,6 +46,23 @@ def test_flown_like_a_log_it_has_the_agreed_form(flight_data: Path, capfd: pytes
     assert found["fit_percent"]["q"] >= 88.0
 
 
+def test_a_public_log_brings_its_gains_and_window_whatever_its_name(
+    flight_data: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / "renamed.mat"
+    log.write_bytes((flight_data / "rate-doublets-30dps-student.mat").read_bytes())
+    answers = []
+    for options in ([], ["--gains", "student", "--window", "346.6", "355.6"]):
+        assert run(["simulate", "--like", str(log), "--json", *options]) == 0
+        out, err = capfd.readouterr()
+        answers.append(json.loads(out))
+        assert ("its gains (student) and its window (346.6 to 355.6 s)" in err) is not bool(options)
+    assert answers[0] == answers[1]
+    # What is asked for counts: with the gains it was not flown with, the fit falls.
+    assert run(["simulate", "--like", str(log), "--json", "--gains", "default"]) == 0
+    assert json.loads(capfd.readouterr().out)["fit_percent"]["q"] < answers[0]["fit_percent"]["q"]
+
+
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [

@@ -14,7 +14,7 @@ import typer
 from typer.core import TyperGroup
 
 from twodof.cli.output import print_error, print_json
-from twodof.errors import CompileError, IdentificationError, TwodofError
+from twodof.errors import CompileError, DownloadError, IdentificationError, TwodofError
 
 FINE, WENT_WRONG, CALLERS_MISTAKE, INTERRUPTED = 0, 1, 2, 130
 
@@ -74,7 +74,7 @@ class LazyGroup(TyperGroup):
 
 def status_of(error: TwodofError) -> int:
     """Exit status: what was asked was well formed but did not work out, or it could never have worked."""
-    return WENT_WRONG if isinstance(error, IdentificationError | CompileError) else CALLERS_MISTAKE
+    return WENT_WRONG if isinstance(error, IdentificationError | CompileError | DownloadError) else CALLERS_MISTAKE
 
 
 app = typer.Typer(cls=LazyGroup, add_completion=False, pretty_exceptions_enable=False, no_args_is_help=True)

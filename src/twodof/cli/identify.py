@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json as json_text
+import math
+import sys
 from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
@@ -11,8 +13,9 @@ from typing import Annotated
 import typer
 
 from twodof.cli.output import Json, print_json, table_console
-from twodof.errors import IdentificationError
+from twodof.errors import LogError, ParameterError
 from twodof.flightlog.files import read_log
+from twodof.flightlog.log import FlightLog
 from twodof.identify.estimate import Estimate
 from twodof.identify.experiments import KINDS, cut, only
 from twodof.identify.greybox import fit
@@ -60,7 +63,8 @@ def identify(
     method: Annotated[Method, typer.Option(help="Output error, or by hand as the paper does.")] = Method.greybox,
     model: Annotated[Model, typer.Option(help="Structure for the grey-box method; auto: the paper's.")] = Model.auto,
     window: Annotated[
-        tuple[float, float] | None, typer.Option(metavar="T0 T1", help="Stretch of the log [s]; default: found.")
+        tuple[float, float] | None,
+        typer.Option(metavar="T0 T1", help="Stretch of the log, in seconds; default: found."),
     ] = None,
     estimate: Annotated[list[str] | None, typer.Option(help="Unknown to estimate; repeat for several.")] = None,
     value: Annotated[
@@ -72,20 +76,38 @@ def identify(
     ] = None,
     json: Json = False,
 ) -> None:
-    """Identify the paper's models from a log; the result has standard deviations, fits and residual tests."""
+    """Identify the paper's models from a log; the result has standard deviations, fits and residual tests.
+
+    Exit status 1: the data do not allow the estimate, or the search did not converge.
+    """
     kind = KINDS[experiment.value]
-    record = cut(read_log(file), kind, window)
+    log = read_log(file)
+    if window is not None:
+        _check_window(log, window)
+    record = cut(log, kind, window)
     others = [cut(read_log(path), kind) for path in validate or []]
     if method is Method.simple:
         result = _by_hand(experiment, record, others, impulse)
         text, document = result.table(), json_text.loads(result.to_json())
+        converged = True
     else:
         found = _by_output_error(experiment, model, record, others, estimate, _numbers(value or []))
         text, document = found.table(), json_text.loads(found.to_json())
+        converged = found.converged
     if json:
         print_json({"experiment": experiment.value, "method": method.value, **document})
     else:
         table_console().print(text, markup=False)
+    if not converged:
+        sys.stderr.write("note: the search did not converge; try other first guesses with --value\n")
+        raise typer.Exit(1)
+
+
+def _check_window(log: FlightLog, window: tuple[float, float]) -> None:
+    """Raises LogError for a window that is none, or that holds nothing of the log."""
+    if not all(map(math.isfinite, window)):
+        raise LogError(f"window {window[0]:g} to {window[1]:g} s", log.source, "give finite times, in seconds")
+    log.slice(*window)
 
 
 def _by_hand(
@@ -94,9 +116,9 @@ def _by_hand(
     if experiment is Experiment.velocity:
         return identify_velocity([record, *others])
     if experiment is Experiment.impulse:
-        raise IdentificationError(
+        raise ParameterError(
             "by hand, the impulse gives only the poles",
-            "identify",
+            "--method simple",
             "call it with the doublet's log, --experiment doublet and --impulse LOG",
         )
     if impulse is None:
@@ -113,6 +135,7 @@ def _by_output_error(
     values: dict[str, float],
 ) -> Estimate:
     structure = _structure(experiment, model)
+    _check_request(structure, experiment, model, estimate or (), values)
     wanted = tuple(estimate) if estimate else None
     if wanted is None and experiment is Experiment.doublet and model is Model.auto:
         # A doublet is over before the poles show: they are the caller's, or the paper's.
@@ -124,6 +147,28 @@ def _by_output_error(
         record, others = only(record, output), [only(other, output) for other in others]
         wanted = (*TRAVEL, "q_trim") if wanted is None and output == "x" else wanted
     return fit(structure, record, estimate=wanted, values=values, validation=others)
+
+
+def _check_request(
+    structure: Structure, experiment: Experiment, model: Model, estimate: Sequence[str], values: dict[str, float]
+) -> None:
+    """Raises ParameterError for a model of another experiment, an unknown it has not, a value out of its bounds."""
+    kind = KINDS[experiment.value]
+    if not set(structure.inputs) <= set(kind.inputs):
+        raise ParameterError(
+            f"this model is driven by {', '.join(structure.inputs)}, the experiment by {', '.join(kind.inputs)}",
+            f"--model {model.value} --experiment {experiment.value}",
+            "leave --model out",
+        )
+    unknowns = structure.unknowns
+    for option, names in (("--estimate", estimate), ("--value", values)):
+        for name in names:
+            if name not in unknowns:
+                raise ParameterError(f"no unknown {name!r}", option, f"there are: {', '.join(unknowns)}")
+    for name, number in values.items():
+        low, high = unknowns[name].lower, unknowns[name].upper
+        if not (math.isfinite(number) and low <= number <= high):
+            raise ParameterError(f"{number:g} is out of bounds", f"--value {name}", f"{low:g} to {high:g} is possible")
 
 
 def _structure(experiment: Experiment, model: Model) -> Structure:

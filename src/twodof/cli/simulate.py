@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -14,6 +15,8 @@ from twodof.experiment.protocol import EXPERIMENTS
 from twodof.experiment.protocol import experiment as named_experiment
 from twodof.flight.gains import Gains, load_gains
 from twodof.flightlog.files import read_log, write_log
+from twodof.flightlog.log import FlightLog
+from twodof.flightlog.public_data import PUBLIC_LOGS, PublicLog
 from twodof.rig.parameters import load_rig
 from twodof.sim.like import simulate_like
 
@@ -25,11 +28,19 @@ def simulate(
     experiment: Annotated[str | None, typer.Argument(help=f"One of {', '.join(EXPERIMENTS)}.")] = None,
     like: Annotated[Path | None, typer.Option(metavar="LOG", help="Fly the set-points of this log instead.")] = None,
     rig: Annotated[str, typer.Option(help="lab, paper, or a JSON file of rig parameters.")] = "lab",
-    gains: Annotated[str, typer.Option(help="default, student, or a JSON file of gains.")] = "default",
-    window: Annotated[
-        tuple[float, float] | None, typer.Option(metavar="T0 T1", help="With --like: stretch of the log [s].")
+    gains: Annotated[
+        str | None,
+        typer.Option(
+            help="default, student, or a JSON file of gains; left out: default, with --like and a public log its own."
+        ),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the noise; the same seed gives the same flight.")] = 1,
+    window: Annotated[
+        tuple[float, float] | None,
+        typer.Option(metavar="T0 T1", help="With --like: stretch of the log, in seconds; left out: found."),
+    ] = None,
+    seed: Annotated[
+        int, typer.Option(min=0, max=2**32 - 1, help="Seed of the noise; the same seed gives the same flight.")
+    ] = 1,
     out: Annotated[Path | None, typer.Option(help="Write the flight's log (.mat, .parquet, .csv).")] = None,
     json: Json = False,
 ) -> None:
@@ -42,15 +53,28 @@ def simulate(
     if like is not None:
         if out is not None:
             raise typer.BadParameter("--out goes with an experiment, not with --like")
-        _fly_like(like, rig, load_gains(gains), window, json)
+        _fly_like(like, rig, gains, window, json)
     elif window is not None:
         raise typer.BadParameter("--window goes with --like")
     elif experiment is not None:
-        _fly(experiment, rig, load_gains(gains), seed, out, json)
+        _fly(experiment, rig, load_gains(gains or "default"), seed, out, json)
 
 
-def _fly_like(like: Path, rig: str, gains: Gains, window: tuple[float, float] | None, json: bool) -> None:
-    result = simulate_like(read_log(like), load_rig(rig), gains, window)
+def _registered(log: FlightLog) -> PublicLog | None:
+    """The public log that this is, by checksum and not by name; None for any other."""
+    seen = log.provenance.get("file", {}).get("sha256")
+    return next((row for row in PUBLIC_LOGS.values() if row.sha256 == seen), None)
+
+
+def _fly_like(like: Path, rig: str, gains: str | None, window: tuple[float, float] | None, json: bool) -> None:
+    log = read_log(like)
+    known = _registered(log)
+    if known is not None and (gains is None or window is None):
+        taken = [f"its gains ({known.gains})"] if gains is None else []
+        taken += [f"its window ({known.window[0]:g} to {known.window[1]:g} s)"] if window is None else []
+        sys.stderr.write(f"note: this is the public log {known.name}: {' and '.join(taken)} taken\n")
+        gains, window = gains or known.gains, window or known.window
+    result = simulate_like(log, load_rig(rig), load_gains(gains or "default"), window)
     if json:
         print_json(result.to_json())
         return
@@ -58,7 +82,9 @@ def _fly_like(like: Path, rig: str, gains: Gains, window: tuple[float, float] | 
     table = Table("channel", "FIT, %", box=None, pad_edge=False)
     table.columns[1].justify = "right"
     for channel, fit in result.fit.items():
-        table.add_row(channel, f"{fit:.1f}")
+        # In the rings x and v stand still, and a FIT of what stands still says nothing.
+        still = channel in ("x", "v") and not result.flight.rails
+        table.add_row(channel, "–" if still else f"{fit:.1f}")
     console.print(table)
     stretches = ", ".join(f"{start:.2f} to {end:.2f} s" for start, end in result.windows)
     console.print(f"rig {rig}, without noise; compared: {stretches}")

@@ -17,7 +17,7 @@ from pathlib import Path
 from types import MappingProxyType
 from urllib.parse import quote
 
-from twodof.errors import LogError
+from twodof.errors import DownloadError, LogError
 from twodof.flightlog.atomic import atomic_write
 
 VARIABLE = "TWODOF_FLIGHT_DATA"
@@ -179,7 +179,7 @@ def cache_folder() -> Path:
 def download(row: PublicLog, folder: Path, deadline_s: float) -> Path:
     """Downloads a log into `folder` and returns its path; nothing is kept unless its checksum is right.
 
-    Raises LogError where that does not succeed within `deadline_s` seconds.
+    Raises DownloadError where that does not succeed within `deadline_s` seconds.
     """
     remedy = f"set {VARIABLE} to a folder that holds {row.name}.mat, or try again with a network"
     answer: queue.SimpleQueue[bytes | Exception] = queue.SimpleQueue()
@@ -188,9 +188,9 @@ def download(row: PublicLog, folder: Path, deadline_s: float) -> Path:
     try:
         data = answer.get(timeout=deadline_s)
     except queue.Empty:
-        raise LogError(f"no answer within {deadline_s:g} s from {row.url}", row.name, remedy) from None
+        raise DownloadError(f"no answer within {deadline_s:g} s from {row.url}", row.name, remedy) from None
     if isinstance(data, Exception):
-        raise LogError(f"cannot be downloaded from {row.url}: {data}", row.name, remedy) from data
+        raise DownloadError(f"cannot be downloaded from {row.url}: {data}", row.name, remedy) from data
     _verify(data, row, Path(row.url))
     try:
         folder.mkdir(parents=True, exist_ok=True)
