@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.compile import examples
-from twodof.blocks import Diagram, int32
+from twodof.blocks import Block, Diagram, Param, Port, int32, sqrt
 from twodof.blocks import build as build_array
 from twodof.blocks.library import DiscreteIntegrator, Gain, Sum
 from twodof.blocks.reference import Reference
@@ -306,3 +306,36 @@ def test_a_number_of_steps_that_cannot_be_run_is_refused(steps: Any) -> None:
         with pytest.raises(DiagramError, match="steps"):
             program.machine().run(steps, {"r": 1.0})
         assert program.machine().run(0)["y"].size == 0
+
+
+class SquareRoot(Block):
+    """y = sqrt(k) u, with a k that cannot be negative."""
+
+    inputs = (Port("u"),)
+    outputs = (Port("y"),)
+    params = (Param("k", 1.0, low=0.0),)
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        return sqrt(p.k) * u.u
+
+
+@pytest.mark.parametrize("make", [build, Reference])
+def test_a_bound_parameter_keeps_the_bounds_of_what_it_sets(make: Callable[..., Any]) -> None:
+    def diagram(default: float) -> Diagram:
+        inner = SquareRoot()
+        d = Diagram("bound")
+        d.input("r")
+        d.param("k", default, low=-10.0, high=2.0)
+        d.add("root", inner, u="r", params={"k": "k"})
+        d.output("y", "root")
+        return d
+
+    m = make(diagram(1.0), 0.01).machine()
+    assert m.step({"r": 3.0})["y"] == 3.0
+    for value in (-1.0, 3.0):
+        with pytest.raises(ParameterError, match=r"outside \[0\.0, 2\.0\]"):
+            m.set("k", value)
+    with pytest.raises(
+        DiagramError, match=r"root\.k: it is bound to 'k', whose default -1\.0 is outside \[0\.0, 2\.0\]"
+    ):
+        make(diagram(-1.0), 0.01)

@@ -7,7 +7,7 @@ import inspect
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -102,6 +102,20 @@ class Param:
 
     def __post_init__(self) -> None:
         _check_shape(self.kind, self.width, self.name)
+
+
+def narrowed(outer: Param, inner: Param, path: str) -> Param:
+    """`outer` within the bounds of `inner` too, the parameter at `path` that is bound to it.
+
+    Raises DiagramError if the default of `outer` lies outside.
+    """
+    low, high = max(outer.low, inner.low), min(outer.high, inner.high)
+    for value in np.ravel(np.asarray(outer.value)):
+        if outer.kind != "bool" and not low <= value <= high:
+            raise DiagramError(
+                f"it is bound to {outer.name!r}, whose default {value} is outside [{low}, {high}]", path, "change it"
+            )
+    return replace(outer, low=low, high=high)
 
 
 class Namespace:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from twodof.blocks.block import Block, Param, Port, State
+from twodof.blocks.block import Block, Param, Port, State, narrowed
 from twodof.blocks.diagram import BASE, Diagram, Rate
 from twodof.blocks.graph import leaves
 from twodof.errors import DiagramError
@@ -154,6 +154,7 @@ class Hierarchy:
             raise DiagramError(
                 f"it is bound to {bound!r}, which has another type, width or unit", path, "declare both alike"
             )
+        self.parameters[bound] = narrowed(outer, declared, path)
         return bound
 
     def _unbound(self, path: str, part: str, outer: str) -> str:

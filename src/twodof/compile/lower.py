@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from twodof.blocks.block import Block, Param, Port
+from twodof.blocks.block import Block, Param, Port, narrowed
 from twodof.blocks.diagram import BASE, Diagram, Part, Rate
 from twodof.blocks.expr import Expr
 from twodof.blocks.graph import leaves
@@ -159,6 +159,7 @@ class _Flat:
             raise DiagramError(
                 f"it is bound to {bound.path!r}, which has another type, width or unit", path, "declare both alike"
             )
+        bound.declared = narrowed(outer, declared, path)
         return bound
 
     def _node(
