@@ -6,14 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from twodof.errors import ExperimentError
+from twodof.errors import ExperimentError, ParameterError
 from twodof.excitation import Doublet
 from twodof.experiment.flight import Laboratory
 from twodof.experiment.protocol import EXPERIMENTS, IDENTIFICATION, Experiment, experiment
 from twodof.experiment.record import BOOT
 from twodof.experiment.script import script
 from twodof.flight.core import PERIOD
-from twodof.flight.gains import DEFAULT
+from twodof.flight.gains import DEFAULT, STUDENT
 from twodof.flightlog.contents import describe
 from twodof.flightlog.files import read_log, write_log
 from twodof.sim.replay import replay
@@ -117,3 +117,25 @@ def test_an_experiment_that_makes_no_sense_is_refused(fields: dict[str, object],
 def test_a_loop_that_needs_the_cart_is_not_flown_with_rings() -> None:
     with pytest.raises(ExperimentError, match="cart locked"):
         Experiment("x", "velocity", Doublet(0.2, 2.0, unit="m/s"), rings=True)
+
+
+def test_an_experiment_and_gains_are_named(laboratory: Laboratory) -> None:
+    named, own = laboratory.fly("impulse", seed=2**32 - 1), laboratory.fly(IDENTIFICATION["impulse"], seed=2**32 - 1)
+    assert named.log["q"].value.tobytes() == own.log["q"].value.tobytes()
+    for path, value in STUDENT.parameters().items():
+        machine = Laboratory(laboratory.rig_name, gains="student").loop.machine
+        assert machine.get(f"flight.cascade.{path}") == value
+    with pytest.raises(ExperimentError, match="no experiment called 'doublt'"):
+        laboratory.fly("doublt")
+
+
+@pytest.mark.parametrize("seed", [-1, 2**32, 1.5, True, "1", float("nan")])
+def test_a_seed_that_the_noise_cannot_take_is_refused(laboratory: Laboratory, seed: int) -> None:
+    with pytest.raises(ExperimentError, match="seed must be an integer 0 to 4294967295"):
+        laboratory.fly("impulse", seed=seed)
+
+
+@pytest.mark.parametrize("noise", [-1.0, float("nan"), float("inf"), "1"])
+def test_a_noise_that_makes_no_sense_is_refused_when_the_rig_is_built(noise: float) -> None:
+    with pytest.raises(ParameterError, match="noise"):
+        Laboratory("lab", noise=noise)

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from numbers import Integral, Real
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.errors import ExperimentError
+from twodof.errors import ExperimentError, ParameterError
 from twodof.experiment.protocol import SETPOINT, Experiment
+from twodof.experiment.protocol import experiment as named_experiment
 from twodof.experiment.record import flight_log
 from twodof.experiment.script import Script, script
-from twodof.flight.gains import DEFAULT, Gains
+from twodof.flight.gains import DEFAULT, Gains, load_gains
 from twodof.flightlog.log import FlightLog
 from twodof.flightlog.provenance import versions
 from twodof.parameters import ParameterSet
@@ -25,6 +29,9 @@ MARGIN = 0.02
 
 PITCH_MARGIN = np.radians(2.0)
 """Pitch kept free before each stop [rad]."""
+
+SEEDS = 2**32
+"""Seeds of the noise are integers from 0 up to this, it excluded."""
 
 _LONG_RAIL = 5.0
 
@@ -57,32 +64,44 @@ class Flight:
 class Laboratory:
     """A virtual rig on which experiments are flown, compiled once.
 
-    `rig` is "paper", "lab", a file or a set of parameters; `conditions` are further rig parameters such as `trim` or
-    `rail_force`; `noise` scales all noise (0: none).
+    `rig` is "paper", "lab", a file or a set of parameters; `gains` are "default", "student", a file or a set of gains;
+    `conditions` are further rig parameters such as `trim` or `rail_force`; `noise` scales all noise (0: none).
+    Raises ParameterError for a rig or gains that cannot be read, and for a `noise` below 0 or not finite.
     """
 
     def __init__(
         self,
-        rig: str | ParameterSet = "paper",
-        gains: Gains = DEFAULT,
+        rig: str | Path | ParameterSet = "paper",
+        gains: str | Path | Gains = DEFAULT,
         noise: float = 1.0,
         conditions: Mapping[str, Any] | None = None,
         position_filter: str = "joint",
     ) -> None:
-        self.rig_name = rig if isinstance(rig, str) else "own"
-        self.parameters = load_rig(rig) if isinstance(rig, str) else rig
+        if not (isinstance(noise, Real) and math.isfinite(noise) and noise >= 0.0):
+            raise ParameterError(f"a noise of {noise!r:.80}", "noise", "give 0 (none) or more; 1 is the rig's own")
+        self.rig_name = "own" if isinstance(rig, ParameterSet) else str(rig)
+        self.parameters = rig if isinstance(rig, ParameterSet) else load_rig(rig)
         self.noise = noise
-        self.loop = ClosedLoop(gains, self.parameters, conditions, position_filter)
+        self.loop = ClosedLoop(
+            gains if isinstance(gains, Gains) else load_gains(gains), self.parameters, conditions, position_filter
+        )
         self._conditions = dict(conditions or {})
 
-    def fly(self, experiment: Experiment, seed: int = 1) -> Flight:
-        """Flies `experiment` with the noise of `seed`, from a start on the rail that fits.
+    def fly(self, experiment: str | Experiment, seed: int = 1) -> Flight:
+        """Flies `experiment` (or the ready-made one of that name) with the noise of `seed`, from a start that fits.
 
-        Raises ExperimentError if none does, or if the pitch would reach a stop.
+        Raises ExperimentError if no start on the rail does, if the pitch would reach a stop, for a name that is not
+        there and for a seed that is no integer from 0 to 2^32 - 1.
         """
+        experiment = _ready(experiment)
+        if isinstance(seed, bool) or not isinstance(seed, Integral) or not 0 <= seed < SEEDS:
+            raise ExperimentError(
+                f"seed must be an integer 0 to {SEEDS - 1}, not {seed!r:.80}", experiment.name, "give another seed"
+            )
+        seed = int(seed)
         x_start = self.start(experiment)
         plan = script(experiment, x_start)
-        out = self._fly(experiment, plan, x_start, seed=np.uint32(seed).item(), noise=self.noise)
+        out = self._fly(experiment, plan, x_start, seed=seed, noise=self.noise)
         provenance = {
             "experiment": experiment.name,
             "excitation": experiment.excitation.to_dict(),
@@ -93,11 +112,12 @@ class Laboratory:
         log = flight_log(out, np.asarray(plan.setpoints["mode"], dtype=np.int32), provenance)
         return Flight(experiment, log, x_start, seed, self._checks(experiment, plan, out))
 
-    def start(self, experiment: Experiment) -> float:
+    def start(self, experiment: str | Experiment) -> float:
         """The x [m] from which the flight stays in the middle of the rail: it is flown without noise on a long one.
 
         Raises ExperimentError if it needs more rail than there is, or more pitch.
         """
+        experiment = _ready(experiment)
         plan = script(experiment)
         out = self._fly(experiment, plan, 0.0, seed=1, noise=0.0, rail_stop=_LONG_RAIL)
         flown = slice(plan.begin, plan.end)
@@ -142,6 +162,10 @@ class Laboratory:
         return tuple(checks)
 
 
+def _ready(experiment: str | Experiment) -> Experiment:
+    return named_experiment(experiment) if isinstance(experiment, str) else experiment
+
+
 def _excited(experiment: Experiment, plan: Script, out: Mapping[str, NDArray[Any]]) -> Check:
     """Whether the response stands out of what the signal did before (five standard deviations)."""
     name = {"M_open": "q", "q0": "q", "theta0": "theta", "v0": "v", "x0": "x"}[SETPOINT[experiment.mode]]
@@ -153,7 +177,10 @@ def _excited(experiment: Experiment, plan: Script, out: Mapping[str, NDArray[Any
 
 
 def simulate(
-    experiment: Experiment, rig: str | ParameterSet = "paper", seed: int = 1, gains: Gains = DEFAULT
+    experiment: str | Experiment,
+    rig: str | Path | ParameterSet = "paper",
+    seed: int = 1,
+    gains: str | Path | Gains = DEFAULT,
 ) -> Flight:
-    """Flies `experiment` once on the virtual rig; for several flights keep a `Laboratory`."""
+    """Flies `experiment` once on the virtual rig; for several flights keep a `Laboratory`, whose errors it raises."""
     return Laboratory(rig, gains).fly(experiment, seed)
