@@ -1,7 +1,9 @@
 """Gains: the file's form, its round trip, and what is refused."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -38,6 +40,7 @@ def test_a_file_of_gains_is_read_back(tmp_path: Path) -> None:
         ('{"rate": [1, 2, 3], "attitude": "1", "velocity": [1, 2], "position": 1}', "attitude"),
         ('{"rate": [1, 2, 3], "attitude": 1, "velocity": [1, -2], "position": 1}', "velocity.ki"),
         ('{"rate": [1, 2, 3], "attitude": 1, "velocity": [1, 2], "position": NaN}', "position"),
+        ('{"rate": [1, 2, 3], "attitude": 1, "velocity": [1, 2], "position": 1%s}' % ("0" * 400), "position"),
     ],
 )
 def test_what_is_no_set_of_gains_is_refused(tmp_path: Path, text: str, where: str) -> None:
@@ -52,3 +55,22 @@ def test_what_is_no_set_of_gains_is_refused(tmp_path: Path, text: str, where: st
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(ParameterError, match=r"nowhere\.json"):
         load_gains(tmp_path / "nowhere.json")
+
+
+@pytest.mark.parametrize(
+    ("changes", "where"),
+    [
+        ({"rate": (1.0, 2.0)}, "rate"),
+        ({"rate": 1.0}, "rate"),
+        ({"velocity": (1.0, 2.0, 3.0)}, "velocity"),
+        ({"attitude": "11"}, "attitude.kp"),
+        ({"attitude": None}, "attitude.kp"),
+        ({"position": True}, "position.kp"),
+        ({"position": float("inf")}, "position.kp"),
+        ({"position": 10**400}, "position.kp"),
+    ],
+)
+def test_gains_of_another_shape_are_refused(changes: dict[str, Any], where: str) -> None:
+    with pytest.raises(ParameterError) as caught:
+        replace(DEFAULT, **changes)
+    assert caught.value.where == where

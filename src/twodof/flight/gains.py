@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
-import math
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
+from numbers import Real
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -19,7 +20,8 @@ _SHAPE = '{"rate": [Kp, Ki, Kd], "attitude": Kp, "velocity": [Kp, Ki], "position
 @dataclass(frozen=True)
 class Gains:
     """The gains of the four loops: `rate` (Kp [s/rad], Ki [1/rad], Kd [s2/rad]), `attitude` Kp [1/s],
-    `velocity` (Kp [N s/m], Ki [N/m]), `position` Kp [1/s]. Raises ParameterError for what is not finite or negative.
+    `velocity` (Kp [N s/m], Ki [N/m]), `position` Kp [1/s]. Raises ParameterError for another number of gains and for
+    what is no number, not finite or negative.
     """
 
     rate: tuple[float, float, float]
@@ -28,9 +30,15 @@ class Gains:
     position: float
 
     def __post_init__(self) -> None:
+        for name, count in (("rate", 3), ("velocity", 2)):
+            values = getattr(self, name)
+            if not isinstance(values, (tuple, list)) or len(values) != count:
+                raise ParameterError(f"{values!r:.80} is not {count} numbers", name, f"give {_SHAPE}")
         for name, value in self.parameters().items():
-            if not (math.isfinite(value) and value >= 0.0):
-                raise ParameterError(f"a gain of {value!r}", name, "gains are finite and not negative")
+            if isinstance(value, bool) or not isinstance(value, Real):
+                raise ParameterError(f"a gain of {value!r:.80}", name, "give a number")
+            if not 0.0 <= value <= sys.float_info.max:
+                raise ParameterError(f"a gain of {value!r:.80}", name, "gains are finite and not negative")
 
     def parameters(self) -> dict[str, float]:
         """Parameter path inside the cascade -> value."""
@@ -101,7 +109,8 @@ def load_gains(source: str | Path) -> Gains:
 
 
 def _numbers(values: object, count: int, where: str) -> list[float]:
-    ok = isinstance(values, list) and len(values) == count
-    if not ok or any(isinstance(v, bool) or not isinstance(v, (int, float)) for v in values):  # type: ignore[attr-defined]
-        raise ParameterError(f"{values!r:.80} is not {count} number{'s' * (count > 1)}", where, f"give {_SHAPE}")
-    return [float(v) for v in values]  # type: ignore[attr-defined]
+    if isinstance(values, list) and len(values) == count:
+        numbers = [v for v in values if isinstance(v, (int, float)) and not isinstance(v, bool)]
+        if len(numbers) == count:
+            return numbers
+    raise ParameterError(f"{values!r:.80} is not {count} number{'s' * (count > 1)}", where, f"give {_SHAPE}")
