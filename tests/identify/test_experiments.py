@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from twodof.errors import IdentificationError, LogError
+from twodof.experiment.flight import Laboratory
 from twodof.flightlog.files import read_log
 from twodof.identify.experiments import KINDS, cut
 
@@ -37,3 +38,11 @@ def test_an_empty_window_is_refused(flight_data: Path) -> None:
     log = read_log(flight_data / "free-response-impulse.mat")
     with pytest.raises(IdentificationError, match="holds 0 samples"):
         cut(log, KINDS["impulse"], (10.0, 20.0))
+
+
+def test_a_kind_is_named() -> None:
+    log = Laboratory("paper").fly("doublet").log
+    named, own = cut(log, "doublet"), cut(log, KINDS["doublet"])
+    assert (named.start, named.steps) == (own.start, own.steps)
+    with pytest.raises(IdentificationError, match=r"called 'dublet'.*there are: impulse, doublet, velocity"):
+        cut(log, "dublet")

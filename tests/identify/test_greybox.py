@@ -12,6 +12,7 @@ from tests.identify.signals import DT, doublet, pitch_record
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.library import FirstOrder
 from twodof.errors import IdentificationError
+from twodof.flightlog.log import Channel, FlightLog
 from twodof.identify import Record, fit, fit_percent
 from twodof.identify.simulate import program_of
 from twodof.models import (
@@ -257,3 +258,27 @@ def test_a_model_that_is_not_finite_is_refused() -> None:
     record = pitch_record(PAPER_PITCH_RATE, U, 0.06, np.random.default_rng(14))
     with pytest.raises(IdentificationError, match="not finite at the first guess"):
         fit(free_response(), record, values={"xi": -1.0, "w_n": 60.0, "hardening": 1e9})
+
+
+def test_what_is_no_structure_or_record_is_refused() -> None:
+    record = pitch_record(PAPER_PITCH_RATE, U, 0.06, np.random.default_rng(15))
+    log = FlightLog({"M": Channel(record.time, U, "-", (), "M")})
+    with pytest.raises(IdentificationError, match=r"pitch_rate: a function is no structure.*pitch_rate\(\)"):
+        fit(pitch_rate, record)
+    with pytest.raises(IdentificationError, match=r"a FlightLog is no record.*cut"):
+        fit(pitch_rate(), log)
+    with pytest.raises(IdentificationError, match="a FlightLog is no record"):
+        fit(pitch_rate(), [record, log])
+    with pytest.raises(IdentificationError, match="a NoneType is no record"):
+        fit(pitch_rate(), None)
+    with pytest.raises(IdentificationError, match="a FlightLog is no record"):
+        fit(pitch_rate(), record, validation=log)
+
+
+def test_one_unknown_is_named_alone_and_none_twice() -> None:
+    record = pitch_record(PAPER_PITCH_RATE, U, 0.06, np.random.default_rng(16))
+    assert fit(pitch_rate(), record, estimate="mu").labels == ("mu",)
+    with pytest.raises(IdentificationError, match="'mu' is to be estimated twice"):
+        fit(pitch_rate(), record, estimate=["w_n", "mu", "mu"])
+    other = pitch_record(PAPER_PITCH_RATE, U, 0.06, np.random.default_rng(17), name="other")
+    assert fit(pitch_rate(), [record, other], estimate="mu", separate="mu").labels == ("mu[record]", "mu[other]")

@@ -9,7 +9,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.errors import LogError
+from twodof.errors import IdentificationError, LogError
 from twodof.flightlog.contents import Excitation, excitations
 from twodof.flightlog.events import modes
 from twodof.flightlog.log import FlightLog
@@ -65,13 +65,20 @@ KINDS: Mapping[str, ExperimentKind] = MappingProxyType(
 
 
 def cut(
-    log: FlightLog, kind: ExperimentKind, window: tuple[float, float] | None = None, name: str | None = None
+    log: FlightLog, kind: str | ExperimentKind, window: tuple[float, float] | None = None, name: str | None = None
 ) -> Record:
     """The record of an experiment: the longest excitation of its kind in the log, or the `window` [s] given.
 
-    A doublet ends where the drone nears an end stop, a free response where it is over. Raises LogError where the log
-    does not hold the excitation, and IdentificationError as `Record.from_channels` does.
+    `kind` is one of `KINDS` or its name. A doublet ends where the drone nears an end stop, a free response where it is
+    over. Raises LogError where the log does not hold the excitation, and IdentificationError for a kind that is not
+    there and as `Record.from_channels` does.
     """
+    if isinstance(kind, str):
+        if kind not in KINDS:
+            raise IdentificationError(
+                f"no kind of experiment called {kind!r:.80}", "cut", f"there are: {', '.join(KINDS)}"
+            )
+        kind = KINDS[kind]
     start, stop = _window(log, kind) if window is None else window
     if "theta" in log and kind.name == "doublet":
         theta = log["theta"].slice(start, stop)

@@ -8,12 +8,13 @@ disturbance model). The standard deviations sigma of the outputs are estimated a
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twodof.errors import IdentificationError
+from twodof.flightlog.log import FlightLog
 from twodof.identify.covariance import check_identifiable, covariance, robust_covariance
 from twodof.identify.estimate import Estimate
 from twodof.identify.levenberg_marquardt import Minimum, minimise
@@ -40,22 +41,34 @@ def fit(
 ) -> Estimate:
     """Fit `structure` to `records`.
 
-    `estimate`: the unknowns to find (default: the structure's choice); all others keep their values. `values`: first
-    guesses and fixed values by unknown, or by "unknown[record]" for one record. `bounds`: (lower, upper) by unknown.
-    `separate`: unknowns that get one value for each record although they are not local. `noise`: standard deviation of
-    outputs (or "output[record]") whose weight is to be fixed. `band`: fit in the frequency domain, from and to these
-    frequencies [Hz].
+    `estimate`: the unknowns to find, or the one (default: the structure's choice); all others keep their values.
+    `values`: first guesses and fixed values by unknown, or by "unknown[record]" for one record. `bounds`: (lower,
+    upper) by unknown. `separate`: unknowns that get one value for each record although they are not local. `noise`:
+    standard deviation of outputs (or "output[record]") whose weight is to be fixed. `band`: fit in the frequency
+    domain, from and to these frequencies [Hz].
     `validation`: records that the model must reproduce without having seen them; only their local unknowns are fitted,
     the separate ones are those of the record `like` (default: the last).
 
-    Raises IdentificationError for unknown names, a record without the structure's channels, a model that is not
-    finite at the first guess, and unknowns that the data cannot tell (apart), naming them.
+    Raises IdentificationError for what is no structure or record, unknown or repeated names, a record without the
+    structure's channels, a model that is not finite at the first guess, and unknowns that the data cannot tell (apart),
+    naming them.
     """
-    wanted = structure.estimate if estimate is None else tuple(estimate)
+    if not isinstance(structure, Structure):
+        raise IdentificationError(
+            f"a {type(structure).__name__} is no structure",
+            f"{getattr(structure, '__name__', structure)!s:.80}",
+            "give a twodof.models.Structure; the ready-made ones are functions, to be called: pitch_rate()",
+        )
+    wanted = structure.estimate if estimate is None else _names(estimate)
+    twice = [name for i, name in enumerate(wanted) if name in wanted[:i]]
+    if twice:
+        raise IdentificationError(
+            f"'{twice[0]}' is to be estimated twice", f"structure '{structure.name}'", "name each unknown once"
+        )
     if not wanted:
         raise IdentificationError("nothing is to be estimated", f"structure '{structure.name}'", "name an unknown")
     given = dict(values or {})
-    problem = Problem(structure, _several(records), wanted, given, dict(bounds or {}), separate, band)
+    problem = Problem(structure, _several(records), wanted, given, dict(bounds or {}), _names(separate), band)
     minimum = _solve(problem, noise or {})
     jacobian = problem.central_jacobian(minimum.x)
     labels = [slot.label for slot in problem.slots]
@@ -88,8 +101,25 @@ def fit(
     )
 
 
+def _names(names: Collection[str]) -> tuple[str, ...]:
+    """The names in the order asked for; a set has none."""
+    if isinstance(names, str):
+        return (names,)
+    return tuple(names) if isinstance(names, Sequence) else tuple(sorted(names))
+
+
 def _several(records: Record | Sequence[Record]) -> tuple[Record, ...]:
-    return (records,) if isinstance(records, Record) else tuple(records)
+    if isinstance(records, Record):
+        return (records,)
+    # Iterating over a log or a mapping gives the names of what it holds.
+    many = isinstance(records, Iterable) and not isinstance(records, (FlightLog, Mapping))
+    several = tuple(records) if many else ()
+    if not many or not all(isinstance(one, Record) for one in several):
+        odd = next((one for one in several if not isinstance(one, Record)), records)
+        raise IdentificationError(
+            f"a {type(odd).__name__} is no record", "records", "cut one from a log: cut(log, KINDS['doublet'])"
+        )
+    return several
 
 
 def _solve(problem: Problem, noise: Mapping[str, float]) -> Minimum:
