@@ -11,7 +11,7 @@ import pytest
 from tests.compile import examples
 from twodof.blocks import Block, Diagram, Param, Port, int32, sqrt
 from twodof.blocks import build as build_array
-from twodof.blocks.library import DiscreteIntegrator, Gain, Sum
+from twodof.blocks.library import Constant, DiscreteIntegrator, Gain, Sum
 from twodof.blocks.reference import Reference
 from twodof.compile import Machine, Program, build, native
 from twodof.errors import CompileError, DiagramError, ParameterError
@@ -339,3 +339,20 @@ def test_a_bound_parameter_keeps_the_bounds_of_what_it_sets(make: Callable[..., 
         DiagramError, match=r"root\.k: it is bound to 'k', whose default -1\.0 is outside \[0\.0, 2\.0\]"
     ):
         make(diagram(-1.0), 0.01)
+
+
+def test_an_unknown_parameter_is_answered_with_the_nearest_names() -> None:
+    d = Diagram("many")
+    for i in range(50):
+        d.add(f"part_{i}", Constant(float(i)))
+        d.output(f"y_{i}", f"part_{i}")
+    d.add("speed_limit", Constant(1.0))
+    d.output("y", "speed_limit")
+    for machine in (compiled(d), Reference(d, 0.01).machine()):
+        with pytest.raises(ParameterError) as caught:
+            machine.set("speed_limt.value", 1.0)
+        # By the alphabet it would be the last of 51, behind the 40 that are listed.
+        assert caught.value.remedy.startswith("there are: speed_limit.value, ")
+        assert caught.value.remedy.endswith(" and 11 more")
+        with pytest.raises(ParameterError, match="no parameter"):
+            machine.get(7)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import difflib
 import functools
 import inspect
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -389,6 +390,17 @@ def check_bounds(declared: Param, value: Any, path: str) -> None:
                 path,
                 "choose a value within the bounds",
             )
+
+
+def unknown_parameter(path: object, known: Iterable[str]) -> ParameterError:
+    """The error for a parameter `path` that is not there; it lists up to 40 of the `known` ones, the nearest first."""
+    names = sorted(known)
+    nearest = difflib.get_close_matches(str(path)[:200], names, n=5)
+    listed = [*nearest, *(name for name in names if name not in nearest)]
+    more = f" and {len(listed) - 40} more" if len(listed) > 40 else ""
+    return ParameterError(
+        f"there is no parameter {path!r:.120}", "", f"there are: {', '.join(listed[:40]) or 'none'}{more}"
+    )
 
 
 def names_given(name: str, method: str, result: Any, declared: Sequence[Any], partial: bool = False) -> dict[str, Any]:

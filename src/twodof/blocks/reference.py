@@ -24,6 +24,7 @@ from twodof.blocks.block import (
     check_steps,
     names_given,
     numeric,
+    unknown_parameter,
 )
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.hierarchy import Cell, Hierarchy, PortOf
@@ -165,7 +166,7 @@ class ReferenceMachine:
     def get(self, path: str) -> Any:
         """A parameter's present value as a Python number (or list)."""
         if path not in self._values:
-            raise _unknown(path, self.parameters)
+            raise unknown_parameter(path, self.parameters)
         return plain(self._values[path])
 
     def state(self, path: str) -> Any:
@@ -359,15 +360,9 @@ def _elementwise(f: Any, *values: Any) -> Any:
     return f(*values)
 
 
-def _unknown(path: str, known: Mapping[str, Param]) -> ParameterError:
-    return ParameterError(
-        f"there is no parameter {path!r:.120}", "", f"there are: {', '.join(sorted(known)[:40]) or 'none'}"
-    )
-
-
 def _checked(parameters: Mapping[str, Param], path: str, value: Any, running: bool) -> Any:
     if path not in parameters:
-        raise _unknown(path, parameters)
+        raise unknown_parameter(path, parameters)
     p = parameters[path]
     if running and not p.tunable:
         raise ParameterError(

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twodof.blocks import numbers
-from twodof.blocks.block import Param, check_bounds, check_steps, numeric
+from twodof.blocks.block import Param, check_bounds, check_steps, numeric, unknown_parameter
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.numbers import Integer, Vector
 from twodof.blocks.reference import Reference
@@ -168,8 +168,7 @@ class Machine:
 
     def _member(self, path: str) -> str:
         if path not in self._members:
-            known = ", ".join(sorted(self._members)[:40]) or "none"
-            raise ParameterError(f"there is no parameter {path!r:.120}", "", f"there are: {known}")
+            raise unknown_parameter(path, self._members)
         return self._members[path]
 
     def _checked(self, path: str, value: Any) -> Any:
