@@ -18,7 +18,7 @@ HELD = [
     (ground.ThreeTwoOneOne(0.05, 0.3, lead=LEAD), board.ThreeTwoOneOne(amplitude=0.05, step=0.3, start=LEAD)),
     *(
         (ground.Prbs(0.07, 0.06, order, seed=3, lead=LEAD), board.Prbs(0.06, 0.07, order, seed=3, start=LEAD))
-        for order in range(3, 13)
+        for order in range(3, 16)
     ),
 ]
 SMOOTH = [

@@ -20,6 +20,7 @@ from typing import Any, ClassVar, Literal, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from twodof.blocks.library.waveforms import TAPS
 from twodof.errors import ExperimentError
 
 LIMITS: Mapping[str, float] = MappingProxyType({"-": 1.0, "rad": radians(50.0), "rad/s": 10.0, "m": 0.4, "m/s": 2.0})
@@ -32,22 +33,6 @@ HIGHEST_HZ = 125.0
 MAX_PARTS = 10_000
 MAX_LINES = 500
 _VERSION = 1
-
-# Feedback taps that make a register of n bits run through all 2^n - 1 states (primitive polynomials).
-_TAPS: Mapping[int, tuple[int, ...]] = MappingProxyType(
-    {
-        3: (3, 2),
-        4: (4, 3),
-        5: (5, 3),
-        6: (6, 5),
-        7: (7, 6),
-        8: (8, 6, 5, 4),
-        9: (9, 5),
-        10: (10, 7),
-        11: (11, 9),
-        12: (12, 6, 4, 1),
-    }
-)
 
 
 @dataclass(frozen=True)
@@ -284,7 +269,7 @@ class Prbs(_Held):
     def _check(self) -> None:
         self._number("amplitude", -np.inf, np.inf)
         self._number("clock", SHORTEST_HOLD_S, MAX_DURATION_S)
-        self._whole("order", min(_TAPS), max(_TAPS))
+        self._whole("order", min(TAPS), max(TAPS))
         self._whole("seed", 1, (1 << self.order) - 1)
 
     def _levels(self) -> tuple[list[int], list[float]]:
@@ -492,7 +477,7 @@ def _maximal_length(order: int, seed: int) -> tuple[bool, ...]:
     for _ in range((1 << order) - 1):
         bits.append(bool(register & 1))
         feedback = 0
-        for tap in _TAPS[order]:
+        for tap in TAPS[order]:
             feedback ^= register >> (order - tap)
         register = (register >> 1) | ((feedback & 1) << (order - 1))
     return tuple(bits)
