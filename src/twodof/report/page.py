@@ -54,7 +54,7 @@ def to_html(content: Content) -> str:
 def _table_section(subjects: Sequence[Subject]) -> Iterator[str]:
     yield (
         '<p class="text">By hand as the paper does it (simple) and by output error (grey-box), each with one standard '
-        "deviation; below an estimate, how far it is from the truth. In the figure the black bar is the truth where it "
+        "deviation; below an estimate, how far it is from the truth. In the figure the upright bar is the truth where it "
         "is known, dashed lines are the paper’s values. The last column is the spread of the grey-box estimate over "
         "repeated flights: a standard deviation claimed from one flight has to stand up to it.</p>"
     )
@@ -155,7 +155,8 @@ def _residual_section(subjects: Sequence[Subject]) -> Iterator[str]:
             f"<td>{_verdict(fit.whiteness)}</td><td>{_verdict(*fit.inputs.values())}</td></tr>"
         )
     head = "".join(f'<th scope="col">{name}</th>' for name in heads)
-    yield f'<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{"".join(lines)}</tbody></table></div>'
+    yield '<div class="scroll"><table class="break">'
+    yield f'<thead><tr>{head}</tr></thead><tbody>{"".join(lines)}</tbody></table></div>'
     yield '<div class="grid">'
     for subject, check in checks:
         yield _residual_card(subject, check)
