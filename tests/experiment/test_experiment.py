@@ -127,6 +127,8 @@ def test_an_experiment_and_gains_are_named(laboratory: Laboratory) -> None:
         assert machine.get(f"flight.cascade.{path}") == value
     with pytest.raises(ExperimentError, match="no experiment called 'doublt'"):
         laboratory.fly("doublt")
+    with pytest.raises(ExperimentError, match="a NoneType is no experiment"):
+        laboratory.fly(None)
 
 
 @pytest.mark.parametrize("seed", [-1, 2**32, 1.5, True, "1", float("nan")])

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twodof.errors import ExperimentError, ParameterError
-from twodof.experiment.protocol import SETPOINT, Experiment
+from twodof.experiment.protocol import EXPERIMENTS, SETPOINT, Experiment
 from twodof.experiment.protocol import experiment as named_experiment
 from twodof.experiment.record import flight_log
 from twodof.experiment.script import Script, script
@@ -163,7 +163,13 @@ class Laboratory:
 
 
 def _ready(experiment: str | Experiment) -> Experiment:
-    return named_experiment(experiment) if isinstance(experiment, str) else experiment
+    if isinstance(experiment, str):
+        return named_experiment(experiment)
+    if not isinstance(experiment, Experiment):
+        raise ExperimentError(
+            f"a {type(experiment).__name__} is no experiment", "", f"name one: {', '.join(EXPERIMENTS)}"
+        )
+    return experiment
 
 
 def _excited(experiment: Experiment, plan: Script, out: Mapping[str, NDArray[Any]]) -> Check:
