@@ -117,7 +117,7 @@ def _several(records: Record | Sequence[Record]) -> tuple[Record, ...]:
     if not many or not all(isinstance(one, Record) for one in several):
         odd = next((one for one in several if not isinstance(one, Record)), records)
         raise IdentificationError(
-            f"a {type(odd).__name__} is no record", "records", "cut one from a log: cut(log, KINDS['doublet'])"
+            f"a {type(odd).__name__} is no record", "records", "cut one from a log: cut(log, 'doublet')"
         )
     return several
 
