@@ -72,6 +72,7 @@ def test_a_public_log_brings_its_gains_and_window_whatever_its_name(
         (["nonsense"], "no experiment called"),
         (["doublet", "--rig", "nonsense"], "nonsense"),
         (["doublet", "--gains", "nonsense"], "nonsense"),
+        (["doublet", "--seed", "4294967296"], "4294967295"),
         (["doublet", "--out", "flight.foo"], ".foo"),
         (["--like", "nowhere.mat"], "nowhere.mat"),
     ],
