@@ -60,6 +60,39 @@ def test_a_claim_that_the_repetitions_do_not_bear_out_is_a_doubt(found: Characte
     assert "believe the spread" in to_html(content([Machine("rig", "", wild, {})], {}))
 
 
+def test_the_headline_measures_by_the_spread_where_that_is_larger(found: Characterisation) -> None:
+    """A gain that is 4 claimed sigmas off and strays by 4 of them from flight to flight is 1 off."""
+    sigma = found.greybox["mu"].sigma
+    truth = {"mu": found.greybox["mu"].value + 4.0 * sigma}
+    calm = replace(found, spreads={})
+    wild = replace(found, spreads={"mu": Spread(4.0 * sigma, 10)})
+    (text,) = content([Machine("rig", "", calm, truth)], {}).findings
+    assert "0 of 1" in text
+    assert "4.0 σ off." in text
+    assert text.count(" rad/s²") == 2
+    (text,) = content([Machine("rig", "", wild, truth)], {}).findings
+    assert "1 of 1" in text
+    assert "1.0 σ off (" in text
+    assert "+1.0 σ" not in to_html(content([Machine("rig", "", wild, truth)], {}))
+
+
+def test_doubts_speak_in_symbols_and_printed_signs(found: Characterisation) -> None:
+    assert found.free is not None
+    names = {"w_n": "ω<sub>n</sub>", "xi": "ξ", "tau": "τ"}
+    count = len(found.free.labels)
+    together = np.eye(count)
+    a, b = (found.free.labels.index(name) for name in ("w_n", "xi"))
+    together[a, b] = together[b, a] = -0.97
+    scale = found.free.robust.diagonal() ** 0.5
+    covariance = together * np.outer(scale, scale)
+    doubtful = replace(found.free, robust=covariance, covariance=covariance, converged=False, at_bound=("tau",))
+    (said,) = (s.doubts for s in content([Machine("rig", "", replace(found, free=doubtful), {})], {}).subjects)
+    text = "\n".join(said)
+    assert f"{names['w_n']} and {names['xi']} are told apart badly" in text
+    assert "by −0.97" in text
+    assert f"{names['tau']} is held by its bound" in text
+
+
 def test_one_flight_has_no_spread() -> None:
     once = characterise(flights(repetitions=1), dry_friction=False)
     assert all(math.isnan(estimate.sigma) for estimate in once.simple.values())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from html import escape
@@ -34,6 +35,7 @@ _DRY = (
 )
 # From here on two errors go together, or one is large, to a degree that a reader should know.
 _CORRELATED, _ROUGH = 0.8, 0.1
+_GREEK: Mapping[str, str] = {"theta": "θ"}
 # A table in milliseconds reads better than one in hundredths of a second.
 _SHOWN_TIMES: Mapping[str, float] = {"tau": 1e3}
 
@@ -147,17 +149,35 @@ def _unsure(estimate: Estimate) -> Iterator[str]:
     if strongest > _CORRELATED:
         sense = "more" if estimate.correlation[i, j] > 0.0 else "less"
         yield (
-            f"{estimate.labels[i]} and {estimate.labels[j]} are told apart badly: their errors correlate by "
-            f"{estimate.correlation[i, j]:.2f}, so more of one with {sense} of the other fits almost as well."
+            f"{_symbol(estimate.labels[i])} and {_symbol(estimate.labels[j])} are told apart badly: their errors "
+            f"correlate by {plain(estimate.correlation[i, j], 2)}, so more of one with {sense} of the other fits "
+            "almost as well."
         )
     for k in own:
         label = estimate.labels[k]
         share = estimate.sigma(label) / abs(estimate.values[k])
         if share > _ROUGH:
-            yield f"{label} is known to {100.0 * share:.0f} % only."
+            yield f"{_symbol(label)} is known to {100.0 * share:.0f} % only."
     for remark in estimate.remarks:
         if "residual" not in remark and "told apart" not in remark:
-            yield f"{escape(remark)}."
+            yield f"{_in_symbols(remark, estimate.labels)}."
+
+
+def _symbol(label: str) -> str:
+    """An estimate's label as HTML: Table 1's symbol, else what stands behind `_` as a subscript."""
+    known = {row.key: row.symbol for row in (*_PAPER, *_DRY)}
+    stem, below, index = label.partition("_")
+    return known.get(label) or (
+        f"{escape(_GREEK.get(stem, stem))}<sub>{escape(index)}</sub>" if below else escape(stem)
+    )
+
+
+def _in_symbols(text: str, labels: Sequence[str]) -> str:
+    """A fit's remark as HTML, its labels as symbols, its signs as they are set in print."""
+    names = "|".join(re.escape(label) for label in sorted(labels, key=len, reverse=True))
+    parts = re.split(rf"(?<!\w)({names})(?!\w)", text.replace("+-", "±"))
+    signed = [re.sub(r"(?<!\w)-(?=\d)|(?<=\de)-(?=\d)", "−", part) for part in parts]
+    return "".join(_symbol(part) if i % 2 else escape(part) for i, part in enumerate(signed))
 
 
 def content(machines: Sequence[Machine], provenance: Mapping[str, str], tables: Sequence[Table] = ()) -> Content:
@@ -185,9 +205,13 @@ def _findings(machine: Machine) -> list[str]:
         worst = max(known, key=lambda row: _sigmas(row))
         inside = sum(_sigmas(row) <= 3.0 for row in known)
         value = with_sigma(worst.greybox or Uncertain(0.0))
+        unit = f" {worst.unit}" if worst.unit else ""
+        spread = any(row.greybox_spread is not None for row in known)
+        measure = " (σ: claimed, or the spread over repeated flights where that is larger)" if spread else ""
         text = (
             f"<b>{name}</b>: {inside} of {len(known)} grey-box estimates lie within 3 σ of the truth; the farthest is "
-            f"<i>{worst.symbol}</i> = {value} where {plain(worst.truth or 0.0)} is true, {_sigmas(worst):.1f} σ off."
+            f"<i>{worst.symbol}</i> = {value}{unit} where {plain(worst.truth or 0.0)}{unit} is true, "
+            f"{_sigmas(worst):.1f} σ off{measure}."
         )
         return [text]
     shown = [
@@ -201,4 +225,4 @@ def _findings(machine: Machine) -> list[str]:
 def _sigmas(row: ParameterRow) -> float:
     if row.truth is None or row.greybox is None:
         return 0.0
-    return abs(row.greybox.value - row.truth) / row.greybox.sigma
+    return abs(row.greybox.value - row.truth) / row.greybox_sigma

@@ -44,6 +44,12 @@ class ParameterRow:
     greybox: Uncertain | None = None
     greybox_spread: float | None = None
 
+    @property
+    def greybox_sigma(self) -> float:
+        """What a grey-box estimate's distance is measured by: its own sigma or the spread, the larger; NaN for none."""
+        own = math.nan if self.greybox is None else self.greybox.sigma
+        return own if self.greybox_spread is None else max(own, self.greybox_spread)
+
 
 @dataclass(frozen=True, eq=False)
 class Line:

@@ -84,7 +84,7 @@ def errata() -> list[Erratum]:
             "M = 0.1 for 0.2 s, on the drone whose μ is then found to be 358.5",
             f"With that μ the pitch would reach {impulse_angle_deg():.0f}°, far beyond the stop at "
             f"{_STOP_DEG:.0f}°. The gain without thrust must be smaller: commands are clipped at 0 and the thrust "
-            "curve is flat there. The real drone’s logs show 112 to 118 at T = 0 and about 288 at T = 0.4.",
+            "curve is flat there.",
         ),
         Erratum(
             "Section 4.1, experiment 2",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Sequence
 from html import escape
@@ -54,7 +55,8 @@ def to_html(content: Content) -> str:
 def _table_section(subjects: Sequence[Subject]) -> Iterator[str]:
     yield (
         '<p class="text">By hand as the paper does it (simple) and by output error (grey-box), each with one standard '
-        "deviation; below an estimate, how far it is from the truth. In the figure the upright bar is the truth where it "
+        "deviation; below an estimate, how far it is from the truth, for the grey-box also in the larger of its "
+        "standard deviation and its spread over repeated flights. In the figure the upright bar is the truth where it "
         "is known, dashed lines are the paper’s values. The last column is the spread of the grey-box estimate over "
         "repeated flights: a standard deviation claimed from one flight has to stand up to it.</p>"
     )
@@ -73,7 +75,7 @@ def _parameter_table(rows: Sequence[ParameterRow]) -> str:
     lines = []
     for row in rows:
         cells = [_value(row.paper), _value(row.paper_greybox), *([_value(row.truth)] if known else [])]
-        cells += [_found(row.simple, row.truth, in_sigmas=False), _found(row.greybox, row.truth, in_sigmas=True)]
+        cells += [_found(row.simple, row.truth), _found(row.greybox, row.truth, row.greybox_sigma)]
         if repeated:
             cells.append("–" if row.greybox_spread is None else f"± {plain(row.greybox_spread, 2)}")
         lines.append(
@@ -84,11 +86,11 @@ def _parameter_table(rows: Sequence[ParameterRow]) -> str:
     return f'<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{"".join(lines)}</tbody></table></div>'
 
 
-def _found(estimate: Uncertain | None, truth: float | None, in_sigmas: bool) -> str:
-    """An estimate, and below it how far it is from the truth."""
+def _found(estimate: Uncertain | None, truth: float | None, sigma: float = math.nan) -> str:
+    """An estimate, and below it how far it is from the truth, also in `sigma` where one is given."""
     if estimate is None:
         return "–"
-    below = "" if truth is None else f"<small>{deviation(estimate, truth, in_sigmas)}</small>"
+    below = "" if truth is None else f"<small>{deviation(Uncertain(estimate.value, sigma), truth)}</small>"
     return f"{with_sigma(estimate)}{below}"
 
 
@@ -156,7 +158,7 @@ def _residual_section(subjects: Sequence[Subject]) -> Iterator[str]:
         )
     head = "".join(f'<th scope="col">{name}</th>' for name in heads)
     yield '<div class="scroll"><table class="break">'
-    yield f'<thead><tr>{head}</tr></thead><tbody>{"".join(lines)}</tbody></table></div>'
+    yield f"<thead><tr>{head}</tr></thead><tbody>{_tied(''.join(lines))}</tbody></table></div>"
     yield '<div class="grid">'
     for subject, check in checks:
         yield _residual_card(subject, check)

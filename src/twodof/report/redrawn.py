@@ -16,7 +16,7 @@ from twodof.identify.simple_pitch import SETTLED, edges_of
 from twodof.identify.simple_pitch import simulated_pair as pitch_pair
 from twodof.identify.simple_velocity import simulated_pair as velocity_pair
 from twodof.identify.simulate import Simulator
-from twodof.identify.validate import Comparison
+from twodof.identify.validate import Comparison, fit_percent
 from twodof.models.structures import rail
 from twodof.report.characterise import Characterisation
 from twodof.report.content import Figure, Level, Line, Panel, Point, Span
@@ -146,10 +146,14 @@ def _figure_8(found: Characterisation) -> Figure:
         rest = float(np.mean(record.outputs["v"].value - shown))
         lines.append(Line("simple", "simple", record.output_time("v") - zero, model + rest))
         hand = [found.velocity.identification, *found.velocity.validation]
-        caption += f"FIT of v by hand: {', '.join(f'{value:.1f} %' for _, value in hand)}. "
+        flights = f", {len(hand)} flights, the first is drawn" if len(hand) > 1 else ""
+        caption += f"FIT of v by hand{flights}: {', '.join(f'{value:.1f} %' for _, value in hand)}. "
     if found.travel is not None:
-        lines.append(Line("grey-box", "grey-box", record.output_time("v") - zero, _velocity(found.travel, record)))
+        velocity = _velocity(found.travel, record)
+        lines.append(Line("grey-box", "grey-box", record.output_time("v") - zero, velocity))
         caption += (
+            f"FIT of v of the grey-box model: {fit_percent(record.outputs['v'].value, velocity):.1f} % in the flight "
+            "drawn. "
             "Below, the position as the range sensor sees it: the grey-box model goes from the gyro to the range, so "
             "that the filter’s errors do not become the model’s. FIT of x: "
         )

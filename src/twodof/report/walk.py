@@ -39,8 +39,9 @@ _TEXT = {
     "paper": "The rig with the paper’s parameters: viscous friction only, a pure delay. μ is 358.5 at the hover’s "
     "thrust and, our assumption, 130 with the rotors at rest. Here the truth is known.",
     "lab": "The rig calibrated on the real drone’s logs: dry friction, a hardening spring, rotors with a lag, gusts "
-    "that push each flight off its course, an old range, a pendulum’s coupling with the cart. The truth is known, and "
-    "the paper’s linear models cannot all hold it: what lies many σ off shows what a structure leaves out.",
+    "that push each flight off its course, an old range, a pendulum’s coupling with the cart. The truth is known. "
+    "Gusts act on each flight anew, so an estimate strays as far as its spread over repeated flights; what is off "
+    "by several times that spread shows what a structure leaves out.",
     "real": "The public logs of a real drone (not the paper’s): one free response, one doublet of the moment, two "
     "doublets of the velocity. The motors had been restarted 0.14 s before the doublet, and the moment that "
     "trims it had not built up yet, which lengthens τ and makes its reading by hand a rough one.",
