@@ -137,6 +137,20 @@ def test_ctrl_c_leaves_no_half_written_file_and_exits_130(tmp_path: Path) -> Non
     assert list(tmp_path.iterdir()) == [target]
 
 
+def test_ctrl_c_while_the_package_loads_exits_130_too() -> None:
+    code = """
+        import importlib
+        from twodof import cli
+        def interrupted(name):
+            raise KeyboardInterrupt
+        importlib.import_module = interrupted
+        cli.main()
+    """
+    done = subprocess.run([sys.executable, "-c", textwrap.dedent(code)], capture_output=True, text=True, check=False)
+    assert done.returncode == 130
+    assert "Traceback" not in done.stderr
+
+
 def test_it_starts_quickly() -> None:
     """Help in half a second: 0.08 s alone, with room for a machine that runs other tests beside it."""
     start = time.perf_counter()

@@ -70,7 +70,7 @@ def test_a_public_log_brings_its_gains_and_window_whatever_its_name(
         (["doublet", "--like", "x.mat"], "one of the two"),
         (["doublet", "--window", "0", "1"], "--like"),
         (["nonsense"], "no experiment called"),
-        (["doublet", "--rig", "nonsense"], "nonsense"),
+        (["doublet", "--rig", "nonsense"], "one of paper, lab"),
         (["doublet", "--gains", "nonsense"], "nonsense"),
         (["doublet", "--seed", "4294967296"], "4294967295"),
         (["doublet", "--out", "flight.foo"], ".foo"),

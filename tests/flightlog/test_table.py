@@ -191,3 +191,23 @@ def test_suffixes_and_conversion_onto_itself(tmp_path: Path) -> None:
     with pytest.raises(LogError, match="a name cannot stand in CSV"):
         write_log(FlightLog({'a"b': Channel([0.0], [1.0])}), tmp_path / "b.csv")
     assert sorted(one.name for one in tmp_path.iterdir()) == ["a.csv"]
+
+
+@pytest.mark.parametrize(
+    ("text", "without"),
+    [
+        ("time,q\n0.0,1.0\nnan,2.0\n0.008,3.0\n", "nan,2.0\n"),
+        (
+            "channel,field,time,value\nlmnf,M,0.0,1.0\nlmnf,N,0.0,1.0\nlmnf,M,nan,2.0\nlmnf,N,nan,2.0\n",
+            "lmnf,M,nan,2.0\nlmnf,N,nan,2.0\n",
+        ),
+    ],
+)
+def test_a_time_stamp_that_is_no_number_is_named_and_its_remedy_works(text: str, without: str, tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text(text)
+    with pytest.raises(LogError, match=r"time stamp is nan in row [23]") as caught:
+        read_csv(path)
+    assert "remove them" in caught.value.remedy
+    path.write_text(text.replace(without, ""))
+    assert len(read_csv(path).channels) == 1

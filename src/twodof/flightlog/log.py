@@ -285,5 +285,5 @@ def _check_finite(values: NDArray[np.float64], where: str, time: NDArray[np.floa
         raise LogError(
             f"{what} is {values[tuple(bad[0])]!s} at sample {k} (time {time[k]!s} s), {len(bad)} such in all",
             where,
-            "remove the sample; a gap is recorded as a gap",
+            "leave the sample out together with its time stamp: the channel then has a gap there",
         )

@@ -179,7 +179,7 @@ def _is_row(row: Any) -> bool:
 
 
 def _from_tidy(table: pa.Table, described: Mapping[str, dict[str, Any]], where: str) -> dict[str, Channel]:
-    time, value = _numbers(table, "time", where), _numbers(table, "value", where)
+    time, value = _stamps(table, "time", where), _numbers(table, "value", where)
     channel_code, channel_names = _codes(table, "channel", where)
     field_code, field_names = _codes(table, "field", where)
     found = {}
@@ -211,7 +211,7 @@ def _unit_and_fields(
 def _from_wide(table: pa.Table, where: str) -> dict[str, Channel]:
     heads = {column: _split(column) for column in table.column_names}
     stamp = next(column for column, (name, _) in heads.items() if name == "time")
-    time = _numbers(table, stamp, where)
+    time = _stamps(table, stamp, where)
     found = {}
     for column, (name, unit) in heads.items():
         if column == stamp or not name:
@@ -224,6 +224,20 @@ def _from_wide(table: pa.Table, where: str) -> dict[str, Channel]:
     if not found:
         raise LogError("no column beside 'time'", where, "give a column per channel")
     return found
+
+
+def _stamps(table: pa.Table, column: str, where: str) -> NDArray[np.float64]:
+    """Time stamps, checked before they are compared: NaN differs from itself."""
+    time = _numbers(table, column, where)
+    bad = np.flatnonzero(~np.isfinite(time))
+    if bad.size:
+        k = int(bad[0])
+        raise LogError(
+            f"the time stamp is {time[k]!s} in row {k + 1} below the header, {bad.size} such in all",
+            f"{where}: {column}",
+            "give these rows a time or remove them; of a channel with fields, all rows of that time",
+        )
+    return time
 
 
 def _numbers(table: pa.Table, column: str, where: str, nulls: bool = False) -> NDArray[np.float64]:

@@ -185,7 +185,10 @@ def load_rig(source: str | Path) -> ParameterSet:
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, ValueError) as reason:
-        raise ParameterError(f"cannot be read: {reason}", str(path), f"name a file or {' or '.join(NAMES)}") from reason
+        why = reason.strerror if isinstance(reason, OSError) else "it is no text"
+        raise ParameterError(
+            f"cannot be read: {why}", str(path), f"name a JSON file or one of {', '.join(NAMES)}"
+        ) from reason
     values = ParameterSet(table=TABLE)
     try:
         values.load_json(text)
