@@ -8,6 +8,7 @@ presses against a stop, so a body at rest stays there to the bit.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from twodof.blocks import maximum, minimum, where
@@ -15,9 +16,10 @@ from twodof.blocks import maximum, minimum, where
 
 def holds(speed: Any, load: Any, friction: Any, place: Any, low: Any, high: Any) -> Any:
     """Whether a body at `place` with `speed` stays at rest under `load`: stuck, or pressed against a stop."""
-    stuck = abs(load) <= friction
-    pressed = ((place >= high) & (load > 0.0)) | ((place <= low) & (load < 0.0))
-    return (speed == 0.0) & (stuck | pressed)
+    # A stop bears any load that presses against it, friction at most its own either way.
+    up = where(place >= high, math.inf, friction)
+    down = where(place <= low, math.inf, friction)
+    return (speed == 0.0) & (load <= up) & (-down <= load)
 
 
 def rubbed(place: Any, speed: Any, loss: Any, dt: Any) -> tuple[Any, Any]:
