@@ -4,6 +4,7 @@
 #   make test    every test but the long versions          make soak   the long versions
 #   make check   format, lint, types, order of imports     make bench  figures against peers, in bench/results
 #   make lock    pin the requirements again                make clean  remove what the above made, .venv apart
+#   make tools   install gcc, g++, arm-none-eabi-gcc, qemu-system-arm and node for the tests (Debian, as root), or name them
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -15,7 +16,7 @@ RUN_REQUIREMENTS := requirements/$(if $(shell command -v cc 2>/dev/null),run,com
 TEST_JOBS ?= 2
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check bench soak lock clean
+.PHONY: help demo test check bench soak tools lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -24,7 +25,7 @@ help:
 demo: $(VENV)/ready-run
 	$(BIN)/twodof demo
 
-test: $(VENV)/ready-dev
+test: $(VENV)/ready-dev tools
 	$(BIN)/python -m pytest -n $(TEST_JOBS)
 
 check: $(VENV)/ready-dev
@@ -33,11 +34,15 @@ check: $(VENV)/ready-dev
 	$(BIN)/mypy
 	$(BIN)/python -m pytest -q tests/test_layers.py
 
-bench: $(VENV)/ready-dev
+bench: $(VENV)/ready-dev tools
 	$(BIN)/python -m bench
 
-soak: $(VENV)/ready-dev
+soak: $(VENV)/ready-dev tools
 	$(BIN)/python -m pytest -n $(TEST_JOBS) -m soak
+
+# Part of test, soak and bench; quick and silent when everything is there.
+tools:
+	@tools/toolchains.sh
 
 $(BIN)/python:
 	@test -n "$(PYTHON)" || { echo "twodof needs Python 3.11 or newer: none found; name one with make PYTHON=..."; exit 1; }

@@ -1,0 +1,114 @@
+"""tools/toolchains.sh and tests/toolchains.py: a missing tool chain is installed, named, or a failure; never silent."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from tests import toolchains
+
+PROJECT = Path(__file__).resolve().parents[1]
+SCRIPT = PROJECT / "tools" / "toolchains.sh"
+NEEDED = ("bash", "cat", "chmod", "env", "sort", "timeout", "touch", "tr")
+TIMEOUT_S = 30
+
+
+class Machine:
+    """A PATH of its own: what the script itself uses, an `id`, perhaps an `apt-get` that notes its arguments."""
+
+    def __init__(self, folder: Path, tools: tuple[str, ...], root: bool, apt: str | None) -> None:
+        self.bin = folder / "bin"
+        self.bin.mkdir()
+        self.calls = folder / "calls"
+        for name in NEEDED:
+            (self.bin / name).symlink_to(shutil.which(name) or name)
+        self.write("id", f"echo {0 if root else 1000}")
+        for name in tools:
+            self.write(name, f"echo {SCRIPT}")  # to -print-file-name: a file that is there
+        if apt is not None:
+            self.write("apt-get", f'echo "$@" >> {self.calls}\n{apt}')
+
+    def write(self, name: str, body: str) -> None:
+        file = self.bin / name
+        file.write_text(f"#!{shutil.which('bash')}\n{body}\n")
+        file.chmod(0o755)
+
+    def run(self, **environment: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [str(self.bin / "bash"), str(SCRIPT)],
+            env={"PATH": str(self.bin), **environment},
+            capture_output=True,
+            text=True,
+            timeout=TIMEOUT_S,
+            check=False,
+        )
+
+
+ALL = tuple(toolchains.PACKAGES)
+
+
+def test_with_everything_there_nothing_is_asked_of_apt(tmp_path: Path) -> None:
+    machine = Machine(tmp_path, ALL, root=True, apt="exit 1")
+    done = machine.run(CI="true")
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    assert not machine.calls.exists()
+
+
+def test_root_on_debian_gets_what_is_missing(tmp_path: Path) -> None:
+    machine = Machine(tmp_path, ALL[:-1], root=True, apt="")
+    program = machine.bin / "qemu-system-arm"
+    machine.write("apt-get", f'echo "$@" >> {machine.calls}\ntouch {program}; chmod +x {program}')
+    done = machine.run(TWODOF_REQUIRE_TOOLS="1")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout == "tools: installing qemu-system-arm\n"
+    assert machine.calls.read_text().splitlines() == [
+        "update -qq",
+        "install -y -qq --no-install-recommends qemu-system-arm",
+    ]
+
+
+@pytest.mark.parametrize(("root", "apt"), [(False, "exit 0"), (True, None), (True, "exit 1")])
+def test_what_cannot_be_installed_is_named_in_one_line(root: bool, apt: str | None, tmp_path: Path) -> None:
+    machine = Machine(tmp_path, ("gcc", "g++", "node"), root, apt)
+    done = machine.run()
+    assert done.returncode == 0
+    assert done.stderr.splitlines()[-1] == (
+        "tools: qemu-system-arm, arm-none-eabi-gcc missing: the tests that need them will be skipped; "
+        "install gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm"
+    )
+    for environment in ({"CI": "true"}, {"TWODOF_REQUIRE_TOOLS": "1"}):
+        refused = machine.run(**environment)
+        assert refused.returncode == 1
+        assert "qemu-system-arm, arm-none-eabi-gcc missing, and nothing may be skipped here" in refused.stderr
+
+
+def test_a_missing_newlib_is_found(tmp_path: Path) -> None:
+    machine = Machine(tmp_path, ALL, root=False, apt=None)
+    machine.write("arm-none-eabi-gcc", "echo libm.a")  # what the compiler says where the library is not
+    assert "install libnewlib-arm-none-eabi" in machine.run().stderr
+
+
+def test_the_tests_know_the_same_tools_and_packages() -> None:
+    script = SCRIPT.read_text()
+    for program, packages in toolchains.PACKAGES.items():
+        assert f'"{program} {packages}"' in script
+
+
+def test_a_test_is_skipped_with_the_package_or_fails_where_nothing_may_be_skipped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv("CI", raising=False)
+    monkeypatch.setenv("TWODOF_REQUIRE_TOOLS", "0")
+    with pytest.raises(pytest.skip.Exception, match="node is missing: `make tools` as root, or install nodejs"):
+        toolchains.need("node")
+    monkeypatch.setenv("TWODOF_REQUIRE_TOOLS", "1")
+    with pytest.raises(pytest.fail.Exception, match="install nodejs"):
+        toolchains.need("node")
+
+
+def test_continuous_integration_requires_the_tools() -> None:
+    assert "export TWODOF_REQUIRE_TOOLS=1" in (PROJECT / ".ci" / "run").read_text()

@@ -1,0 +1,32 @@
+"""Programs that no wheel brings: without one a test is skipped, saying so, or fails where it must be there."""
+
+from __future__ import annotations
+
+import os
+import shutil
+
+import pytest
+
+PACKAGES = {
+    "arm-none-eabi-gcc": "gcc-arm-none-eabi libnewlib-arm-none-eabi",
+    "g++": "g++",
+    "gcc": "gcc libc6-dev",
+    "node": "nodejs",
+    "qemu-system-arm": "qemu-system-arm",
+}
+"""The Debian packages that bring each program; tools/toolchains.sh installs them."""
+
+
+def required() -> bool:
+    """Whether a missing program is a failure: in continuous integration, where nothing is skipped for want of it."""
+    return os.environ.get("TWODOF_REQUIRE_TOOLS") == "1" or os.environ.get("CI") == "true"
+
+
+def need(*programs: str) -> None:
+    """Skip the present test, naming the package, if one of `programs` is missing; fail it instead if `required`."""
+    for program in programs:
+        if shutil.which(program) is None:
+            reason = f"{program} is missing: `make tools` as root, or install {PACKAGES[program]}"
+            if required():
+                pytest.fail(reason)
+            pytest.skip(reason)

@@ -1,0 +1,48 @@
+#!/usr/bin/env bash
+# The tool chains of the tests over all targets, which no wheel brings: names what is missing and, as root on Debian,
+# installs it. Where it cannot, it says so in one line and the tests that need the tool are skipped with that reason;
+# with TWODOF_REQUIRE_TOOLS=1 or CI=true that is an error instead, so that continuous integration skips nothing.
+set -euo pipefail
+
+# A tool and the Debian packages that bring it.
+tools=(
+    "gcc gcc libc6-dev"
+    "g++ g++"
+    "qemu-system-arm qemu-system-arm"
+    "arm-none-eabi-gcc gcc-arm-none-eabi libnewlib-arm-none-eabi"
+    "node nodejs"
+)
+
+missing() {
+    local row
+    for row in "${tools[@]}"; do
+        command -v "${row%% *}" >/dev/null || echo "$row"
+    done
+    if command -v arm-none-eabi-gcc >/dev/null && [[ ! -f $(arm-none-eabi-gcc -print-file-name=libm.a) ]]; then
+        echo "newlib libnewlib-arm-none-eabi" # a recommendation of the compiler's package that is easily left out
+    fi
+}
+
+required() { [[ ${TWODOF_REQUIRE_TOOLS:-} == 1 || ${CI:-} == true ]]; }
+
+mapfile -t absent < <(missing)
+if ((${#absent[@]} == 0)); then
+    exit 0
+fi
+packages=$(for row in "${absent[@]}"; do tr ' ' '\n' <<<"${row#* }"; done | sort -u | tr '\n' ' ')
+if [[ $(id -u) -eq 0 ]] && command -v apt-get >/dev/null; then
+    echo "tools: installing ${packages% }"
+    export DEBIAN_FRONTEND=noninteractive
+    timeout 900 apt-get update -qq &&
+        timeout 900 apt-get install -y -qq --no-install-recommends $packages >/dev/null ||
+        echo "tools: apt-get could not install them" >&2
+    mapfile -t absent < <(missing)
+fi
+if ((${#absent[@]})); then
+    names=$(printf '%s, ' "${absent[@]%% *}")
+    if required; then
+        echo "tools: ${names%, } missing, and nothing may be skipped here: install ${packages% }" >&2
+        exit 1
+    fi
+    echo "tools: ${names%, } missing: the tests that need them will be skipped; install ${packages% }" >&2
+fi
