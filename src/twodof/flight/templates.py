@@ -1,0 +1,223 @@
+"""Templates: what a student fills in. A diagram with exactly the ports of one takes the stock controller's place."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import NamedTuple
+
+from twodof.blocks.diagram import Diagram
+from twodof.compile.flat import Program
+from twodof.compile.lower import lower
+from twodof.errors import DiagramError
+
+PERIOD = 0.004
+"""Period of whatever controls the drone [s]: a diagram of a template is stepped at 250 Hz."""
+
+
+class TemplatePort(NamedTuple):
+    """A port as a template asks for it: a scalar of type `kind`, in `unit` ("": a bare number), and what it means."""
+
+    name: str
+    kind: str
+    unit: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Template:
+    """The ports of one kind of controller, in order, and what it stands in for."""
+
+    name: str
+    text: str
+    inputs: tuple[TemplatePort, ...]
+    outputs: tuple[TemplatePort, ...]
+
+
+_RESET = "the integrals are to be held in reset: no thrust, just armed, or the mode does not use this controller"
+_ATTITUDE = "the pitch loop is closed: follow theta_0; false in rate mode: follow q_0"
+_THETA = "estimated pitch, nose-up positive, as of the sample before: the estimator publishes after the controller"
+_X = "estimated position along the rail, 0 at its middle, published at 100 Hz and held"
+_VX = "estimated velocity along the rail, published at 100 Hz and held"
+
+ATTITUDE = Template(
+    "attitude_control",
+    "pitch and pitch-rate loops: set-points and estimates in, normalised pitch moment out",
+    (
+        TemplatePort("theta_0", "real", "rad", "pitch set-point, in use while FLAG_ATTITUDE_ENABLED"),
+        TemplatePort("q_0", "real", "rad/s", "pitch-rate set-point, in use while not FLAG_ATTITUDE_ENABLED"),
+        TemplatePort("theta", "real", "rad", _THETA),
+        TemplatePort("q", "real", "rad/s", "estimated pitch rate of this sample"),
+        TemplatePort("FLAG_RESET_INT", "bool", "", _RESET),
+        TemplatePort("FLAG_ATTITUDE_ENABLED", "bool", "", _ATTITUDE),
+    ),
+    (TemplatePort("M", "real", "", "normalised pitch moment, -1 to 1; M > 0 raises the nose"),),
+)
+
+POSITION = Template(
+    "position_control",
+    "position and velocity loops: set-points and estimates in, thrust and pitch set-point out",
+    (
+        TemplatePort("x_0", "real", "m", "position set-point, in use while FLAG_POSITION_ENABLED"),
+        TemplatePort("vx_0", "real", "m/s", "velocity set-point, in use while not FLAG_POSITION_ENABLED"),
+        TemplatePort("x", "real", "m", _X),
+        TemplatePort("vx", "real", "m/s", _VX),
+        TemplatePort(
+            "ax_0", "real", "m/s2", "acceleration set-point along the rail, a feed-forward; 0 if none is given"
+        ),
+        TemplatePort("FLAG_RESET_INT_VEL", "bool", "", _RESET),
+        TemplatePort(
+            "FLAG_POSITION_ENABLED",
+            "bool",
+            "",
+            "the position loop is closed: follow x_0; false in velocity mode: follow vx_0",
+        ),
+    ),
+    (
+        TemplatePort("thrust", "real", "", "normalised thrust, 0 to 1; the drone hovers at 0.4"),
+        TemplatePort("theta_0", "real", "rad", "pitch set-point for the attitude controller; theta > 0 drives to -x"),
+    ),
+)
+
+MOTOR = Template(
+    "motor_control",
+    "the lowest level: measurements, estimates and set-points in, the commands of the single motors out",
+    (
+        TemplatePort("M_0", "real", "", "normalised pitch moment that the level above asks for (open loop: given)"),
+        TemplatePort("thrust_0", "real", "", "normalised thrust that the level above asks for"),
+        TemplatePort("theta_0", "real", "rad", "pitch set-point in use, 0 if none is"),
+        TemplatePort("q_0", "real", "rad/s", "pitch-rate set-point in use, 0 if none is"),
+        TemplatePort("x_0", "real", "m", "position set-point in use, 0 if none is"),
+        TemplatePort("vx_0", "real", "m/s", "velocity set-point in use, 0 if none is"),
+        TemplatePort("theta", "real", "rad", _THETA),
+        TemplatePort("q", "real", "rad/s", "estimated pitch rate of this sample"),
+        TemplatePort("x", "real", "m", _X),
+        TemplatePort("vx", "real", "m/s", _VX),
+        TemplatePort("acc_x", "real", "m/s2", "measured specific force along the body's x axis (forward)"),
+        TemplatePort("acc_z", "real", "m/s2", "measured specific force along the body's z axis (down): -9.81 at rest"),
+        TemplatePort("gyro_y", "real", "rad/s", "measured pitch rate, its bias still in it"),
+        TemplatePort("FLAG_RESET_INT", "bool", "", _RESET),
+        TemplatePort(
+            "FLAG_RATE_ENABLED", "bool", "", "some loop is closed; false in open loop, where M_0 is to be flown"
+        ),
+        TemplatePort(
+            "FLAG_ATTITUDE_ENABLED", "bool", "", "the pitch is controlled: attitude, velocity or position mode"
+        ),
+        TemplatePort("FLAG_VELOCITY_ENABLED", "bool", "", "the velocity is controlled: velocity or position mode"),
+        TemplatePort("FLAG_POSITION_ENABLED", "bool", "", "the position is controlled: position mode"),
+    ),
+    (
+        TemplatePort("motor_1", "real", "", "command of the fore right motor, 0 to 1"),
+        TemplatePort("motor_2", "real", "", "command of the aft left motor, 0 to 1"),
+        TemplatePort("motor_3", "real", "", "command of the fore left motor, 0 to 1"),
+        TemplatePort("motor_4", "real", "", "command of the aft right motor, 0 to 1"),
+    ),
+)
+
+FORE_MOTORS, AFT_MOTORS = ("motor_1", "motor_3"), ("motor_2", "motor_4")
+"""The motors of each pair, numbered as PX4 numbers a quadrotor X: 1 fore right, 2 aft left, 3 fore left, 4 aft right.
+
+1 and 2 turn counter-clockwise seen from above, 3 and 4 clockwise. The fore pair lifts the nose, so it gives M > 0.
+"""
+
+TEMPLATES: Mapping[str, Template] = MappingProxyType({t.name: t for t in (ATTITUDE, POSITION, MOTOR)})
+"""The templates by name."""
+
+
+def kind_of(diagram: Diagram) -> str:
+    """The name of the template that `diagram` is made for, judged by the names of its ports, outputs before inputs.
+
+    It says what a diagram is meant to be; whether it is one says `check_template`. Raises DiagramError for a diagram
+    that has no output of any template.
+    """
+
+    def shared(template: Template) -> tuple[int, int]:
+        outputs = sum(port.name in diagram.outputs for port in template.outputs)
+        return outputs, sum(port.name in diagram.inputs for port in template.inputs)
+
+    best = max(TEMPLATES.values(), key=shared)
+    if shared(best)[0] == 0:
+        known = "; ".join(f"{t.name} gives {', '.join(port.name for port in t.outputs)}" for t in TEMPLATES.values())
+        raise DiagramError(
+            f"its outputs ({', '.join(diagram.outputs) or 'none'}) are those of no template", diagram.name, known
+        )
+    return best.name
+
+
+def check_template(diagram: Diagram, kind: str | None = None) -> Template:
+    """The template that `diagram` fills in, by name or (None) as `kind_of` says.
+
+    It has exactly the template's ports, each a scalar of the template's type, in its unit or in none; an input may be
+    left unused inside. Raises DiagramError that names every port that is missing, too many or of another type or unit,
+    and all that keeps the diagram from being compiled; also for continuous states, which no controller can have.
+    """
+    name = kind_of(diagram) if kind is None else kind
+    if name not in TEMPLATES:
+        raise DiagramError(f"no template called {name!r:.80}", diagram.name, f"there are: {', '.join(TEMPLATES)}")
+    template = TEMPLATES[name]
+    faults = [*_names(diagram, template), *_inputs(diagram, template)]
+    refusal: DiagramError | None = None
+    try:
+        program = lower(diagram, PERIOD)
+    except DiagramError as error:
+        refusal = error
+    else:
+        faults += [*_outputs(program, template)]
+    if faults:
+        raise DiagramError(
+            f"it does not fit the template {name}: {'; '.join(faults)}", diagram.name, "change these ports"
+        ) from refusal
+    if refusal is not None:
+        raise refusal
+    moving = [node.path for node in program.integrated]
+    if moving:
+        raise DiagramError(
+            f"continuous states in {', '.join(moving[:8])}{' ...' if len(moving) > 8 else ''}",
+            diagram.name,
+            f"a controller is stepped every {PERIOD * 1e3:g} ms: use the discrete blocks",
+        )
+    return template
+
+
+def _names(diagram: Diagram, template: Template) -> Iterator[str]:
+    """What is wrong with the names of the ports."""
+    for what, wanted, given in (
+        ("input", template.inputs, diagram.inputs),
+        ("output", template.outputs, diagram.outputs),
+    ):
+        names = {port.name for port in wanted}
+        for port in wanted:
+            if port.name not in given:
+                yield f"the {what} {port.name} is missing: add {_described(port.kind, None, port.unit)}, {port.text}"
+        for name in given:
+            if name not in names:
+                yield f"the {what} {name} is not of the template: remove it"
+
+
+def _inputs(diagram: Diagram, template: Template) -> Iterator[str]:
+    """What is wrong with the types of the inputs."""
+    for port in template.inputs:
+        given = diagram.inputs.get(port.name)
+        if given is not None:
+            yield from _clash("input", port, given.kind, given.width, given.unit)
+
+
+def _outputs(program: Program, template: Template) -> Iterator[str]:
+    """What is wrong with the types of the outputs."""
+    for port in template.outputs:
+        signal = program.outputs.get(port.name)
+        if signal is not None:
+            yield from _clash("output", port, signal.kind, signal.width, signal.unit)
+
+
+def _clash(what: str, port: TemplatePort, kind: str, width: int | None, unit: str) -> Iterator[str]:
+    """What is wrong with a port of the type `kind`, of `width` elements, in `unit`."""
+    # A unit that is left out is not compared, as at any connection.
+    if (kind, width) != (port.kind, None) or (unit and unit != port.unit):
+        wanted = _described(port.kind, None, port.unit)
+        yield f"the {what} {port.name} is {_described(kind, width, unit)}: make it {wanted}"
+
+
+def _described(kind: str, width: int | None, unit: str) -> str:
+    return f"{kind}{'' if width is None else f'[{width}]'}{f' in {unit}' if unit else ''}"
