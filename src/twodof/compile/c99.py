@@ -52,19 +52,23 @@ class Source:
     precision: str
 
 
-def emit(programs: Sequence[Program], precision: str = "float64") -> Source:
-    """One C file with the functions of `programs`, whose names must differ."""
+def emit(programs: Sequence[Program], precision: str = "float64", lean: bool = False) -> Source:
+    """One C file with the functions of `programs`, whose names must differ.
+
+    `lean` is for a flight controller's firmware: without `run` and the tables, and without == on reals, of which its
+    compiler warns (-Wfloat-equal).
+    """
     helpers: set[str] = set()
     functions: set[str] = set()
     layouts = {}
     bodies = []
     for program in programs:
         layouts[program.name] = Layout(program)
-        emitter = _Emitter(program, layouts[program.name], precision)
+        emitter = _Emitter(program, layouts[program.name], precision, lean)
         bodies.append(emitter.text())
         helpers |= emitter.helpers
         functions |= emitter.functions
-    elementary, more = _elementary(functions, precision)
+    elementary, more = _elementary(functions, precision, lean)
     helpers |= more
     text = [
         "#include <stdbool.h>\n#include <stddef.h>\n#include <stdint.h>\n#include <string.h>\n\n",
@@ -77,7 +81,7 @@ def emit(programs: Sequence[Program], precision: str = "float64") -> Source:
     return Source("".join(text), layouts, precision)
 
 
-def _elementary(names: Iterable[str], precision: str) -> tuple[list[str], set[str]]:
+def _elementary(names: Iterable[str], precision: str, lean: bool) -> tuple[list[str], set[str]]:
     """The definitions of the elementary functions `names` and of those they call, callees first; and their helpers."""
     needed: dict[str, None] = {}
     stack = [(n, False) for n in sorted(names)]
@@ -87,18 +91,18 @@ def _elementary(names: Iterable[str], precision: str) -> tuple[list[str], set[st
             needed[name] = None
         elif name not in needed:
             stack.append((name, True))
-            stack += [(n, False) for n in sorted(_function(name, precision)[1])]
-    helpers = frozenset[str]().union(*(_function(n, precision)[2] for n in needed))
-    return [_function(n, precision)[0] for n in needed], set(helpers)
+            stack += [(n, False) for n in sorted(_function(name, precision, lean)[1])]
+    helpers = frozenset[str]().union(*(_function(n, precision, lean)[2] for n in needed))
+    return [_function(n, precision, lean)[0] for n in needed], set(helpers)
 
 
 @cache
-def _function(name: str, precision: str) -> tuple[str, frozenset[str], frozenset[str]]:
+def _function(name: str, precision: str, lean: bool) -> tuple[str, frozenset[str], frozenset[str]]:
     """An elementary function in C, the functions it calls, and its helpers."""
     arguments = ["x"] if ARGUMENTS[name] == 1 else ["y", "x"]
     with tracing(name):
         result = DEFINITIONS[name][precision](*(leaf("input", a, "real") for a in arguments))
-    writer = Writer()
+    writer = Writer(lean=lean)
     renderer = Renderer(writer, Names({*arguments, "td"}), precision, lambda e: (e.data, ATOM), "td")
     writer.line(f"return {renderer.text(result)};")
     head = f"static real td_{name}({', '.join(f'real {a}' for a in arguments)})\n{{\n"
@@ -109,10 +113,11 @@ def _function(name: str, precision: str) -> tuple[str, frozenset[str], frozenset
 class _Emitter:
     """One program's C."""
 
-    def __init__(self, program: Program, layout: Layout, precision: str) -> None:
+    def __init__(self, program: Program, layout: Layout, precision: str, lean: bool) -> None:
         self.program = program
         self.layout = layout
         self.precision = precision
+        self.lean = lean
         self.prefix = program.name
         self.scope = Scope(program, layout, precision)
         self.helpers: set[str] = set()
@@ -138,7 +143,8 @@ class _Emitter:
                 lambda writer: self._step(writer, stage),
             )
         )
-        functions.append(self._run())
+        if not self.lean:
+            functions.append(self._run())
         remark = f" {_comment(self.program.text)}" if self.program.text else ""
         parts = [f"/* {p}: one step is {self.program.dt:.9g} s.{remark} */\n"]
         parts.append(self._struct("P", "parameters; `prepare` computes the derived ones", self.layout.p.members))
@@ -153,10 +159,10 @@ class _Emitter:
         )
         parts.append(self._struct("U", "inputs", self.layout.u.members))
         parts.append(self._struct("Y", "outputs and logged signals", self.layout.y.members))
-        return "".join(parts + functions) + self._tables()
+        return "".join(parts + functions) + ("" if self.lean else self._tables())
 
     def _written(self, head: str, write: Callable[[Writer], None]) -> str:
-        writer = Writer()
+        writer = Writer(lean=self.lean)
         write(writer)
         if writer.elements + 6 * self.continuous > MOST_ON_STACK:
             raise DiagramError(

@@ -68,6 +68,7 @@ class Writer:
     functions: set[str] = field(default_factory=set)
     depth: int = 1
     elements: int = 0  # of local arrays
+    lean: bool = False  # see c99.emit
 
     def line(self, text: str) -> None:
         """One more line, indented."""
@@ -326,6 +327,9 @@ class Renderer:
             same = self._resolve(item.args[0]) is self._resolve(item.args[1])
             if same and item.args[0].kind != "real":  # compilers warn about these; a real may be NaN
                 return ("true" if op in ("le", "eq") else "false"), ATOM
+            if self.writer.lean and op in ("eq", "ne") and item.args[0].kind == "real":
+                equal = f"{self._use('real_equal')}({args[0][0]}, {args[1][0]})"
+                return (equal, ATOM) if op == "eq" else (f"!{equal}", SIGNED)
             sign = {"lt": "<", "le": "<=", "eq": "==", "ne": "!="}[op]
             return f"{_paren(args[0], SUM)} {sign} {_paren(args[1], SUM)}", COMPARISON
         operand = self._resolve(item.args[0]).kind

@@ -45,6 +45,14 @@ HELPERS: dict[str, Helper] = {
 }
 """,
     ),
+    "real_equal": _same(  # x == y, for a compiler that is told to warn of that
+        "real_equal",
+        """static inline bool real_equal(real x, real y)
+{
+    return x <= y && x >= y;
+}
+""",
+    ),
     "int32_add": _same(
         "int32_add",
         """static inline int32_t int32_add(int32_t a, int32_t b)
@@ -141,14 +149,14 @@ HELPERS: dict[str, Helper] = {
 {
     uint64_t bits;
     memcpy(&bits, &x, sizeof bits);
-    return x != x ? 0u : (uint32_t)bits;
+    return __builtin_isnan(x) ? 0u : (uint32_t)bits;
 }
 """,
         """static inline uint32_t real_word_0(real x)
 {
     uint32_t bits;
     memcpy(&bits, &x, sizeof bits);
-    return x != x ? 0x7fc00000u : bits;
+    return __builtin_isnan(x) ? 0x7fc00000u : bits;
 }
 """,
     ),
@@ -158,7 +166,7 @@ HELPERS: dict[str, Helper] = {
 {
     uint64_t bits;
     memcpy(&bits, &x, sizeof bits);
-    return x != x ? 0x7ff80000u : (uint32_t)(bits >> 32);
+    return __builtin_isnan(x) ? 0x7ff80000u : (uint32_t)(bits >> 32);
 }
 """,
         """static inline uint32_t real_word_1(real x)
