@@ -66,12 +66,12 @@ class CompiledLoop:
         self.machine.set_many({f"rig.{name}": value for name, value in lab().snapshot().items()})
         self.machine.set("rig.noise", noise)
         self.machine.reset()
-        self._structs = {kind: np.zeros(1, dtype) for kind, dtype in program.dtypes.items()}
-        p, s, _, _ = self._at = tuple(self._structs[kind].ctypes.data for kind in "PSUY")
+        self._instance = program.backend.instance()
+        structs = self._instance.structs
         for path, parameter in program.flat.parameters.items():
-            self._structs["P"][program.layout.parameters[parameter].name] = self.machine.get(path)
-        program.c_prepare(p)
-        program.c_init(p, s)
+            structs["P"][program.layout.parameters[parameter].name] = self.machine.get(path)
+        self._instance.prepare()
+        self._instance.init()
 
     def run(self, ticks: int, setpoints: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
         """As a user runs it: all outputs of `ticks` ticks as arrays."""
@@ -79,10 +79,10 @@ class CompiledLoop:
 
     def spin(self, ticks: int, setpoints: Mapping[str, Any]) -> None:
         """The compiled code alone, keeping only the last outputs."""
+        structs = self._instance.structs
         for name, value in setpoints.items():
-            self._structs["U"][self.program.layout.inputs[self.program.flat.inputs[name]].name] = value
-        p, s, u, y = self._at
-        self.program.c_run(p, s, u, 0, y, 0, ticks)
+            structs["U"][self.program.layout.inputs[self.program.flat.inputs[name]].name] = value
+        self._instance.run(ticks, structs["U"], structs["Y"])
 
 
 def numbered(setpoints: Mapping[str, Any]) -> dict[str, Any]:

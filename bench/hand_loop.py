@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twodof.compile import Machine
-from twodof.compile.native import find_compiler
+from twodof.compile.toolchain import find_compiler
 from twodof.errors import CompileError, ParameterError
 
 FOLDER = Path(__file__).with_name("hand")

@@ -15,10 +15,11 @@ from twodof.blocks import Diagram, numbers
 from twodof.blocks.graph import walk
 from twodof.blocks.numbers import Integer
 from twodof.blocks.reference import Reference
-from twodof.compile import native
+from twodof.compile import native, toolchain
 from twodof.compile.c99 import Source, emit
 from twodof.compile.lower import lower
 from twodof.compile.program import Program
+from twodof.compile.target import Emitted
 
 DT = 0.01
 Columns = dict[str, NDArray[Any]]
@@ -130,11 +131,11 @@ def differences(
     flags: Sequence[str] = (),
 ) -> list[str]:
     """Every signal and state that differs from the reference, described."""
-    library = native.load(source.text, native.find_compiler(compiler), optimise, flags=flags)
+    library = native.load(source.text, toolchain.find_compiler(compiler), optimise, flags=flags)
     found = []
     for case, (columns, states), flat in zip(cases, expected, lowered, strict=True):
-        layout = source.layouts[case.diagram.name]
-        machine = Program(flat, source.text, layout, source.precision, library).machine()
+        emitted = Emitted(flat, source.text, source.layouts[case.diagram.name], source.precision)
+        machine = Program(emitted, native.NativeBackend(emitted, library)).machine()
         results = machine.run(len(case.rows), case.columns())
         for name, want in columns.items():
             at = np.flatnonzero(~same(want, results[name]))

@@ -15,7 +15,7 @@ from tests.compile import examples
 from tests.compile.differential import random_cases, sources
 from twodof.blocks import Block, Diagram, Param, Port, State, sin, to_int32, to_real, to_uint32
 from twodof.blocks.reference import Reference
-from twodof.compile import build, native
+from twodof.compile import build, native, toolchain
 from twodof.compile.cexpr import constant
 from twodof.compile.program import emit_program
 
@@ -26,7 +26,7 @@ ALL = [examples.loop, examples.switched, examples.edge, examples.delay]
 def strictly(compiler: str, source: str, folder: Path, *more: str) -> subprocess.CompletedProcess[str]:
     file = folder / "emitted.c"
     file.write_text(source, encoding="utf-8")
-    found = native.find_compiler(compiler)
+    found = toolchain.find_compiler(compiler)
     command = [*found.command, *STRICT, *found.flags, *more, "-c", "-o", str(folder / "emitted.o"), str(file)]
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
@@ -82,7 +82,7 @@ def test_a_users_text_cannot_leave_its_comment() -> None:
     assert "main" not in code
     assert "#error /" not in code
     assert not re.search(r'"[^"\n]*\n', re.sub(r'"[^"\n]*"', "", code))
-    assert native.load(source, native.find_compiler("zig"), "-O0") is not None
+    assert native.load(source, toolchain.find_compiler("zig"), "-O0") is not None
 
 
 def test_constants_are_exact() -> None:
@@ -127,7 +127,7 @@ int main(void)
 
 def test_the_tables_lead_a_c_program_to_parameters_and_signals(tmp_path: Path) -> None:
     (tmp_path / "main.c").write_text(emit_program(examples.loop(), 0.01).source + MAIN, encoding="utf-8")
-    found = native.find_compiler()
+    found = toolchain.find_compiler()
     command = [*found.command, "-std=c99", *found.flags, "-o", str(tmp_path / "main"), str(tmp_path / "main.c")]
     subprocess.run(command, check=True)
     said = subprocess.run([str(tmp_path / "main")], capture_output=True, text=True, check=True).stdout.splitlines()

@@ -1,137 +1,25 @@
-"""The cache of compiled libraries: two processes at once, damage, no right to write, other flags."""
+"""Shared objects in this process."""
 
 from __future__ import annotations
 
-import ctypes
-import os
-import stat
 import subprocess
 import sys
-import time
-from pathlib import Path
 
 import pytest
 
-from twodof.compile import native
-from twodof.errors import CompileError
-
 SOURCE = "int twodof_answer(void) { return 42; }\n"
-
-
-@pytest.fixture(autouse=True)
-def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setenv("TWODOF_CACHE", str(tmp_path / "cache"))
-    return tmp_path / "cache"
-
-
-def answer(library: ctypes.CDLL) -> int:
-    return int(library.twodof_answer())
-
-
-def test_the_second_time_no_compiler_runs(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    compiler = native.find_compiler()
-    assert answer(native.load(SOURCE, compiler)) == 42
-    assert len(list(cache.glob("*.so"))) == 1
-    assert stat.S_IMODE(cache.stat().st_mode) == 0o700
-
-    def never(*_: object) -> None:
-        raise AssertionError
-
-    monkeypatch.setattr(native, "_compile", never)
-    start = time.perf_counter()
-    assert answer(native.load(SOURCE, compiler)) == 42
-    assert time.perf_counter() - start < 0.5  # milliseconds, on an idle machine
-
-
-def test_source_flags_and_compiler_are_in_the_key(cache: Path) -> None:
-    gcc, zig = native.find_compiler(), native.find_compiler("zig")
-    native.load(SOURCE, gcc)
-    native.load(SOURCE, gcc, "-O0")
-    native.load(SOURCE, gcc, native=False)
-    native.load(SOURCE, gcc, flags=["-DX=1"])
-    native.load(SOURCE.replace("42", "43"), gcc)
-    native.load(SOURCE, zig)
-    assert len(list(cache.glob("*.so"))) == 6
-    assert [p for p in cache.iterdir() if p.suffix != ".so"] == []  # nothing is left over
-
-
-@pytest.mark.parametrize("damage", [b"", b"\x7fELF", None])
-def test_a_damaged_entry_is_made_anew(cache: Path, damage: bytes | None) -> None:
-    compiler = native.find_compiler()
-    native.load(SOURCE.replace("42", "44"), compiler)
-    (entry,) = cache.glob("*.so")
-    whole = entry.read_bytes()
-    entry.unlink()  # the old file stays mapped in this process
-    entry.write_bytes(whole[: len(whole) // 2] if damage is None else damage)
-    assert answer(native.load(SOURCE.replace("42", "44"), compiler)) == 44
-    assert native._whole(entry)
-
-
-def test_a_flipped_bit_is_noticed(cache: Path) -> None:
-    native.load(SOURCE, native.find_compiler())
-    (entry,) = cache.glob("*.so")
-    data = bytearray(entry.read_bytes())
-    data[len(data) // 2] ^= 1
-    entry.unlink()
-    entry.write_bytes(bytes(data))
-    assert not native._whole(entry)
-
-
-def test_a_cache_that_cannot_be_written_is_done_without(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    blocked = tmp_path / "file"
-    blocked.write_text("not a folder", encoding="utf-8")
-    monkeypatch.setenv("TWODOF_CACHE", str(blocked / "cache"))
-    assert answer(native.load(SOURCE, native.find_compiler())) == 42
-    if os.geteuid() != 0:  # root may write everywhere
-        closed = tmp_path / "closed"
-        closed.mkdir(mode=0o500)
-        monkeypatch.setenv("TWODOF_CACHE", str(closed))
-        assert answer(native.load(SOURCE, native.find_compiler())) == 42
-
-
-def test_processes_that_build_the_same_at_once_all_get_it(cache: Path) -> None:
-    code = (
-        f"from twodof.compile import native\nprint(native.load({SOURCE!r}, native.find_compiler()).twodof_answer())\n"
-    )
-    started = [subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) for _ in range(3)]
-    assert [p.communicate(timeout=120)[0].strip() for p in started] == ["42"] * 3
-    assert len(list(cache.iterdir())) == 1
-
-
-def test_what_a_compiler_says_is_passed_on(cache: Path) -> None:
-    with pytest.raises(CompileError, match="refused"):
-        native.load("int broken(", native.find_compiler())
-    assert list(cache.iterdir()) == []
-
-
-def test_a_compiler_that_is_missing_or_broken_is_an_error(tmp_path: Path) -> None:
-    with pytest.raises(CompileError, match="no C compiler"):
-        native.find_compiler("no-such-compiler")
-    broken = tmp_path / "cc"
-    broken.write_text("#!/no/such/interpreter\n", encoding="utf-8")
-    broken.chmod(0o755)
-    with pytest.raises(CompileError, match="does not start"):
-        native.load(SOURCE, native.find_compiler(str(broken)))
-
-
-def test_the_cache_does_not_grow_for_ever(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(native, "MOST_ENTRIES", 3)
-    compiler = native.find_compiler()
-    for k in range(6):
-        native.load(SOURCE.replace("42", str(k)), compiler, "-O0")
-    assert len(list(cache.glob("*.so"))) <= 4
 
 
 def test_a_process_that_flushes_subnormals_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     code = (
         "import ctypes, sys\n"
-        "from twodof.compile import native\n"
+        "from twodof.compile import native, toolchain\n"
         "from twodof.errors import CompileError\n"
         "flush = native.load('#include <xmmintrin.h>\\nvoid flush(void) { _mm_setcsr(_mm_getcsr() | 0x8040); }',\n"
-        "                    native.find_compiler())\n"
+        "                    toolchain.find_compiler())\n"
         "flush.flush()\n"
         "try:\n"
-        f"    native.load({SOURCE!r}, native.find_compiler())\n"
+        f"    native.load({SOURCE!r}, toolchain.find_compiler())\n"
         "except CompileError as error:\n"
         "    print(error.what)\n"
     )
@@ -139,21 +27,3 @@ def test_a_process_that_flushes_subnormals_is_refused(monkeypatch: pytest.Monkey
     if "xmmintrin.h" in done.stderr:
         pytest.skip("not an x86 processor")
     assert "subnormal" in done.stdout, done.stderr
-
-
-def test_without_a_home_a_folder_that_others_can_write_is_not_trusted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def homeless() -> Path:
-        raise RuntimeError("no home")
-
-    for name in ("TWODOF_CACHE", "XDG_CACHE_HOME"):
-        monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr(Path, "home", homeless)
-    monkeypatch.setattr(native.tempfile, "tempdir", str(tmp_path))
-    own = native.cache_folder()
-    assert own.parent == tmp_path
-    assert native.cache_folder() == own
-    assert own.stat().st_mode & 0o077 == 0
-    own.chmod(0o777)
-    assert native.cache_folder() != own

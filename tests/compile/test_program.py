@@ -13,7 +13,7 @@ from twodof.blocks import Block, Diagram, Param, Port, int32, sqrt
 from twodof.blocks import build as build_array
 from twodof.blocks.library import Constant, DiscreteIntegrator, Gain, Sum
 from twodof.blocks.reference import Reference
-from twodof.compile import Machine, Program, build, native
+from twodof.compile import Machine, Program, build, toolchain
 from twodof.errors import CompileError, DiagramError, ParameterError
 
 DIAGRAMS: list[tuple[Callable[[], Diagram], tuple[str, ...], dict[str, Any]]] = [
@@ -206,10 +206,10 @@ def test_mistakes_raise(call: Callable[[Machine], Any], error: type[Exception]) 
 
 
 def test_a_missing_compiler_gives_the_reference_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    def nowhere(name: str | None = None) -> native.Compiler:
+    def nowhere(name: str | None = None) -> toolchain.Compiler:
         raise CompileError("there is no C compiler")
 
-    monkeypatch.setattr(native, "find_compiler", nowhere)
+    monkeypatch.setattr(toolchain, "find_compiler", nowhere)
     with pytest.warns(RuntimeWarning, match="reference interpreter"):
         program = build(examples.loop(), 0.01)
     assert isinstance(program, Reference)

@@ -1,5 +1,6 @@
-"""From a diagram to C99 and to machine code. See docs/language.md section 6."""
+"""From a diagram to C99 and to machine code. See docs/language.md section 6 and docs/compilation.md."""
 
-from twodof.compile.program import Machine, Program, build
+from twodof.compile.machine import Machine
+from twodof.compile.program import Program, build
 
 __all__ = ["Machine", "Program", "build"]

@@ -1,120 +1,24 @@
-"""Shared libraries from C source: built by the system's compiler or the one in the ziglang wheel, cached by content."""
+"""Native code: shared objects from C source, loaded into this process."""
 
 from __future__ import annotations
 
 import ctypes
-import functools
-import hashlib
-import importlib.util
-import os
 import platform
-import shutil
-import stat
-import subprocess
-import sys
-import tempfile
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
+from functools import partial
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from twodof.compile import toolchain
+from twodof.compile.target import Emitted
+from twodof.compile.toolchain import Compiler
 from twodof.errors import CompileError
 
-# Every target gives the same bits only under these; see the rules at the head of the emitted file.
-FLAGS = (
-    "-std=c99",
-    "-fPIC",
-    "-shared",
-    "-ffp-contract=off",
-    "-fno-math-errno",
-    # No branch around what is cheaper computed for nothing; changes no result, as no IEEE exception is looked at.
-    "-fno-trapping-math",
-    # Packed stores of neighbouring states that are loaded one by one right after, or the other way, wait for memory.
-    "-fno-tree-slp-vectorize",
-    "-w",
-)
-ABI = "twodof-native-1"
-BUILD_SECONDS = 600
-MOST_ENTRIES = 2000
-
-
-@dataclass(frozen=True)
-class Compiler:
-    """A C compiler: its command line's beginning, and the flags only it needs."""
-
-    name: str
-    command: tuple[str, ...]
-    flags: tuple[str, ...] = ()
-
-    def identity(self) -> str:
-        """What changes when the compiler does: the resolved program, its size and its time."""
-        path = Path(self.command[0])
-        if self.name == "zig" and len(self.command) > 2:
-            found = importlib.util.find_spec("ziglang")
-            path = Path(found.origin) if found is not None and found.origin else path
-        path = path.resolve()
-        stat = path.stat()
-        return f"{self.name} {path} {stat.st_size} {stat.st_mtime_ns}"
-
-
-def find_compiler(name: str | None = None) -> Compiler:
-    """The compiler called `name` ("cc", "gcc", "clang", "zig" or a path), or else the first there is.
-
-    Raises CompileError if it is not there.
-    """
-    for candidate in (name,) if name else ("cc", "gcc", "clang", "zig"):
-        if candidate == "zig":
-            zig = shutil.which("zig")
-            if importlib.util.find_spec("ziglang") is not None:
-                return Compiler("zig", (sys.executable, "-m", "ziglang", "cc"), ("-fno-sanitize=undefined",))
-            if zig:
-                return Compiler("zig", (zig, "cc"), ("-fno-sanitize=undefined",))
-            continue
-        path = shutil.which(candidate)
-        if path:
-            return Compiler(candidate, (path,))
-    raise CompileError(
-        f"there is no C compiler {name!r}" if name else "there is no C compiler",
-        "",
-        "install cc, or the wheel ziglang (`pip install ziglang`)",
-    )
-
-
-@functools.cache
-def processor() -> str:
-    """What `-march=native` depends on."""
-    try:
-        first = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").partition("\n\n")[0]
-    except OSError:
-        first = platform.processor()
-    volatile = ("processor", "cpu MHz", "bogomips", "apicid", "initial apicid", "core id", "physical id", "microcode")
-    lines = [line for line in first.splitlines() if not line.lower().startswith(tuple(v.lower() for v in volatile))]
-    return f"{platform.machine()} {platform.system()} {hashlib.sha256(chr(10).join(lines).encode()).hexdigest()}"
-
-
-def cache_folder() -> Path:
-    """The user's folder of compiled libraries: TWODOF_CACHE, or XDG_CACHE_HOME/twodof, or ~/.cache/twodof."""
-    named = os.environ.get("TWODOF_CACHE")
-    if named:
-        return Path(named)
-    base = os.environ.get("XDG_CACHE_HOME")
-    try:
-        return (Path(base) if base else Path.home() / ".cache") / "twodof"
-    except RuntimeError:  # no home
-        return _private_folder(Path(tempfile.gettempdir()) / f"twodof-{os.getuid()}")
-
-
-def _private_folder(folder: Path) -> Path:
-    """`folder`, made if it is not there; a fresh one instead if others could have put a library into it."""
-    try:
-        folder.mkdir(mode=0o700, exist_ok=True)
-        found = folder.lstat()
-    except OSError:
-        return Path(tempfile.mkdtemp(prefix="twodof-"))
-    ours = stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o022
-    return folder if ours else Path(tempfile.mkdtemp(prefix="twodof-"))
+FLAGS = (*toolchain.FLAGS, "-fPIC", "-shared")
 
 
 def load(
@@ -128,75 +32,18 @@ def load(
     _check_subnormals()
     march = ("-mcpu=native" if platform.machine() in ("arm64", "aarch64") else "-march=native",) if native else ()
     options = (*FLAGS, optimise, *march, *compiler.flags, *flags)
-    cpu = processor() if native else platform.machine()
-    key = hashlib.sha256("\0".join((ABI, source, compiler.identity(), *options, cpu)).encode()).hexdigest()
-    folder = cache_folder()
-    entry = folder / f"{key}.so"
-    if _whole(entry):
-        with suppress(OSError):
-            return ctypes.CDLL(str(entry))
-    try:
-        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-        work = tempfile.TemporaryDirectory(dir=folder, prefix="build-")
-    except OSError:  # a cache that cannot be written is no reason not to run
-        work = tempfile.TemporaryDirectory(prefix="twodof-")
-    with work as name:
-        made = Path(name) / "program.so"
-        _compile(source, made, compiler, options)
-        _seal(made)
-        if made.parent.parent == folder:
-            made.replace(entry)  # atomic: another process sees the old file, none, or the whole new one
-            _prune(folder)
-            made = entry
-        return ctypes.CDLL(str(made))  # stays mapped when its file goes
-
-
-def _compile(source: str, target: Path, compiler: Compiler, options: Sequence[str]) -> None:
-    file = target.with_suffix(".c")
-    file.write_text(source, encoding="utf-8")
-    command = [*compiler.command, *options, "-o", str(target), str(file)]
-    try:
-        done = subprocess.run(command, capture_output=True, timeout=BUILD_SECONDS, check=False)
-    except subprocess.TimeoutExpired as error:
-        raise CompileError(
-            f"it did not end within {BUILD_SECONDS} s", compiler.name, "make the diagram smaller"
-        ) from error
-    except OSError as error:
-        raise CompileError(f"it does not start: {error}", compiler.name, "install a working C compiler") from error
-    if done.returncode or not target.is_file():
-        said = done.stderr.decode("utf-8", "replace").strip()[-2000:]
-        raise CompileError(
-            f"it refused the C that was generated: {said or f'exit status {done.returncode}'}",
-            compiler.name,
-            "check that the compiler works; if it does, this is a fault of twodof",
-        )
-
-
-def _seal(file: Path) -> None:
-    """Append a digest, which the loader of libraries ignores and `_whole` checks."""
-    data = file.read_bytes()
-    with file.open("ab") as stream:
-        stream.write(hashlib.sha256(data).digest())
-        stream.flush()
-        os.fsync(stream.fileno())
-
-
-def _whole(file: Path) -> bool:
-    try:
-        data = file.read_bytes()
-    except OSError:
-        return False
-    return len(data) > 32 and hashlib.sha256(data[:-32]).digest() == data[-32:]
-
-
-def _prune(folder: Path) -> None:
-    """Forget the oldest entries of a cache that has grown too large."""
-    entries = list(folder.glob("*.so"))
-    if len(entries) <= MOST_ENTRIES:
-        return
-    with suppress(OSError):
-        for old in sorted(entries, key=lambda f: f.stat().st_mtime_ns)[: len(entries) // 2]:
-            old.unlink(missing_ok=True)
+    cpu = toolchain.processor() if native else platform.machine()
+    with suppress(OSError), toolchain.compiled(source, compiler, options, ".so", cpu) as file:
+        return ctypes.CDLL(str(file))  # stays mapped when its file goes
+    with toolchain.compiled(source, compiler, options, ".so", cpu, afresh=True) as file:
+        try:
+            return ctypes.CDLL(str(file))
+        except OSError as error:
+            raise CompileError(
+                f"its library does not load: {error}",
+                compiler.name,
+                "let TWODOF_CACHE name a folder whose files may be executed",
+            ) from error
 
 
 def _check_subnormals() -> None:
@@ -207,3 +54,68 @@ def _check_subnormals() -> None:
             "",
             "find the imported library that was built with -ffast-math, and import it after twodof or not at all",
         )
+
+
+@dataclass(frozen=True)
+class Native:
+    """This processor. `compiler` is "cc", "gcc", "clang", "zig" or a path; `cpu` tunes for this very processor."""
+
+    compiler: str | None = None
+    optimise: str = "-O3"
+    cpu: bool = True
+    flags: tuple[str, ...] = ()
+    name = "native"
+
+    def compile(self, programs: Sequence[Emitted]) -> list[NativeBackend]:
+        """The programs of one source in one library; raises CompileError, see `load`."""
+        found = toolchain.find_compiler(self.compiler)
+        library = load(programs[0].source, found, self.optimise, self.cpu, self.flags)
+        return [NativeBackend(program, library) for program in programs]
+
+
+class NativeBackend:
+    """A program's functions in a loaded library.
+
+    Raises CompileError if the library's structs are not of the expected sizes.
+    """
+
+    def __init__(self, program: Emitted, library: ctypes.CDLL) -> None:
+        self.program = program
+        self.library = library
+        sizes = list((ctypes.c_size_t * 5).in_dll(library, f"{program.name}_sizes"))
+        if sizes != program.sizes:
+            raise CompileError(
+                f"its structs have the sizes {sizes}, expected {program.sizes}", program.name, "report this as a fault"
+            )
+        pointer, size = ctypes.c_void_p, ctypes.c_size_t
+        self.defaults = self._function("defaults", pointer)
+        self.prepare = self._function("prepare", pointer)
+        self.init = self._function("init", pointer, pointer)
+        self.step = self._function("step", pointer, pointer, pointer, pointer)
+        self.run = self._function("run", pointer, pointer, pointer, size, pointer, size, size)
+
+    def _function(self, name: str, *arguments: Any) -> Any:
+        function = getattr(self.library, f"{self.program.name}_{name}")
+        function.argtypes, function.restype = arguments, None
+        return function
+
+    def instance(self) -> NativeInstance:
+        """A fresh instance; its structs are numpy's memory."""
+        return NativeInstance(self)
+
+
+class NativeInstance:
+    """Structs of one instance; the calls are C functions bound to their addresses, with no Python between."""
+
+    def __init__(self, backend: NativeBackend) -> None:
+        self.structs: dict[str, NDArray[Any]] = {k: np.zeros(1, t) for k, t in backend.program.dtypes.items()}
+        p, s, u, y = (self.structs[k].ctypes.data for k in "PSUY")
+        self.defaults = partial(backend.defaults, p)
+        self.prepare = partial(backend.prepare, p)
+        self.init = partial(backend.init, p, s)
+        self.step = partial(backend.step, p, s, u, y)
+        self._run = partial(backend.run, p, s)
+
+    def run(self, steps: int, u: NDArray[Any], y: NDArray[Any]) -> None:
+        """`steps` ticks on the caller's own arrays; see `target.Instance`."""
+        self._run(u.ctypes.data, int(len(u) > 1), y.ctypes.data, int(len(y) > 1), steps)

@@ -1,0 +1,96 @@
+"""What a target is: it makes machine code of emitted C, and gives a program's instances their memory and calls."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twodof.compile import flat
+from twodof.compile.layout import Layout
+
+
+@dataclass(frozen=True)
+class Emitted:
+    """A program's C, and what it was made from. `source` may hold other programs too."""
+
+    flat: flat.Program
+    source: str
+    layout: Layout
+    precision: str
+
+    @property
+    def name(self) -> str:
+        """The prefix of its names in C."""
+        return self.flat.name
+
+    @cached_property
+    def dtypes(self) -> dict[str, np.dtype[Any]]:
+        """The numpy types of the structs "P", "S", "U" and "Y", on all targets alike."""
+        return self.layout.dtypes(self.precision)
+
+    @cached_property
+    def sizes(self) -> list[int]:
+        """Sizes [bytes] of real, P, S, U and Y."""
+        return [np.dtype(self.precision).itemsize, *(self.dtypes[k].itemsize for k in "PSUY")]
+
+
+class Instance(Protocol):
+    """One running program: its structs, and calls that work on them.
+
+    A target whose memory is elsewhere (an emulator) carries the structs there and back in each call: what a caller
+    writes into the arrays between two calls counts, and after a call they hold its results. A call that goes wrong
+    raises ControllerFault.
+    """
+
+    @property
+    def structs(self) -> Mapping[str, NDArray[Any]]:
+        """The structs "P", "S", "U" and "Y": arrays of one element of `Emitted.dtypes`, the same objects for ever."""
+
+    @property
+    def defaults(self) -> Callable[[], None]:
+        """Writes the given parameters' defaults into P."""
+
+    @property
+    def prepare(self) -> Callable[[], None]:
+        """Writes the derived parameters into P."""
+
+    @property
+    def init(self) -> Callable[[], None]:
+        """Writes the initial states into S."""
+
+    @property
+    def step(self) -> Callable[[], None]:
+        """One tick: reads P and U, moves S, writes Y."""
+
+    def run(self, steps: int, u: NDArray[Any], y: NDArray[Any]) -> None:
+        """`steps` ticks on P and S, with the inputs `u` into the outputs `y`, contiguous arrays of their structs.
+
+        Each has `steps` elements, or one, which then is read (or written) at each tick. `u` may be `structs["U"]`;
+        otherwise U and Y stay as they are.
+        """
+
+
+class Backend(Protocol):
+    """A compiled program on its target."""
+
+    def instance(self) -> Instance:
+        """A fresh instance: its memory is its own, and zero."""
+
+
+class Target(Protocol):
+    """A kind of machine code, with its compiler's options."""
+
+    @property
+    def name(self) -> str:
+        """As in `build(..., target=name)`."""
+
+    def compile(self, programs: Sequence[Emitted]) -> Sequence[Backend]:
+        """Compiles `programs`, which stand in one source, and gives their backends.
+
+        Raises CompileError if the tool chain is not there, with the package that gives it, or refuses the source.
+        """

@@ -1,0 +1,225 @@
+"""Compilers, and the cache of what they made: libraries, WebAssembly modules, images, by content."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import importlib.util
+import os
+import platform
+import shutil
+import stat
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from twodof.errors import CompileError
+
+# Every target gives the same bits only under these; see the rules at the head of the emitted file.
+FLAGS = (
+    "-std=c99",
+    "-ffp-contract=off",
+    "-fno-math-errno",
+    # No branch around what is cheaper computed for nothing; changes no result, as no IEEE exception is looked at.
+    "-fno-trapping-math",
+    # Packed stores of neighbouring states that are loaded one by one right after, or the other way, wait for memory.
+    "-fno-tree-slp-vectorize",
+    "-w",
+)
+CACHE_VERSION = "twodof-cache-2"
+BUILD_SECONDS = 600
+MOST_ENTRIES = 2000
+_SEAL = hashlib.sha256().digest_size
+
+
+@dataclass(frozen=True)
+class Compiler:
+    """A C compiler: its command line's beginning, and the flags only it needs."""
+
+    name: str
+    command: tuple[str, ...]
+    flags: tuple[str, ...] = ()
+
+    def identity(self) -> str:
+        """What changes when the compiler does: the resolved program, its size and its time."""
+        path = Path(self.command[0])
+        if self.name == "zig" and len(self.command) > 2:
+            found = importlib.util.find_spec("ziglang")
+            path = Path(found.origin) if found is not None and found.origin else path
+        path = path.resolve()
+        stat = path.stat()
+        return f"{self.name} {path} {stat.st_size} {stat.st_mtime_ns}"
+
+
+def find_compiler(name: str | None = None) -> Compiler:
+    """The compiler called `name` ("cc", "gcc", "clang", "zig" or a path), or else the first there is.
+
+    Raises CompileError if it is not there.
+    """
+    for candidate in (name,) if name else ("cc", "gcc", "clang", "zig"):
+        if candidate == "zig":
+            zig = shutil.which("zig")
+            if importlib.util.find_spec("ziglang") is not None:
+                return Compiler("zig", (sys.executable, "-m", "ziglang", "cc"), ("-fno-sanitize=undefined",))
+            if zig:
+                return Compiler("zig", (zig, "cc"), ("-fno-sanitize=undefined",))
+            continue
+        path = shutil.which(candidate)
+        if path:
+            return Compiler(candidate, (path,))
+    raise CompileError(
+        f"there is no C compiler {name!r}" if name else "there is no C compiler",
+        "",
+        "install cc, or the wheel ziglang (`pip install ziglang`)",
+    )
+
+
+@functools.cache
+def processor() -> str:
+    """What `-march=native` depends on."""
+    try:
+        first = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").partition("\n\n")[0]
+    except OSError:
+        first = platform.processor()
+    volatile = ("processor", "cpu MHz", "bogomips", "apicid", "initial apicid", "core id", "physical id", "microcode")
+    lines = [line for line in first.splitlines() if not line.lower().startswith(tuple(v.lower() for v in volatile))]
+    return f"{platform.machine()} {platform.system()} {hashlib.sha256(chr(10).join(lines).encode()).hexdigest()}"
+
+
+def cache_folder() -> Path:
+    """The user's folder of what was compiled: TWODOF_CACHE, or XDG_CACHE_HOME/twodof, or ~/.cache/twodof."""
+    named = os.environ.get("TWODOF_CACHE")
+    if named:
+        return Path(named)
+    base = os.environ.get("XDG_CACHE_HOME")
+    try:
+        return (Path(base) if base else Path.home() / ".cache") / "twodof"
+    except RuntimeError:  # no home
+        return _private_folder(Path(tempfile.gettempdir()) / f"twodof-{os.getuid()}")
+
+
+def _private_folder(folder: Path) -> Path:
+    """`folder`, made if it is not there; a fresh one instead if others could have put a library into it."""
+    try:
+        folder.mkdir(mode=0o700, exist_ok=True)
+        found = folder.lstat()
+    except OSError:
+        return Path(tempfile.mkdtemp(prefix="twodof-"))
+    ours = stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o022
+    return folder if ours else Path(tempfile.mkdtemp(prefix="twodof-"))
+
+
+@contextmanager
+def compiled(
+    source: str,
+    compiler: Compiler,
+    options: Sequence[str],
+    suffix: str,
+    depends: str = "",
+    files: Mapping[str, str] | None = None,
+    afresh: bool = False,
+) -> Iterator[Path]:
+    """The file that `compiler` makes of the C `source` with `options`, from the cache if it is there.
+
+    `suffix` ends its name (".so", ".wasm", ".elf"). `depends` is what else decides its bytes (the processor, with
+    `-march=native`). `files` (name -> text) are written beside the source, where the compiler runs, so that an option
+    may name them (a linker script). The file ends with a seal, which loaders of shared objects and ELF ignore;
+    `contents` gives the bytes without it. It may be gone after the `with`. `afresh` makes it even if it is there.
+    Raises CompileError if the compiler refuses or hangs.
+    """
+    files = files or {}
+    named = [part for item in sorted(files.items()) for part in item]
+    key = (source, compiler.identity(), *options, depends, *named)
+    with cached(key, suffix, lambda made: compile_c(source, made, compiler, options, files), afresh) as file:
+        yield file
+
+
+@contextmanager
+def cached(key: Sequence[str], suffix: str, make: Callable[[Path], None], afresh: bool = False) -> Iterator[Path]:
+    """The sealed file that `make(path)` writes for what `key` says, from the cache if it is there.
+
+    It appears in the cache at once or not at all, so that several processes may make the same. `make` may leave other
+    files in the folder of its path. Where the cache cannot be written it is done without.
+    """
+    digest = hashlib.sha256("\0".join((CACHE_VERSION, *key)).encode()).hexdigest()
+    folder = cache_folder()
+    entry = folder / f"{digest}{suffix}"
+    if not afresh and whole(entry):
+        yield entry
+        return
+    try:
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        work = tempfile.TemporaryDirectory(dir=folder, prefix="build-")
+    except OSError:  # a cache that cannot be written is no reason not to run
+        work = tempfile.TemporaryDirectory(prefix="twodof-")
+    with work as name:
+        made = Path(name) / f"program{suffix}"
+        make(made)
+        _seal(made)
+        if made.parent.parent == folder:
+            made.replace(entry)  # atomic: another process sees the old file, none, or the whole new one
+            _prune(folder)
+            made = entry
+        yield made
+
+
+def compile_c(
+    source: str, target: Path, compiler: Compiler, options: Sequence[str], files: Mapping[str, str] | None = None
+) -> None:
+    """Write what `compiler` makes of `source` to `target`, whose folder is its working directory; see `compiled`."""
+    file = target.with_suffix(".c")
+    for path, text in {file: source, **{target.parent / n: t for n, t in (files or {}).items()}}.items():
+        path.write_text(text, encoding="utf-8")
+    command = [*compiler.command, *options, "-o", str(target), str(file)]
+    try:
+        done = subprocess.run(command, capture_output=True, timeout=BUILD_SECONDS, check=False, cwd=target.parent)
+    except subprocess.TimeoutExpired as error:
+        raise CompileError(
+            f"it did not end within {BUILD_SECONDS} s", compiler.name, "make the diagram smaller"
+        ) from error
+    except OSError as error:
+        raise CompileError(f"it does not start: {error}", compiler.name, "install a working C compiler") from error
+    if done.returncode or not target.is_file():
+        said = done.stderr.decode("utf-8", "replace").strip()[-2000:]
+        raise CompileError(
+            f"it refused the C that was generated: {said or f'exit status {done.returncode}'}",
+            compiler.name,
+            "check that the compiler works; if it does, this is a fault of twodof",
+        )
+
+
+def contents(file: Path) -> bytes:
+    """The bytes of a file of the cache, without its seal."""
+    return file.read_bytes()[:-_SEAL]
+
+
+def whole(file: Path) -> bool:
+    """Whether `file` is there and its seal is that of its bytes."""
+    try:
+        data = file.read_bytes()
+    except OSError:
+        return False
+    return len(data) > _SEAL and hashlib.sha256(data[:-_SEAL]).digest() == data[-_SEAL:]
+
+
+def _seal(file: Path) -> None:
+    """Append the digest of its bytes."""
+    data = file.read_bytes()
+    with file.open("ab") as stream:
+        stream.write(hashlib.sha256(data).digest())
+        stream.flush()
+        os.fsync(stream.fileno())
+
+
+def _prune(folder: Path) -> None:
+    """Forget the oldest entries of a cache that has grown too large."""
+    entries = [file for file in folder.iterdir() if file.is_file()]
+    if len(entries) <= MOST_ENTRIES:
+        return
+    with suppress(OSError):
+        for old in sorted(entries, key=lambda f: f.stat().st_mtime_ns)[: len(entries) // 2]:
+            old.unlink(missing_ok=True)
