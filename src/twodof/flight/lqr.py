@@ -1,0 +1,73 @@
+"""LQR: state feedback of the pitch axis with the moments under way as states, and an integral; gains by Riccati."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import radians
+
+import numpy as np
+from scipy.linalg import LinAlgError, solve_discrete_are
+
+from twodof.errors import ParameterError
+from twodof.flight.templates import PERIOD
+from twodof.models.lti import StateSpace
+from twodof.models.plant import PAPER_PITCH_RATE, PitchRate
+
+
+@dataclass(frozen=True)
+class LqrGains:
+    """M = -state . x - integral * (sum of T y) - history . (M of the steps before, the latest first).
+
+    `state` (n,) are the gains on the plant's states, `history` those on the moments that are still under way (as many
+    as the delay has steps), `integral` that on the backward-Euler integral of the output y that is brought to 0.
+    """
+
+    state: tuple[float, ...]
+    integral: float
+    history: tuple[float, ...]
+
+
+def lqr(
+    plant: StateSpace, output: int, largest: tuple[float, ...], largest_integral: float, largest_moment: float
+) -> LqrGains:
+    """The gains that minimise the sum of (x_i / largest_i)^2 + (integral / largest_integral)^2 +
+    (M / largest_moment)^2.
+
+    `plant` has one input and its states as outputs; sampled every 4 ms, its delayed inputs become states, so that the
+    feedback predicts over the delay (Astrom and Wittenmark, Computer-Controlled Systems, sections 2.3 and 11.4). The
+    weights are one over the square of what is acceptable (Bryson's rule); a state whose `largest` is infinite does not
+    count. Raises ParameterError where no feedback stabilises the plant and the integral.
+    """
+    a, b, c, _ = plant.zero_order_hold(PERIOD).augmented()
+    n, size = len(plant.a), len(a)
+    y = c[output]
+    # The integral of a step has that step's own sample in it, as the controller's has: I' = I + T y'.
+    phi = np.block([[a, np.zeros((size, 1))], [PERIOD * (y @ a), np.ones((1, 1))]])
+    gamma = np.vstack([b, [PERIOD * (y @ b)]])
+    weights = np.zeros(size + 1)
+    weights[:n] = 1.0 / np.square(largest)
+    weights[-1] = 1.0 / largest_integral**2
+    moment = np.array([[1.0 / largest_moment**2]])
+    try:
+        cost = solve_discrete_are(phi, gamma, np.diag(weights), moment)
+    except LinAlgError as reason:
+        raise ParameterError(
+            f"no state feedback stabilises it: {reason}", "lqr", "choose an output whose integral the input can move"
+        ) from reason
+    gains = np.linalg.solve(moment + gamma.T @ cost @ gamma, gamma.T @ cost @ phi)[0]
+    return LqrGains(tuple(gains[:n].tolist()), float(gains[-1]), tuple(gains[n:size].tolist()))
+
+
+def attitude_lqr(plant: PitchRate = PAPER_PITCH_RATE) -> LqrGains:
+    """Gains on (theta, q) and the integral of theta, for errors of 10 deg, 3 rad/s and .1 rad s at a moment of .1."""
+    return lqr(plant.state_space(), 0, (radians(10.0), 3.0), 0.1, 0.1)
+
+
+def rate_lqr(plant: PitchRate = PAPER_PITCH_RATE) -> LqrGains:
+    """Gains on q and its integral, for errors of 1 rad/s and .2 rad at a moment of .06.
+
+    The spring is left out: it makes the integral of q, which is theta, return by itself, so that no constant moment
+    holds a rate and the feedback of both would not exist.
+    """
+    rigid = StateSpace.of([[0.0]], [plant.mu], [[1.0]], [[0.0]], plant.tau)
+    return lqr(rigid, 0, (1.0,), 0.2, 0.06)

@@ -1,0 +1,84 @@
+"""Starter diagrams by name, and diagrams from files: what a user's controller begins as."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import MappingProxyType
+
+from twodof.blocks import Diagram
+from twodof.blocks.schema import MAX_BYTES, from_json, to_json
+from twodof.errors import DiagramError
+from twodof.flight.starters import attitude, motor, position
+from twodof.flightlog.atomic import atomic_write
+
+STARTERS: Mapping[str, Callable[[], Diagram]] = MappingProxyType(
+    {
+        "stock-attitude": attitude.stock_attitude,
+        "pid-attitude": attitude.pid_attitude,
+        "lqr-attitude": attitude.lqr_attitude,
+        "notch-attitude": attitude.notch_attitude,
+        "empty-attitude": attitude.empty_attitude,
+        "stock-position": position.stock_position,
+        "pid-position": position.pid_position,
+        "empty-position": position.empty_position,
+        "stock-motor": motor.stock_motor,
+        "direct-motor": motor.direct_motor,
+        "empty-motor": motor.empty_motor,
+    }
+)
+"""What makes each starter diagram."""
+
+
+def starter(name: str) -> Diagram:
+    """The starter diagram called `name`, a fresh one at each call. Raises DiagramError for another name."""
+    if name not in STARTERS:
+        raise DiagramError(f"no starter diagram called {name!r:.80}", "", f"there are: {', '.join(STARTERS)}")
+    return STARTERS[name]()
+
+
+def load_diagram(source: str | Path) -> Diagram:
+    """The starter diagram called `source`, or the diagram in a JSON file, of which nothing is executed.
+
+    Raises DiagramError for a file that cannot be read, is larger than 16 MiB or holds no diagram.
+    """
+    if isinstance(source, str) and source in STARTERS:
+        return starter(source)
+    path = Path(source)
+    try:
+        if not path.is_file():
+            what = "is no file" if path.exists() else "there is no such file or starter diagram"
+            raise DiagramError(what, str(path), f"name a JSON file or one of {', '.join(STARTERS)}")
+        with path.open("rb") as file:
+            text = file.read(MAX_BYTES + 1)
+    except (OSError, ValueError) as reason:
+        why = reason.strerror if isinstance(reason, OSError) else reason
+        raise DiagramError(
+            f"cannot be read: {why}", f"{source!s:.200}", f"name a JSON file or one of {', '.join(STARTERS)}"
+        ) from reason
+    try:
+        return from_json(text)
+    except DiagramError as error:
+        raise DiagramError(error.what, f"{path}: {error.where}".rstrip(": "), error.remedy) from error
+
+
+def save_diagram(diagram: Diagram, path: str | Path) -> None:
+    """Writes `diagram` as JSON that `load_diagram` reads back; an interrupted write leaves the old file.
+
+    Raises DiagramError for a block without a JSON form, LogError where the file system refuses.
+    """
+    text = to_json(diagram)
+    with atomic_write(path, "w") as file:
+        file.write(text)
+
+
+def new_diagram(name: str, path: str | Path, overwrite: bool = False) -> Diagram:
+    """Writes the starter diagram called `name` to the file `path` and returns it.
+
+    Raises DiagramError for another name, and where the file is there already, unless `overwrite` says so.
+    """
+    diagram = starter(name)
+    if not overwrite and Path(path).exists():
+        raise DiagramError("the file is there already", str(path), "choose another name, or remove the file")
+    save_diagram(diagram, path)
+    return diagram

@@ -1,0 +1,191 @@
+"""Starter diagrams for the template attitude_control: the stock loops, a PID, an LQR, a notch, and an empty one."""
+
+from __future__ import annotations
+
+from twodof.blocks import Diagram
+from twodof.blocks.library import (
+    Constant,
+    DiscreteIntegrator,
+    Gain,
+    Logic,
+    MatrixGain,
+    Mux,
+    Notch,
+    Pid,
+    Saturation,
+    Sum,
+    Switch,
+    UnitDelay,
+)
+from twodof.flight.gains import DEFAULT, Gains
+from twodof.flight.loops import AttitudeLoop, RateLoop
+from twodof.flight.lqr import LqrGains, attitude_lqr, rate_lqr
+from twodof.flight.starters.build import tuned, with_ports
+from twodof.flight.templates import ATTITUDE
+
+HOVER_MOMENT = 0.4
+"""In hover, at T = .4, a larger moment stops one pair of rotors and changes the thrust."""
+
+VIBRATION = 38.0
+"""Centre of the band in which the airframe vibrates in hover, by the spectra of the drone's logs [Hz]."""
+
+
+def stock_attitude(gains: Gains = DEFAULT) -> Diagram:
+    """The stock attitude and rate loops, the very blocks of the stock cascade, so with its bits."""
+    d = with_ports(ATTITUDE, "stock_attitude", "attitude P and rate PID of the stock cascade, as they fly")
+    d.add(
+        "attitude",
+        AttitudeLoop(gains.attitude),
+        theta0="theta_0",
+        theta="theta",
+        q0="q_0",
+        closed="FLAG_ATTITUDE_ENABLED",
+        position=(200.0, 60.0),
+    )
+    d.add(
+        "rate",
+        RateLoop(*gains.rate),
+        q0="attitude.q0",
+        q="q",
+        in_reset="FLAG_RESET_INT",
+        position=(400.0, 100.0),
+    )
+    d.output("M", "rate.M")
+    return d
+
+
+def pid_attitude(gains: Gains = DEFAULT) -> Diagram:
+    """The laws of the stock loops drawn with library blocks: equal to them up to rounding, and easy to change."""
+    d = with_ports(ATTITUDE, "pid_attitude", "attitude P and rate PID, block by block")
+    _pitch_loop(d, gains.attitude)
+    d.add("error", Sum("+-", unit="rad/s"), a="q_0_used", b="q", position=(640.0, 100.0))
+    _rate_pid(d, gains, 1.0, "none")
+    d.output("M", "pid")
+    return d
+
+
+def notch_attitude(gains: Gains = DEFAULT) -> Diagram:
+    """The PID with a notch in q at the airframe's vibration (38 Hz), and anti-windup where M is limited to +-.4."""
+    d = with_ports(ATTITUDE, "notch_attitude", "attitude P, rate PID with anti-windup, and a notch against vibration")
+    # The notch takes some 6 deg of phase at the crossover; the outer loop gives them back.
+    _pitch_loop(d, 8.0 if gains is DEFAULT else gains.attitude)
+    tuned(d, "notch_hz", VIBRATION, "Hz", 10.0, 120.0, "frequency of the notch: the airframe's vibration")
+    tuned(d, "notch_width", 0.4, "", 0.0, 2.0, "damping of its poles: the band is 2 notch_width notch_hz wide")
+    tuned(d, "notch_depth", 0.1, "", 0.0, 1.0, "gain at its frequency")
+    d.add(
+        "notch",
+        Notch(VIBRATION, 0.4, 0.1, unit="rad/s"),
+        params={"frequency": "notch_hz", "width": "notch_width", "depth": "notch_depth"},
+        u="q",
+        position=(440.0, 180.0),
+    )
+    d.add("error", Sum("+-", unit="rad/s"), a="q_0_used", b="notch", position=(640.0, 100.0))
+    _rate_pid(d, gains, HOVER_MOMENT, "back-calculation")
+    d.output("M", "pid")
+    return d
+
+
+def empty_attitude() -> Diagram:
+    """All the ports, and no moment: the place to begin."""
+    d = with_ports(ATTITUDE, "empty_attitude", "no moment, whatever comes in")
+    d.add("moment", Constant(0.0), position=(300.0, 100.0))
+    d.output("M", "moment")
+    return d
+
+
+def lqr_attitude(attitude: LqrGains | None = None, rate: LqrGains | None = None) -> Diagram:
+    """LQR with integral action and the moments under way as states; in rate mode a second one follows q_0.
+
+    `attitude` and `rate` are gains of as many past moments each; None: those of `twodof.flight.lqr` for the paper's
+    drone (w_n 3.437 rad/s, xi .0836, mu 358.5, tau 20 ms: five steps). M is kept within +-1, and the past moments are
+    those after that limit, so what the actuator cannot do is not counted on; the integrals are bounded.
+    """
+    pitch = attitude_lqr() if attitude is None else attitude
+    turn = rate_lqr() if rate is None else rate
+    steps = len(pitch.history)
+    d = with_ports(ATTITUDE, "lqr_attitude", f"LQR on theta, q, the integral and the last {steps} moments")
+    tuned(d, "k_theta", pitch.state[0], "1/rad", 0.0, 10.0, "attitude: gain on the pitch error")
+    tuned(d, "k_q", pitch.state[1], "s/rad", 0.0, 1.0, "attitude: gain on the pitch rate")
+    tuned(d, "k_i", pitch.integral, "1/rad/s", 0.0, 20.0, "attitude: gain on the integral of the pitch error")
+    tuned(d, "k_past", pitch.history, "", -2.0, 2.0, "attitude: gains on the past moments, the latest first")
+    tuned(d, "rate_k", turn.state[0], "s/rad", 0.0, 1.0, "rate mode: gain on the rate error")
+    tuned(d, "rate_k_i", turn.integral, "1/rad", 0.0, 20.0, "rate mode: gain on the integral of the rate error")
+    tuned(d, "rate_k_past", turn.history, "", -2.0, 2.0, "rate mode: gains on the past moments, the latest first")
+    d.add("error", Sum("+-", unit="rad"), a="theta_0", b="theta", position=(200.0, 40.0))
+    d.add("rate_error", Sum("+-", unit="rad/s"), a="q_0", b="q", position=(200.0, 260.0))
+    # Each integral runs only while its loop is closed.
+    d.add("in_rate_mode", Logic("not"), a="FLAG_ATTITUDE_ENABLED", position=(200.0, 460.0))
+    d.add("clear", Logic("or"), a="FLAG_RESET_INT", b="in_rate_mode", position=(320.0, 120.0))
+    d.add("rate_clear", Logic("or"), a="FLAG_RESET_INT", b="FLAG_ATTITUDE_ENABLED", position=(320.0, 340.0))
+    for prefix, limit, unit, row in (("", 0.3, "rad*s", 60.0), ("rate_", 1.0, "rad", 280.0)):
+        d.add(
+            f"{prefix}integral",
+            DiscreteIntegrator("backward", limits=(-limit, limit), reset=True, unit=unit),
+            u=f"{prefix}error",
+            clear=f"{prefix}clear",
+            position=(440.0, row),
+        )
+    for name, source, bound, row in (
+        ("on_theta", "error", "k_theta", 0.0),
+        ("on_integral", "integral", "k_i", 60.0),
+        ("on_q", "q", "k_q", 120.0),
+        ("on_rate", "rate_error", "rate_k", 220.0),
+        ("on_rate_integral", "rate_integral", "rate_k_i", 280.0),
+    ):
+        d.add(name, Gain(1.0), params={"k": bound}, u=source, position=(600.0, row))
+    newest = [f"past_{i}" for i in range(1, steps + 1)]
+    for i, name in enumerate(newest):
+        d.add(name, UnitDelay(0.0), u=newest[i - 1] if i else "limit", position=(1120.0 - 80.0 * i, 460.0))
+    d.add("past", Mux(steps), position=(560.0, 400.0), **dict(zip("abcdefghijklmnopqrstuvwxyz", newest, strict=False)))
+    for name, bound, row in (("on_past", "k_past", 180.0), ("on_rate_past", "rate_k_past", 340.0)):
+        d.add(name, MatrixGain([[0.0] * steps]), params={"K": bound}, u="past", position=(600.0, row))
+    d.add("attitude", Sum("++--"), a="on_theta", b="on_integral", c="on_q", d="on_past", position=(760.0, 80.0))
+    d.add("rate", Sum("++-"), a="on_rate", b="on_rate_integral", c="on_rate_past", position=(760.0, 280.0))
+    d.add("mode", Switch(), condition="FLAG_ATTITUDE_ENABLED", a="attitude", b="rate", position=(900.0, 180.0))
+    _limits(d, 1.0)
+    d.add("limit", Saturation(-1.0, 1.0), params={"low": "M_low", "high": "M_high"}, u="mode", position=(1020.0, 180.0))
+    d.output("M", "limit")
+    return d
+
+
+def _pitch_loop(d: Diagram, kp: float) -> None:
+    """q_0_used = theta_kp (theta_0 - theta) within +-20 rad/s, or in rate mode q_0."""
+    tuned(d, "theta_kp", kp, "1/s", 0.0, 50.0, "attitude P")
+    d.add("pitch_error", Sum("+-", unit="rad"), a="theta_0", b="theta", position=(160.0, 20.0))
+    d.add("pitch_gain", Gain(1.0, unit="rad/s"), params={"k": "theta_kp"}, u="pitch_error", position=(280.0, 20.0))
+    d.add("rate_limit", Saturation(-20.0, 20.0, unit="rad/s"), u="pitch_gain", position=(400.0, 20.0))
+    d.add(
+        "q_0_used",
+        Switch(unit="rad/s"),
+        condition="FLAG_ATTITUDE_ENABLED",
+        a="rate_limit",
+        b="q_0",
+        position=(520.0, 60.0),
+    )
+
+
+def _rate_pid(d: Diagram, gains: Gains, limit: float, anti_windup: str) -> None:
+    """M from the rate's `error`, within +-`limit`."""
+    kp, ki, kd = gains.rate
+    tuned(d, "q_kp", kp, "s/rad", 0.0, 1.0, "rate P")
+    tuned(d, "q_ki", ki, "1/rad", 0.0, 5.0, "rate I")
+    tuned(d, "q_kd", kd, "s2/rad", 0.0, 0.05, "rate D")
+    tuned(d, "q_n", 100.0, "rad/s", 1.0, 1000.0, "corner of the derivative's filter")
+    _limits(d, limit)
+    bound = {"Kp": "q_kp", "Ki": "q_ki", "Kd": "q_kd", "N": "q_n", "low": "M_low", "high": "M_high"}
+    if anti_windup == "back-calculation":
+        tuned(d, "tracking", 5.0, "1/s", 0.0, 100.0, "how fast the integral follows the limited moment")
+        bound["Kb"] = "tracking"
+    d.add(
+        "pid",
+        Pid(kp, ki, kd, 100.0, limits=(-limit, limit), anti_windup=anti_windup, reset="integral", unit="rad/s"),
+        params=bound,
+        e="error",
+        clear="FLAG_RESET_INT",
+        position=(760.0, 120.0),
+    )
+
+
+def _limits(d: Diagram, limit: float) -> None:
+    tuned(d, "M_low", -limit, "", -1.0, 0.0, "smallest moment")
+    tuned(d, "M_high", limit, "", 0.0, 1.0, "largest moment")

@@ -1,0 +1,95 @@
+"""Starter diagrams for the template position_control: the stock loops, the same from library blocks, an empty one."""
+
+from __future__ import annotations
+
+from twodof.blocks import Diagram
+from twodof.blocks.library import Constant, Divide, Gain, Pid, Product, Saturation, Sum, Switch, Trigonometry
+from twodof.flight.gains import DEFAULT, Gains
+from twodof.flight.loops import PositionLoop, Projection, VelocityLoop
+from twodof.flight.starters.build import tuned, with_ports
+from twodof.flight.templates import POSITION
+
+MASS = 0.534
+"""Drone and cart [kg]."""
+
+
+def stock_position(gains: Gains = DEFAULT) -> Diagram:
+    """The stock position and velocity loops and their projection, the very blocks of the stock cascade."""
+    d = with_ports(POSITION, "stock_position", "position P, velocity PI and projection of the stock cascade")
+    d.add(
+        "position",
+        PositionLoop(gains.position),
+        x0="x_0",
+        x="x",
+        v0="vx_0",
+        closed="FLAG_POSITION_ENABLED",
+        position=(200.0, 40.0),
+    )
+    d.add(
+        "velocity",
+        VelocityLoop(*gains.velocity),
+        v0="position.v0",
+        v="vx",
+        in_reset="FLAG_RESET_INT_VEL",
+        position=(380.0, 80.0),
+    )
+    d.add("projection", Projection(), force="velocity.force", position=(560.0, 80.0))
+    d.output("thrust", "projection.T")
+    d.output("theta_0", "projection.theta0")
+    return d
+
+
+def pid_position(gains: Gains = DEFAULT) -> Diagram:
+    """The laws of the stock loops drawn with blocks of the library, and the acceleration ax_0 fed forward."""
+    d = with_ports(POSITION, "pid_position", "position P and velocity PI, block by block, with feed-forward of ax_0")
+    kp, ki = gains.velocity
+    tuned(d, "x_kp", gains.position, "1/s", 0.0, 10.0, "position P")
+    tuned(d, "vx_kp", kp, "N*s/m", 0.0, 20.0, "velocity P")
+    tuned(d, "vx_ki", ki, "N/m", 0.0, 20.0, "velocity I")
+    tuned(d, "mass", MASS, "kg", 0.0, 5.0, "mass that ax_0 accelerates; 0: no feed-forward")
+    tuned(d, "T_bar", 0.4, "", 0.05, 1.0, "thrust when level")
+    tuned(d, "eta_T", 6.3386, "N", 0.1, 100.0, "force of full thrust")
+    d.add("x_error", Sum("+-", unit="m"), a="x_0", b="x", position=(160.0, 20.0))
+    d.add("x_gain", Gain(1.0, unit="m/s"), params={"k": "x_kp"}, u="x_error", position=(280.0, 20.0))
+    d.add("vx_limit", Saturation(-1.0, 1.0, unit="m/s"), u="x_gain", position=(400.0, 20.0))
+    d.add(
+        "vx_0_used",
+        Switch(unit="m/s"),
+        condition="FLAG_POSITION_ENABLED",
+        a="vx_limit",
+        b="vx_0",
+        position=(520.0, 60.0),
+    )
+    d.add("vx_error", Sum("+-", unit="m/s"), a="vx_0_used", b="vx", position=(640.0, 80.0))
+    d.add(
+        "pi",
+        Pid(kp, ki, reset="integral", unit="m/s", output_unit="N"),
+        params={"Kp": "vx_kp", "Ki": "vx_ki"},
+        e="vx_error",
+        clear="FLAG_RESET_INT_VEL",
+        position=(760.0, 80.0),
+    )
+    d.add("feed_forward", Gain(1.0, unit="N"), params={"k": "mass"}, u="ax_0", position=(760.0, 180.0))
+    d.add("force", Sum("++", unit="N"), a="pi", b="feed_forward", position=(880.0, 100.0))
+    d.add("T_level", Constant(0.4), params={"value": "T_bar"}, position=(760.0, 260.0))
+    d.add("full", Constant(6.3386, unit="N"), params={"value": "eta_T"}, position=(760.0, 320.0))
+    d.add("lift", Product("**", unit="N"), a="T_level", b="full", position=(880.0, 280.0))
+    # theta > 0 pushes towards -x.
+    d.add("slope", Divide(), a="force", b="lift", position=(1000.0, 120.0))
+    d.add("tilt", Trigonometry("atan", unit="rad"), u="slope", position=(1120.0, 120.0))
+    d.add("pitch", Gain(-1.0, unit="rad"), u="tilt", position=(1240.0, 120.0))
+    d.add("upright", Trigonometry("cos", input_unit="rad"), u="pitch", position=(1240.0, 220.0))
+    d.add("thrust_up", Divide(), a="T_level", b="upright", position=(1360.0, 260.0))
+    d.output("thrust", "thrust_up")
+    d.output("theta_0", "pitch")
+    return d
+
+
+def empty_position() -> Diagram:
+    """All the ports; level, with the hover's thrust: the place to begin."""
+    d = with_ports(POSITION, "empty_position", "level and hovering, whatever comes in")
+    d.add("hover", Constant(0.4), position=(300.0, 60.0))
+    d.add("level", Constant(0.0, unit="rad"), position=(300.0, 140.0))
+    d.output("thrust", "hover")
+    d.output("theta_0", "level")
+    return d
