@@ -11,13 +11,15 @@ from twodof.blocks.diagram import Diagram
 from twodof.blocks.reference import Reference
 from twodof.compile import toolchain
 from twodof.compile.c99 import emit
+from twodof.compile.cortex_m7.image import OPTIMISE
+from twodof.compile.cortex_m7.target import CortexM7
 from twodof.compile.lower import lower
 from twodof.compile.machine import Machine
 from twodof.compile.native import Native
 from twodof.compile.target import Backend, Emitted, Target
 from twodof.errors import CompileError
 
-TARGETS = ("native",)
+TARGETS = ("native", "cortex-m7")
 
 
 def build(
@@ -33,7 +35,7 @@ def build(
 ) -> Program | Reference:
     """`diagram` as a program of base tick `dt` [s] that also returns the signals whose paths are in `log`.
 
-    `target` is "native", or a Target with options of its own. For a named one,
+    `target` is "native", "cortex-m7" (on an emulated processor), or a Target with options of its own. For a named one,
     `compiler` is "cc", "gcc", "clang", "zig" or a path, `optimise` a compiler option, and `native_cpu` tunes for this
     processor. With `compiler=None` the first compiler that is there is taken; if none is, "native" gives the reference
     interpreter (same results, thousands of times slower) with a warning. Raises DiagramError for a faulty diagram,
@@ -60,6 +62,8 @@ def build(
 def _target(name: str, compiler: str | None, optimise: str | None, native_cpu: bool) -> Target:
     if name == "native":
         return Native(compiler, optimise or "-O3", native_cpu)
+    if name == "cortex-m7":
+        return CortexM7(compiler, optimise or OPTIMISE)
     raise CompileError(f"there is no target {name!r:.80}", "", f"targets are {', '.join(TARGETS)}")
 
 

@@ -1,0 +1,168 @@
+"""Images for the Cortex-M7: programs, start-up and server cross-compiled and linked to one ELF file."""
+
+from __future__ import annotations
+
+import importlib.util
+import io
+import re
+import shutil
+import subprocess
+import sys
+import zipfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from twodof.compile import freestanding, toolchain
+from twodof.compile.toolchain import Compiler
+from twodof.errors import CompileError
+
+HERE = Path(__file__).parent
+OWN = ("boot.c", "server.c", "aeabi.c")
+HEADERS = ("program.h", "semihosting.h", "server.h")
+SCRIPT = "image.ld"
+CALLED = ("program", "aeabi", "memory")  # what a step may call
+MODULES = (*CALLED, "boot", "server", "dispatch")
+MEMORY = f"#include <stddef.h>\n#include <stdint.h>\n{freestanding.MEMORY}"
+
+FLAGS = (*toolchain.FLAGS, "-ffreestanding", "-fomit-frame-pointer", "-g0", "-ffunction-sections", "-fdata-sections")
+# FPv5 with 16 double registers, the larger of the processor's two floating-point units; values in its registers.
+GCC = ("-mcpu=cortex-m7", "-mthumb", "-mfpu=fpv5-d16", "-mfloat-abi=hard", "-fstack-usage")
+ZIG = (
+    *("-target", "thumb-freestanding-eabihf", "-mcpu=cortex_m7+fp_armv8d16"),
+    *("-fno-sanitize=undefined", "-fstack-size-section"),
+)
+LINK = ("-nostdlib", "-static", "-Wl,--gc-sections", "-T", SCRIPT)
+OPTIMISE = "-O2"
+
+
+def find_cross_compiler(name: str | None = None) -> Compiler:
+    """The cross compiler `name` ("gcc" or "zig"), or else the first there is.
+
+    Raises CompileError, with the package that gives it, if it is not there.
+    """
+    for candidate in (name,) if name else ("gcc", "zig"):
+        if candidate in ("gcc", "arm-none-eabi-gcc"):
+            path = shutil.which("arm-none-eabi-gcc")
+            if path:
+                return Compiler("arm-none-eabi-gcc", (path,), GCC)
+        elif candidate == "zig":
+            path = shutil.which("zig")
+            if importlib.util.find_spec("ziglang") is not None:
+                return Compiler("zig", (sys.executable, "-m", "ziglang", "cc"), ZIG)
+            if path:
+                return Compiler("zig", (path, "cc"), ZIG)
+        else:
+            raise CompileError(f"{candidate!r:.80} is no cross compiler for the Cortex-M7", "", "name gcc or zig")
+    raise CompileError(
+        "there is no C compiler for the Cortex-M7" + (f" called {name!r}" if name else ""),
+        "",
+        "install arm-none-eabi-gcc (Debian: apt-get install gcc-arm-none-eabi) or the wheel ziglang",
+    )
+
+
+@dataclass(frozen=True)
+class Image:
+    """What was built. `elf` is the whole image; `objects` are the object files of `CALLED`, the programs' own C first;
+    `stack_usage` is what gcc says of the frames of their functions (clang says it in the objects); `names` and `sizes`
+    are those of the programs in the image's order.
+    """
+
+    elf: bytes
+    objects: tuple[bytes, ...]
+    stack_usage: str
+    names: tuple[str, ...]
+    sizes: tuple[tuple[int, ...], ...]
+    compiler: str
+    optimise: str
+
+
+def build_image(
+    source: str,
+    programs: Sequence[tuple[str, Sequence[int]]],
+    compiler: Compiler,
+    optimise: str = OPTIMISE,
+    flags: Sequence[str] = (),
+    libraries: Sequence[str] = (),
+) -> Image:
+    """The image of the C `source`, which has the `programs`: prefix of the names, sizes of real, P, S, U and Y [bytes].
+
+    `flags` are added for the source, `libraries` to the link. Raises CompileError if the compiler refuses or hangs, or
+    if the code and constants do not fit into 4 MB.
+    """
+    names = tuple(name for name, _ in programs)
+    table = "".join(f"DECLARE_PROGRAM({n})\n" for n in names)
+    rows = "".join(f"    PROGRAM({n})\n" for n in names)
+    dispatch = (
+        f'#include "program.h"\n\n{table}\nconst Program programs[] = {{\n{rows}}};\n'
+        f"const uint32_t program_count = {len(names)};\n"
+    )
+    own = {name: (HERE / name).read_text(encoding="utf-8") for name in (*OWN, *HEADERS, SCRIPT)}
+    files = {**own, **freestanding.FILES, "memory.c": MEMORY, "program.c": source, "dispatch.c": dispatch}
+    options = (*FLAGS, *compiler.flags, optimise)
+    key = (
+        *(part for item in sorted(files.items()) for part in item),
+        compiler.identity(),
+        *options,
+        "flags",
+        *flags,
+        *libraries,
+    )
+
+    def make(target: Path) -> None:
+        folder = target.parent
+        for name, text in files.items():
+            (folder / name).write_text(text, encoding="utf-8")
+        for name in MODULES:
+            more = flags if name == "program" else ()
+            _command(compiler, (*options, *more, "-I.", "-c", f"{name}.c", "-o", f"{name}.o"), folder)
+        objects = [f"{name}.o" for name in MODULES]
+        libgcc = () if compiler.name == "zig" else ("-lgcc",)
+        _command(compiler, (*options, *LINK, *objects, *libraries, *libgcc, "-o", "image.elf"), folder)
+        with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as archive:
+            for name in ("image.elf", *(f"{m}.{kind}" for m in CALLED for kind in ("o", "su"))):
+                if (folder / name).exists():  # clang writes no .su, but a section
+                    archive.write(folder / name, name)
+
+    with (
+        toolchain.cached(key, ".m7", make) as file,
+        zipfile.ZipFile(io.BytesIO(toolchain.contents(file))) as archive,
+    ):
+        usage = "".join(archive.read(n).decode() for n in archive.namelist() if n.endswith(".su"))
+        elf, *objects = (archive.read(n) for n in ("image.elf", *(f"{m}.o" for m in CALLED)))
+    sizes = tuple(tuple(s) for _, s in programs)
+    return Image(elf, tuple(objects), usage, names, sizes, compiler.name, optimise)
+
+
+def _command(compiler: Compiler, arguments: Sequence[str], folder: Path) -> None:
+    """Run the compiler in `folder`, within bounds of time."""
+    try:
+        done = subprocess.run(
+            [*compiler.command, *arguments],
+            capture_output=True,
+            timeout=toolchain.BUILD_SECONDS,
+            check=False,
+            cwd=folder,
+            stdin=subprocess.DEVNULL,
+        )
+    except subprocess.TimeoutExpired as error:
+        raise CompileError(
+            f"it did not end within {toolchain.BUILD_SECONDS} s", compiler.name, "make the diagram smaller"
+        ) from error
+    except OSError as error:
+        raise CompileError(
+            f"it does not start: {error}", compiler.name, "install it again (Debian: gcc-arm-none-eabi)"
+        ) from error
+    if done.returncode:
+        said = done.stderr.decode("utf-8", "replace").strip()[-2000:]
+        if re.search(r"overflowed by|will not fit in region", said):
+            raise CompileError(
+                f"code and constants do not fit into the 4 MB there are: {said[-300:]}",
+                compiler.name,
+                "build fewer diagrams at once, or with -Os",
+            )
+        raise CompileError(
+            f"it refused what was generated: {said or f'exit status {done.returncode}'}",
+            compiler.name,
+            "check that the compiler works; if it does, this is a fault of twodof",
+        )

@@ -1,0 +1,82 @@
+"""The Cortex-M7 as a target: Machines whose steps run on an emulated processor."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twodof.compile.cortex_m7.image import OPTIMISE, build_image, find_cross_compiler
+from twodof.compile.cortex_m7.processor import DEFAULTS, INIT, PREPARE, Processor
+from twodof.compile.freestanding import layout_checks
+from twodof.compile.target import Emitted
+
+
+@dataclass(frozen=True)
+class CortexM7:
+    """Cortex-M7 machine code (FPv5 with doubles) on QEMU's board mps2-an500.
+
+    `compiler` is "gcc" (arm-none-eabi-gcc) or "zig"; None takes the first that is there. All programs of one source
+    share an image and an emulator, which starts at the first call (some .2 s); a call then costs about 1 ms.
+    """
+
+    compiler: str | None = None
+    optimise: str = OPTIMISE
+    flags: tuple[str, ...] = field(default=())
+    name = "cortex-m7"
+
+    def compile(self, programs: Sequence[Emitted]) -> list[CortexM7Backend]:
+        """The programs of one source in one image.
+
+        Raises CompileError without a cross compiler or QEMU, with the package that gives it; if the compiler refuses;
+        if the code does not fit.
+        """
+        found = find_cross_compiler(self.compiler)
+        named = [(program.name, program.sizes) for program in programs]
+        source = programs[0].source + layout_checks(programs)
+        image = build_image(source, named, found, self.optimise, self.flags)
+        processor = Processor(image)
+        return [CortexM7Backend(program, processor, index) for index, program in enumerate(programs)]
+
+
+class CortexM7Backend:
+    """A program in an image: number `index` of those that `processor` can run."""
+
+    def __init__(self, program: Emitted, processor: Processor, index: int) -> None:
+        self.program = program
+        self.processor = processor
+        self.index = index
+
+    def instance(self) -> CortexM7Instance:
+        """A fresh instance, its structs zero."""
+        return CortexM7Instance(self)
+
+
+class CortexM7Instance:
+    """One running program. Its structs are here and go to the processor and back with each call."""
+
+    def __init__(self, backend: CortexM7Backend) -> None:
+        kinds = backend.program.dtypes
+        self.structs: dict[str, NDArray[Any]] = {k: np.zeros(1, kinds[k]) for k in "PSUY"}
+        self._processor, self._index = backend.processor, backend.index
+        p, s = self.structs["P"], self.structs["S"]
+        call = partial(self._processor.call, self._index)
+        self.defaults = partial(_forget, partial(call, DEFAULTS, p, s))
+        self.prepare = partial(_forget, partial(call, PREPARE, p, s))
+        self.init = partial(_forget, partial(call, INIT, p, s))
+
+    def step(self) -> None:
+        """One tick on the processor; raises ControllerFault, see `Processor.run`."""
+        self.run(1, self.structs["U"], self.structs["Y"])
+
+    def run(self, steps: int, u: NDArray[Any], y: NDArray[Any]) -> None:
+        """`steps` ticks with the rows of `u` (or its one row at each) into those of `y`; see `Processor.run`."""
+        self._processor.run(self._index, self.structs["P"], self.structs["S"], u, y, steps)
+
+
+def _forget(call: partial[int]) -> None:
+    call()
