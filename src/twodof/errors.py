@@ -27,6 +27,10 @@ class CompileError(TwodofError):
     """A tool chain is missing or refused what was generated."""
 
 
+class ControllerFault(TwodofError):
+    """A compiled program went wrong while it ran where it can: out of fuel or memory, a fault of the processor."""
+
+
 class LogError(TwodofError):
     """A flight log cannot be read, lacks what was asked for, or would be written wrongly."""
 
