@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 from twodof.blocks import Block, Diagram, Port, State
@@ -10,9 +11,10 @@ from twodof.flight.estimator import estimator
 from twodof.flight.gains import DEFAULT, Gains
 from twodof.flight.level_hold import ArmingReset, LevelHold
 from twodof.flight.mixer import Mixer
+from twodof.flight.motors import MotorFlags, Pairs, Sound
+from twodof.flight.templates import ATTITUDE, MOTOR, PERIOD, POSITION, by_kind
 
-PERIOD = 0.004
-"""The core's period [s]."""
+__all__ = ["INPUTS", "OUTPUTS", "PERIOD", "PreviousPitch", "core"]
 
 INPUTS: tuple[tuple[str, str, str, str], ...] = (
     ("acc_x", "real", "m/s2", "specific force along the body's x axis"),
@@ -25,6 +27,7 @@ INPUTS: tuple[tuple[str, str, str, str], ...] = (
     ("in_reset", "bool", "", "hold the integrals in reset (besides the reset at arming, which is inside)"),
     ("x0", "real", "m", "position set-point, in position mode"),
     ("v0", "real", "m/s", "velocity set-point, in velocity mode"),
+    ("ax0", "real", "m/s2", "acceleration set-point, a feed-forward that only a user's position controller reads"),
     ("theta0", "real", "rad", "pitch set-point, in attitude mode"),
     ("q0", "real", "rad/s", "pitch-rate set-point, in rate mode"),
     ("thrust", "real", "", "thrust in open-loop, rate and attitude mode"),
@@ -65,13 +68,20 @@ class PreviousPitch(Block):
         return u.theta
 
 
-def core(gains: Gains = DEFAULT, position_filter: str = "joint") -> Diagram:
+def core(gains: Gains = DEFAULT, position_filter: str = "joint", controllers: Iterable[Diagram] = ()) -> Diagram:
     """What flies: estimator, level hold, cascade, mixer, with the ports `INPUTS` and `OUTPUTS`, made for 250 Hz.
 
     Parameter paths: `estimator.filter...` (of the joint filter; else `estimator.pitch...`, `estimator.position...`),
-    `cascade.rate.kp` and so on (see `cascade`), `hold.settle`, `hold.window`, `arming.samples`. Raises
-    ParameterError for an unknown position filter.
+    `cascade.rate.kp` and so on (see `cascade`), `hold.settle`, `hold.window`, `arming.samples`.
+
+    `controllers` are diagrams of the templates (`flight.templates`), one of a kind at most, which take the place of the
+    stock loops and of the mixer: their parameters are `cascade.attitude_control...`, `cascade.position_control...` and
+    `motor_control...`. Where a moment or thrust that one of them asks for is NaN the motors stop (a single motor's NaN
+    stops that motor), and M and T say NaN. With a motor controller M and T are what the motors are given.
+
+    Raises ParameterError for an unknown position filter, DiagramError for a diagram that fits no template.
     """
+    own = by_kind(controllers)
     d = Diagram("flight", "estimator, level hold, cascade and mixer at 250 Hz")
     for name, kind, unit, _ in INPUTS:
         d.input(name, kind, unit=unit)
@@ -83,7 +93,7 @@ def core(gains: Gains = DEFAULT, position_filter: str = "joint") -> Diagram:
     d.add("hold", LevelHold(), mode="mode", thrust="thrust", excitation="M_open", use_trim="use_trim")
     d.add(
         "cascade",
-        cascade(gains),
+        cascade(gains, own.get(ATTITUDE.name), own.get(POSITION.name)),
         mode="mode",
         in_reset="arming",
         M_open="hold.M_open",
@@ -92,17 +102,57 @@ def core(gains: Gains = DEFAULT, position_filter: str = "joint") -> Diagram:
         theta="previous.theta",
         q="estimator.q",
     )
-    for name in ("x0", "v0", "theta0", "q0", "thrust"):
+    for name in ("x0", "v0", "theta0", "q0", "thrust", *(["ax0"] if POSITION.name in own else [])):
         d.connect(name, f"cascade.{name}")
-    d.connect("cascade.M", "hold.M")
-    d.add("mixer", Mixer(), T="cascade.T", M="cascade.M")
-    for name in ("fore", "aft"):
-        d.output(name, f"mixer.{name}")
-    for name in ("M", "T", "x0", "v0", "theta0", "q0"):
+    command = "cascade"
+    if own:
+        command = d.add("sound", Sound(), M="cascade.M", T="cascade.T")
+    moment = _own_motors(d, own[MOTOR.name], command) if MOTOR.name in own else _mixer(d, command)
+    d.output("M", "pairs.M_shown" if MOTOR.name in own else "cascade.M")
+    d.output("T", "pairs.T_shown" if MOTOR.name in own else "cascade.T")
+    for name in ("x0", "v0", "theta0", "q0"):
         d.output(name, f"cascade.{name}")
+    d.connect(moment, "hold.M")
     d.output("theta", "estimator.theta")
     d.output("q", "estimator.q")
     d.output("x", "estimator.x_published")
     d.output("v", "estimator.v_published")
     d.output("M_trim", "hold.M_trim")
     return d
+
+
+def _mixer(d: Diagram, command: str) -> str:
+    """Adds the stock mixer, fed by the part `command`; returns the source of the moment that flies."""
+    d.add("mixer", Mixer(), T=f"{command}.T", M=f"{command}.M")
+    for name in ("fore", "aft"):
+        d.output(name, f"mixer.{name}")
+    return f"{command}.M"
+
+
+def _own_motors(d: Diagram, motors: Diagram, command: str) -> str:
+    """Adds a user's motor controller in the mixer's place; returns the same."""
+    d.add("flags", MotorFlags(), mode="mode")
+    d.add(
+        MOTOR.name,
+        motors,
+        M_0=f"{command}.M",
+        thrust_0=f"{command}.T",
+        theta_0="cascade.theta0",
+        q_0="cascade.q0",
+        x_0="cascade.x0",
+        vx_0="cascade.v0",
+        theta="previous.theta",
+        q="estimator.q",
+        x="estimator.x_published",
+        vx="estimator.v_published",
+        acc_x="acc_x",
+        acc_z="acc_z",
+        gyro_y="gyro_y",
+        FLAG_RESET_INT="arming",
+    )
+    for flag in ("rate", "attitude", "velocity", "position"):
+        d.connect(f"flags.{flag}", f"{MOTOR.name}.FLAG_{flag.upper()}_ENABLED")
+    d.add("pairs", Pairs(), mode="mode", **{port.name: f"{MOTOR.name}.{port.name}" for port in MOTOR.outputs})
+    for name in ("fore", "aft"):
+        d.output(name, f"pairs.{name}")
+    return "pairs.M"

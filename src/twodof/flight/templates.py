@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import NamedTuple
@@ -143,6 +143,21 @@ def kind_of(diagram: Diagram) -> str:
             f"its outputs ({', '.join(diagram.outputs) or 'none'}) are those of no template", diagram.name, known
         )
     return best.name
+
+
+def by_kind(diagrams: Iterable[Diagram]) -> dict[str, Diagram]:
+    """Checked diagrams by their template. Raises DiagramError as `check_template`, and for two of one kind."""
+    found: dict[str, Diagram] = {}
+    for diagram in diagrams:
+        name = check_template(diagram).name
+        if name in found:
+            raise DiagramError(
+                f"{found[name].name!r} and {diagram.name!r} are both of the template {name}",
+                "controllers",
+                "give one of each kind",
+            )
+        found[name] = diagram
+    return found
 
 
 def check_template(diagram: Diagram, kind: str | None = None) -> Template:
