@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from numbers import Integral, Real
 from pathlib import Path
@@ -12,12 +13,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twodof.blocks import Diagram
+from twodof.blocks.schema import to_json
 from twodof.errors import ExperimentError, ParameterError
 from twodof.experiment.protocol import EXPERIMENTS, SETPOINT, Experiment
 from twodof.experiment.protocol import experiment as named_experiment
 from twodof.experiment.record import flight_log
 from twodof.experiment.script import Script, script
+from twodof.flight.core import PERIOD
 from twodof.flight.gains import DEFAULT, Gains, load_gains
+from twodof.flight.starters import load_diagram
+from twodof.flight.templates import by_kind
 from twodof.flightlog.log import FlightLog
 from twodof.flightlog.provenance import versions
 from twodof.parameters import ParameterSet
@@ -66,7 +72,12 @@ class Laboratory:
 
     `rig` is "paper", "lab", a file or a set of parameters; `gains` are "default", "student", a file or a set of gains;
     `conditions` are further rig parameters such as `trim` or `rail_force`; `noise` scales all noise (0: none).
-    Raises ParameterError for a rig or gains that cannot be read, and for a `noise` below 0 or not finite.
+    `controllers` fly in place of the stock loops and mixer, one of a template (`flight.templates`) at most: diagrams,
+    their JSON files, or names of starter diagrams such as "lqr-attitude"; `tuning` sets parameters of theirs by path,
+    such as "attitude_control.k_theta". `precision` is "float64" or "float32", that of a flight controller.
+
+    Raises ParameterError for a rig, gains or tuning that cannot be read or set, and for a `noise` below 0 or not
+    finite; DiagramError for a controller that cannot be read or fits no template.
     """
 
     def __init__(
@@ -76,15 +87,26 @@ class Laboratory:
         noise: float = 1.0,
         conditions: Mapping[str, Any] | None = None,
         position_filter: str = "joint",
+        controllers: Iterable[str | Path | Diagram] = (),
+        tuning: Mapping[str, Any] | None = None,
+        precision: str = "float64",
     ) -> None:
         if not (isinstance(noise, Real) and math.isfinite(noise) and noise >= 0.0):
             raise ParameterError(f"a noise of {noise!r:.80}", "noise", "give 0 (none) or more; 1 is the rig's own")
         self.rig_name = "own" if isinstance(rig, ParameterSet) else str(rig)
         self.parameters = rig if isinstance(rig, ParameterSet) else load_rig(rig)
         self.noise = noise
+        self.controllers = by_kind(c if isinstance(c, Diagram) else load_diagram(c) for c in controllers)
+        self.precision = precision
         self.loop = ClosedLoop(
-            gains if isinstance(gains, Gains) else load_gains(gains), self.parameters, conditions, position_filter
+            gains if isinstance(gains, Gains) else load_gains(gains),
+            self.parameters,
+            conditions,
+            position_filter,
+            controllers=self.controllers.values(),
+            precision=precision,
         )
+        self.loop.tune_controllers(tuning or {})
         self._conditions = dict(conditions or {})
 
     def fly(self, experiment: str | Experiment, seed: int = 1) -> Flight:
@@ -92,6 +114,9 @@ class Laboratory:
 
         Raises ExperimentError if no start on the rail does, if the pitch would reach a stop, for a name that is not
         there and for a seed that is no integer from 0 to 2^32 - 1.
+
+        A controller of one's own may fly badly: then it starts from the middle of the rail, and the checks say what
+        went wrong, a moment or thrust that is not finite included: the motors stop there, and the log leaves it out.
         """
         experiment = _ready(experiment)
         if isinstance(seed, bool) or not isinstance(seed, Integral) or not 0 <= seed < SEEDS:
@@ -99,7 +124,12 @@ class Laboratory:
                 f"seed must be an integer 0 to {SEEDS - 1}, not {seed!r:.80}", experiment.name, "give another seed"
             )
         seed = int(seed)
-        x_start = self.start(experiment)
+        try:
+            x_start = self.start(experiment)
+        except ExperimentError:
+            if not self.controllers:
+                raise
+            x_start = 0.0
         plan = script(experiment, x_start)
         out = self._fly(experiment, plan, x_start, seed=seed, noise=self.noise)
         provenance = {
@@ -109,6 +139,8 @@ class Laboratory:
             "seed": seed,
             "versions": versions(),
         }
+        if self.controllers:
+            provenance["controllers"] = self.described_controllers()
         log = flight_log(out, np.asarray(plan.setpoints["mode"], dtype=np.int32), provenance)
         return Flight(experiment, log, x_start, seed, self._checks(experiment, plan, out))
 
@@ -141,6 +173,22 @@ class Laboratory:
             )
         return -0.5 * (low + high)
 
+    def described_controllers(self) -> dict[str, dict[str, Any]]:
+        """The controllers of one's own by template: name, SHA-256 of the JSON form, and the values of parameters."""
+        values = {path: value for path, (_, value) in self.loop.controller_parameters().items()}
+        return {
+            kind: {
+                "name": diagram.name,
+                "sha256": hashlib.sha256(to_json(diagram).encode()).hexdigest(),
+                "parameters": {
+                    path.removeprefix(f"{kind}."): _jsonable(value)
+                    for path, value in values.items()
+                    if path.startswith(f"{kind}.")
+                },
+            }
+            for kind, diagram in self.controllers.items()
+        }
+
     def _fly(
         self, experiment: Experiment, plan: Script, x_start: float, **conditions: float
     ) -> dict[str, NDArray[Any]]:
@@ -159,6 +207,8 @@ class Laboratory:
         if not experiment.rings:
             farthest = float(np.abs(out["true_x"][flown]).max())
             checks.append(Check("rail free", farthest < self.parameters["rail_stop"] - 1e-3, f"{farthest:.3f} m"))
+        if self.controllers:
+            checks.append(_commanded(out))
         return tuple(checks)
 
 
@@ -179,6 +229,27 @@ def _excited(experiment: Experiment, plan: Script, out: Mapping[str, NDArray[Any
     largest = float(np.abs(out[name][plan.begin : plan.end] - before.mean()).max())
     return Check(
         "excited", largest > 5.0 * float(before.std()), f"{name} moves by {largest:.3g}, {before.std():.2g} before"
+    )
+
+
+def _jsonable(value: Any) -> Any:
+    """A parameter's value as JSON has it: an infinity or a NaN as its name."""
+    if isinstance(value, list):
+        return [_jsonable(item) for item in value]
+    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _commanded(out: Mapping[str, NDArray[Any]]) -> Check:
+    """Whether the controllers always gave numbers."""
+    lost = {name: np.flatnonzero(~np.isfinite(out[name])) for name in ("M", "T")}
+    first = {name: steps[0] * PERIOD for name, steps in lost.items() if steps.size}
+    if not first:
+        return Check("commands are numbers", True, "M and T are")
+    name = min(first, key=lambda name: first[name])
+    return Check(
+        "commands are numbers",
+        False,
+        f"{name} is not finite from {first[name]:.3f} s on, in {lost[name].size} steps, where the motors were stopped",
     )
 
 

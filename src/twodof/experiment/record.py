@@ -26,7 +26,10 @@ MESSAGE_PERIOD = round(0.02 / PERIOD)
 
 
 def flight_log(out: Mapping[str, NDArray[Any]], mode: NDArray[np.int32], provenance: dict[str, Any]) -> FlightLog:
-    """The log of a flight whose signals at the control steps are `out`, as `ClosedLoop.fly` gives them."""
+    """The log of a flight whose signals at the control steps are `out`, as `ClosedLoop.fly` gives them.
+
+    Samples that are not finite, which a user's controller may give, are left out: the channel has a gap there.
+    """
     steps = len(mode)
     time = BOOT + PERIOD * np.arange(steps)
     zero = np.zeros(steps)
@@ -64,7 +67,12 @@ def published_steps(steps: int) -> NDArray[np.bool_]:
 
 def _channel(name: str, time: NDArray[np.float64], values: NDArray[Any]) -> Channel:
     shift = _LATER.get(name, 0.0) - _AGE.get(name, 0.0)
-    return Channel(time + shift, np.asarray(values, dtype=np.float64), topic(name).unit, topic(name).fields, name)
+    return _finite(time + shift, np.asarray(values, dtype=np.float64), name)
+
+
+def _finite(time: NDArray[np.float64], values: NDArray[np.float64], name: str) -> Channel:
+    good = np.isfinite(values) if values.ndim == 1 else np.isfinite(values).all(axis=1)
+    return Channel(time[good], values[good], topic(name).unit, topic(name).fields, name)
 
 
 def _messages(time: NDArray[np.float64], out: Mapping[str, NDArray[Any]], mode: NDArray[np.int32]) -> Channel:
@@ -75,4 +83,4 @@ def _messages(time: NDArray[np.float64], out: Mapping[str, NDArray[Any]], mode: 
     steps = np.union1d(np.union1d(changed, stepped), np.flatnonzero(opened)[::MESSAGE_PERIOD]).astype(np.intp)
     flag = opened[steps].astype(np.float64)
     values = np.column_stack([out["M"][steps] * flag, out["T"][steps] * flag, flag, flag, flag])
-    return Channel(time[steps] - 1.5e-3, values, topic("lmnf").unit, topic("lmnf").fields, "lmnf")
+    return _finite(time[steps] - 1.5e-3, values, "lmnf")

@@ -76,8 +76,8 @@ def core(gains: Gains = DEFAULT, position_filter: str = "joint", controllers: It
 
     `controllers` are diagrams of the templates (`flight.templates`), one of a kind at most, which take the place of the
     stock loops and of the mixer: their parameters are `cascade.attitude_control...`, `cascade.position_control...` and
-    `motor_control...`. Where a moment or thrust that one of them asks for is NaN the motors stop (a single motor's NaN
-    stops that motor), and M and T say NaN. With a motor controller M and T are what the motors are given.
+    `motor_control...`. Where a moment or thrust that one of them asks for is infinite or NaN the motors stop (a single
+    motor's stops that motor), and M or T shows it. With a motor controller M and T are what the motors are given.
 
     Raises ParameterError for an unknown position filter, DiagramError for a diagram that fits no template.
     """

@@ -59,8 +59,8 @@ def lqr(
 
 
 def attitude_lqr(plant: PitchRate = PAPER_PITCH_RATE) -> LqrGains:
-    """Gains on (theta, q) and the integral of theta, for errors of 10 deg, 3 rad/s and .1 rad s at a moment of .1."""
-    return lqr(plant.state_space(), 0, (radians(10.0), 3.0), 0.1, 0.1)
+    """Gains on (theta, q) and the integral of theta, for errors of 5 deg, 2 rad/s and .3 rad s at a moment of .1."""
+    return lqr(plant.state_space(), 0, (radians(5.0), 2.0), 0.3, 0.1)
 
 
 def rate_lqr(plant: PitchRate = PAPER_PITCH_RATE) -> LqrGains:

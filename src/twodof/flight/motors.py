@@ -1,10 +1,10 @@
-"""Around a user's controllers: a moment that is no number stops the motors; single motors become rotor pairs."""
+"""Around a user's controllers: a moment that is not finite stops the motors; single motors become rotor pairs."""
 
 from __future__ import annotations
 
 from functools import reduce
 from math import nan
-from operator import or_
+from operator import and_
 from typing import Any
 
 from twodof.blocks import Block, Port, int32, maximum, minimum, where
@@ -12,14 +12,19 @@ from twodof.flight.cascade import ATTITUDE, OFF, POSITION, RATE, VELOCITY
 from twodof.flight.templates import AFT_MOTORS, FORE_MOTORS
 
 
+def _finite(value: Any) -> Any:
+    """Whether a number is neither infinite nor NaN: those leave a difference to themselves that is no 0."""
+    return value - value == 0.0
+
+
 class Sound(Block):
-    """M and T as they are, or 0 both (the motors stop) where one of them is NaN, as PX4 takes a NaN for a stop."""
+    """M and T as they are, or 0 both, which stops the motors, where one of them is infinite or NaN."""
 
     inputs = (Port("M"), Port("T"))
     outputs = (Port("M"), Port("T"))
 
     def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-        sound = (u.M == u.M) & (u.T == u.T)  # NaN alone differs from itself
+        sound = _finite(u.M) & _finite(u.T)
         return {"M": where(sound, u.M, 0.0), "T": where(sound, u.T, 0.0)}
 
 
@@ -42,8 +47,8 @@ class Pairs(Block):
     """The commands of the single motors as those of the rotor pairs: a pair gets the mean of its two motors.
 
     The rails let the drone neither roll nor yaw, so only what the motors of a pair have in common moves it. A command
-    is kept within [0, 1], one that is NaN is 0, and all are 0 when the mode is off. M = (fore - aft) / 2 and
-    T = (fore + aft) / 2 are what flies; `M_shown` and `T_shown` are the same, or NaN while a motor's command is.
+    is kept within [0, 1], one that is infinite or NaN is 0, and all are 0 when the mode is off. M = (fore - aft) / 2
+    and T = (fore + aft) / 2 are what flies; `M_shown` and `T_shown` are the same, or NaN while a command is not finite.
     """
 
     inputs = (Port("mode", "int32"), *(Port(f"motor_{n}") for n in (1, 2, 3, 4)))
@@ -54,12 +59,11 @@ class Pairs(Block):
 
         def command(motor: str) -> Any:
             asked = u[motor]
-            return where(off | (asked != asked), 0.0, maximum(0.0, minimum(1.0, asked)))
+            return where(off | ~_finite(asked), 0.0, maximum(0.0, minimum(1.0, asked)))
 
         fore, aft = (0.5 * (command(a) + command(b)) for a, b in (FORE_MOTORS, AFT_MOTORS))
         moment, thrust = 0.5 * (fore - aft), 0.5 * (fore + aft)
-        motors = [u[motor] for motor in (*FORE_MOTORS, *AFT_MOTORS)]
-        lost = ~off & reduce(or_, [motor != motor for motor in motors])
+        lost = ~off & ~reduce(and_, [_finite(u[motor]) for motor in (*FORE_MOTORS, *AFT_MOTORS)])
         return {
             "fore": fore,
             "aft": aft,

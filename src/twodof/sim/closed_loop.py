@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
@@ -12,12 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twodof.blocks import Diagram
+from twodof.blocks.block import Param, unknown_parameter
 from twodof.blocks.library.delays import ZeroOrderHold
 from twodof.blocks.reference import Reference
 from twodof.compile import Program, build
 from twodof.errors import ExperimentError
 from twodof.flight.core import INPUTS, OUTPUTS, core
 from twodof.flight.gains import DEFAULT, Gains
+from twodof.flight.templates import TEMPLATES
 from twodof.parameters import ParameterSet
 from twodof.rig.parameters import lab
 from twodof.rig.rig import BASE_DT, MEASUREMENTS, SAMPLE, TRUTH, rig
@@ -39,18 +41,23 @@ FILTERS: Mapping[str, tuple[str, str]] = MappingProxyType(
 )
 """Paths of the blocks that estimate pitch and position, by the position filter's name."""
 
+FLIGHT, CASCADE = "flight.", "flight.cascade."
+"""Where the flight code's parameters are in the closed loop, and those of the cascade."""
+
+_OWN = tuple(f"{prefix}{name}." for name in TEMPLATES for prefix in (FLIGHT, CASCADE))
 _SETTLE_TICKS = 100_000  # the gyro's bias settles within some tens of seconds
 _SETTLE_TICKS_INTERPRETED = 2_000
 _COVARIANCE = re.compile(r"\.(P_\w+|\w*variance)$").search
 _ARMED = 1000  # more than any count of samples that the flight code waits for after arming
 
 
-def closed_loop(gains: Gains = DEFAULT, position_filter: str = "joint") -> Diagram:
+def closed_loop(gains: Gains = DEFAULT, position_filter: str = "joint", controllers: Iterable[Diagram] = ()) -> Diagram:
     """The rig flown by the flight code, for a base tick of 1 ms.
 
     Inputs: those of the flight code that are not measured (`SETPOINTS`). Outputs: those of the flight code; the
     measurements; the truth as `true_theta`, `true_q`, `true_x`, `true_v`; `load`, `voltage`, `charge`. Parameters:
-    `rig.<name>` and `flight.<path>`. Raises ParameterError for an unknown position filter.
+    `rig.<name>` and `flight.<path>`. `controllers` fly in place of the stock ones, see `flight.core`. Raises
+    ParameterError for an unknown position filter, DiagramError for a diagram that fits no template.
     """
     d = Diagram("closed_loop", "the virtual rig and the code that flies it")
     for name, kind, unit, _ in INPUTS:
@@ -58,7 +65,7 @@ def closed_loop(gains: Gains = DEFAULT, position_filter: str = "joint") -> Diagr
             d.input(name, kind, unit=unit)
             d.add(f"{name}_held", ZeroOrderHold(kind=kind, unit=unit), rate=SAMPLE, u=name)
     d.add("rig", rig())
-    d.add("flight", core(gains, position_filter), rate=SAMPLE)
+    d.add("flight", core(gains, position_filter, controllers), rate=SAMPLE)
     for name in SETPOINTS:
         d.connect(f"{name}_held", f"flight.{name}")
     for name in MEASUREMENTS:
@@ -100,8 +107,13 @@ class ClosedLoop:
     """A compiled closed loop with one rig and one set of gains, to be flown again and again.
 
     `rig` is a set from `twodof.rig.parameters` (None: `lab`), `conditions` are further parameters of the rig (`noise`,
-    `seed`, `rings`, `trim`, ...), `tuning` those of the flight code besides the gains, by path. Without a C compiler it
+    `seed`, `rings`, `trim`, ...), `tuning` those of the flight code besides the gains, by path. `controllers` are
+    diagrams that fly in place of the stock loops and mixer (`flight.templates`); the gains are those of the stock loops
+    that are left. `precision`, "float64" or "float32", is that of everything, the rig included. Without a C compiler it
     runs on the reference interpreter, with its warning.
+
+    A controller whose moment or thrust is not finite stops the motors; the flight goes on to its end, and its `M` and
+    `T` show where it was not. Raises DiagramError for a diagram that fits no template or two that fit one.
     """
 
     def __init__(
@@ -112,11 +124,18 @@ class ClosedLoop:
         position_filter: str = "joint",
         tuning: Mapping[str, Any] | None = None,
         log: tuple[str, ...] = (),
+        controllers: Iterable[Diagram] = (),
+        precision: str = "float64",
     ) -> None:
         # Gains are parameters: one program, compiled once, flies them all.
-        diagram = closed_loop(position_filter=position_filter)
-        self.program: Program | Reference = build(diagram, BASE_DT, log=log)
+        diagram = closed_loop(position_filter=position_filter, controllers=controllers)
+        self.program: Program | Reference = build(diagram, BASE_DT, precision, log=log)
         self.machine = self.program.machine()
+        self.controllers = {
+            name.removeprefix(CASCADE).removeprefix(FLIGHT): name
+            for name in self.machine.parameters
+            if name.startswith(_OWN)
+        }
         self.tune(gains)
         self.machine.set_many({f"flight.{path}": value for path, value in (tuning or {}).items()})
         self.filters = FILTERS[position_filter]
@@ -131,8 +150,25 @@ class ClosedLoop:
         self.machine.set_many({f"rig.{name}": value for name, value in values.items()})
 
     def tune(self, gains: Gains) -> None:
-        """Sets the gains of the cascade."""
-        self.machine.set_many({f"flight.cascade.{path}": value for path, value in gains.parameters().items()})
+        """Sets the gains of the cascade, of those of its loops that are the stock ones."""
+        values = {f"{CASCADE}{path}": value for path, value in gains.parameters().items()}
+        self.machine.set_many({path: value for path, value in values.items() if path in self.machine.parameters})
+
+    def tune_controllers(self, values: Mapping[str, Any]) -> None:
+        """Sets parameters of the user's controllers, all or none, by paths such as "attitude_control.k_theta".
+
+        Raises ParameterError for a path that is not there or a value out of its bounds.
+        """
+        for path in values:
+            if path not in self.controllers:
+                raise unknown_parameter(path, self.controllers)
+        self.machine.set_many({self.controllers[path]: value for path, value in values.items()})
+
+    def controller_parameters(self) -> dict[str, tuple[Param, Any]]:
+        """What can be tuned in the user's controllers: path -> (declaration with bounds and unit, present value)."""
+        return {
+            path: (self.machine.parameters[full], self.machine.get(full)) for path, full in self.controllers.items()
+        }
 
     def start(self, at: Start) -> None:
         """Puts everything to the start. Raises ExperimentError for a start beyond a stop."""
