@@ -1,0 +1,172 @@
+"""Difference: what changed from one diagram to another, as a list that a person reads."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from twodof.blocks.block import Block, Param
+from twodof.blocks.diagram import Diagram, Part
+from twodof.blocks.traced import TracedBlock, graph_to_json
+
+WHATS = ("input", "output", "parameter", "block", "connection")
+_SHOWN = 8  # elements of an array
+
+
+@dataclass(frozen=True)
+class Change:
+    """One thing that changed at `path`: `what` is one of `WHATS`; `before` or `after` is "" where there was nothing."""
+
+    what: str
+    path: str
+    before: str
+    after: str
+
+    @property
+    def kind(self) -> str:
+        """Whether it was "added", "removed" or "changed"."""
+        return "added" if not self.before else "changed" if self.after else "removed"
+
+    def __str__(self) -> str:
+        if self.kind == "added":
+            return f"+ {self.what} {self.path}: {self.after}"
+        if self.kind == "removed":
+            return f"- {self.what} {self.path}: {self.before}"
+        return f"~ {self.what} {self.path}: {self.before} -> {self.after}"
+
+
+@dataclass(frozen=True)
+class Difference:
+    """The changes from one diagram to another: ports, then parameters, blocks, connections, each in order of paths."""
+
+    changes: tuple[Change, ...]
+
+    def __bool__(self) -> bool:
+        """Whether anything changed."""
+        return bool(self.changes)
+
+    def to_json(self) -> list[dict[str, str]]:
+        """The changes as JSON objects."""
+        return [
+            {"what": c.what, "kind": c.kind, "path": c.path, "before": c.before, "after": c.after} for c in self.changes
+        ]
+
+
+def difference(before: Diagram, after: Diagram) -> Difference:
+    """What changed from `before` to `after` in what a step computes: neither names of diagrams, texts nor layout count.
+
+    A sub-diagram is compared part by part, at paths such as "pid.gain"; one that came or went is one change. A block
+    that was renamed is one removed and one added. Custom blocks are compared by their traced expressions. Raises
+    DiagramError for a connection whose source is not there.
+    """
+    old, new = _Listing(before), _Listing(after)
+    moved = old.blocks ^ new.blocks
+    changes: list[Change] = []
+    for what in WHATS:
+        was, now = old.rows[what], new.rows[what]
+        for path in sorted({*was, *now}):
+            a, b = was.get(path, ""), now.get(path, "")
+            # What is inside a part that came or went does so with it; only its own connections are news.
+            at = path.rpartition(".")[0] if what == "connection" else path
+            if a != b and not moved.intersection(_above(at)):
+                changes.append(Change(what, path, a, b))
+    return Difference(tuple(changes))
+
+
+def _above(path: str) -> Iterator[str]:
+    """The paths of the parts that the one at `path` is in."""
+    while "." in path:
+        path = path.rpartition(".")[0]
+        yield path
+
+
+class _Listing:
+    """Everything in a diagram: how it reads, by what it is and by path."""
+
+    def __init__(self, diagram: Diagram) -> None:
+        self.rows: dict[str, dict[str, str]] = {what: {} for what in WHATS}
+        self._open(diagram, "")
+        self.blocks = frozenset(self.rows["block"])
+
+    def _open(self, diagram: Diagram, prefix: str) -> None:
+        for port in diagram.inputs.values():
+            width = "" if port.width is None else f"[{port.width}]"
+            self.rows["input"][f"{prefix}{port.name}"] = f"{port.kind}{width} {port.unit}".rstrip()
+        for name, source in diagram.outputs.items():
+            self.rows["output"][f"{prefix}{name}"] = f"from {_full(diagram, source, prefix)}"
+        for param in diagram.params.values():
+            self.rows["parameter"][f"{prefix}{param.name}"] = _parameter(param)
+        for part in diagram.parts.values():
+            self._part(part, prefix)
+        for (name, port_name), source in diagram.connections.items():
+            self.rows["connection"][f"{prefix}{name}.{port_name}"] = f"from {_full(diagram, source, prefix)}"
+
+    def _part(self, part: Part, prefix: str) -> None:
+        path = f"{prefix}{part.name}"
+        if isinstance(part.item, Diagram):
+            self.rows["block"][path] = f"sub-diagram{_settings(part, prefix)}"
+            self._open(part.item, f"{path}.")
+            return
+        self.rows["block"][path] = f"{_block(part.item)}{_settings(part, prefix)}"
+        for param in part.item.params:
+            if param.name not in part.params:
+                self.rows["parameter"][f"{path}.{param.name}"] = _parameter(param)
+
+
+def _full(diagram: Diagram, source: str | None, prefix: str) -> str:
+    """A source as a path, with its port written out."""
+    if source is None:
+        return "nothing"
+    part, port = diagram.source(source)
+    return f"{prefix}{port}" if part is None else f"{prefix}{part}.{port}"
+
+
+def _settings(part: Part, prefix: str) -> str:
+    """How a part runs and what its parameters are bound to, where that is not the ordinary way."""
+    words = [] if tuple(part.rate) == (1, 0) else [f"rate {part.rate.divider}, offset {part.rate.offset}"]
+    words += [f"enabled by {prefix}{part.enable}"] if part.enable else []
+    words += [f"reset by {prefix}{part.reset}"] if part.reset else []
+    words += [f"outputs when disabled: {part.disabled}"] if part.disabled != "hold" else []
+    words += [f"{inner} is {prefix}{outer}" for inner, outer in sorted(part.params.items())]
+    return f"; {', '.join(words)}" if words else ""
+
+
+def _block(block: Block) -> str:
+    """The type of a block and what its constructor was told besides values of parameters."""
+    if not type(block).type_name:
+        label = block.label if isinstance(block, TracedBlock) else type(block).__name__
+        # The expressions themselves are no reading; that they changed is.
+        return f"{label} (custom, {hashlib.sha256(_expressions(block).encode()).hexdigest()[:12]})"
+    values = {param.name.lower() for param in block.params}
+    values |= {"limits"} if {"low", "high"} <= values else set()
+    config: dict[str, Any] = getattr(block, "config", {})
+    told = [
+        f"{key}={value!r}"
+        for key, value in config.items()
+        if key.lower() not in values and value is not None and value is not False and value != ""
+    ]
+    arguments = f" ({', '.join(told)})" if told else ""
+    return type(block).type_name + arguments
+
+
+def _expressions(block: Block) -> str:
+    declared = [getattr(block, which) for which in ("inputs", "outputs", "states", "derived")]
+    names = [(param.name, param.kind, param.width) for param in block.params]
+    return repr(([list(ports) for ports in declared], names, block.crossing, graph_to_json(block.trace)))
+
+
+def _parameter(param: Param) -> str:
+    bounds = (f"{float(param.low):.9g}", f"{float(param.high):.9g}")
+    ranged = "" if bounds == ("-inf", "inf") else f", {bounds[0]} to {bounds[1]}"
+    return f"{_number(param.value)} {param.unit}".rstrip() + ranged + ("" if param.tunable else ", fixed")
+
+
+def _number(value: Any) -> str:
+    """A value with all its digits: the difference of two doubles must be seen."""
+    if isinstance(value, (list, tuple)):
+        whole = "" if len(value) <= _SHOWN else f" and {len(value) - _SHOWN} more"
+        digest = "" if not whole else f", {hashlib.sha256(repr(list(value)).encode()).hexdigest()[:12]}"
+        return f"[{', '.join(_number(v) for v in value[:_SHOWN])}{whole}{digest}]"
+    return repr(value)
