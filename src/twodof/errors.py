@@ -1,5 +1,23 @@
 """The few errors this package raises: each says what went wrong, where, and what to do about it."""
 
+import reprlib
+from collections.abc import Iterable
+from itertools import islice
+
+_SHORT = reprlib.Repr()
+_SHORT.maxlevel, _SHORT.maxstring, _SHORT.maxother, _SHORT.maxlong = 3, 80, 80, 40
+
+
+def shown(value: object) -> str:
+    """`value` as a message may show it: short, however large, deep or hostile it is."""
+    return _SHORT.repr(value)[:120]
+
+
+def listed(names: Iterable[str], most: int = 20) -> str:
+    """The first of `names`, separated by commas, "none" if there are none, and that there are more."""
+    rows = list(islice(names, most + 1))
+    return ", ".join(rows[:most]) + (" and more" if len(rows) > most else "") if rows else "none"
+
 
 class TwodofError(Exception):
     """Base of every error that a caller of twodof can meet.

@@ -18,10 +18,11 @@ from twodof.blocks.arrays import vector
 from twodof.blocks.expr import KINDS, Expr, as_expr, const, leaf, to_real, tracing
 from twodof.blocks.graph import leaves, walk
 from twodof.blocks.numbers import Integer, Vector
-from twodof.errors import DiagramError, ParameterError
+from twodof.errors import DiagramError, ParameterError, listed, shown
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")
 MAX_WIDTH = 1_000_000
+MAX_PORTS = 1000  # inputs, outputs, states or parameters of one block
 MAX_STEPS = 100_000_000
 
 Values = Mapping[str, Any]
@@ -31,7 +32,7 @@ def check_name(name: object, where: str) -> str:
     """`name` if it is a legal name (a letter, then letters, digits and _, 63 at most); else DiagramError."""
     if not isinstance(name, str) or not NAME.fullmatch(name):
         raise DiagramError(
-            f"{name!r:.80} is no name", where, "use a letter, then up to 62 letters, digits or _ (ASCII)"
+            f"{shown(name)} is no name", where, "use a letter, then up to 62 letters, digits or _ (ASCII)"
         )
     return name
 
@@ -46,9 +47,9 @@ def check_steps(steps: object, where: str) -> int:
 def _check_shape(kind: str, width: int | None, name: str) -> None:
     check_name(name, "block")
     if kind not in KINDS:
-        raise DiagramError(f"unknown type {kind!r}", name, f"use one of {', '.join(KINDS)}")
+        raise DiagramError(f"unknown type {shown(kind)}", name, f"use one of {', '.join(KINDS)}")
     if width is not None and not (isinstance(width, int) and 1 <= width <= MAX_WIDTH):
-        raise DiagramError(f"width {width!r} is not in 1..{MAX_WIDTH}", name, "use None for a scalar")
+        raise DiagramError(f"width {shown(width)} is not in 1..{MAX_WIDTH}", name, "use None for a scalar")
 
 
 @dataclass(frozen=True)
@@ -336,10 +337,13 @@ def check_declarations(block: Block, name: str) -> None:
         ("parameter", [*block.params, *block.derived]),
     ]
     for what, declared in kinds:
-        names = [d.name for d in declared]
-        for n in names:
-            if names.count(n) > 1:
-                raise DiagramError(f"two {what}s are named {n!r}", name, "names are unique within a block")
+        if len(declared) > MAX_PORTS:
+            raise DiagramError(f"{len(declared)} {what}s", name, f"a block has at most {MAX_PORTS}; use arrays")
+        seen: set[str] = set()
+        for d in declared:
+            if d.name in seen:
+                raise DiagramError(f"two {what}s are named {d.name!r}", name, "names are unique within a block")
+            seen.add(d.name)
     parameters: list[Any] = [*block.params, *block.derived]
     by_name = {p.name: p for p in parameters}
     for s in block.states:
@@ -347,7 +351,7 @@ def check_declarations(block: Block, name: str) -> None:
             source = by_name.get(s.initial)
             if source is None or (source.kind, source.width) != (s.kind, s.width):
                 raise DiagramError(
-                    f"state {s.name!r} starts from {s.initial!r}, which is no such parameter",
+                    f"state {s.name!r} starts from {shown(s.initial)}, which is no such parameter",
                     name,
                     "name a parameter of the same type and width",
                 )
@@ -415,9 +419,9 @@ def names_given(name: str, method: str, result: Any, declared: Sequence[Any], pa
     for n in result:
         if n not in known:
             raise DiagramError(
-                f"{method} gives {n!r}, which is not declared",
+                f"{method} gives {shown(n)}, which is not declared",
                 name,
-                f"it may give {', '.join(sorted(known)) or 'nothing'}",
+                f"it may give: {listed(sorted(known))}",
             )
     if not partial:
         for n in known:

@@ -7,7 +7,9 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from twodof.blocks.block import Block, Param, Port, check_name
-from twodof.errors import DiagramError
+from twodof.errors import DiagramError, listed, shown
+
+MAX_DIVIDER = 2**31 - 1
 
 
 class Rate(NamedTuple):
@@ -19,6 +21,16 @@ class Rate(NamedTuple):
     def within(self, outer: Rate) -> Rate:
         """This rate, given relative to `outer`, relative to the base tick."""
         return Rate(self.divider * outer.divider, outer.offset + outer.divider * self.offset)
+
+    def check(self, path: str) -> Rate:
+        """This rate if it is possible; else DiagramError."""
+        if not (1 <= self.divider <= MAX_DIVIDER and 0 <= self.offset < self.divider):
+            raise DiagramError(
+                f"rate {shown(tuple(self))} is impossible",
+                path,
+                f"1 <= divider <= {MAX_DIVIDER}, with that of the enclosing diagrams too; 0 <= offset < divider",
+            )
+        return self
 
 
 BASE = Rate(1, 0)
@@ -100,31 +112,49 @@ class Diagram:
         reset: str | None = None,
         disabled: str = "hold",
         position: tuple[float, float] | None = None,
-        **inputs: str,
+        inputs: Mapping[str, str] | None = None,
+        **ports: str,
     ) -> str:
         """Add a part and connect its inputs by keyword (`u="source"`); returns its name.
 
+        `inputs` connects too: {"reset": "source"} is an input that has the name of one of these arguments.
         Raises DiagramError for a name that is taken or illegal, a rate with divider < 1 or offset outside [0, divider).
         """
         self._new(name)
         path = f"{self.name}.{name}"
-        rate = Rate(*rate)
-        if not (1 <= rate.divider < 2**31 and 0 <= rate.offset < rate.divider):
-            raise DiagramError(f"rate {tuple(rate)} is impossible", path, "divider >= 1 and 0 <= offset < divider")
+        for argument, value in (("rate", rate), ("params", params), ("position", position)):
+            if isinstance(value, str):
+                raise DiagramError(
+                    f"{argument}={shown(value)} is no {argument}", path, _as_input(item, argument, value) or "see add"
+                )
+        for argument, source in (("enable", enable), ("reset", reset)):
+            if source is None:
+                continue
+            if isinstance(item, Block):
+                raise DiagramError(
+                    f"a block cannot be {_PAST[argument]}",
+                    path,
+                    _as_input(item, argument, source) or "put it into a sub-diagram",
+                )
+            if inputs is None and argument in item.inputs:
+                raise DiagramError(
+                    f"{argument}= is both an input of the sub-diagram and what makes it {argument}",
+                    path,
+                    f"{_as_input(item, argument, source)}; with inputs={{...}}, {argument}= means the condition",
+                )
         if disabled not in ("hold", "reset"):
-            raise DiagramError(f"disabled={disabled!r}", path, 'use "hold" or "reset"')
-        if isinstance(item, Block) and (enable or reset):
-            raise DiagramError("a block cannot be enabled or reset", path, "put it into a sub-diagram")
+            raise DiagramError(
+                f"disabled={shown(disabled)}", path, _as_input(item, "disabled", disabled) or 'use "hold" or "reset"'
+            )
         known = {p.name for p in item.params} if isinstance(item, Block) else set(item.params)
         for inner in params or {}:
             if inner not in known:
                 raise DiagramError(
-                    f"there is no parameter {inner!r} to bind",
-                    path,
-                    f"there are: {', '.join(sorted(known)) or 'none'}",
+                    f"there is no parameter {shown(inner)} to bind", path, f"there are: {listed(sorted(known))}"
                 )
-        self.parts[name] = Part(name, item, rate, dict(params or {}), enable, reset, disabled, position)
-        for port, source in inputs.items():
+        part = Part(name, item, Rate(*rate).check(path), dict(params or {}), enable, reset, disabled, position)
+        self.parts[name] = part
+        for port, source in {**(inputs or {}), **ports}.items():
             self.connect(source, f"{name}.{port}")
         return name
 
@@ -133,12 +163,14 @@ class Diagram:
         for destination in destinations:
             if destination in self.outputs:
                 if self.outputs[destination] is not None:
-                    raise DiagramError(f"output {destination!r} is fed twice", self.name, "an input has one source")
+                    raise DiagramError(
+                        f"output {shown(destination)} is fed twice", self.name, "an input has one source"
+                    )
                 self.outputs[destination] = source
                 continue
             part, port = self._end(destination, "input")
             if (part, port) in self.connections:
-                raise DiagramError(f"input {destination!r} is fed twice", self.name, "an input has one source")
+                raise DiagramError(f"input {shown(destination)} is fed twice", self.name, "an input has one source")
             self.connections[part, port] = source
 
     def source(self, text: str) -> tuple[str | None, str]:
@@ -151,16 +183,14 @@ class Diagram:
         part, _, port = text.partition(".")
         if part not in self.parts:
             kind = "input or part" if direction == "output" else "output or part"
-            raise DiagramError(
-                f"there is no {kind} {part!r:.80}", self.name, f"parts: {', '.join(self.parts) or 'none'}"
-            )
+            raise DiagramError(f"there is no {kind} {shown(part)}", self.name, f"parts: {listed(self.parts)}")
         item = self.parts[part].item
         ports = port_names(item, direction)
         if not port and len(ports) == 1:
             return part, ports[0]
         if port not in ports:
-            what = f"no {direction} {port!r:.80}" if port else f"{len(ports)} {direction}s, so one must be named"
-            raise DiagramError(f"{part!r} has {what}", self.name, f"{direction}s: {', '.join(ports) or 'none'}")
+            what = f"no {direction} {shown(port)}" if port else f"{len(ports)} {direction}s, so one must be named"
+            raise DiagramError(f"{part!r} has {what}", self.name, f"{direction}s: {listed(ports)}")
         return part, port
 
     def _new(self, name: str) -> None:
@@ -171,6 +201,14 @@ class Diagram:
                 self.name,
                 "parts, inputs and parameters share one space of names",
             )
+
+
+_PAST = {"enable": "enabled", "reset": "reset"}
+
+
+def _as_input(item: Block | Diagram, name: str, source: str) -> str:
+    """How to connect an input that has the name of an argument of `add`; "" if there is none of that name."""
+    return f"connect the input with inputs={{{name!r}: {shown(source)}}}" if name in port_names(item, "input") else ""
 
 
 def port_names(item: Block | Diagram, direction: str) -> list[str]:

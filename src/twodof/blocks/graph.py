@@ -128,27 +128,38 @@ def _compute(
     return leaf_value(item)
 
 
-def free_bounds(roots: Iterable[Expr]) -> dict[int, frozenset[tuple[int, int, str]]]:
-    """For each node below `roots`, by id: the loop variables (depth, which, kind) that no loop below it binds.
+def free_bounds(roots: Sequence[Expr]) -> dict[int, frozenset[tuple[int, int, str]]]:
+    """For each of `roots`, by id: the loop variables (depth, which, kind) below it that no loop binds.
 
     Raises DiagramError where a loop's body uses its variables with another type or number than the loop gives them.
     """
-    free: dict[int, frozenset[tuple[int, int, str]]] = {}
+    # Sets as bits of one integer each: of a large graph all of them together stay small.
+    variables: dict[tuple[int, int, str], int] = {}
+    names: list[tuple[int, int, str]] = []
+    free: dict[int, int] = {}
     for item in walk(roots):
-        below = frozenset[tuple[int, int, str]]().union(*(free[id(a)] for a in outside(item)))
+        below = 0
+        for a in outside(item):
+            below |= free[id(a)]
         if item.op == "bound":
-            below = frozenset({(*item.data, item.kind)})
+            variable = (*item.data, item.kind)
+            if variable not in variables:
+                variables[variable] = len(names)
+                names.append(variable)
+            below = 1 << variables[variable]
         elif item.op in ("build", "fold"):
             starts = outside(item)
             kinds = ["int32", *(s.kind for s in starts)]
             depth = item.data[1]
+            inside = 0
             for body in item.args[len(starts) :]:
-                for d, which, kind in free[id(body)]:
-                    if d != depth:
-                        below |= {(d, which, kind)}
-                    elif which >= len(kinds) or kinds[which] != kind:
-                        raise DiagramError(
-                            f"a loop has no variable {which} of type {kind}", "", "record the loop again"
-                        )
+                inside |= free[id(body)]
+            for bit, (d, which, kind) in enumerate(names):
+                if not inside >> bit & 1:
+                    continue
+                if d != depth:
+                    below |= 1 << bit
+                elif which >= len(kinds) or kinds[which] != kind:
+                    raise DiagramError(f"a loop has no variable {which} of type {kind}", "", "record the loop again")
         free[id(item)] = below
-    return free
+    return {id(r): frozenset(v for i, v in enumerate(names) if free[id(r)] >> i & 1) for r in roots}

@@ -7,14 +7,15 @@ from typing import Any
 
 from twodof.blocks.arrays import vector
 from twodof.blocks.block import SECTIONS, Block, Clock, Trace, check_name
+from twodof.blocks.effort import MAX_LOOP_DEPTH, MAX_SIZE, Meter, too_large
 from twodof.blocks.elementary import FUNCTIONS
 from twodof.blocks.expr import KINDS, Expr, const, convert, leaf, node, tracing
 from twodof.blocks.graph import OPERATIONS, evaluate, free_bounds, walk
-from twodof.errors import DiagramError
+from twodof.errors import DiagramError, shown
 
-MAX_NODES = 200_000
+MAX_NODES = MAX_SIZE
 MAX_LENGTH = 1_000_000
-MAX_LOOP_DEPTH = 8
+MAX_CARRIED = 32  # values that a fold carries from one round to the next
 
 
 class TracedBlock(Block):
@@ -125,7 +126,7 @@ def graph_from_json(block: TracedBlock, form: Mapping[str, Any], where: str) -> 
             except (DiagramError, TypeError, ValueError, LookupError, AttributeError, OverflowError) as error:
                 what = error.what if isinstance(error, DiagramError) else str(error)
                 raise DiagramError(
-                    f"node {i}, {row!r:.80}, is not well formed: {what:.200}", where, "save it again"
+                    f"node {i}, {shown(row)}, is not well formed: {what:.200}", where, "save it again"
                 ) from error
 
     def section(name: str) -> dict[str, Any]:
@@ -136,7 +137,7 @@ def graph_from_json(block: TracedBlock, form: Mapping[str, Any], where: str) -> 
 
     def pick(index: Any, name: str) -> Expr:
         if type(index) is not int or not 0 <= index < len(made):
-            raise DiagramError(f"{name} names node {index!r:.40}, which is not there", where, "save the diagram again")
+            raise DiagramError(f"{name} names node {shown(index)}, which is not there", where, "save the diagram again")
         return made[index]
 
     for name in block.sections:
@@ -155,6 +156,10 @@ def graph_from_json(block: TracedBlock, form: Mapping[str, Any], where: str) -> 
     if any(free[id(root)] for root in roots):
         raise DiagramError("a loop variable stands outside its loop", where, "save the diagram again")
     try:
+        # Before anything is computed, port by port as it will be: what is small in a file can be endless to follow.
+        meter = Meter()
+        if sum(meter.measure([e]).size for e in roots) > MAX_SIZE:
+            raise too_large()
         _ = block.trace  # checks the types, and that each declared name is given
     except DiagramError as error:
         raise DiagramError(error.what, where, error.remedy) from error
@@ -183,7 +188,7 @@ def _node_from(row: Any, made: list[Expr], leaves: Mapping[str, Mapping[str, Exp
     if op == "bound":
         kind, depth, which = data
         _in_range(depth, MAX_LOOP_DEPTH)
-        _in_range(which, 1000)
+        _in_range(which, MAX_CARRIED + 1)
         if kind not in KINDS:
             raise ValueError("no such type")
         return node("bound", kind, (), (depth, which))
@@ -195,7 +200,7 @@ def _node_from(row: Any, made: list[Expr], leaves: Mapping[str, Mapping[str, Exp
         raise ValueError("bit patterns of reals are not for diagrams")
     if op == "call":
         if data[0] not in FUNCTIONS:
-            raise ValueError(f"no function {data[0]!r:.40}")
+            raise ValueError(f"no function {shown(data[0])}")
         return _expr(FUNCTIONS[data[0]](*args))
     if op == "vector":
         return _expr(vector(args))
@@ -212,6 +217,8 @@ def _node_from(row: Any, made: list[Expr], leaves: Mapping[str, Mapping[str, Exp
         _in_range(length, MAX_LENGTH)
         _in_range(depth, MAX_LOOP_DEPTH)
         half = len(args) // 2
+        if half > MAX_CARRIED:
+            raise ValueError(f"a loop that carries more than {MAX_CARRIED} values")
         _in_range(which, half)
         for start, body in zip(args[:half], args[half:], strict=True):
             if (start.kind, start.width) != (body.kind, body.width) or start.width is not None:
@@ -230,4 +237,4 @@ def _expr(value: Any) -> Expr:
 
 def _in_range(value: Any, end: int) -> None:
     if type(value) is not int or not 0 <= value < end:
-        raise ValueError(f"{value!r:.40} is not in 0..{end - 1}")
+        raise ValueError(f"{shown(value)} is not in 0..{end - 1}")

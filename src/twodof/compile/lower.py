@@ -15,7 +15,16 @@ from twodof.compile.flat import Action, Condition, Group, Guard, Node, Parameter
 from twodof.errors import DiagramError
 
 MAX_DEPTH = 64
+MAX_LOOPS = 20  # algebraic loops that are listed; each costs a walk through the diagram
 INTEGRATORS = ("rk4", "euler")
+
+Report = Callable[[DiagramError], None]
+"""What is done with a problem: `lower` raises the first, `twodof.compile.check` collects them all."""
+
+
+def refuse(error: DiagramError) -> None:
+    """Raise it."""
+    raise error
 
 
 def lower(diagram: Diagram, dt: float, log: Iterable[str] = (), integrator: str = "rk4") -> Program:
@@ -27,12 +36,8 @@ def lower(diagram: Diagram, dt: float, log: Iterable[str] = (), integrator: str 
         raise DiagramError(f"dt = {dt!r}", diagram.name, "give the base tick in seconds, > 0")
     if integrator not in INTEGRATORS:
         raise DiagramError(f"unknown integrator {integrator!r}", diagram.name, 'use "rk4" or "euler"')
-    flat = _Flat(diagram)
-    flat.connect()
-    _check_base_rate(flat.nodes)
-    everything = [s for n in flat.nodes for s in n.outputs.values()]
-    ordered = _ordered(diagram.name, everything)
-    _check_rates(flat.nodes, ordered)
+    flat = Flat(diagram)
+    ordered = flat.ordered()
     inputs = {name: flat.input_signal(name) for name in diagram.inputs}
     outputs = {name: flat.root.driver(name) for name in diagram.outputs}
     for path in log:
@@ -84,7 +89,10 @@ class _Level:
         seen: set[tuple[int, str]] = set()
         while (id(at), text) not in seen:
             seen.add((id(at), text))
-            part, port = at.diagram.source(text)
+            try:
+                part, port = at.diagram.source(text)
+            except DiagramError as error:
+                raise DiagramError(error.what, at.path, error.remedy) from error
             if part is None:
                 if at.parent is None:
                     return at.root_inputs[port]
@@ -93,7 +101,9 @@ class _Level:
                     raise DiagramError("the input is not connected", f"{at.path}.{port}", "connect it or remove it")
                 at, text = at.parent, above
                 continue
-            inner = at.parts[part]
+            inner = at.parts.get(part)
+            if inner is None:
+                raise DiagramError("its source lies too deep", f"{self.path}.{source}", "flatten the diagram")
             if isinstance(inner, Node):
                 return inner.outputs[port]
             below = inner.diagram.outputs[port]
@@ -103,11 +113,17 @@ class _Level:
         raise DiagramError("a connection leads back to itself", f"{self.path}.{source}", "a loop needs a block in it")
 
 
-class _Flat:
-    """The nodes and parameters of a diagram, before their order is known."""
+class Flat:
+    """The nodes and parameters of a diagram, connected and checked. `report` is told of each problem.
 
-    def __init__(self, diagram: Diagram) -> None:
+    Where a report returns, something harmless stands in for what is missing, so that the checks can go on: an input
+    that nothing feeds is fed by a signal in `unknown`, a block that cannot be traced is left out.
+    """
+
+    def __init__(self, diagram: Diagram, report: Report = refuse) -> None:
         self.diagram = diagram
+        self.report = report
+        self.unknown: set[Signal] = set()
         self.nodes: list[Node] = []
         self.parameters: dict[str, Parameter] = {}
         self.levels: list[_Level] = []
@@ -121,7 +137,8 @@ class _Flat:
         while stack:
             level, rate, conditions, bound, depth = stack.pop()
             if depth > MAX_DEPTH:
-                raise DiagramError(f"sub-diagrams are nested more than {MAX_DEPTH} deep", level.path, "flatten it")
+                report(DiagramError(f"sub-diagrams are nested more than {MAX_DEPTH} deep", level.path, "flatten it"))
+                continue
             self.levels.append(level)
             declared = level.diagram.params
             own = {n: self._parameter(level.prefix + n, p, bound.get(n)) for n, p in declared.items()}
@@ -137,29 +154,38 @@ class _Flat:
                 if part.enable or part.reset:
                     below.condition = Condition(path, clears=part.disabled == "reset")
                     around = (*conditions, below.condition)
-                stack.append((below, part.rate.within(rate), around, inner, depth + 1))
+                stack.append((below, part.rate.within(rate).check(path), around, inner, depth + 1))
         self.nodes.sort(key=lambda n: n.path)
+        self._trace()
+        self._connect()
+        self._check_base_rate()
 
     def _bindings(self, level: _Level, part: Part, own: Mapping[str, Parameter]) -> dict[str, Parameter]:
         for outer in part.params.values():
             if outer not in own:
-                raise DiagramError(
-                    f"there is no parameter {outer!r} to bind to",
-                    f"{level.path}.{part.name}",
-                    "declare it with Diagram.param",
+                self.report(
+                    DiagramError(
+                        f"there is no parameter {outer!r} to bind to",
+                        f"{level.path}.{part.name}",
+                        "declare it with Diagram.param",
+                    )
                 )
-        return {inner: own[outer] for inner, outer in part.params.items()}
+        return {inner: own[outer] for inner, outer in part.params.items() if outer in own}
 
     def _parameter(self, path: str, declared: Param, bound: Parameter | None) -> Parameter:
         if bound is None:
             self.parameters[path] = Parameter(path, declared)
             return self.parameters[path]
         outer = bound.declared
-        if (outer.kind, outer.width) != (declared.kind, declared.width) or _clash(outer.unit, declared.unit):
-            raise DiagramError(
-                f"it is bound to {bound.path!r}, which has another type, width or unit", path, "declare both alike"
-            )
-        bound.declared = narrowed(outer, declared, path)
+        try:
+            if (outer.kind, outer.width) != (declared.kind, declared.width) or _clash(outer.unit, declared.unit):
+                raise DiagramError(
+                    f"it is bound to {bound.path!r}, which has another type, width or unit", path, "declare both alike"
+                )
+            bound.declared = narrowed(outer, declared, path)
+        except DiagramError as error:
+            self.report(error)
+            return self._parameter(path, declared, None)
         return bound
 
     def _node(
@@ -172,7 +198,7 @@ class _Flat:
         bound: Mapping[str, Parameter],
     ) -> Node:
         path = level.prefix + part.name
-        node = Node(path, block, part.rate.within(rate), conditions)
+        node = Node(path, block, part.rate.within(rate).check(path), conditions)
         node.outputs = {
             o.name: Signal(f"{path}.{o.name}", o.name, o.kind, o.width, o.unit, node) for o in block.outputs
         }
@@ -180,17 +206,34 @@ class _Flat:
         self.nodes.append(node)
         return node
 
-    def connect(self) -> None:
+    def _trace(self) -> None:
+        """Trace every block; one that cannot be is left out, and its outputs are as if given from outside."""
+        for node in list(self.nodes):
+            try:
+                _ = node.trace
+            except DiagramError as error:
+                self.report(DiagramError(error.what, f"{node.path}, {error.where}", error.remedy))
+                self.nodes.remove(node)
+                for signal in node.outputs.values():
+                    signal.node = None
+                    self.unknown.add(signal)
+
+    def _connect(self) -> None:
         """Give each node its drivers and each condition its signals; checks types, widths and units."""
         for level in self.levels:
             for name in level.diagram.outputs:
-                level.driver(name)
+                try:
+                    level.driver(name)
+                except DiagramError as error:
+                    self.report(error)
             for part in level.diagram.parts.values():
-                inner = level.parts[part.name]
+                inner = level.parts.get(part.name)
                 if isinstance(inner, Node):
                     inner.drivers = {
                         port.name: self._driver(level, part.name, port, inner.path) for port in inner.block.inputs
                     }
+                    continue
+                if inner is None:
                     continue
                 for port in inner.diagram.inputs.values():
                     self._driver(level, part.name, port, inner.path)
@@ -199,6 +242,15 @@ class _Flat:
                     inner.condition.reset = self._bool(level, part.reset, inner.path, "reset")
 
     def _driver(self, level: _Level, part: str, port: Port, path: str) -> Signal:
+        try:
+            return self._checked_driver(level, part, port, path)
+        except DiagramError as error:
+            self.report(error)
+            stand_in = Signal(f"{path}.{port.name}", port.name, port.kind, port.width, port.unit)
+            self.unknown.add(stand_in)
+            return stand_in
+
+    def _checked_driver(self, level: _Level, part: str, port: Port, path: str) -> Signal:
         where = f"{path}.{port.name}"
         source = level.diagram.connections.get((part, port.name))
         if source is None:
@@ -219,15 +271,37 @@ class _Flat:
     def _bool(self, level: _Level, source: str | None, path: str, what: str) -> Signal | None:
         if not source:
             return None
-        signal = level.resolve(source)
-        if signal.kind != "bool" or signal.width is not None:
-            raise DiagramError(f"its {what} signal {source!r} is no bool", path, "compare the signal with something")
+        try:
+            signal = level.resolve(source)
+            if signal.kind != "bool" or signal.width is not None:
+                remedy = "compare the signal with something"
+                raise DiagramError(f"its {what} signal {source!r} is no bool", path, remedy)
+        except DiagramError as error:
+            self.report(error)
+            return None
         return signal
 
+    def _check_base_rate(self) -> None:
+        for node in self.nodes:
+            what = "continuous states" if node.continuous else "an edge inside the step" if node.trace.edges else ""
+            if what and node.rate != BASE:
+                self.report(
+                    DiagramError(f"{what} at the rate {tuple(node.rate)}", node.path, "keep it at the base rate")
+                )
+
+    def ordered(self) -> list[Signal]:
+        """All outputs of all nodes, each after those it needs, ties by path; checks for loops and for rates."""
+        everything = [s for n in self.nodes for s in n.outputs.values()]
+        order = _ordered(self.diagram.name, everything, self.report)
+        _check_rates(self.nodes, order, self.unknown, self.report)
+        return order
+
     def input_signal(self, name: str) -> Signal:
+        """The signal of an input of the diagram."""
         return self.root.root_inputs[name]
 
     def logged(self, path: str) -> Signal:
+        """The signal with the path "part.sub.port". Raises DiagramError if there is none."""
         owner, _, port = path.rpartition(".")
         for node in self.nodes:
             if node.path == owner and port in node.outputs:
@@ -249,13 +323,6 @@ def _node(signal: Signal) -> Node:
     return signal.node
 
 
-def _check_base_rate(nodes: Sequence[Node]) -> None:
-    for node in nodes:
-        what = "continuous states" if node.continuous else "an edge inside the step" if node.trace.edges else ""
-        if what and node.rate != BASE:
-            raise DiagramError(f"{what} at the rate {tuple(node.rate)}", node.path, "keep it at the base rate")
-
-
 def _drivers(signal: Signal) -> list[Signal]:
     """The driven signals that this one depends on in the same tick through its block."""
     node = _node(signal)
@@ -273,8 +340,8 @@ def _conditions(node: Node) -> list[Signal]:
     return [s for s in signals if s is not None and s.node is not None]
 
 
-def _ordered(name: str, signals: Sequence[Signal]) -> list[Signal]:
-    """`signals` with each after those it needs, ties by path. Raises DiagramError that lists an algebraic loop."""
+def _ordered(name: str, signals: Sequence[Signal], report: Report) -> list[Signal]:
+    """`signals` with each after those it needs, ties by path. Reports each algebraic loop, and goes on as if cut."""
     rank = {s: i for i, s in enumerate(signals)}
     needs = {s: set(_tick_needs(s)) for s in signals}
     users: dict[Signal, list[Signal]] = {s: [] for s in signals}
@@ -284,36 +351,42 @@ def _ordered(name: str, signals: Sequence[Signal]) -> list[Signal]:
     waiting = {s: len(before) for s, before in needs.items()}
     ready = [rank[s] for s in signals if waiting[s] == 0]
     heapq.heapify(ready)
-    order = []
-    while ready:
-        s = signals[heapq.heappop(ready)]
-        order.append(s)
-        for user in users[s]:
-            waiting[user] -= 1
-            if waiting[user] == 0:
-                heapq.heappush(ready, rank[user])
-    if len(order) < len(signals):
-        loop = _loop({s: [b for b in needs[s] if waiting[b]] for s in signals if waiting[s]})
-        raise DiagramError(
-            f"algebraic loop {' <- '.join(s.path for s in loop)}",
-            name,
-            "put a delay or a continuous state into the loop",
+    order: dict[Signal, None] = {}
+    for _ in range(MAX_LOOPS):
+        while ready:
+            s = signals[heapq.heappop(ready)]
+            order[s] = None
+            for user in users[s]:
+                waiting[user] -= 1
+                if waiting[user] == 0:
+                    heapq.heappush(ready, rank[user])
+        if len(order) == len(signals):
+            break
+        loop = _loop({s: [b for b in needs[s] if b not in order] for s in signals if s not in order})
+        report(
+            DiagramError(
+                f"algebraic loop {' <- '.join(s.path for s in loop)}",
+                name,
+                "put a delay or a continuous state into the loop",
+            )
         )
-    return order
+        waiting[loop[0]] = 0  # from here on it only falls, so it is not pushed again
+        ready.append(rank[loop[0]])
+    return list(order)
 
 
 def _loop(needs: Mapping[Signal, Sequence[Signal]]) -> list[Signal]:
     """A cycle in a graph in which everything needs something."""
     at = min(needs, key=lambda s: s.path)
-    seen: list[Signal] = []
+    seen: dict[Signal, int] = {}
     while at not in seen:
-        seen.append(at)
+        seen[at] = len(seen)
         at = min(needs[at], key=lambda s: s.path)
-    return [*seen[seen.index(at) :], at]
+    return [*list(seen)[seen[at] :], at]
 
 
-def _check_rates(nodes: Sequence[Node], ordered: Sequence[Signal]) -> None:
-    """Raise DiagramError where a block reads a signal of another rate and is no crossing. Constants have no rate."""
+def constants(ordered: Iterable[Signal]) -> set[Signal]:
+    """The signals that never change while parameters do not: they have no rate."""
     constant: set[Signal] = set()
     for s in ordered:
         node = _node(s)
@@ -321,14 +394,22 @@ def _check_rates(nodes: Sequence[Node], ordered: Sequence[Signal]) -> None:
         fed = [node.drivers[i] for i in node.trace.feedthrough[s.port]]
         if steady and all(d in constant for d in fed) and not leaves([node.trace.outputs[s.port]], "state"):
             constant.add(s)
+    return constant
+
+
+def _check_rates(nodes: Sequence[Node], ordered: Sequence[Signal], unknown: set[Signal], report: Report) -> None:
+    """Report where a block reads a signal of another rate and is no crossing."""
+    rateless = constants(ordered) | unknown
     for node in nodes:
         for name, signal in node.drivers.items():
             rate = BASE if signal.node is None else signal.node.rate
-            if rate != node.rate and signal not in constant and not node.block.crossing:
-                raise DiagramError(
-                    f"it runs at {tuple(node.rate)} and {signal.path} at {tuple(rate)}",
-                    f"{node.path}.{name}",
-                    "put a ZeroOrderHold or RateTransition between them",
+            if rate != node.rate and signal not in rateless and not node.block.crossing:
+                report(
+                    DiagramError(
+                        f"it runs at {tuple(node.rate)} and {signal.path} at {tuple(rate)}",
+                        f"{node.path}.{name}",
+                        "put a ZeroOrderHold or RateTransition between them",
+                    )
                 )
 
 

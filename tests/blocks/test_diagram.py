@@ -1,0 +1,90 @@
+"""Diagram.add: inputs that have the names of its own arguments, and rates that no counter holds."""
+
+from typing import Any
+
+import pytest
+
+from tests.blocks.samples import Counter, Gain, chain
+from twodof.blocks import Block, Diagram, Port
+from twodof.blocks.reference import Reference
+from twodof.compile.lower import lower
+from twodof.errors import DiagramError
+
+NAMES = ("name", "item", "rate", "params", "enable", "reset", "disabled", "position", "inputs")
+
+
+class Awkward(Block):
+    """Inputs named as the arguments of `add` are: the sum of them weighted by their places."""
+
+    inputs = tuple(Port(n) for n in NAMES)
+    outputs = (Port("y"),)
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        return sum(((i + 1.0) * u[n] for i, n in enumerate(NAMES)), 0.0)
+
+
+def sub() -> Diagram:
+    """A sub-diagram with inputs named as the arguments of `add` are."""
+    d = Diagram("sub")
+    for name in NAMES:
+        d.input(name)
+    d.add("inner", Awkward(), inputs={n: n for n in NAMES})
+    d.output("y", "inner")
+    return d
+
+
+def test_an_input_of_any_name_is_connected() -> None:
+    d = Diagram("d")
+    for name in NAMES:
+        d.input(f"{name}_in")
+    d.add("sub", sub(), inputs={n: f"{n}_in" for n in NAMES})
+    d.output("y", "sub")
+    found = Reference(d, 0.1).machine().step({f"{n}_in": 10.0**i for i, n in enumerate(NAMES)})
+    assert found["y"] == 987654321.0
+
+
+@pytest.mark.parametrize("argument", ["rate", "params", "enable", "reset", "disabled", "position"])
+def test_a_keyword_that_means_another_thing_is_refused_with_the_way_out(argument: str) -> None:
+    d = Diagram("d")
+    d.input("u", "bool")
+    for item in (sub(), Awkward()):
+        with pytest.raises(DiagramError, match=rf"inputs={{'{argument}': 'u'}}") as caught:
+            d.add("part", item, **{argument: "u"})
+        assert caught.value.where == "d.part"
+        assert "part" not in d.parts
+
+
+def test_a_sub_diagram_with_an_input_named_reset_can_be_reset() -> None:
+    d = Diagram("d")
+    d.input("u")
+    d.input("again", "bool")
+    d.add("part", sub(), reset="again", inputs=dict.fromkeys(NAMES, "u"))
+    assert d.parts["part"].reset == "again"
+    assert d.connections["part", "reset"] == "u"
+
+
+def test_a_block_without_such_an_input_says_what_is_possible() -> None:
+    d = Diagram("d")
+    with pytest.raises(DiagramError, match=r"a block cannot be reset \(put it into a sub-diagram\)"):
+        d.add("gain", Gain(), reset="u")
+
+
+def test_rates_that_multiply_beyond_the_tick_are_refused() -> None:
+    whole = Diagram("whole")
+    middle, inner = Diagram("middle"), Diagram("inner")
+    inner.add("n", Counter(), rate=(2**11, 0))
+    middle.add("inner", inner, rate=(2**10, 1))
+    whole.add("middle", middle, rate=(2**9, 0))
+    assert Reference(whole, 0.01).hierarchy.cells[0].rate == (2**30, 2**9)
+    whole.parts["middle"].rate = type(whole.parts["middle"].rate)(2**10, 0)
+    for check in (lambda: Reference(whole, 0.01), lambda: lower(whole, 0.01)):
+        with pytest.raises(DiagramError, match="is impossible") as caught:
+            check()
+        assert caught.value.where == "middle.inner.n"
+
+
+def test_a_list_of_parts_in_a_message_stays_short() -> None:
+    d = chain(*(Gain() for _ in range(500)))
+    with pytest.raises(DiagramError, match="and more") as caught:
+        d.connect("nowhere", "nobody.u")
+    assert len(str(caught.value)) < 300

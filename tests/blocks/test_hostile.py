@@ -1,0 +1,32 @@
+"""A hostile diagram file is refused at the door with a reason, in bounded time and memory (docs/language.md, 5)."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from tests.blocks.door import MEMORY, SECONDS, judge
+from tests.blocks.hostile import ENDLESS, LARGE, MALFORMED, NAMES, TOO_LARGE, named
+
+REFUSED = {**TOO_LARGE, **ENDLESS, **MALFORMED}
+
+
+def test_a_hostile_file_is_refused_with_a_reason_in_two_seconds_and_a_gigabyte(tmp_path: Path) -> None:
+    found = judge({name: data for name, (data, _) in REFUSED.items()}, tmp_path)
+    wrong = []
+    for name, row in found.items():
+        good = row["error"] == "DiagramError" and re.search(REFUSED[name][1], row["text"]) and row["long"] < 1000
+        if not good or row["seconds"] > SECONDS or row["bytes"] > MEMORY:
+            wrong.append((name, row))
+    assert not wrong
+
+
+def test_what_is_large_and_allowed_stays_bounded(tmp_path: Path) -> None:
+    found = judge(LARGE, tmp_path)
+    assert not [(name, row) for name, row in found.items() if row["stage"] != "compiled" or row["bytes"] > MEMORY]
+
+
+def test_no_name_but_an_identifier_comes_in_anywhere(tmp_path: Path) -> None:
+    files = {f"{name} as {place}": data for name, text in NAMES.items() for place, data in named(text).items()}
+    found = judge(files, tmp_path)
+    assert not [(name, row) for name, row in found.items() if row["error"] != "DiagramError" or row["long"] > 1000]
