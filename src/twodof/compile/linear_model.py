@@ -1,0 +1,99 @@
+"""LinearModel: A, B, C, D with names, at a point of a diagram."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from twodof.errors import CompileError
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, eq=False)
+class LinearModel:
+    """x' = A x + B u, y = C x + D u, in deviations from a point; x' is x[k + 1], or dx/dt where `dt` is None.
+
+    Shapes: `a` (n, n), `b` (n, m), `c` (p, n), `d` (p, m). `states`, `inputs` and `outputs` name the rows and columns:
+    paths, with `[i]` for an element of an array and `[k-i]` for the sample of i steps ago in a delay. `point` has the
+    values of states and inputs at the point, `output_values` those of the outputs; `left_out` says of each state of the
+    diagram that is none of the model why.
+    """
+
+    a: Array
+    b: Array
+    c: Array
+    d: Array
+    dt: float | None
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    point: Mapping[str, float] = field(default_factory=dict)
+    output_values: Mapping[str, float] = field(default_factory=dict)
+    left_out: Mapping[str, str] = field(default_factory=dict)
+    name: str = "diagram"
+
+    def poles(self) -> Complex:
+        """The eigenvalues of A, shape (n,): in the z plane, or in rad/s where `dt` is None."""
+        return np.linalg.eigvals(self.a).astype(np.complex128)
+
+    def response(self, omega: ArrayLike) -> Complex:
+        """The frequency response C (s - A)^-1 B + D at `omega` [rad/s], s = j omega or exp(j omega dt): (k, p, m)."""
+        w = np.atleast_1d(np.asarray(omega, dtype=np.float64))
+        s = 1j * w if self.dt is None else np.exp(1j * w * self.dt)
+        resolvent = s[:, None, None] * np.eye(len(self.a)) - self.a
+        inner = np.linalg.solve(resolvent, np.broadcast_to(self.b, (w.size, *self.b.shape)).astype(np.complex128))
+        return np.asarray(self.c @ inner + self.d, dtype=np.complex128)
+
+    def to_control(self) -> Any:
+        """The model as python-control's StateSpace, with the same names.
+
+        Raises CompileError if python-control is not installed.
+        """
+        try:
+            control = importlib.import_module("control")
+        except ImportError as error:
+            raise CompileError(
+                "python-control is not installed", "to_control", 'install it: pip install "twodof[design]"'
+            ) from error
+        return control.StateSpace(
+            self.a,
+            self.b,
+            self.c,
+            self.d,
+            0 if self.dt is None else self.dt,
+            states=[_label(n) for n in self.states],
+            inputs=[_label(n) for n in self.inputs],
+            outputs=[_label(n) for n in self.outputs],
+            name=self.name,
+            remove_useless_states=False,
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data: the matrices as lists of rows, the names, the point, the poles as [real, imaginary]."""
+        return {
+            "name": self.name,
+            "dt": self.dt,
+            "states": list(self.states),
+            "inputs": list(self.inputs),
+            "outputs": list(self.outputs),
+            "A": self.a.tolist(),
+            "B": self.b.tolist(),
+            "C": self.c.tolist(),
+            "D": self.d.tolist(),
+            "poles": [[float(p.real), float(p.imag)] for p in self.poles()],
+            "point": dict(self.point),
+            "output_values": dict(self.output_values),
+            "left_out": dict(self.left_out),
+        }
+
+
+def _label(name: str) -> str:
+    """python-control takes dots in a signal's name for those of a system's."""
+    return name.replace(".", "_")
