@@ -1,27 +1,37 @@
 /* memcpy and its kin under the names of the run-time ABI for the Arm architecture (IHI 0043, section 4.3.4), which clang
-   calls. */
-#include <string.h>
+   calls. In assembly, because clang would make calls of these very names of them. */
 
-#define COPIES(name)                                                                                                   \
-    void __aeabi_##name(void *to, const void *from, size_t bytes)                                                      \
-    {                                                                                                                  \
-        name(to, from, bytes);                                                                                         \
-    }                                                                                                                  \
-    void __aeabi_##name##4(void *, const void *, size_t) __attribute__((alias("__aeabi_" #name)));                     \
-    void __aeabi_##name##8(void *, const void *, size_t) __attribute__((alias("__aeabi_" #name)));
-COPIES(memcpy)
-COPIES(memmove)
+#define ALIASES(name)                                                                                                  \
+    void name##4(void) __attribute__((alias(#name)));                                                                  \
+    void name##8(void) __attribute__((alias(#name)));
 
-void __aeabi_memset(void *to, size_t bytes, int value)
+__attribute__((naked)) void __aeabi_memcpy(void)
 {
-    memset(to, value, bytes);
+    __asm__ volatile("b.w memcpy");
 }
-void __aeabi_memset4(void *, size_t, int) __attribute__((alias("__aeabi_memset")));
-void __aeabi_memset8(void *, size_t, int) __attribute__((alias("__aeabi_memset")));
+ALIASES(__aeabi_memcpy)
 
-void __aeabi_memclr(void *to, size_t bytes)
+__attribute__((naked)) void __aeabi_memmove(void)
 {
-    memset(to, 0, bytes);
+    __asm__ volatile("b.w memmove");
 }
-void __aeabi_memclr4(void *, size_t) __attribute__((alias("__aeabi_memclr")));
-void __aeabi_memclr8(void *, size_t) __attribute__((alias("__aeabi_memclr")));
+ALIASES(__aeabi_memmove)
+
+/* (to, bytes, value) instead of (to, value, bytes) */
+__attribute__((naked)) void __aeabi_memset(void)
+{
+    __asm__ volatile("mov r3, r1\n\t"
+                     "mov r1, r2\n\t"
+                     "mov r2, r3\n\t"
+                     "b.w memset");
+}
+ALIASES(__aeabi_memset)
+
+/* (to, bytes) */
+__attribute__((naked)) void __aeabi_memclr(void)
+{
+    __asm__ volatile("mov r2, r1\n\t"
+                     "movs r1, #0\n\t"
+                     "b.w memset");
+}
+ALIASES(__aeabi_memclr)

@@ -13,6 +13,10 @@ static volatile uint32_t *const HFSR = (volatile uint32_t *)0xe000ed2cu;
 static volatile uint32_t *const MMFAR = (volatile uint32_t *)0xe000ed34u;
 static volatile uint32_t *const BFAR = (volatile uint32_t *)0xe000ed38u;
 
+/* Fields of MPU_RASR, with the bit that enables the region; SIZE is a power of two. */
+enum { READ_ONLY = 6 << 24, READ_WRITE = 3 << 24, NO_CODE = 1 << 28 };
+#define SIZE(log2) ((uint32_t)((log2)-1) << 1 | 1u)
+
 void reset(void);
 void fault(void);
 void report_fault(const uint32_t *frame, uint32_t exc_return);
@@ -29,12 +33,20 @@ void reset(void)
         *to++ = *from++;
     for (uint32_t *to = bss_start; to < bss_end;)
         *to++ = 0;
-    /* The code cannot be written, as in the flash of a real one, so that a null pointer is a fault (region 0: 4 MB from
-       0, read only); everything else is as without the unit. */
-    *MPU_RNR = 0;
-    *MPU_RBAR = 0;
-    *MPU_RASR = 6u << 24 | 21u << 1 | 1u;
-    *MPU_CTRL = 1u << 2 | 1u;
+    /* Only what is there can be accessed, and code cannot be written, as in the flash of a real one: a null pointer or a
+       stack that grows too far is a fault. (The board has placeholders around its memories that swallow writes.) */
+    static const uint32_t regions[][2] = {
+        {0x00000000u, READ_ONLY | SIZE(22)},             /* code: 4 MB */
+        {0x20000000u, READ_WRITE | NO_CODE | SIZE(22)},  /* stacks, variables: 4 MB */
+        {0x60000000u, READ_WRITE | NO_CODE | SIZE(24)},  /* structs and rows: 16 MB */
+        {0x40000000u, READ_WRITE | NO_CODE | SIZE(12)},  /* timer */
+    };
+    for (uint32_t i = 0; i < sizeof regions / sizeof regions[0]; i++) {
+        *MPU_RNR = i;
+        *MPU_RBAR = regions[i][0];
+        *MPU_RASR = regions[i][1];
+    }
+    *MPU_CTRL = 1u;
     /* Full access to the floating-point unit. FPSCR stays 0: to nearest, subnormal numbers kept, NaNs propagated. */
     *CPACR |= 0xfu << 20;
     __asm__ volatile("dsb\n\tisb\n\tvmsr fpscr, %0" : : "r"(0) : "memory");

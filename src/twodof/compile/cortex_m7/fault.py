@@ -9,7 +9,7 @@ WORDS = 14
 # Armv7-M Architecture Reference Manual (DDI 0403E), B3.2.15: Configurable Fault Status Register.
 _CAUSES = {
     0: "instruction fetched where none may be",
-    1: "access that the memory protection refuses",
+    1: "access to where nothing is, or write into code",
     4: "stack without memory on entry to the exception",
     8: "instruction fetched from where no memory is",
     9: "access to where no memory is",

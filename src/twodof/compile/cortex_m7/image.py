@@ -99,12 +99,12 @@ def build_image(
     )
     own = {name: (HERE / name).read_text(encoding="utf-8") for name in (*OWN, *HEADERS, SCRIPT)}
     files = {**own, **freestanding.FILES, "memory.c": MEMORY, "program.c": source, "dispatch.c": dispatch}
-    options = (*FLAGS, *compiler.flags, optimise)
+    options = (*FLAGS, *compiler.flags)
     key = (
         *(part for item in sorted(files.items()) for part in item),
         compiler.identity(),
         *options,
-        "flags",
+        optimise,
         *flags,
         *libraries,
     )
@@ -114,7 +114,7 @@ def build_image(
         for name, text in files.items():
             (folder / name).write_text(text, encoding="utf-8")
         for name in MODULES:
-            more = flags if name == "program" else ()
+            more = (optimise, *flags) if name == "program" else (OPTIMISE,)
             _command(compiler, (*options, *more, "-I.", "-c", f"{name}.c", "-o", f"{name}.o"), folder)
         objects = [f"{name}.o" for name in MODULES]
         libgcc = () if compiler.name == "zig" else ("-lgcc",)

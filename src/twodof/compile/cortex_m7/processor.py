@@ -2,50 +2,22 @@
 
 from __future__ import annotations
 
-import os
-import select
-import shutil
 import struct
-import subprocess
-import tempfile
 import threading
-import time
-import weakref
-from contextlib import suppress
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.compile.cortex_m7.fault import Fault
+from twodof.compile.cortex_m7.board import Board, find_emulator
 from twodof.compile.cortex_m7.image import Image
-from twodof.errors import CompileError, ControllerFault
+from twodof.errors import CompileError
 
-EMULATOR = "qemu-system-arm"
 DEFAULTS, PREPARE, INIT, RUN, COUNT = range(5)
-DATA, END, REFUSED, FAULT = 1, 2, 3, 4
-SILENCE = 60.0
-"""Seconds without a byte from the processor after which it is given up: it sends something every 256 steps."""
 POOL = 16 * 2**20
 ROWS = 65_536  # two row buffers of 32 kB, see server.c
 MOST_STEPS = 2**32 - 1
-MOST_FRAME = 2**24
 NANOSECONDS_PER_INSTRUCTION = 1024  # QEMU's icount shift of 10, its largest
 NANOSECONDS_PER_TICK = 40  # of the timer: 25 MHz
-_COUNTING = ("-icount", "shift=10,align=off,sleep=off")
-_PIPE = 65_536
-
-
-def find_emulator() -> str:
-    """The path of QEMU. Raises CompileError, with the package that gives it, if it is not there."""
-    path = shutil.which(EMULATOR)
-    if path is None:
-        raise CompileError(
-            f"there is no {EMULATOR}, which emulates the Cortex-M7",
-            "",
-            "install QEMU for Arm systems (Debian: apt-get install qemu-system-arm)",
-        )
-    return path
 
 
 class Processor:
@@ -61,7 +33,7 @@ class Processor:
         self.counting = counting
         self.emulator = find_emulator()
         self._lock = threading.Lock()
-        self._board: _Board | None = None
+        self._board: Board | None = None
 
     def close(self) -> None:
         """Switch it off. The next call starts it again."""
@@ -120,23 +92,24 @@ class Processor:
 
     def count(
         self, program: int, p: NDArray[np.void], s: NDArray[np.void], u: NDArray[np.void], steps: int
-    ) -> NDArray[np.int64]:
-        """`steps` steps, and the instructions that each took, call and return left out, shape (steps,).
+    ) -> tuple[NDArray[np.int64], int]:
+        """`steps` steps, the instructions that each took, call and return left out, shape (steps,), and the stack that
+        they used [bytes].
 
         It must be a processor that is `counting`. Errors as `run`'s.
         """
         if not self.counting:
             raise CompileError("this processor's clock does not count instructions", "", "make it with counting=True")
         rows = [np.ascontiguousarray(u).view(np.uint8).data] if steps else []
-        request = self._request(program, COUNT, steps, len(u) > 1, True, False)
+        request = self._request(program, COUNT, steps, len(u) > 1, True, True)
         with self._lock:
-            answer, (_, idle) = self._transact(
+            answer, (depth, idle) = self._transact(
                 program, [request, p.tobytes(), s.tobytes(), *rows], 4 * steps + s.nbytes
             )
         data = np.frombuffer(answer, np.uint8)
         s.view(np.uint8)[:] = data[-s.nbytes :]
         ticks = data[: -s.nbytes].view("<u4").astype(np.int64)
-        return _instructions(ticks) - _instructions(np.array([idle]))
+        return _instructions(ticks) - _instructions(np.array([idle])), depth
 
     def _request(self, program: int, operation: int, steps: int, u_rows: bool, y_rows: bool, watch: bool) -> bytes:
         name, sizes = self.image.names[program], self.image.sizes[program]
@@ -153,134 +126,12 @@ class Processor:
         """One request and its answer: the data, and depth of the stack and ticks of an empty call."""
         name = self.image.names[program]
         if self._board is None:
-            self._board = _Board(self.emulator, self.image.elf, self.counting)
+            self._board = Board(self.emulator, self.image.elf, self.counting)
         try:
             return self._board.transact(name, parts, expected)
         except BaseException:  # whatever happened, what is in the pipes belongs to nobody now
             self._off()
             raise
-
-
-class _Board:
-    """The process of the emulator and the two named pipes that the image opens by semihosting."""
-
-    def __init__(self, emulator: str, elf: bytes, counting: bool) -> None:
-        folder = tempfile.mkdtemp(prefix="twodof-m7-")
-        self._said = Path(folder, "said")
-        self._close = weakref.finalize(self, _clean, folder, descriptors := [], processes := [])
-        try:
-            Path(folder, "image.elf").write_bytes(elf)
-            for name in ("to_target", "from_target"):
-                os.mkfifo(Path(folder, name), 0o600)
-            # Both ends at once for the one, so that nobody waits for the other side to open.
-            self._out = os.open(Path(folder, "to_target"), os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
-            descriptors.append(self._out)
-            self._in = os.open(Path(folder, "from_target"), os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-            descriptors.append(self._in)
-            command = [emulator, "-M", "mps2-an500", "-nodefaults", "-display", "none", "-monitor", "none"]
-            command += ["-serial", "none", "-nic", "none", "-accel", "tcg,thread=single,tb-size=64"]
-            command += ["-semihosting-config", "enable=on,target=native", *(_COUNTING if counting else ())]
-            with self._said.open("wb") as said:
-                self._process = subprocess.Popen(
-                    [*command, "-kernel", "image.elf"],
-                    cwd=folder,
-                    stdin=subprocess.DEVNULL,
-                    stdout=said,
-                    stderr=said,
-                )
-            processes.append(self._process)
-        except OSError as error:
-            self.stop()
-            raise CompileError(f"it does not start: {error}", emulator, "install qemu-system-arm again") from error
-
-    def stop(self) -> None:
-        """End the process and remove its files."""
-        self._close()
-
-    def transact(self, name: str, parts: list[bytes | memoryview], expected: int) -> tuple[bytes, tuple[int, int]]:
-        """Send `parts`, receive frames until the last one. See `Processor.run` for the errors."""
-        pending = [memoryview(part).cast("B") for part in parts if len(part)]
-        received = bytearray()
-        data = bytearray()
-        heard = time.monotonic()
-        while True:
-            left = SILENCE - (time.monotonic() - heard)
-            if left <= 0:
-                raise ControllerFault(
-                    f"the emulated processor said nothing for {SILENCE:g} s", name, "is the machine overloaded?"
-                )
-            waiting = [self._out] if pending else []
-            readable, writable, _ = select.select([self._in], waiting, [], min(left, 1.0))
-            if writable:
-                with suppress(BlockingIOError):
-                    sent = os.write(self._out, pending[0][:_PIPE])
-                    pending[0] = pending[0][sent:]
-                    if not pending[0]:
-                        pending.pop(0)
-            if not readable:
-                if self._process.poll() is not None:
-                    raise self._ended(name)
-                continue
-            try:
-                chunk = os.read(self._in, _PIPE)
-            except BlockingIOError:
-                continue
-            if not chunk:
-                raise self._ended(name)
-            heard = time.monotonic()
-            received += chunk
-            last = self._frames(name, received, data, expected)
-            if last is not None:
-                if len(data) != expected or pending:
-                    raise ControllerFault(
-                        f"the answer has {len(data)} bytes, expected {expected}", name, "report this as a fault"
-                    )
-                return bytes(data), last
-
-    def _frames(self, name: str, received: bytearray, data: bytearray, expected: int) -> tuple[int, int] | None:
-        """Move whole frames from `received` to `data`; the content of the last one, once it is there."""
-        at = 0
-        last = None
-        while last is None and len(received) >= at + 8:
-            kind, size = struct.unpack_from("<2I", received, at)
-            if kind not in (DATA, END, REFUSED, FAULT) or (size > MOST_FRAME and size > expected):
-                raise ControllerFault(f"an answer of kind {kind} and {size} bytes", name, "report this as a fault")
-            if len(received) < at + 8 + size:
-                break
-            content = bytes(received[at + 8 : at + 8 + size])
-            at += 8 + size
-            if kind == DATA:
-                data += content
-            elif kind == END:
-                last = struct.unpack("<2I", content)
-            elif kind == FAULT:
-                fault = Fault.from_bytes(content)
-                raise ControllerFault(f"{fault.cause}; {fault.registers()}", name, "see what stands at pc in the image")
-            else:
-                raise CompileError("its structs are of other sizes in the image", name, "report this as a fault")
-        del received[:at]
-        return last
-
-    def _ended(self, name: str) -> ControllerFault:
-        with suppress(subprocess.TimeoutExpired):
-            self._process.wait(5.0)
-        said = self._said.read_bytes()[-500:].decode("utf-8", "replace").strip()
-        return ControllerFault(
-            f"the emulator ended with status {self._process.returncode}: {said or 'without a word'}",
-            name,
-            f"see that {EMULATOR} works",
-        )
-
-
-def _clean(folder: str, descriptors: list[int], processes: list[subprocess.Popen[bytes]]) -> None:
-    """Kill the emulator and forget its folder, also when the last reference goes or Python ends."""
-    for process in processes:
-        process.kill()
-        with suppress(subprocess.TimeoutExpired):
-            process.wait(10.0)
-    for descriptor in descriptors:
-        os.close(descriptor)
-    shutil.rmtree(folder, ignore_errors=True)
 
 
 def _instructions(ticks: NDArray[np.int64]) -> NDArray[np.int64]:

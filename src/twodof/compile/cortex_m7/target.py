@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from twodof.compile.cortex_m7.image import OPTIMISE, build_image, find_cross_com
 from twodof.compile.cortex_m7.processor import DEFAULTS, INIT, PREPARE, Processor
 from twodof.compile.freestanding import layout_checks
 from twodof.compile.target import Emitted
+from twodof.errors import ControllerFault
 
 
 @dataclass(frozen=True)
@@ -57,26 +58,48 @@ class CortexM7Backend:
 
 
 class CortexM7Instance:
-    """One running program. Its structs are here and go to the processor and back with each call."""
+    """One running program. Its structs are here and go to the processor and back with each call.
+
+    After a call that raised ControllerFault every further one raises it again; the structs are those before it.
+    """
 
     def __init__(self, backend: CortexM7Backend) -> None:
         kinds = backend.program.dtypes
         self.structs: dict[str, NDArray[Any]] = {k: np.zeros(1, kinds[k]) for k in "PSUY"}
         self._processor, self._index = backend.processor, backend.index
-        p, s = self.structs["P"], self.structs["S"]
-        call = partial(self._processor.call, self._index)
-        self.defaults = partial(_forget, partial(call, DEFAULTS, p, s))
-        self.prepare = partial(_forget, partial(call, PREPARE, p, s))
-        self.init = partial(_forget, partial(call, INIT, p, s))
+        self._fault: ControllerFault | None = None
+
+    def defaults(self) -> None:
+        """Writes the given parameters' defaults into P; for the errors of this and all that follow see `run`."""
+        self._call(DEFAULTS)
+
+    def prepare(self) -> None:
+        """Writes the derived parameters into P."""
+        self._call(PREPARE)
+
+    def init(self) -> None:
+        """Writes the initial states into S."""
+        self._call(INIT)
 
     def step(self) -> None:
-        """One tick on the processor; raises ControllerFault, see `Processor.run`."""
+        """One tick with U into Y."""
         self.run(1, self.structs["U"], self.structs["Y"])
 
     def run(self, steps: int, u: NDArray[Any], y: NDArray[Any]) -> None:
         """`steps` ticks with the rows of `u` (or its one row at each) into those of `y`; see `Processor.run`."""
-        self._processor.run(self._index, self.structs["P"], self.structs["S"], u, y, steps)
+        with self._watched():
+            self._processor.run(self._index, self.structs["P"], self.structs["S"], u, y, steps)
 
+    def _call(self, operation: int) -> None:
+        with self._watched():
+            self._processor.call(self._index, operation, self.structs["P"], self.structs["S"])
 
-def _forget(call: partial[int]) -> None:
-    call()
+    @contextmanager
+    def _watched(self) -> Iterator[None]:
+        if self._fault is not None:
+            raise ControllerFault(self._fault.what, self._fault.where, "make a new machine") from self._fault
+        try:
+            yield
+        except ControllerFault as fault:
+            self._fault = fault
+            raise

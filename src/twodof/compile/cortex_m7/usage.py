@@ -1,0 +1,170 @@
+"""What functions of a program need: bytes of flash and RAM, and the worst-case depth of the stack."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+from twodof.compile.cortex_m7.elf import FUNCTION, Elf, Section, read_elf
+from twodof.compile.cortex_m7.image import Image
+from twodof.errors import CompileError
+
+Place = tuple[int, int]  # object file, section: each function and each constant has a section of its own
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Bytes of machine code, constants, initialised variables and zeroed variables."""
+
+    text: int = 0
+    rodata: int = 0
+    data: int = 0
+    bss: int = 0
+
+    @property
+    def flash(self) -> int:
+        """What stands in flash: code, constants, and the first values of variables."""
+        return self.text + self.rodata + self.data
+
+    @property
+    def ram(self) -> int:
+        """What stands in RAM for ever."""
+        return self.data + self.bss
+
+
+def image_sizes(image: Image) -> Sizes:
+    """The whole image: programs, server, start-up; without the stacks."""
+    return _summed(s for s in read_elf(image.elf).sections if s.loaded and s.name != ".stacks")
+
+
+class Usage:
+    """The call graph of an image's programs: relocations say which section refers to which."""
+
+    def __init__(self, image: Image) -> None:
+        self.image = image
+        self.files: list[Elf] = [read_elf(data) for data in image.objects]
+        self._defined: dict[str, Place] = {}
+        for i, file in enumerate(self.files):
+            for name, section in file.globals().items():
+                self._defined.setdefault(name, (i, section))
+
+    def sizes(self, functions: Sequence[str]) -> Sizes:
+        """The functions with all they call and the constants they read."""
+        found: set[Place] = set()
+        stack = [self._place(name) for name in functions]
+        while stack:
+            place = stack.pop()
+            if place not in found:
+                found.add(place)
+                stack += self._referred(place)
+        return _summed(self.files[i].sections[j] for i, j in found)
+
+    def stack(self, function: str) -> int | None:
+        """The deepest that a call of `function` can make the stack grow [bytes]: the largest sum of frames along a path
+        of the call graph. None where it has no bound: recursion, frames of variable size, functions of a library that
+        say nothing. Interrupts come on top.
+        """
+        depths: dict[Place, int | None] = {}
+        under_way: set[Place] = set()
+        walk = [(self._place(function), False)]
+        while walk:
+            place, done = walk.pop()
+            if done:
+                below = [depths[p] for p in self._referred(place)]
+                frame = self._frame(place)
+                bounded = [d for d in below if d is not None]
+                depths[place] = None if frame is None or len(bounded) < len(below) else frame + max(bounded, default=0)
+                under_way.discard(place)
+            elif place in under_way:
+                return None
+            elif place not in depths:
+                under_way.add(place)
+                walk.append((place, True))
+                walk += [(p, False) for p in self._referred(place) if p not in depths]
+        return depths[self._place(function)]
+
+    def _place(self, name: str) -> Place:
+        if name not in self._defined:
+            raise CompileError(f"there is no function {name!r:.80} in the image", "", "name one that the C exports")
+        return self._defined[name]
+
+    def _referred(self, place: Place) -> list[Place]:
+        i, j = place
+        file, found = self.files[i], []
+        for k in file.sections[j].refers:
+            symbol = file.symbols[k]
+            if symbol.section == 0:
+                found += [self._defined[symbol.name]] if symbol.name in self._defined else []
+            elif symbol.section < len(file.sections) and file.sections[symbol.section].loaded and symbol.section != j:
+                found.append((i, symbol.section))
+        return found
+
+    def _frame(self, place: Place) -> int | None:
+        i, j = place
+        section = self.files[i].sections[j]
+        if section.use != "text":
+            return 0
+        unknown = [k for k in section.refers if self._elsewhere(self.files[i], k)]
+        if unknown:
+            return None
+        if place in self._clang_frames:
+            return self._clang_frames[place]
+        named = [s.name for s in self.files[i].symbols if s.section == j and s.kind == FUNCTION]
+        frames = [0 if name.endswith(".cold") else self._gcc_frame(name) for name in named]
+        bounded = [f for f in frames if f is not None]
+        return max(bounded) if bounded and len(bounded) == len(frames) else None
+
+    def _elsewhere(self, file: Elf, symbol: int) -> bool:
+        found = file.symbols[symbol]
+        return symbol != 0 and found.section == 0 and found.name not in self._defined
+
+    def _gcc_frame(self, name: str) -> int | None:
+        while name not in self._gcc_frames and "." in name:  # a clone goes by the name of its function
+            name = name.rpartition(".")[0]
+        return self._gcc_frames.get(name)
+
+    @cached_property
+    def _gcc_frames(self) -> dict[str, int | None]:
+        """Function -> bytes, from the lines `place:line:column:name TAB bytes TAB kind` of -fstack-usage."""
+        found: dict[str, int | None] = {}
+        for line in self.image.stack_usage.splitlines():
+            if match := re.fullmatch(r".*:\d+:\d+:(\S+)\t(\d+)\t(\S+)", line):
+                name, size, kind = match.groups()
+                before = found.get(name, 0)
+                bounded = kind in ("static", "dynamic,bounded") and before is not None
+                found[name] = max(int(size), before or 0) if bounded else None
+        return found
+
+    @cached_property
+    def _clang_frames(self) -> dict[Place, int]:
+        """Section of a function -> bytes, from the sections `.stack_sizes`: an address, then the size in LEB128."""
+        found: dict[Place, int] = {}
+        for i, file in enumerate(self.files):
+            for section in file.sections:
+                if section.name == ".stack_sizes":
+                    found[i, section.link] = max(_stack_sizes(section.data))
+        return found
+
+
+def _stack_sizes(data: bytes) -> list[int]:
+    sizes, at = [], 0
+    while at + 4 < len(data):
+        at += 4
+        size = shift = 0
+        while True:
+            size |= (data[at] & 0x7F) << shift
+            shift += 7
+            at += 1
+            if data[at - 1] < 0x80:
+                break
+        sizes.append(size)
+    return sizes
+
+
+def _summed(sections: Iterable[Section]) -> Sizes:
+    bytes_of = {"text": 0, "rodata": 0, "data": 0, "bss": 0}
+    for section in sections:
+        bytes_of[section.use] += section.size
+    return Sizes(**bytes_of)
