@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from rich.console import Console
 from rich.table import Table
 
+from twodof.blocks import Diagram
+from twodof.cli.diagram_argument import DIAGRAM_HELP, read_diagram
 from twodof.cli.output import Json, print_json, table_console
+from twodof.errors import ParameterError
 from twodof.experiment.flight import Laboratory
 from twodof.experiment.protocol import EXPERIMENTS
 from twodof.experiment.protocol import experiment as named_experiment
-from twodof.flight.gains import Gains, load_gains
+from twodof.flight.gains import load_gains
+from twodof.flight.slot import simulator_slot
 from twodof.flightlog.files import read_log, write_log
 from twodof.flightlog.log import FlightLog
 from twodof.flightlog.public_data import PUBLIC_LOGS, PublicLog
@@ -38,6 +43,19 @@ def simulate(
         tuple[float, float] | None,
         typer.Option(metavar="T0 T1", help="With --like: stretch of the log, in seconds; left out: found."),
     ] = None,
+    controller: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="DIAGRAM",
+            help=f"Fly this controller in place of the stock one of its template; may be repeated. {DIAGRAM_HELP} "
+            "Or flashed: those that `twodof flash --to sim` put in place.",
+        ),
+    ] = None,
+    tune: Annotated[
+        list[str] | None,
+        typer.Option(metavar="PATH=VALUE", help="Set a parameter of a controller, such as attitude_control.k_q=0.1."),
+    ] = None,
+    precision: Annotated[str, typer.Option(help="float64, or float32 as a flight controller computes.")] = "float64",
     seed: Annotated[
         int, typer.Option(min=0, max=2**32 - 1, help="Seed of the noise; the same seed gives the same flight.")
     ] = 1,
@@ -51,13 +69,17 @@ def simulate(
     if (experiment is None) == (like is None):
         raise typer.BadParameter("name an experiment or a log with --like, one of the two")
     if like is not None:
-        if out is not None:
-            raise typer.BadParameter("--out goes with an experiment, not with --like")
+        if out is not None or controller or tune or precision != "float64":
+            raise typer.BadParameter("--out, --controller, --tune and --precision go with an experiment, not --like")
         _fly_like(like, rig, gains, window, json)
     elif window is not None:
         raise typer.BadParameter("--window goes with --like")
     elif experiment is not None:
-        _fly(experiment, rig, load_gains(gains or "default"), seed, out, json)
+        diagrams = _controllers(controller or [])
+        laboratory = Laboratory(
+            rig, load_gains(gains or "default"), controllers=diagrams, tuning=_tuning(tune or []), precision=precision
+        )
+        _fly(laboratory, experiment, seed, out, json)
 
 
 def _registered(log: FlightLog) -> PublicLog | None:
@@ -90,10 +112,52 @@ def _fly_like(like: Path, rig: str, gains: str | None, window: tuple[float, floa
     console.print(f"rig {rig}, without noise; compared: {stretches}")
 
 
-def _fly(experiment: str, rig: str, gains: Gains, seed: int, out: Path | None, json: bool) -> None:
-    flight = Laboratory(rig, gains).fly(named_experiment(experiment), seed)
+def _controllers(named: list[str]) -> list[Diagram]:
+    """The diagrams that the options name."""
+    found: list[Diagram] = []
+    for text in named:
+        if text != "flashed":
+            found.append(read_diagram(text))
+            continue
+        slot = simulator_slot()
+        flashed = slot.flashed()
+        if not flashed:
+            raise ParameterError(
+                "nothing was flashed to the simulator",
+                str(slot.folder),
+                "flash a controller: twodof flash FILE --to sim",
+            )
+        found += flashed.values()
+    return found
+
+
+def _tuning(texts: list[str]) -> dict[str, Any]:
+    """Values by path: a number, true or false, or several numbers between commas."""
+    return dict(map(_setting, texts))
+
+
+def _setting(text: str) -> tuple[str, Any]:
+    path, sign, value = text.partition("=")
+    if value in ("true", "false"):
+        return path, value == "true"
+    try:
+        numbers = [_number(part) for part in value.split(",")]
+    except ValueError:
+        numbers = []
+    if not sign or not numbers:
+        raise ParameterError(f"{text!r:.80} sets nothing", "--tune", "write PATH=VALUE, a list as PATH=1,2,3")
+    return path, numbers if "," in value else numbers[0]
+
+
+def _number(text: str) -> int | float:
+    return int(text) if text.strip().lstrip("+-").isdigit() else float(text)
+
+
+def _fly(laboratory: Laboratory, experiment: str, seed: int, out: Path | None, json: bool) -> None:
+    flight = laboratory.fly(named_experiment(experiment), seed)
     if out is not None:
         write_log(flight.log, out)
+    rig, controllers = laboratory.rig_name, laboratory.described_controllers()
     if json:
         print_json(
             {
@@ -103,15 +167,34 @@ def _fly(experiment: str, rig: str, gains: Gains, seed: int, out: Path | None, j
                 "x_start_m": flight.x_start,
                 "good": flight.good,
                 "checks": [{"name": c.name, "passed": c.passed, "seen": c.seen} for c in flight.checks],
+                "controllers": controllers,
+                "precision": laboratory.precision,
                 "file": None if out is None else str(out),
             }
         )
     else:
         console = table_console()
         console.print(f"{experiment} on the rig {rig}, seed {seed}, start x = {flight.x_start:+.3f} m")
+        for kind, made in controllers.items():
+            console.print(f"{kind}: {made['name']}, in place of the stock one; its parameters:", markup=False)
+            _print_parameters(console, laboratory, kind)
         for check in flight.checks:
             console.print(f"  {'ok    ' if check.passed else 'FAILED'} {check.name}: {check.seen}", markup=False)
         if out is not None:
             console.print(f"written: {out}", markup=False)
     if not flight.good:
         raise typer.Exit(1)
+
+
+def _print_parameters(console: Console, laboratory: Laboratory, kind: str) -> None:
+    """What --tune can set in a controller, with value, bounds and unit where it is described; the rest is counted."""
+    everything = laboratory.loop.controller_parameters()
+    rows = {path: row for path, row in everything.items() if path.startswith(f"{kind}.")}
+    shown = {path: row for path, row in rows.items() if row[0].text}
+    for path, (declared, value) in shown.items():
+        numbers = ", ".join(f"{v:.6g}" for v in value) if isinstance(value, list) else f"{value:.6g}"
+        bounds = f"{declared.low:g} to {declared.high:g}"
+        unit = f" {declared.unit}" if declared.unit else ""
+        console.print(f"  {path} = {numbers}{unit} ({bounds}): {declared.text}", markup=False)
+    if len(rows) > len(shown):
+        console.print(f"  and {len(rows) - len(shown)} more without a description; --json lists them", markup=False)

@@ -20,7 +20,7 @@ from twodof.blocks.library import (
 from twodof.flight.gains import DEFAULT, Gains
 from twodof.flight.loops import AttitudeLoop, RateLoop
 from twodof.flight.lqr import LqrGains, attitude_lqr, rate_lqr
-from twodof.flight.starters.build import tuned, with_ports
+from twodof.flight.starters.build import pitch_loop, tuned, with_ports
 from twodof.flight.templates import ATTITUDE
 
 HOVER_MOMENT = 0.4
@@ -57,7 +57,7 @@ def stock_attitude(gains: Gains = DEFAULT) -> Diagram:
 def pid_attitude(gains: Gains = DEFAULT) -> Diagram:
     """The laws of the stock loops drawn with library blocks: equal to them up to rounding, and easy to change."""
     d = with_ports(ATTITUDE, "pid_attitude", "attitude P and rate PID, block by block")
-    _pitch_loop(d, gains.attitude)
+    pitch_loop(d, gains.attitude)
     d.add("error", Sum("+-", unit="rad/s"), a="q_0_used", b="q", position=(640.0, 100.0))
     _rate_pid(d, gains, 1.0, "none")
     d.output("M", "pid")
@@ -68,7 +68,7 @@ def notch_attitude(gains: Gains = DEFAULT) -> Diagram:
     """The PID with a notch in q at the airframe's vibration (38 Hz), and anti-windup where M is limited to +-.4."""
     d = with_ports(ATTITUDE, "notch_attitude", "attitude P, rate PID with anti-windup, and a notch against vibration")
     # The notch takes some 6 deg of phase at the crossover; the outer loop gives them back.
-    _pitch_loop(d, 8.0 if gains is DEFAULT else gains.attitude)
+    pitch_loop(d, 8.0 if gains is DEFAULT else gains.attitude)
     tuned(d, "notch_hz", VIBRATION, "Hz", 10.0, 120.0, "frequency of the notch: the airframe's vibration")
     tuned(d, "notch_width", 0.4, "", 0.0, 2.0, "damping of its poles: the band is 2 notch_width notch_hz wide")
     tuned(d, "notch_depth", 0.1, "", 0.0, 1.0, "gain at its frequency")
@@ -146,22 +146,6 @@ def lqr_attitude(attitude: LqrGains | None = None, rate: LqrGains | None = None)
     d.add("limit", Saturation(-1.0, 1.0), params={"low": "M_low", "high": "M_high"}, u="mode", position=(1020.0, 180.0))
     d.output("M", "limit")
     return d
-
-
-def _pitch_loop(d: Diagram, kp: float) -> None:
-    """q_0_used = theta_kp (theta_0 - theta) within +-20 rad/s, or in rate mode q_0."""
-    tuned(d, "theta_kp", kp, "1/s", 0.0, 50.0, "attitude P")
-    d.add("pitch_error", Sum("+-", unit="rad"), a="theta_0", b="theta", position=(160.0, 20.0))
-    d.add("pitch_gain", Gain(1.0, unit="rad/s"), params={"k": "theta_kp"}, u="pitch_error", position=(280.0, 20.0))
-    d.add("rate_limit", Saturation(-20.0, 20.0, unit="rad/s"), u="pitch_gain", position=(400.0, 20.0))
-    d.add(
-        "q_0_used",
-        Switch(unit="rad/s"),
-        condition="FLAG_ATTITUDE_ENABLED",
-        a="rate_limit",
-        b="q_0",
-        position=(520.0, 60.0),
-    )
 
 
 def _rate_pid(d: Diagram, gains: Gains, limit: float, anti_windup: str) -> None:

@@ -1,10 +1,11 @@
-"""What the starter diagrams share: the ports of a template, and parameters with bounds, unit and text."""
+"""What the starter diagrams share: a template's ports, parameters with bounds, unit and text, the attitude loop."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 from twodof.blocks import Diagram
+from twodof.blocks.library import Gain, Saturation, Sum, Switch
 from twodof.flight.templates import Template
 
 
@@ -22,3 +23,19 @@ def tuned(d: Diagram, name: str, value: float | Sequence[float], unit: str, low:
         d.param(name, value, unit=unit, low=low, high=high, text=text)
     else:
         d.param(name, list(value), width=len(value), unit=unit, low=low, high=high, text=text)
+
+
+def pitch_loop(d: Diagram, kp: float) -> None:
+    """Adds q_0_used = theta_kp (theta_0 - theta) within +-20 rad/s, or q_0 where the attitude loop is open."""
+    tuned(d, "theta_kp", kp, "1/s", 0.0, 50.0, "attitude P")
+    d.add("pitch_error", Sum("+-", unit="rad"), a="theta_0", b="theta", position=(160.0, 20.0))
+    d.add("pitch_gain", Gain(1.0, unit="rad/s"), params={"k": "theta_kp"}, u="pitch_error", position=(280.0, 20.0))
+    d.add("rate_limit", Saturation(-20.0, 20.0, unit="rad/s"), u="pitch_gain", position=(400.0, 20.0))
+    d.add(
+        "q_0_used",
+        Switch(unit="rad/s"),
+        condition="FLAG_ATTITUDE_ENABLED",
+        a="rate_limit",
+        b="q_0",
+        position=(520.0, 60.0),
+    )

@@ -6,7 +6,7 @@ from __future__ import annotations
 from twodof.blocks import Diagram
 from twodof.blocks.library import Abs, Constant, DynamicSaturation, Gain, Pid, Saturation, Sum, Switch
 from twodof.flight.gains import DEFAULT, Gains
-from twodof.flight.starters.build import tuned, with_ports
+from twodof.flight.starters.build import pitch_loop, tuned, with_ports
 from twodof.flight.templates import AFT_MOTORS, FORE_MOTORS, MOTOR
 
 
@@ -18,32 +18,32 @@ def stock_motor() -> Diagram:
 
 
 def direct_motor(gains: Gains = DEFAULT) -> Diagram:
-    """The rate loop straight on the motors, from the raw gyro, which gives up thrust before it gives up moment.
+    """The attitude and rate loops straight on the motors, from the raw gyro; thrust is given up before moment is.
 
-    It follows q_0 wherever a loop is closed and flies M_0 in open loop. The moment is kept within +-.5; the thrust
-    gives way, so that no motor is asked for more than 1 or less than 0. Meant beside the stock attitude loop, which
-    makes q_0.
+    It follows theta_0 or q_0 by itself, whatever the level above asks for, and flies M_0 in open loop. The moment is
+    kept within +-.5; the thrust gives way, so that no motor is asked for more than 1 or less than 0.
     """
-    d = with_ports(MOTOR, "direct_motor", "rate PID on the gyro, and a mixer that keeps the moment")
+    d = with_ports(MOTOR, "direct_motor", "attitude P, rate PID on the gyro, and a mixer that keeps the moment")
+    pitch_loop(d, gains.attitude)
     kp, ki, kd = gains.rate
     tuned(d, "q_kp", kp, "s/rad", 0.0, 1.0, "rate P")
     tuned(d, "q_ki", ki, "1/rad", 0.0, 5.0, "rate I")
     tuned(d, "q_kd", kd, "s2/rad", 0.0, 0.05, "rate D")
-    d.add("error", Sum("+-", unit="rad/s"), a="q_0", b="gyro_y", position=(160.0, 60.0))
+    d.add("error", Sum("+-", unit="rad/s"), a="q_0_used", b="gyro_y", position=(640.0, 60.0))
     d.add(
         "pid",
         Pid(kp, ki, kd, 100.0, limits=(-0.5, 0.5), anti_windup="clamping", reset="integral", unit="rad/s"),
         params={"Kp": "q_kp", "Ki": "q_ki", "Kd": "q_kd"},
         e="error",
         clear="FLAG_RESET_INT",
-        position=(280.0, 60.0),
+        position=(760.0, 60.0),
     )
-    d.add("asked", Switch(), condition="FLAG_RATE_ENABLED", a="pid", b="M_0", position=(400.0, 80.0))
-    d.add("moment", Saturation(-0.5, 0.5), u="asked", position=(520.0, 80.0))
-    d.add("least", Abs(), u="moment", position=(640.0, 160.0))
-    d.add("one", Constant(1.0), position=(640.0, 240.0))
-    d.add("most", Sum("+-"), a="one", b="least", position=(760.0, 220.0))
-    d.add("thrust", DynamicSaturation(), u="thrust_0", low="least", high="most", position=(880.0, 180.0))
+    d.add("asked", Switch(), condition="FLAG_RATE_ENABLED", a="pid", b="M_0", position=(880.0, 80.0))
+    d.add("moment", Saturation(-0.5, 0.5), u="asked", position=(1000.0, 80.0))
+    d.add("least", Abs(), u="moment", position=(1120.0, 160.0))
+    d.add("one", Constant(1.0), position=(1120.0, 240.0))
+    d.add("most", Sum("+-"), a="one", b="least", position=(1240.0, 220.0))
+    d.add("thrust", DynamicSaturation(), u="thrust_0", low="least", high="most", position=(1360.0, 180.0))
     _pairs(d, "thrust", "moment")
     return d
 
@@ -59,9 +59,9 @@ def empty_motor() -> Diagram:
 
 def _pairs(d: Diagram, thrust: str, moment: str) -> None:
     """The motors' commands: thrust + moment on the fore pair, thrust - moment on the aft one."""
-    d.add("fore_sum", Sum("++"), a=thrust, b=moment, position=(1000.0, 60.0))
-    d.add("aft_sum", Sum("+-"), a=thrust, b=moment, position=(1000.0, 160.0))
-    d.add("fore", Saturation(0.0, 1.0), u="fore_sum", position=(1120.0, 60.0))
-    d.add("aft", Saturation(0.0, 1.0), u="aft_sum", position=(1120.0, 160.0))
+    d.add("fore_sum", Sum("++"), a=thrust, b=moment, position=(1480.0, 60.0))
+    d.add("aft_sum", Sum("+-"), a=thrust, b=moment, position=(1480.0, 160.0))
+    d.add("fore", Saturation(0.0, 1.0), u="fore_sum", position=(1600.0, 60.0))
+    d.add("aft", Saturation(0.0, 1.0), u="aft_sum", position=(1600.0, 160.0))
     for motor in sorted((*FORE_MOTORS, *AFT_MOTORS)):
         d.output(motor, "fore" if motor in FORE_MOTORS else "aft")
