@@ -1,0 +1,5 @@
+"""From a diagram to an external module for PX4, and whether a PX4 fits it. See docs/targets.md."""
+
+from twodof.compile.px4.export import Module, export, make_module
+
+__all__ = ["Module", "export", "make_module"]

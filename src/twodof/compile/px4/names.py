@@ -1,0 +1,138 @@
+"""Names inside PX4: of the module, its topic and class, its parameters and the fields of its message.
+
+Each rule looks at one name alone as far as it can, so that a new part of a diagram does not rename the others.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from zlib import crc32
+
+from twodof.errors import DiagramError
+
+LONGEST_PARAMETER = 16  # what MAVLink carries
+LONGEST_STEM = 24
+LONGEST_FIELD = 48
+PREFIX = re.compile(r"[A-Z][A-Z0-9]{0,4}")
+_DIGITS = "0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZ"
+
+
+def digest(text: str, length: int = 4) -> str:
+    """`length` letters or digits that stand for `text`."""
+    number, made = crc32(text.encode()), ""
+    for _ in range(length):
+        number, digit = divmod(number, 36)
+        made += _DIGITS[digit]
+    return made
+
+
+@dataclass(frozen=True)
+class ModuleNames:
+    """What the module of one diagram is called: `twodof_pitch` in the shell and as topic, `TwodofPitch` in C++."""
+
+    stem: str
+    prefix: str
+
+    @property
+    def module(self) -> str:
+        """The module, its command, the topic and the beginning of the C names."""
+        return f"twodof_{self.stem}"
+
+    @property
+    def class_name(self) -> str:
+        """The class and the message."""
+        return "Twodof" + "".join(word.capitalize() for word in self.stem.split("_"))
+
+
+def module_names(diagram: str, prefix: str = "") -> ModuleNames:
+    """The names of the module of a diagram called `diagram`; `prefix` begins its parameters' names.
+
+    The stem is the diagram's name in small letters, at most LONGEST_STEM long; a longer one ends with a digest. A word
+    of one letter joins the one before it, since PX4 makes a topic's name from the capitals of the message's. Without
+    `prefix` it is T and the first letters of the first two words, or the first two letters of the only one. Raises
+    DiagramError for a prefix that is not 1 to 5 capitals and digits.
+    """
+    words: list[str] = []
+    for word in re.findall(r"[a-z0-9]+", diagram.lower()):
+        if words and (len(word) == 1 or word[0].isdigit()):
+            words[-1] += word
+        else:
+            words.append(word)
+    if len(words) > 1 and len(words[0]) == 1:
+        words[:2] = [words[0] + words[1]]
+    stem = "_".join(words)
+    if len(stem) > LONGEST_STEM:
+        stem = re.sub(r"_+$", "", stem[: LONGEST_STEM - 4]) + digest(diagram).lower()
+    if not prefix:
+        prefix = "T" + (words[0][0] + words[1][0] if len(words) > 1 else words[0][:2]).upper()
+    if not PREFIX.fullmatch(prefix):
+        raise DiagramError(f"{prefix!r:.40} is no prefix", "prefix", "give 1 to 5 capitals or digits, a capital first")
+    return ModuleNames(stem, prefix)
+
+
+def parameter_names(prefix: str, paths: Sequence[tuple[str, int | None]], taken: Iterable[str] = ()) -> list[str]:
+    """The names, of at most 16 characters, of the parameters at `paths` (with the index of an array's element).
+
+    A name is PREFIX_PART_NAME(_INDEX). One that is too long loses letters from the end of its longest word, again and
+    again. Where two would be alike, or like one of `taken`, they are cut and end with a digest of their paths. Raises
+    DiagramError if two are alike even so.
+    """
+    reserved = set(taken)
+    made = [_shortened(prefix, path, index) for path, index in paths]
+    count = Counter(made)
+    final = [
+        name if count[name] == 1 and name not in reserved else f"{name[:11].rstrip('_')}_{digest(f'{path}[{index}]')}"
+        for name, (path, index) in zip(made, paths, strict=True)
+    ]
+    seen: dict[str, str] = {}
+    for name, (path, _) in zip(final, paths, strict=True):
+        if name in seen or name in reserved:
+            raise DiagramError(
+                f"its PX4 name {name} is also that of {seen.get(name, 'the module')!r:.80}", path, "rename one of them"
+            )
+        seen[name] = path
+    return final
+
+
+def _shortened(prefix: str, path: str, index: int | None) -> str:
+    words = [w for w in re.split(r"[._]", path.upper()) if w]
+    tail = "" if index is None else f"_{index}"
+    room = LONGEST_PARAMETER - len(prefix) - len(tail)
+    while 2 * len(words) > room:  # a letter for each is too much already
+        words[:2] = [words[0][:1] + words[1][:1]]
+    while sum(len(w) + 1 for w in words) > room:
+        longest = max(range(len(words)), key=lambda i: len(words[i]))
+        words[longest] = words[longest][:-1]
+    return "_".join([prefix, *words]) + tail
+
+
+def field_names(prefix: str, paths: Sequence[str]) -> list[str]:
+    """The message's fields of the signals at `paths`: `prefix`_path in small letters, cut, numbered where alike."""
+    made: list[str] = []
+    for path in paths:
+        stem = re.sub(r"[^a-z0-9]+", "_", path.lower()).strip("_") or "signal"
+        name = f"{prefix}_{stem}"
+        if len(name) > LONGEST_FIELD:
+            name = f"{name[: LONGEST_FIELD - 5].rstrip('_')}_{digest(path).lower()}"
+        base, number = name, 2
+        while name in made:
+            name = f"{base}_{number}"
+            number += 1
+        made.append(name)
+    return made
+
+
+def harmless(text: str, longest: int) -> str:
+    """A user's text for a comment, a YAML string or a description, in none of which it can mean anything.
+
+    Letters, digits, spaces and a few signs of ASCII stay, all others become ?, spaces are single.
+    """
+    plain = "".join(
+        c if c.isascii() and (c.isalnum() or c in " .,:;()[]+-/=<>_^%|~!") else " " if c.isspace() else "?"
+        for c in text
+    )
+    plain = " ".join(plain.replace("*/", "x/").replace("//", "/ /").replace("/?", "/ ?").split())
+    return plain if len(plain) <= longest else plain[: longest - 3].rstrip() + "..."

@@ -1,0 +1,200 @@
+"""The parameters that a module shows to PX4: from a diagram's parameters to rows, and to module.yaml."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+
+from twodof.compile.flat import Program
+from twodof.compile.px4.names import ModuleNames, harmless, parameter_names
+from twodof.errors import DiagramError
+
+WIDEST = 32  # an array of more elements keeps its defaults
+MOST = 200
+LARGEST_INT, SMALLEST_INT = 2**31 - 1, -(2**31)
+LARGEST_FLOAT = float(np.finfo(np.float32).max)
+LIVE, TORQUE = "LIVE", "TORQUE"
+
+# Units that every PX4 from v1.14 knows, by how the block language writes them; others go into the description.
+UNITS: Mapping[str, str] = MappingProxyType(
+    {u: u for u in ("%", "Hz", "1/s", "rad", "rad/s", "deg", "deg/s", "m", "m/s", "s", "ms", "us", "N", "kg", "V", "A")}
+    | {"rad/s2": "rad/s^2", "m/s2": "m/s^2", "m/s3": "m/s^3", "m2": "m^2", "N*m": "Nm", "kg*m2": "kg m^2"}
+)
+
+
+@dataclass(frozen=True)
+class Exported:
+    """A parameter in PX4.
+
+    `kind` is "real", "int32", "uint32" or "bool" as in the diagram, `index` an element of an array. `low` and `high`
+    are those that the module enforces, in float32 for a real. `fixed`: read when the module starts. The module's own
+    parameters have no `path`.
+    """
+
+    name: str
+    kind: str
+    default: float
+    low: float
+    high: float
+    unit: str
+    text: str
+    fixed: bool = False
+    path: str = ""
+    index: int | None = None
+
+    @property
+    def px4_type(self) -> str:
+        """The type in module.yaml."""
+        return {"real": "float", "bool": "boolean"}.get(self.kind, "int32")
+
+
+@dataclass(frozen=True)
+class Kept:
+    """A parameter that stays at its default, and why."""
+
+    path: str
+    reason: str
+
+
+def exported(program: Program, names: ModuleNames, torque: bool) -> tuple[list[Exported], list[Kept]]:
+    """The rows of the diagram's parameters, those of the module itself behind them, and what is not shown.
+
+    A parameter that is not tunable is read when the module starts. An array of more than WIDEST elements, and a default
+    that PX4 cannot hold (not finite, an integer above 2^31 - 1), stay as they are. `torque` adds the scale of the
+    torque set-point. Raises DiagramError for more than MOST parameters.
+    """
+    own = [
+        Exported(
+            f"{names.prefix}_{LIVE}",
+            "bool",
+            1.0,
+            0.0,
+            1.0,
+            "",
+            "1: changes act at the next step; 0: they wait, and act together in one step when this is 1 again",
+        )
+    ]
+    if torque:
+        own.append(
+            Exported(
+                f"{names.prefix}_{TORQUE}",
+                "real",
+                float32(math.sqrt(2.0)),
+                0.0,
+                10.0,
+                "",
+                "Torque set-point of M = 1. The allocator moves each motor of a symmetric X by .7071 of it, so that "
+                "sqrt(2) gives fore = T + M and aft = T - M",
+            )
+        )
+    wanted: list[tuple[str, int | None]] = []
+    kept: list[Kept] = []
+    for path, parameter in program.parameters.items():
+        d = parameter.declared
+        values = [float(v) for v in np.ravel(np.asarray(d.value))]
+        if d.width is not None and d.width > WIDEST:
+            kept.append(Kept(path, f"an array of {d.width} elements; up to {WIDEST} are shown"))
+        elif d.kind == "real" and not all(math.isfinite(float32(v)) for v in values):
+            kept.append(Kept(path, "its default is not finite in float32"))
+        elif d.kind == "uint32" and max(values) > LARGEST_INT:
+            kept.append(Kept(path, "its default is above 2147483647, the largest integer of PX4"))
+        else:
+            wanted += [(path, None)] if d.width is None else [(path, i) for i in range(d.width)]
+    if len(wanted) > MOST:
+        raise DiagramError(f"{len(wanted)} parameters for PX4", program.name, f"{MOST} at most; bind or remove some")
+    made = parameter_names(names.prefix, wanted, [row.name for row in own])
+    rows = [_row(program, name, path, index) for name, (path, index) in zip(made, wanted, strict=True)]
+    return [*rows, *own], kept
+
+
+def float32(value: float) -> float:
+    """`value` rounded to float32."""
+    with np.errstate(over="ignore"):
+        return float(np.float32(value))
+
+
+def _row(program: Program, name: str, path: str, index: int | None) -> Exported:
+    d = program.parameters[path].declared
+    value = np.ravel(np.asarray(d.value))
+    default = float(value[0 if index is None or len(value) == 1 else index])
+    if d.kind == "real":
+        low, high = max(float32(d.low), -LARGEST_FLOAT), min(float32(d.high), LARGEST_FLOAT)
+        default = float32(default)
+    elif d.kind == "bool":
+        low, high = 0.0, 1.0
+    else:
+        floor = 0 if d.kind == "uint32" else SMALLEST_INT
+        low, high = max(_whole(d.low, math.ceil), floor), min(_whole(d.high, math.floor), LARGEST_INT)
+    element = "" if index is None else f"[{index}]"
+    text = f"{path}{element}: {d.text}" if d.text else f"{path}{element}"
+    return Exported(name, d.kind, default, low, high, d.unit, text, not d.tunable, path, index)
+
+
+def _whole(bound: float, rounded: object) -> float:
+    if not math.isfinite(bound):
+        return bound
+    return float(rounded(bound)) if callable(rounded) else bound
+
+
+def module_yaml(names: ModuleNames, rows: Sequence[Exported]) -> str:
+    """The text of module.yaml: one group with `rows`."""
+    lines = [
+        f"module_name: {names.module}",
+        "",
+        "parameters:",
+        f"    - group: Twodof {names.stem}",
+        "      definitions:",
+    ]
+    for row in rows:
+        lines += [f"        {row.name}:", "            description:", f"                short: {_short(row)}"]
+        lines += [f"                long: {_quoted(_long(row), 600)}", f"            type: {row.px4_type}"]
+        if row.kind == "real":
+            lines += [f"            decimal: {decimals(row.default)}"]
+        if row.kind != "bool":
+            if row.low not in (-LARGEST_FLOAT, SMALLEST_INT):
+                lines += [f"            min: {number(row.low, row.kind)}"]
+            if row.high not in (LARGEST_FLOAT, LARGEST_INT):
+                lines += [f"            max: {number(row.high, row.kind)}"]
+        if row.unit in UNITS and row.kind != "bool":
+            lines += [f"            unit: {_quoted(UNITS[row.unit], 20)}"]
+        if row.fixed:
+            lines += ["            reboot_required: true"]
+        lines += [f"            default: {number(row.default, row.kind)}"]
+    return "\n".join(lines) + "\n"
+
+
+def _short(row: Exported) -> str:
+    unit = f" [{row.unit}]" if row.unit and row.unit not in UNITS else ""
+    unit = harmless(unit, 20)
+    return _quoted(harmless(row.text, 70 - len(unit) - 1) + (f" {unit}" if unit else ""), 70)
+
+
+def _long(row: Exported) -> str:
+    bounds = f"{number(row.low, row.kind)} to {number(row.high, row.kind)}"
+    when = "Read when the module starts." if row.fixed else "A change acts at the next step."
+    return f"{row.text}. {bounds}; a value outside is refused, with all that changed beside it. {when}"
+
+
+def _quoted(text: str, longest: int) -> str:
+    # `harmless` leaves neither quotes nor backslashes; ${ and @ would mean something to PX4's generators.
+    return f'"{harmless(text, longest)}"'
+
+
+def decimals(default: float) -> int:
+    """Places behind the point that show four significant digits of a default, 3 to 8."""
+    return min(max(3 - math.floor(math.log10(abs(default))), 3), 8) if default else 3
+
+
+def number(value: float, kind: str) -> str:
+    """A number as YAML and PX4's generators read it back: the shortest that is this float32, with a point."""
+    if kind == "bool":
+        return "true" if value else "false"
+    if kind != "real":
+        return str(int(value))
+    text = str(np.float32(value))
+    mantissa, e, exponent = text.partition("e")
+    return (mantissa if "." in mantissa else f"{mantissa}.0") + e + exponent

@@ -1,0 +1,113 @@
+"""A generated tree: its files by relative path, and writing all of them or none."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import secrets
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+
+from twodof.errors import CompileError
+from twodof.flightlog.atomic import atomic_write
+
+MANIFEST = "twodof-px4.json"
+FORMAT = 1
+_LARGEST_MANIFEST = 1_000_000
+
+
+def manifest(files: Mapping[str, str], facts: Mapping[str, object]) -> str:
+    """The text of the manifest: `facts`, and the SHA-256 of each file."""
+    sums = {path: hashlib.sha256(text.encode()).hexdigest() for path, text in sorted(files.items())}
+    return json.dumps({"format": FORMAT, **facts, "files": sums}, indent=2) + "\n"
+
+
+def read_manifest(folder: Path) -> dict[str, object] | None:
+    """The manifest of a folder, or None if it has none that is one."""
+    try:
+        with (folder / MANIFEST).open("rb") as file:
+            data = json.loads(file.read(_LARGEST_MANIFEST))
+    except (OSError, ValueError, RecursionError):
+        return None
+    files = data.get("files") if isinstance(data, dict) else None
+    good = isinstance(files, dict) and data.get("format") == FORMAT and all(isinstance(f, str) for f in files.values())
+    return data if good else None
+
+
+def strangers(folder: Path) -> list[str]:
+    """What in `folder` no export has put there, or what has been changed since, by relative path."""
+    known = read_manifest(folder)
+    files = known["files"] if known else {}
+    sums = files if isinstance(files, dict) else {}
+    found = []
+    for root, folders, names in os.walk(folder):
+        folders.sort()
+        for name in sorted(names):
+            path = Path(root, name)
+            relative = path.relative_to(folder).as_posix()
+            if relative == MANIFEST and known:
+                continue
+            if path.is_symlink() or hashlib.sha256(path.read_bytes()).hexdigest() != sums.get(relative):
+                found.append(relative)
+    return found
+
+
+def write_tree(folder: Path, files: Mapping[str, str], force: bool = False) -> None:
+    """Writes `files`, whose manifest is among them, as `folder`: wholly or not at all.
+
+    An empty folder and one that an export left unchanged are replaced. One with other or changed files is so only with
+    `force`, and even then only if an export is what it is; raises CompileError otherwise, and where the file system
+    refuses. The new tree is made beside its place and renamed into it.
+    """
+    target = folder.resolve()
+    _check_place(target, folder, force)
+    mark = secrets.token_hex(6)
+    fresh, old = target.with_name(f".{target.name}.{mark}.new"), target.with_name(f".{target.name}.{mark}.old")
+    try:
+        fresh.mkdir(parents=True)
+        for path, text in files.items():
+            place = fresh / path
+            place.parent.mkdir(parents=True, exist_ok=True)
+            with atomic_write(place, "w") as file:
+                file.write(text)
+        if target.exists():
+            target.rename(old)
+        try:
+            fresh.rename(target)
+        except BaseException:
+            if old.exists():
+                old.rename(target)
+            raise
+    except OSError as refusal:
+        raise CompileError(
+            f"cannot be written: {refusal.strerror or refusal}",
+            str(folder),
+            "nothing was changed; choose another place",
+        ) from refusal
+    finally:
+        shutil.rmtree(fresh, ignore_errors=True)
+        if target.exists():  # otherwise `old` is all there is
+            shutil.rmtree(old, ignore_errors=True)
+
+
+def _check_place(target: Path, folder: Path, force: bool) -> None:
+    if not target.exists():
+        return
+    if not target.is_dir():
+        raise CompileError("is a file", str(folder), "name a folder")
+    if not any(target.iterdir()):
+        return
+    if read_manifest(target) is None:
+        raise CompileError(
+            "is a folder with something else in it", str(folder), "name a new or an empty folder, or an earlier export"
+        )
+    other = strangers(target)
+    if other and not force:
+        listed = ", ".join(other[:5]) + (f" and {len(other) - 5} more" if len(other) > 5 else "")
+        raise CompileError(
+            f"has files that were added or changed since the export: {listed}",
+            str(folder),
+            "save them elsewhere, or give --force to lose them",
+        )

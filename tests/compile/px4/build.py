@@ -1,0 +1,98 @@
+"""Builds an exported module against stand-ins for PX4's headers, with PX4's warning flags."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+
+from twodof.compile.px4.build_files import EXACT
+from twodof.compile.px4.export import Module
+from twodof.compile.px4.topics import FIELDS
+
+STAND_IN = Path(__file__).parent / "stand_in"
+DEADLINE = 120.0
+
+# PX4 v1.16's flags for gcc, in its order: cmake/px4_add_common_flags.cmake and what platforms/posix adds.
+PX4_FLAGS = """
+    -g -fdata-sections -ffunction-sections -fomit-frame-pointer -fmerge-all-constants -fno-signed-zeros
+    -fno-trapping-math -freciprocal-math -fno-math-errno -fno-strict-aliasing -fvisibility=hidden
+    -Wall -Wextra -Werror -Warray-bounds -Wcast-align -Wdisabled-optimization -Wdouble-promotion -Wfatal-errors
+    -Wfloat-equal -Wformat-security -Winit-self -Wlogical-op -Wpointer-arith -Wshadow -Wuninitialized
+    -Wunknown-pragmas -Wunused-variable -Wno-missing-field-initializers -Wno-missing-include-dirs
+    -Wno-unused-parameter -fno-builtin-printf -fno-strength-reduce -Wformat=1 -Wunused-but-set-variable
+    -Wno-format-truncation
+"""
+C_FLAGS = ["-std=gnu11", "-fno-common", "-Wnested-externs", "-Wstrict-prototypes", "-Wbad-function-cast"]
+CPP_FLAGS = ["-std=gnu++14", "-fcheck-new", "-Wreorder", "-Wno-overloaded-virtual", "-fno-rtti"]
+
+_TYPES = {
+    "uint64": "uint64_t",
+    "uint32": "uint32_t",
+    "int32": "int32_t",
+    "uint16": "uint16_t",
+    "uint8": "uint8_t",
+    "float32": "float",
+    "bool": "bool",
+}
+
+
+def topic_header(topic: str, rows: list[tuple[str, str]], constants: dict[str, int]) -> str:
+    """uORB/topics/TOPIC.h, as PX4's generator would make it of a message with these fields."""
+    members = ""
+    for kind, name in rows:
+        base, _, width = kind.partition("[")
+        members += f"\t{_TYPES[base]} {name}{'[' + width if width else ''};\n"
+    values = "".join(f"\tstatic constexpr uint8_t {name} = {value};\n" for name, value in constants.items())
+    return (
+        f"#pragma once\n#include <stdint.h>\n#include <uORB/uORB.h>\nstruct {topic}_s {{\n{members}{values}}};\n"
+        f'static const orb_metadata orb_{topic}{{"{topic}"}};\n'
+    )
+
+
+def parse_message(text: str) -> tuple[list[tuple[str, str]], dict[str, int]]:
+    """The fields (type, name) and the constants of a .msg file."""
+    fields, constants = [], {}
+    for line in text.splitlines():
+        words = line.partition("#")[0].replace("=", " = ").split()
+        if len(words) == 4:
+            constants[words[1]] = int(words[3])
+        elif words:
+            kind, name = words
+            fields.append((kind, name))
+    return fields, constants
+
+
+def lay_out(module: Module, folder: Path) -> Path:
+    """The module's tree and the headers of all topics in `folder`; returns the folder of the module's sources."""
+    module.write(folder / "export")
+    topics = folder / "include" / "uORB" / "topics"
+    topics.mkdir(parents=True)
+    for topic, rows in FIELDS.items():
+        (topics / f"{topic}.h").write_text(topic_header(topic, [(k, n) for n, k in rows.items()], {}))
+    text = module.files[f"msg/{module.names.class_name}.msg"]
+    (topics / f"{module.names.module}.h").write_text(topic_header(module.names.module, *parse_message(text)))
+    return folder / "export" / "src" / "modules" / module.names.module
+
+
+def compile_module(module: Module, folder: Path, optimise: str = "-O2", more: tuple[str, ...] = ()) -> list[Path]:
+    """The module's two objects, built with PX4's flags and the module's own. Fails the test on any warning."""
+    sources = lay_out(module, folder)
+    names = module.names
+    includes = [f"-I{folder / 'include'}", f"-I{STAND_IN}", f"-I{sources}"]
+    own = [f'-DMODULE_NAME="{names.module}"', *EXACT, *includes, *more]
+    made = []
+    for compiler, flags, source in (
+        ("gcc", C_FLAGS, sources / f"{names.module}.c"),
+        ("g++", CPP_FLAGS, sources / f"{names.class_name}.cpp"),
+    ):
+        target = folder / f"{source.name}.o"
+        run([compiler, *flags, optimise, *PX4_FLAGS.split(), *own, "-c", str(source), "-o", str(target)])
+        made.append(target)
+    return made
+
+
+def run(command: list[str]) -> str:
+    """The output of a command, which must succeed."""
+    done = subprocess.run(command, capture_output=True, text=True, timeout=DEADLINE)
+    assert done.returncode == 0, f"{' '.join(command[:1])}: {done.stdout[-4000:]}{done.stderr[-4000:]}"
+    return done.stdout

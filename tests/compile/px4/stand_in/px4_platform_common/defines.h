@@ -1,0 +1,2 @@
+#pragma once
+#define PX4_ISFINITE(x) __builtin_isfinite(x)

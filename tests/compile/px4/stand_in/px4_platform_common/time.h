@@ -1,0 +1,2 @@
+#pragma once
+int px4_usleep(unsigned int us);

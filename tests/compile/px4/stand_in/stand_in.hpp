@@ -1,0 +1,42 @@
+// What stands behind the stand-ins of PX4's headers: a clock, topics, parameters and one work queue, all in this process.
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <map>
+#include <string>
+#include <vector>
+
+namespace px4
+{
+class WorkItem;
+}
+
+namespace stand_in
+{
+struct Topic {
+	std::vector<uint8_t> value;
+	uint32_t generation{0};
+	std::vector<px4::WorkItem *> listeners;
+};
+
+struct Parameter {
+	bool integer;
+	float real;
+	int32_t whole;
+	bool used;
+};
+
+extern uint64_t now;
+extern bool lockable;  // whether a gyro's topic can be listened to
+extern std::map<std::string, Topic> topics;
+extern std::map<std::string, Parameter> parameters;
+extern std::vector<std::string> parameter_order;
+extern std::vector<px4::WorkItem *> ready;
+extern std::map<px4::WorkItem *, uint64_t> delayed;
+extern std::vector<std::string> said;
+
+void publish(const char *topic, const void *value, size_t size);
+// Runs what is ready, and what was delayed until now.
+void work();
+} // namespace stand_in
