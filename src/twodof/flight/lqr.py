@@ -51,10 +51,12 @@ def lqr(
     try:
         cost = solve_discrete_are(phi, gamma, np.diag(weights), moment)
     except LinAlgError as reason:
-        raise ParameterError(
-            f"no state feedback stabilises it: {reason}", "lqr", "choose an output whose integral the input can move"
-        ) from reason
+        raise _unstable(str(reason)) from reason
     gains = np.linalg.solve(moment + gamma.T @ cost @ gamma, gamma.T @ cost @ phi)[0]
+    radius = float(np.abs(np.linalg.eigvals(phi - gamma @ gains[None])).max())
+    # A mode that the moment does not reach stays on the unit circle, up to rounding.
+    if not radius < 1.0 - 1e-6:
+        raise _unstable(f"a pole stays at {radius:.9g}")
     return LqrGains(tuple(gains[:n].tolist()), float(gains[-1]), tuple(gains[n:size].tolist()))
 
 
@@ -71,3 +73,9 @@ def rate_lqr(plant: PitchRate = PAPER_PITCH_RATE) -> LqrGains:
     """
     rigid = StateSpace.of([[0.0]], [plant.mu], [[1.0]], [[0.0]], plant.tau)
     return lqr(rigid, 0, (1.0,), 0.2, 0.06)
+
+
+def _unstable(why: str) -> ParameterError:
+    return ParameterError(
+        f"no state feedback stabilises it: {why}", "lqr", "choose an output whose integral the input can move"
+    )

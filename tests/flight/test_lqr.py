@@ -1,0 +1,59 @@
+"""The LQR: Bellman's equation by brute force, python-control's own gains, and a delay that it predicts over."""
+
+from __future__ import annotations
+
+import control
+import numpy as np
+import pytest
+
+from twodof.errors import ParameterError
+from twodof.flight.lqr import LqrGains, attitude_lqr, lqr, rate_lqr
+from twodof.flight.templates import PERIOD
+from twodof.models.lti import StateSpace
+from twodof.models.plant import PAPER_PITCH_RATE
+
+
+def test_a_plant_without_delay_gets_the_gains_of_python_control() -> None:
+    plant = StateSpace.of([[0.0, 1.0], [-9.0, -0.5]], [0.0, 300.0], np.eye(2), np.zeros((2, 1)))
+    gains = lqr(plant, 0, (0.1, 2.0), 0.3, 0.2)
+    held = plant.zero_order_hold(PERIOD)
+    a = np.block([[held.phi, np.zeros((2, 1))], [PERIOD * held.phi[:1], np.ones((1, 1))]])
+    b = np.vstack([held.new, PERIOD * held.new[:1]])
+    theirs, _, _ = control.dlqr(a, b, np.diag([1 / 0.1**2, 1 / 2.0**2, 1 / 0.3**2]), [[1 / 0.2**2]])
+    # Both solve the same Riccati equation, python-control by another library or by scipy.
+    np.testing.assert_allclose([*gains.state, gains.integral], theirs[0], rtol=1e-9)
+    assert gains.history == ()
+
+
+def cost(gains: LqrGains) -> float:
+    """The sum that the attitude's LQR minimises, flown from theta = 5 deg and -1 rad/s until all is at rest."""
+    held = PAPER_PITCH_RATE.state_space().zero_order_hold(PERIOD)
+    x, past, total, spent = np.array([np.radians(5.0), -1.0]), [0.0] * len(gains.history), 0.0, 0.0
+    for _ in range(5000):
+        total += PERIOD * x[0]
+        moment = -float(np.dot(gains.state, x)) - gains.integral * total - float(np.dot(gains.history, past))
+        spent += (x[0] / np.radians(5.0)) ** 2 + (x[1] / 2.0) ** 2 + (total / 0.3) ** 2 + (moment / 0.1) ** 2
+        x = held.phi @ x + held.new[:, 0] * past[-1]
+        past = [moment, *past[:-1]]
+    return spent
+
+
+def test_no_neighbour_of_the_gains_costs_less() -> None:
+    best = attitude_lqr()
+    assert len(best.history) == 5  # 20 ms, five steps
+    least = cost(best)
+    for i in range(2):
+        for share in (0.99, 1.01):
+            state = list(best.state)
+            state[i] *= share
+            assert cost(LqrGains(tuple(state), best.integral, best.history)) > least
+    for share in (0.99, 1.01):
+        assert cost(LqrGains(best.state, share * best.integral, best.history)) > least
+        assert cost(LqrGains(best.state, best.integral, tuple(share * k for k in best.history))) > least
+
+
+def test_what_cannot_be_stabilised_is_refused() -> None:
+    # The integral of the rate of a plant with a spring is its angle: no moment holds it elsewhere.
+    with pytest.raises(ParameterError, match="no state feedback"):
+        lqr(PAPER_PITCH_RATE.state_space(), 1, (np.inf, 1.0), 0.2, 0.03)
+    assert rate_lqr().integral > 0.0
