@@ -17,9 +17,10 @@ from twodof.compile.lower import lower
 from twodof.compile.machine import Machine
 from twodof.compile.native import Native
 from twodof.compile.target import Backend, Emitted, Target
+from twodof.compile.wasm.target import Wasm
 from twodof.errors import CompileError
 
-TARGETS = ("native", "cortex-m7")
+TARGETS = ("native", "wasm", "cortex-m7")
 
 
 def build(
@@ -35,11 +36,12 @@ def build(
 ) -> Program | Reference:
     """`diagram` as a program of base tick `dt` [s] that also returns the signals whose paths are in `log`.
 
-    `target` is "native", "cortex-m7" (on an emulated processor), or a Target with options of its own. For a named one,
-    `compiler` is "cc", "gcc", "clang", "zig" or a path, `optimise` a compiler option, and `native_cpu` tunes for this
-    processor. With `compiler=None` the first compiler that is there is taken; if none is, "native" gives the reference
-    interpreter (same results, thousands of times slower) with a warning. Raises DiagramError for a faulty diagram,
-    CompileError for a compiler that is missing or fails, or an unknown target.
+    `target` is "native", "wasm" (the sandbox), "cortex-m7" (on an emulated processor), or a Target with options of its
+    own. For a named one, `compiler` is "cc", "gcc", "clang", "zig" or a path, `optimise` a compiler option, and
+    `native_cpu` tunes for this processor. With `compiler=None` the first compiler that is there is taken; if none is,
+    "native" gives the reference interpreter (same results, thousands of times slower) with a warning. Raises
+    DiagramError for a faulty diagram, CompileError for a compiler or an engine that is missing or fails, or an unknown
+    target.
     """
     log = tuple(log)
     source = emit_program(diagram, dt, precision, log, integrator)
@@ -62,6 +64,8 @@ def build(
 def _target(name: str, compiler: str | None, optimise: str | None, native_cpu: bool) -> Target:
     if name == "native":
         return Native(compiler, optimise or "-O3", native_cpu)
+    if name == "wasm":
+        return Wasm(compiler, optimise or "-O3")
     if name == "cortex-m7":
         return CortexM7(compiler, optimise or OPTIMISE)
     raise CompileError(f"there is no target {name!r:.80}", "", f"targets are {', '.join(TARGETS)}")

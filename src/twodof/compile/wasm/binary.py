@@ -1,0 +1,97 @@
+"""The binary form of a WebAssembly module, as far as it takes to know that one is closed, and to bound its memory."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from twodof.errors import CompileError
+
+PAGE = 65536  # bytes
+IMPORT, MEMORY, EXPORT, START = 2, 5, 7, 8
+_HEAD = b"\0asm\1\0\0\0"
+_KINDS = ("function", "table", "memory", "global")
+
+
+def closed(module: bytes, functions: Sequence[str], name: str) -> tuple[bytes, int]:
+    """The module with a memory that cannot grow, and the pages it has.
+
+    Raises CompileError, with `name` as its place, if the module is malformed, imports or starts anything, or does not
+    export exactly "memory" and `functions`.
+    """
+    try:
+        return _closed(module, functions, name)
+    except IndexError as error:
+        raise _refused("it ends within a section", name) from error
+
+
+def _closed(module: bytes, functions: Sequence[str], name: str) -> tuple[bytes, int]:
+    if module[: len(_HEAD)] != _HEAD:
+        raise _refused("it does not begin as one of version 1", name)
+    made, pages = [_HEAD], 0
+    exports: set[str] = set()
+    for kind, body in _sections(module):
+        if kind in (IMPORT, START):
+            raise _refused("it imports something" if kind == IMPORT else "it runs something by itself", name)
+        content = body
+        if kind == MEMORY:
+            pages = _pages(body, name)
+            content = b"\1\1" + 2 * _encoded(pages)  # one memory, with a limit: at least and at most `pages`
+        elif kind == EXPORT:
+            exports = set(_exports(body))
+        made.append(bytes([kind]) + _encoded(len(content)) + content)
+    expected = {"memory memory", *(f"function {f}" for f in functions)}
+    if exports != expected:
+        raise _refused(f"it exports {', '.join(sorted(exports ^ expected))} wrongly or not at all", name)
+    return b"".join(made), pages
+
+
+def _sections(module: bytes) -> Iterator[tuple[int, bytes]]:
+    at = len(_HEAD)
+    while at < len(module):
+        kind = module[at]
+        size, at = _decoded(module, at + 1)
+        if at + size > len(module):
+            raise IndexError
+        yield kind, module[at : at + size]
+        at += size
+
+
+def _pages(body: bytes, name: str) -> int:
+    count, at = _decoded(body, 0)
+    if count != 1 or body[at] not in (0, 1):  # 32-bit, not shared
+        raise _refused("it has not one plain memory", name)
+    return _decoded(body, at + 1)[0]
+
+
+def _exports(body: bytes) -> Iterator[str]:
+    count, at = _decoded(body, 0)
+    for _ in range(count):
+        size, at = _decoded(body, at)
+        name, kind = body[at : at + size].decode("utf-8", "replace"), body[at + size]
+        yield f"{_KINDS[kind] if kind < len(_KINDS) else 'unknown'} {name}"
+        at = _decoded(body, at + size + 1)[1]
+
+
+def _decoded(data: bytes, at: int) -> tuple[int, int]:
+    """An unsigned LEB128 number of at most 32 bits, and where it ends."""
+    value = shift = 0
+    while shift < 35:
+        byte = data[at]
+        at += 1
+        value |= (byte & 0x7F) << shift
+        if byte < 0x80:
+            return value, at
+        shift += 7
+    raise IndexError
+
+
+def _encoded(value: int) -> bytes:
+    made = bytearray()
+    while value >= 0x80:
+        made.append(value & 0x7F | 0x80)
+        value >>= 7
+    return bytes([*made, value])
+
+
+def _refused(what: str, name: str) -> CompileError:
+    return CompileError(f"this is no module that the sandbox takes: {what}", name, "report this as a fault")

@@ -1,0 +1,208 @@
+"""A diagram as a WebAssembly module that imports nothing, and what its host must know of it."""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from twodof.compile import freestanding, toolchain
+from twodof.compile.target import Emitted
+from twodof.compile.toolchain import Compiler
+from twodof.compile.wasm.binary import PAGE, closed
+from twodof.compile.wasm.fuel import step_fuel
+from twodof.errors import CompileError
+
+FUNCTIONS = ("defaults", "prepare", "init", "step", "run", "tick")
+STACK = 1 << 20  # bytes; three nested functions may have 320 kB of arrays each
+ROWS = 4096  # at most; ticks whose inputs and outputs stand in the memory at once
+ROW_BYTES = 1 << 18  # of all rows of one program, if one row is not larger
+LARGEST = 256 << 20  # bytes of memory that a module may have
+INTERFACE = 1  # version of what `Module.interface` returns
+
+FLAGS = (
+    *toolchain.FLAGS,
+    "-ffreestanding",  # no library; the loops of our memset must not become a call of it
+    "-mno-bulk-memory",  # filling and copying cost fuel as other loops do
+    "-g0",
+    "-I.",
+    "-nostdlib",
+    "-Wl,--no-entry",
+    "-Wl,--strip-all",
+    f"-Wl,-z,stack-size={STACK}",
+)
+
+
+@dataclass(frozen=True)
+class Places:
+    """Addresses of a program's structs, and of `rows` further inputs and outputs, one behind the other."""
+
+    structs: Mapping[str, int]
+    inputs: int
+    outputs: int
+    rows: int
+    end: int
+
+    @classmethod
+    def of(cls, program: Emitted) -> Places:
+        """Between the stack, which ends at STACK, and the constants, which begin at or after `end`."""
+        sizes = dict(zip("PSUY", program.sizes[1:], strict=True))
+        rows = max(1, min(ROWS, ROW_BYTES // (sizes["U"] + sizes["Y"])))
+        found, at = {}, STACK
+        wanted = [*sizes.items(), ("inputs", rows * sizes["U"]), ("outputs", rows * sizes["Y"])]
+        for name, size in wanted:
+            found[name] = at
+            at += -(-size // 16) * 16
+        if at > LARGEST:
+            raise CompileError(
+                f"it needs {at >> 20} MiB of memory, the sandbox gives {LARGEST >> 20}", program.name, "shorten delays"
+            )
+        return cls({k: found[k] for k in "PSUY"}, found["inputs"], found["outputs"], rows, at)
+
+
+@dataclass(frozen=True)
+class Module:
+    """`data` is the .wasm; `pages` its memory in pages of 64 KiB; `programs` by the prefix of their names."""
+
+    data: bytes
+    pages: int
+    programs: Mapping[str, Emitted]
+    places: Mapping[str, Places]
+
+    def interface(self, name: str | None = None) -> dict[str, Any]:
+        """What a host must know to run the program `name` (the only one, if None): see docs/compilation.md.
+
+        It can be written as JSON: a bound that is infinite is None. Addresses are in the module's memory, in bytes.
+        """
+        name = name or next(iter(self.programs))
+        program, places = self.programs[name], self.places[name]
+        layout, flat = program.layout, program.flat
+        entries = _Entries(program, places)
+        sizes = dict(zip("PSUY", program.sizes[1:], strict=True))
+        return {
+            "twodof": INTERFACE,
+            "name": name,
+            "dt": flat.dt,
+            "precision": program.precision,
+            "pages": self.pages,
+            "fuel": step_fuel(program),
+            "functions": {f: f"{name}_{f}" for f in FUNCTIONS},
+            "structs": {k: {"address": places.structs[k], "size": sizes[k]} for k in "PSUY"},
+            "rows": {
+                "count": places.rows,
+                "U": {"address": places.inputs, "stride": sizes["U"]},
+                "Y": {"address": places.outputs, "stride": sizes["Y"]},
+            },
+            "parameters": [
+                entries.entry("P", m, path)
+                | {"low": _finite(q.declared.low), "high": _finite(q.declared.high), "tunable": q.declared.tunable}
+                for path, q in flat.parameters.items()
+                for m in (layout.parameters[q],)
+            ],
+            "inputs": [entries.entry("U", layout.inputs[s], path) for path, s in flat.inputs.items()],
+            "outputs": [entries.entry("Y", layout.outputs[path], path) for path in flat.outputs],
+            "states": [
+                entries.entry("x" if s.continuous else "S", layout.states[node, s.name], f"{node.path}.{s.name}")
+                for node in flat.nodes
+                for s in node.block.states
+            ],
+        }
+
+
+class _Entries:
+    """Where members stand in the memory."""
+
+    def __init__(self, program: Emitted, places: Places) -> None:
+        self.precision = program.precision
+        fields: dict[str, Any] = {k: program.dtypes[k].fields or {} for k in "PSUY"}
+        starts = dict(places.structs)
+        if "x" in fields["S"]:
+            dtype, offset, *_ = fields["S"]["x"]
+            fields["x"], starts["x"] = dtype.fields or {}, starts["S"] + offset
+        self.places = {
+            (kind, name): starts[kind] + offset
+            for kind, members in fields.items()
+            for name, (_, offset, *_) in members.items()
+        }
+
+    def entry(self, kind: str, member: Any, path: str) -> dict[str, Any]:
+        """A member's path, unit, type, number of elements and address."""
+        return {
+            "path": path,
+            "unit": member.unit,
+            "type": self.precision if member.kind == "real" else member.kind,
+            "count": member.width or 1,
+            "array": member.width is not None,
+            "address": self.places[kind, member.name],
+        }
+
+
+def _finite(bound: float) -> float | None:
+    return bound if math.isfinite(bound) else None
+
+
+def find_wasm_compiler(name: str | None = None) -> Compiler:
+    """The compiler called `name` ("zig", "clang" or a path to a clang), or else the first there is.
+
+    Raises CompileError, with the package that gives it, if it is not there.
+    """
+    zig = name in (None, "zig") and (importlib.util.find_spec("ziglang") is not None or shutil.which("zig"))
+    if zig:
+        found = toolchain.find_compiler("zig")
+        return Compiler(found.name, found.command, (*found.flags, "-target", "wasm32-freestanding"))
+    clang = None if name == "zig" else shutil.which(name or "clang")
+    if clang and "clang" in clang and shutil.which("wasm-ld"):
+        # --stack-first: so that a stack that overflows leaves the memory instead of overwriting constants.
+        return Compiler("clang", (clang,), ("--target=wasm32", "-mcpu=generic", "-Wl,--stack-first"))
+    raise CompileError(
+        f"there is no compiler {name!r:.80} for WebAssembly" if name else "there is no compiler for WebAssembly",
+        "target wasm",
+        "install the wheel ziglang (`pip install ziglang`), or clang and lld",
+    )
+
+
+def compile_module(programs: Sequence[Emitted], compiler: str | None = None, optimise: str = "-O3") -> Module:
+    """`programs`, which stand in one source, as one module; needs no engine.
+
+    Raises CompileError if the compiler is not there or refuses, or if a program needs too much memory.
+    """
+    found = find_wasm_compiler(compiler)
+    places = {p.name: Places.of(p) for p in programs}
+    functions = [f"{p.name}_{f}" for p in programs for f in FUNCTIONS]
+    start = max(p.end for p in places.values())
+    options = (
+        *FLAGS,
+        optimise,
+        *found.flags,
+        f"-Wl,--global-base={start}",
+        *(f"-Wl,--export={f}" for f in functions),
+    )
+    ticks = (_tick(p.name, places[p.name]) for p in programs)
+    source = "".join([programs[0].source, *ticks, freestanding.MEMORY, freestanding.layout_checks(programs)])
+    with toolchain.compiled(source, found, options, ".wasm", files=freestanding.FILES) as file:
+        data = toolchain.contents(file)
+    where = ", ".join(list(places)[:3])
+    data, pages = closed(data, functions, where)
+    if pages * PAGE > LARGEST:
+        raise CompileError(
+            f"it needs {pages * PAGE >> 20} MiB of memory, the sandbox gives {LARGEST >> 20}", where, "shorten tables"
+        )
+    return Module(data, pages, {p.name: p for p in programs}, places)
+
+
+def _tick(name: str, places: Places) -> str:
+    """A step on the structs at their places: a call without arguments takes a quarter of the time."""
+    arguments = ", ".join(
+        f"({const}{name}_{k} *){places.structs[k]}u"
+        for k, const in (("P", "const "), ("S", ""), ("U", "const "), ("Y", ""))
+    )
+    return f"""
+void {name}_tick(void);
+void {name}_tick(void)
+{{
+    {name}_step({arguments});
+}}
+"""

@@ -1,0 +1,71 @@
+"""Which modules the sandbox takes: only closed ones, and nothing but a CompileError from any other bytes."""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+
+from tests.compile import examples
+from twodof.compile.program import emit_program
+from twodof.compile.wasm import engine
+from twodof.compile.wasm.binary import closed
+from twodof.compile.wasm.module import FUNCTIONS, compile_module
+from twodof.errors import CompileError
+
+NAMES = [f"loop_{f}" for f in FUNCTIONS]
+
+
+def assembled(text: str) -> bytes:
+    return bytes(engine.wasmtime().wat2wasm(f"(module {text})"))
+
+
+def plain(name: str) -> str:
+    return f'(func (export "{name}"))'
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('(import "env" "f" (func)) (memory (export "memory") 1) ' + plain("f"), "imports"),
+        ('(func $f) (start $f) (memory (export "memory") 1) ' + plain("f"), "runs something"),
+        ('(memory (export "memory") 1)', "exports function f"),
+        ('(memory (export "memory") 1) ' + plain("f") + plain("g"), "exports function g"),
+        ('(memory (export "memory") 1) (global (export "f") i32 (i32.const 1))', "exports"),
+        ('(memory (export "memory") 1 2 shared) ' + plain("f"), "plain memory"),
+        ('(memory (export "memory") i64 1) ' + plain("f"), "plain memory"),
+        (plain("f"), "exports memory memory"),
+    ],
+)
+def test_what_is_not_closed_is_refused(text: str, said: str) -> None:
+    with pytest.raises(CompileError, match=said):
+        closed(assembled(text), ["f"], "here")
+
+
+@pytest.mark.parametrize("limits", ["3", "3 9", "200 65536"])
+def test_the_memory_cannot_grow(limits: str) -> None:
+    wasmtime = engine.wasmtime()
+    grow = '(func (export "f") (result i32) (memory.grow (i32.const 1)))'
+    data, pages = closed(assembled(f'(memory (export "memory") {limits}) {grow}'), ["f"], "here")
+    assert pages == int(limits.split()[0])
+    store = wasmtime.Store()
+    exports = wasmtime.Instance(store, wasmtime.Module(store.engine, data), []).exports(store)
+    assert exports["memory"].size(store) == pages
+    assert exports["f"](store) == -1
+
+
+def test_damaged_modules_give_only_compile_errors() -> None:
+    whole = compile_module([emit_program(examples.loop(), 0.01)]).data
+    assert closed(whole, NAMES, "loop")[0] == whole  # closing is idempotent
+    rng = random.Random(1)
+    refused = 0
+    for _ in range(3000):
+        data = bytearray(whole[: rng.randrange(len(whole) + 1)] if rng.random() < 0.5 else whole)
+        for _ in range(rng.randrange(4)):
+            if data:
+                data[rng.randrange(min(len(data), 300))] = rng.randrange(256)
+        try:
+            closed(bytes(data), NAMES, "loop")
+        except CompileError:
+            refused += 1
+    assert refused > 1000
