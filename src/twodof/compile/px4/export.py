@@ -14,7 +14,7 @@ from twodof.compile.px4.build_files import message_list, module_list, source_lis
 from twodof.compile.px4.controller import controller, header, source
 from twodof.compile.px4.message import Fields, fields, message
 from twodof.compile.px4.names import ModuleNames, module_names
-from twodof.compile.px4.parameters import Exported, Kept, exported, module_yaml
+from twodof.compile.px4.parameters import UNITS, Exported, Kept, exported, module_yaml
 from twodof.compile.px4.readme import readme
 from twodof.compile.px4.topics import Role, role
 from twodof.compile.px4.tree import MANIFEST, manifest, write_tree
@@ -81,6 +81,8 @@ def make_module(diagram: Diagram, log: Iterable[str] = (), prefix: str = "") -> 
         "message": names.class_name,
         "airframe": airframe_id(names),
         "parameters": [row.name for row in rows],
+        "units": sorted({UNITS[row.unit] for row in rows if row.unit in UNITS}),
+        "description": found.description + len(names.module) + 1,
         "reads": list(part.reads),
         "writes": list(part.writes),
         "stops": list(part.stops),

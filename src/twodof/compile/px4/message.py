@@ -64,6 +64,13 @@ class Fields:
     inputs: tuple[Field, ...]
     outputs: tuple[Field, ...]
 
+    @property
+    def description(self) -> int:
+        """Characters of the message's description in a log, without its name."""
+        rows = [f"{TYPES[f.kind]}_t[{f.words}] {f.name};" for f in (*self.inputs, *self.outputs)]
+        rows += [f"{kind}_t {name};" for kind, name, _ in HEAD] + ["uint8_t[8] _padding0;"]
+        return sum(map(len, rows))
+
 
 def fields(program: Program, outputs: int) -> Fields:
     """The fields of a program whose first `outputs` outputs are the diagram's, the others logged signals.
@@ -75,8 +82,7 @@ def fields(program: Program, outputs: int) -> Fields:
     found = Fields(ins, _named("out", rows[:outputs]) + _named("log", rows[outputs:]))
     every = [*found.inputs, *found.outputs]
     size = sum(_SIZES[f.kind] * f.words for f in every)
-    text = sum(len(f"{TYPES[f.kind]}[] {f.name};") + len(str(f.words)) for f in every)
-    text += sum(len(f"{kind}_t {name};") for kind, name, _ in HEAD)
+    text = found.description
     if text > LONGEST_FORMAT or size > LARGEST:
         raise DiagramError(
             f"its message would have {len(every)} signals ({size} bytes, {text} characters of description)",

@@ -6,10 +6,11 @@ import re
 from dataclasses import dataclass
 
 # The release a module was built and flown with, and those whose sources it was compared with only.
-TESTED = "v1.16.1"
+TESTED = "v1.16.1-rc2"
 READ = ("v1.14.4", "v1.15.4", "v1.17.0-alpha1")
 FIRST, LAST = (1, 14), (1, 17)
 
+_SINCE = re.compile(r"(?:^|-)(\d{1,7})-g[0-9a-f]+$")
 _TAG = re.compile(r"v?(\d{1,3})\.(\d{1,3})(?:\.(\d{1,3}))?(?:-([0-9A-Za-z.-]+))?")
 
 
@@ -33,7 +34,13 @@ class Version:
     @property
     def tested(self) -> bool:
         """Whether modules were built and flown with its minor release."""
-        return str(self).startswith(TESTED.rpartition(".")[0] + ".")
+        return (self.major, self.minor) == (1, 16)
+
+    @property
+    def commits(self) -> int:
+        """How many commits `git describe` counts since the tag."""
+        found = _SINCE.search(self.rest)
+        return int(found[1]) if found else 0
 
 
 def parse_version(text: str) -> Version | None:

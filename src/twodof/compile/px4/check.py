@@ -1,0 +1,216 @@
+"""check: tells before a build what of an exported module does not fit a checkout of PX4."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from twodof.compile.px4.source_tree import SourceTree
+from twodof.compile.px4.topics import FIELDS
+from twodof.compile.px4.tree import read_manifest, strangers
+from twodof.compile.px4.versions import FIRST, LAST, TESTED, Version
+from twodof.errors import CompileError
+
+ERROR, WARNING = "error", "warning"
+
+# What any PX4 has, and then what the module is built with.
+_LANDMARKS = ("CMakeLists.txt", "Makefile", "src/modules", "msg", "platforms/common", "cmake", "ROMFS")
+_NEEDED = (
+    "cmake/px4_add_module.cmake",
+    "platforms/common/include/px4_platform_common/atomic.h",
+    "platforms/common/include/px4_platform_common/log.h",
+    "platforms/common/include/px4_platform_common/px4_work_queue/ScheduledWorkItem.hpp",
+    "platforms/common/include/px4_platform_common/px4_work_queue/WorkQueueManager.hpp",
+    "platforms/common/uORB/Publication.hpp",
+    "platforms/common/uORB/Subscription.hpp",
+    "platforms/common/uORB/SubscriptionCallback.hpp",
+    "src/drivers/drv_hrt.h",
+    "src/lib/parameters/param.h",
+    "msg/CMakeLists.txt",
+)
+_SUBMODULES = ("src/modules/mavlink/mavlink", "src/lib/events/libevents", "src/lib/heatshrink/heatshrink")
+_BOARD_SUBMODULES = ("platforms/nuttx/NuttX/nuttx", "platforms/nuttx/NuttX/apps")
+_FETCH = "run git submodule update --init --recursive in it"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something that does not fit (`level` "error": the build or the flight fails) or may not ("warning")."""
+
+    level: str
+    what: str
+    where: str
+    remedy: str
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What was found about the module `module` and a PX4 of `version` ("unknown" with the reason, if it is)."""
+
+    module: str
+    version: str
+    rows: tuple[Finding, ...]
+
+    @property
+    def fits(self) -> bool:
+        """Whether nothing is an error."""
+        return not any(row.level == ERROR for row in self.rows)
+
+
+@dataclass(frozen=True)
+class _Facts:
+    """What a manifest says of the module."""
+
+    module: str
+    message: str
+    airframe: int
+    parameters: list[str]
+    units: list[str]
+    reads: list[str]
+    writes: list[str]
+    stops: list[str]
+    description: int
+
+
+def check(px4: str | Path, folder: str | Path) -> Findings:
+    """Whether the export in `folder` fits the checkout `px4`. Nothing is written, built or run but `git describe`.
+
+    Raises CompileError if `folder` holds no export; all that is wrong with `px4` is a finding.
+    """
+    export, tree = Path(folder), SourceTree(Path(px4))
+    facts = _facts(export)
+    rows = [*_export(export)]
+    if not tree.root.is_dir():
+        rows.append(Finding(ERROR, "is no folder", str(px4), "name a checkout of PX4"))
+        return Findings(facts.module, "unknown", tuple(rows))
+    missing = [p for p in _LANDMARKS if not tree.has(p)]
+    if "px4" not in tree.text("CMakeLists.txt").lower() or len(missing) > len(_LANDMARKS) // 2:
+        rows.append(Finding(ERROR, "is no source tree of PX4", str(px4), "name the folder that git clone made of PX4"))
+        return Findings(facts.module, "unknown", tuple(rows))
+    version, reason = tree.version
+    rows += [*_checked_out(tree, missing), *_version(tree, version, reason), *_interfaces(tree, facts)]
+    rows += [*_topics(tree, facts), *_clashes(tree, facts)]
+    return Findings(facts.module, str(version) if version else f"unknown ({reason})", tuple(rows))
+
+
+def _facts(folder: Path) -> _Facts:
+    data = read_manifest(folder)
+    if data is None:
+        raise CompileError(
+            "holds no exported module", str(folder), "name the folder that twodof px4 export DIAGRAM FOLDER wrote"
+        )
+    try:
+        lists = {k: _strings(data[k]) for k in ("parameters", "units", "reads", "writes", "stops")}
+        module, message = _strings([data["module"], data["message"]])
+        airframe, description = int(str(data["airframe"])), int(str(data["description"]))
+    except (KeyError, TypeError, ValueError) as error:
+        raise CompileError("its manifest is damaged", str(folder), "export the diagram again") from error
+    return _Facts(module, message, airframe, description=description, **lists)
+
+
+def _strings(value: object) -> list[str]:
+    if not isinstance(value, list) or not all(isinstance(v, str) for v in value):
+        raise TypeError
+    return list(value)
+
+
+def _export(folder: Path) -> Iterator[Finding]:
+    changed = strangers(folder)
+    if changed:
+        listed = ", ".join(changed[:5]) + (f" and {len(changed) - 5} more" if len(changed) > 5 else "")
+        yield Finding(WARNING, f"was changed since the export: {listed}", str(folder), "export the diagram again")
+
+
+def _checked_out(tree: SourceTree, missing: list[str]) -> Iterator[Finding]:
+    root = str(tree.root)
+    missing = missing + [path for path in _NEEDED if not tree.has(path)]
+    if missing:
+        yield Finding(ERROR, f"is half checked out: {', '.join(missing)} missing", root, "run git checkout -f in it")
+    listed = tree.submodules
+    empty = [path for path in _SUBMODULES if path in listed and tree.empty(path)]
+    if empty:
+        yield Finding(ERROR, f"is half checked out: {', '.join(empty)} empty", root, _FETCH)
+    boards = [path for path in _BOARD_SUBMODULES if path in listed and tree.empty(path)]
+    if boards:
+        yield Finding(WARNING, f"builds for the simulator only: {', '.join(boards)} empty", root, _FETCH)
+    build = tree.root / "build"
+    if not os.access(build if build.is_dir() else tree.root, os.W_OK):
+        yield Finding(ERROR, "is read-only, and PX4 builds inside it", root, "copy it, or change its permissions")
+
+
+def _version(tree: SourceTree, version: Version | None, reason: str) -> Iterator[Finding]:
+    root = str(tree.root)
+    first, last = (f"v{major}.{minor}" for major, minor in (FIRST, LAST))
+    if version is None:
+        what = f"its version is unknown ({reason}); only what the module uses was compared"
+        yield Finding(WARNING, what, root, f"use a git clone with tags; modules are for {first} to {last}")
+    elif not version.supported:
+        yield Finding(
+            ERROR, f"is PX4 {version}; the module is for {first} to {last}", root, f"run git checkout {TESTED} in it"
+        )
+    elif not version.tested:
+        what = f"is PX4 {version}: what the module uses is there, but it was flown with {TESTED} only"
+        yield Finding(WARNING, what, root, "try it in the simulator first")
+
+
+def _interfaces(tree: SourceTree, facts: _Facts) -> Iterator[Finding]:
+    another = "use a PX4 that has it"
+    for path, wanted, what in (
+        ("CMakeLists.txt", "EXTERNAL_MODULES_LOCATION", "external modules"),
+        ("msg/CMakeLists.txt", "config_msg_list_external", "messages of external modules"),
+        ("cmake/px4_add_module.cmake", "MODULE_CONFIG", "parameters from module.yaml"),
+        ("platforms/common/include/px4_platform_common/px4_work_queue/WorkQueueManager.hpp", "rate_ctrl", "rate_ctrl"),
+    ):
+        text = tree.text(path)
+        if text and wanted not in text:
+            yield Finding(ERROR, f"knows no {what}", str(tree.root / path), another)
+    limit = re.search(r"\bchar\s+format\[(\d+)\]", tree.text("src/modules/logger/messages.h"))
+    if limit and int(limit[1]) < facts.description:
+        what = f"its logger has room for {limit[1]} characters of a message's description, not {facts.description}"
+        yield Finding(ERROR, what, str(tree.root), "log fewer signals")
+    units = re.search(
+        r"allowedUnits = set ?\(\[(.*?)\]\)", tree.text("src/lib/parameters/px4params/srcparser.py"), re.DOTALL
+    )
+    unknown = [u for u in facts.units if units and f"'{u}'" not in units[1]]
+    if unknown:
+        yield Finding(ERROR, f"knows no parameters in {', '.join(unknown)}", str(tree.root), another)
+    absent = [name for name in facts.stops if name not in tree.commands]
+    if absent:
+        what = f"has no {', '.join(absent)}, whose place the module takes"
+        yield Finding(WARNING, what, str(tree.root), "see that nobody else commands; the .post stops it in vain")
+
+
+def _topics(tree: SourceTree, facts: _Facts) -> Iterator[Finding]:
+    for topic in sorted({*facts.reads, *facts.writes}):
+        fields = tree.messages.get(topic)
+        if fields is None:
+            yield Finding(ERROR, f"has no topic {topic}", str(tree.root / "msg"), "use another version of PX4")
+            continue
+        for name, kind in FIELDS.get(topic, {}).items():
+            if fields.get(name) != kind:
+                has = f"is {fields[name]}" if name in fields else "is missing"
+                what = f"{topic}.{name} {has}, where {kind} is used"
+                yield Finding(ERROR, what, str(tree.root / "msg"), "use another version of PX4")
+
+
+def _clashes(tree: SourceTree, facts: _Facts) -> Iterator[Finding]:
+    rename = "rename the diagram and export again"
+    if facts.module in tree.commands:
+        yield Finding(ERROR, f"has a module {facts.module} already", str(tree.commands[facts.module]), rename)
+    if facts.message.lower() in tree.message_files:
+        place = tree.message_files[facts.message.lower()]
+        yield Finding(ERROR, f"has a message {facts.message} already", str(place), rename)
+    elif facts.module in tree.messages:
+        yield Finding(ERROR, f"has a topic {facts.module} already", str(tree.root / "msg"), rename)
+    names, patterns = tree.parameters
+    for name in facts.parameters:
+        defined = names.get(name) or next((path for pattern, path in patterns if pattern.fullmatch(name)), None)
+        if defined is not None:
+            yield Finding(ERROR, f"has a parameter {name} already", str(defined), "export again with another --prefix")
+    other = tree.airframes.get(facts.airframe)
+    if other is not None and other.name != f"{facts.airframe}_{facts.module}":
+        what = f"has an airframe {facts.airframe} already"
+        yield Finding(WARNING, what, str(other), "give the exported airframe's file another number")
