@@ -15,13 +15,14 @@ _RELOCATION = struct.Struct("<II")
 SYMTAB, RELA, NOBITS, REL = 2, 4, 8, 9
 WRITE, ALLOC, EXECUTE = 1, 2, 4
 FUNCTION = 2
+CALL = 10  # R_ARM_THM_CALL
 _FIRST_RESERVED = 0xFF00
 _ARM = 40
 
 
 @dataclass
 class Section:
-    """`refers` has the indices of the symbols that its relocations name."""
+    """`refers` has the indices of the symbols that its relocations name, `calls` those of them that it calls."""
 
     name: str
     kind: int
@@ -30,6 +31,7 @@ class Section:
     size: int
     link: int
     refers: set[int] = field(default_factory=set)
+    calls: set[int] = field(default_factory=set)
 
     @property
     def loaded(self) -> bool:
@@ -96,7 +98,9 @@ def _read(data: bytes) -> Elf:
                 symbols.append(Symbol(_text(strings, name), value, info & 15, info >> 4 == 0, index))
     for row, section in zip(rows, sections, strict=True):
         if section.kind == REL:
-            sections[row[7]].refers |= {info >> 8 for _, info in _RELOCATION.iter_unpack(section.data)}
+            named = [(info >> 8, info & 255) for _, info in _RELOCATION.iter_unpack(section.data)]
+            sections[row[7]].refers |= {symbol for symbol, _ in named}
+            sections[row[7]].calls |= {symbol for symbol, kind in named if kind == CALL}
         elif section.kind == RELA:
             raise ValueError("relocations with addends")
     return Elf(sections, symbols)

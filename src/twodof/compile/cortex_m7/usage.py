@@ -64,7 +64,8 @@ class Usage:
     def stack(self, function: str) -> int | None:
         """The deepest that a call of `function` can make the stack grow [bytes]: the largest sum of frames along a path
         of the call graph. None where it has no bound: recursion, frames of variable size, functions of a library that
-        say nothing. Interrupts come on top.
+        say nothing. (A static function that calls itself leaves no relocation and is not noticed; emitted C has none.)
+        Interrupts come on top.
         """
         depths: dict[Place, int | None] = {}
         under_way: set[Place] = set()
@@ -97,8 +98,9 @@ class Usage:
             symbol = file.symbols[k]
             if symbol.section == 0:
                 found += [self._defined[symbol.name]] if symbol.name in self._defined else []
-            elif symbol.section < len(file.sections) and file.sections[symbol.section].loaded and symbol.section != j:
-                found.append((i, symbol.section))
+            elif symbol.section < len(file.sections) and file.sections[symbol.section].loaded:
+                if symbol.section != j or k in file.sections[j].calls:
+                    found.append((i, symbol.section))
         return found
 
     def _frame(self, place: Place) -> int | None:

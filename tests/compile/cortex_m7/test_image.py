@@ -1,0 +1,127 @@
+"""Images: both compilers, the cache, what does not fit, what is missing; object files read as binutils read them."""
+
+from __future__ import annotations
+
+import importlib.util
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from tests.compile.cortex_m7.hand_written import ADD, COMPILERS, HEAD, STEP, image, steps
+from tests.toolchains import need
+from twodof.blocks import Diagram
+from twodof.compile import build
+from twodof.compile.cortex_m7.elf import read_elf
+from twodof.compile.cortex_m7.image import find_cross_compiler
+from twodof.compile.cortex_m7.processor import Processor
+from twodof.compile.cortex_m7.usage import image_sizes
+from twodof.errors import CompileError
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("TWODOF_CACHE", str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+@pytest.mark.parametrize(("name", "called"), COMPILERS.items())
+def test_both_compilers_make_images_that_run(name: str, called: str) -> None:
+    need("qemu-system-arm", *(["arm-none-eabi-gcc"] if name == "gcc" else []))
+    made = image(ADD, name)
+    assert made.compiler == called
+    with Processor(made) as processor:
+        s, y = steps(processor, 4)
+    assert s["a"][0] == y["a"][-1] == 0
+
+
+def test_the_second_time_no_compiler_runs(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    need("arm-none-eabi-gcc")
+    first = image(ADD)
+    assert [f.suffix for f in cache.iterdir()] == [".m7"]
+
+    def never(*_: object, **__: object) -> None:
+        raise AssertionError
+
+    monkeypatch.setattr(subprocess, "run", never)
+    assert image(ADD) == first
+    with pytest.raises(AssertionError):
+        image(ADD, optimise="-O1")
+
+
+@pytest.mark.parametrize("name", COMPILERS)
+def test_code_of_five_megabytes_does_not_fit(name: str) -> None:
+    if name == "gcc":
+        need("arm-none-eabi-gcc")
+    table = "static const uint32_t table[1310720] = {1u};\n" + STEP + "{ y->a = table[u->a]; }"
+    with pytest.raises(CompileError, match="do not fit into the 4 MB"):
+        image(table, name)
+
+
+@pytest.mark.parametrize("name", COMPILERS)
+def test_what_a_compiler_refuses_is_an_error_with_its_words(name: str) -> None:
+    if name == "gcc":
+        need("arm-none-eabi-gcc")
+    with pytest.raises(CompileError, match=r"refused what was generated(.|\n)*nonsense"):
+        image(STEP + "{ nonsense }", name)
+    with pytest.raises(CompileError, match=r"refused what was generated(.|\n)*absent"):
+        image("void absent(void);" + STEP + "{ absent(); }", name)
+
+
+def test_without_a_cross_compiler_the_error_names_package_and_wheel(monkeypatch: pytest.MonkeyPatch) -> None:
+    find = importlib.util.find_spec
+    monkeypatch.setattr(shutil, "which", lambda *_: None)
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name, *a: None if name == "ziglang" else find(name, *a))
+    for name in (None, "gcc", "zig"):
+        with pytest.raises(CompileError, match=r"gcc-arm-none-eabi\) or the wheel ziglang"):
+            find_cross_compiler(name)
+    with pytest.raises(CompileError, match="apt-get install gcc-arm-none-eabi"):
+        build(Diagram("empty"), 0.01, target="cortex-m7")
+
+
+def test_an_unknown_cross_compiler_is_refused() -> None:
+    with pytest.raises(CompileError, match="name gcc or zig"):
+        find_cross_compiler("tcc")
+
+
+def test_the_sizes_are_those_that_binutils_read(tmp_path: Path) -> None:
+    need("arm-none-eabi-gcc")
+    made = image("uint32_t seen[25], start[3] = {1u};\n" + STEP + "{ seen[u->a % 25u]++; y->a = start[u->a % 3u]; }")
+    file = tmp_path / "image.elf"
+    file.write_bytes(made.elf)
+    command = ["arm-none-eabi-size", "-A", str(file)]
+    rows = subprocess.run(command, capture_output=True, text=True, timeout=30, check=True).stdout.splitlines()
+    theirs = {r.split()[0]: int(r.split()[1]) for r in rows if r.startswith(".")}
+    ours = image_sizes(made)
+    assert ours.text + ours.rodata == theirs[".text"]
+    assert (ours.data, ours.bss) == (theirs[".data"], theirs[".bss"])
+    assert ours.data >= 12
+    assert ours.bss >= 100
+
+
+@pytest.mark.parametrize("name", COMPILERS)
+def test_the_symbols_are_those_of_the_source(name: str) -> None:
+    if name == "gcc":
+        need("arm-none-eabi-gcc")
+    file = read_elf(image(ADD, name).objects[0])
+    functions = {f"hand_{f}" for f in ("defaults", "prepare", "init", "step")}
+    assert functions <= set(file.globals())
+    sections = [file.sections[file.globals()[f]] for f in functions]
+    assert {s.use for s in sections} == {"text"}
+    assert len({id(s) for s in sections}) == 4
+    assert file.sections[file.globals()["hand_sizes"]].size == 20
+
+
+@pytest.mark.parametrize("data", [b"", b"\x7fELF", b"\x7fELF\x02\x01" + bytes(100), HEAD.encode()])
+def test_what_is_no_object_file_is_refused(data: bytes) -> None:
+    with pytest.raises(CompileError, match="no readable ELF file"):
+        read_elf(data)
+
+
+def test_a_truncated_object_file_is_refused() -> None:
+    need("arm-none-eabi-gcc")
+    whole = image(ADD).objects[0]
+    for length in range(0, len(whole), 97):
+        with pytest.raises(CompileError):
+            read_elf(whole[:length])

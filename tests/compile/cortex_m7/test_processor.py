@@ -1,0 +1,238 @@
+"""Whatever goes wrong on the processor or with its emulator becomes a typed error in bounded time."""
+
+from __future__ import annotations
+
+import gc
+import os
+import re
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.compile import examples
+from tests.compile.cortex_m7.hand_written import ADD, STEP, image, pair, steps
+from tests.toolchains import need
+from twodof.compile import Program, build
+from twodof.compile.cortex_m7 import board
+from twodof.compile.cortex_m7.elf import read_elf
+from twodof.compile.cortex_m7.fault import Fault
+from twodof.compile.cortex_m7.image import Image, build_image, find_cross_compiler
+from twodof.compile.cortex_m7.processor import DEFAULTS, INIT, PREPARE, Processor
+from twodof.compile.cortex_m7.target import CortexM7
+from twodof.compile.target import Emitted
+from twodof.errors import CompileError, ControllerFault
+
+
+@pytest.fixture(autouse=True)
+def tools() -> None:
+    need("qemu-system-arm", "arm-none-eabi-gcc")
+
+
+def symbol(made: Image, name: str) -> int:
+    """The address of a function."""
+    (found,) = [s.value & ~1 for s in read_elf(made.elf).symbols if s.name == name]
+    return found
+
+
+def test_the_four_functions_work_on_their_structs() -> None:
+    p, s = pair(), pair()
+    with Processor(image(ADD)) as processor:
+        processor.call(0, DEFAULTS, p, s)
+        assert p[0].item() == (1, 2)
+        processor.call(0, PREPARE, p, s)
+        assert p[0].item() == (1, 3)
+        processor.call(0, INIT, p, s)
+        assert s[0].item() == (1, 3)
+        u, y = pair(rows=1000), pair(rows=1000)
+        u["a"], u["b"] = np.arange(1000), np.arange(1000)[::-1]
+        processor.run(0, p, s, u, y, 1000)
+        assert np.array_equal(y["a"], 1 + np.cumsum(np.arange(1000) + 1))
+        assert np.array_equal(y["b"], u["b"])
+        assert s["a"][0] == y["a"][-1]
+
+
+@pytest.mark.parametrize(("u_rows", "y_rows"), [(1, 700), (700, 1), (1, 1)])
+def test_one_row_is_read_or_written_at_each_step(u_rows: int, y_rows: int) -> None:
+    """700 steps are more than the 256 that the processor takes at once."""
+    p, s, u, y = pair(), pair(), pair(2, 9, rows=u_rows), pair(rows=y_rows)
+    with Processor(image(ADD)) as processor:
+        processor.run(0, p, s, u, y, 700)
+        assert s["a"][0] == y["a"][-1] == 1400
+        assert y["a"][0] == (2 if y_rows == 700 else 1400)
+        before = y.copy()
+        processor.run(0, p, s, u, y, 0)
+        assert np.array_equal(before, y)
+
+
+FAULTS = {
+    "undefined instruction": STEP + '{ __asm__ volatile("udf #1"); }',
+    "write into code": STEP + "{ *(volatile uint32_t *)0 = 1u; }",
+    "access to where nothing is": STEP + "{ y->a = *(volatile uint32_t *)0x30000000u; }",
+    "even address": STEP + "{ ((void (*)(void))(uintptr_t)(u->a & ~1u))(); }",
+    "where none may be": STEP + "{ ((void (*)(void))0x60000001u)(); }",
+    "stack without memory": "volatile int deep = 1;\n"
+    "__attribute__((noinline)) int down(int n) { volatile int room[64]; room[n & 63] = n;"
+    " return deep ? down(n + 1) + room[0] : 0; }\n" + STEP + "{ y->a = (uint32_t)down(0); }",
+}
+
+
+@pytest.mark.parametrize("words", FAULTS)
+def test_a_fault_names_its_cause_and_the_registers(words: str) -> None:
+    made = image(FAULTS[words])
+    with Processor(made) as processor, pytest.raises(ControllerFault, match=words) as caught:
+        steps(processor, 3)
+    assert caught.value.where == "hand"
+    found = re.search(r"pc=([0-9a-f]{8}).* cfsr=([0-9a-f]{8})", str(caught.value))
+    assert found is not None
+    assert int(found[2], 16) != 0
+    if words in ("undefined instruction", "write into code", "access to where nothing is"):
+        start = symbol(made, "hand_step")
+        assert start <= int(found[1], 16) < start + 32
+
+
+def test_after_a_fault_the_processor_starts_afresh() -> None:
+    step = STEP + "{ if (u->a == 7u) __builtin_trap(); s->a += u->a; }"
+    p, s, y = pair(), pair(), pair()
+    with Processor(image(step)) as processor:
+        processor.run(0, p, s, pair(3), y, 5)
+        with pytest.raises(ControllerFault):
+            processor.run(0, p, s, pair(7), y, 5)
+        assert s["a"][0] == 15  # as before the call that failed
+        processor.run(0, p, s, pair(1), y, 5)
+        assert s["a"][0] == 20
+
+
+def test_a_machine_that_faulted_stays_so_and_a_new_one_runs() -> None:
+    good = build(examples.loop(), 0.01, target="cortex-m7").emitted
+    source = good.source.replace("    s->tick += 1u;", "    if (s->tick == 3u) __builtin_trap();\n    s->tick += 1u;")
+    assert source != good.source
+    wrong = Emitted(good.flat, source, good.layout, good.precision)
+    program = Program(wrong, CortexM7().compile([wrong])[0])
+    machine = program.machine()
+    machine.run(3, {"r": 1.0})
+    for _ in range(2):
+        with pytest.raises(ControllerFault, match="undefined instruction"):
+            machine.step()
+    assert machine.tick == 3
+    with pytest.raises(ControllerFault):
+        machine.set("k", 1.0)
+    assert machine.get("k") == 2.0
+    assert len(program.machine().run(3, {"r": 1.0})["y"]) == 3
+
+
+def test_an_endless_step_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(board, "SILENCE", 1.0)
+    start = time.monotonic()
+    endless = image(STEP + '{ for (;;) __asm__ volatile(""); }')
+    with Processor(endless) as processor, pytest.raises(ControllerFault, match="said nothing for 1 s"):
+        steps(processor)
+    assert time.monotonic() - start < 20.0
+
+
+@pytest.mark.parametrize(
+    ("script", "words"),
+    [
+        ("echo no such board >&2; exit 3", "ended with status 3: no such board"),
+        ("kill -9 $$", "ended with status -9: without a word"),
+        ("exec sleep 60", "said nothing for 1 s"),
+        ("printf 'garbage garbage garbage' > from_target; exec sleep 60", "an answer of kind"),
+        (r"printf '\001\000\000\000\004\000\000\000abc' > from_target; exit 1", "ended with status 1"),
+        (r"printf '\002\000\000\000\010\000\000\000abcdefgh' > from_target; exec sleep 60", "has 0 bytes, expected 8"),
+    ],
+)
+def test_a_broken_emulator_is_an_error(
+    script: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = image(ADD)
+    fake = tmp_path / "qemu-system-arm"
+    fake.write_text(f"#!/bin/sh\n{script}\n")
+    fake.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
+    monkeypatch.setattr(board, "SILENCE", 1.0)
+    start = time.monotonic()
+    with Processor(made) as processor, pytest.raises(ControllerFault, match=words):
+        processor.call(0, DEFAULTS, pair(), pair())
+    assert time.monotonic() - start < 20.0
+
+
+def test_an_emulator_that_does_not_start_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = image(ADD)
+    fake = tmp_path / "qemu-system-arm"
+    fake.write_text("no program")
+    fake.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with Processor(made) as processor, pytest.raises(CompileError, match=r"does not start.*install qemu-system-arm"):
+        processor.call(0, DEFAULTS, pair(), pair())
+
+
+def test_without_qemu_the_error_names_its_package(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    made = image(ADD)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(CompileError, match="apt-get install qemu-system-arm"):
+        Processor(made)
+
+
+def test_other_sizes_than_the_image_has_are_refused() -> None:
+    made = image(ADD)
+    wrong = Image(**{**vars(made), "sizes": ((4, 8, 16, 8, 8),)})
+    with Processor(wrong) as processor, pytest.raises(CompileError, match="other sizes"):
+        processor.run(0, pair(), pair(rows=2), pair(), pair(), 1)
+
+
+def test_structs_that_the_memory_cannot_hold_are_refused_before() -> None:
+    wrong = Image(**{**vars(image(ADD)), "sizes": ((4, 8, 2**24, 8, 8),)})
+    with Processor(wrong) as processor, pytest.raises(CompileError, match="the board has 16777216"):
+        processor.run(0, pair(), pair(), pair(), pair(), 1)
+
+
+def test_a_state_of_ten_megabytes_and_rows_of_one_travel() -> None:
+    sizes = (4, 8, 10_000_000, 1_000_000, 1_000_000)
+    source = """#include <stddef.h>
+#include <stdint.h>
+#include <string.h>
+typedef struct { uint32_t v[2500000]; } S;
+typedef struct { uint32_t v[250000]; } Row;
+const size_t big_sizes[5] = {4, 8, sizeof(S), sizeof(Row), sizeof(Row)};
+void big_defaults(void *p) { (void)p; }
+void big_prepare(void *p) { (void)p; }
+void big_init(const void *p, S *s) { (void)p; (void)s; }
+void big_step(const void *p, S *s, const Row *u, Row *y) { (void)p; *y = *u; y->v[249999] += s->v[2499999]++; }
+"""
+    made = build_image(source, [("big", sizes)], find_cross_compiler("gcc"))
+    s, u, y = np.zeros(1, "V10000000"), np.zeros(3, "V1000000"), np.zeros(3, "V1000000")
+    s.view("<u4")[-1] = 5
+    u.view("<u4")[:] = np.arange(750_000)
+    with Processor(made) as processor:
+        processor.run(0, pair(), s, u, y, 3)
+    expected = np.arange(750_000)
+    expected[249_999::250_000] += [5, 6, 7]
+    assert np.array_equal(y.view("<u4"), expected)
+    assert s.view("<u4")[-1] == 8
+
+
+def test_the_emulator_ends_with_its_processor() -> None:
+    processor = Processor(image(ADD))
+    steps(processor)
+    process = processor._board._process
+    assert process.poll() is None
+    processor.close()
+    assert process.poll() is not None
+    steps(processor)  # starts again
+    process = processor._board._process
+    folder = Path(f"/proc/{process.pid}/cwd").resolve()
+    assert folder.is_dir()
+    del processor
+    gc.collect()
+    assert process.poll() is not None
+    assert not folder.exists()
+
+
+def test_a_fault_reads_its_words_in_order() -> None:
+    fault = Fault.from_bytes(np.arange(14, dtype="<u4").tobytes())
+    assert (fault.r0, fault.pc, fault.sp, fault.cfsr, fault.bfar) == (0, 6, 8, 10, 13)
+    divided = Fault(**{**vars(fault), "cfsr": 1 << 25})
+    assert divided.cause == "division of integers by zero"
+    lost = Fault(**{**vars(fault), "cfsr": 1 << 9 | 1 << 15, "bfar": 0x3000_0000})
+    assert lost.cause == "access to where no memory is at 0x30000000"
