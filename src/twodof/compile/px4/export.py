@@ -9,7 +9,7 @@ from types import MappingProxyType
 
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.schema import to_json
-from twodof.compile.px4.airframe import airframe, airframe_file, airframe_id, logger_topics, takeover
+from twodof.compile.px4.airframe import airframe, airframe_file, airframe_id, board_settings, logger_topics, takeover
 from twodof.compile.px4.build_files import message_list, module_list, source_list
 from twodof.compile.px4.controller import controller, header, source
 from twodof.compile.px4.message import Fields, fields, message
@@ -73,6 +73,7 @@ def make_module(diagram: Diagram, log: Iterable[str] = (), prefix: str = "") -> 
         f"etc/init.d-posix/airframes/{frame}": airframe(names, diagram.text),
         f"etc/init.d-posix/airframes/{frame}.post": takeover(names, part),
         "etc/logging/logger_topics.txt": logger_topics(names, part),
+        "sdcard/etc/config.txt": board_settings(names),
         "sdcard/etc/extras.txt": takeover(names, part),
         "sdcard/etc/logging/logger_topics.txt": logger_topics(names, part),
     }

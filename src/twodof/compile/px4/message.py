@@ -11,6 +11,7 @@ from twodof.errors import DiagramError
 TYPES = {"real": "float32", "int32": "int32", "uint32": "uint32", "bool": "bool"}
 _C_TYPES = {"real": "float", "int32": "int32_t", "uint32": "uint32_t", "bool": "bool"}
 _SIZES = {"real": 4, "int32": 4, "uint32": 4, "bool": 1}
+QUEUE = 16
 LONGEST_FORMAT = 1450  # the logger of v1.14 has 1500 characters for it, a name included
 LARGEST = 2000  # bytes; the logger's buffer holds some 30 of them on a small board
 
@@ -18,7 +19,7 @@ LARGEST = 2000  # bytes; the logger's buffer holds some 30 of them on a small bo
 FAULTS = (
     (1, "STALE", "a measurement is missing, invalid or too old: the controller waits, the commands are 0"),
     (2, "NOT_FINITE", "the controller gave a command that is not finite: it starts again, the commands are 0"),
-    (4, "REFUSED", "a parameter is out of bounds: no parameter was changed"),
+    (4, "REFUSED", "a parameter is out of bounds, or missing in PX4: no parameter was changed"),
     (8, "NO_SETPOINT", "a set-point is missing, not finite or old: a neutral one stands in for it"),
 )
 
@@ -101,7 +102,7 @@ def message(names: ModuleNames, found: Fields) -> str:
     """The text of the .msg file."""
     lines = [f"# What the module {names.module} reads, computes and commands at each step.", ""]
     lines += [_line(kind, name, text) for kind, name, text in HEAD]
-    lines += [""]
+    lines += ["", _line("uint8", f"ORB_QUEUE_LENGTH = {QUEUE}", "so that a logger that is late misses none")]
     lines += [_line("uint8", f"FAULT_{name} = {bit}", text) for bit, name, text in FAULTS]
     for title, members in (("read", found.inputs), ("computed", found.outputs)):
         lines += ["", f"# {title}"]

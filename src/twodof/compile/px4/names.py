@@ -131,7 +131,7 @@ def harmless(text: str, longest: int) -> str:
     Letters, digits, spaces and a few signs of ASCII stay, all others become ?, spaces are single.
     """
     plain = "".join(
-        c if c.isascii() and (c.isalnum() or c in " .,:;()[]+-/=<>_^%|~!") else " " if c.isspace() else "?"
+        c if c.isascii() and (c.isalnum() or c in " .,:;()[]+-/=<>_^%|~!'") else " " if c.isspace() else "?"
         for c in text
     )
     plain = " ".join(plain.replace("*/", "x/").replace("//", "/ /").replace("/?", "/ ?").split())

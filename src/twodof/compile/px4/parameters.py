@@ -174,7 +174,7 @@ def _short(row: Exported) -> str:
 
 
 def _long(row: Exported) -> str:
-    bounds = f"{number(row.low, row.kind)} to {number(row.high, row.kind)}"
+    bounds = "0 or 1" if row.kind == "bool" else f"{number(row.low, row.kind)} to {number(row.high, row.kind)}"
     when = "Read when the module starts." if row.fixed else "A change acts at the next step."
     return f"{row.text}. {bounds}; a value outside is refused, with all that changed beside it. {when}"
 

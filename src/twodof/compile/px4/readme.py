@@ -58,8 +58,10 @@ def _use(names: ModuleNames, role: Role) -> str:
    and its `.post` into `build/px4_sitl_default/etc/init.d-posix/airframes/`, and `etc/logging/logger_topics.txt` into
    `etc/logging/` of the folder in which PX4 runs; start PX4 with `PX4_SYS_AUTOSTART={airframe_id(names)}`. The `.post`
    stops {stops} and starts `{n}`.
-   Board: copy the folder `sdcard` onto the SD card (its `etc/extras.txt` does what the `.post` does; if the card has
-   one already, add the lines), and set the parameters that the airframe's file sets.
+   Board: choose an airframe of a quadrotor X, assign the motors' outputs, and copy the folder `sdcard` onto the card:
+   its `etc/config.txt` sets the airframe's parameters, its `etc/extras.txt` does what the `.post` does, which boards do
+   not run. If the card has such files already, add the lines.
+   `logger_topics.txt` replaces PX4's own choice of topics; take the file away for that.
 4. `{n} status` in PX4's console says whether it runs and commands; `{n} stop` ends it. After a stop nobody commands:
    start {stops} again.
 

@@ -46,8 +46,8 @@ public:
 
     void print_status() const;
 
-    /** The values that PX4 has at present, in the order of {n}_parameters. */
-    static void read_parameters({n}_Value *values);
+    /** PX4's present values, in the order of {n}_parameters; returns -1, or the place of one PX4 does not know. */
+    static int32_t read_parameters({n}_Value *values);
 
     /** Feeds rows of words from one file to a fresh controller with the present parameters, its outputs to another. */
     static int replay(const char *input, const char *output);
@@ -144,29 +144,37 @@ void {c}::request_stop()
     ScheduleNow();
 }}
 
-void {c}::read_parameters({n}_Value *values)
+int32_t {c}::read_parameters({n}_Value *values)
 {{
     for (int32_t i = 0; i < {n}_PARAMETERS; i++) {{
-        // Whatever PX4 does not give stays NaN, which is out of all bounds.
-        values[i].real = NAN;
-        param_get(param_find({n}_parameters[i].name), &values[i]);
+        const param_t handle = param_find({n}_parameters[i].name);
+        const int failed = {n}_parameters[i].type == 'f' ? param_get(handle, &values[i].real)
+                           : param_get(handle, &values[i].integer);
+
+        if (failed) {{
+            return i;
+        }}
     }}
+
+    return -1;
 }}
 
 void {c}::take_parameters(bool starting)
 {{
     static {n}_Value values[{n}_PARAMETERS];  // one item at a time takes them; too many for the queue's stack
-    read_parameters(values);
+    int32_t refused = read_parameters(values);
 
-    if (!starting && values[{n}_LIVE].integer == 0) {{
-        return; // changes wait until it is 1 again
+    if (refused < 0) {{
+        if (!starting && values[{n}_LIVE].integer == 0) {{
+            return; // changes wait until it is 1 again
+        }}
+
+        refused = {n}_change(&_controller, values, starting);
     }}
-
-    const int32_t refused = {n}_change(&_controller, values, starting);
 
     if (refused >= 0) {{
         if (refused != _refused_parameter) {{
-            PX4_WARN("%s is out of bounds: no parameter was changed", {n}_parameters[refused].name);
+            PX4_WARN("%s is out of bounds or missing: no parameter was changed", {n}_parameters[refused].name);
         }}
 
         _refused_parameter = refused;
@@ -296,7 +304,7 @@ void {c}::print_status() const
          static_cast<unsigned long>(_missed), static_cast<unsigned long>(_overruns), static_cast<unsigned>(_faults));
 
     if (_refused_parameter >= 0) {{
-        PX4_INFO("%s is out of bounds: no parameter is taken over", {n}_parameters[_refused_parameter].name);
+        PX4_INFO("%s is out of bounds or missing: no parameter is taken over", {n}_parameters[_refused_parameter].name);
     }}
 }}
 
@@ -319,12 +327,16 @@ int {c}::replay(const char *input, const char *output)
 
     if (s != nullptr) {{
         {n}_begin(&s->controller);
-        read_parameters(s->values);
-        const int32_t refused = {n}_change(&s->controller, s->values, true);
+        int32_t refused = read_parameters(s->values);
+
+        if (refused < 0) {{
+            refused = {n}_change(&s->controller, s->values, true);
+        }}
+
         {n}_reset(&s->controller);
 
         if (refused >= 0) {{
-            PX4_WARN("%s is out of bounds: the defaults are used", {n}_parameters[refused].name);
+            PX4_WARN("%s is out of bounds or missing: the defaults are used", {n}_parameters[refused].name);
         }}
 
         while (written && fread(s->in_words, sizeof(uint32_t), {n}_INPUT_WORDS, from) == {n}_INPUT_WORDS) {{

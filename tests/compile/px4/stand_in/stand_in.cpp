@@ -23,109 +23,123 @@ std::vector<std::string> said;
 
 void publish(const char *topic, const void *value, size_t size)
 {
-	Topic &t = topics[topic];
-	const uint8_t *bytes = static_cast<const uint8_t *>(value);
-	t.value.assign(bytes, bytes + size);
-	t.generation++;
+    Topic &t = topics[topic];
+    const uint8_t *bytes = static_cast<const uint8_t *>(value);
+    t.value.assign(bytes, bytes + size);
+    t.generation++;
 
-	for (px4::WorkItem *item : t.listeners) {
-		ready.push_back(item);
-	}
+    for (px4::WorkItem *item : t.listeners) {
+        ready.push_back(item);
+    }
 }
 
 void work()
 {
-	std::vector<px4::WorkItem *> late;
+    std::vector<px4::WorkItem *> late;
 
-	for (const auto &entry : delayed) {
-		if (entry.second <= now) {
-			late.push_back(entry.first);
-		}
-	}
+    for (const auto &entry : delayed) {
+        if (entry.second <= now) {
+            late.push_back(entry.first);
+        }
+    }
 
-	for (px4::WorkItem *item : late) {
-		delayed.erase(item);
-		ready.push_back(item);
-	}
+    for (px4::WorkItem *item : late) {
+        delayed.erase(item);
+        ready.push_back(item);
+    }
 
-	while (!ready.empty()) {
-		px4::WorkItem *const item = ready.front();
-		ready.erase(ready.begin());
-		item->Run();
-	}
+    while (!ready.empty()) {
+        px4::WorkItem *const item = ready.front();
+        ready.erase(ready.begin());
+        item->Run();
+    }
 }
 } // namespace stand_in
 
 hrt_abstime hrt_absolute_time()
 {
-	return stand_in::now;
+    return stand_in::now;
 }
 
 int px4_usleep(unsigned int)
 {
-	stand_in::work(); // another thread would
-	return 0;
+    stand_in::work(); // another thread would
+    return 0;
 }
 
 param_t param_find(const char *name)
 {
-	for (size_t i = 0; i < stand_in::parameter_order.size(); i++) {
-		if (stand_in::parameter_order[i] == name) {
-			stand_in::parameters[name].used = true;
-			return static_cast<param_t>(i);
-		}
-	}
+    for (size_t i = 0; i < stand_in::parameter_order.size(); i++) {
+        if (stand_in::parameter_order[i] == name) {
+            stand_in::parameters[name].used = true;
+            return static_cast<param_t>(i);
+        }
+    }
 
-	return PARAM_INVALID;
+    return PARAM_INVALID;
 }
 
-int param_get(param_t param, void *value)
+static const stand_in::Parameter *parameter(param_t param, bool integer)
 {
-	if (param >= stand_in::parameter_order.size()) {
-		return -1;
-	}
+    if (param >= stand_in::parameter_order.size()) {
+        return nullptr;
+    }
 
-	const stand_in::Parameter &p = stand_in::parameters[stand_in::parameter_order[param]];
+    const stand_in::Parameter &p = stand_in::parameters[stand_in::parameter_order[param]];
+    return p.integer == integer ? &p : nullptr;
+}
 
-	if (p.integer) {
-		memcpy(value, &p.whole, sizeof p.whole);
+int param_get(param_t param, float *value)
+{
+    const stand_in::Parameter *const p = parameter(param, false);
 
-	} else {
-		memcpy(value, &p.real, sizeof p.real);
-	}
+    if (p != nullptr) {
+        *value = p->real;
+    }
 
-	return 0;
+    return p != nullptr ? 0 : -1;
+}
+
+int param_get(param_t param, int32_t *value)
+{
+    const stand_in::Parameter *const p = parameter(param, true);
+
+    if (p != nullptr) {
+        *value = p->whole;
+    }
+
+    return p != nullptr ? 0 : -1;
 }
 
 void px4_say(const char *level, const char *format, ...)
 {
-	char text[200];
-	va_list arguments;
-	va_start(arguments, format);
-	vsnprintf(text, sizeof text, format, arguments);
-	va_end(arguments);
-	stand_in::said.push_back(std::string(level) + " " + text);
+    char text[200];
+    va_list arguments;
+    va_start(arguments, format);
+    vsnprintf(text, sizeof text, format, arguments);
+    va_end(arguments);
+    stand_in::said.push_back(std::string(level) + " " + text);
 }
 
 namespace px4
 {
 WorkItem::~WorkItem()
 {
-	stand_in::delayed.erase(this);
+    stand_in::delayed.erase(this);
 }
 
 void WorkItem::ScheduleNow()
 {
-	stand_in::ready.push_back(this);
+    stand_in::ready.push_back(this);
 }
 
 void ScheduledWorkItem::ScheduleDelayed(uint32_t delay_us)
 {
-	stand_in::delayed[this] = stand_in::now + delay_us;
+    stand_in::delayed[this] = stand_in::now + delay_us;
 }
 
 void ScheduledWorkItem::ScheduleClear()
 {
-	stand_in::delayed.erase(this);
+    stand_in::delayed.erase(this);
 }
 } // namespace px4

@@ -15,16 +15,16 @@ class WorkItem;
 namespace stand_in
 {
 struct Topic {
-	std::vector<uint8_t> value;
-	uint32_t generation{0};
-	std::vector<px4::WorkItem *> listeners;
+    std::vector<uint8_t> value;
+    uint32_t generation{0};
+    std::vector<px4::WorkItem *> listeners;
 };
 
 struct Parameter {
-	bool integer;
-	float real;
-	int32_t whole;
-	bool used;
+    bool integer;
+    float real;
+    int32_t whole;
+    bool used;
 };
 
 extern uint64_t now;

@@ -1,5 +1,5 @@
 #pragma once
 struct orb_metadata {
-	const char *o_name;
+    const char *o_name;
 };
 #define ORB_ID(name) &orb_##name
