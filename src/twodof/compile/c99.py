@@ -12,10 +12,11 @@ from functools import cache
 
 from twodof.blocks.elementary import ARGUMENTS, DEFINITIONS
 from twodof.blocks.expr import leaf, tracing
-from twodof.compile.cexpr import ATOM, Names, Renderer, Writer
+from twodof.compile.cexpr import ATOM, Names, Writer
 from twodof.compile.chelpers import HELPERS
 from twodof.compile.cstage import Stage
-from twodof.compile.ctick import Scope, Tick, describe, fill
+from twodof.compile.cstyle import SCALAR, Style
+from twodof.compile.ctick import Scope, Tick, describe
 from twodof.compile.flat import Program
 from twodof.compile.layout import Layout, Member
 from twodof.errors import DiagramError
@@ -52,11 +53,11 @@ class Source:
     precision: str
 
 
-def emit(programs: Sequence[Program], precision: str = "float64", lean: bool = False) -> Source:
+def emit(programs: Sequence[Program], precision: str = "float64", lean: bool = False, style: Style = SCALAR) -> Source:
     """One C file with the functions of `programs`, whose names must differ.
 
     `lean` is for a flight controller's firmware: without `run` and the tables, and without == on reals, of which its
-    compiler warns (-Wfloat-equal).
+    compiler warns (-Wfloat-equal). `style` says whether a value is one instance's or several lanes'.
     """
     helpers: set[str] = set()
     functions: set[str] = set()
@@ -64,24 +65,25 @@ def emit(programs: Sequence[Program], precision: str = "float64", lean: bool = F
     bodies = []
     for program in programs:
         layouts[program.name] = Layout(program)
-        emitter = _Emitter(program, layouts[program.name], precision, lean)
+        emitter = _Emitter(program, layouts[program.name], precision, lean, style)
         bodies.append(emitter.text())
         helpers |= emitter.helpers
         functions |= emitter.functions
-    elementary, more = _elementary(functions, precision, lean)
-    helpers |= more
+    elementary, more = _elementary(functions, precision, lean, style)
+    helpers |= more | style.needs
     text = [
         "#include <stdbool.h>\n#include <stddef.h>\n#include <stdint.h>\n#include <string.h>\n\n",
         GUARDS,
         f"\ntypedef {'float' if precision == 'float32' else 'double'} real;\n\n",
         *(f"{HELPERS[name].text(precision)}\n" for name in HELPERS if name in helpers),
+        style.prelude,
         *elementary,
         *bodies,
     ]
     return Source("".join(text), layouts, precision)
 
 
-def _elementary(names: Iterable[str], precision: str, lean: bool) -> tuple[list[str], set[str]]:
+def _elementary(names: Iterable[str], precision: str, lean: bool, style: Style) -> tuple[list[str], set[str]]:
     """The definitions of the elementary functions `names` and of those they call, callees first; and their helpers."""
     needed: dict[str, None] = {}
     stack = [(n, False) for n in sorted(names)]
@@ -91,21 +93,21 @@ def _elementary(names: Iterable[str], precision: str, lean: bool) -> tuple[list[
             needed[name] = None
         elif name not in needed:
             stack.append((name, True))
-            stack += [(n, False) for n in sorted(_function(name, precision, lean)[1])]
-    helpers = frozenset[str]().union(*(_function(n, precision, lean)[2] for n in needed))
-    return [_function(n, precision, lean)[0] for n in needed], set(helpers)
+            stack += [(n, False) for n in sorted(_function(name, precision, lean, style)[1])]
+    helpers = frozenset[str]().union(*(_function(n, precision, lean, style)[2] for n in needed))
+    return [_function(n, precision, lean, style)[0] for n in needed], set(helpers)
 
 
 @cache
-def _function(name: str, precision: str, lean: bool) -> tuple[str, frozenset[str], frozenset[str]]:
+def _function(name: str, precision: str, lean: bool, style: Style) -> tuple[str, frozenset[str], frozenset[str]]:
     """An elementary function in C, the functions it calls, and its helpers."""
     arguments = ["x"] if ARGUMENTS[name] == 1 else ["y", "x"]
     with tracing(name):
         result = DEFINITIONS[name][precision](*(leaf("input", a, "real") for a in arguments))
-    writer = Writer(lean=lean)
-    renderer = Renderer(writer, Names({*arguments, "td"}), precision, lambda e: (e.data, ATOM), "td")
+    writer, real = style.writer(lean), style.types["real"]
+    renderer = style.renderer(writer, Names({*arguments, "td"}), precision, lambda e: (e.data, ATOM), "td")
     writer.line(f"return {renderer.text(result)};")
-    head = f"static real td_{name}({', '.join(f'real {a}' for a in arguments)})\n{{\n"
+    head = f"{style.function} {real} td_{name}({', '.join(f'{real} {a}' for a in arguments)})\n{{\n"
     text = head + "\n".join(writer.lines) + "\n}\n\n"
     return text, frozenset(writer.functions), frozenset(writer.helpers)
 
@@ -113,13 +115,13 @@ def _function(name: str, precision: str, lean: bool) -> tuple[str, frozenset[str
 class _Emitter:
     """One program's C."""
 
-    def __init__(self, program: Program, layout: Layout, precision: str, lean: bool) -> None:
+    def __init__(self, program: Program, layout: Layout, precision: str, lean: bool, style: Style) -> None:
         self.program = program
         self.layout = layout
         self.precision = precision
         self.lean = lean
         self.prefix = program.name
-        self.scope = Scope(program, layout, precision)
+        self.scope = Scope(program, layout, precision, style)
         self.helpers: set[str] = set()
         self.functions: set[str] = set()
         self.continuous = sum(m.width or 1 for m in layout.x.members)
@@ -162,7 +164,7 @@ class _Emitter:
         return "".join(parts + functions) + ("" if self.lean else self._tables())
 
     def _written(self, head: str, write: Callable[[Writer], None]) -> str:
-        writer = Writer(lean=self.lean)
+        writer = self.scope.style.writer(self.lean)
         write(writer)
         if writer.elements + 6 * self.continuous > MOST_ON_STACK:
             raise DiagramError(
@@ -178,7 +180,7 @@ class _Emitter:
         return _unused(f"{head}\n{{\n{body if writer.lines else ''}}}\n\n")
 
     def _struct(self, name: str, remark: str, members: Sequence[Member], nested: bool = False) -> str:
-        lines = [m.declaration() + _remark(m) for m in members]
+        lines = [m.declaration(self.scope.style.types) + _remark(m) for m in members]
         if nested:
             lines.append(f"{self.prefix}_X x;")
         lines = lines or ["unsigned char none;"]
@@ -187,7 +189,7 @@ class _Emitter:
     def _defaults(self, writer: Writer) -> None:
         for parameter, member in self.layout.parameters.items():
             d = parameter.declared
-            fill(writer, f"p->{member.name}", _listed(d.value), d, self.precision)
+            self.scope.fill(writer, f"p->{member.name}", _listed(d.value), d)
 
     def _prepare(self, writer: Writer) -> None:
         names = self.scope.names("p")
@@ -196,7 +198,7 @@ class _Emitter:
                 continue
             writer.line(describe(node))
             leaf_text = self.scope.leaf(node, lambda s: s.path, {}, "")
-            renderer = Renderer(writer, names, self.precision, leaf_text, node.path)
+            renderer = self.scope.renderer(writer, names, leaf_text, node.path)
             renderer.assign([(f"p->{self.layout.derived[node, n].name}", e) for n, e in node.trace.prepare.items()])
 
     def _init(self, writer: Writer) -> None:

@@ -68,6 +68,7 @@ class Writer:
     functions: set[str] = field(default_factory=set)
     depth: int = 1
     elements: int = 0  # of local arrays
+    masked: bool = False  # whether a choice is made for each of several instances
     lean: bool = False  # see c99.emit
 
     def line(self, text: str) -> None:
@@ -82,6 +83,32 @@ class Writer:
         yield
         self.depth -= 1
         self.line("}")
+
+    @contextmanager
+    def choice(self, due: str, tests: Sequence[str] = ()) -> Iterator[None]:
+        """An `if` around what is written inside: what is the same in all instances, and what is an instance's own."""
+        with self.block(f"if ({' && '.join([*filter(None, (due,)), *tests])})"):
+            yield
+
+    def assign(self, target: str, text: str, kind: str) -> None:
+        """A line that stores a value; within a choice it may be one that is needed outside."""
+        self.line(f"{target} = {text};")
+
+    def copy(self, target: str, source: str, width: int, kind: str, own: bool = False) -> None:
+        """A line that copies an array; `own`: into one that nothing outside the choice reads."""
+        self.line(f"memcpy({target}, {source}, sizeof {source}[0] * {width});")
+
+    def duplicate(self, target: str, source: str, width: int, kind: str) -> None:
+        """A line that copies a member of a struct that is an array."""
+        self.line(f"memcpy({target}, {source}, sizeof {target});")
+
+    def table(self, target: str, table: str, width: int, kind: str) -> None:
+        """A line that copies a table of constants into an array."""
+        self.line(f"memcpy({target}, {table}, sizeof {table});")
+
+    def put(self, target: str, index: str, text: str, kind: str, own: bool = False) -> None:
+        """A line that stores an element of an array; `own` as in `copy`."""
+        self.line(f"{target}[{index}] = {text};")
 
 
 def constant(value: Any, kind: str, precision: str) -> Text:
@@ -143,6 +170,8 @@ class Renderer:
     are already at hand; `stem` names temporaries.
     """
 
+    types: Mapping[str, str] = C_TYPES
+
     def __init__(
         self,
         writer: Writer,
@@ -189,18 +218,15 @@ class Renderer:
         self._find_bound([e for _, e in targets])
         roots = [self._resolve(e) for _, e in targets]
         for (target, _), root in zip(targets, roots, strict=True):
-            if root.op in ("vector", "build", "store") and id(root) not in self.named:
+            direct = root.op in ("vector", "build", "store") and not self.writer.masked
+            if direct and id(root) not in self.named:
                 self.targets.setdefault(id(root), target)
         texts = self._texts(roots)
         for (target, _), root, (text, _) in zip(targets, roots, texts, strict=True):
             if root.width is None:
-                self.writer.line(f"{target} = {text};")
+                self.writer.assign(target, text, root.kind)
             elif text != target:
-                self.copy(target, text, root.width)
-
-    def copy(self, target: str, source: str, width: int) -> None:
-        """A line that copies an array."""
-        self.writer.line(f"memcpy({target}, {source}, sizeof {source}[0] * {width});")
+                self.writer.copy(target, text, root.width, root.kind)
 
     def _find_bound(self, roots: Sequence[Expr]) -> None:
         """For each node the depths of the loops around it on which it depends."""
@@ -233,7 +259,7 @@ class Renderer:
                 trivial = item.op in LEAVES or (item.op == "select" and "(" not in made[0])
                 if not trivial and (uses[id(item)] > 1 or (len(made[0]) > WIDEST_LINE and id(item) not in whole)):
                     name = self.names.numbered(f"{self.stem}_t")
-                    self.writer.line(f"const {C_TYPES[item.kind]} {name} = {made[0]};")
+                    self.writer.line(f"const {self.types[item.kind]} {name} = {made[0]};")
                     made = name, ATOM
                     self.named[id(item)] = made
             else:
@@ -395,7 +421,7 @@ class Renderer:
         if item.op == "fold":
             return self._fold(item, args)
         target = self.targets.get(id(item))
-        ctype, width = C_TYPES[item.kind], item.width
+        ctype, width = self.types[item.kind], item.width
         if width is None:
             raise ValueError("an array without a width")
         name = target or self.names.new(f"{self.stem}_array")
@@ -410,8 +436,9 @@ class Renderer:
         if target is None:
             self.writer.line(f"{ctype} {name}[{width}];")
         if item.op == "store":
-            self.copy(name, args[0][0], width)
-            self.writer.line(f"{name}[{self._index(self._resolve(item.args[1]), args[1], width)}] = {args[2][0]};")
+            self.writer.copy(name, args[0][0], width, item.kind, target is None)
+            at = self._index(self._resolve(item.args[1]), args[1], width)
+            self.writer.put(name, at, args[2][0], item.kind, target is None)
             return name, ATOM
         length, depth = item.data
         with self._loop(length, depth) as counter:
@@ -425,7 +452,7 @@ class Renderer:
         needed = self._carried(bodies, depth, {which} | self._wanted.get(_loop_key(item), set()))
         names = {j: self.names.new(f"{self.stem}_sum") for j in needed}
         for j, name in names.items():
-            self.writer.line(f"{C_TYPES[bodies[j].kind]} {name} = {args[j][0]};")
+            self.writer.line(f"{self.types[bodies[j].kind]} {name} = {args[j][0]};")
         with self._loop(length, depth):
             for j, name in names.items():
                 self.bound[depth, j + 1] = name, ATOM
@@ -435,7 +462,7 @@ class Renderer:
             else:
                 nexts = [self.names.new(f"{names[j]}_next") for j in needed]
                 for j, new, (text, _) in zip(needed, nexts, texts, strict=True):
-                    self.writer.line(f"const {C_TYPES[bodies[j].kind]} {new} = {text};")
+                    self.writer.line(f"const {self.types[bodies[j].kind]} {new} = {text};")
                 for j, new in zip(needed, nexts, strict=True):
                     self.writer.line(f"{names[j]} = {new};")
         for j, name in names.items():  # the loop's other results

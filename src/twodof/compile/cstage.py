@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
 
 from twodof.blocks.expr import LEAVES, Expr
 from twodof.blocks.graph import walk
-from twodof.compile.cexpr import C_TYPES, Names, Renderer, Writer, loop_depths
+from twodof.compile.cexpr import Names, Renderer, Writer, loop_depths
 from twodof.compile.ctick import Scope, Tick, commit, describe
 from twodof.compile.flat import Guard, Node, Signal
 from twodof.compile.layout import Member, Struct
@@ -66,7 +67,7 @@ class Stage:
             if not node.guard.always:
                 for (target, _), state in zip(targets, node.continuous, strict=True):
                     if state.width is None:
-                        writer.line(f"{target} = 0;")
+                        writer.line(f"{target} = {self.scope.style.same('0', 'real')};")
                     else:
                         writer.line(f"memset({target}, 0, sizeof {target});")
             with self._guarded(writer, node.guard):
@@ -83,8 +84,8 @@ class Stage:
             f"const {p}_X *restrict x, {p}_X *restrict slope)",
         )
 
-    def _guarded(self, writer: Writer, guard: Guard) -> _Maybe:
-        return _Maybe(writer, "" if guard.always else f"if (held->{self._flag(guard).name})")
+    def _guarded(self, writer: Writer, guard: Guard) -> AbstractContextManager[None]:
+        return nullcontext() if guard.always else writer.choice("", [f"held->{self._flag(guard).name}"])
 
     def _flag(self, guard: Guard) -> Member:
         if guard not in self.active:
@@ -97,10 +98,10 @@ class Stage:
         local[s] = names.new(s.path)
         held = f"held->{self._capture(s).name}"
         if s.width is None:
-            writer.line(f"{C_TYPES[s.kind]} {local[s]} = {held};")
+            writer.line(f"{self.scope.type(s.kind)} {local[s]} = {held};")
         else:
-            writer.line(f"{C_TYPES[s.kind]} {local[s]}[{s.width}];")
-            writer.line(f"memcpy({local[s]}, {held}, sizeof {local[s]});")
+            writer.line(f"{self.scope.type(s.kind)} {local[s]}[{s.width}];")
+            writer.duplicate(local[s], held, s.width, s.kind)
 
     def _output(
         self,
@@ -117,9 +118,9 @@ class Stage:
             return
         local[s] = names.new(s.path)
         if s.width is None:
-            writer.line(f"const {C_TYPES[s.kind]} {local[s]} = {renderer.text(root)};")
+            writer.line(f"const {self.scope.type(s.kind)} {local[s]} = {renderer.text(root)};")
         else:
-            writer.line(f"{C_TYPES[s.kind]} {local[s]}[{s.width}];")
+            writer.line(f"{self.scope.type(s.kind)} {local[s]}[{s.width}];")
             renderer.assign([(local[s], root)])
 
     def _renderer(
@@ -142,7 +143,7 @@ class Stage:
         leaf = self.scope.leaf(node, signal, states, "held->tick")
         if any(e.op == "tick" for e in walk(roots)):
             self._need_tick()
-        made = Renderer(writer, names, self.scope.precision, leaf, node.path, known)
+        made = self.scope.renderer(writer, names, leaf, node.path, known)
         if node.guard.always:
             renderers[node] = made
         return made
@@ -201,38 +202,37 @@ class Stage:
     def integrate(self, writer: Writer) -> None:
         """The functions that move the continuous states by a step h."""
         p, members = self.prefix, self.layout.x.members
-        real = self.scope.constant
+        real, style = self.scope.constant, self.scope.style
+        h = style.types["real"]
         writer.depth = 0
         if self.program.integrator == "rk4":
             writer.line("/* to = from + h * slope */")
             writer.line(
-                f"{self._qualifier} void {p}_along({p}_X *restrict to, const {p}_X *restrict from, real h, "
+                f"{self._qualifier} void {p}_along({p}_X *restrict to, const {p}_X *restrict from, {h} h, "
                 f"const {p}_X *restrict slope)"
             )
             with _Braces(writer):
-                self._each(writer, "to->{m} = from->{m} + h * slope->{m};")
+                self._each(writer, "to->{m} = " + style.along.format("from->{m}", "slope->{m}") + ";")
             writer.line("")
             writer.line(f"/* Runge and Kutta's method of order 4 over h; {len(members)} continuous states. */")
         writer.line(
             f"{self._qualifier} void {p}_integrate(const {p}_P *restrict p, const {p}_Held *restrict held, "
-            f"{p}_X *restrict x, real h)"
+            f"{p}_X *restrict x, {h} h)"
         )
         with _Braces(writer):
             if self.program.integrator == "euler":
                 writer.line(f"{p}_X k1;")
                 writer.line(f"{p}_derivative(p, held, x, &k1);")
-                self._each(writer, "x->{m} = x->{m} + h * k1.{m};")
+                self._each(writer, "x->{m} = " + style.along.format("x->{m}", "k1.{m}") + ";")
             else:
                 writer.line(f"{p}_X k1, k2, k3, k4, at;")
-                writer.line(f"const real half = h * {real(0.5, 'real')};")
-                writer.line(f"const real sixth = h * {real(ONE_SIXTH, 'real')};")
+                writer.line(f"const {h} half = {style.product('h', real(0.5, 'real'))};")
+                writer.line(f"const {h} sixth = {style.product('h', real(ONE_SIXTH, 'real'))};")
                 for k, before, step in ((1, 0, ""), (2, 1, "half"), (3, 2, "half"), (4, 3, "h")):
                     if before:
                         writer.line(f"{p}_along(&at, x, {step}, &k{before});")
                     writer.line(f"{p}_derivative(p, held, {'&at' if before else 'x'}, &k{k});")
-                two = real(2.0, "real")
-                total = f"((k1.{{m}} + {two} * k2.{{m}}) + {two} * k3.{{m}}) + k4.{{m}}"
-                self._each(writer, f"x->{{m}} = x->{{m}} + sixth * ({total});")
+                self._each(writer, "x->{m} = " + style.weighted.replace("{two}", real(2.0, "real")) + ";")
         writer.line("")
 
     def _each(self, writer: Writer, line: str) -> None:
@@ -259,7 +259,7 @@ class Stage:
         if self._tick is not None:
             writer.line(f"{held}.{self._tick.name} = s->tick;")
         for guard, member in self.active.items():
-            writer.line(f"{held}.{member.name} = {tick.condition(guard)};")
+            writer.line(f"{held}.{member.name} = {self.scope.style.truth(*tick.terms(guard))};")
         for node in dict.fromkeys(n for n, _ in self._hoisted):
             mine = [(e, m) for (n, e), m in self._hoisted.items() if n is node]
             texts = tick.renderer(node).scalars([e for e, _ in mine])
@@ -273,7 +273,7 @@ class Stage:
             writer.line(f"{p}_integrate(p, &{held}, &{x}, {dt});")
         for node in self.program.integrated:
             if node.trace.project:
-                with _Maybe(writer, f"if ({tick.condition(node.guard)})" if not node.guard.always else ""):
+                with nullcontext() if node.guard.always else writer.choice(*tick.terms(node.guard)):
                     self._project(tick, node, x)
         self.integrated = x
 
@@ -281,22 +281,29 @@ class Stage:
         """The integration in pieces that end where an edged output changes."""
         writer, names = tick.writer, tick.names
         start, end = names.new("from"), names.new("to")
-        writer.line(f"real {start} = 0, {end};")
+        style, real = self.scope.style, self.scope.type("real")
+        one, zero = style.same("1", "real"), style.same("0", "real")
+        writer.line(f"{real} {start} = {zero}, {end};")
         writer.line("do {")
         writer.depth += 1
-        writer.line(f"{end} = 1;")
+        writer.line(f"{end} = {one};")
         for s, (fraction, after) in tick.fractions.items():
-            before = tick.signal(s)
-            with writer.block(f"if ({before} != {after} && {fraction} > {start} && {fraction} < {end})"):
-                writer.line(f"{end} = {fraction};")
+            tests = [
+                style.compared("!=", tick.signal(s), after),
+                style.compared(">", fraction, start),
+                style.compared("<", fraction, end),
+            ]
+            with writer.choice("", tests):
+                writer.assign(end, fraction, "real")
         for s, (fraction, after) in tick.fractions.items():
             if s in self.captured:
-                member = self.captured[s].name
-                writer.line(f"{held}.{member} = {start} >= {fraction} ? {after} : {tick.signal(s)};")
-        writer.line(f"{self.prefix}_integrate(p, &{held}, &{x}, ({end} - {start}) * {dt});")
+                chosen = style.chosen(style.compared(">=", start, fraction), after, tick.signal(s))
+                writer.line(f"{held}.{self.captured[s].name} = {chosen};")
+        with style.moving(writer, names, self.prefix, self.layout.x.members, start, x) as moved:
+            writer.line(f"{self.prefix}_integrate(p, &{held}, &{moved}, {style.piece(start, end, dt)});")
         writer.line(f"{start} = {end};")
         writer.depth -= 1
-        writer.line(f"}} while ({start} < 1);")
+        writer.line(f"}} while ({style.anywhere(style.compared('<', start, one))});")
 
     def _project(self, tick: Tick, node: Node, x: str) -> None:
         tick.writer.line(describe(node))
@@ -305,7 +312,7 @@ class Stage:
             for s in node.block.states
         }
         leaf = self.scope.leaf(node, tick.signal, lvalues, "s->tick")
-        renderer = Renderer(tick.writer, tick.names, self.scope.precision, leaf, node.path)
+        renderer = self.scope.renderer(tick.writer, tick.names, leaf, node.path)
         commit(tick.writer, renderer, tick.names, node, node.trace.project, lvalues)
 
     def commit(self, tick: Tick) -> None:
@@ -314,22 +321,24 @@ class Stage:
         for node in self.program.integrated:
             if node.guard.always:
                 continue
-            with writer.block(f"if (!({tick.condition(node.guard)}))"):
+            style = self.scope.style
+            _, enables = tick.terms(node.guard)  # continuous states live at the base rate, which is always due
+            with writer.choice("", [style.negation(style.conjunction(enables))]):
                 for s in node.continuous:
                     name = self.layout.states[node, s.name].name
                     if s.width is None:
-                        writer.line(f"{x}.{name} = s->x.{name};")
+                        writer.assign(f"{x}.{name}", f"s->x.{name}", s.kind)
                     else:
-                        writer.line(f"memcpy({x}.{name}, s->x.{name}, sizeof {x}.{name});")
+                        writer.duplicate(f"{x}.{name}", f"s->x.{name}", s.width, s.kind)
         writer.line(f"s->x = {x};")
 
     def declarations(self) -> Iterator[str]:
         """The members of the struct Held; an array is held by its address."""
         for m in self.held.members:
             if m.width is None:
-                yield m.declaration()
+                yield m.declaration(self.scope.style.types)
             else:
-                yield f"const {C_TYPES[m.kind]} *{m.name};"
+                yield f"const {self.scope.type(m.kind)} *{m.name};"
         if not self.held.members:
             yield "unsigned char none;"
 
@@ -344,24 +353,6 @@ class _Lookup(dict[str, str]):
 
     def __missing__(self, name: str) -> str:
         return self.stage.state(self.node, name)
-
-
-class _Maybe:
-    """A C block with a head, or nothing if the head is empty."""
-
-    def __init__(self, writer: Writer, head: str) -> None:
-        self.writer = writer
-        self.head = head
-
-    def __enter__(self) -> None:
-        if self.head:
-            self.writer.line(f"{self.head} {{")
-            self.writer.depth += 1
-
-    def __exit__(self, *_: object) -> None:
-        if self.head:
-            self.writer.depth -= 1
-            self.writer.line("}")
 
 
 class _Braces:

@@ -10,6 +10,7 @@ from twodof.blocks.block import Param, Port, State
 from twodof.blocks.expr import LEAVES, Expr
 from twodof.blocks.graph import leaves
 from twodof.compile.cexpr import ATOM, C_TYPES, Names, Renderer, Text, Writer, constant
+from twodof.compile.cstyle import SCALAR, Style
 from twodof.compile.flat import Action, Guard, Node, Program, Signal
 from twodof.compile.layout import Layout, Member
 from twodof.compile.lower import inputs_of
@@ -21,10 +22,11 @@ OWN = ("P", "S", "U", "Y", "X", "Held", "derivative", "integrate", "along", "ste
 class Scope:
     """What the functions of one program share: its layout, precision and the text of leaves."""
 
-    def __init__(self, program: Program, layout: Layout, precision: str) -> None:
+    def __init__(self, program: Program, layout: Layout, precision: str, style: Style = SCALAR) -> None:
         self.program = program
         self.layout = layout
         self.precision = precision
+        self.style = style
 
     def names(self, *arguments: str) -> Names:
         """Identifiers of a function: its locals may hide neither its `arguments` nor what the program defines."""
@@ -32,7 +34,22 @@ class Scope:
 
     def constant(self, value: object, kind: str) -> str:
         """A literal of the program's precision."""
-        return constant(value, kind, self.precision)[0]
+        return self.style.same(constant(value, kind, self.precision)[0], kind)
+
+    def type(self, kind: str) -> str:
+        """The C type of a value of one instance, or of all the lanes'."""
+        return self.style.types[kind]
+
+    def renderer(
+        self,
+        writer: Writer,
+        names: Names,
+        leaf: Callable[[Expr], Text],
+        stem: str,
+        known: Mapping[Expr, str] | None = None,
+    ) -> Renderer:
+        """What writes a block's expressions."""
+        return self.style.renderer(writer, names, self.precision, leaf, stem, known)
 
     def leaf(
         self, node: Node, signal: Callable[[Signal], str], states: Mapping[str, str], tick: str
@@ -47,9 +64,9 @@ class Scope:
             if item.op == "param":
                 return f"p->{self.parameter(node, item.data).name}", ATOM
             if item.op == "tick":
-                return tick, ATOM
+                return self.style.same(tick, "uint32"), ATOM
             seconds = self.program.dt * (node.rate.divider if item.data == "dt" else 1)
-            return constant(seconds, "real", self.precision)
+            return self.style.literal(*constant(seconds, "real", self.precision), "real")
 
         return text
 
@@ -64,28 +81,27 @@ class Scope:
         if isinstance(state.initial, str):
             source = f"p->{self.parameter(node, state.initial).name}"
             if state.width is None:
-                writer.line(f"{target} = {source};")
+                writer.assign(target, source, state.kind)
             else:
-                writer.line(f"memcpy({target}, {source}, sizeof {target});")
+                writer.duplicate(target, source, state.width, state.kind)
             return
-        fill(writer, target, state.initial, state, self.precision)
+        self.fill(writer, target, state.initial, state)
 
-
-def fill(writer: Writer, target: str, value: object, declared: Port | State | Param, precision: str) -> None:
-    """Lines that store a constant number, or a sequence of them, in `target`."""
-    kind, width = declared.kind, declared.width
-    if width is None:
-        writer.line(f"{target} = {constant(value, kind, precision)[0]};")
-        return
-    values = list(value) if isinstance(value, (list, tuple)) else [value] * width
-    texts = [constant(v, kind, precision)[0] for v in values]
-    if len(set(texts)) == 1:
-        with writer.block(f"for (int32_t i = 0; i < {width}; i++)"):
-            writer.line(f"{target}[i] = {texts[0]};")
-    else:
-        with writer.block(""):
-            writer.line(f"static const {C_TYPES[kind]} initial[{width}] = {{{', '.join(texts)}}};")
-            writer.line(f"memcpy({target}, initial, sizeof initial);")
+    def fill(self, writer: Writer, target: str, value: object, declared: Port | State | Param) -> None:
+        """Lines that store a constant number, or a sequence of them, in `target`."""
+        kind, width = declared.kind, declared.width
+        if width is None:
+            writer.assign(target, self.constant(value, kind), kind)
+            return
+        values = list(value) if isinstance(value, (list, tuple)) else [value] * width
+        texts = [constant(v, kind, self.precision)[0] for v in values]
+        if len(set(texts)) == 1:
+            with writer.block(f"for (int32_t i = 0; i < {width}; i++)"):
+                writer.assign(f"{target}[i]", self.style.same(texts[0], kind), kind)
+        else:
+            with writer.block(""):
+                writer.line(f"static const {C_TYPES[kind]} initial[{width}] = {{{', '.join(texts)}}};")
+                writer.table(target, "initial", width, kind)
 
 
 def describe(node: Node) -> str:
@@ -131,16 +147,16 @@ class Tick:
             return self.renderers[node]
         states = {s.name: self.state(node, s) for s in node.block.states}
         leaf = self.scope.leaf(node, self.signal, states, "s->tick")
-        made = Renderer(self.writer, self.names, self.scope.precision, leaf, node.path, self.stored.get(node))
+        made = self.scope.renderer(self.writer, self.names, leaf, node.path, self.stored.get(node))
         self.renderers[node] = made
         return made
 
     @contextmanager
-    def _guarded(self, condition: str) -> Iterator[None]:
+    def guarded(self, guard: Guard) -> Iterator[None]:
         """An `if` block; what is declared in it is forgotten at its end."""
         outside = self.renderers
         self.renderers = dict(outside)
-        with self.writer.block(f"if ({condition})"):
+        with self.writer.choice(*self.terms(guard)):
             yield
         self.renderers = outside
 
@@ -162,10 +178,9 @@ class Tick:
             if len(lines) == 1:
                 del self.writer.lines[lines[0]]
 
-    def condition(self, guard: Guard) -> str:
-        """The C condition under which a guard's nodes act ("" if always)."""
-        terms = [self._due[guard.rate]] if guard.rate.divider > 1 else []
-        return " && ".join(terms + [self.signal(e) for e in guard.enables])
+    def terms(self, guard: Guard) -> tuple[str, list[str]]:
+        """The C conditions under which a guard's nodes act: that the rate is due ("" if always), and the enables."""
+        return self._due.get(guard.rate, ""), [self.signal(e) for e in guard.enables]
 
     def outputs(self) -> None:
         """The outputs of all blocks, group by group."""
@@ -174,30 +189,30 @@ class Tick:
             self.fractions[signal] = fraction, after
             node = signal.node
             if node is not None and not node.guard.always:
-                self.writer.line(f"real {fraction} = 1, {after} = 0;")
+                real, zero = self.scope.type("real"), self.scope.style.same("0", "real")
+                self.writer.line(f"{real} {fraction} = {self.scope.style.same('1', 'real')}, {after} = {zero};")
         for group in self.program.tick:
-            condition = self.condition(group.guard)
-            if not condition:
+            if group.guard.always:
                 for action in group.actions:
                     self._action(action)
                 continue
-            with self._guarded(condition):
+            with self.guarded(group.guard):
                 for action in group.actions:
                     self._action(action)
                 self._early_updates(group.guard)
             held = [s for action in group.actions for s in action.signals]
             if group.guard.clears and held:
-                cleared = " && ".join(self.signal(e) for e in group.guard.clears)
-                due = f"{self._due[group.guard.rate]} && " if group.guard.rate.divider > 1 else ""
-                with self.writer.block(f"if ({due}!({cleared}))"):
+                style = self.scope.style
+                cleared = style.negation(style.conjunction([self.signal(e) for e in group.guard.clears]))
+                with self.writer.choice(self._due.get(group.guard.rate, ""), [cleared]):
                     for s in held:
-                        fill(self.writer, self.signal(s), 0, Port("y", s.kind, s.width), self.scope.precision)
+                        self.scope.fill(self.writer, self.signal(s), 0, Port("y", s.kind, s.width))
 
     def _action(self, action: Action) -> None:
         node, write = action.node, self.writer
         write.line(describe(node))
         if not action.signals:
-            with write.block(f"if ({' || '.join(self.signal(r) for r in node.resets)})"):
+            with write.choice("", [self.scope.style.disjunction([self.signal(r) for r in node.resets])]):
                 for state in node.block.states:
                     self.scope.initial(write, node, state, self.state(node, state))
             self.computed.add(node)
@@ -217,9 +232,11 @@ class Tick:
         for signal in action.signals:
             if signal in self.fractions:
                 fraction, after = node.trace.edges[signal.port]
-                declare = "const real " if node.guard.always else ""
                 for name, root in zip(self.fractions[signal], (fraction, after), strict=True):
-                    write.line(f"{declare}{name} = {renderer.text(root)};")
+                    if node.guard.always:
+                        write.line(f"const {self.scope.type('real')} {name} = {renderer.text(root)};")
+                    else:
+                        write.assign(name, renderer.text(root), "real")
         self.computed.update(action.signals)
 
     def _store(self, renderer: Renderer, node: Node, outputs: Mapping[Signal, Expr]) -> None:
@@ -229,7 +246,7 @@ class Tick:
         self.stored.setdefault(node, {}).update(known)
 
     def _output(self, renderer: Renderer, signal: Signal, root: Expr) -> None:
-        ctype = C_TYPES[signal.kind]
+        ctype = self.scope.type(signal.kind)
         name = self.names.new(signal.path)
         self.texts[signal] = name
         if signal.width is None:
@@ -250,7 +267,7 @@ class Tick:
             if signal.width is None:
                 self.writer.line(f"{member} = {self.signal(signal)};")
             else:
-                self.writer.line(f"memcpy({member}, {self.signal(signal)}, sizeof {member});")
+                self.writer.duplicate(member, self.signal(signal), signal.width, signal.kind)
 
     def updates(self) -> None:
         """The next discrete states. A block's own are the only ones that its update reads."""
@@ -259,12 +276,11 @@ class Tick:
             if node not in self.updated:
                 by_guard.setdefault(node.guard, []).append(node)
         for guard in sorted(by_guard, key=lambda g: not g.always):
-            condition = self.condition(guard)
-            if not condition:
+            if guard.always:
                 for node in by_guard[guard]:
                     self._update(node)
                 continue
-            with self._guarded(condition):
+            with self.guarded(guard):
                 for node in by_guard[guard]:
                     self._update(node)
 
@@ -307,7 +323,7 @@ def commit(
     """Lines that replace states by `values`, all of which read the states before any is replaced."""
     changed = {name: e for name, e in values.items() if not _keeps(name, e)}
     reads = {name: leaves([e], "state") for name, e in changed.items()}
-    later: list[tuple[str, str]] = []
+    later: list[tuple[str, str, str]] = []
     wide: list[tuple[str, str, int]] = []
     direct = []
     for name, e in changed.items():
@@ -316,22 +332,22 @@ def commit(
         if chain and (shared or len(chain) > 1):
             for index, value in chain:
                 i, v = names.new(f"{node.path}.index"), names.new(f"{node.path}.{name}_next")
-                writer.line(f"const int32_t {i} = {renderer.index(index, e.width or 1)};")
-                writer.line(f"const {C_TYPES[e.kind]} {v} = {renderer.text(value)};")
-                later.append((f"{lvalues[name]}[{i}]", v))
+                writer.line(f"const {renderer.types['int32']} {i} = {renderer.index(index, e.width or 1)};")
+                writer.line(f"const {renderer.types[e.kind]} {v} = {renderer.text(value)};")
+                later.append((name, i, v))
         elif chain:
             direct.append((name, e))
         elif e.width is not None and (shared or name in reads[name]):
             source = renderer.text(e)
             if e.op == "state":
                 source = names.new(f"{node.path}.{name}_next")
-                writer.line(f"{C_TYPES[e.kind]} {source}[{e.width}];")
-                renderer.copy(source, renderer.text(e), e.width)
-            wide.append((lvalues[name], source, e.width))
+                writer.line(f"{renderer.types[e.kind]} {source}[{e.width}];")
+                writer.copy(source, renderer.text(e), e.width, e.kind, own=True)
+            wide.append((name, source, e.width))
         elif shared:
             new = names.new(f"{node.path}.{name}_next")
-            writer.line(f"const {C_TYPES[e.kind]} {new} = {renderer.text(e)};")
-            later.append((lvalues[name], new))
+            writer.line(f"const {renderer.types[e.kind]} {new} = {renderer.text(e)};")
+            later.append((name, "", new))
         else:
             direct.append((name, e))
     for name, e in direct:
@@ -339,13 +355,16 @@ def commit(
         if chain:
             ((index, value),) = chain
             at, (new, _) = renderer.index(index, e.width or 1), renderer.scalars([value])[0]
-            writer.line(f"{lvalues[name]}[{at}] = {new};")
+            writer.put(lvalues[name], at, new, e.kind)
         else:
             renderer.assign([(lvalues[name], e)])
-    for target, new in later:
-        writer.line(f"{target} = {new};")
-    for target, source, width in wide:
-        renderer.copy(target, source, width)
+    for changing, at, text in later:
+        if at:
+            writer.put(lvalues[changing], at, text, changed[changing].kind)
+        else:
+            writer.assign(lvalues[changing], text, changed[changing].kind)
+    for changing, source, width in wide:
+        writer.copy(lvalues[changing], source, width, changed[changing].kind)
 
 
 def _stores(name: str, e: Expr) -> list[tuple[Expr, Expr]]:

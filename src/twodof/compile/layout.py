@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -26,10 +26,10 @@ class Member:
     unit: str = ""
     remark: str = ""
 
-    def declaration(self) -> str:
+    def declaration(self, types: Mapping[str, str] = C_TYPES) -> str:
         """The member's line in the struct."""
         size = "" if self.width is None else f"[{self.width}]"
-        return f"{C_TYPES[self.kind]} {self.name}{size};"
+        return f"{types[self.kind]} {self.name}{size};"
 
 
 @dataclass
