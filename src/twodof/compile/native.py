@@ -31,7 +31,9 @@ def load(
     """
     _check_subnormals()
     march = ("-mcpu=native" if platform.machine() in ("arm64", "aarch64") else "-march=native",) if native else ()
-    options = (*FLAGS, optimise, *march, *compiler.flags, *flags)
+    # The few functions on memory are found in this process; else zig first makes itself a C library, for seconds.
+    alone = ("-nostdlib",) if compiler.name == "zig" and platform.system() == "Linux" else ()
+    options = (*FLAGS, optimise, *march, *alone, *compiler.flags, *flags)
     cpu = toolchain.processor() if native else platform.machine()
     with suppress(OSError), toolchain.compiled(source, compiler, options, ".so", cpu) as file:
         return ctypes.CDLL(str(file))  # stays mapped when its file goes

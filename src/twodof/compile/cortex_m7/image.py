@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import importlib.util
 import io
 import re
 import shutil
 import subprocess
-import sys
 import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -47,9 +45,7 @@ def find_cross_compiler(name: str | None = None) -> Compiler:
             if path:
                 return Compiler("arm-none-eabi-gcc", (path,), GCC)
         elif candidate == "zig":
-            path = shutil.which("zig")
-            if importlib.util.find_spec("ziglang") is not None:
-                return Compiler("zig", (sys.executable, "-m", "ziglang", "cc"), ZIG)
+            path = toolchain.find_zig()
             if path:
                 return Compiler("zig", (path, "cc"), ZIG)
         else:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
 import shutil
 from collections.abc import Mapping, Sequence
@@ -149,8 +148,7 @@ def find_wasm_compiler(name: str | None = None) -> Compiler:
 
     Raises CompileError, with the package that gives it, if it is not there.
     """
-    zig = name in (None, "zig") and (importlib.util.find_spec("ziglang") is not None or shutil.which("zig"))
-    if zig:
+    if name in (None, "zig") and toolchain.find_zig():
         found = toolchain.find_compiler("zig")
         return Compiler(found.name, found.command, (*found.flags, "-target", "wasm32-freestanding"))
     clang = None if name == "zig" else shutil.which(name or "clang")
