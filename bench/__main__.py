@@ -13,12 +13,13 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from bench import closed_loop, greybox, start_up
+from bench import closed_loop, cortex_m7, greybox, start_up
 from bench.measure import Figure, machine
 from twodof.flightlog.atomic import atomic_write
 
 BENCHMARKS: Mapping[str, Callable[[bool], list[Figure]]] = {
     "closed_loop": closed_loop.run,
+    "cortex_m7": cortex_m7.run,
     "greybox": greybox.run,
     "start_up": start_up.run,
 }
@@ -30,6 +31,8 @@ def shown(value: float) -> str:
     """A figure as a person reads it."""
     if value >= 1e5:
         return f"{value / 1e6:.3g} M"
+    if float(value).is_integer():
+        return f"{value:.0f}"
     return f"{value:.3g}"
 
 
