@@ -27,6 +27,7 @@ KEYWORDS = frozenset(RESERVED.split())
 # What the included headers and the emitted file itself define beside those: macros, types, helpers.
 DEFINED = re.compile(r"[A-Z][A-Z0-9_]*_(MAX|MIN|C|WIDTH)|[a-z0-9_]+_t|td_inline")
 FUNCTIONS = frozenset(HELPERS) | {f"td_{name}" for name in ARGUMENTS}
+_CALL = re.compile(r"\w+\(.*\)")  # or what looks like it, which does no harm
 WIDEST_LINE = 150  # an expression that would be longer becomes two
 SMALL_ARRAY = 16  # up to here a copy is cheaper than a choice
 
@@ -105,6 +106,10 @@ class Writer:
     def table(self, target: str, table: str, width: int, kind: str) -> None:
         """A line that copies a table of constants into an array."""
         self.line(f"memcpy({target}, {table}, sizeof {table});")
+
+    def index(self, name: str, text: str) -> None:
+        """A line that keeps an index."""
+        self.line(f"const int32_t {name} = {text};")
 
     def put(self, target: str, index: str, text: str, kind: str, own: bool = False) -> None:
         """A line that stores an element of an array; `own` as in `copy`."""
@@ -371,6 +376,8 @@ class Renderer:
         if op == "convert":
             if operand == "real":
                 return f"{self._use(f'real_to_{kind}')}({args[0][0]})", ATOM
+            if self.writer.lean and _CALL.fullmatch(args[0][0]):
+                return f"{self._use(f'{operand}_to_{kind}')}({args[0][0]})", ATOM
             return f"({C_TYPES[kind]}){_paren(args[0], ATOM)}", SIGNED
         if kind != "int32" and op in ("add", "sub", "mul"):
             return _arithmetic(op, args)

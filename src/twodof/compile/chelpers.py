@@ -36,7 +36,23 @@ def _saturating(name: str, ctype: str, low: str, high: str) -> Helper:
     return Helper(name, text, text.replace("p31", "p31f").replace("p32", "p32f").replace("p0", "p0f"))
 
 
+def _converting(origin: str, target: str) -> Helper:
+    """A conversion of what a function returns, for a compiler that warns of a cast there (-Wbad-function-cast)."""
+    types = {"bool": "bool", "int32": "int32_t", "uint32": "uint32_t", "real": "real"}
+    name = f"{origin}_to_{target}"
+    return _same(
+        name, f"static inline {types[target]} {name}({types[origin]} x)\n{{\n    return ({types[target]})x;\n}}\n"
+    )
+
+
+CONVERTING = [
+    _converting(origin, target)
+    for origin in ("bool", "int32", "uint32")
+    for target in ("int32", "uint32", "real")
+    if origin != target
+]
 HELPERS: dict[str, Helper] = {
+    **{helper.name: helper for helper in CONVERTING},
     "clamp_index": _same(
         "clamp_index",
         """static inline int32_t clamp_index(int32_t i, int32_t last)

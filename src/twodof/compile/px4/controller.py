@@ -161,6 +161,16 @@ def source(names: ModuleNames, found: Fields, rows: Sequence[Exported], made: Co
    change results. */
 #include "{n}.h"
 
+#if defined(__GNUC__) && !defined(__clang__)
+/* These find a person's slips. A diagram may well ask the same thing twice, or what cannot be, and what the emitter
+   names may turn out not to be needed. */
+#pragma GCC diagnostic ignored "-Wlogical-op"
+#pragma GCC diagnostic ignored "-Wtautological-compare"
+#pragma GCC diagnostic ignored "-Wtype-limits"
+#pragma GCC diagnostic ignored "-Wunused-but-set-variable"
+#pragma GCC diagnostic ignored "-Wunused-variable"
+#endif
+
 {made.source}/* The interface of {n}.h. */
 typedef struct {{
     {n}_P p, candidate;

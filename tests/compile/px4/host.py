@@ -1,0 +1,85 @@
+"""A module's controller on this machine: its C file, built with PX4's flags, fed with rows of words."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tests.compile.px4.build import C_FLAGS, DEADLINE, PX4_FLAGS, run
+from twodof.blocks import Diagram
+from twodof.compile.px4.build_files import EXACT
+from twodof.compile.px4.controller import controller, header, source
+from twodof.compile.px4.message import Field, Fields, fields
+from twodof.compile.px4.names import ModuleNames, module_names
+from twodof.compile.px4.parameters import exported
+
+DTYPES = {"real": np.float32, "int32": np.int32, "uint32": np.uint32, "bool": np.uint32}
+
+_MAIN = """#include "{n}.h"
+#include <stdio.h>
+
+int main(void)
+{{
+    static {n}_Controller c;
+    {n}_Inputs in;
+    {n}_Outputs out;
+    uint32_t in_words[{n}_INPUT_WORDS + 1], out_words[{n}_OUTPUT_WORDS + 1];
+    {n}_begin(&c);
+    while (fread(in_words, 4, {n}_INPUT_WORDS, stdin) == {n}_INPUT_WORDS) {{
+        {n}_unpack(in_words, &in);
+        {n}_tick(&c, &in, &out);
+        {n}_pack(&out, out_words);
+        if (fwrite(out_words, 4, {n}_OUTPUT_WORDS, stdout) != {n}_OUTPUT_WORDS)
+            return 1;
+    }}
+    return 0;
+}}
+"""
+
+
+def build_controller(
+    diagram: Diagram, log: Sequence[str], folder: Path, more: Sequence[str] = EXACT
+) -> tuple[Path, Fields]:
+    """A program that maps rows of input words to rows of output words, and what the words are."""
+    names: ModuleNames = module_names(diagram.name)
+    made = controller(diagram, names, log)
+    rows, _ = exported(made.program, names, True)
+    found = fields(made.program, len(diagram.outputs))
+    n = names.module
+    (folder / f"{n}.h").write_text(header(names, found, rows, made))
+    (folder / f"{n}.c").write_text(source(names, found, rows, made))
+    (folder / "main.c").write_text(_MAIN.format(n=n))
+    flags = ["gcc", *C_FLAGS, "-O2", *PX4_FLAGS.split(), *more, f"-I{folder}"]
+    run([*flags, "-c", str(folder / f"{n}.c"), "-o", str(folder / f"{n}.o")])
+    run(["gcc", f"-I{folder}", str(folder / "main.c"), str(folder / f"{n}.o"), "-o", str(folder / n)])
+    return folder / n, found
+
+
+def replay(program: Path, found: Fields, columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """The outputs, by path, that the program gives for columns of inputs by path."""
+    steps = len(next(iter(columns.values())))
+    words = np.hstack([to_words(f, columns[f.path]).reshape(steps, -1) for f in found.inputs])
+    done = subprocess.run([program], input=words.tobytes(), capture_output=True, timeout=DEADLINE, check=True)
+    return from_words(found.outputs, np.frombuffer(done.stdout, np.uint32).reshape(steps, -1))
+
+
+def to_words(field: Field, column: NDArray[Any]) -> NDArray[np.uint32]:
+    """A column of values as 32-bit words."""
+    with np.errstate(over="ignore"):
+        return np.ascontiguousarray(np.asarray(column).astype(DTYPES[field.kind])).view(np.uint32)
+
+
+def from_words(members: Sequence[Field], words: NDArray[np.uint32]) -> dict[str, NDArray[Any]]:
+    """Rows of words as columns of values by path."""
+    found, at = {}, 0
+    for f in members:
+        part = np.ascontiguousarray(words[:, at : at + f.words]).view(DTYPES[f.kind])
+        part = part != 0 if f.kind == "bool" else part
+        found[f.path] = part[:, 0] if f.width is None else part
+        at += f.words
+    return found
