@@ -16,7 +16,7 @@ from twodof.compile.cexpr import ATOM, Names, Writer
 from twodof.compile.chelpers import HELPERS
 from twodof.compile.cstage import Stage
 from twodof.compile.cstyle import SCALAR, Style
-from twodof.compile.ctick import Scope, Tick, describe
+from twodof.compile.ctick import INTEGRATION, NEXT_TICK, RETURNED, Scope, Tick, describe
 from twodof.compile.flat import Program
 from twodof.compile.layout import Layout, Member
 from twodof.errors import DiagramError
@@ -204,6 +204,8 @@ class _Emitter:
     def _init(self, writer: Writer) -> None:
         writer.line("memset(s, 0, sizeof *s);")
         for node in self.program.nodes:
+            if node.block.states:
+                writer.line(describe(node))
             for state in node.block.states:
                 prefix = "s->x." if state.continuous else "s->"
                 target = prefix + self.layout.states[node, state.name].name
@@ -214,14 +216,16 @@ class _Emitter:
         tick.due()
         tick.outputs()
         if self.program.outputs:
-            writer.line("/* what is returned */")
+            writer.line(RETURNED)
             tick.returned()
         if stage:
-            writer.line("/* the continuous states of the next tick */")
+            writer.line(INTEGRATION)
             stage.within_step(tick)
         tick.updates()
         if stage:
             stage.commit(tick)
+        else:
+            writer.line(NEXT_TICK)
         writer.line("s->tick += 1u;")
         tick.forget_idle_rates()
 

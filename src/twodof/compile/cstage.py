@@ -8,7 +8,7 @@ from contextlib import AbstractContextManager, nullcontext
 from twodof.blocks.expr import LEAVES, Expr
 from twodof.blocks.graph import walk
 from twodof.compile.cexpr import Names, Renderer, Writer, loop_depths
-from twodof.compile.ctick import Scope, Tick, commit, describe
+from twodof.compile.ctick import FROZEN, NEXT_TICK, Scope, Tick, commit, describe
 from twodof.compile.flat import Guard, Node, Signal
 from twodof.compile.layout import Member, Struct
 
@@ -48,6 +48,7 @@ class Stage:
         for group in self.program.stage:
             if not group.guard.always:
                 for action in group.actions:
+                    writer.line(describe(action.node))
                     for s in action.signals:
                         self._held_value(writer, names, local, s)
             with self._guarded(writer, group.guard):
@@ -150,7 +151,7 @@ class Stage:
 
     def _need_tick(self) -> None:
         if self._tick is None:
-            self._tick = self.held.add("tick", "uint32", None)
+            self._tick = self.held.add("tick", "uint32", None, shared=True)
 
     def state(self, node: Node, name: str) -> str:
         """The text of a state within `derivative`: a continuous one is integrated, a discrete one held."""
@@ -288,8 +289,12 @@ class Stage:
         writer.depth += 1
         writer.line(f"{end} = {one};")
         for s, (fraction, after) in tick.fractions.items():
+            changed = style.compared("!=", tick.signal(s), after)
+            if writer.lean and s.kind == "real":
+                writer.helpers.add("real_equal")
+                changed = f"!real_equal({tick.signal(s)}, {after})"
             tests = [
-                style.compared("!=", tick.signal(s), after),
+                changed,
                 style.compared(">", fraction, start),
                 style.compared("<", fraction, end),
             ]
@@ -318,9 +323,10 @@ class Stage:
     def commit(self, tick: Tick) -> None:
         """The continuous states of the next tick; those of disabled blocks keep theirs."""
         writer, x = tick.writer, self.integrated
-        for node in self.program.integrated:
-            if node.guard.always:
-                continue
+        frozen = [node for node in self.program.integrated if not node.guard.always]
+        if frozen:
+            writer.line(FROZEN)
+        for node in frozen:
             style = self.scope.style
             _, enables = tick.terms(node.guard)  # continuous states live at the base rate, which is always due
             with writer.choice("", [style.negation(style.conjunction(enables))]):
@@ -330,6 +336,7 @@ class Stage:
                         writer.assign(f"{x}.{name}", f"s->x.{name}", s.kind)
                     else:
                         writer.duplicate(f"{x}.{name}", f"s->x.{name}", s.width, s.kind)
+        writer.line(NEXT_TICK)
         writer.line(f"s->x = {x};")
 
     def declarations(self) -> Iterator[str]:

@@ -16,6 +16,13 @@ from twodof.compile.layout import Layout, Member
 from twodof.compile.lower import inputs_of
 
 TICKS = 2**32  # a tick is a uint32
+# Comments above lines that belong to no single block; `twodof.compile.source_map` reads them.
+RATES_DUE = "/* which rates are due */"
+DISABLED = "/* outputs of what is disabled */"
+RETURNED = "/* what is returned */"
+INTEGRATION = "/* the continuous states of the next tick */"
+FROZEN = "/* what is disabled keeps its continuous states */"
+NEXT_TICK = "/* the next tick */"
 OWN = ("P", "S", "U", "Y", "X", "Held", "derivative", "integrate", "along", "step")  # what a body may name
 
 
@@ -30,7 +37,7 @@ class Scope:
 
     def names(self, *arguments: str) -> Names:
         """Identifiers of a function: its locals may hide neither its `arguments` nor what the program defines."""
-        return Names({*arguments, *(f"{self.program.name}_{own}" for own in OWN)})
+        return Names({*arguments, *(f"{self.program.name}_{own}" for own in OWN), *self.style.reserved})
 
     def constant(self, value: object, kind: str) -> str:
         """A literal of the program's precision."""
@@ -165,6 +172,8 @@ class Tick:
         for node in self.program.nodes:
             rate = node.rate
             if rate.divider > 1 and rate not in self._due:
+                if not self._due:
+                    self.writer.line(RATES_DUE)
                 self._due[rate] = self.names.new(f"due_{rate.divider}_{rate.offset}")
                 due = f"s->tick % {rate.divider}u == {rate.offset}u"
                 if rate.divider >= TICKS:  # sub-diagrams multiply their rates
@@ -177,6 +186,9 @@ class Tick:
             lines = [i for i, line in enumerate(self.writer.lines) if re.search(rf"\b{name}\b", line)]
             if len(lines) == 1:
                 del self.writer.lines[lines[0]]
+        asked = "\n".join(self.writer.lines)
+        if self._due and not any(re.search(rf"\b{name}\b", asked) for name in self._due.values()):
+            self.writer.lines = [line for line in self.writer.lines if line.strip() != RATES_DUE]
 
     def terms(self, guard: Guard) -> tuple[str, list[str]]:
         """The C conditions under which a guard's nodes act: that the rate is due ("" if always), and the enables."""
@@ -189,6 +201,7 @@ class Tick:
             self.fractions[signal] = fraction, after
             node = signal.node
             if node is not None and not node.guard.always:
+                self.writer.line(describe(node))
                 real, zero = self.scope.type("real"), self.scope.style.same("0", "real")
                 self.writer.line(f"{real} {fraction} = {self.scope.style.same('1', 'real')}, {after} = {zero};")
         for group in self.program.tick:
@@ -203,6 +216,7 @@ class Tick:
             held = [s for action in group.actions for s in action.signals]
             if group.guard.clears and held:
                 style = self.scope.style
+                self.writer.line(DISABLED)
                 cleared = style.negation(style.conjunction([self.signal(e) for e in group.guard.clears]))
                 with self.writer.choice(self._due.get(group.guard.rate, ""), [cleared]):
                     for s in held:
@@ -332,7 +346,7 @@ def commit(
         if chain and (shared or len(chain) > 1):
             for index, value in chain:
                 i, v = names.new(f"{node.path}.index"), names.new(f"{node.path}.{name}_next")
-                writer.line(f"const {renderer.types['int32']} {i} = {renderer.index(index, e.width or 1)};")
+                writer.index(i, renderer.index(index, e.width or 1))
                 writer.line(f"const {renderer.types[e.kind]} {v} = {renderer.text(value)};")
                 later.append((name, i, v))
         elif chain:
