@@ -57,11 +57,18 @@ class Slot:
         return found
 
     def flies(self, kind: str) -> tuple[Diagram, str]:
-        """The diagram of the template `kind` that flies now, and what it is: its file, or the stock controller."""
+        """The diagram of the template `kind` that flies now, and what it is: its file, or the stock controller.
+
+        A file that is damaged flies nothing, so the stock controller stands for it, and the text says so.
+        """
         path = self.file(kind)
-        if path.exists():
+        stock = f"the stock controller ({STOCK[kind]})"
+        if not path.exists():
+            return load_diagram(STOCK[kind]), stock
+        try:
             return load_diagram(path), str(path)
-        return load_diagram(STOCK[kind]), f"the stock controller ({STOCK[kind]})"
+        except DiagramError as damage:
+            return load_diagram(STOCK[kind]), f"{stock}, as what was flashed is damaged: {damage}"
 
     def flash(self, diagram: Diagram) -> Path:
         """Puts `diagram` in the place of what flew by its template, and returns the file.
