@@ -3,7 +3,13 @@
 from __future__ import annotations
 
 import subprocess
+from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from twodof.compile.px4.build_files import EXACT
 from twodof.compile.px4.export import Module
@@ -96,3 +102,97 @@ def run(command: list[str]) -> str:
     done = subprocess.run(command, capture_output=True, text=True, timeout=DEADLINE)
     assert done.returncode == 0, f"{' '.join(command[:1])}: {done.stdout[-4000:]}{done.stderr[-4000:]}"
     return done.stdout
+
+
+def dtype_of(rows: Iterable[tuple[str, str]]) -> np.dtype[Any]:
+    """The numpy type of a topic's struct with these fields (type, name)."""
+    formats: list[tuple[str, Any]] = []
+    for kind, name in rows:
+        base, _, width = kind.partition("[")
+        formats.append((name, np.dtype((base, (int(width[:-1]),))) if width else np.dtype(base)))
+    return np.dtype(formats, align=True)
+
+
+class Bench:
+    """A module in a process of its own, driven by a script that is run at the end, and what came of it.
+
+    `at` sets the clock [us], `publish` a topic's fields, `parameter` a value, `command` runs the module's command.
+    """
+
+    def __init__(self, module: Module, folder: Path, optimise: str = "-O2") -> None:
+        objects = compile_module(module, folder, optimise)
+        n = module.names.module
+        self.module, self.program = module, folder / "bench"
+        includes = [f"-I{folder / 'include'}", f"-I{STAND_IN}"]
+        sources = [str(STAND_IN / name) for name in ("stand_in.cpp", "bench.cpp")]
+        run(["g++", "-O1", *includes, f"-DMODULE_MAIN={n}_main", *sources, *map(str, objects), "-o", str(self.program)])
+        self.dtypes = {t: dtype_of([(k, f) for f, k in rows.items()]) for t, rows in FIELDS.items()}
+        self.dtypes[n] = dtype_of(parse_message(module.files[f"msg/{module.names.class_name}.msg"])[0])
+        self.fresh()
+
+    def fresh(self) -> None:
+        """A new process, with the parameters at their defaults."""
+        self.script: list[str] = []
+        self.now = 0
+        self.at(1_000_000)
+        for row in self.module.parameters:
+            self.parameter(row.name, row.default)
+
+    def at(self, now: int) -> None:
+        """The clock [us]; what is late by then runs."""
+        self.now = now
+        self.script.append(f"time {now}")
+
+    def parameter(self, name: str, value: float) -> None:
+        """A parameter's value, without telling the module."""
+        kind = {row.name: "f" if row.kind == "real" else "i" for row in self.module.parameters}[name]
+        self.script.append(f"parameter {name} {kind} {float(value)!r}")
+
+    def publish(self, topic: str, **values: Any) -> None:
+        """A topic's fields; those not named are 0, `timestamp` and `timestamp_sample` the present."""
+        row = np.zeros(1, self.dtypes[topic])
+        for name in row.dtype.names or ():
+            row[name] = values.get(name, self.now if name.startswith("timestamp") else 0)
+        assert set(values) <= set(row.dtype.names or ())
+        self.script.append(f"publish {topic} {row.tobytes().hex()}")
+
+    def command(self, *words: str) -> None:
+        """The module's command."""
+        self.script.append(f"command {' '.join(words)}")
+
+    def run(self) -> Events:
+        """All that the module published and said, in order."""
+        done = subprocess.run(
+            [self.program],
+            input="\n".join([*self.script, "used", ""]),
+            capture_output=True,
+            text=True,
+            timeout=DEADLINE,
+        )
+        assert done.returncode == 0, done.stderr[-2000:]
+        return Events([line.partition(" ")[::2] for line in done.stdout.splitlines()], self.dtypes)
+
+
+@dataclass
+class Events:
+    """What a bench's run printed: (topic or word, rest)."""
+
+    rows: list[tuple[str, str]]
+    dtypes: dict[str, np.dtype[Any]]
+
+    def topic(self, name: str) -> NDArray[Any]:
+        """All that was published of a topic, as an array of structs."""
+        data = b"".join(bytes.fromhex(rest) for what, rest in self.rows if what == name)
+        return np.frombuffer(data, self.dtypes[name])
+
+    def said(self) -> list[str]:
+        """What the module printed."""
+        return [rest for what, rest in self.rows if what == "said"]
+
+    def returned(self) -> list[int]:
+        """What its commands returned."""
+        return [int(rest) for what, rest in self.rows if what == "returned"]
+
+    def used(self) -> set[str]:
+        """The parameters it asked for."""
+        return {rest for what, rest in self.rows if what == "used"}

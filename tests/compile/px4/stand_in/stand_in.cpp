@@ -24,6 +24,14 @@ std::vector<std::string> said;
 void publish(const char *topic, const void *value, size_t size)
 {
     Topic &t = topics[topic];
+    printf("%s ", topic);
+
+    for (size_t i = 0; i < size; i++) {
+        printf("%02x", static_cast<unsigned>(static_cast<const uint8_t *>(value)[i]));
+    }
+
+    printf("\n");
+    fflush(stdout);
     const uint8_t *bytes = static_cast<const uint8_t *>(value);
     t.value.assign(bytes, bytes + size);
     t.generation++;

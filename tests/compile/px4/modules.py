@@ -1,0 +1,85 @@
+"""The two small diagrams whose modules are golden files, and which the other tests take apart."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from twodof.blocks import Block, Diagram, Param, Port, State, int32, to_real, where
+from twodof.blocks import library as lib
+
+
+class Damper(Block):
+    """M = kp (theta_0 - theta) - kd q + bias, the integral of the error with a weight that an integer divides."""
+
+    inputs = (
+        Port("theta_0", unit="rad"),
+        Port("theta", unit="rad"),
+        Port("q", unit="rad/s"),
+        Port("reset", "bool"),
+        Port("closed", "bool"),
+    )
+    outputs = (Port("M"), Port("error", unit="rad"), Port("count", "int32"))
+    states = (State("sum", "sum_0"), State("count", 0, "int32"))
+    params = (
+        Param("gains", [0.5, 0.08], width=2, low=0.0, high=4.0, text="of pitch and pitch rate"),
+        Param("ki", 0.3, unit="1/rad", low=0.0, high=5.0, text="integral"),
+        Param("share", 4, "int32", low=1, high=16, text="the integral's divisor"),
+        Param("integrating", True, "bool", text="whether the integral is in use"),
+        Param("sum_0", 0.0, unit="rad*s", low=-1.0, high=1.0, text="the integral at the start", tunable=False),
+    )
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        error = where(u.closed, u.theta_0 - u.theta, 0.0)
+        integral = where(p.integrating, p.ki * x.sum, 0.0)
+        return {"M": p.gains[0] * error - p.gains[1] * u.q + integral, "error": error, "count": x.count}
+
+    def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        step = (u.theta_0 - u.theta) * t.dt
+        return {"sum": where(u.reset, 0.0, x.sum + step / to_real(p.share)), "count": x.count + int32(1)}
+
+
+def pitch() -> Diagram:
+    """An attitude controller with parameters of all types, an array and one that is fixed."""
+    d = Diagram("pitch", "pitch damper; a test's diagram")
+    d.input("theta_0", unit="rad")
+    d.input("q_0", unit="rad/s")
+    d.input("theta", unit="rad")
+    d.input("q", unit="rad/s")
+    d.input("FLAG_RESET_INT", "bool")
+    d.input("FLAG_ATTITUDE_ENABLED", "bool")
+    d.add(
+        "damper",
+        Damper(),
+        theta_0="theta_0",
+        theta="theta",
+        q="q",
+        closed="FLAG_ATTITUDE_ENABLED",
+        inputs={"reset": "FLAG_RESET_INT"},
+    )
+    d.add("feed", lib.Gain(0.01), u="q_0")
+    d.add("sum", lib.Sum("++"), a="damper.M", b="feed")
+    d.output("M", "sum")
+    return d
+
+
+PITCH_LOG = ("damper.error", "damper.count")
+
+
+def rail() -> Diagram:
+    """A position controller without states."""
+    d = Diagram("rail", "proportional position controller; a test's diagram")
+    for name, unit in (("x_0", "m"), ("vx_0", "m/s"), ("x", "m"), ("vx", "m/s"), ("ax_0", "m/s2")):
+        d.input(name, unit=unit)
+    d.input("FLAG_RESET_INT_VEL", "bool")
+    d.input("FLAG_POSITION_ENABLED", "bool")
+    d.param("kp", 1.5, unit="1/s", low=0.0, high=10.0, text="position P")
+    d.param("k_pitch", -0.25, unit="rad*s/m", low=-2.0, high=0.0, text="pitch for a speed")
+    d.add("error", lib.Sum("+-"), a="x_0", b="x")
+    d.add("gain", lib.Gain(1.5), u="error", params={"k": "kp"})
+    d.add("chosen", lib.Switch(), condition="FLAG_POSITION_ENABLED", a="gain", b="vx_0")
+    d.add("slip", lib.Sum("+-"), a="chosen", b="vx")
+    d.add("pitch", lib.Gain(-0.25), u="slip", params={"k": "k_pitch"})
+    d.add("hover", lib.Constant(0.4))
+    d.output("thrust", "hover")
+    d.output("theta_0", "pitch")
+    return d
