@@ -57,8 +57,8 @@ HOVER: dict[str, Any] = {"mode": "position", "x0": 0.1}
 class CompiledLoop:
     """The compiled closed loop with the `lab` parameters; `noise` scales the sensors' noise and the gust."""
 
-    def __init__(self, precision: str, noise: float = 1.0) -> None:
-        program = build(closed_loop(), BASE_DT, precision)
+    def __init__(self, precision: str, noise: float = 1.0, target: str = "native") -> None:
+        program = build(closed_loop(), BASE_DT, precision, target=target)
         if not isinstance(program, Program):
             raise CompileError("there is no C compiler", "bench", "install cc, or the wheel ziglang")
         self.program = program

@@ -71,7 +71,7 @@ def large_diagram(blocks: int) -> Diagram:
     return d
 
 
-def _python(code: str, *arguments: str, environment: Mapping[str, str] | None = None) -> str:
+def fresh_python(code: str, *arguments: str, environment: Mapping[str, str] | None = None) -> str:
     """What a fresh interpreter prints that runs `code` in the project's folder. Raises CompileError if it fails."""
     done = subprocess.run(
         [sys.executable, "-c", code, *arguments],
@@ -89,7 +89,7 @@ def _python(code: str, *arguments: str, environment: Mapping[str, str] | None = 
 
 def import_seconds(module: str, repeats: int) -> list[float]:
     """Time [s] of `import module` in fresh interpreters, their own start left out."""
-    return [float(_python(IMPORT.format(module=module))) for _ in range(repeats)]
+    return [float(fresh_python(IMPORT.format(module=module))) for _ in range(repeats)]
 
 
 def build_seconds(what: str, compiler: str, rounds: int) -> list[tuple[float, float, float]]:
@@ -103,8 +103,9 @@ def build_seconds(what: str, compiler: str, rounds: int) -> list[tuple[float, fl
             "ZIG_LOCAL_CACHE_DIR": f"{folder}/zig",
         }
         if compiler == "zig":
-            _python(BUILD, "6", compiler, "1", environment=environment)
-        return [tuple(row) for row in json.loads(_python(BUILD, what, compiler, str(rounds), environment=environment))]
+            fresh_python(BUILD, "6", compiler, "1", environment=environment)
+        said = fresh_python(BUILD, what, compiler, str(rounds), environment=environment)
+        return [tuple(row) for row in json.loads(said)]
 
 
 def run(quick: bool = False) -> list[Figure]:

@@ -10,7 +10,7 @@ from tests.compile import examples
 from twodof.compile.program import emit_program
 from twodof.compile.wasm import engine
 from twodof.compile.wasm.binary import closed
-from twodof.compile.wasm.module import FUNCTIONS, compile_module
+from twodof.compile.wasm.module import FUNCTIONS, STACK, compile_module
 from twodof.errors import CompileError
 
 NAMES = [f"loop_{f}" for f in FUNCTIONS]
@@ -54,6 +54,35 @@ def test_the_memory_cannot_grow(limits: str) -> None:
     assert exports["f"](store) == -1
 
 
+@pytest.mark.parametrize(
+    ("stack", "constants", "taken"),
+    [
+        ("1000", ['(data (i32.const 70000) "x")'], True),
+        ("1000", [], True),
+        ("1001", [], False),
+        ("70000", [], False),
+        ("-16", [], False),
+        ("1000", ['(data (i32.const 69999) "x")'], False),
+        ("1000", ['(data (i32.const 70000) "xyz")', '(data (i32.const 8) "x")'], False),
+        ("1000", ["(global $g i32 (i32.const 80000))", '(data (global.get $g) "x")'], False),
+    ],
+)
+def test_stack_and_constants_stay_away_from_the_structs(stack: str, constants: list[str], taken: bool) -> None:
+    """Structs from 1000 to 70000: the stack, whose start is the first global, before them, constants behind them."""
+    text = f'(global (mut i32) (i32.const {stack})) (memory (export "memory") 2) {plain("f")} {" ".join(constants)}'
+    module = assembled(text)
+    if taken:
+        assert closed(module, ["f"], "here", (1000, 70_000))[1] == 2
+    else:
+        with pytest.raises(CompileError, match="stack or the constants"):
+            closed(module, ["f"], "here", (1000, 70000))
+
+
+def test_the_memory_contains_the_structs() -> None:
+    module = assembled('(memory (export "memory") 1) ' + plain("f"))
+    assert [closed(module, ["f"], "here", (0, end))[1] for end in (65_536, 65_537, 400_000)] == [1, 2, 7]
+
+
 def test_damaged_modules_give_only_compile_errors() -> None:
     whole = compile_module([emit_program(examples.loop(), 0.01)]).data
     assert closed(whole, NAMES, "loop")[0] == whole  # closing is idempotent
@@ -65,7 +94,7 @@ def test_damaged_modules_give_only_compile_errors() -> None:
             if data:
                 data[rng.randrange(min(len(data), 300))] = rng.randrange(256)
         try:
-            closed(bytes(data), NAMES, "loop")
+            closed(bytes(data), NAMES, "loop", (STACK, STACK + 1000))
         except CompileError:
             refused += 1
     assert refused > 1000

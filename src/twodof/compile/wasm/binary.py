@@ -7,24 +7,24 @@ from collections.abc import Iterator, Sequence
 from twodof.errors import CompileError
 
 PAGE = 65536  # bytes
-IMPORT, MEMORY, EXPORT, START = 2, 5, 7, 8
+IMPORT, MEMORY, GLOBAL, EXPORT, START, DATA = 2, 5, 6, 7, 8, 11
 _HEAD = b"\0asm\1\0\0\0"
 _KINDS = ("function", "table", "memory", "global")
 
 
-def closed(module: bytes, functions: Sequence[str], name: str) -> tuple[bytes, int]:
-    """The module with a memory that cannot grow, and the pages it has.
+def closed(module: bytes, functions: Sequence[str], name: str, reserved: tuple[int, int] = (0, 0)) -> tuple[bytes, int]:
+    """The module with a memory that cannot grow and contains `reserved`, and the pages it has.
 
-    Raises CompileError, with `name` as its place, if the module is malformed, imports or starts anything, or does not
-    export exactly "memory" and `functions`.
+    Raises CompileError, with `name` as its place, if the module is malformed, imports or starts anything, does not
+    export exactly "memory" and `functions`, or has its stack or its constants in the `reserved` (from, to) addresses.
     """
     try:
-        return _closed(module, functions, name)
+        return _closed(module, functions, name, *reserved)
     except IndexError as error:
         raise _refused("it ends within a section", name) from error
 
 
-def _closed(module: bytes, functions: Sequence[str], name: str) -> tuple[bytes, int]:
+def _closed(module: bytes, functions: Sequence[str], name: str, start: int, end: int) -> tuple[bytes, int]:
     if module[: len(_HEAD)] != _HEAD:
         raise _refused("it does not begin as one of version 1", name)
     made, pages = [_HEAD], 0
@@ -34,8 +34,16 @@ def _closed(module: bytes, functions: Sequence[str], name: str) -> tuple[bytes, 
             raise _refused("it imports something" if kind == IMPORT else "it runs something by itself", name)
         content = body
         if kind == MEMORY:
-            pages = _pages(body, name)
+            pages = max(_pages(body, name), -(-end // PAGE))
             content = b"\1\1" + 2 * _encoded(pages)  # one memory, with a limit: at least and at most `pages`
+        elif kind in (GLOBAL, DATA) and end:
+            inside = _stack(body) > start if kind == GLOBAL else any(a < end for a in _constants(body))
+            if inside:
+                raise CompileError(
+                    "its linker puts the stack or the constants where the structs stand",
+                    name,
+                    "take the wheel ziglang, or a newer wasm-ld",
+                )
         elif kind == EXPORT:
             exports = set(_exports(body))
         made.append(bytes([kind]) + _encoded(len(content)) + content)
@@ -70,6 +78,32 @@ def _exports(body: bytes) -> Iterator[str]:
         name, kind = body[at : at + size].decode("utf-8", "replace"), body[at + size]
         yield f"{_KINDS[kind] if kind < len(_KINDS) else 'unknown'} {name}"
         at = _decoded(body, at + size + 1)[1]
+
+
+def _stack(body: bytes) -> int:
+    """Where the stack begins, which grows down: the value of the first global, which is of type i32 and mutable."""
+    return _address(body, _decoded(body, 0)[1] + 2)[0]
+
+
+def _constants(body: bytes) -> Iterator[int]:
+    """The addresses of the data segments."""
+    count, at = _decoded(body, 0)
+    for _ in range(count):
+        kind, at = _decoded(body, at)
+        address, at = _address(body, at) if kind == 0 else (0, at)
+        yield address
+        size, at = _decoded(body, at)
+        at += size
+
+
+def _address(body: bytes, at: int) -> tuple[int, int]:
+    """The value of the expression `i32.const value` (a signed LEB128 number), and where it ends; else address 0."""
+    if body[at] != 0x41:
+        return 0, at + 1
+    value, end = _decoded(body, at + 1)
+    if body[end - 1] & 0x40 and end - at < 6:
+        value -= 1 << 7 * (end - at - 1)
+    return value % (1 << 32), end + 1
 
 
 def _decoded(data: bytes, at: int) -> tuple[int, int]:

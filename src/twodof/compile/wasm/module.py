@@ -152,9 +152,10 @@ def find_wasm_compiler(name: str | None = None) -> Compiler:
         found = toolchain.find_compiler("zig")
         return Compiler(found.name, found.command, (*found.flags, "-target", "wasm32-freestanding"))
     clang = None if name == "zig" else shutil.which(name or "clang")
-    if clang and "clang" in clang and shutil.which("wasm-ld"):
+    linker = shutil.which("wasm-ld")
+    if clang and "clang" in clang and linker:
         # --stack-first: so that a stack that overflows leaves the memory instead of overwriting constants.
-        return Compiler("clang", (clang,), ("--target=wasm32", "-mcpu=generic", "-Wl,--stack-first"))
+        return Compiler("clang", (clang,), ("--target=wasm32", f"-fuse-ld={linker}", "-Wl,--stack-first"))
     raise CompileError(
         f"there is no compiler {name!r:.80} for WebAssembly" if name else "there is no compiler for WebAssembly",
         "target wasm",
@@ -183,7 +184,7 @@ def compile_module(programs: Sequence[Emitted], compiler: str | None = None, opt
     with toolchain.compiled(source, found, options, ".wasm", files=freestanding.FILES) as file:
         data = toolchain.contents(file)
     where = ", ".join(list(places)[:3])
-    data, pages = closed(data, functions, where)
+    data, pages = closed(data, functions, where, (STACK, start))
     if pages * PAGE > LARGEST:
         raise CompileError(
             f"it needs {pages * PAGE >> 20} MiB of memory, the sandbox gives {LARGEST >> 20}", where, "shorten tables"
