@@ -1,47 +1,52 @@
-"""The reference and compiled programs side by side, bit for bit."""
+"""The reference and compiled programs side by side, bit for bit, on any target."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tests.compile.random_diagrams import Maker, random_inputs
+from tests.compile.v8 import V8
+from tests.toolchains import need
 from twodof.blocks import Diagram, numbers
 from twodof.blocks.graph import walk
 from twodof.blocks.numbers import Integer
 from twodof.blocks.reference import Reference
-from twodof.compile import native, toolchain
-from twodof.compile.c99 import Source, emit
+from twodof.compile.c99 import emit
+from twodof.compile.cortex_m7.target import CortexM7
 from twodof.compile.lower import lower
+from twodof.compile.native import Native
 from twodof.compile.program import Program
-from twodof.compile.target import Emitted
+from twodof.compile.target import Emitted, Target
+from twodof.compile.wasm.target import Wasm
 
 DT = 0.01
 Columns = dict[str, NDArray[Any]]
+States = dict[str, Any]
 
 
 @dataclass
 class Case:
-    """A diagram, the signals to compare, its inputs row by row, and the reference's results by precision."""
+    """A diagram, the signals to compare, its inputs row by row, and the source of its random blocks."""
 
     diagram: Diagram
-    paths: list[str]
-    rows: list[dict[str, Any]]
+    paths: Sequence[str]
+    rows: Sequence[Mapping[str, Any]]
     sources: dict[str, str]
 
-    def columns(self) -> dict[str, Any]:
-        """The inputs as columns: an input that a row does not name keeps its value."""
+    def columns(self, steps: int) -> dict[str, Any]:
+        """The first `steps` inputs as columns: an input that a row does not name keeps its value."""
         present: dict[str, Any] = {
             n: (0 if p.kind != "bool" else False) if p.width is None else [0] * p.width
             for n, p in self.diagram.inputs.items()
         }
         made: dict[str, list[Any]] = {n: [] for n in present}
-        for row in self.rows:
+        for row in self.rows[:steps]:
             present |= row
             for n, v in present.items():
                 made[n].append(v)
@@ -89,19 +94,30 @@ def cost(diagram: Diagram, ticks: float = 1.0) -> float:
     return total
 
 
-def reference_run(case: Case, precision: str, integrator: str) -> tuple[Columns, dict[str, Any]]:
-    """Signals and last states by the reference."""
+@dataclass
+class Judgement:
+    """What the reference says of a case: its signals, and its states after some numbers of steps."""
+
+    signals: Columns
+    states: dict[int, States]
+
+
+def reference_run(case: Case, precision: str, integrator: str, stops: Iterable[int] = ()) -> Judgement:
+    """All steps of a case on the reference; the states after the last and after each of `stops`."""
     program = Reference(case.diagram, DT, precision, case.paths, integrator)
     machine = program.machine()
+    wanted = {*stops, len(case.rows)}
+    rows, states = [], {}
     with numbers.precision(precision):
-        rows = [machine.exact_step(row) for row in case.rows]
-    columns = {name: _column([row[name] for row in rows], precision) for name in program.signals}
-    states = {
-        f"{c.path}.{s.name}": machine.state(f"{c.path}.{s.name}")
-        for c in program.hierarchy.cells
-        for s in c.block.states
-    }
-    return columns, states
+        for k, row in enumerate(case.rows, 1):
+            rows.append(machine.exact_step(row))
+            if k in wanted:
+                states[k] = {
+                    f"{c.path}.{s.name}": machine.state(f"{c.path}.{s.name}")
+                    for c in program.hierarchy.cells
+                    for s in c.block.states
+                }
+    return Judgement({n: _column([row[n] for row in rows], precision) for n in program.signals}, states)
 
 
 def _column(values: Sequence[Any], precision: str) -> NDArray[Any]:
@@ -114,38 +130,44 @@ def _column(values: Sequence[Any], precision: str) -> NDArray[Any]:
     return made.astype(precision) if made.dtype.kind == "f" else made
 
 
-def sources(cases: Sequence[Case], precision: str, integrator: str) -> tuple[Source, list[Any]]:
+def emitted(cases: Sequence[Case], precision: str, integrator: str) -> list[Emitted]:
     """All cases in one C file."""
     with numbers.precision(precision):
         lowered = [lower(c.diagram, DT, c.paths, integrator) for c in cases]
-        return emit(lowered, precision), lowered
+        source = emit(lowered, precision)
+    return [Emitted(flat, source.text, source.layouts[flat.name], precision) for flat in lowered]
+
+
+def changed(programs: Sequence[Emitted], change: Callable[[str], str]) -> list[Emitted]:
+    """The programs with another C source; raises if the change changes nothing."""
+    source = change(programs[0].source)
+    assert source != programs[0].source
+    return [replace(p, source=source) for p in programs]
 
 
 def differences(
     cases: Sequence[Case],
-    expected: Sequence[tuple[Columns, dict[str, Any]]],
-    source: Source,
-    lowered: Sequence[Any],
-    compiler: str,
-    optimise: str,
-    flags: Sequence[str] = (),
+    expected: Sequence[Judgement],
+    programs: Sequence[Emitted],
+    target: Target,
+    most: int | None = None,
 ) -> list[str]:
-    """Every signal and state that differs from the reference, described."""
-    library = native.load(source.text, toolchain.find_compiler(compiler), optimise, flags=flags)
+    """Every signal and state that differs from the reference within `most` steps (None: all), described."""
     found = []
-    for case, (columns, states), flat in zip(cases, expected, lowered, strict=True):
-        emitted = Emitted(flat, source.text, source.layouts[case.diagram.name], source.precision)
-        machine = Program(emitted, native.NativeBackend(emitted, library)).machine()
-        results = machine.run(len(case.rows), case.columns())
-        for name, want in columns.items():
-            at = np.flatnonzero(~same(want, results[name]))
+    for case, want, program, backend in zip(cases, expected, programs, target.compile(programs), strict=True):
+        steps = min(len(case.rows), most or len(case.rows))
+        machine = Program(program, backend).machine()
+        results = machine.run(steps, case.columns(steps))
+        name = case.diagram.name
+        for path, column in want.signals.items():
+            at = np.flatnonzero(~same(column[:steps], results[path]))
             if at.size:
                 k = int(at[0])
-                found.append(f"{case.diagram.name} {name} step {k}: {want[k]} by the reference, {results[name][k]}")
-        for path, last in states.items():
+                found.append(f"{name} {path} step {k}: {column[k]} by the reference, {results[path][k]}")
+        for path, last in want.states[steps].items():
             state = machine.state(path)
             if not np.all(same(np.atleast_1d(np.array(last)), np.atleast_1d(np.array(state)))):
-                found.append(f"{case.diagram.name} state {path}: {last} by the reference, {state}")
+                found.append(f"{name} state {path} after {steps}: {last} by the reference, {state}")
     return found
 
 
@@ -157,3 +179,38 @@ def same(a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.bool_]:
     else:
         same = a == b
     return same.reshape(len(a), -1).all(axis=1)
+
+
+STEPS = 20_000
+EMULATED_STEPS = 5_000  # on the emulated processor
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A target with the options that matter, the programs it needs, and how many steps it runs."""
+
+    target: Target
+    needs: tuple[str, ...] = ()
+    steps: int = STEPS
+
+    def differences(
+        self, cases: Sequence[Case], expected: Sequence[Judgement], programs: Sequence[Emitted]
+    ) -> list[str]:
+        """As the function of this name; without its tool chain the test is skipped, or fails (tests/toolchains.py)."""
+        need(*self.needs)
+        return differences(cases, expected, programs, self.target, self.steps)
+
+
+M7 = "qemu-system-arm"
+KINDS = {
+    "gcc-O0": Kind(Native("gcc", "-O0", cpu=False), ("gcc",)),
+    "gcc-O3": Kind(Native("gcc", "-O3", cpu=False), ("gcc",)),
+    "gcc-O3-native": Kind(Native("gcc", "-O3", cpu=True), ("gcc",)),
+    "zig-O0": Kind(Native("zig", "-O0", cpu=False)),
+    "zig-O3": Kind(Native("zig", "-O3", cpu=False)),
+    "zig-O3-native": Kind(Native("zig", "-O3", cpu=True)),
+    "wasm": Kind(Wasm()),
+    "v8": Kind(V8(), ("node",)),
+    "m7-gcc": Kind(CortexM7("gcc"), (M7, "arm-none-eabi-gcc"), EMULATED_STEPS),
+    "m7-zig": Kind(CortexM7("zig"), (M7,), EMULATED_STEPS),
+}

@@ -1,58 +1,76 @@
-"""Random diagrams: what is compiled gives the bits of the reference. Docs: language.md; the rules: emitted C's head."""
+"""What the comparison of targets must find: faults put into the emitter, the compiler's flags and the processor."""
 
 from __future__ import annotations
 
 import re
-import shutil
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
-from tests.compile.differential import Case, cheap_cases, differences, random_cases, reference_run, sources
+from tests.compile.differential import (
+    KINDS,
+    M7,
+    Case,
+    Judgement,
+    changed,
+    differences,
+    emitted,
+    random_cases,
+    reference_run,
+    same,
+)
+from tests.compile.whole_library import SPECIAL, WORDS
+from tests.toolchains import need
+from twodof.blocks import Diagram
 from twodof.blocks.expr import Expr
+from twodof.blocks.library import Convert, DiscreteFilter, Divide, Minimum
 from twodof.compile import cexpr
+from twodof.compile.cortex_m7.target import CortexM7
+from twodof.compile.native import Native
+from twodof.compile.target import Emitted, Target
+from twodof.compile.wasm.target import Wasm
 
-CHUNKS = 8
-STEPS = 20_000
-COMPILERS = [c for c in ("gcc", "zig") if c == "zig" or shutil.which(c)]
+pytestmark = pytest.mark.xdist_group("faults")
+GCC = Native("gcc", "-O1", cpu=False)
+ON_M7 = CortexM7("gcc")
 
 
 @pytest.fixture(autouse=True)
 def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """These libraries are used once: they stay out of the user's cache."""
+    """What is compiled here is used once: it stays out of the user's cache."""
     monkeypatch.setenv("TWODOF_CACHE", str(tmp_path / "cache"))
 
 
-def check(cases: Sequence[Case], precision: str, integrator: str, levels: Sequence[str] = ("-O0", "-O3")) -> None:
-    expected = [reference_run(c, precision, integrator) for c in cases]
-    source, lowered = sources(cases, precision, integrator)
-    for compiler in COMPILERS:
-        for level in levels:
-            found = differences(cases, expected, source, lowered, compiler, level)
-            assert not found, f"{precision} {compiler} {level}:\n" + "\n".join(found[:20])
+def pairs() -> Case:
+    """A minimum, a conversion and an integer quotient of every pair of special values."""
+    d = Diagram("pairs")
+    for name, kind in (("a", "real"), ("b", "real"), ("i", "uint32"), ("j", "uint32")):
+        d.input(name, kind)
+    d.add("least", Minimum(2), a="a", b="b")
+    d.add("quotient", Divide("uint32"), a="i", b="j")
+    d.add("whole", Convert("real", "int32"), u="a")
+    d.output("least", "least")
+    d.output("whole", "whole")
+    d.output("quotient", "quotient")
+    words = [w % 2**32 for w in WORDS]
+    rows = [{"a": a, "b": b} for a in SPECIAL for b in SPECIAL]
+    return Case(d, [], [*rows, *({"i": i, "j": j} for i in words for j in words)], {})
 
 
-@pytest.mark.parametrize("precision", ["float64", "float32"])
-@pytest.mark.parametrize("chunk", range(CHUNKS))
-def test_small_diagrams_run_20000_steps_alike(chunk: int, precision: str) -> None:
-    cases = cheap_cases(1000 + 100 * chunk, 13, STEPS)  # 104 in all
-    check(cases, precision, "rk4")
+@pytest.fixture(scope="module")
+def judged() -> tuple[list[Case], list[Judgement]]:
+    """A few large diagrams, and pairs of special values, with what the reference says of them."""
+    cases = [*random_cases(range(230, 242), 120), pairs()]
+    return cases, [reference_run(c, "float64", "rk4") for c in cases]
 
 
-@pytest.mark.parametrize("precision", ["float64", "float32"])
-@pytest.mark.parametrize(("first", "integrator"), [(0, "rk4"), (20, "euler")])
-def test_large_diagrams_run_alike(first: int, integrator: str, precision: str) -> None:
-    check(random_cases(range(first, first + 20), 200), precision, integrator)
-
-
-@pytest.mark.soak
-@pytest.mark.parametrize("precision", ["float64", "float32"])
-@pytest.mark.parametrize("chunk", range(100))
-def test_thousands_of_diagrams_run_alike(chunk: int, precision: str) -> None:
-    seeds = range(10_000 + 20 * chunk, 10_000 + 20 * (chunk + 1))
-    check(random_cases(seeds, 500), precision, ("rk4", "euler")[chunk % 2])
+def needs(target: Target) -> None:
+    """Skip the test, or fail it, where the target's tools are not there."""
+    need(*{"native": ["gcc"], "wasm": [], "cortex-m7": [M7, "arm-none-eabi-gcc"]}[target.name])
 
 
 def _swapped(op: str, args: Any) -> Any:
@@ -63,11 +81,14 @@ _ARITHMETIC = cexpr._arithmetic
 _EXPRESSION = cexpr.Renderer._expression
 
 
-def _with_fmin(self: cexpr.Renderer, item: Expr, args: Sequence[cexpr.Text]) -> cexpr.Text:
-    compared = [id(a) for a in item.args[0].args] if item.args and item.args[0].op == "lt" else []
-    if item.op == "where" and item.kind == "real" and compared == [id(a) for a in item.args[1:]]:
-        return f"__builtin_fmin({args[1][0]}, {args[2][0]})", cexpr.ATOM
-    return _EXPRESSION(self, item, args)
+def _with_minimum_by(function: str) -> Any:
+    def faulty(self: cexpr.Renderer, item: Expr, args: Sequence[cexpr.Text]) -> cexpr.Text:
+        compared = [id(a) for a in item.args[0].args] if item.args and item.args[0].op == "lt" else []
+        if item.op == "where" and item.kind == "real" and compared == [id(a) for a in item.args[1:]]:
+            return f"{function}({args[1][0]}, {args[2][0]})", cexpr.ATOM
+        return _EXPRESSION(self, item, args)
+
+    return faulty
 
 
 def _with_plain_conversion(self: cexpr.Renderer, item: Expr, args: Sequence[cexpr.Text]) -> cexpr.Text:
@@ -76,41 +97,126 @@ def _with_plain_conversion(self: cexpr.Renderer, item: Expr, args: Sequence[cexp
     return _EXPRESSION(self, item, args)
 
 
-@pytest.fixture(scope="module")
-def judged() -> tuple[list[Case], list[Any]]:
-    """A few large diagrams with what the reference says of them."""
-    cases = random_cases(range(230, 248), 150)
-    return cases, [reference_run(c, "float64", "rk4") for c in cases]
+def _with_plain_quotient(self: cexpr.Renderer, item: Expr, args: Sequence[cexpr.Text]) -> cexpr.Text:
+    if item.op == "quot" and item.kind == "uint32":
+        return f"({args[0][0]}) / (({args[1][0]}) | ({args[1][0]} == 0u))", cexpr.ATOM
+    return _EXPRESSION(self, item, args)
 
 
 @pytest.mark.parametrize(
-    ("where", "name", "fault"),
+    ("where", "name", "fault", "target"),
     [
-        (cexpr, "_arithmetic", _swapped),
-        (cexpr.Renderer, "_expression", _with_fmin),
-        (cexpr.Renderer, "_expression", _with_plain_conversion),
+        *((cexpr, "_arithmetic", _swapped, t) for t in (GCC, Wasm(), ON_M7)),
+        (cexpr.Renderer, "_expression", _with_minimum_by("__builtin_fmin"), GCC),
+        (cexpr.Renderer, "_expression", _with_minimum_by("__builtin_fmin"), ON_M7),
+        (cexpr.Renderer, "_expression", _with_minimum_by("__builtin_wasm_min_f64"), Wasm()),
+        (cexpr.Renderer, "_expression", _with_plain_conversion, GCC),
+        *((cexpr.Renderer, "_expression", _with_plain_quotient, t) for t in (GCC, Wasm(), ON_M7)),
     ],
-    ids=["plus-for-minus", "fmin", "unclamped-conversion"],
+    ids=[
+        *(f"plus-for-minus-{n}" for n in ("native", "wasm", "m7")),
+        *(f"minimum-of-the-{n}" for n in ("library", "m7", "wasm")),
+        "unclamped-conversion",
+        *(f"quotient-by-zero-{n}" for n in ("native", "wasm", "m7")),
+    ],
 )
 def test_a_fault_in_the_emitter_is_caught(
-    where: Any, name: str, fault: Any, judged: tuple[list[Case], list[Any]], monkeypatch: pytest.MonkeyPatch
+    where: Any,
+    name: str,
+    fault: Any,
+    target: Target,
+    judged: tuple[list[Case], list[Judgement]],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    needs(target)
     cases, expected = judged
-    right, lowered = sources(cases, "float64", "rk4")
-    assert not differences(cases, expected, right, lowered, COMPILERS[0], "-O1")
+    right = emitted(cases, "float64", "rk4")
+    assert not differences(cases, expected, right, target)
     monkeypatch.setattr(where, name, fault)
-    wrong, lowered = sources(cases, "float64", "rk4")
-    assert wrong.text != right.text
-    assert differences(cases, expected, wrong, lowered, COMPILERS[0], "-O1")
+    wrong = emitted(cases, "float64", "rk4")
+    assert wrong[0].source != right[0].source
+    assert differences(cases, expected, wrong, target)
 
 
-def test_contraction_is_caught(judged: tuple[list[Case], list[Any]]) -> None:
+def _loose(source: str) -> str:
+    """The source without what forbids contraction in the file itself."""
+    return re.sub(r"#if defined\(__clang__\)\n.*?#endif\n", "", source, count=1, flags=re.DOTALL)
+
+
+CONTRACTED = {
+    "native-gcc": (Native("gcc", "-O3", flags=("-ffp-contract=fast",)), ["gcc"]),
+    "native-zig": (Native("zig", "-O3", flags=("-ffp-contract=fast",)), []),
+    "m7-gcc": (CortexM7("gcc", flags=("-ffp-contract=fast",)), [M7, "arm-none-eabi-gcc"]),
+    "m7-zig": (CortexM7("zig", flags=("-ffp-contract=fast",)), [M7]),
+}
+
+
+@pytest.mark.parametrize("name", CONTRACTED)
+def test_contraction_is_caught(name: str, judged: tuple[list[Case], list[Judgement]]) -> None:
     """a * b + c in one rounding: what compilers do for processors with FMA unless they are told not to."""
-    if "fma" not in Path("/proc/cpuinfo").read_text(encoding="utf-8").split():
+    target, programs = CONTRACTED[name]
+    need(*programs)
+    if name.startswith("native") and "fma" not in Path("/proc/cpuinfo").read_text(encoding="utf-8").split():
         pytest.skip("this processor has no FMA")
     cases, expected = judged
-    source, lowered = sources(cases, "float64", "rk4")
-    loose = re.sub(r"#if defined\(__clang__\)\n.*?#endif\n", "", source.text, count=1, flags=re.DOTALL)
-    assert loose != source.text
-    contracted = type(source)(loose, source.layouts, source.precision)
-    assert differences(cases, expected, contracted, lowered, COMPILERS[0], "-O3", flags=["-ffp-contract=fast"])
+    program = emitted(cases, "float64", "rk4")
+    assert differences(cases, expected, changed(program, _loose), target)
+    assert not differences(cases, expected, program, replace(target, flags=()))
+
+
+@pytest.fixture(scope="module")
+def decaying() -> tuple[list[Case], list[Judgement], list[Emitted]]:
+    """A filter that decays through the subnormal numbers and stays there."""
+    d = Diagram("decay")
+    d.input("u")
+    d.add("f", DiscreteFilter([1.0], [1.0, -0.5]), u="u")
+    d.output("y", "f")
+    rows = [{"u": 1.0}, *({"u": 0.0} for _ in range(1100))]
+    cases = [Case(d, [], rows, {})]
+    return cases, [reference_run(cases[0], "float64", "rk4")], emitted(cases, "float64", "rk4")
+
+
+def _flushing_here(source: str) -> str:
+    """Flush-to-zero and denormals-are-zero while the steps of a run last."""
+    call = "        decay_step(p, s, u + k * u_stride, y + k * y_stride);"
+    on, off = (f"__builtin_ia32_ldmxcsr(__builtin_ia32_stmxcsr() {bits});" for bits in ("| 0x8040u", "& ~0x8040u"))
+    return source.replace(call, f"{{ {on}\n{call}\n{off} }}")
+
+
+def _flushing_on_arm(source: str) -> str:
+    """FPSCR.FZ, set at the beginning of each step."""
+    read, write = '"vmrs %0, fpscr" : "=r"(td_bits)', '"vmsr fpscr, %0" : : "r"(td_bits | 1u << 24)'
+    flush = f"unsigned td_bits; __asm__ volatile({read}); __asm__ volatile({write});"
+    return re.sub(r"(void decay_step\([^;{]*\n\{\n)", lambda head: f"{head[1]}    {flush}\n", source)
+
+
+FLUSH = {
+    "native": (Native("gcc", "-O2", cpu=False), _flushing_here),
+    "m7": (ON_M7, _flushing_on_arm),
+}
+
+
+@pytest.mark.parametrize("where", FLUSH)
+def test_subnormals_rounded_to_zero_are_caught(
+    where: str, decaying: tuple[list[Case], list[Judgement], list[Emitted]]
+) -> None:
+    """What a library built with -ffast-math does to its process, and a start-up that sets FPSCR.FZ to a controller."""
+    target, change = FLUSH[where]
+    needs(target)
+    cases, expected, programs = decaying
+    assert not differences(cases, expected, programs, target)
+    assert differences(cases, expected, changed(programs, change), target)
+
+
+def test_one_bit_of_one_state_is_found(decaying: tuple[list[Case], list[Judgement], list[Emitted]]) -> None:
+    cases, expected, programs = decaying
+    states = {k: dict(v) for k, v in expected[0].states.items()}
+    (path,) = states[1101]
+    states[1101][path] = [-0.0] if isinstance(states[1101][path], list) else -0.0
+    assert differences(cases, [replace(expected[0], states=states)], programs, KINDS["zig-O0"].target)
+
+
+def test_every_nan_is_one_value_and_minus_zero_is_another() -> None:
+    a = np.array([0.0, np.nan, 1.0])
+    assert same(a, np.array([0.0, -np.nan, 1.0])).all()
+    assert list(same(a, np.array([-0.0, 1.0, np.nextafter(1.0, 2.0)]))) == [False, False, False]

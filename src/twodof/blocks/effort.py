@@ -9,7 +9,7 @@ from twodof.blocks.expr import Expr
 from twodof.blocks.graph import outside
 from twodof.errors import DiagramError
 
-MAX_SIZE = 100_000
+MAX_SIZE = 50_000
 """Nodes of a graph, each loop's body counted where it stands: what a compiler gets to see."""
 MAX_OPERATIONS = 1_000_000
 """Elementary operations of one step."""
