@@ -161,12 +161,12 @@ class _Emitter:
         )
         parts.append(self._struct("U", "inputs", self.layout.u.members))
         parts.append(self._struct("Y", "outputs and logged signals", self.layout.y.members))
-        return "".join(parts + functions) + ("" if self.lean else self._tables())
+        return "".join(parts + functions) + ("" if self.lean else self._tables() + self._sizes())
 
     def _written(self, head: str, write: Callable[[Writer], None]) -> str:
         writer = self.scope.style.writer(self.lean)
         write(writer)
-        if writer.elements + 6 * self.continuous > MOST_ON_STACK:
+        if (writer.elements + 6 * self.continuous) * self.scope.style.copies > MOST_ON_STACK:
             raise DiagramError(
                 f"its arrays have more than {MOST_ON_STACK} elements at once, too many for a stack",
                 self.prefix,
@@ -241,6 +241,8 @@ void {p}_run(const {p}_P *p, {p}_S *s, const {p}_U *u, size_t u_stride, {p}_Y *y
 """
 
     def _tables(self) -> str:
+        if not self.scope.style.tables:
+            return ""
         p, layout = self.prefix, self.layout
         low_high = {m.name: (q.declared.low, q.declared.high) for q, m in layout.parameters.items()}
         infinity = "__builtin_inf()"
@@ -278,12 +280,15 @@ typedef struct {{
             lines = [entry(*row) for row in rows]
             declared = f"const {p}_Entry {p}_{name}[]"
             text += f"extern {declared};\n{declared} = {{\n{_indented([*lines, none])}}};\n\n"
-        text += f"""/* Sizes of real, P, S, U, Y: whoever loads this must agree. */
+        return text
+
+    def _sizes(self) -> str:
+        p = self.prefix
+        return f"""/* Sizes of real, P, S, U, Y: whoever loads this must agree. */
 extern const size_t {p}_sizes[5];
 const size_t {p}_sizes[5] = {{sizeof(real), sizeof({p}_P), sizeof({p}_S), sizeof({p}_U), sizeof({p}_Y)}};
 
 """
-        return text
 
 
 def _indented(lines: Iterable[str]) -> str:

@@ -289,7 +289,7 @@ class Stage:
         writer.depth += 1
         writer.line(f"{end} = {one};")
         for s, (fraction, after) in tick.fractions.items():
-            changed = style.compared("!=", tick.signal(s), after)
+            changed = style.compared("!=", tick.signal(s), after, s.kind)
             if writer.lean and s.kind == "real":
                 writer.helpers.add("real_equal")
                 changed = f"!real_equal({tick.signal(s)}, {after})"
@@ -302,7 +302,7 @@ class Stage:
                 writer.assign(end, fraction, "real")
         for s, (fraction, after) in tick.fractions.items():
             if s in self.captured:
-                chosen = style.chosen(style.compared(">=", start, fraction), after, tick.signal(s))
+                chosen = style.chosen(style.compared(">=", start, fraction), after, tick.signal(s), s.kind)
                 writer.line(f"{held}.{self.captured[s].name} = {chosen};")
         with style.moving(writer, names, self.prefix, self.layout.x.members, start, x) as moved:
             writer.line(f"{self.prefix}_integrate(p, &{held}, &{moved}, {style.piece(start, end, dt)});")

@@ -17,6 +17,9 @@ class Style:
     function = "static"  # how an elementary function is declared
     prelude = ""  # C that comes before the programs'
     needs: frozenset[str] = frozenset()  # helpers that the prelude calls
+    reserved: frozenset[str] = frozenset()  # names that the prelude defines
+    tables = True  # whether the file ends with tables of parameters and signals
+    copies = 1  # instances in a struct
     along = "{0} + h * {1}"
     weighted = "x->{m} + sixth * (((k1.{m} + {two} * k2.{m}) + {two} * k3.{m}) + k4.{m})"
 
@@ -52,12 +55,12 @@ class Style:
         """a * b"""
         return f"{a} * {b}"
 
-    def compared(self, sign: str, a: str, b: str) -> str:
-        """A comparison of reals."""
+    def compared(self, sign: str, a: str, b: str, kind: str = "real") -> str:
+        """A comparison."""
         return f"{a} {sign} {b}"
 
-    def chosen(self, test: str, a: str, b: str) -> str:
-        """The real `a` where `test` holds, else `b`."""
+    def chosen(self, test: str, a: str, b: str, kind: str) -> str:
+        """`a` where `test` holds, else `b`."""
         return f"{test} ? {a} : {b}"
 
     def anywhere(self, test: str) -> str:

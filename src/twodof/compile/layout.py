@@ -11,6 +11,7 @@ import numpy as np
 from twodof.blocks.block import State
 from twodof.compile.cexpr import C_TYPES, Names
 from twodof.compile.flat import Node, Parameter, Program, Signal
+from twodof.compile.lane_helpers import Shape
 
 WIDEST_LOCAL = 256  # a wider array that is computed at a tick stands in S, not on the stack
 
@@ -25,11 +26,12 @@ class Member:
     path: str = ""
     unit: str = ""
     remark: str = ""
+    shared: bool = False  # one for all lanes
 
     def declaration(self, types: Mapping[str, str] = C_TYPES) -> str:
         """The member's line in the struct."""
         size = "" if self.width is None else f"[{self.width}]"
-        return f"{types[self.kind]} {self.name}{size};"
+        return f"{(C_TYPES if self.shared else types)[self.kind]} {self.name}{size};"
 
 
 @dataclass
@@ -39,9 +41,18 @@ class Struct:
     members: list[Member] = field(default_factory=list)
     names: Names = field(default_factory=Names)
 
-    def add(self, stem: str, kind: str, width: int | None, path: str = "", unit: str = "", remark: str = "") -> Member:
+    def add(
+        self,
+        stem: str,
+        kind: str,
+        width: int | None,
+        path: str = "",
+        unit: str = "",
+        remark: str = "",
+        shared: bool = False,
+    ) -> Member:
         """A new member; its name is unique within the struct."""
-        member = Member(self.names.new(stem), kind, width, path, unit, remark)
+        member = Member(self.names.new(stem), kind, width, path, unit, remark, shared)
         self.members.append(member)
         return member
 
@@ -58,7 +69,7 @@ class Layout:
         self.inputs: dict[Signal, Member] = {}
         self.outputs: dict[str, Member] = {}
         self.s.names.taken.add("x")
-        self.tick = self.s.add("tick", "uint32", None, "", "", "base ticks since the start")
+        self.tick = self.s.add("tick", "uint32", None, "", "", "base ticks since the start", True)
         for path, q in program.parameters.items():
             d = q.declared
             self.parameters[q] = self.p.add(path, d.kind, d.width, path, d.unit, d.text)
@@ -87,6 +98,13 @@ class Layout:
         struct = self.x if state.continuous else self.s
         return struct.add(path, state.kind, state.width, path, state.unit)
 
+    def lane_dtypes(self, shape: Shape) -> dict[str, np.dtype[Any]]:
+        """As `dtypes`, of structs that hold several lanes: a member's last axis is the lane; bools are -1 or 0."""
+        x = lane_dtype(self.x.members, shape)
+        s = lane_dtype(self.s.members, shape, [("x", x)] if self.x.members else [])
+        p, u, y = (lane_dtype(struct.members, shape) for struct in (self.p, self.u, self.y))
+        return {"P": p, "S": s, "U": u, "Y": y}
+
     def dtypes(self, precision: str) -> dict[str, np.dtype[Any]]:
         """The numpy types of P, S, U and Y: their memory is that of the C structs."""
         x = struct_dtype(self.x.members, precision)
@@ -111,3 +129,32 @@ def struct_dtype(
     if not formats:
         formats = [("none", np.dtype("uint8"))]
     return np.dtype({"names": [n for n, _ in formats], "formats": [f for _, f in formats]}, align=True)
+
+
+def lane_dtype(
+    members: Sequence[Member], shape: Shape, last: Sequence[tuple[str, np.dtype[Any]]] = ()
+) -> np.dtype[Any]:
+    """The numpy type of a C struct of lanes; `itemsize` is a multiple of its alignment."""
+    word = 4 if shape.precision == "float32" else 8
+    bases: dict[str, Any] = {"real": shape.precision, "bool": f"int{8 * word}"}
+    names, formats, offsets = [], [], []
+    end, alignment = 0, 1
+    for m in members:
+        base = np.dtype(bases.get(m.kind, m.kind))
+        dims = () if m.width is None else (m.width,)
+        place = np.dtype((base, dims if m.shared else (*dims, shape.lanes)))
+        align = base.itemsize if m.shared else base.itemsize * shape.each
+        names.append(m.name)
+        formats.append(place)
+        offsets.append(-(-end // align) * align)
+        end, alignment = offsets[-1] + place.itemsize, max(alignment, align)
+    for name, inner in last:
+        align = word * shape.each  # states are real
+        names.append(name)
+        formats.append(inner)
+        offsets.append(-(-end // align) * align)
+        end, alignment = offsets[-1] + inner.itemsize, max(alignment, align)
+    if not names:
+        return np.dtype({"names": ["none"], "formats": ["u1"]})
+    size = -(-end // alignment) * alignment
+    return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": size})

@@ -1,0 +1,248 @@
+"""The emitter's style for lanes: several instances in the vectors of one struct; see `lane_helpers` for the C below.
+
+What is the same in all lanes (rates that are due, loops with their counters) stays ordinary C; a condition of a lane's
+own becomes a mask, under which both sides are computed and only stores are chosen.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass, field
+
+from twodof.blocks.expr import Expr
+from twodof.blocks.graph import outside
+from twodof.compile.cexpr import ATOM, Names, Renderer, Text, Writer, constant
+from twodof.compile.cstyle import Style
+from twodof.compile.lane_helpers import SCALARS, TYPES, Shape, prelude
+from twodof.compile.layout import Member
+
+MASKS = 1000  # names kept for masks
+DEEPEST_INDEX = 20  # operations in an index that is the same in all lanes
+
+
+@dataclass
+class LaneWriter(Writer):
+    """Lines of C whose stores a mask may choose."""
+
+    mask: str = ""
+    masks: int = 0
+    shared: set[str] = field(default_factory=set)  # indices that are the same in all lanes
+
+    @contextmanager
+    def choice(self, due: str, tests: Sequence[str] = ()) -> Iterator[None]:
+        """An `if` on `due`, and within it a mask of `tests`."""
+        with self.block(f"if ({due})" if due else "") if due or tests else nullcontext():
+            outer = self.mask, self.masked
+            if tests:
+                self.masks += 1
+                on = f"on_{self.masks}"
+                whole = conjunction([*filter(None, (self.mask,)), *tests])
+                self.line(f"const lanes_bool {on} = {whole};")
+                self.mask, self.masked = on, True
+            yield
+            self.mask, self.masked = outer
+
+    def assign(self, target: str, text: str, kind: str) -> None:
+        """A line that stores a value where the mask allows it."""
+        self.line(
+            f"{target} = lanes_pick_{kind}({self.mask}, {text}, {target});" if self.mask else f"{target} = {text};"
+        )
+
+    def copy(self, target: str, source: str, width: int, kind: str, own: bool = False) -> None:
+        """Lines that copy an array where the mask allows it."""
+        if own or not self.mask:
+            self.line(f"memcpy({target}, {source}, sizeof {source}[0] * {width});")
+            return
+        with self.block(f"for (int32_t i = 0; i < {width}; i++)"):
+            self.assign(f"{target}[i]", f"{source}[i]", kind)
+
+    def duplicate(self, target: str, source: str, width: int, kind: str) -> None:
+        """As `copy`."""
+        self.copy(target, source, width, kind)
+
+    def table(self, target: str, table: str, width: int, kind: str) -> None:
+        """Lines that copy a table of constants into an array."""
+        with self.block(f"for (int32_t i = 0; i < {width}; i++)"):
+            self.assign(f"{target}[i]", f"lanes_{kind}_all({table}[i])", kind)
+
+    def put(self, target: str, index: str, text: str, kind: str, own: bool = False) -> None:
+        """A line that stores an element of an array; its index may be each lane's own."""
+        mask = "" if own else self.mask
+        if index not in self.shared:
+            self.line(f"lanes_put_{kind}({target}, {index}, {text}, {mask or 'lanes_bool_all(true)'});")
+        elif mask:
+            self.assign(f"{target}[{index}]", text, kind)
+        else:
+            self.line(f"{target}[{index}] = {text};")
+
+    def index(self, name: str, text: str) -> None:
+        """A line that keeps an index."""
+        if text in self.shared:
+            self.shared.add(name)
+        self.line(f"const {'int32_t' if text in self.shared else 'lanes_int32'} {name} = {text};")
+
+
+def conjunction(texts: Sequence[str]) -> str:
+    """Whether all hold, as C."""
+    made = texts[0]
+    for text in texts[1:]:
+        made = f"lanes_and_bool({made}, {text})"
+    return made
+
+
+class LaneRenderer(Renderer):
+    """Writes the expressions of one block, each value in all lanes."""
+
+    types: Mapping[str, str] = TYPES
+    writer: LaneWriter
+
+    def _args(self, item: Expr) -> tuple[Expr, ...]:
+        if id(item) in self.named:
+            return ()
+        args = [self._resolve(a) for a in outside(item)]
+        if item.op in ("select", "store") and self._counted(args[1]) is not None:
+            args[1] = args[0]  # an index that all lanes share is no value
+        return tuple(args)
+
+    def _counted(self, index: Expr, depth: int = 0) -> Text | None:
+        """The C of an index that is made of constants and loop counters alone."""
+        if index.op == "const":
+            return constant(index.data, "int32", self.precision)
+        if index.op == "bound" and index.data[1] == 0:
+            return self.bound[index.data]
+        if index.op in ("add", "sub", "mul") and index.kind == "int32" and depth < DEEPEST_INDEX:
+            a, b = (self._counted(self._resolve(x), depth + 1) for x in index.args)
+            if a is not None and b is not None:
+                return f"{self._use(f'int32_{index.op}')}({a[0]}, {b[0]})", ATOM
+        return None
+
+    def _index(self, index: Expr, text: Text, width: int) -> str:
+        counted = self._counted(index)
+        if counted is not None:
+            at = super()._index(index, counted, width)
+            self.writer.shared.add(at)
+            return at
+        return f"lanes_clamp_index({text[0]}, {width - 1})"
+
+    def _expression(self, item: Expr, args: Sequence[Text]) -> Text:
+        op, kind, texts = item.op, item.kind, [a for a, _ in args]
+        if op == "const":
+            return f"lanes_{kind}_all({constant(item.data, kind, self.precision)[0]})", ATOM
+        if op == "bound":
+            text = self.bound[item.data]
+            return (f"lanes_int32_all({text[0]})", ATOM) if item.data[1] == 0 else text
+        if op in ("input", "state", "param", "tick", "dt"):
+            return self.leaf(item)
+        if op == "select":
+            array = self._resolve(item.args[0])
+            if array.width is None:
+                raise ValueError("select on a scalar")
+            at = self._index(self._resolve(item.args[1]), args[1], array.width)
+            return (f"{texts[0]}[{at}]" if at in self.writer.shared else f"lanes_get_{kind}({texts[0]}, {at})"), ATOM
+        if op == "call":
+            self.writer.functions.add(item.data)
+            return f"td_{item.data}({', '.join(texts)})", ATOM
+        operand = self._resolve(item.args[0]).kind
+        if op == "where":
+            name = f"pick_{kind}"
+        elif op in ("lt", "le", "eq", "ne"):
+            name = f"{op}_{operand}"
+        elif op == "convert":
+            name = f"{operand}_to_{kind}"
+        elif op == "from_bits":
+            name = "from_bits" if len(args) == 2 else "from_word"
+        elif op == "bits":
+            name = f"word_{1 if item.data else 0}"
+        else:
+            name = f"{op}_{kind}"
+        return f"lanes_{name}({', '.join(texts)})", ATOM
+
+
+class Lanes(Style):
+    """C for as many instances as a `Shape` says."""
+
+    types: Mapping[str, str] = TYPES
+    renderer = LaneRenderer
+    function = "td_inline"
+    needs = SCALARS
+    tables = False
+    along = "lanes_add_real({0}, lanes_mul_real(h, {1}))"
+    weighted = (
+        "lanes_add_real(x->{m}, lanes_mul_real(sixth, lanes_add_real(lanes_add_real(lanes_add_real(k1.{m}, "
+        "lanes_mul_real({two}, k2.{m})), lanes_mul_real({two}, k3.{m})), k4.{m})))"
+    )
+
+    def __init__(self, shape: Shape) -> None:
+        self.shape = shape
+        self.copies = shape.lanes
+        self.prelude = prelude(shape)
+        self.reserved = frozenset(re.findall(r"\blanes_\w+", self.prelude)) | {f"on_{i}" for i in range(MASKS)}
+
+    def writer(self, lean: bool) -> Writer:
+        """A new writer."""
+        return LaneWriter(lean=lean)
+
+    def same(self, text: str, kind: str) -> str:
+        """A value that is the same in all lanes."""
+        return f"lanes_{kind}_all({text})"
+
+    def literal(self, text: str, binding: int, kind: str) -> Text:
+        """A constant in all lanes."""
+        return self.same(text, kind), ATOM
+
+    def conjunction(self, texts: Sequence[str]) -> str:
+        """Where all hold."""
+        return conjunction(texts)
+
+    def disjunction(self, texts: Sequence[str]) -> str:
+        """Where any holds."""
+        made = texts[0]
+        for text in texts[1:]:
+            made = f"lanes_or_bool({made}, {text})"
+        return made
+
+    def negation(self, text: str) -> str:
+        """Where it does not hold."""
+        return f"lanes_not_bool({text})"
+
+    def truth(self, due: str, tests: Sequence[str]) -> str:
+        """Where a rate is due and all `tests` hold."""
+        return conjunction([*([f"lanes_bool_all({due})"] if due else []), *tests])
+
+    def product(self, a: str, b: str) -> str:
+        """a * b"""
+        return f"lanes_mul_real({a}, {b})"
+
+    def compared(self, sign: str, a: str, b: str, kind: str = "real") -> str:
+        """A comparison."""
+        name = {"!=": "ne", ">": "gt", "<": "lt", ">=": "ge"}[sign]
+        return f"lanes_{name}_{kind}({a}, {b})"
+
+    def chosen(self, test: str, a: str, b: str, kind: str) -> str:
+        """`a` where `test` holds, else `b`."""
+        return f"lanes_pick_{kind}({test}, {a}, {b})"
+
+    def anywhere(self, test: str) -> str:
+        """Whether `test` holds in any lane."""
+        return f"lanes_any({test})"
+
+    def piece(self, start: str, end: str, dt: str) -> str:
+        """The length of a part of a step [s]."""
+        return f"lanes_mul_real(lanes_sub_real({end}, {start}), {dt})"
+
+    @contextmanager
+    def moving(
+        self, writer: Writer, names: Names, prefix: str, members: Sequence[Member], start: str, x: str
+    ) -> Iterator[str]:
+        """A copy of the states; those of lanes whose step is not over yet are taken from it."""
+        moved = names.new("moved")
+        writer.line(f"{prefix}_X {moved} = {x};")
+        yield moved
+        with writer.choice("", [self.compared("<", start, self.same("1", "real"))]):
+            for m in members:
+                if m.width is None:
+                    writer.assign(f"{x}.{m.name}", f"{moved}.{m.name}", m.kind)
+                else:
+                    writer.copy(f"{x}.{m.name}", f"{moved}.{m.name}", m.width, m.kind)

@@ -1,0 +1,308 @@
+"""The C types and functions of lanes: a value is a struct of SIMD vectors, an operation one inline function.
+
+A lane's bits are those of the scalar operation: nothing is contracted, reassociated or approximated. Masks are vectors
+as wide as reals, all ones where true. Vectors are GCC's and clang's; what they lack is done lane by lane.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+KINDS = ("real", "int32", "uint32", "bool")
+TYPES = {kind: f"lanes_{kind}" for kind in KINDS}
+_VECTOR = {"real": "lanes_r", "int32": "lanes_i", "uint32": "lanes_u", "bool": "lanes_m"}
+_SCALAR = {"real": "real", "int32": "int32_t", "uint32": "uint32_t"}
+SCALARS = frozenset(
+    ("int32_quot", "int32_rem", "uint32_quot", "uint32_rem", "real_from_bits", "real_from_word", "clamp_index")
+)
+"""The scalar helpers that the functions here call."""
+
+_BLEND = """/* a where c, else b; these processors do it in one instruction. */
+#if defined(__AVX512DQ__) && LANES_BYTES == 64
+#include <immintrin.h>
+#define lanes_blend_r(c, a, b) ((lanes_r)_mm512_mask_blend_{ps}(_mm512_mov{epi}_mask((__m512i)(c)), \\
+                                                             (__m512{d})(b), (__m512{d})(a)))
+#elif defined(__AVX2__) && LANES_BYTES == 32
+#include <immintrin.h>
+#define lanes_blend_r(c, a, b) ((lanes_r)_mm256_blendv_{ps}((__m256{d})(b), (__m256{d})(a), (__m256{d})(c)))
+#else
+#define lanes_blend_r(c, a, b) ((lanes_r)(((c) & (lanes_m)(a)) | (~(c) & (lanes_m)(b))))
+#endif
+#define lanes_blend_m(c, a, b) (((c) & (a)) | (~(c) & (b)))
+"""
+
+
+@dataclass(frozen=True)
+class Shape:
+    """How many lanes a struct holds: `vectors` vectors of `size` bytes (16, 32 or 64) of reals."""
+
+    precision: str
+    size: int
+    vectors: int
+
+    @property
+    def each(self) -> int:
+        """Lanes in a vector."""
+        return self.size // (4 if self.precision == "float32" else 8)
+
+    @property
+    def lanes(self) -> int:
+        """Lanes in a struct."""
+        return self.each * self.vectors
+
+
+def prelude(shape: Shape) -> str:
+    """All types and functions."""
+    return _types(shape) + "".join(_functions(shape))
+
+
+def _types(shape: Shape) -> str:
+    single = shape.precision == "float32"
+    narrow = shape.each * 4
+    word = "32" if single else "64"
+    vectors = (
+        ("real", "lanes_r", shape.size, "reals"),
+        (f"int{word}_t", "lanes_m", shape.size, "masks"),
+        (f"uint{word}_t", "lanes_w", shape.size, "bits of reals"),
+        ("int32_t", "lanes_i", narrow, ""),
+        ("uint32_t", "lanes_u", narrow, ""),
+    )
+    text = [
+        f"/* {shape.lanes} lanes: {shape.vectors} vectors of {shape.each}. */\n",
+        f"#define LANES_BYTES {shape.size}\n",
+    ]
+    for of, name, size, remark in vectors:
+        comment = f" /* {remark} */" if remark else ""
+        text.append(f"typedef {of} {name} __attribute__((vector_size({size}), aligned({size}), may_alias));{comment}\n")
+    members = ", ".join(f"v{k}" for k in range(shape.vectors))
+    text += [f"typedef struct {{ {_VECTOR[kind]} {members}; }} {TYPES[kind]};\n" for kind in KINDS]
+    text += ["typedef real lanes_one_real __attribute__((may_alias));\n"]
+    text += [f"typedef {_SCALAR[kind]} lanes_one_{kind} __attribute__((may_alias));\n" for kind in ("int32", "uint32")]
+    text += [f"typedef int{word}_t lanes_one_bool __attribute__((may_alias));\n\n"]
+    suffixes = {"ps": "ps", "epi": "epi32", "d": ""} if single else {"ps": "pd", "epi": "epi64", "d": "d"}
+    blend = _BLEND
+    for key, value in suffixes.items():
+        blend = blend.replace("{" + key + "}", value)
+    return "".join(text) + blend.replace("mov" + suffixes["epi"], "mov" + suffixes["epi"]) + "\n"
+
+
+def _functions(shape: Shape) -> Iterator[str]:
+    single = shape.precision == "float32"
+    f = "f" if single else ""
+
+    def vectorwise(result: str, name: str, arguments: str, expression: str) -> str:
+        """A function of whole values; in `expression` an argument's letter stands for its vector."""
+        kinds = dict(part.split(" ") for part in arguments.split(", "))
+        head = ", ".join(f"{TYPES[kind]} {letter}" for letter, kind in kinds.items())
+        body = []
+        for k in range(shape.vectors):
+            text = expression
+            for letter in kinds:
+                text = text.replace(f"${letter}", f"{letter}.v{k}")
+            body.append(text)
+        return (
+            f"td_inline {TYPES[result]} lanes_{name}({head})\n{{\n"
+            f"    return ({TYPES[result]}){{{', '.join(body)}}};\n}}\n\n"
+        )
+
+    def lanewise(result: str, name: str, kinds: Sequence[str], expression: str) -> str:
+        """A function that a scalar expression of a, b gives, lane by lane."""
+        letters = "ab"[: len(kinds)]
+        head = ", ".join(f"{_VECTOR[kind]} {letter}" for kind, letter in zip(kinds, letters, strict=True))
+        native = (
+            f"td_inline {_VECTOR[result]} lanes_each_{name}({head})\n{{\n    {_VECTOR[result]} y;\n"
+            f"    for (int l = 0; l < {shape.each}; l++)\n        y[l] = {expression};\n    return y;\n}}\n\n"
+        )
+        arguments = ", ".join(f"{letter} {kind}" for kind, letter in zip(kinds, letters, strict=True))
+        return native + vectorwise(result, name, arguments, f"lanes_each_{name}({', '.join('$' + x for x in letters)})")
+
+    def narrow(mask: str) -> str:
+        """A mask of reals as one of integers."""
+        return f"(lanes_i){mask}" if single else f"__builtin_convertvector({mask}, lanes_i)"
+
+    def wide(mask: str) -> str:
+        """A mask of integers as one of reals."""
+        return f"(lanes_m)({mask})" if single else f"__builtin_convertvector({mask}, lanes_m)"
+
+    # the same in all lanes
+    for kind in KINDS:
+        scalar = "bool" if kind == "bool" else _SCALAR[kind]
+        value = "-(lanes_one_bool)x" if kind == "bool" else "x"
+        one = "{" + ", ".join(["w"] * shape.each) + "}"
+        yield (
+            f"td_inline {TYPES[kind]} lanes_{kind}_all({scalar} x)\n{{\n    const lanes_one_{kind} w = {value};\n"
+            f"    return ({TYPES[kind]}){{{', '.join([one] * shape.vectors)}}};\n}}\n\n"
+        )
+    # reals
+    for name, sign in (("add", "+"), ("sub", "-"), ("mul", "*"), ("div", "/")):
+        yield vectorwise("real", f"{name}_real", "a real, b real", f"$a {sign} $b")
+    yield vectorwise("real", "neg_real", "a real", "-$a")
+    magnitude = "0x7fffffffu" if single else "UINT64_C(0x7fffffffffffffff)"
+    yield vectorwise("real", "abs_real", "a real", f"(lanes_r)((lanes_w)$a & {magnitude})")
+    yield (
+        f"td_inline lanes_r lanes_root(lanes_r x)\n{{\n    lanes_one_real e[{shape.each}]"
+        f" __attribute__((aligned({shape.size})));\n    memcpy(e, &x, sizeof x);\n"
+        f"    for (int l = 0; l < {shape.each}; l++)\n        e[l] = __builtin_sqrt{f}(e[l]);\n"
+        f"    memcpy(&x, e, sizeof x);\n    return x;\n}}\n\n"
+    )
+    yield vectorwise("real", "sqrt_real", "a real", "lanes_root($a)")
+    # comparisons
+    for name, sign in (("lt", "<"), ("le", "<="), ("eq", "=="), ("ne", "!="), ("gt", ">"), ("ge", ">=")):
+        yield vectorwise("bool", f"{name}_real", "a real, b real", f"(lanes_m)($a {sign} $b)")
+        if name not in ("gt", "ge"):
+            for kind in ("int32", "uint32"):
+                yield vectorwise("bool", f"{name}_{kind}", f"a {kind}, b {kind}", wide(f"$a {sign} $b"))
+    # truth values
+    for name, text in (
+        ("and", "$a & $b"),
+        ("or", "$a | $b"),
+        ("xor", "$a ^ $b"),
+        ("ne", "$a ^ $b"),
+        ("eq", "~($a ^ $b)"),
+    ):
+        yield vectorwise("bool", f"{name}_bool", "a bool, b bool", text)
+    yield vectorwise("bool", "not_bool", "a bool", "~$a")
+    # choices
+    yield vectorwise("real", "pick_real", "c bool, a real, b real", "lanes_blend_r($c, $a, $b)")
+    yield vectorwise("bool", "pick_bool", "c bool, a bool, b bool", "lanes_blend_m($c, $a, $b)")
+    for kind in ("int32", "uint32"):
+        v = _VECTOR[kind]
+        yield (
+            f"td_inline {v} lanes_blend_{v[-1]}(lanes_m c, {v} a, {v} b)\n{{\n    const {v} m = ({v}){narrow('c')};\n"
+            f"    return (m & a) | (~m & b);\n}}\n\n"
+        )
+        yield vectorwise(kind, f"pick_{kind}", f"c bool, a {kind}, b {kind}", f"lanes_blend_{v[-1]}($c, $a, $b)")
+    # integers
+    for kind in ("int32", "uint32"):
+        v = _VECTOR[kind]
+        for name, sign in (("add", "+"), ("sub", "-"), ("mul", "*")):
+            yield vectorwise(kind, f"{name}_{kind}", f"a {kind}, b {kind}", f"({v})((lanes_u)$a {sign} (lanes_u)$b)")
+        yield vectorwise(kind, f"neg_{kind}", f"a {kind}", f"({v})(0u - (lanes_u)$a)")
+        for name, sign in (("and", "&"), ("or", "|"), ("xor", "^")):
+            yield vectorwise(kind, f"{name}_{kind}", f"a {kind}, b {kind}", f"$a {sign} $b")
+        yield vectorwise(kind, f"not_{kind}", f"a {kind}", "~$a")
+        yield vectorwise(kind, f"shl_{kind}", f"a {kind}, b {kind}", f"({v})((lanes_u)$a << ((lanes_u)$b & 31u))")
+        yield vectorwise(kind, f"shr_{kind}", f"a {kind}, b {kind}", f"$a >> ({v})((lanes_u)$b & 31u)")
+        for name in ("quot", "rem"):
+            yield lanewise(kind, f"{name}_{kind}", (kind, kind), f"{kind}_{name}(a[l], b[l])")
+    yield vectorwise(
+        "int32", "abs_int32", "a int32", "(lanes_i)(((lanes_u)$a ^ (lanes_u)($a < 0)) - (lanes_u)($a < 0))"
+    )
+    yield vectorwise("uint32", "abs_uint32", "a uint32", "$a")
+    yield _high(shape)
+    yield vectorwise("uint32", "mulhi_uint32", "a uint32, b uint32", "lanes_high($a, $b)")
+    yield from _conversions(shape, vectorwise, lanewise, narrow)
+    yield from _memory(shape)
+
+
+def _high(shape: Shape) -> str:
+    """The high words of products."""
+    head = "td_inline lanes_u lanes_high(lanes_u a, lanes_u b)\n{\n"
+    if shape.precision == "float64":
+        return (
+            f"{head}    const lanes_w x = __builtin_convertvector(a, lanes_w);\n"
+            "    const lanes_w y = __builtin_convertvector(b, lanes_w);\n"
+            "#if defined(__AVX512F__) && LANES_BYTES == 64\n"
+            "    const lanes_w xy = (lanes_w)_mm512_mul_epu32((__m512i)x, (__m512i)y);\n"
+            "#elif defined(__AVX2__) && LANES_BYTES == 32\n"
+            "    const lanes_w xy = (lanes_w)_mm256_mul_epu32((__m256i)x, (__m256i)y);\n"
+            "#else\n    const lanes_w xy = x * y;\n#endif\n"
+            "    return __builtin_convertvector(xy >> 32, lanes_u);\n}\n\n"
+        )
+    return (
+        f"typedef uint64_t lanes_d __attribute__((vector_size({shape.size}), aligned({shape.size}), may_alias));\n"
+        f"{head}    const lanes_d x = (lanes_d)a, y = (lanes_d)b;\n"
+        "#if defined(__AVX512F__) && LANES_BYTES == 64\n"
+        "    const lanes_d even = (lanes_d)_mm512_mul_epu32((__m512i)x, (__m512i)y);\n"
+        "    const lanes_d odd = (lanes_d)_mm512_mul_epu32((__m512i)(x >> 32), (__m512i)(y >> 32));\n"
+        "#elif defined(__AVX2__) && LANES_BYTES == 32\n"
+        "    const lanes_d even = (lanes_d)_mm256_mul_epu32((__m256i)x, (__m256i)y);\n"
+        "    const lanes_d odd = (lanes_d)_mm256_mul_epu32((__m256i)(x >> 32), (__m256i)(y >> 32));\n"
+        "#else\n"
+        "    const lanes_d low = (lanes_d){0} + 0xffffffffu;\n"
+        "    const lanes_d even = (x & low) * (y & low), odd = (x >> 32) * (y >> 32);\n"
+        "#endif\n"
+        "    return (lanes_u)((even >> 32) | (odd >> 32 << 32));\n}\n\n"
+    )
+
+
+def _conversions(
+    shape: Shape,
+    vectorwise: Callable[[str, str, str, str], str],
+    lanewise: Callable[[str, str, Sequence[str], str], str],
+    narrow: Callable[[str], str],
+) -> Iterator[str]:
+    """Between types, saturating, and to and from the bits of reals."""
+    single = shape.precision == "float32"
+    f = "f" if single else ""
+    for kind, low, high, least, most in (
+        ("int32", f"-0x1p31{f}", f"0x1p31{f}", "INT32_MIN", "INT32_MAX"),
+        ("uint32", f"0x0p0{f}", f"0x1p32{f}", "0u", "UINT32_MAX"),
+    ):
+        v = _VECTOR[kind]
+        yield (
+            f"td_inline {v} lanes_real_{v[-1]}(lanes_r x)\n{{\n"
+            f"    const lanes_m above = (lanes_m)(x >= {high}), below = (lanes_m)(x <= {low});\n"
+            f"    const lanes_m inside = (lanes_m)(x > {low}) & ~above;\n"
+            f"    const {v} y = __builtin_convertvector((lanes_r)(inside & (lanes_m)x), {v});\n"
+            f"    return y | (({v}){narrow('above')} & {most}) | (({v}){narrow('below')} & {least});\n}}\n\n"
+        )
+        yield vectorwise(kind, f"real_to_{kind}", "a real", f"lanes_real_{v[-1]}($a)")
+        yield vectorwise("real", f"{kind}_to_real", f"a {kind}", "__builtin_convertvector($a, lanes_r)")
+        yield vectorwise(kind, f"bool_to_{kind}", "a bool", f"({v}){narrow('$a')} & 1")
+    one = "((lanes_r){0} + 1)"
+    yield vectorwise("real", "bool_to_real", "a bool", f"(lanes_r)($a & (lanes_m){one})")
+    yield vectorwise("int32", "uint32_to_int32", "a uint32", "(lanes_i)$a")
+    yield vectorwise("uint32", "int32_to_uint32", "a int32", "(lanes_u)$a")
+    if single:
+        nan = "lanes_blend_u((lanes_m)($a != $a), (lanes_u){0} + 0x7fc00000u, (lanes_u)$a)"
+        yield vectorwise("uint32", "word_0", "a real", nan)
+        yield vectorwise("uint32", "word_1", "a real", "(lanes_u)((lanes_w)$a & 0u)")
+        yield lanewise("real", "from_bits", ("uint32", "uint32"), "real_from_bits(a[l], b[l])")
+        yield vectorwise("real", "from_word", "a uint32", "(lanes_r)$a")
+        return
+    yield vectorwise(
+        "uint32", "word_0", "a real", "__builtin_convertvector((lanes_w)($a == $a) & (lanes_w)$a, lanes_u)"
+    )
+    quiet = "UINT64_C(0x7ff8000000000000)"
+    canonical = f"((lanes_w)($a == $a) & (lanes_w)$a) | ((lanes_w)($a != $a) & {quiet})"
+    yield vectorwise("uint32", "word_1", "a real", f"__builtin_convertvector(({canonical}) >> 32, lanes_u)")
+    yield vectorwise(
+        "real",
+        "from_bits",
+        "a uint32, b uint32",
+        "(lanes_r)(__builtin_convertvector($b, lanes_w) << 32 | __builtin_convertvector($a, lanes_w))",
+    )
+    yield lanewise("real", "from_word", ("uint32",), "real_from_word(a[l])")
+
+
+def _memory(shape: Shape) -> Iterator[str]:
+    """Elements of arrays at an index of each lane's own, and whether anything holds anywhere."""
+    n = shape.lanes
+    yield (
+        "td_inline lanes_int32 lanes_clamp_index(lanes_int32 i, int32_t last)\n{\n"
+        "    const lanes_int32 low = lanes_int32_all(0), high = lanes_int32_all(last);\n"
+        "    i = lanes_pick_int32(lanes_lt_int32(i, low), low, i);\n"
+        "    return lanes_pick_int32(lanes_lt_int32(high, i), high, i);\n}\n\n"
+    )
+    for kind in KINDS:
+        one, whole = f"lanes_one_{kind}", TYPES[kind]
+        yield (
+            f"/* a[i], of each lane its own */\n"
+            f"td_inline {whole} lanes_get_{kind}(const {whole} *a, lanes_int32 i)\n{{\n    {whole} y;\n"
+            f"    for (int l = 0; l < {n}; l++)\n"
+            f"        (({one} *)&y)[l] = ((const {one} *)a)[(({'const lanes_one_int32'} *)&i)[l] * {n} + l];\n"
+            f"    return y;\n}}\n\n"
+        )
+        yield (
+            f"/* a[i] = x where c */\n"
+            f"td_inline void lanes_put_{kind}({whole} *a, lanes_int32 i, {whole} x, lanes_bool c)\n{{\n"
+            f"    for (int l = 0; l < {n}; l++)\n"
+            f"        if (((const lanes_one_bool *)&c)[l])\n"
+            f"            (({one} *)a)[((const lanes_one_int32 *)&i)[l] * {n} + l] = ((const {one} *)&x)[l];\n}}\n\n"
+        )
+    yield (
+        "td_inline bool lanes_any(lanes_bool c)\n{\n    lanes_one_bool any = 0;\n"
+        f"    for (int l = 0; l < {n}; l++)\n        any |= ((const lanes_one_bool *)&c)[l];\n    return any;\n}}\n\n"
+    )
