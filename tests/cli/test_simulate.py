@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from twodof.cli.app import run
+from twodof.flight.starters import new_diagram
 from twodof.flightlog.files import read_log
 
 
@@ -86,3 +87,51 @@ def test_a_mistake_is_refused_with_its_remedy(
     assert out == ""
     assert says in err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_users_controller_flies_with_its_parameters_listed_and_tuned(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "mine.json"
+    new_diagram("lqr-attitude", file)
+    arguments = ["simulate", "attitude-steps", "--controller", str(file), "--precision", "float32"]
+    assert run([*arguments, "--tune", "attitude_control.k_i=0.5", "--json"]) == 0
+    found = json.loads(capfd.readouterr().out)
+    assert found["precision"] == "float32"
+    made = found["controllers"]["attitude_control"]
+    assert made["name"] == "lqr_attitude"
+    assert made["parameters"]["k_i"] == 0.5
+    assert len(made["parameters"]["k_past"]) == 5
+    assert run([*arguments, "--tune", "attitude_control.k_past=0,0,0,0,0"]) == 0
+    out = capfd.readouterr().out
+    assert "attitude_control.k_past = 0, 0, 0, 0, 0 (-2 to 2): attitude: gains on the past moments" in out
+    assert "ok     commands are numbers: M and T are" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--controller", "nothing"], "lqr-attitude"),
+        (["--controller", "lqr-attitude", "--controller", "pid-attitude"], "are both of the template"),
+        (["--controller", "lqr-attitude", "--tune", "attitude_control.k_q=2"], "outside [0.0, 1.0]"),
+        (["--controller", "lqr-attitude", "--tune", "k_q=0.1"], "attitude_control.k_q"),
+        (["--controller", "lqr-attitude", "--tune", "attitude_control.k_q"], "PATH=VALUE"),
+        (["--controller", "flashed"], "twodof flash FILE --to sim"),
+        (["--precision", "half"], "float32"),
+    ],
+)
+def test_a_controller_that_cannot_fly_is_refused(
+    arguments: list[str],
+    said: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setenv("TWODOF_DATA", str(tmp_path))
+    assert run(["simulate", "attitude-steps", *arguments]) == 2
+    assert said in capfd.readouterr().err
+
+
+def test_a_log_is_flown_with_the_stock_controllers(capfd: pytest.CaptureFixture[str]) -> None:
+    assert run(["simulate", "--like", "x.mat", "--controller", "lqr-attitude"]) == 2
+    assert "--controller" in capfd.readouterr().err

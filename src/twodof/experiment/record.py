@@ -79,7 +79,7 @@ def _messages(time: NDArray[np.float64], out: Mapping[str, NDArray[Any]], mode: 
     """The open-loop messages: at 50 Hz while the loop is open, and one that closes it."""
     opened = mode == MODES.index("open-loop")
     changed = np.flatnonzero(np.diff(opened.astype(np.int8), prepend=0) != 0)
-    stepped = np.flatnonzero(opened & (np.diff(out["M"], prepend=0.0) != 0.0))
+    stepped = np.flatnonzero(opened & (out["M"] != np.append(0.0, out["M"][:-1])))
     steps = np.union1d(np.union1d(changed, stepped), np.flatnonzero(opened)[::MESSAGE_PERIOD]).astype(np.intp)
     flag = opened[steps].astype(np.float64)
     values = np.column_stack([out["M"][steps] * flag, out["T"][steps] * flag, flag, flag, flag])

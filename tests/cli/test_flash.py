@@ -1,0 +1,158 @@
+"""`twodof flash`: sizes, what changes, one stored slot, and refusals that change nothing."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from twodof.blocks.schema import to_json
+from twodof.cli.app import run
+from twodof.compile.cortex_m7 import processor
+from twodof.errors import CompileError
+from twodof.flight.slot import simulator_slot
+from twodof.flight.starters import load_diagram, new_diagram, save_diagram, starter
+from twodof.flightlog.files import read_log
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A data folder of the test's own, and no emulator, which test_costs_of_the_processor brings back."""
+    monkeypatch.setenv("TWODOF_DATA", str(tmp_path / "data"))
+
+    def none() -> str:
+        raise CompileError("there is no emulator", "qemu-system-arm", "install the package qemu-system-arm")
+
+    monkeypatch.setattr(processor, "find_emulator", none)
+    return tmp_path
+
+
+def answer(capfd: pytest.CaptureFixture[str], *arguments: str, status: int = 0) -> Any:
+    assert run([*arguments, "--json"]) == status
+    return json.loads(capfd.readouterr().out)
+
+
+def test_what_was_flashed_flies_when_asked_for_and_not_otherwise(
+    folder: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    first = answer(capfd, "flash", "lqr-attitude", "--to", "sim")
+    assert first["template"] == "attitude_control"
+    assert first["against"] == "the stock controller (stock-attitude)"
+    assert first["flashed"] is True
+    assert {row["kind"] for row in first["changes"]} == {"added", "removed", "changed"}
+    assert answer(capfd, "flash", "pid-position", "--to", "sim")["template"] == "position_control"
+
+    def moments(*more: str) -> tuple[Any, np.ndarray]:
+        file = folder / "flight.parquet"
+        found = answer(capfd, "simulate", "velocity-doublets", "--out", str(file), *more)
+        return found["controllers"], read_log(file)["M"].value
+
+    stock, flown = moments()
+    assert stock == {}
+    both, flashed = moments("--controller", "flashed")
+    assert {kind: row["name"] for kind, row in both.items()} == {
+        "attitude_control": "lqr_attitude",
+        "position_control": "pid_position",
+    }
+    _, named = moments("--controller", "lqr-attitude", "--controller", "pid-position")
+    assert flashed.tobytes() == named.tobytes()
+    assert flashed.tobytes() != flown.tobytes()
+
+
+def test_a_changed_gain_is_the_one_change(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    file = folder / "mine.json"
+    new_diagram("notch-attitude", file)
+    answer(capfd, "flash", str(file), "--to", "sim")
+    text = file.read_text()
+    assert text.count('"value": 0.068') == 1
+    file.write_text(text.replace('"value": 0.068', '"value": 0.07'))
+    tried = answer(capfd, "flash", str(file), "--to", "sim", "--dry-run")
+    assert tried["flashed"] is False
+    assert tried["changes"] == [
+        {
+            "what": "parameter",
+            "kind": "changed",
+            "path": "q_kp",
+            "before": "0.068 s/rad, 0 to 1",
+            "after": "0.07 s/rad, 0 to 1",
+        }
+    ]
+    assert answer(capfd, "flash", str(file), "--to", "sim")["changes"] == tried["changes"]
+    assert answer(capfd, "flash", str(file), "--to", "sim")["changes"] == []
+    assert to_json(simulator_slot().flashed()["attitude_control"]) == file.read_text()
+
+
+def test_people_read_sizes_and_changes(capfd: pytest.CaptureFixture[str]) -> None:
+    assert run(["flash", "notch-attitude", "--to", "sim"]) == 0
+    out = capfd.readouterr().out
+    assert "notch_attitude fits attitude_control; float32, 250 Hz" in out
+    assert "code: not measured for the Cortex-M7" in out
+    assert "install the package qemu-system-arm" in out
+    assert "+ block notch: notch" in out
+    assert "fly it: twodof simulate EXPERIMENT --controller flashed" in out
+    assert run(["flash", "notch-attitude", "--to", "sim"]) == 0
+    assert "nothing changes against" in capfd.readouterr().out
+
+
+def test_costs_of_the_processor(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.undo()
+    monkeypatch.setenv("TWODOF_DATA", "/nowhere")
+    try:
+        processor.find_emulator()
+    except CompileError as reason:
+        pytest.skip(str(reason))
+    costs = answer(capfd, "flash", "notch-attitude", "--to", "sim", "--dry-run")["costs"]
+    m7 = costs["cortex_m7"]
+    # 11 given and 14 derived parameters of 4 bytes; the integral, the filter, two of the notch, and the tick.
+    assert (costs["parameter_bytes"], costs["state_bytes"]) == (4 * 25, 4 * 5)
+    assert m7["struct_bytes"] == {"P": 100, "S": 20, "U": 20, "Y": 4}
+    assert 0 < m7["flash_bytes"] < 8192
+    assert 0 < m7["instructions_max"] < 1000
+    wide = answer(capfd, "flash", "notch-attitude", "--to", "sim", "--dry-run", "--precision", "float64")["costs"]
+    assert wide["parameter_bytes"] == 8 * 25
+
+
+def test_a_module_for_px4_says_what_changes_against_the_one_before(
+    folder: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    out = folder / "module"
+    first = answer(capfd, "flash", "pid-attitude", "--to", "px4-dir", "--out", str(out))
+    assert first["against"] == "the stock controller (stock-attitude)"
+    assert to_json(load_diagram(out / "diagram.json")) == to_json(starter("pid-attitude"))
+    second = answer(capfd, "flash", "notch-attitude", "--to", "px4-dir", "--out", str(out))
+    assert second["against"] == str(out / "diagram.json")
+    assert "+ block notch" in "".join(f"+ {c['what']} {c['path']}" for c in second["changes"] if c["kind"] == "added")
+    assert not simulator_slot().folder.exists()
+
+
+def test_a_px4_that_it_does_not_fit_leaves_everything(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    (folder / "px4").mkdir()
+    arguments = ["--to", "px4-dir", "--out", str(folder / "module"), "--px4", str(folder / "px4")]
+    found = answer(capfd, "flash", "pid-attitude", *arguments, status=1)
+    assert found["error"]["kind"] == "CompileError"
+    assert "does not fit it" in found["error"]["what"]
+    assert not (folder / "module").exists()
+
+
+def test_a_flight_controller_cannot_be_flashed_yet_and_that_is_said(capfd: pytest.CaptureFixture[str]) -> None:
+    found = answer(capfd, "flash", "pid-attitude", "--to", "fcu", status=2)
+    assert "no flight controller can be flashed yet" in found["error"]["what"]
+    assert not simulator_slot().folder.exists()
+
+
+def test_what_is_wrong_changes_nothing(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    answer(capfd, "flash", "lqr-attitude", "--to", "sim")
+    before = (folder / "data/flashed/sim/attitude_control.json").read_bytes()
+    wrong = starter("pid-attitude")
+    wrong.input("wind")
+    save_diagram(wrong, folder / "wrong.json")
+    found = answer(capfd, "flash", str(folder / "wrong.json"), "--to", "sim", status=2)
+    assert "the input wind is not of the template" in found["error"]["what"]
+    found = answer(capfd, "flash", "lqr", "--to", "sim", status=2)
+    assert "lqr-attitude" in found["error"]["remedy"]
+    for arguments in (["--to", "px4-dir"], ["--to", "sim", "--out", "x"], ["--to", "sim", "--px4", "x"], ["--to", "x"]):
+        assert run(["flash", "pid-attitude", *arguments]) == 2
+    assert (folder / "data/flashed/sim/attitude_control.json").read_bytes() == before
