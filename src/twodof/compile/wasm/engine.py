@@ -121,7 +121,7 @@ class WasmInstance:
 
     def _call(self, function: Callable[[], None], fuel: int, what: str) -> None:
         if self._fault is not None:
-            raise self._fault
+            raise ControllerFault(self._fault.what, self._fault.where, self._fault.remedy)
         self._store.set_fuel(fuel)
         try:
             function()
