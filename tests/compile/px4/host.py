@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import subprocess
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -43,9 +43,16 @@ int main(void)
 
 
 def build_controller(
-    diagram: Diagram, log: Sequence[str], folder: Path, more: Sequence[str] = EXACT
+    diagram: Diagram,
+    log: Sequence[str],
+    folder: Path,
+    more: Sequence[str] = EXACT,
+    edit: Callable[[Path], None] | None = None,
 ) -> tuple[Path, Fields]:
-    """A program that maps rows of input words to rows of output words, and what the words are."""
+    """A program that maps rows of input words to rows of output words, and what the words are.
+
+    It is built with PX4's flags and `more`; `edit` may change the C file before.
+    """
     names: ModuleNames = module_names(diagram.name)
     made = controller(diagram, names, log)
     rows, _ = exported(made.program, names, True)
@@ -53,6 +60,8 @@ def build_controller(
     n = names.module
     (folder / f"{n}.h").write_text(header(names, found, rows, made))
     (folder / f"{n}.c").write_text(source(names, found, rows, made))
+    if edit:
+        edit(folder / f"{n}.c")
     (folder / "main.c").write_text(_MAIN.format(n=n))
     flags = ["gcc", *C_FLAGS, "-O2", *PX4_FLAGS.split(), *more, f"-I{folder}"]
     run([*flags, "-c", str(folder / f"{n}.c"), "-o", str(folder / f"{n}.o")])

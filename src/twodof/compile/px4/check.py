@@ -80,7 +80,7 @@ def check(px4: str | Path, folder: str | Path) -> Findings:
 
     Raises CompileError if `folder` holds no export; all that is wrong with `px4` is a finding.
     """
-    export, tree = Path(folder), SourceTree(Path(px4))
+    export, tree = Path(folder), SourceTree(Path(px4).resolve())
     facts = _facts(export)
     rows = [*_export(export)]
     if not tree.root.is_dir():

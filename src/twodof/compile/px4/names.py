@@ -128,11 +128,8 @@ def field_names(prefix: str, paths: Sequence[str]) -> list[str]:
 def harmless(text: str, longest: int) -> str:
     """A user's text for a comment, a YAML string or a description, in none of which it can mean anything.
 
-    Letters, digits, spaces and a few signs of ASCII stay, all others become ?, spaces are single.
+    Letters, digits, spaces and a few signs of ASCII stay, each run of others becomes a question mark.
     """
-    plain = "".join(
-        c if c.isascii() and (c.isalnum() or c in " .,:;()[]+-/=<>_^%|~!'") else " " if c.isspace() else "?"
-        for c in text
-    )
-    plain = " ".join(plain.replace("*/", "x/").replace("//", "/ /").replace("/?", "/ ?").split())
+    plain = re.sub(r"[^A-Za-z0-9 .,:;()\[\]+\-/=<>_^%|~!']+", "?", " ".join(text.split()))
+    plain = re.sub(r"/(?=/)", "/ ", plain)
     return plain if len(plain) <= longest else plain[: longest - 3].rstrip() + "..."

@@ -28,8 +28,11 @@ class SourceTree:
 
     def text(self, path: str | Path) -> str:
         """The beginning of a file, at most LARGEST bytes."""
+        place = self.root / path
         try:
-            with (self.root / path).open("rb") as file:
+            if not place.is_file():  # a pipe would never end
+                return ""
+            with place.open("rb") as file:
                 return file.read(LARGEST).decode("utf-8", "replace")
         except OSError:
             return ""
@@ -39,7 +42,7 @@ class SourceTree:
         return (self.root / path).exists()
 
     def files(self, under: str, name: str) -> Iterator[Path]:
-        """The regular files below `under` whose names match the pattern `name`, in order; links are not followed."""
+        """The files below `under` whose names match the pattern `name`, in order. Links to folders are not followed."""
         pattern, seen = re.compile(name), 0
         for folder, folders, names in os.walk(self.root / under):
             folders[:] = sorted(f for f in folders if f != ".git")
@@ -53,7 +56,10 @@ class SourceTree:
     def empty(self, path: str) -> bool:
         """Whether a folder is missing or has nothing in it, as that of a submodule that was not fetched."""
         folder = self.root / path
-        return not folder.is_dir() or next(folder.iterdir(), None) is None
+        try:
+            return next(folder.iterdir(), None) is None
+        except OSError:
+            return True
 
     @property
     def submodules(self) -> list[str]:

@@ -26,8 +26,11 @@ def manifest(files: Mapping[str, str], facts: Mapping[str, object]) -> str:
 
 def read_manifest(folder: Path) -> dict[str, object] | None:
     """The manifest of a folder, or None if it has none that is one."""
+    place = folder / MANIFEST
     try:
-        with (folder / MANIFEST).open("rb") as file:
+        if not place.is_file():
+            return None
+        with place.open("rb") as file:
             data = json.loads(file.read(_LARGEST_MANIFEST))
     except (OSError, ValueError, RecursionError):
         return None
@@ -49,7 +52,8 @@ def strangers(folder: Path) -> list[str]:
             relative = path.relative_to(folder).as_posix()
             if relative == MANIFEST and known:
                 continue
-            if path.is_symlink() or hashlib.sha256(path.read_bytes()).hexdigest() != sums.get(relative):
+            regular = path.is_file() and not path.is_symlink()
+            if not regular or hashlib.sha256(path.read_bytes()).hexdigest() != sums.get(relative):
                 found.append(relative)
     return found
 

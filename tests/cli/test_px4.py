@@ -1,0 +1,74 @@
+"""`twodof px4 export` and `twodof px4 check`: what they print, write and return."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.compile.px4.golden import GOLDEN
+from tests.compile.px4.modules import PITCH_LOG
+from twodof.cli.app import run
+
+
+def test_a_starter_is_exported_and_its_parameters_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["px4", "export", "pid-attitude", str(tmp_path / "out")]) == 0
+    printed = capsys.readouterr().out
+    assert "module twodof_pid_attitude" in printed
+    assert "TPA_Q_KP          q_kp" in printed
+    assert "stops mc_rate_control" in printed
+    assert (tmp_path / "out" / "README.md").is_file()
+
+
+def test_a_file_with_logged_signals_gives_the_golden_tree(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    diagram = GOLDEN / "pitch" / "diagram.json"
+    log = [word for path in PITCH_LOG for word in ("--log", path)]
+    assert run(["px4", "export", str(diagram), str(tmp_path / "out"), *log, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["module"] == "twodof_pitch"
+    assert told["parameters"]["TPI_DAMPER_KI"] == "damper.ki"
+    assert told["parameters"]["TPI_LIVE"] is None
+    for path in told["files"]:
+        if path.endswith((".cpp", ".hpp", ".msg", "module.yaml", "CMakeLists.txt")):
+            assert (tmp_path / "out" / path).read_bytes() == (GOLDEN / "pitch" / path).read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "what"),
+    [
+        (["pid-attitude", "--log", "nothing.there"], "nothing"),
+        (["pid-attitude", "--prefix", "lower"], "no prefix"),
+        (["no-such-diagram"], "no-such-diagram"),
+    ],
+)
+def test_a_mistake_is_told_and_nothing_is_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], what: str
+) -> None:
+    out = tmp_path / "out"
+    assert run(["px4", "export", arguments[0], str(out), *arguments[1:]]) == 2
+    assert what in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_a_folder_with_something_else_is_not_replaced(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "mine").write_text("mine")
+    assert run(["px4", "export", "pid-attitude", str(tmp_path), "--force", "--json"]) == 1
+    told = capsys.readouterr()
+    assert json.loads(told.out)["error"]["kind"] == "CompileError"
+    assert "something else in it" in told.err
+    assert [p.name for p in tmp_path.iterdir()] == ["mine"]
+
+
+def test_check_tells_what_does_not_fit_by_its_exit_status_too(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["px4", "check", str(tmp_path), str(GOLDEN / "rail")]
+    assert run(arguments) == 1
+    assert "is no source tree of PX4" in capsys.readouterr().out
+    assert run([*arguments, "--json"]) == 1
+    told = json.loads(capsys.readouterr().out)
+    assert told["fits"] is False
+    assert told["findings"][0]["level"] == "error"
+    assert run(["px4", "check", str(tmp_path), str(tmp_path)]) == 1
+    assert "holds no exported module" in capsys.readouterr().err

@@ -1,0 +1,165 @@
+"""module.yaml: valid by PX4's own rules, restated here, and true to the diagram."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from tests.compile.px4.modules import PITCH_LOG, pitch, rail
+from twodof.blocks import Block, Diagram, Param, Port
+from twodof.compile.px4.export import Module, make_module
+from twodof.compile.px4.parameters import LARGEST_FLOAT, MOST, UNITS, decimals, number
+from twodof.errors import DiagramError
+from twodof.flight.starters import STARTERS, starter
+
+KEYS = {"description", "type", "decimal", "min", "max", "unit", "reboot_required", "default"}
+# The units that PX4 v1.14.4, v1.15.4, v1.16.1 and v1.17.0-alpha1 all allow, as far as they are of use here.
+ALLOWED = {"%", "Hz", "1/s", "rad", "rad/s", "rad/s^2", "deg", "deg/s", "kg", "kg m^2", "m", "m/s", "m^2", "m/s^2"}
+ALLOWED |= {"m/s^3", "V", "A", "us", "ms", "s", "Nm", "N"}
+
+
+def definitions(module: Module) -> dict[str, Any]:
+    """The parameters in module.yaml, checked against PX4's schema and its parser's rules."""
+    text = module.files[f"src/modules/{module.names.module}/module.yaml"]
+    document = yaml.safe_load(text)
+    assert set(document) == {"module_name", "parameters"}
+    (group,) = document["parameters"]
+    assert set(group) == {"group", "definitions"}
+    for name, row in group["definitions"].items():
+        assert re.fullmatch("[0-9A-Z_]+", name)
+        assert len(name) <= 16
+        assert set(row) <= KEYS
+        assert set(row["description"]) == {"short", "long"}
+        assert 0 < len(row["description"]["short"]) <= 70
+        for said in row["description"].values():
+            assert not re.search(r"[@\n]|\*/|\$\{", said)  # would end or extend the comment PX4 makes of it
+        assert row["type"] in ("int32", "float", "boolean")
+        kind = {"int32": int, "float": float, "boolean": bool}[row["type"]]
+        for key in ("default", "min", "max"):
+            if key in row:
+                assert type(row[key]) is kind, (name, key, row[key])
+                # what PX4's parser of the C that it makes of this accepts as a number
+                assert re.fullmatch(r"[^ ,)]+", f"{row[key]}")
+        if "unit" in row:
+            assert row["unit"] in ALLOWED
+            assert row["type"] != "boolean"
+        assert row.get("min", -math.inf) <= row["default"] <= row.get("max", math.inf)
+        assert ("decimal" in row) == (row["type"] == "float")
+    assert [row.name for row in module.parameters] == list(group["definitions"])
+    return dict(group["definitions"])
+
+
+@pytest.mark.parametrize("name", STARTERS)
+def test_the_starters_parameters_are_valid(name: str) -> None:
+    definitions(make_module(starter(name)))
+
+
+def test_the_units_written_are_those_of_all_versions() -> None:
+    assert set(UNITS.values()) <= ALLOWED
+
+
+def test_parameters_of_all_types() -> None:
+    rows = definitions(make_module(pitch(), PITCH_LOG))
+    assert rows["TPI_DAMP_GAINS_1"] == {
+        "description": {
+            "short": "damper.gains[1]: of pitch and pitch rate",
+            "long": "damper.gains[1]: of pitch and pitch rate. 0.0 to 4.0; a value outside is refused, with all that "
+            "changed beside it. A change acts at the next step.",
+        },
+        "type": "float",
+        "decimal": 5,
+        "min": 0.0,
+        "max": 4.0,
+        "default": 0.08,
+    }
+    assert rows["TPI_DAMPER_SHARE"]["type"] == "int32"
+    assert rows["TPI_DAMPER_SHARE"]["min"] == 1
+    assert rows["TPI_DAMPE_INTEGR"]["type"] == "boolean"
+    assert rows["TPI_DAMPE_INTEGR"]["default"] is True
+    assert rows["TPI_DAMPER_SUM_0"]["reboot_required"] is True
+    assert "reboot_required" not in rows["TPI_DAMPER_KI"]
+    assert rows["TPI_DAMPER_KI"]["description"]["short"] == "damper.ki: integral [1/rad]"
+    assert rows["TPI_LIVE"]["default"] is True
+    assert rows["TPI_TORQUE"]["default"] == pytest.approx(math.sqrt(2), rel=1e-7)
+    assert definitions(make_module(rail()))["TRA_KP"]["unit"] == "1/s"
+
+
+class Many(Block):
+    """A block with the parameters it is given."""
+
+    inputs = (Port("u"),)
+    outputs = (Port("y"),)
+
+    def __init__(self, params: Any) -> None:
+        self.params = params
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        return u.u
+
+
+def with_params(*params: Param) -> Module:
+    """The module of a diagram with these parameters."""
+    d = Diagram("many")
+    d.input("q")
+    d.add("b", Many(params), u="q")
+    d.output("M", "b")
+    return make_module(d)
+
+
+def test_what_px4_cannot_hold_stays_at_its_default_and_is_listed() -> None:
+    module = with_params(
+        Param("limit", math.inf),
+        Param("huge", 1e39),
+        Param("mask", 2**31, "uint32"),
+        Param("small_mask", 2**31 - 1, "uint32"),
+        Param("table", [0.0] * 33, width=33),
+        Param("row", [0.0] * 32, width=32),
+    )
+    assert {k.path for k in module.kept} == {"b.limit", "b.huge", "b.mask", "b.table"}
+    rows = definitions(module)
+    assert rows["TMA_B_SMALL_MASK"]["default"] == 2**31 - 1
+    assert rows["TMA_B_SMALL_MASK"]["min"] == 0
+    assert "TMA_B_ROW_31" in rows
+    readme = module.files["README.md"]
+    for kept in module.kept:
+        assert f"`{kept.path}`: {kept.reason}" in readme
+
+
+def test_integer_bounds_lie_within_the_diagrams() -> None:
+    rows = definitions(with_params(Param("n", 2, "int32", low=1.5, high=3.7), Param("m", -5, "int32")))
+    assert (rows["TMA_B_N"]["min"], rows["TMA_B_N"]["max"]) == (2, 3)
+    assert "min" not in rows["TMA_B_M"]
+
+
+def test_too_many_parameters_are_refused() -> None:
+    with pytest.raises(DiagramError, match="parameters for PX4"):
+        with_params(*(Param(f"p{i}") for i in range(MOST + 1)))
+
+
+@pytest.mark.parametrize("value", [0.0, -0.0, 1.0, 0.1, 1e-7, 123456.79, 3.4e38, 1e-42, -2.5e-5, 16777216.0])
+def test_a_number_in_yaml_is_read_back_as_the_same_float32(value: float) -> None:
+    text = number(float(np.float32(value)), "real")
+    read = yaml.safe_load(text)
+    assert type(read) is float
+    # PX4 prints it with Python's str into C, whose compiler rounds the double to a float
+    assert np.float32(float(str(read))).tobytes() == np.float32(value).tobytes()
+
+
+def test_infinite_bounds_are_the_largest_floats_in_c_and_none_in_yaml() -> None:
+    module = with_params(Param("free", 1.0))
+    row = module.parameters[0]
+    assert (row.low, row.high) == (-LARGEST_FLOAT, LARGEST_FLOAT)
+    assert not {"min", "max"} & set(definitions(module)["TMA_B_FREE"])
+    assert "-0x1.fffffep+127f, 0x1.fffffep+127f" in module.files["src/modules/twodof_many/twodof_many.c"]
+
+
+@pytest.mark.parametrize(
+    ("default", "places"), [(0.0, 3), (11.0, 3), (0.0854, 5), (0.00054, 7), (1e-20, 8), (-300.0, 3)]
+)
+def test_decimals_show_four_digits_of_the_default(default: float, places: int) -> None:
+    assert decimals(default) == places
