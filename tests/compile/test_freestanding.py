@@ -54,7 +54,7 @@ def test_memory_is_moved_filled_and_compared_at_any_offset(library: ctypes.CDLL)
     ("declared", "instead"),
     [
         ("double pendulum_omega;", "float pendulum_omega;"),
-        ("uint32_t tick;", "uint32_t tick; uint32_t more;"),
+        ("uint32_t tick;", "uint8_t tick;"),
         ("double pendulum_theta;", "double moved; double pendulum_theta;"),
     ],
 )

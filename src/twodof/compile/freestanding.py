@@ -90,13 +90,14 @@ def layout_checks(programs: Sequence[Emitted]) -> str:
         for kind, size in zip("PSUY", program.sizes[1:], strict=True):
             struct = f"{program.name}_{kind}"
             lines.append(f'_Static_assert(sizeof({struct}) == {size}, "size of {struct}");')
-            for member, offset in _offsets(program, kind):
-                lines.append(f'_Static_assert(offsetof({struct}, {member}) == {offset}, "place of {member}");')
+            for member, offset, width in _members(program, kind):
+                place = f"offsetof({struct}, {member}) == {offset} && sizeof((({struct} *)0)->{member}) == {width}"
+                lines.append(f'_Static_assert({place}, "place of {member}");')
     return "\n" + "\n".join(lines) + "\n"
 
 
-def _offsets(program: Emitted, kind: str) -> Iterator[tuple[str, int]]:
-    # The names are the layout's own, which `Names` made identifiers of C.
+def _members(program: Emitted, kind: str) -> Iterator[tuple[str, int, int]]:
+    """Each member's name in C, offset and size; the names are the layout's own, which are identifiers of C."""
     layout, dtype = program.layout, program.dtypes[kind]
     members: dict[str, Iterable[Member]] = {
         "P": layout.p.members,
@@ -106,8 +107,9 @@ def _offsets(program: Emitted, kind: str) -> Iterator[tuple[str, int]]:
     }
     fields: Mapping[str, Any] = dtype.fields or {}
     for m in members[kind]:
-        yield m.name, fields[m.name][1]
+        yield m.name, fields[m.name][1], fields[m.name][0].itemsize
     if kind == "S" and "x" in fields:
-        x = fields["x"]
+        x, start = fields["x"][:2]
+        inner: Mapping[str, Any] = x.fields or {}
         for m in layout.x.members:
-            yield f"x.{m.name}", x[1] + (x[0].fields or {})[m.name][1]
+            yield f"x.{m.name}", start + inner[m.name][1], inner[m.name][0].itemsize
