@@ -12,8 +12,9 @@ from functools import cache
 
 from twodof.blocks.elementary import ARGUMENTS, DEFINITIONS
 from twodof.blocks.expr import leaf, tracing
-from twodof.compile.cexpr import ATOM, Names, Writer
+from twodof.compile.cexpr import ATOM, Writer
 from twodof.compile.chelpers import HELPERS
+from twodof.compile.cnames import Names
 from twodof.compile.cstage import Stage
 from twodof.compile.cstyle import SCALAR, Style
 from twodof.compile.ctick import INTEGRATION, NEXT_TICK, RETURNED, Scope, Tick, describe

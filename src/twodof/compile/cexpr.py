@@ -11,53 +11,22 @@ from typing import Any
 
 import numpy as np
 
-from twodof.blocks.elementary import ARGUMENTS
 from twodof.blocks.expr import LEAVES, Expr, node
 from twodof.blocks.graph import outside, walk
 from twodof.blocks.numbers import Integer
 from twodof.compile.chelpers import HELPERS
+from twodof.compile.cnames import Names
 
 C_TYPES = {"real": "real", "int32": "int32_t", "uint32": "uint32_t", "bool": "bool"}
-RESERVED = """
-    auto break case char const continue default do double else enum extern float for goto if inline int
-    long register restrict return short signed sizeof static struct switch typedef union unsigned void
-    volatile while asm typeof real bool true false offsetof linux unix memcpy memset NULL
-"""
-KEYWORDS = frozenset(RESERVED.split())
-# What the included headers and the emitted file itself define beside those: macros, types, helpers.
-DEFINED = re.compile(r"[A-Z][A-Z0-9_]*_(MAX|MIN|C|WIDTH)|[a-z0-9_]+_t|td_inline")
-FUNCTIONS = frozenset(HELPERS) | {f"td_{name}" for name in ARGUMENTS}
 _CALL = re.compile(r"\w+\(.*\)")  # or what looks like it, which does no harm
 WIDEST_LINE = 150  # an expression that would be longer becomes two
 SMALL_ARRAY = 16  # up to here a copy is cheaper than a choice
 
+NOBODY = 0  # no node's identity
+
 # How tightly an expression's text binds.
 ATOM, PRODUCT, SUM, SIGNED, COMPARISON, LOOSE = range(6)
 Text = tuple[str, int]
-
-
-@dataclass
-class Names:
-    """Identifiers of one C scope, each different."""
-
-    taken: set[str] = field(default_factory=set)
-    last: dict[str, int] = field(default_factory=dict)
-
-    def new(self, stem: str) -> str:
-        """`stem` with dots as underscores; with a number behind it if that is taken."""
-        name = base = stem.replace(".", "_")
-        number = 2
-        while name in self.taken or name in KEYWORDS or name in FUNCTIONS or DEFINED.fullmatch(name):
-            name = f"{base}_{number}"
-            number += 1
-        self.taken.add(name)
-        return name
-
-    def numbered(self, stem: str) -> str:
-        """`stem` with the next number behind it."""
-        base = stem.replace(".", "_")
-        self.last[base] = self.last.get(base, 0) + 1
-        return self.new(f"{base}{self.last[base]}")
 
 
 @dataclass
@@ -199,10 +168,20 @@ class Renderer:
         self._resolved: dict[int, Expr] = {}
         self._free: dict[int, frozenset[int]] = {}
         self._wanted: dict[tuple[Any, ...], set[int]] = {}  # of each fold, which of its results
+        self._later: dict[int, list[int]] = {}  # of expressions that are needed later, what there reads them
 
     def learn(self, known: Mapping[Expr, str]) -> None:
         """More expressions that are already at hand."""
         self.named |= {id(e): (t, ATOM) for e, t in known.items()}
+
+    def expect(self, roots: Iterable[Expr]) -> None:
+        """Expressions that will be asked for later: what they share with others before them becomes a temporary."""
+        for root in roots:
+            self._later.setdefault(id(root), []).append(NOBODY)
+        for item in walk(roots):
+            self._kept.append(item)
+            for a in outside(item):
+                self._later.setdefault(id(a), []).append(id(item))
 
     def scalars(self, roots: Sequence[Expr]) -> list[Text]:
         """The C texts of `roots`, after the lines that they need. An array's text is a name."""
@@ -248,6 +227,10 @@ class Renderer:
                 uses[id(a)] = uses.get(id(a), 0) + 1
         for r in roots:
             uses[id(r)] = uses.get(id(r), 0) + 1
+        asked = {id(r) for r in roots}
+        for item in order:
+            more = [reader for reader in self._later.get(id(item), ()) if reader not in uses]
+            uses[id(item)] += sum(1 for reader in more if reader != NOBODY or id(item) not in asked)
         for item in order:
             if item.op == "fold":
                 self._wanted.setdefault(_loop_key(item), set()).add(item.data[2])

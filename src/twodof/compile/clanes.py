@@ -13,7 +13,8 @@ from dataclasses import dataclass, field
 
 from twodof.blocks.expr import Expr
 from twodof.blocks.graph import outside
-from twodof.compile.cexpr import ATOM, Names, Renderer, Text, Writer, constant
+from twodof.compile.cexpr import ATOM, Renderer, Text, Writer, constant
+from twodof.compile.cnames import Names
 from twodof.compile.cstyle import Style
 from twodof.compile.lane_helpers import SCALARS, TYPES, Shape, prelude
 from twodof.compile.layout import Member

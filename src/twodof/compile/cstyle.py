@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
-from twodof.compile.cexpr import C_TYPES, Names, Renderer, Text, Writer
+from twodof.compile.cexpr import C_TYPES, Renderer, Text, Writer
+from twodof.compile.cnames import Names
 from twodof.compile.layout import Member
 
 

@@ -9,7 +9,8 @@ from contextlib import contextmanager
 from twodof.blocks.block import Param, Port, State
 from twodof.blocks.expr import LEAVES, Expr
 from twodof.blocks.graph import leaves
-from twodof.compile.cexpr import ATOM, C_TYPES, Names, Renderer, Text, Writer, constant
+from twodof.compile.cexpr import ATOM, C_TYPES, Renderer, Text, Writer, constant
+from twodof.compile.cnames import Names
 from twodof.compile.cstyle import SCALAR, Style
 from twodof.compile.flat import Action, Guard, Node, Program, Signal
 from twodof.compile.layout import Layout, Member
@@ -155,6 +156,7 @@ class Tick:
         states = {s.name: self.state(node, s) for s in node.block.states}
         leaf = self.scope.leaf(node, self.signal, states, "s->tick")
         made = self.scope.renderer(self.writer, self.names, leaf, node.path, self.stored.get(node))
+        made.expect(node.trace.update.values())
         self.renderers[node] = made
         return made
 

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from twodof.blocks.block import State
-from twodof.compile.cexpr import C_TYPES, Names
+from twodof.compile.cexpr import C_TYPES
+from twodof.compile.cnames import Names
 from twodof.compile.flat import Node, Parameter, Program, Signal
 from twodof.compile.lane_helpers import Shape
 
