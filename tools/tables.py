@@ -11,6 +11,8 @@ from math import sqrt
 from pathlib import Path
 
 from twodof.flight.gains import NAMED
+from twodof.flight.starters import STARTERS, starter
+from twodof.flight.templates import TEMPLATES, kind_of
 from twodof.rig.parameters import CONDITIONS, NAMES, Q_AGE, TABLE, load_rig, origins
 from twodof.rig.predict import moment_gain, rotor_moment, velocity_damping, velocity_gain
 from twodof.rig.rig import PARTS, rig_params
@@ -33,7 +35,14 @@ PULSE = 0.1
 
 def render(text: str) -> str:
     """The page's text with all its tables made afresh. Raises KeyError for a table that is not known."""
-    tables = {"parameters": _parameters, "conditions": _conditions, "models": _models, "gains": _gains}
+    tables = {
+        "parameters": _parameters,
+        "conditions": _conditions,
+        "models": _models,
+        "gains": _gains,
+        "templates": _templates,
+        "starters": _starters,
+    }
 
     def made(match: re.Match[str]) -> str:
         lines = [f"<!-- made: {match[1]} -->", *tables[match[1]](), "<!-- end -->"]
@@ -77,6 +86,25 @@ def _gains() -> Iterator[str]:
     yield "|---|---|" + "---|" * len(sets)
     for path, unit in UNITS.items():
         yield f"| `cascade.{path}` | {unit} | {' | '.join(f'{values[path]:g}' for values in sets.values())} |"
+
+
+def _templates() -> Iterator[str]:
+    for template in TEMPLATES.values():
+        yield from ("", f"**`{template.name}`**: {template.text}", "")
+        yield "| | port | type | unit | is |"
+        yield "|---|---|---|---|---|"
+        for direction, ports in (("in", template.inputs), ("out", template.outputs)):
+            for port in ports:
+                yield f"| {direction} | `{port.name}` | {port.kind} | {port.unit} | {port.text} |"
+    yield ""
+
+
+def _starters() -> Iterator[str]:
+    yield "| name | template | is |"
+    yield "|---|---|---|"
+    for name in STARTERS:
+        diagram = starter(name)
+        yield f"| `{name}` | {kind_of(diagram)} | {diagram.text} |"
 
 
 def _parameters() -> Iterator[str]:
