@@ -48,11 +48,12 @@ def linearize(
     """The linear model of `diagram`, with the base tick `dt` [s], at a point.
 
     `at` gives values at the point by name or path, of inputs, states and parameters, and of "tick" (default 0); what is
-    not named has its initial value, default, or 0. With `trim` the states, and the inputs in `free`, are moved to an
-    equilibrium near it. `inputs` and `outputs` are the model's: inputs of the diagram, or signals by path (default: all
-    real inputs and outputs of the diagram); a signal that is an input is *cut*: what reads it reads the input instead.
-    `time`: "continuous" (dx/dt), "discrete" (the step map) or, for "auto", continuous where all states are. `keep_all`
-    keeps the states that have no influence or always come back to the point's value.
+    not named has its initial value, default, or 0. With `trim` the states are moved to an equilibrium near it, or, with
+    inputs in `free`, these inputs and the states that `at` does not name. `inputs` and `outputs` are the model's:
+    inputs of the diagram, or signals by path (default: its real inputs and outputs); a signal that is an input is
+    *cut*: what reads it reads the input instead. `time`: "continuous" (dx/dt), "discrete" (the step map) or, for
+    "auto", continuous where all states are. `keep_all` keeps the states that have no influence or always come back to
+    the point's value.
 
     Raises DiagramError for a diagram that does not compile, for several rates, at a kink, where nothing is
     differentiable, for a whole-number state that moves the model, or without an equilibrium.
@@ -283,6 +284,8 @@ class _Linearization:
         step = self._step(None, self._seeded())
         for node in self.program.integrated:
             for s in node.drivers.values():
+                if s not in step.read:
+                    continue  # computed at the stages of the integration only
                 d = step.read[s]
                 held = s.node is not None and s not in self.program.moving and s not in step.cut
                 for item in d if isinstance(d, tuple) else (d,):
@@ -383,35 +386,37 @@ class _Linearization:
                 raise DiagramError(f"{name!r} is no input of the model to be freed", self.name, "name a real input")
         continuous = self.is_continuous("auto") and self._manifold() is not None
         what = "slope" if continuous else "next"
-        columns = list(range(self.size))
-        at = self.size
+        moving: list[int] = []  # the states' columns; those that are named stay, if an input can hold them
+        at = 0
+        for key in self.states:
+            width = self.point.width(key)
+            moving += [] if free and key in self.point.given else range(at, at + width)
+            at += width
+        columns = list(moving)
         for name, s in self.inputs.items():
             columns += range(at, at + (s.width or 1)) if name in free else []
             at += s.width or 1
-        freed = [self.inputs[name] for name in self.inputs if name in free]
+        freed = [s for name, s in self.inputs.items() if name in free]
+        states = _values_of(self.point, self.states, self.whole)
 
-        def put(z: Array) -> None:
-            _put_values(self.point, self.states, self.whole, z[: self.size])
-            self.point.put_inputs(freed, z[self.size :])
+        def evaluated(z: Array) -> tuple[Array, Array]:
+            states[moving] = z[: len(moving)]
+            _put_values(self.point, self.states, self.whole, states)
+            self.point.put_inputs(freed, z[len(moving) :])
+            found = self.matrices(what, strict=False)
+            if continuous:
+                return found.value, found.change[:, columns]
+            return found.value - states, (found.change - np.eye(self.size, self.seeds))[:, columns]
 
-        def residual(z: Array) -> Array:
-            put(z)
-            value = self.matrices(what, strict=False).value
-            return value if continuous else value - z[: self.size]
-
-        def slope(z: Array) -> Array:
-            put(z)
-            change = self.matrices(what, strict=False).change[:, columns]
-            return change if continuous else change - np.eye(self.size, len(columns))
-
-        start = np.concatenate([_values_of(self.point, self.states, self.whole), self.point.input_values(freed)])
-        if start.size:
-            best = least_squares(residual, start, slope, xtol=1e-15, ftol=1e-15, gtol=1e-15, max_nfev=200)
-            left = residual(best.x)
+        start = np.concatenate([states[moving], self.point.input_values(freed)])
+        if start.size and self.size:
+            best = least_squares(
+                lambda z: evaluated(z)[0], start, lambda z: evaluated(z)[1], xtol=1e-15, ftol=1e-15, gtol=1e-15
+            )
+            left = np.abs(evaluated(best.x)[0])
             # A residual is a difference of numbers of this size, each rounded some tens of times.
-            scale = 1.0 + float(np.abs(best.x).max(initial=0.0))
-            if not np.abs(left).max(initial=0.0) <= 1e-9 * scale:
-                worst = int(np.argmax(np.abs(left)))
+            if not left.max() <= 1e-9 * (1.0 + float(np.abs(best.x).max())):
+                worst = int(np.argmax(left))
                 raise DiagramError(
                     f"no equilibrium was found: {self._state_names()[worst]} still changes by {left[worst]:.3g}",
                     self.name,
