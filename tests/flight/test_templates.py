@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from twodof.blocks import Diagram
-from twodof.blocks.library import Constant, Gain, Integrator, Mux, Sum
+from twodof.blocks.library import Constant, FractionalDelay, Gain, Integrator, Mux, Sum
 from twodof.errors import DiagramError
 from twodof.flight.starters import starter
 from twodof.flight.starters.build import with_ports
@@ -129,6 +129,11 @@ def test_what_a_diagram_is_meant_for_shows_in_its_outputs() -> None:
 def test_a_controller_is_discrete() -> None:
     with pytest.raises(DiagramError, match=r"continuous states in made.*discrete blocks"):
         check_template(output_of(Integrator(), u="q"))
+
+
+def test_what_runs_alone_but_not_in_the_flight_code_is_said_at_once() -> None:
+    with pytest.raises(DiagramError, match="edge inside the step"):
+        check_template(output_of(FractionalDelay(0.01), u="q"))
 
 
 def test_what_does_not_compile_is_said_as_the_compiler_says_it() -> None:

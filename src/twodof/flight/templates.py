@@ -8,6 +8,7 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 from twodof.blocks.diagram import Diagram
+from twodof.blocks.library.delays import ZeroOrderHold
 from twodof.compile.flat import Program
 from twodof.compile.lower import lower
 from twodof.errors import DiagramError
@@ -192,7 +193,20 @@ def check_template(diagram: Diagram, kind: str | None = None) -> Template:
             diagram.name,
             f"a controller is stepped every {PERIOD * 1e3:g} ms: use the discrete blocks",
         )
+    _check_among_others(diagram)
     return template
+
+
+def _check_among_others(diagram: Diagram) -> None:
+    """Raises DiagramError where a diagram runs by itself but not as a part that is stepped every fourth tick."""
+    d = Diagram(diagram.name)
+    for port in diagram.inputs.values():
+        d.input(port.name, port.kind, port.width, port.unit)
+        d.add(f"{port.name}_held", ZeroOrderHold(kind=port.kind, unit=port.unit), rate=(4, 0), u=port.name)
+    d.add("controller", diagram, rate=(4, 0), **{name: f"{name}_held" for name in diagram.inputs})
+    for name in diagram.outputs:
+        d.output(name, f"controller.{name}")
+    lower(d, PERIOD / 4.0)
 
 
 def _names(diagram: Diagram, template: Template) -> Iterator[str]:
