@@ -113,6 +113,17 @@ def dtype_of(rows: Iterable[tuple[str, str]]) -> np.dtype[Any]:
     return np.dtype(formats, align=True)
 
 
+def driver(folder: Path) -> list[str]:
+    """The objects of what drives a module, built once in `folder`."""
+    made = []
+    for name in ("stand_in", "bench"):
+        target = folder / f"{name}.o"
+        if not target.exists():
+            run(["g++", "-O1", f"-I{STAND_IN}", "-c", str(STAND_IN / f"{name}.cpp"), "-o", str(target)])
+        made.append(str(target))
+    return made
+
+
 class Bench:
     """A module in a process of its own, driven by a script that is run at the end, and what came of it.
 
@@ -123,9 +134,8 @@ class Bench:
         objects = compile_module(module, folder, optimise)
         n = module.names.module
         self.module, self.program = module, folder / "bench"
-        includes = [f"-I{folder / 'include'}", f"-I{STAND_IN}"]
-        sources = [str(STAND_IN / name) for name in ("stand_in.cpp", "bench.cpp")]
-        run(["g++", "-O1", *includes, f"-DMODULE_MAIN={n}_main", *sources, *map(str, objects), "-o", str(self.program)])
+        link = ["g++", *driver(folder.parent), *map(str, objects), f"-Wl,--defsym=module_main={n}_main"]
+        run([*link, "-o", str(self.program)])
         self.dtypes = {t: dtype_of([(k, f) for f, k in rows.items()]) for t, rows in FIELDS.items()}
         self.dtypes[n] = dtype_of(parse_message(module.files[f"msg/{module.names.class_name}.msg"])[0])
         self.fresh()

@@ -68,7 +68,7 @@ def test_parameters_of_all_types() -> None:
     assert rows["TPI_DAMP_GAINS_1"] == {
         "description": {
             "short": "damper.gains[1]: of pitch and pitch rate",
-            "long": "damper.gains[1]: of pitch and pitch rate. 0.0 to 4.0; a value outside is refused, with all that "
+            "long": "damper.gains[1]: of pitch and pitch rate. 0.0 to 4.0; another value is refused, with all that "
             "changed beside it. A change acts at the next step.",
         },
         "type": "float",
@@ -134,6 +134,11 @@ def test_integer_bounds_lie_within_the_diagrams() -> None:
     rows = definitions(with_params(Param("n", 2, "int32", low=1.5, high=3.7), Param("m", -5, "int32")))
     assert (rows["TMA_B_N"]["min"], rows["TMA_B_N"]["max"]) == (2, 3)
     assert "min" not in rows["TMA_B_M"]
+
+
+def test_a_default_out_of_bounds_is_refused() -> None:
+    with pytest.raises(DiagramError, match=r"its default 2 is outside \[0, 1\]"):
+        with_params(Param("a", 2.0, low=0.0, high=1.0))
 
 
 def test_too_many_parameters_are_refused() -> None:

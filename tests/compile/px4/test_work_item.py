@@ -340,6 +340,21 @@ def test_the_command_starts_once_and_stops(built: Bench) -> None:
     assert "usage: twodof_pitch" in said
 
 
+def test_a_stop_in_flight_leaves_no_command_behind(bench: Bench) -> None:
+    mode(bench)
+    fly(bench, 5)
+    bench.command("stop")
+    fly(bench, 5)
+    events = bench.run()
+    torque, thrust = (events.topic(f"vehicle_{what}_setpoint")["xyz"] for what in ("torque", "thrust"))
+    assert len(torque) == len(thrust) == 6
+    assert torque[4].any()
+    assert thrust[4].any()
+    assert not torque[5].any()
+    assert not thrust[5].any()
+    assert events.returned() == [0, 0]
+
+
 def test_it_does_not_start_without_a_gyro(built: Bench) -> None:
     built.fresh()
     built.script.append("deaf")
@@ -378,8 +393,10 @@ def test_a_recorded_sequence_is_replayed_bit_for_bit(built: Bench, tmp_path: Pat
         assert np.all(same(given[path], expected)), path
 
 
-def test_a_command_that_is_not_finite_stops_the_motors_and_the_controller_starts_again(tmp_path: Path) -> None:
-    bench = Bench(make_module(overflowing()), tmp_path)
+def test_a_command_that_is_not_finite_stops_the_motors_and_the_controller_starts_again(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    bench = Bench(make_module(overflowing()), tmp_path_factory.mktemp("module"))
     bench.command("start")
     mode(bench)
     fly(bench, 12)
@@ -408,8 +425,10 @@ def overflowing() -> Diagram:
     return d
 
 
-def test_a_position_module_commands_attitude_and_thrust_only_along_the_rail(tmp_path: Path) -> None:
-    bench = Bench(make_module(rail()), tmp_path)
+def test_a_position_module_commands_attitude_and_thrust_only_along_the_rail(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    bench = Bench(make_module(rail()), tmp_path_factory.mktemp("module"))
     bench.command("start")
     yaw = 0.4
     for along in (False, True):
@@ -435,8 +454,8 @@ def test_a_position_module_commands_attitude_and_thrust_only_along_the_rail(tmp_
     assert np.array_equal(attitude["thrust_body"], np.tile(np.float32([0.0, 0.0, -0.4]), (10, 1)))
 
 
-def test_without_a_valid_position_there_is_no_thrust(tmp_path: Path) -> None:
-    bench = Bench(make_module(rail()), tmp_path)
+def test_without_a_valid_position_there_is_no_thrust(tmp_path_factory: pytest.TempPathFactory) -> None:
+    bench = Bench(make_module(rail()), tmp_path_factory.mktemp("module"))
     bench.command("start")
     mode(bench, rail=True)
     for k in range(6):
@@ -464,8 +483,10 @@ def motors() -> Diagram:
     return d
 
 
-def test_a_motor_module_commands_the_four_motors_and_stops_them_by_nan(tmp_path: Path) -> None:
-    bench = Bench(make_module(motors()), tmp_path)
+def test_a_motor_module_commands_the_four_motors_and_stops_them_by_nan(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    bench = Bench(make_module(motors()), tmp_path_factory.mktemp("module"))
     bench.command("start")
     for armed in (False, True):
         mode(bench, armed=armed)

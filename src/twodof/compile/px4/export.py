@@ -70,10 +70,10 @@ def make_module(diagram: Diagram, log: Iterable[str] = (), prefix: str = "") -> 
         f"{where}/{names.class_name}.cpp": work_item(names, part, found),
         "msg/CMakeLists.txt": message_list(names),
         f"msg/{names.class_name}.msg": message(names, found),
-        f"etc/init.d-posix/airframes/{frame}": airframe(names, diagram.text),
+        f"etc/init.d-posix/airframes/{frame}": airframe(names, part, diagram.text),
         f"etc/init.d-posix/airframes/{frame}.post": takeover(names, part),
         "etc/logging/logger_topics.txt": logger_topics(names, part),
-        "sdcard/etc/config.txt": board_settings(names),
+        "sdcard/etc/config.txt": board_settings(names, part),
         "sdcard/etc/extras.txt": takeover(names, part),
         "sdcard/etc/logging/logger_topics.txt": logger_topics(names, part),
     }

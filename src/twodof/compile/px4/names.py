@@ -130,6 +130,6 @@ def harmless(text: str, longest: int) -> str:
 
     Letters, digits, spaces and a few signs of ASCII stay, each run of others becomes a question mark.
     """
-    plain = re.sub(r"[^A-Za-z0-9 .,:;()\[\]+\-/=<>_^%|~!']+", "?", " ".join(text.split()))
-    plain = re.sub(r"/(?=/)", "/ ", plain)
+    plain = re.sub(r"[^A-Za-z0-9 .,:;()\[\]+\-/=<>_^%|~!'*]+", "?", " ".join(text.split()))
+    plain = re.sub(r"/(?=[/*])|\*(?=/)", r"\g<0> ", plain)
     return plain if len(plain) <= longest else plain[: longest - 3].rstrip() + "..."

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -45,6 +45,22 @@ class Exported:
     fixed: bool = False
     path: str = ""
     index: int | None = None
+
+    @property
+    def place(self) -> str:
+        """The diagram's parameter, with the element's index; "" for the module's own."""
+        return f"{self.path}{'' if self.index is None else f'[{self.index}]'}"
+
+    @property
+    def bounds(self) -> str:
+        """The bounds for people."""
+        if self.kind == "bool":
+            return "true or false"
+        low, high = (number(bound, self.kind) for bound in (self.low, self.high))
+        below, above = self.low in (-LARGEST_FLOAT, SMALLEST_INT), self.high in (LARGEST_FLOAT, LARGEST_INT)
+        if below and above:
+            return "any finite number" if self.kind == "real" else "any integer"
+        return f"at most {high}" if below else f"at least {low}" if above else f"{low} to {high}"
 
     @property
     def px4_type(self) -> str:
@@ -129,15 +145,13 @@ def _row(program: Program, name: str, path: str, index: int | None) -> Exported:
     else:
         floor = 0 if d.kind == "uint32" else SMALLEST_INT
         low, high = max(_whole(d.low, math.ceil), floor), min(_whole(d.high, math.floor), LARGEST_INT)
-    element = "" if index is None else f"[{index}]"
-    text = f"{path}{element}: {d.text}" if d.text else f"{path}{element}"
-    return Exported(name, d.kind, default, low, high, d.unit, text, not d.tunable, path, index)
+    if not low <= default <= high:
+        raise DiagramError(f"its default {default:g} is outside [{low:g}, {high:g}]", path, "change one of them")
+    return Exported(name, d.kind, default, low, high, d.unit, d.text, not d.tunable, path, index)
 
 
-def _whole(bound: float, rounded: object) -> float:
-    if not math.isfinite(bound):
-        return bound
-    return float(rounded(bound)) if callable(rounded) else bound
+def _whole(bound: float, rounded: Callable[[float], int]) -> float:
+    return float(rounded(bound)) if math.isfinite(bound) else bound
 
 
 def module_yaml(names: ModuleNames, rows: Sequence[Exported]) -> str:
@@ -168,15 +182,16 @@ def module_yaml(names: ModuleNames, rows: Sequence[Exported]) -> str:
 
 
 def _short(row: Exported) -> str:
-    unit = f" [{row.unit}]" if row.unit and row.unit not in UNITS else ""
-    unit = harmless(unit, 20)
-    return _quoted(harmless(row.text, 70 - len(unit) - 1) + (f" {unit}" if unit else ""), 70)
+    unit = harmless(f" [{row.unit}]", 20) if row.unit and row.unit not in UNITS else ""
+    text = ": ".join(filter(None, (row.place, row.text)))
+    return _quoted(harmless(text, 70 - len(unit) - 1) + f" {unit}".rstrip(), 70)
 
 
 def _long(row: Exported) -> str:
-    bounds = "0 or 1" if row.kind == "bool" else f"{number(row.low, row.kind)} to {number(row.high, row.kind)}"
+    text = ": ".join(filter(None, (row.place, row.text)))
     when = "Read when the module starts." if row.fixed else "A change acts at the next step."
-    return f"{row.text}. {bounds}; a value outside is refused, with all that changed beside it. {when}"
+    bounds = row.bounds[0].upper() + row.bounds[1:]
+    return f"{text}. {bounds}; another value is refused, with all that changed beside it. {when}"
 
 
 def _quoted(text: str, longest: int) -> str:

@@ -62,8 +62,8 @@ def _use(names: ModuleNames, role: Role) -> str:
    its `etc/config.txt` sets the airframe's parameters, its `etc/extras.txt` does what the `.post` does, which boards do
    not run. If the card has such files already, add the lines.
    `logger_topics.txt` replaces PX4's own choice of topics; take the file away for that.
-4. `{n} status` in PX4's console says whether it runs and commands; `{n} stop` ends it. After a stop nobody commands:
-   start {stops} again.
+4. `{n} status` in PX4's console says whether it runs and commands; `{n} stop` ends it.
+   Its last command is torque and thrust 0 (motors stopped); then nobody commands until {stops} is started.
 
 The module steps every 4 ms. PX4 runs it on each gyro sample (`vehicle_angular_velocity`); a sample is used when it is
 the first of its period of 4000 us, up to 500 us early, so the gyro may come at any rate from 250 Hz
@@ -109,9 +109,9 @@ def _parameters(names: ModuleNames, rows: Sequence[Exported], kept: Sequence[Kep
         (
             str(i),
             f"`{r.name}`",
-            f"`{r.path}{'' if r.index is None else f'[{r.index}]'}`" if r.path else "-",
+            f"`{r.place}`" if r.place else "-",
             number(r.default, r.kind),
-            f"{number(r.low, r.kind)} to {number(r.high, r.kind)}",
+            r.bounds,
             _cell(r.unit) or "-",
             _cell(r.text) + (" (read at the start)" if r.fixed else ""),
         )
@@ -166,8 +166,8 @@ from an SD card too, and commands nothing. Not while armed: it takes processor t
 def _versions() -> str:
     return f"""## Versions
 
-For PX4 v1.14 to v1.17. Built and flown in the simulator with {TESTED}; with the sources of {", ".join(READ)}
-only the topics, fields and interfaces were compared. The module does not use PX4's `ModuleBase`, which is another class
-after v1.17. Up to v1.13 the torque and thrust set-points are not what the allocator reads, so the module is not for
-them.
+For PX4 v1.14 to v1.17. Built and flown in the simulator with {TESTED}; with the sources of
+{", ".join(READ)} only the topics, fields and interfaces were compared. The module
+does not use PX4's `ModuleBase`, which is another class after v1.17. Up to v1.13 the torque and thrust set-points are
+not what the allocator reads, so the module is not for them.
 """

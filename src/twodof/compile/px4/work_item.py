@@ -209,6 +209,10 @@ void {c}::Run()
     if (_should_stop.load()) {{
         _angular_velocity_sub.unregisterCallback();
         ScheduleClear();
+        // The last command would stand for ever: what is safe takes its place.
+        _faults = STALE;
+        read_topics();
+        command(hrt_absolute_time());
         pthread_mutex_lock(&instance_lock);
         instance.store(nullptr);
         pthread_mutex_unlock(&instance_lock);

@@ -5,7 +5,7 @@
 #include <iostream>
 #include <sstream>
 
-extern "C" int MODULE_MAIN(int argc, char *argv[]);
+extern "C" int module_main(int argc, char *argv[]); // the linker makes it the module's
 
 static std::vector<uint8_t> bytes_of(const std::string &hex)
 {
@@ -33,7 +33,7 @@ static int command(std::istringstream &line)
         arguments.push_back(&w[0]);
     }
 
-    return MODULE_MAIN(static_cast<int>(arguments.size()), arguments.data());
+    return module_main(static_cast<int>(arguments.size()), arguments.data());
 }
 
 int main()
@@ -71,12 +71,13 @@ int main()
             stand_in::lockable = false;
 
         } else if (what == "command") {
-            std::cout << "returned " << command(line) << "\n";
+            const int result = command(line);
+            std::cout << "returned " << result << std::endl;
 
         } else if (what == "used") {
             for (const auto &entry : stand_in::parameters) {
                 if (entry.second.used) {
-                    std::cout << "used " << entry.first << "\n";
+                    std::cout << "used " << entry.first << std::endl;
                 }
             }
         }
@@ -84,7 +85,7 @@ int main()
         stand_in::work();
 
         for (const std::string &said : stand_in::said) {
-            std::cout << "said " << said << "\n";
+            std::cout << "said " << said << std::endl;
         }
 
         stand_in::said.clear();
