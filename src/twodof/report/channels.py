@@ -19,22 +19,16 @@ class Pin:
     y: float
 
 
-@dataclass(eq=False)
 class _Trunk:
-    """A net's vertical piece, or one of two where a net has to sidestep (`via`: the height between the two)."""
+    """A net's vertical piece from `low` to `high`, or one of two where a net has to sidestep."""
 
-    net: int
-    left: list[float]
-    right: list[float]
-    track: int = 0
-
-    @property
-    def low(self) -> float:
-        return min([*self.left, *self.right])
-
-    @property
-    def high(self) -> float:
-        return max([*self.left, *self.right])
+    def __init__(self, net: int, left: list[float], right: list[float]) -> None:
+        self.net = net
+        self.left = left
+        self.right = right
+        self.low = min([*left, *right])
+        self.high = max([*left, *right])
+        self.track = 0
 
 
 @dataclass(eq=False)
@@ -63,14 +57,19 @@ class Channel:
 
     def _assign(self, waiting: list[_Trunk]) -> None:
         """From left to right the trunk that may come next and crosses least; each as far left as it can be."""
+        costs, earlier = _costs(waiting), _earlier(waiting)
         while waiting:
-            free = [t for t in waiting if not any(_must_precede(o, t) for o in waiting if o is not t)]
+            free = [t for t in waiting if not earlier[t]]
             if not free:
                 self._sidestep(waiting)
+                costs, earlier = _costs(waiting), _earlier(waiting)
                 continue
-            costs = {id(t): sum(_crossed(t, o) - _crossed(o, t) for o in waiting if o is not t) for t in free}
-            chosen = min(free, key=lambda t: (costs[id(t)], t.low, t.net))
+            chosen = min(free, key=lambda t: (costs[t], t.low, t.net))
             waiting.remove(chosen)
+            for t in waiting:
+                earlier[t].discard(chosen)
+                if _overlap(t, chosen):
+                    costs[t] -= _crossed(t, chosen) - _crossed(chosen, t)
             beside = [t.track + 1 for t in self.trunks if _overlap(t, chosen) or _must_precede(t, chosen)]
             chosen.track = max(beside, default=0)
             self.trunks.append(chosen)
@@ -126,6 +125,16 @@ class Channel:
 
     def _track(self, t: _Trunk) -> float:
         return self.x + EDGE + TRACK * t.track
+
+
+def _costs(trunks: list[_Trunk]) -> dict[_Trunk, int]:
+    """For each trunk how many more crossings there are if it is left of all others than if it is right of them."""
+    return {t: sum(_crossed(t, o) - _crossed(o, t) for o in trunks if o is not t and _overlap(t, o)) for t in trunks}
+
+
+def _earlier(trunks: list[_Trunk]) -> dict[_Trunk, set[_Trunk]]:
+    """For each trunk those that must be left of it."""
+    return {t: {o for o in trunks if o is not t and _overlap(o, t) and _must_precede(o, t)} for t in trunks}
 
 
 def _overlap(a: _Trunk, b: _Trunk) -> bool:

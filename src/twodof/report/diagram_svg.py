@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from html import escape
+from html import escape as escape_html
 
 from twodof.blocks.block import Block, Port
 from twodof.blocks.diagram import Diagram, Part
@@ -29,6 +29,11 @@ text { font-family: Helvetica, Arial, "Liberation Sans", sans-serif; fill: #1620
 .array { stroke-width: 2.8; } .whole { stroke: #8a5a00; } .truth { stroke: #7a3fa0; stroke-dasharray: 5 3; }
 .head, .joint { fill: #2b3a50; stroke: none; }
 """
+
+
+def escape(text: str) -> str:
+    """User's text for XML, which has no place for control characters, nor for what turns the direction of reading."""
+    return escape_html("".join(c if c.isprintable() else " " for c in text))
 
 
 @dataclass

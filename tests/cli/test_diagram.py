@@ -1,0 +1,147 @@
+"""`twodof diagram`: new, check, code, render, linearize, as a user meets them."""
+
+from __future__ import annotations
+
+import json
+import re
+import xml.etree.ElementTree as ElementTree
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+from twodof.blocks import Diagram
+from twodof.blocks.library import Gain, Sum, UnitDelay
+from twodof.blocks.schema import to_json
+from twodof.cli.app import run
+from twodof.flight.starters import load_diagram
+
+LOOP = Diagram("loop", "a first loop")
+LOOP.input("r")
+LOOP.param("k", 2.0, low=0.0, high=10.0)
+LOOP.add("error", Sum("+-"), a="r", b="memory")
+LOOP.add("gain", Gain(), u="error", params={"k": "k"})
+LOOP.add("memory", UnitDelay(), u="gain")
+LOOP.add("idle", Gain(), u="r")
+LOOP.output("y", "gain")
+
+
+@pytest.fixture
+def loop(tmp_path: Path) -> str:
+    file = tmp_path / "loop.json"
+    file.write_text(to_json(LOOP))
+    return str(file)
+
+
+def test_a_new_diagram_is_the_starter_and_is_not_overwritten(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "mine.json"
+    assert run(["diagram", "new", "stock-attitude", str(file)]) == 0
+    assert load_diagram(file).name == load_diagram("stock-attitude").name
+    file.write_text("{}")
+    assert run(["diagram", "new", "stock-attitude", str(file)]) == 2
+    assert "there already" in capfd.readouterr().err
+    assert run(["diagram", "new", "stock-attitude", str(file), "--overwrite"]) == 0
+    assert run(["diagram", "new", "no-such-starter", str(tmp_path / "x.json")]) == 2
+
+
+def test_check_says_what_compiles_and_what_does_not(
+    loop: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["diagram", "check", loop]) == 0
+    assert "it compiles" in capfd.readouterr().out
+    assert run(["diagram", "check", loop, "--json"]) == 0
+    found = json.loads(capfd.readouterr().out)
+    assert found["fine"] is True
+    assert found["sizes"]["blocks"] == 4
+    assert found["feedthrough"] == {"y": ["r"]}
+    assert found["left_out"] == ["idle"]
+    text = re.sub(r'\["(memory|r)", "(error\.b|gain\.u|idle\.u|memory\.u)"\],?', "", to_json(LOOP))
+    broken = tmp_path / "broken.json"
+    broken.write_text(re.sub(r",(\s*)\]", r"\1]", text))
+    assert run(["diagram", "check", str(broken), "--json"]) == 1
+    problems = json.loads(capfd.readouterr().out)["problems"]
+    assert {p["where"] for p in problems} == {"error.b", "idle.u"}
+    assert run(["diagram", "check", str(broken)]) == 1
+    assert "2 problems" in capfd.readouterr().out
+
+
+def test_code_shows_both_sides(loop: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert run(["diagram", "code", loop]) == 0
+    out = capfd.readouterr().out
+    assert re.search(r"^gain +\d+ +/\* gain: gain \*/$", out, re.MULTILINE)
+    assert "left out, as nobody needs them: idle" in out
+    assert run(["diagram", "code", loop, "--block", "memory", "--precision", "float32"]) == 0
+    out = capfd.readouterr().out
+    assert "s->memory_x = " in out
+    assert "error" not in out.replace("error_y", "")
+    page, source = tmp_path / "loop.html", tmp_path / "loop.c"
+    assert run(["diagram", "code", loop, "--html", str(page), "--out", str(source)]) == 0
+    lines = source.read_text().splitlines()
+    capfd.readouterr()
+    assert run(["diagram", "code", loop, "--json"]) == 0
+    found = json.loads(capfd.readouterr().out)
+    ((first, last),) = found["blocks"]["gain"]["lines"]["step"]
+    assert "gain_y = " in "".join(lines[first - 1 : last])
+    assert found["lines"] == len(lines)
+    assert run(["diagram", "code", loop, "--block", "nothing"]) == 2
+
+
+def test_the_page_is_self_contained_and_says_every_line(loop: str, tmp_path: Path) -> None:
+    page, source = tmp_path / "loop.html", tmp_path / "loop.c"
+    assert run(["diagram", "code", loop, "--html", str(page), "--out", str(source)]) == 0
+    text = page.read_text()
+    assert not re.search(r"(src|href)\s*=|https?:|url\(|@import", text)
+
+    class Reader(HTMLParser):
+        def __init__(self) -> None:
+            super().__init__()
+            self.lines: list[str] = []
+            self.marks: set[str] = set()
+            self.buttons: set[str] = set()
+
+        def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+            mark = dict(attrs).get("data-b")
+            if tag == "span":
+                self.lines.append("")
+                self.marks |= {mark} if mark else set()
+            if tag == "button" and mark:
+                self.buttons.add(mark)
+
+        def handle_data(self, data: str) -> None:
+            if self.lines:
+                self.lines[-1] += data
+
+    reader = Reader()
+    reader.feed(text.partition("</pre>")[0])
+    assert reader.lines == source.read_text().splitlines()
+    assert reader.buttons <= reader.marks
+
+
+def test_render_writes_a_picture(loop: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "loop.svg"
+    assert run(["diagram", "render", loop, "--out", str(file)]) == 0
+    ElementTree.parse(file)
+    capfd.readouterr()
+    assert run(["diagram", "render", loop]) == 0
+    assert capfd.readouterr().out == file.read_text()
+    assert run(["diagram", "render", loop, "--path", "gain"]) == 2
+
+
+def test_linearize_prints_the_model(loop: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert run(["diagram", "linearize", loop, "--dt", "0.01", "--at", '{"k": 0.5}', "--json"]) == 0
+    found = json.loads(capfd.readouterr().out)
+    # y = k (r - m), m' = y
+    assert (found["A"], found["B"], found["C"], found["D"]) == ([[-0.5]], [[0.5]], [[-0.5]], [[0.5]])
+    assert found["states"] == ["memory.x"]
+    assert found["dt"] == 0.01
+    point = tmp_path / "point.json"
+    point.write_text('{"r": 3.0}')
+    assert run(["diagram", "linearize", loop, "--at", str(point), "--trim", "--json"]) == 0
+    assert json.loads(capfd.readouterr().out)["point"]["memory.x"] == pytest.approx(2.0, abs=1e-12)
+    assert run(["diagram", "linearize", loop, "--input", "gain.y", "--output", "gain.y"]) == 0
+    out = capfd.readouterr().out
+    assert "1 states, 1 inputs, 1 outputs" in out
+    assert run(["diagram", "linearize", loop, "--at", "{"]) == 2
+    assert run(["diagram", "linearize", loop, "--at", str(tmp_path / "none.json")]) == 2
+    assert run(["diagram", "linearize", loop, "--at", '{"q": 1}']) == 2
+    assert "there is no parameter 'q'" in capfd.readouterr().err
