@@ -152,7 +152,9 @@ def _own_motors(d: Diagram, motors: Diagram, command: str) -> str:
     )
     for flag in ("rate", "attitude", "velocity", "position"):
         d.connect(f"flags.{flag}", f"{MOTOR.name}.FLAG_{flag.upper()}_ENABLED")
-    d.add("pairs", Pairs(), mode="mode", **{port.name: f"{MOTOR.name}.{port.name}" for port in MOTOR.outputs})
+    d.add("pairs", Pairs(), mode="mode")
+    for port in MOTOR.outputs:
+        d.connect(f"{MOTOR.name}.{port.name}", f"pairs.{port.name}")
     for name in ("fore", "aft"):
         d.output(name, f"pairs.{name}")
     return "pairs.M"

@@ -203,7 +203,9 @@ def _check_among_others(diagram: Diagram) -> None:
     for port in diagram.inputs.values():
         d.input(port.name, port.kind, port.width, port.unit)
         d.add(f"{port.name}_held", ZeroOrderHold(kind=port.kind, unit=port.unit), rate=(4, 0), u=port.name)
-    d.add("controller", diagram, rate=(4, 0), **{name: f"{name}_held" for name in diagram.inputs})
+    d.add("controller", diagram, rate=(4, 0))
+    for name in diagram.inputs:
+        d.connect(f"{name}_held", f"controller.{name}")
     for name in diagram.outputs:
         d.output(name, f"controller.{name}")
     lower(d, PERIOD / 4.0)

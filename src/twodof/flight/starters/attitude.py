@@ -141,7 +141,10 @@ def lqr_attitude(attitude: LqrGains | None = None, rate: LqrGains | None = None)
     newest = [f"past_{i}" for i in range(1, steps + 1)]
     for i, name in enumerate(newest):
         d.add(name, UnitDelay(0.0), u=newest[i - 1] if i else "limit", position=(1120.0 - 80.0 * i, 460.0))
-    d.add("past", Mux(steps), position=(560.0, 400.0), **dict(zip("abcdefghijklmnopqrstuvwxyz", newest, strict=False)))
+    mux = Mux(steps)
+    d.add("past", mux, position=(560.0, 400.0))
+    for port, name in zip(mux.inputs, newest, strict=True):
+        d.connect(name, f"past.{port.name}")
     for name, bound, row in (("on_past", "k_past", 180.0), ("on_rate_past", "rate_k_past", 340.0)):
         d.add(name, MatrixGain([[0.0] * steps]), params={"K": bound}, u="past", position=(600.0, row))
     d.add("attitude", Sum("++--"), a="on_theta", b="on_integral", c="on_q", d="on_past", position=(760.0, 80.0))
