@@ -5,6 +5,9 @@ from __future__ import annotations
 import gc
 import os
 import re
+import shutil
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -23,6 +26,8 @@ from twodof.compile.cortex_m7.processor import DEFAULTS, INIT, PREPARE, Processo
 from twodof.compile.cortex_m7.target import CortexM7
 from twodof.compile.target import Emitted
 from twodof.errors import CompileError, ControllerFault
+
+PROJECT = Path(__file__).resolve().parents[3]
 
 
 @pytest.fixture(autouse=True)
@@ -227,6 +232,38 @@ def test_the_emulator_ends_with_its_processor() -> None:
     gc.collect()
     assert process.poll() is not None
     assert not folder.exists()
+
+
+def test_the_emulator_ends_when_python_is_killed() -> None:
+    code = (
+        "import time\n"
+        "from tests.compile.cortex_m7.hand_written import ADD, image, steps\n"
+        "from twodof.compile.cortex_m7.processor import Processor\n"
+        "processor = Processor(image(ADD))\n"
+        "steps(processor)\n"
+        "print(processor._board._process.pid, flush=True)\n"
+        "time.sleep(60)\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, cwd=PROJECT) as python:
+        assert python.stdout is not None
+        emulator = Path(f"/proc/{int(python.stdout.readline())}")
+        assert (emulator / "comm").read_text().startswith("qemu-system-arm")
+        folder = (emulator / "cwd").resolve()
+        python.kill()
+        python.wait(10.0)
+        deadline = time.monotonic() + 10.0
+        while running(emulator) and time.monotonic() < deadline:
+            time.sleep(0.01)
+    shutil.rmtree(folder)  # nobody was left to do it
+    assert not running(emulator)
+
+
+def running(process: Path) -> bool:
+    """Whether a process is there and no zombie that waits for whoever inherited it."""
+    try:
+        return " Z " not in (process / "stat").read_text()
+    except OSError:
+        return False
 
 
 def test_a_fault_reads_its_words_in_order() -> None:
