@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -94,3 +95,9 @@ def test_an_output_of_another_type_is_refused() -> None:
     d.output("M", "no")
     with pytest.raises(DiagramError, match="'M' is no real scalar"):
         make_module(d)
+
+
+def test_the_page_names_every_port() -> None:
+    page = (Path(__file__).parents[3] / "docs" / "px4.md").read_text()
+    missing = [name for name in {*INPUTS, *OUTPUTS} - {"motor_2", "motor_3"} if f"`{name}`" not in page]
+    assert missing == []

@@ -125,7 +125,7 @@ void TwodofPitch::Run()
     const hrt_abstime begin = hrt_absolute_time();
 
     if (!_angular_velocity_sub.update(&rates)) {
-        if (_last_sample != 0 && begin > _last_sample + SILENCE) {
+        if (_last_sample != 0 && begin >= _last_sample + SILENCE) {
             _faults = STALE;
             _waiting = true;
             read_topics();
