@@ -8,11 +8,11 @@ from twodof.compile.source_map import SourceMap
 
 _STYLE = """
 * { box-sizing: border-box; }
-body { margin: 0; color: #16202e; background: #fff; }
+body { margin: 0; color: #16202e; background: #fff; height: 100vh; display: flex; flex-direction: column; }
 body { font: 14px/1.5 system-ui, "Segoe UI", "Liberation Sans", sans-serif; }
 header { padding: .7rem 1rem; border-bottom: 1px solid #d5dae2; } h1 { font-size: 1.1rem; margin: 0; }
 header p { margin: .15rem 0 0; color: #556072; }
-main { display: grid; grid-template-columns: minmax(15rem, 26rem) 1fr; height: calc(100vh - 4.2rem); }
+main { display: grid; grid-template-columns: minmax(15rem, 26rem) 1fr; flex: 1; min-height: 0; }
 nav, pre { overflow: auto; margin: 0; padding: .6rem 0; } nav { border-right: 1px solid #d5dae2; }
 ul { list-style: none; margin: 0; padding-left: 1rem; } nav > ul { padding-left: .6rem; }
 nav button { all: unset; cursor: pointer; padding: .05rem .4rem; border-radius: 4px; }
@@ -30,6 +30,7 @@ _SCRIPT = """
 const all = document.querySelectorAll('[data-b]');
 const mark = (b, style) => all.forEach(e => e.classList.toggle(style, b !== null && e.dataset.b === b));
 let chosen = null;
+document.querySelector('[data-part="step"]')?.scrollIntoView({block: 'center'});
 all.forEach(e => {
   e.addEventListener('mouseenter', () => mark(e.dataset.b, 'near'));
   e.addEventListener('mouseleave', () => mark(null, 'near'));
