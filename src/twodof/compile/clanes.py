@@ -148,6 +148,14 @@ class LaneRenderer(Renderer):
         operand = self._resolve(item.args[0]).kind
         if op == "where":
             name = f"pick_{kind}"
+            test = self._resolve(item.args[0])
+            if kind == "real" and test.op == "lt":
+                compared = [id(self._resolve(a)) for a in test.args]
+                chosen = [id(self._resolve(a)) for a in item.args[1:]]
+                if compared == chosen:
+                    return f"lanes_min_real({texts[1]}, {texts[2]})", ATOM
+                if compared == chosen[::-1]:
+                    return f"lanes_max_real({texts[1]}, {texts[2]})", ATOM
         elif op in ("lt", "le", "eq", "ne"):
             name = f"{op}_{operand}"
         elif op == "convert":

@@ -18,16 +18,44 @@ SCALARS = frozenset(
 )
 """The scalar helpers that the functions here call."""
 
-_BLEND = """/* a where c, else b; these processors do it in one instruction. */
+_CONVERSIONS = """/* Between vectors of reals and integers, whole and half width; gcc 12 does it in halves if not told so. */
 #if defined(__AVX512DQ__) && LANES_BYTES == 64
 #include <immintrin.h>
-#define lanes_blend_r(c, a, b) ((lanes_r)_mm512_mask_blend_{ps}(_mm512_mov{epi}_mask((__m512i)(c)), \\
-                                                             (__m512{d})(b), (__m512{d})(a)))
-#elif defined(__AVX2__) && LANES_BYTES == 32
+#define lanes_r_of_i(x) ((lanes_r)_mm512_cvtepi32_{ps}((__m{n}i)(x)))
+#define lanes_r_of_u(x) ((lanes_r)_mm512_cvtepu32_{ps}((__m{n}i)(x)))
+#define lanes_i_of_r(x) ((lanes_i)_mm512_cvtt{ps}_epi32((__m512{d})(x)))
+#define lanes_u_of_r(x) ((lanes_u)_mm512_cvtt{ps}_epu32((__m512{d})(x)))
+#define lanes_w_of_u(x) ((lanes_w)_mm512_cvtepu32_epi64((__m256i)(x)))
+#define lanes_u_of_w(x) ((lanes_u)_mm512_cvtepi64_epi32((__m512i)(x)))
+#define lanes_m_of_i(x) ((lanes_m)_mm512_cvtepi32_epi64((__m256i)(x)))
+#define lanes_i_of_m(x) ((lanes_i)_mm512_cvtepi64_epi32((__m512i)(x)))
+#else
+#define lanes_r_of_i(x) __builtin_convertvector(x, lanes_r)
+#define lanes_r_of_u(x) __builtin_convertvector(x, lanes_r)
+#define lanes_i_of_r(x) __builtin_convertvector(x, lanes_i)
+#define lanes_u_of_r(x) __builtin_convertvector(x, lanes_u)
+#define lanes_w_of_u(x) __builtin_convertvector(x, lanes_w)
+#define lanes_u_of_w(x) __builtin_convertvector(x, lanes_u)
+#define lanes_m_of_i(x) __builtin_convertvector(x, lanes_m)
+#define lanes_i_of_m(x) __builtin_convertvector(x, lanes_i)
+#endif
+"""
+_BLEND = """/* a where c, else b. With AVX-512 gcc makes masked moves of the second form. */
+#if defined(__AVX2__) && LANES_BYTES == 32
 #include <immintrin.h>
 #define lanes_blend_r(c, a, b) ((lanes_r)_mm256_blendv_{ps}((__m256{d})(b), (__m256{d})(a), (__m256{d})(c)))
 #else
 #define lanes_blend_r(c, a, b) ((lanes_r)(((c) & (lanes_m)(a)) | (~(c) & (lanes_m)(b))))
+#endif
+#if defined(__AVX512F__) && LANES_BYTES == 64
+#define lanes_least(a, b) ((lanes_r)_mm512_min_{ps}((__m512{d})(a), (__m512{d})(b)))
+#define lanes_most(a, b) ((lanes_r)_mm512_max_{ps}((__m512{d})(a), (__m512{d})(b)))
+#elif defined(__AVX2__) && LANES_BYTES == 32
+#define lanes_least(a, b) ((lanes_r)_mm256_min_{ps}((__m256{d})(a), (__m256{d})(b)))
+#define lanes_most(a, b) ((lanes_r)_mm256_max_{ps}((__m256{d})(a), (__m256{d})(b)))
+#else
+#define lanes_least(a, b) lanes_blend_r((lanes_m)((a) < (b)), a, b)
+#define lanes_most(a, b) lanes_blend_r((lanes_m)((a) > (b)), a, b)
 #endif
 #define lanes_blend_m(c, a, b) (((c) & (a)) | (~(c) & (b)))
 """
@@ -80,11 +108,12 @@ def _types(shape: Shape) -> str:
     text += ["typedef real lanes_one_real __attribute__((may_alias));\n"]
     text += [f"typedef {_SCALAR[kind]} lanes_one_{kind} __attribute__((may_alias));\n" for kind in ("int32", "uint32")]
     text += [f"typedef int{word}_t lanes_one_bool __attribute__((may_alias));\n\n"]
-    suffixes = {"ps": "ps", "epi": "epi32", "d": ""} if single else {"ps": "pd", "epi": "epi64", "d": "d"}
-    blend = _BLEND
+    double = {"ps": "pd", "epi": "epi64", "d": "d", "n": "256"}
+    suffixes = {"ps": "ps", "epi": "epi32", "d": "", "n": "512"} if single else double
+    told = _CONVERSIONS + _BLEND
     for key, value in suffixes.items():
-        blend = blend.replace("{" + key + "}", value)
-    return "".join(text) + blend.replace("mov" + suffixes["epi"], "mov" + suffixes["epi"]) + "\n"
+        told = told.replace("{" + key + "}", value)
+    return "".join(text) + told + "\n"
 
 
 def _functions(shape: Shape) -> Iterator[str]:
@@ -119,11 +148,11 @@ def _functions(shape: Shape) -> Iterator[str]:
 
     def narrow(mask: str) -> str:
         """A mask of reals as one of integers."""
-        return f"(lanes_i){mask}" if single else f"__builtin_convertvector({mask}, lanes_i)"
+        return f"(lanes_i)({mask})" if single else f"lanes_i_of_m({mask})"
 
     def wide(mask: str) -> str:
         """A mask of integers as one of reals."""
-        return f"(lanes_m)({mask})" if single else f"__builtin_convertvector({mask}, lanes_m)"
+        return f"(lanes_m)({mask})" if single else f"lanes_m_of_i({mask})"
 
     # the same in all lanes
     for kind in KINDS:
@@ -147,6 +176,9 @@ def _functions(shape: Shape) -> Iterator[str]:
         f"    memcpy(&x, e, sizeof x);\n    return x;\n}}\n\n"
     )
     yield vectorwise("real", "sqrt_real", "a real", "lanes_root($a)")
+    # x86's minimum and maximum are a < b ? a : b and a > b ? a : b, of NaNs and zeros too
+    yield vectorwise("real", "min_real", "a real, b real", "lanes_least($a, $b)")
+    yield vectorwise("real", "max_real", "a real, b real", "lanes_most($a, $b)")
     # comparisons
     for name, sign in (("lt", "<"), ("le", "<="), ("eq", "=="), ("ne", "!="), ("gt", ">"), ("ge", ">=")):
         yield vectorwise("bool", f"{name}_real", "a real, b real", f"(lanes_m)($a {sign} $b)")
@@ -197,32 +229,25 @@ def _functions(shape: Shape) -> Iterator[str]:
 
 
 def _high(shape: Shape) -> str:
-    """The high words of products."""
-    head = "td_inline lanes_u lanes_high(lanes_u a, lanes_u b)\n{\n"
-    if shape.precision == "float64":
-        return (
-            f"{head}    const lanes_w x = __builtin_convertvector(a, lanes_w);\n"
-            "    const lanes_w y = __builtin_convertvector(b, lanes_w);\n"
-            "#if defined(__AVX512F__) && LANES_BYTES == 64\n"
-            "    const lanes_w xy = (lanes_w)_mm512_mul_epu32((__m512i)x, (__m512i)y);\n"
-            "#elif defined(__AVX2__) && LANES_BYTES == 32\n"
-            "    const lanes_w xy = (lanes_w)_mm256_mul_epu32((__m256i)x, (__m256i)y);\n"
-            "#else\n    const lanes_w xy = x * y;\n#endif\n"
-            "    return __builtin_convertvector(xy >> 32, lanes_u);\n}\n\n"
+    """The high words of products: those of the even and of the odd elements."""
+    size = shape.each * 4
+    bits = size * 8
+    prefix = "_mm" if bits == 128 else f"_mm{bits}"
+    needs = "__AVX512F__" if bits == 512 else "__AVX2__"
+    told = bits >= 128
+    text = "    const lanes_d low = (lanes_d){0} + 0xffffffffu;\n"
+    text += "    const lanes_d even = (x & low) * (y & low), odd = (x >> 32) * (y >> 32);\n"
+    if told:
+        text = (
+            f"#if defined({needs})\n"
+            f"    const lanes_d even = (lanes_d){prefix}_mul_epu32((__m{bits}i)x, (__m{bits}i)y);\n"
+            f"    const lanes_d odd = (lanes_d){prefix}_mul_epu32((__m{bits}i)(x >> 32), (__m{bits}i)(y >> 32));\n"
+            f"#else\n{text}#endif\n"
         )
     return (
-        f"typedef uint64_t lanes_d __attribute__((vector_size({shape.size}), aligned({shape.size}), may_alias));\n"
-        f"{head}    const lanes_d x = (lanes_d)a, y = (lanes_d)b;\n"
-        "#if defined(__AVX512F__) && LANES_BYTES == 64\n"
-        "    const lanes_d even = (lanes_d)_mm512_mul_epu32((__m512i)x, (__m512i)y);\n"
-        "    const lanes_d odd = (lanes_d)_mm512_mul_epu32((__m512i)(x >> 32), (__m512i)(y >> 32));\n"
-        "#elif defined(__AVX2__) && LANES_BYTES == 32\n"
-        "    const lanes_d even = (lanes_d)_mm256_mul_epu32((__m256i)x, (__m256i)y);\n"
-        "    const lanes_d odd = (lanes_d)_mm256_mul_epu32((__m256i)(x >> 32), (__m256i)(y >> 32));\n"
-        "#else\n"
-        "    const lanes_d low = (lanes_d){0} + 0xffffffffu;\n"
-        "    const lanes_d even = (x & low) * (y & low), odd = (x >> 32) * (y >> 32);\n"
-        "#endif\n"
+        f"typedef uint64_t lanes_d __attribute__((vector_size({size}), aligned({size}), may_alias));\n"
+        "td_inline lanes_u lanes_high(lanes_u a, lanes_u b)\n{\n"
+        f"    const lanes_d x = (lanes_d)a, y = (lanes_d)b;\n{text}"
         "    return (lanes_u)((even >> 32) | (odd >> 32 << 32));\n}\n\n"
     )
 
@@ -245,11 +270,11 @@ def _conversions(
             f"td_inline {v} lanes_real_{v[-1]}(lanes_r x)\n{{\n"
             f"    const lanes_m above = (lanes_m)(x >= {high}), below = (lanes_m)(x <= {low});\n"
             f"    const lanes_m inside = (lanes_m)(x > {low}) & ~above;\n"
-            f"    const {v} y = __builtin_convertvector((lanes_r)(inside & (lanes_m)x), {v});\n"
+            f"    const {v} y = {v}_of_r((lanes_r)(inside & (lanes_m)x));\n"
             f"    return y | (({v}){narrow('above')} & {most}) | (({v}){narrow('below')} & {least});\n}}\n\n"
         )
         yield vectorwise(kind, f"real_to_{kind}", "a real", f"lanes_real_{v[-1]}($a)")
-        yield vectorwise("real", f"{kind}_to_real", f"a {kind}", "__builtin_convertvector($a, lanes_r)")
+        yield vectorwise("real", f"{kind}_to_real", f"a {kind}", f"lanes_r_of_{v[-1]}($a)")
         yield vectorwise(kind, f"bool_to_{kind}", "a bool", f"({v}){narrow('$a')} & 1")
     one = "((lanes_r){0} + 1)"
     yield vectorwise("real", "bool_to_real", "a bool", f"(lanes_r)($a & (lanes_m){one})")
@@ -262,17 +287,15 @@ def _conversions(
         yield lanewise("real", "from_bits", ("uint32", "uint32"), "real_from_bits(a[l], b[l])")
         yield vectorwise("real", "from_word", "a uint32", "(lanes_r)$a")
         return
-    yield vectorwise(
-        "uint32", "word_0", "a real", "__builtin_convertvector((lanes_w)($a == $a) & (lanes_w)$a, lanes_u)"
-    )
+    yield vectorwise("uint32", "word_0", "a real", "lanes_u_of_w((lanes_w)($a == $a) & (lanes_w)$a)")
     quiet = "UINT64_C(0x7ff8000000000000)"
     canonical = f"((lanes_w)($a == $a) & (lanes_w)$a) | ((lanes_w)($a != $a) & {quiet})"
-    yield vectorwise("uint32", "word_1", "a real", f"__builtin_convertvector(({canonical}) >> 32, lanes_u)")
+    yield vectorwise("uint32", "word_1", "a real", f"lanes_u_of_w(({canonical}) >> 32)")
     yield vectorwise(
         "real",
         "from_bits",
         "a uint32, b uint32",
-        "(lanes_r)(__builtin_convertvector($b, lanes_w) << 32 | __builtin_convertvector($a, lanes_w))",
+        "(lanes_r)(lanes_w_of_u($b) << 32 | lanes_w_of_u($a))",
     )
     yield lanewise("real", "from_word", ("uint32",), "real_from_word(a[l])")
 
@@ -286,21 +309,49 @@ def _memory(shape: Shape) -> Iterator[str]:
         "    i = lanes_pick_int32(lanes_lt_int32(i, low), low, i);\n"
         "    return lanes_pick_int32(lanes_lt_int32(high, i), high, i);\n}\n\n"
     )
+    bits = shape.each * 32
+    words = bits // 64
+    others = " | ".join(f"(i.v{k} ^ first)" for k in range(shape.vectors))
+    told = {
+        512: ("__AVX512F__", "_mm512_test_epi64_mask((__m512i)differ, (__m512i)differ) == 0"),
+        256: ("__AVX2__", "_mm256_testz_si256((__m256i)differ, (__m256i)differ)"),
+        128: ("__AVX2__", "_mm_testz_si128((__m128i)differ, (__m128i)differ)"),
+    }
+    either = " | ".join(f"d[{w}]" for w in range(words))
+    plain = f"    uint64_t d[{words}];\n    memcpy(d, &differ, sizeof d);\n    return ({either}) == 0u;\n"
+    if bits in told:
+        plain = f"#if defined({told[bits][0]})\n    return {told[bits][1]};\n#else\n{plain}#endif\n"
+    yield "/* seldom called: does not stand in the way of what is called often */\n"
+    yield "#define LANES_APART static __attribute__((noinline, cold, unused))\n\n"
+    yield (
+        "/* Delay lines of all lanes mostly stand at the same place. */\n"
+        f"td_inline bool lanes_same(lanes_int32 i)\n{{\n    const int32_t first = i.v0[0];\n"
+        f"    const lanes_i differ = {others};\n{plain}}}\n\n"
+    )
     for kind in KINDS:
         one, whole = f"lanes_one_{kind}", TYPES[kind]
         yield (
-            f"/* a[i], of each lane its own */\n"
-            f"td_inline {whole} lanes_get_{kind}(const {whole} *a, lanes_int32 i)\n{{\n    {whole} y;\n"
+            f"LANES_APART void lanes_apart_get_{kind}({whole} *y, const {whole} *a, const lanes_int32 *i)\n{{\n"
             f"    for (int l = 0; l < {n}; l++)\n"
-            f"        (({one} *)&y)[l] = ((const {one} *)a)[(({'const lanes_one_int32'} *)&i)[l] * {n} + l];\n"
-            f"    return y;\n}}\n\n"
+            f"        (({one} *)y)[l] = ((const {one} *)a)[((const lanes_one_int32 *)i)[l] * {n} + l];\n}}\n\n"
+            f"/* a[i], of each lane its own */\n"
+            f"td_inline {whole} lanes_get_{kind}(const {whole} *a, lanes_int32 i)\n{{\n"
+            f"    if (lanes_same(i))\n        return a[i.v0[0]];\n"
+            f"    const lanes_int32 at = i;\n    {whole} y;\n    lanes_apart_get_{kind}(&y, a, &at);\n"
+            "    return y;\n}\n\n"
         )
         yield (
+            f"LANES_APART void lanes_apart_put_{kind}("
+            f"{whole} *a, const lanes_int32 *i, const {whole} *x, const lanes_bool *c)\n{{\n"
+            f"    for (int l = 0; l < {n}; l++)\n"
+            f"        if (((const lanes_one_bool *)c)[l])\n"
+            f"            (({one} *)a)[((const lanes_one_int32 *)i)[l] * {n} + l] = ((const {one} *)x)[l];\n}}\n\n"
             f"/* a[i] = x where c */\n"
             f"td_inline void lanes_put_{kind}({whole} *a, lanes_int32 i, {whole} x, lanes_bool c)\n{{\n"
-            f"    for (int l = 0; l < {n}; l++)\n"
-            f"        if (((const lanes_one_bool *)&c)[l])\n"
-            f"            (({one} *)a)[((const lanes_one_int32 *)&i)[l] * {n} + l] = ((const {one} *)&x)[l];\n}}\n\n"
+            f"    if (lanes_same(i)) {{\n        a[i.v0[0]] = lanes_pick_{kind}(c, x, a[i.v0[0]]);\n"
+            "        return;\n    }\n"
+            f"    const lanes_int32 at = i;\n    const {whole} value = x;\n    const lanes_bool on = c;\n"
+            f"    lanes_apart_put_{kind}(a, &at, &value, &on);\n}}\n\n"
         )
     yield (
         "td_inline bool lanes_any(lanes_bool c)\n{\n    lanes_one_bool any = 0;\n"

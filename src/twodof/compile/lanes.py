@@ -45,7 +45,7 @@ SIMD = {
     simd.name: simd
     for simd in (
         Simd("avx512", 64, 2, ("-mprefer-vector-width=512",), True),
-        Simd("avx2", 32, 2, ("-mavx2", "-mfma", "-mno-avx512f"), False),
+        Simd("avx2", 32, 2, ("-mavx2", "-mfma", "-mno-avx512f", "-mtune=skylake"), False),
         Simd("baseline", 16, 2, (), False),
     )
 }
