@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import random
+import sys
 from typing import Any
 
 import control
@@ -499,6 +500,6 @@ def test_too_many_states_are_refused() -> None:
 
 
 def test_without_python_control_the_error_names_the_package(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(__import__("sys").modules, "control", None)
+    monkeypatch.setitem(sys.modules, "control", None)
     with pytest.raises(CompileError, match="design"):
         linearize(pendulum(), DT).to_control()

@@ -76,9 +76,9 @@ DRAWINGS: dict[str, Callable[[], Drawing]] = {
     "rig": lambda: draw(rig()),
     "closed loop": lambda: draw(closed_loop()),
     "closed loop opened": lambda: draw(closed_loop(), 9),
-    **{name: lambda name=name: draw(starter(name)) for name in STARTERS},  # type: ignore[misc]
-    **{f"wired {seed}": lambda seed=seed: draw(wired(seed, 30)) for seed in range(8)},  # type: ignore[misc]
-    **{f"random {seed}": lambda seed=seed: draw(Maker(seed).diagram("random"), 9) for seed in range(8)},  # type: ignore[misc]
+    **{name: lambda name=name: draw(starter(name)) for name in STARTERS},
+    **{f"wired {seed}": lambda seed=seed: draw(wired(seed, 30)) for seed in range(8)},
+    **{f"random {seed}": lambda seed=seed: draw(Maker(seed).diagram("random"), 9) for seed in range(8)},
 }
 
 

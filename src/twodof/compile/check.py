@@ -12,7 +12,8 @@ from twodof.blocks.block import Clock, Param, Parameters, numeric
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.reference import Reference
 from twodof.compile.flat import Node, Program, Signal
-from twodof.compile.lower import Flat, lower
+from twodof.compile.flatten import Flat
+from twodof.compile.lower import lower
 from twodof.errors import DiagramError
 
 MAX_PROBLEMS = 1000

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from twodof.blocks import numbers
-from twodof.blocks.block import unknown_parameter
 from twodof.blocks.derivative import Dual, Slope, Tie, Value, constant
 from twodof.blocks.diagram import Diagram
 from twodof.compile.flat import Program, Signal
+from twodof.compile.flatten import constants
 from twodof.compile.linear_model import LinearModel
-from twodof.compile.lower import constants, lower
+from twodof.compile.lower import lower
 from twodof.compile.point import Point
 from twodof.compile.tangent import Key, States, Step
 from twodof.compile.whole_states import Whole
@@ -64,7 +64,7 @@ def linearize(
     wanted = [*(chosen_outputs or []), *(inputs or [])]
     paths = [p for p in dict.fromkeys(wanted) if p not in diagram.outputs and p not in diagram.inputs]
     program = lower(diagram, dt, paths)
-    work = _Linearization(program, _at(program, at or {}), diagram.outputs, inputs, chosen_outputs)
+    work = _Linearization(program, Point(program, at or {}), diagram.outputs, inputs, chosen_outputs)
     with numbers.precision("float64"):
         work.settle()
         if trim:
@@ -72,13 +72,6 @@ def linearize(
         elif free:
             raise DiagramError("inputs are free without trim", diagram.name, "ask for trim too")
         return work.model(time, keep_all)
-
-
-def _at(program: Program, at: Mapping[str, Any]) -> Point:
-    try:
-        return Point(program, at)
-    except KeyError as error:
-        raise unknown_parameter(error.args[0], error.args[1]) from error
 
 
 @dataclass

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twodof.blocks import numbers
-from twodof.blocks.block import check_bounds, numeric
+from twodof.blocks.block import check_bounds, numeric, unknown_parameter
 from twodof.blocks.derivative import plain
 from twodof.blocks.numbers import Vector
 from twodof.compile.flat import Program, Signal
@@ -21,8 +21,7 @@ Array = NDArray[np.float64]
 class Point:
     """Parameters, inputs, states and tick. `at` overrides defaults and initial values, by name or path.
 
-    Raises DiagramError or ParameterError for a value of another type or out of bounds, KeyError(name, known names) for
-    an unknown name.
+    Raises DiagramError or ParameterError for an unknown name, and for a value of another type or out of bounds.
     """
 
     def __init__(self, program: Program, at: Mapping[str, Any]) -> None:
@@ -30,7 +29,7 @@ class Point:
         known = {*program.inputs, *program.parameters, *keys, "tick"}
         for name in at:
             if name not in known:
-                raise KeyError(name, known)
+                raise unknown_parameter(name, known)
         for path, parameter in program.parameters.items():
             if path in at and parameter.declared.kind != "bool":
                 check_bounds(parameter.declared, at[path], path)

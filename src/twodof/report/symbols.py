@@ -321,10 +321,6 @@ def _first_order(part: Part, block: Any, flip: bool) -> Symbol | None:
     )
 
 
-def _second_order(part: Part, block: Any, flip: bool) -> Symbol | None:
-    return None  # two outputs: they must be named
-
-
 def _constant(part: Part, block: Any, flip: bool) -> Symbol | None:
     return _framed(part, block, [shortened(value_text(part, block, block.params[0].name), VALUE, 120.0)])
 
