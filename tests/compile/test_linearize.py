@@ -412,8 +412,8 @@ def test_an_infinite_slope_is_refused() -> None:
 def test_several_rates_are_refused_and_one_slow_rate_is_not() -> None:
     d = Diagram("rates")
     d.input("u")
-    d.add("slow", lib.ZeroOrderHold(), rate=(3, 0), u="u")
-    d.add("filter", lib.DiscreteFilter((0.5,), (1.0, -0.5)), rate=(3, 0), u="slow")
+    d.add("slow", lib.ZeroOrderHold(), rate=(3, 1), u="u")
+    d.add("filter", lib.DiscreteFilter((0.5,), (1.0, -0.5)), rate=(3, 1), u="slow")
     d.output("y", "filter")
     model = linearize(d, DT)
     assert model.dt == 3 * DT

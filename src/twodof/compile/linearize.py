@@ -15,7 +15,7 @@ from scipy.optimize import least_squares
 
 from twodof.blocks import numbers
 from twodof.blocks.derivative import Dual, Slope, Tie, Value, constant
-from twodof.blocks.diagram import Diagram
+from twodof.blocks.diagram import BASE, Diagram, Rate
 from twodof.compile.flat import Program, Signal
 from twodof.compile.flatten import constants
 from twodof.compile.linear_model import LinearModel
@@ -99,7 +99,9 @@ class _Linearization:
         self.ports = frozenset(ports)  # the diagram's own outputs
         self.point = point
         self.name = program.name
-        self.divider = _single_rate(program)
+        rate = _single_rate(program)
+        self.divider = rate.divider
+        point.tick += (rate.offset - point.tick) % rate.divider  # the next at which its blocks are due
         self.whole = Whole(program, point, self.divider)
         self.signals = {s.path: s for n in program.nodes for s in n.outputs.values()}
         self.inputs = self._inputs(inputs)
@@ -418,7 +420,8 @@ class _Linearization:
         self.settle()
 
 
-def _single_rate(program: Program) -> int:
+def _single_rate(program: Program) -> Rate:
+    """The rate of all blocks that do something; DiagramError if there are several."""
     ordered = [s for g in program.tick for a in g.actions for s in a.signals]
     rateless = constants(ordered)
     live = {s.node for s in ordered if s not in rateless} | {n for n in program.nodes if n.block.states}
@@ -431,7 +434,7 @@ def _single_rate(program: Program) -> int:
             program.name,
             "a linear model has one: linearize a sub-diagram, or give all parts one rate",
         )
-    return next(iter(rates)).divider if rates else 1
+    return next(iter(rates), BASE)
 
 
 def _needed(
