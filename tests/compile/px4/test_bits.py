@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,11 +12,13 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.compile.differential import Case, random_cases, same
+from tests.compile.px4.build import PX4_FLAGS, compile_module, run
 from tests.compile.px4.host import build_controller, replay
-from twodof.blocks import Block, Diagram, Port
+from twodof.blocks import Block, Diagram, Port, sqrt
 from twodof.compile import build
 from twodof.compile.px4.build_files import EXACT
 from twodof.compile.px4.controller import DT
+from twodof.compile.px4.export import make_module
 
 STEPS = 2_000
 FMA = Path("/proc/cpuinfo").exists() and " fma " in Path("/proc/cpuinfo").read_text()
@@ -74,6 +77,29 @@ class Swing(Block):
 def test_px4s_flags_alone_change_bits(tmp_path: Path) -> None:
     assert differing(swings(), tmp_path) == []
     assert differing(swings(), tmp_path, ()) == ["y"]
+
+
+def test_no_flag_of_px4s_is_given_again() -> None:
+    assert not set(EXACT) & set(PX4_FLAGS.split())
+
+
+def test_nothing_is_called_but_memory_functions(tmp_path: Path) -> None:
+    d = Diagram("root")
+    d.input("q")
+    d.add("root", Root(), u="q")
+    d.output("M", "root")
+    c, _ = compile_module(make_module(d), tmp_path)
+    assert set(re.findall(r"^ +U (\w+)$", run(["nm", str(c)]), re.MULTILINE)) <= {"memcpy", "memset"}
+
+
+class Root(Block):
+    """A square root and a quotient, which a library might be called for."""
+
+    inputs = (Port("u"),)
+    outputs = (Port("y"),)
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        return sqrt(u.u) + abs(u.u) / (1.0 + u.u)
 
 
 @pytest.mark.skipif(not FMA, reason="this processor has no fused multiply-add to contract to")

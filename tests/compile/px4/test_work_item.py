@@ -185,6 +185,21 @@ def test_a_stale_attitude_stops_the_motors_and_the_controller_starts_again(bench
     assert np.all(same(rows["out_m"][30:], expected["M"]))
 
 
+@pytest.mark.parametrize("what", ["gyro", "attitude"])
+def test_a_measurement_that_is_not_finite_stops_the_motors(bench: Bench, what: str) -> None:
+    mode(bench)
+    fly(bench, 5)
+    bench.at(bench.now + PERIOD)
+    bench.publish("vehicle_attitude", q=[math.nan] * 4 if what == "attitude" else quaternion(0.0))
+    bench.publish("vehicle_angular_velocity", xyz=[0.0, math.inf if what == "gyro" else 0.0, 0.0])
+    fly(bench, 5)
+    events = bench.run()
+    rows = events.topic("twodof_pitch")
+    assert list(rows["faults"]) == [0] * 5 + [STALE] + [0] * 5
+    assert list(rows["tick"][6:]) == list(range(5))
+    assert not events.topic("vehicle_torque_setpoint")["xyz"][5].any()
+
+
 def test_a_silent_gyro_stops_the_motors(bench: Bench) -> None:
     mode(bench)
     fly(bench, 5)

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from twodof.compile.px4.names import ModuleNames
 
-# DESIGN section 1: no contraction, no reassociation, IEEE division, signed zeros. PX4's own flags come before these.
+# The language's rules: no contraction, no reassociation, IEEE division, signed zeros. PX4's flags come before, and
+# CMake drops one that PX4 has given already: -fno-fast-math, say, would switch errno on, and nothing switch it off.
 EXACT = (
     "-ffp-contract=off",
-    "-fno-fast-math",
-    "-fno-unsafe-math-optimizations",
     "-fno-associative-math",
     "-fno-reciprocal-math",
     "-fno-finite-math-only",
     "-fsigned-zeros",
-    "-fno-math-errno",
 )
 
 

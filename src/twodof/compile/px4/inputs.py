@@ -27,10 +27,13 @@ _FRESH: Mapping[str, str] = MappingProxyType(
     {
         "vehicle_attitude": "fresh(_attitude.timestamp, _now, ATTITUDE_AGE)",
         "sensor_combined": "fresh(_sensors.timestamp, _now, ATTITUDE_AGE)",
-        "vehicle_local_position": "fresh(_position.timestamp, _now, POSITION_AGE) && _position.xy_valid\n"
-        "           && _position.v_xy_valid",
+        "vehicle_local_position": "fresh(_position.timestamp, _now, POSITION_AGE) && _position.xy_valid"
+        " && _position.v_xy_valid",
     }
 )
+
+# The inputs that are measured: one that is not finite makes the measurements unsound.
+MEASURED = ("theta", "q", "x", "vx", "acc_x", "acc_z", "gyro_y")
 
 # Input -> what it is, in terms of `read_inputs`. A set-point that is wanted and not there is a fault.
 _VALUES: Mapping[str, str] = MappingProxyType(
@@ -80,7 +83,10 @@ def inputs_text(names: ModuleNames, role: Role) -> str:
     c = names.class_name
     read = [topic for topic in role.reads if topic in MEMBERS]
     updates = "\n".join(f"    {MEMBERS[topic]}_sub.update(&{MEMBERS[topic]});" for topic in read)
-    fresh = " &&\n           ".join(_FRESH[topic] for topic in read if topic in _FRESH) or "true"
+    members = dict(zip(role.inputs, field_names("in", role.inputs), strict=True))
+    tests = [_FRESH[topic] for topic in read if topic in _FRESH]
+    tests += [f"PX4_ISFINITE(_in.{members[name]})" for name in MEASURED if name in members]
+    sound = "\n           && ".join(tests) or "true"
     body = _locals(role) + _assignments(role)
     helpers = _AGE + (_PITCH if "pitch_of" in body else "")
     ignored = "" if "rates." in body else "    (void)rates;\n"
@@ -91,9 +97,9 @@ def inputs_text(names: ModuleNames, role: Role) -> str:
 {updates}
 {_thrust(role)}}}
 
-bool {c}::measurements_are_fresh() const
+bool {c}::measurements_are_sound() const
 {{
-    return {fresh};
+    return {sound};
 }}
 
 {setpoint}

@@ -13,7 +13,7 @@ _C_TYPES = {"real": "float", "int32": "int32_t", "uint32": "uint32_t", "bool": "
 _SIZES = {"real": 4, "int32": 4, "uint32": 4, "bool": 1}
 QUEUE = 16
 LONGEST_FORMAT = 1450  # the logger of v1.14 has 1500 characters for it, a name included
-LARGEST = 2000  # bytes; the logger's buffer holds some 30 of them on a small board
+LARGEST = 1000  # bytes; the topic's queue holds 16 of them
 
 # bit, name, meaning
 FAULTS = (

@@ -61,7 +61,7 @@ private:
     /** Whether a step is due at a gyro sample; counts those that were missed. */
     bool due(hrt_abstime sample);
     void take_parameters(bool starting);
-    bool measurements_are_fresh() const;
+    bool measurements_are_sound() const;
     void read_topics();
     void read_inputs(const vehicle_angular_velocity_s &rates);
     bool commands_are_finite() const;
@@ -71,6 +71,7 @@ private:
     {n}_Controller _controller{{}};
     {n}_Inputs _in{{}};
     {n}_Outputs _out{{}};
+    {n}_s _message{{}};  // too large for the queue's stack
 
     hrt_abstime _due{{0}};
     hrt_abstime _last_sample{{0}};
@@ -250,8 +251,9 @@ void {c}::Run()
 
     _faults = _refused_parameter >= 0 ? REFUSED : 0;
     read_topics();
+    read_inputs(rates);
 
-    if (!measurements_are_fresh()) {{
+    if (!measurements_are_sound()) {{
         _faults |= STALE;
         _waiting = true;
 
@@ -261,7 +263,6 @@ void {c}::Run()
             _waiting = false;
         }}
 
-        read_inputs(rates);
         _tick = {n}_ticks(&_controller);
         {n}_tick(&_controller, &_in, &_out);
         _steps++;
@@ -280,7 +281,7 @@ void {c}::Run()
 {commands_text(names, role, found)}
 void {c}::report(hrt_abstime sample, hrt_abstime begin)
 {{
-    {n}_s message{{}};
+    {n}_s &message = _message;
     message.timestamp_sample = sample;
     message.tick = _tick;
     message.missed = _missed;
@@ -352,6 +353,7 @@ int {c}::replay(const char *input, const char *output)
         }}
     }}
 
+    const bool begun = s != nullptr;
     delete s;
 
     if (to != nullptr) {{
@@ -362,7 +364,7 @@ int {c}::replay(const char *input, const char *output)
         fclose(from);
     }}
 
-    if (to == nullptr || !written) {{
+    if (!begun || !written) {{
         PX4_ERR("cannot %s %s", from == nullptr ? "read" : "write", from == nullptr ? input : output);
         return -1;
     }}

@@ -151,8 +151,9 @@ void TwodofPitch::Run()
 
     _faults = _refused_parameter >= 0 ? REFUSED : 0;
     read_topics();
+    read_inputs(rates);
 
-    if (!measurements_are_fresh()) {
+    if (!measurements_are_sound()) {
         _faults |= STALE;
         _waiting = true;
 
@@ -162,7 +163,6 @@ void TwodofPitch::Run()
             _waiting = false;
         }
 
-        read_inputs(rates);
         _tick = twodof_pitch_ticks(&_controller);
         twodof_pitch_tick(&_controller, &_in, &_out);
         _steps++;
@@ -202,9 +202,11 @@ void TwodofPitch::read_topics()
                : setpoint(-_rates_setpoint.thrust_body[2], _rates_setpoint.timestamp, 0.f, false);
 }
 
-bool TwodofPitch::measurements_are_fresh() const
+bool TwodofPitch::measurements_are_sound() const
 {
-    return fresh(_attitude.timestamp, _now, ATTITUDE_AGE);
+    return fresh(_attitude.timestamp, _now, ATTITUDE_AGE)
+           && PX4_ISFINITE(_in.in_theta)
+           && PX4_ISFINITE(_in.in_q);
 }
 
 float TwodofPitch::setpoint(float value, hrt_abstime stamp, float neutral, bool wanted)
@@ -270,7 +272,7 @@ void TwodofPitch::command(hrt_abstime sample)
 
 void TwodofPitch::report(hrt_abstime sample, hrt_abstime begin)
 {
-    twodof_pitch_s message{};
+    twodof_pitch_s &message = _message;
     message.timestamp_sample = sample;
     message.tick = _tick;
     message.missed = _missed;
@@ -350,6 +352,7 @@ int TwodofPitch::replay(const char *input, const char *output)
         }
     }
 
+    const bool begun = s != nullptr;
     delete s;
 
     if (to != nullptr) {
@@ -360,7 +363,7 @@ int TwodofPitch::replay(const char *input, const char *output)
         fclose(from);
     }
 
-    if (to == nullptr || !written) {
+    if (!begun || !written) {
         PX4_ERR("cannot %s %s", from == nullptr ? "read" : "write", from == nullptr ? input : output);
         return -1;
     }

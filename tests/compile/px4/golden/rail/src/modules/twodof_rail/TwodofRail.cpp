@@ -150,8 +150,9 @@ void TwodofRail::Run()
 
     _faults = _refused_parameter >= 0 ? REFUSED : 0;
     read_topics();
+    read_inputs(rates);
 
-    if (!measurements_are_fresh()) {
+    if (!measurements_are_sound()) {
         _faults |= STALE;
         _waiting = true;
 
@@ -161,7 +162,6 @@ void TwodofRail::Run()
             _waiting = false;
         }
 
-        read_inputs(rates);
         _tick = twodof_rail_ticks(&_controller);
         twodof_rail_tick(&_controller, &_in, &_out);
         _steps++;
@@ -191,11 +191,12 @@ void TwodofRail::read_topics()
     _position_sub.update(&_position);
 }
 
-bool TwodofRail::measurements_are_fresh() const
+bool TwodofRail::measurements_are_sound() const
 {
-    return fresh(_attitude.timestamp, _now, ATTITUDE_AGE) &&
-           fresh(_position.timestamp, _now, POSITION_AGE) && _position.xy_valid
-           && _position.v_xy_valid;
+    return fresh(_attitude.timestamp, _now, ATTITUDE_AGE)
+           && fresh(_position.timestamp, _now, POSITION_AGE) && _position.xy_valid && _position.v_xy_valid
+           && PX4_ISFINITE(_in.in_x)
+           && PX4_ISFINITE(_in.in_vx);
 }
 
 float TwodofRail::setpoint(float value, hrt_abstime stamp, float neutral, bool wanted)
@@ -270,7 +271,7 @@ void TwodofRail::command(hrt_abstime sample)
 
 void TwodofRail::report(hrt_abstime sample, hrt_abstime begin)
 {
-    twodof_rail_s message{};
+    twodof_rail_s &message = _message;
     message.timestamp_sample = sample;
     message.tick = _tick;
     message.missed = _missed;
@@ -350,6 +351,7 @@ int TwodofRail::replay(const char *input, const char *output)
         }
     }
 
+    const bool begun = s != nullptr;
     delete s;
 
     if (to != nullptr) {
@@ -360,7 +362,7 @@ int TwodofRail::replay(const char *input, const char *output)
         fclose(from);
     }
 
-    if (to == nullptr || !written) {
+    if (!begun || !written) {
         PX4_ERR("cannot %s %s", from == nullptr ? "read" : "write", from == nullptr ? input : output);
         return -1;
     }

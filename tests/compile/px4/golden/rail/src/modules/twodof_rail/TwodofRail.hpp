@@ -50,7 +50,7 @@ private:
     /** Whether a step is due at a gyro sample; counts those that were missed. */
     bool due(hrt_abstime sample);
     void take_parameters(bool starting);
-    bool measurements_are_fresh() const;
+    bool measurements_are_sound() const;
     void read_topics();
     void read_inputs(const vehicle_angular_velocity_s &rates);
     bool commands_are_finite() const;
@@ -60,6 +60,7 @@ private:
     twodof_rail_Controller _controller{};
     twodof_rail_Inputs _in{};
     twodof_rail_Outputs _out{};
+    twodof_rail_s _message{};  // too large for the queue's stack
 
     hrt_abstime _due{0};
     hrt_abstime _last_sample{0};
