@@ -16,7 +16,7 @@ SWEEPS = 12  # of crossing reduction, and of aligning heights
 APART = 22.0  # between boxes of a column
 TERMINALS_APART = 4.0
 NEAR = 30.0  # how far a box may be from where its author put it, to make a wire straight
-LANE = 13.0  # between a wire that passes and what is beside it
+LANE = 12.0  # between a wire that passes and what is beside it; with half a terminal the distance of two ports
 MARGIN = 16.0
 
 
