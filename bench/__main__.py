@@ -13,7 +13,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from bench import closed_loop, cortex_m7, greybox, start_up, targets
+from bench import closed_loop, cortex_m7, greybox, lanes, start_up, targets
 from bench.measure import Figure, machine
 from twodof.flightlog.atomic import atomic_write
 
@@ -21,6 +21,7 @@ BENCHMARKS: Mapping[str, Callable[[bool], list[Figure]]] = {
     "closed_loop": closed_loop.run,
     "cortex_m7": cortex_m7.run,
     "greybox": greybox.run,
+    "lanes": lanes.run,
     "start_up": start_up.run,
     "targets": targets.run,
 }

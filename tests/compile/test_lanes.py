@@ -186,6 +186,10 @@ def test_inputs_of_a_run() -> None:
     assert (out["not_flag"] == [False, True, False, True, False]).all()
     assert np.array_equal(machine.step()["a"], w[-1])  # inputs keep their last values
     assert machine.run(0)["a"].shape == (0, lanes, 2)
+    x = machine.state("acc.x")
+    machine.skip(10)
+    assert np.array_equal(machine.state("acc.x"), x + 10.0 * u[-1])
+    assert machine.tick == steps + 11
 
 
 def test_a_refused_value_names_its_lane_and_bound_and_changes_nothing() -> None:

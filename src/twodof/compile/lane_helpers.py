@@ -18,9 +18,8 @@ SCALARS = frozenset(
 )
 """The scalar helpers that the functions here call."""
 
-_CONVERSIONS = """/* Between vectors of reals and integers, whole and half width; gcc 12 does it in halves if not told so. */
+_CONVERSIONS = """/* Between vectors of reals and integers, whole and half width; gcc 12 does it in halves untold. */
 #if defined(__AVX512DQ__) && LANES_BYTES == 64
-#include <immintrin.h>
 #define lanes_r_of_i(x) ((lanes_r)_mm512_cvtepi32_{ps}((__m{n}i)(x)))
 #define lanes_r_of_u(x) ((lanes_r)_mm512_cvtepu32_{ps}((__m{n}i)(x)))
 #define lanes_i_of_r(x) ((lanes_i)_mm512_cvtt{ps}_epi32((__m512{d})(x)))
@@ -42,7 +41,6 @@ _CONVERSIONS = """/* Between vectors of reals and integers, whole and half width
 """
 _BLEND = """/* a where c, else b. With AVX-512 gcc makes masked moves of the second form. */
 #if defined(__AVX2__) && LANES_BYTES == 32
-#include <immintrin.h>
 #define lanes_blend_r(c, a, b) ((lanes_r)_mm256_blendv_{ps}((__m256{d})(b), (__m256{d})(a), (__m256{d})(c)))
 #else
 #define lanes_blend_r(c, a, b) ((lanes_r)(((c) & (lanes_m)(a)) | (~(c) & (lanes_m)(b))))
@@ -96,7 +94,8 @@ def _types(shape: Shape) -> str:
         ("int32_t", "lanes_i", narrow, ""),
         ("uint32_t", "lanes_u", narrow, ""),
     )
-    text = [
+    text = ["#if defined(__AVX2__)\n#include <immintrin.h>\n#endif\n\n"]
+    text += [
         f"/* {shape.lanes} lanes: {shape.vectors} vectors of {shape.each}. */\n",
         f"#define LANES_BYTES {shape.size}\n",
     ]
