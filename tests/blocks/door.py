@@ -1,6 +1,7 @@
 """Loads files in processes of their own with bounded memory and time, and says what became of each.
 
-Run as a program with a folder: one line of JSON for each file of it, in the order of their names.
+Run as a program with a folder: one line of JSON for each file of it, in the order of their names; with a file: one line
+for each of its lines, which are texts of diagrams as JSON strings, all in one process.
 """
 
 from __future__ import annotations
@@ -11,12 +12,13 @@ import resource
 import subprocess
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from twodof.blocks import Block, Diagram
 from twodof.blocks.reference import Reference
-from twodof.blocks.schema import read_diagram
+from twodof.blocks.schema import from_json, read_diagram
 from twodof.compile.program import emit_program
 from twodof.errors import TwodofError
 
@@ -43,9 +45,36 @@ def judge(files: Mapping[str, bytes], folder: Path) -> dict[str, dict[str, Any]]
     return dict(zip(files, map(json.loads, done.stdout.splitlines()), strict=True))
 
 
-def attempt(file: Path, stage: list[str]) -> None:
-    """Load the file, take two steps on the reference and write its C."""
-    diagram = read_diagram(file)
+def judge_many(texts: Sequence[str], file: Path, seconds: float) -> list[dict[str, Any]]:
+    """What became of each of `texts`, loaded one after the other in one process; `seconds` for all of them."""
+    file.write_text("".join(json.dumps(text) + "\n" for text in texts))
+    done = subprocess.run(
+        [sys.executable, "-m", "tests.blocks.door", str(file)],
+        cwd=Path(__file__).resolve().parents[2],
+        capture_output=True,
+        text=True,
+        timeout=seconds,
+        check=False,
+    )
+    rows = [json.loads(line) for line in done.stdout.splitlines()]
+    assert done.returncode == 0, f"{done.stderr[-2000:]}\nat {texts[len(rows)]:.2000}"
+    return rows
+
+
+def connected(diagram: Diagram) -> Diagram:
+    """`diagram` with an input of its own for each input of a part that nothing feeds."""
+    number = 0
+    for name, part in list(diagram.parts.items()):
+        ports = part.item.inputs if isinstance(part.item, Block) else part.item.inputs.values()
+        for port in ports:
+            if (name, port.name) not in diagram.connections:
+                number += 1
+                diagram.connect(diagram.input(f"free_{number}", port.kind, port.width), f"{name}.{port.name}")
+    return diagram
+
+
+def attempt(diagram: Diagram, stage: list[str]) -> None:
+    """Take two steps on the reference and write the C of a diagram."""
     stage.append("loaded")
     machine = Reference(diagram, 0.01).machine()
     machine.run(2)
@@ -62,7 +91,7 @@ def _child(file: Path, pipe: int) -> None:
     error, text, stage = "", "", ["refused"]
     start = time.process_time()
     try:
-        attempt(file, stage)
+        attempt(read_diagram(file), stage)
     except TwodofError as found:
         error, text = type(found).__name__, str(found)
     except FAULTS as found:
@@ -78,6 +107,24 @@ def _child(file: Path, pipe: int) -> None:
         "bytes": peak,
     }
     os.write(pipe, json.dumps(row).encode())
+
+
+def many(file: Path) -> None:
+    """Judge every line of the file in this process."""
+    size = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGESIZE")
+    resource.setrlimit(resource.RLIMIT_AS, (size + MEMORY, size + MEMORY))
+    for line in file.read_text().splitlines():
+        error, text, stage = "", "", ["refused"]
+        start = time.process_time()
+        try:
+            attempt(connected(from_json(json.loads(line))), stage)
+        except TwodofError as found:
+            error, text = type(found).__name__, str(found)
+        except FAULTS as found:
+            error, text = f"!{type(found).__name__}", str(found)[:500]
+        seconds = time.process_time() - start
+        row = {"error": error, "text": text[:300], "long": len(text), "stage": stage[-1], "seconds": seconds}
+        sys.stdout.write(json.dumps(row) + "\n")
 
 
 def main(folder: Path) -> None:
@@ -98,4 +145,5 @@ def main(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    given = Path(sys.argv[1])
+    main(given) if given.is_dir() else many(given)

@@ -158,8 +158,8 @@ def gains(count: int) -> bytes:
 WIDE = {"name": "u", "width": 10**6}
 TOO_LARGE: dict[str, tuple[bytes, str]] = {
     "a delay of 10^9 steps": (library("delay", samples=10**9, bound=10**9), "within 1 .. "),
-    "a state of 10^9 values": (custom(states=[{"name": "ring", "width": 10**9}]), "more than 4000000 values"),
-    "a state of 10^39 values": (custom(states=[{"name": "ring", "width": 10**39}]), "more than 4000000 values"),
+    "a state of 10^9 values": (custom(states=[{"name": "ring", "width": 10**9}]), "more than 1000000 values"),
+    "a state of 10^39 values": (custom(states=[{"name": "ring", "width": 10**39}]), "more than 1000000 values"),
     "10^6 blocks": (gains(10**6), "bytes of diagram"),
     "120,000 blocks": (
         file(parts=[{"name": f"g{k}", "block": {"type": "gain"}} for k in range(120_000)]),
@@ -169,10 +169,12 @@ TOO_LARGE: dict[str, tuple[bytes, str]] = {
         custom(
             params=[{"name": "k", "width": 10**6, "value": 1}, *({"name": f"k{i}", "width": 10**6} for i in range(3))]
         ),
-        "more than 4000000 values",
+        "more than 1000000 values",
     ),
-    "a table as long as a file may be": (library("playback", values=[1] * 2_500_000), "more than 200000 numbers"),
-    "a matrix of 180,000 numbers": (library("matrix_gain", K=[[1] * 450] * 400), "more than"),
+    "a table as long as a file may be": (library("playback", values=[1] * 2_500_000), "more than 100000 numbers"),
+    "a matrix of 90,000 numbers": (library("matrix_gain", K=[[1] * 300] * 300), "more than 1000000 operations"),
+    "a delay of wide samples": (library("delay", samples=4, width=70_000), "too many operations"),
+    "wide arrays side by side": (library("concatenate", widths=[150_000] * 3), "too many operations"),
     "100,000 inputs": (custom(inputs=[{"name": f"u{k}"} for k in range(100_000)]), "at most 1000|more than 100000"),
     "90,000 inputs of a diagram": (
         file(inputs=[{"name": f"u{k}"} for k in range(110_000)]),
@@ -183,7 +185,7 @@ TOO_LARGE: dict[str, tuple[bytes, str]] = {
             inputs=[WIDE],
             parts=[{"name": "h", "block": {"type": "unit_delay", "config": {"width": 10**6}}} for _ in range(5)],
         ),
-        "more than 4000000 values|used twice",
+        "more than 1000000 values|used twice",
     ),
     "lists within lists": (library("lookup", values=[[[[[[[1]]]]]]]), "more than 4 lists"),
     "empty lists": (raw('{"name": "d", "parts": [' + "[]," * 2_700_000 + "[]]}"), "is no part"),
@@ -212,7 +214,7 @@ ENDLESS: dict[str, tuple[bytes, str]] = {
     "two loops of a million": (loops([10**6 - 1] * 2), "a step of more than 1000000 operations"),
     "a loop of 10^9": (loops([10**9]), "is not in 0"),
     "loops 9 deep": (loops([1] * 9, lambda k: k % 8), "nested more than 8"),
-    "loops 30,000 deep": (loops([1] * 16_000, lambda k: 0), "nested more than 8"),
+    "loops 8,000 deep": (loops([1] * 8_000, lambda k: 0), "nested more than 8"),
     "eight loops of 100": (loops([100] * 8), "a step of more than 1000000 operations"),
     "20,000 variables of no loop": (many_variables(20_000), "outside its loop"),
     "5,000 stores into 10^6 values": (stores(5000, 10**6), "operations"),
@@ -373,7 +375,7 @@ LARGE: dict[str, bytes] = {
     "10,000 gains": gains(10_000),
     "a loop of 140,000 rounds": loops([140_000]),
     "64 sub-diagrams": file(**nested(60)),
-    "a table of 190,000 numbers": library("playback", values=[0.1] * 190_000, period=0.01),
-    "a state of 10^6 values": custom(states=[{"name": "ring", "width": 10**6}]),
-    "2,000 outputs of small blocks": shared_outputs(900, 100),
+    "a table of 90,000 numbers": library("playback", values=[0.1, 0.2] * 45_000, period=0.01),
+    "a state of 900,000 values": custom(states=[{"name": "ring", "width": 900_000}]),
+    "300 outputs of one graph": shared_outputs(300, 100),
 }

@@ -69,18 +69,23 @@ def test_a_block_without_such_an_input_says_what_is_possible() -> None:
         d.add("gain", Gain(), reset="u")
 
 
-def test_rates_that_multiply_beyond_the_tick_are_refused() -> None:
-    whole = Diagram("whole")
-    middle, inner = Diagram("middle"), Diagram("inner")
-    inner.add("n", Counter(), rate=(2**11, 0))
-    middle.add("inner", inner, rate=(2**10, 1))
-    whole.add("middle", middle, rate=(2**9, 0))
-    assert Reference(whole, 0.01).hierarchy.cells[0].rate == (2**30, 2**9)
-    whole.parts["middle"].rate = type(whole.parts["middle"].rate)(2**10, 0)
-    for check in (lambda: Reference(whole, 0.01), lambda: lower(whole, 0.01)):
+def test_rates_that_multiply_without_end_are_refused() -> None:
+    """Beyond the tick's 2^32 a block runs once; only where no number holds the period any more is the end."""
+
+    def nested(levels: int) -> Diagram:
+        d = Diagram("inner")
+        d.add("n", Counter(), rate=(2**30, 1))
+        for _ in range(levels):
+            outer = Diagram("outer")
+            outer.add("part", d, rate=(2**30, 0))
+            d = outer
+        return d
+
+    assert Reference(nested(2), 0.01).hierarchy.cells[0].rate == (2**90, 2**60)
+    for check in (Reference, lower):
         with pytest.raises(DiagramError, match="is impossible") as caught:
-            check()
-        assert caught.value.where == "middle.inner.n"
+            check(nested(40), 0.01)
+        assert caught.value.where.startswith("part.part.part")
 
 
 def test_a_list_of_parts_in_a_message_stays_short() -> None:

@@ -104,10 +104,10 @@ HOSTILE = {
     "a name of C code": (form(name="x; system(1)"), "is no name"),
     "a look-alike name": (form(inputs=[{"name": "а"}]), "is no name"),
     "a newline in a name": (form(inputs=[{"name": "a\n"}]), "is no name"),
-    "an array of a gigabyte": (form(inputs=[{"name": "a", "width": 10**9}]), "more than 4000000 values"),
+    "an array of a gigabyte": (form(inputs=[{"name": "a", "width": 10**9}]), "more than 1000000 values"),
     "many wide arrays": (
         form(inputs=[{"name": f"a{i}", "width": 10**6} for i in range(11)]),
-        "more than 4000000 values",
+        "more than 1000000 values",
     ),
     "an unknown block": (
         form(parts=[{"name": "g", "block": {"type": "os.system", "config": {}}}]),

@@ -44,11 +44,13 @@ def check_steps(steps: object, where: str) -> int:
     return int(steps)
 
 
-def _check_shape(kind: str, width: int | None, name: str) -> None:
+def _check_shape(kind: str, width: int | None, name: str, unit: str) -> None:
     check_name(name, "block")
+    if not isinstance(unit, str):
+        raise DiagramError(f"the unit {shown(unit)} is no text", name, 'write it as "m/s", or "" for none')
     if kind not in KINDS:
         raise DiagramError(f"unknown type {shown(kind)}", name, f"use one of {', '.join(KINDS)}")
-    if width is not None and not (isinstance(width, int) and 1 <= width <= MAX_WIDTH):
+    if width is not None and not (type(width) is int and 1 <= width <= MAX_WIDTH):
         raise DiagramError(f"width {shown(width)} is not in 1..{MAX_WIDTH}", name, "use None for a scalar")
 
 
@@ -62,7 +64,7 @@ class Port:
     unit: str = ""
 
     def __post_init__(self) -> None:
-        _check_shape(self.kind, self.width, self.name)
+        _check_shape(self.kind, self.width, self.name, self.unit)
 
 
 @dataclass(frozen=True)
@@ -80,7 +82,7 @@ class State:
     continuous: bool = False
 
     def __post_init__(self) -> None:
-        _check_shape(self.kind, self.width, self.name)
+        _check_shape(self.kind, self.width, self.name, self.unit)
         if self.continuous and self.kind != "real":
             raise DiagramError(f"a continuous state of type {self.kind}", self.name, "continuous states are real")
 
@@ -103,7 +105,7 @@ class Param:
     tunable: bool = True
 
     def __post_init__(self) -> None:
-        _check_shape(self.kind, self.width, self.name)
+        _check_shape(self.kind, self.width, self.name, self.unit)
 
 
 def narrowed(outer: Param, inner: Param, path: str) -> Param:

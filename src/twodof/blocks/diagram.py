@@ -10,6 +10,7 @@ from twodof.blocks.block import Block, Param, Port, check_name
 from twodof.errors import DiagramError, listed, shown
 
 MAX_DIVIDER = 2**31 - 1
+MAX_NESTED = 2**256  # the product of the dividers of a part and of the diagrams around it
 
 
 class Rate(NamedTuple):
@@ -22,13 +23,14 @@ class Rate(NamedTuple):
         """This rate, given relative to `outer`, relative to the base tick."""
         return Rate(self.divider * outer.divider, outer.offset + outer.divider * self.offset)
 
-    def check(self, path: str) -> Rate:
-        """This rate if it is possible; else DiagramError."""
-        if not (1 <= self.divider <= MAX_DIVIDER and 0 <= self.offset < self.divider):
+    def check(self, path: str, most: int = MAX_DIVIDER) -> Rate:
+        """This rate if it is possible and its divider at most `most`; else DiagramError."""
+        if not (1 <= self.divider <= most and 0 <= self.offset < self.divider):
             raise DiagramError(
                 f"rate {shown(tuple(self))} is impossible",
                 path,
-                f"1 <= divider <= {MAX_DIVIDER}, with that of the enclosing diagrams too; 0 <= offset < divider",
+                f"divider >= 1 and at most {MAX_DIVIDER} (2^256 with those of all enclosing diagrams), "
+                "0 <= offset < divider",
             )
         return self
 

@@ -25,6 +25,17 @@ LEAVES = ("const", "input", "state", "param", "tick", "dt", "bound")
 
 _table: WeakValueDictionary[tuple[Any, ...], Expr] = WeakValueDictionary()
 _tracing: ContextVar[str] = ContextVar("tracing", default="")
+_room: ContextVar[list[int] | None] = ContextVar("room", default=None)  # nodes that may still be recorded
+
+
+@contextmanager
+def at_most(nodes: int) -> Iterator[None]:
+    """Raise DiagramError as soon as the enclosed code has recorded more than `nodes` new nodes."""
+    token = _room.set([nodes])
+    try:
+        yield
+    finally:
+        _room.reset(token)
 
 
 @contextmanager
@@ -246,6 +257,11 @@ def node(op: str, kind: str, args: tuple[Expr, ...] = (), data: Any = None, widt
     key = (op, kind, width, tuple(map(id, args)), tag)
     found = _table.get(key)
     if found is None:
+        room = _room.get()
+        if room is not None:
+            room[0] -= 1
+            if room[0] < 0:
+                raise DiagramError("it records too many operations", _tracing.get(), "compute less, or in loops")
         found = Expr.__new__(Expr)
         found.op, found.kind, found.width, found.args, found.data = op, kind, width, args, data
         _table[key] = found

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from twodof.blocks.block import Block, Param, Port, State, narrowed
-from twodof.blocks.diagram import BASE, Diagram, Rate
+from twodof.blocks.diagram import BASE, MAX_NESTED, Diagram, Rate
 from twodof.blocks.graph import leaves
 from twodof.errors import DiagramError
 
@@ -130,13 +130,15 @@ class Hierarchy:
             }
             at = prefix + p.name
             if isinstance(p.item, Block):
-                cell = Cell(at, p.item, p.rate.within(rate).check(at), levels)
+                cell = Cell(at, p.item, p.rate.within(rate).check(at, MAX_NESTED), levels)
                 cell.parameters = {d.name: self._root(f"{at}.{d.name}", d, inner.get(d.name)) for d in p.item.params}
                 level.children[p.name] = cell
                 self.cells.append(cell)
             else:
                 conditional = bool(p.enable or p.reset)
-                child = self._open(p.item, at, level, p.name, at + ".", p.rate.within(rate).check(at), levels, inner)
+                child = self._open(
+                    p.item, at, level, p.name, at + ".", p.rate.within(rate).check(at, MAX_NESTED), levels, inner
+                )
                 level.children[p.name] = child
                 if conditional:
                     child.resets_outputs = p.disabled == "reset"

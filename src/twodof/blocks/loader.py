@@ -11,14 +11,15 @@ from twodof.blocks import library
 from twodof.blocks.block import REGISTRY, Block, Param, Port, State
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.effort import COPIED, MAX_OPERATIONS, MAX_SIZE, Meter, too_large
+from twodof.blocks.expr import at_most
 from twodof.blocks.traced import TracedBlock, graph_from_json
 from twodof.errors import DiagramError, TwodofError, listed, shown
 
 MAX_DEPTH = 64  # of sub-diagrams
 MAX_PARTS = 10_000
 MAX_DECLARED = 100_000  # inputs, outputs, states and parameters of all parts
-MAX_ELEMENTS = 4_000_000  # of their arrays, all together
-MAX_NUMBERS = 200_000  # written out: tables, initial values, arguments of blocks
+MAX_ELEMENTS = 1_000_000  # of their arrays, all together
+MAX_NUMBERS = 100_000  # written out: tables, initial values, arguments of blocks
 MAX_LIST_DEPTH = 4
 MAX_TEXT = 10_000  # characters
 MAX_UNIT = 40
@@ -152,13 +153,16 @@ class Loader:
             config = self._plain(member(form, "config", dict, where, {}), where)
             try:
                 block = REGISTRY[kind](**config)
-                _ = block.trace
+                declared: list[Any] = [*block.inputs, *block.outputs, *block.states, *block.params, *block.derived]
+                self._count(len(declared), sum(item.width or 1 for item in declared), where)
+                with at_most(2 * MAX_SIZE):
+                    _ = block.trace
             except TwodofError as error:
                 raise DiagramError(error.what, where, error.remedy) from error
             except (TypeError, ValueError, ArithmeticError, LookupError) as error:
                 raise DiagramError(f"{kind} cannot be made: {error!s:.200}", where, "see docs/library.md") from error
-            declared: list[Any] = [*block.inputs, *block.outputs, *block.states, *block.params, *block.derived]
-            self._count(len(declared), sum(item.width or 1 for item in declared), where)
+            for item in declared:
+                _visible(item.unit, getattr(item, "text", ""), where)
         else:
             near = listed(difflib.get_close_matches(kind[:80], REGISTRY, n=5))
             raise DiagramError(
@@ -274,11 +278,15 @@ def _typed(cls: type, fields: Mapping[str, Any], where: str) -> Any:
             raise DiagramError(f"{key!r} is {shown(value)}", where, "see docs/language.md, section 5")
     if "name" not in fields:
         raise DiagramError("a declaration has no name", where, "name it")
-    unit = text(fields.get("unit", ""), MAX_UNIT, where)
-    if unicodedata.normalize("NFKC", unit) != unit:
-        raise DiagramError(f"the unit {shown(unit)}", where, "write it in its usual characters (Unicode's form NFKC)")
-    text(fields.get("text", ""), MAX_TEXT, where, lines=True)
+    _visible(fields.get("unit", ""), fields.get("text", ""), where)
     return cls(**fields)
+
+
+def _visible(unit: str, remark: str, where: str) -> None:
+    """Raise DiagramError for a unit or a remark that is too long or not what it looks like."""
+    text(remark, MAX_TEXT, where, lines=True)
+    if unicodedata.normalize("NFKC", text(unit, MAX_UNIT, where)) != unit:
+        raise DiagramError(f"the unit {shown(unit)}", where, "write it in its usual characters (Unicode's form NFKC)")
 
 
 def _flat(values: Sequence[Any]) -> bool:

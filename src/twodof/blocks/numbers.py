@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from twodof.errors import DiagramError
+from twodof.errors import DiagramError, shown
 
 PRECISIONS: dict[str, type[np.floating[Any]]] = {"float64": np.float64, "float32": np.float32}
 _REAL: ContextVar[type[np.floating[Any]]] = ContextVar("real", default=np.float64)
@@ -241,7 +241,7 @@ def cast(value: Any, kind: str) -> Any:
         if type(value) is int:
             return integer(value)
     raise DiagramError(
-        f"a {kind} is expected and {value!r} of type {type(value).__name__} is given",
+        f"a {kind} is expected and {shown(value)} of type {type(value).__name__} is given",
         "",
         "convert it explicitly",
     )

@@ -11,7 +11,7 @@ from twodof.compile.chelpers import HELPERS
 RESERVED = """
     auto break case char const continue default do double else enum extern float for goto if inline int
     long register restrict return short signed sizeof static struct switch typedef union unsigned void
-    volatile while asm typeof real bool true false offsetof linux unix memcpy memset NULL
+    volatile while asm typeof real bool true false offsetof linux unix memcpy memmove memset NULL
 """
 KEYWORDS = frozenset(RESERVED.split())
 # What the included headers and the emitted file itself define beside those: macros, types, helpers.

@@ -101,7 +101,7 @@ class Scope:
         if width is None:
             writer.assign(target, self.constant(value, kind), kind)
             return
-        values = list(value) if isinstance(value, (list, tuple)) else [value] * width
+        values = list(value) if isinstance(value, (list, tuple)) else [value]
         texts = [constant(v, kind, self.precision)[0] for v in values]
         if len(set(texts)) == 1:
             with writer.block(f"for (int32_t i = 0; i < {width}; i++)"):
