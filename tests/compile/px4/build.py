@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tests.toolchains import PACKAGES, need
 from twodof.compile.px4.build_files import EXACT
 from twodof.compile.px4.export import Module
 from twodof.compile.px4.topics import FIELDS
@@ -98,7 +99,9 @@ def compile_module(module: Module, folder: Path, optimise: str = "-O2", more: tu
 
 
 def run(command: list[str]) -> str:
-    """The output of a command, which must succeed."""
+    """The output of a command, which must succeed; the test is skipped, saying so, where a compiler is missing."""
+    if command[0] in PACKAGES:
+        need(command[0])
     done = subprocess.run(command, capture_output=True, text=True, timeout=DEADLINE)
     assert done.returncode == 0, f"{' '.join(command[:1])}: {done.stdout[-4000:]}{done.stderr[-4000:]}"
     return done.stdout

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from tests.compile.px4.build import C_FLAGS, DEADLINE, PX4_FLAGS, run
 from twodof.blocks import Diagram
 from twodof.compile.px4.build_files import EXACT
-from twodof.compile.px4.controller import controller, header, source
+from twodof.compile.px4.controller import Controller, controller, header, source
 from twodof.compile.px4.message import Field, Fields, fields
-from twodof.compile.px4.names import ModuleNames, module_names
+from twodof.compile.px4.names import module_names
 from twodof.compile.px4.parameters import exported
 
 DTYPES = {"real": np.float32, "int32": np.int32, "uint32": np.uint32, "bool": np.uint32}
@@ -42,6 +42,17 @@ int main(void)
 """
 
 
+def controller_files(diagram: Diagram, log: Sequence[str], folder: Path) -> tuple[Controller, Path]:
+    """A diagram's controller, written as the C and H files that a module has; the diagram may have any ports."""
+    names = module_names(diagram.name)
+    made = controller(diagram, names, log)
+    rows, _ = exported(made.program, names, True)
+    found = fields(made.program, len(diagram.outputs))
+    (folder / f"{names.module}.h").write_text(header(names, found, rows, made))
+    (folder / f"{names.module}.c").write_text(source(names, found, rows, made))
+    return made, folder / f"{names.module}.c"
+
+
 def build_controller(
     diagram: Diagram,
     log: Sequence[str],
@@ -53,18 +64,13 @@ def build_controller(
 
     It is built with PX4's flags and `more`; `edit` may change the C file before.
     """
-    names: ModuleNames = module_names(diagram.name)
-    made = controller(diagram, names, log)
-    rows, _ = exported(made.program, names, True)
-    found = fields(made.program, len(diagram.outputs))
-    n = names.module
-    (folder / f"{n}.h").write_text(header(names, found, rows, made))
-    (folder / f"{n}.c").write_text(source(names, found, rows, made))
+    made, path = controller_files(diagram, log, folder)
+    found, n = fields(made.program, len(diagram.outputs)), path.stem
     if edit:
-        edit(folder / f"{n}.c")
+        edit(path)
     (folder / "main.c").write_text(_MAIN.format(n=n))
     flags = ["gcc", *C_FLAGS, "-O2", *PX4_FLAGS.split(), *more, f"-I{folder}"]
-    run([*flags, "-c", str(folder / f"{n}.c"), "-o", str(folder / f"{n}.o")])
+    run([*flags, "-c", str(path), "-o", str(folder / f"{n}.o")])
     run(["gcc", f"-I{folder}", str(folder / "main.c"), str(folder / f"{n}.o"), "-o", str(folder / n)])
     return folder / n, found
 

@@ -18,6 +18,7 @@ from twodof.blocks import library as lib
 from twodof.compile import build
 from twodof.compile.px4.controller import DT
 from twodof.compile.px4.export import make_module
+from twodof.flight.starters import starter
 
 PERIOD = 4000
 STALE, NOT_FINITE, REFUSED, NO_SETPOINT = 1, 2, 4, 8
@@ -484,6 +485,45 @@ def test_without_a_valid_position_there_is_no_thrust(tmp_path_factory: pytest.Te
     thrust = events.topic("vehicle_attitude_setpoint")["thrust_body"][:, 2]
     assert list(thrust) == [np.float32(-0.4)] * 3 + [0.0] * 3
     assert np.array_equal(events.topic("vehicle_attitude_setpoint")["q_d"][3:, 2], np.zeros(3))
+
+
+def both() -> Diagram:
+    """The stock position controller above the stock attitude controller, in one diagram."""
+    d = Diagram("both")
+    above, below = starter("stock-position"), starter("stock-attitude")
+    for part in (above, below):
+        for name, port in part.inputs.items():
+            if name != "theta_0":
+                d.input(name, port.kind, port.width, port.unit)
+    d.add("above", above, inputs={name: name for name in above.inputs})
+    d.add("below", below, inputs={n: "above.theta_0" if n == "theta_0" else n for n in below.inputs})
+    d.output("M", "below.M")
+    d.output("thrust", "above.thrust")
+    d.output("theta_0", "above.theta_0")
+    return d
+
+
+def test_position_and_attitude_in_one_module(tmp_path_factory: pytest.TempPathFactory) -> None:
+    bench = Bench(make_module(both()), tmp_path_factory.mktemp("both"))
+    bench.command("start")
+    for along in (True, False):
+        mode(bench, rail=along)
+        for k in range(50):
+            bench.at(bench.now + PERIOD)
+            bench.publish("trajectory_setpoint", position=[0.1, 0.0, 0.0])
+            bench.publish("vehicle_local_position", x=0.001 * k, vx=0.05, xy_valid=True, v_xy_valid=True)
+            bench.publish("vehicle_attitude_setpoint", q_d=quaternion(0.0), thrust_body=[0.0, 0.0, -0.3])
+            measure(bench, 0.02 * math.sin(0.2 * k), 0.1)
+    events = bench.run()
+    rows = events.topic("twodof_both")
+    expected = replayed(both(), (), rows)
+    for path, field in (("M", "out_m"), ("thrust", "out_thrust"), ("theta_0", "out_theta_0")):
+        assert np.all(same(rows[field], expected[path])), path
+    thrust = -events.topic("vehicle_thrust_setpoint")["xyz"][:, 2]
+    assert np.array_equal(thrust[:50], rows["out_thrust"][:50])  # along the rail its own
+    assert np.array_equal(thrust[50:], np.full(50, np.float32(0.3)))  # else that of the set-point
+    assert len(events.topic("vehicle_attitude_setpoint")) == 100  # those of this test only
+    assert set(rows["faults"]) == {0}
 
 
 def motors() -> Diagram:
