@@ -5,9 +5,9 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-# The release a module was built and flown with, and those whose sources it was compared with only.
+# With what the starters' modules were built, some of them flown, and with what they were compiled only.
 TESTED = "v1.16.1-rc2"
-READ = ("v1.14.4", "v1.15.4", "v1.17.0-alpha1")
+COMPILED = ("v1.14.4", "v1.15.4", "v1.17.0-alpha1", "main of 2026-08-13 (bb59c637)")
 FIRST, LAST = (1, 14), (1, 17)
 
 _SINCE = re.compile(r"(?:^|-)(\d{1,7})-g[0-9a-f]+$")
