@@ -125,3 +125,36 @@ def constructions() -> Iterator[tuple[str, str]]:
                 part = {"name": "g", "block": {"type": name, "config": {argument: value}}}
                 data = {"schema": "twodof/diagram", "version": 1, "diagram": {"name": "d", "parts": [part]}}
                 yield f"{name}({argument}={str(value)[:60]})", json.dumps(data)
+
+
+OPERATIONS = (
+    ("neg", "abs", "not", "sqrt"),
+    ("add", "sub", "mul", "div", "quot", "rem", "shl", "shr", "and", "or", "xor", "lt", "le", "eq", "ne", "mulhi"),
+    ("where", "store"),
+)
+REALS = ("nan", "inf", "-inf", "-0x0.0p+0", "0x1p-1074", "0x1.fffffep+127", "0x1p+1023", "0x1.8p+0", "0x1p+31")
+
+
+def retouched(text: str, rng: random.Random) -> str:
+    """`text` with one operation, constant, argument or loop of a custom block changed so that it may still be one."""
+    data = json.loads(text)
+    rows: list[Any] = []
+    stack = [data["diagram"]]
+    while stack:
+        for part in stack.pop()["parts"]:
+            stack += [part["diagram"]] if "diagram" in part else []
+            rows += part.get("block", {}).get("nodes", [])
+    row = rng.choice(rows)
+    if row[0] == "const":
+        row[3] = (
+            rng.choice(REALS) if row[2] == "real" else rng.choice((True, False)) if row[2] == "bool" else row[3] + 1
+        )
+    elif row[0] in ("build", "fold"):
+        row[2] = rng.choice((0, 1, row[2] + 1, 1000))
+    elif row[1] and rng.random() < 0.4:
+        place = rng.randrange(len(row[1]))
+        row[1][place] = rng.randrange(row[1][place] + 1)
+    else:
+        like = [ops for ops in OPERATIONS if row[0] in ops]
+        row[0] = rng.choice(like[0]) if like else row[0]
+    return json.dumps(data)

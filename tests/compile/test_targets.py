@@ -6,10 +6,12 @@ group's tests in one process (xdist's loadgroup).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.blocks.library import samples
@@ -23,8 +25,11 @@ from tests.compile.differential import (
     emitted,
     random_cases,
     reference_run,
+    same,
 )
+from tests.compile.lanes_differential import lane_programs
 from tests.compile.whole_library import library_cases, room, strange_inputs
+from twodof.compile.lanes import SIMD, best_simd
 from twodof.compile.target import Emitted
 from twodof.flight.core import core
 from twodof.sim.closed_loop import closed_loop
@@ -61,6 +66,39 @@ GROUPS: dict[str, tuple[Callable[[], list[Case]], str]] = {
     "flight-core": (flight_core, "rk4"),
     "closed-loop": (whole_loop, "rk4"),
 }
+
+
+@dataclass(frozen=True)
+class InLanes:
+    """Instances side by side, all with the case's inputs; that lanes do not mix is tested in test_lanes.py."""
+
+    simd: str
+    lanes: int = 5  # no multiple of any vector's length
+
+    def differences(
+        self, cases: Sequence[Case], expected: Sequence[Judgement], programs: Sequence[Emitted]
+    ) -> list[str]:
+        """Every signal and state of a lane that differs from the reference."""
+        found = []
+        made = lane_programs(cases, programs[0].precision, programs[0].flat.integrator, self.lanes, self.simd)
+        for case, want, program in zip(cases, expected, made, strict=True):
+            machine, steps = program.machine(), len(case.rows)
+            results = machine.run(steps, case.columns(steps))
+            pairs = [(path, column, results[path]) for path, column in want.signals.items()]
+            last = [(f"state {path}", np.atleast_1d(np.array(v)), path) for path, v in want.states[steps].items()]
+            for lane in range(self.lanes):
+                where = f"{case.diagram.name} lane {lane}"
+                wrong = [path for path, a, b in pairs if not same(a, np.ascontiguousarray(b[:, lane])).all()]
+                for path, a, state in last:
+                    b = np.atleast_1d(machine.state(state)[lane])
+                    if not same(a.astype(b.dtype), b).all():
+                        wrong.append(path)
+                found += [f"{where} {path}: not the bits of the reference" for path in wrong]
+        return found
+
+
+WIDTHS = list(SIMD)[list(SIMD).index(best_simd()) :]
+ALL = {**KINDS, **{f"lanes-{simd}": InLanes(simd) for simd in WIDTHS}}
 Judged = tuple[list[Case], list[Judgement], list[Emitted]]
 
 
@@ -79,7 +117,7 @@ def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TWODOF_CACHE", str(tmp_path / "cache"))
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ALL)
 @pytest.mark.parametrize(
     ("group", "precision"),
     [
@@ -89,7 +127,7 @@ def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ],
 )
 def test_a_target_gives_the_bits_of_the_reference(group: str, precision: str, kind: str) -> None:
-    found = KINDS[kind].differences(*judged(group, precision))
+    found = ALL[kind].differences(*judged(group, precision))
     assert not found, "\n".join(found[:20])
 
 
@@ -104,7 +142,7 @@ def test_the_groups_hold_what_they_promise() -> None:
 
 
 @pytest.mark.soak
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ALL)
 @pytest.mark.parametrize(
     ("chunk", "precision"),
     [
@@ -114,7 +152,7 @@ def test_the_groups_hold_what_they_promise() -> None:
     ],
 )
 def test_thousands_of_diagrams_run_alike(chunk: int, precision: str, kind: str) -> None:
-    found = KINDS[kind].differences(*_thousands(chunk, precision))
+    found = ALL[kind].differences(*_thousands(chunk, precision))
     assert not found, "\n".join(found[:20])
 
 

@@ -37,7 +37,8 @@ class Meter:
     more operations than there are atoms. The numbers grow so fast only for nested loops, whose depth is bounded.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, most: int | None = MAX_SIZE) -> None:
+        self.most = most  # the largest size; None: any, and loops of any depth
         self._loops: dict[int, tuple[Effort, int]] = {}
         self._kept: list[Expr] = []  # so that an identity stays that of one node
         self._visited = 0
@@ -59,12 +60,11 @@ class Meter:
             inner = [n for n in body if n.op in ("build", "fold") and id(n) not in self._loops]
             if inner:
                 pending += inner
-                if len(pending) > MAX_SIZE:
-                    raise too_large()
+                self._check(len(pending))
                 continue
             effort, depth = self._sum(body)
             length = loop.data[0]
-            if depth + 1 > MAX_LOOP_DEPTH:
+            if self.most is not None and depth + 1 > MAX_LOOP_DEPTH:
                 raise DiagramError(
                     f"loops are nested more than {MAX_LOOP_DEPTH} deep", "", "use fewer loops within one another"
                 )
@@ -85,9 +85,12 @@ class Meter:
                 found.append(item)
                 stack.extend(outside(item))
         self._visited += len(found)
-        if self._visited > 10 * MAX_SIZE:  # the sum of all bodies: this bounds the time of measuring itself
-            raise too_large()
+        self._check(self._visited // 10)  # the sum of all bodies: this bounds the time of measuring itself
         return found
+
+    def _check(self, size: int) -> None:
+        if self.most is not None and size > self.most:
+            raise too_large()
 
     def _sum(self, nodes: Iterable[Expr]) -> tuple[Effort, int]:
         size = operations = depth = 0
@@ -103,8 +106,7 @@ class Meter:
             )
             size += 1 + (len(item.args) if item.op == "vector" else 0)
             operations += elements + (CALL if item.op == "call" else 1)
-        if size > MAX_SIZE:
-            raise too_large()
+        self._check(size)
         return Effort(size, operations), depth
 
 

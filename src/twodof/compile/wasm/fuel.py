@@ -40,7 +40,7 @@ def operations(program: Program) -> int:
 
 
 def _cost(expressions: Iterable[Expr]) -> int:
-    return Meter().measure(expressions).operations
+    return Meter(None).measure(expressions).operations
 
 
 def _moved(node: Node) -> int:

@@ -1,0 +1,75 @@
+"""What the loader lets in compiles, and runs in the sandbox within its fuel, with the bits of the reference."""
+
+from __future__ import annotations
+
+import itertools
+import random
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.blocks.door import connected
+from tests.blocks.hostile import LARGE, loops
+from tests.blocks.mutations import mutants, retouched
+from tests.compile.differential import DT, Case, differences, emitted, reference_run
+from tests.compile.random_diagrams import Maker
+from tests.compile.whole_library import strange_inputs
+from twodof.blocks import Diagram
+from twodof.blocks.schema import from_json, to_json
+from twodof.compile import build
+from twodof.compile.lower import lower
+from twodof.compile.wasm.target import Wasm
+from twodof.errors import DiagramError
+
+BASES = [to_json(Maker(seed).diagram("r")) for seed in (3, 11, 23, 42)]
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is compiled here is used once: it stays out of the user's cache."""
+    monkeypatch.setenv("TWODOF_CACHE", str(tmp_path / "cache"))
+
+
+def survivors(files: int, seed: int) -> Iterator[Diagram]:
+    """The diagrams that load and are complete, of mutated files; each under a name of its own."""
+    rng = random.Random(seed)
+    gentle = (retouched(rng.choice(BASES), rng) for _ in range(files))
+    for number, text in enumerate(itertools.chain(mutants(BASES, files, seed), gentle)):
+        try:
+            d = connected(from_json(text))
+            d.name = f"m{seed}_{number}"
+            lower(d, DT)
+        except DiagramError:
+            continue
+        yield d
+
+
+def check(files: int, seed: int, least: int) -> None:
+    """Load mutated files; all that is let in runs in one module as on the reference."""
+    found = {d.name: d for d in survivors(files, seed)}
+    assert len(found) >= least
+    cases = [Case(d, [], strange_inputs(d, 30, seed), {}) for d in found.values()]
+    expected = [reference_run(c, "float64", "rk4") for c in cases]
+    assert not differences(cases, expected, emitted(cases, "float64", "rk4"), Wasm(optimise="-O1"))
+
+
+def test_mutated_files_that_load_run_within_their_fuel() -> None:
+    check(150, 1, least=20)
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("seed", range(2, 42))
+def test_many_mutated_files_that_load_run_within_their_fuel(seed: int) -> None:
+    check(600, seed, least=100)
+
+
+@pytest.mark.parametrize("name", ["a table of 90,000 numbers", "a state of 900,000 values", "300 outputs of one graph"])
+def test_the_largest_that_is_let_in_runs_in_the_sandbox(name: str) -> None:
+    d = connected(from_json(LARGE[name]))
+    build(d, DT, target="wasm", optimise="-O1").machine().run(20)
+
+
+def test_a_million_operations_run_within_their_fuel() -> None:
+    machine = build(from_json(loops([370, 370])), DT, target="wasm").machine()
+    assert machine.step({"u": 1.0})["y"] > 0.0
