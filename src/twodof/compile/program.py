@@ -52,7 +52,7 @@ def build(
         except CompileError:
             warnings.warn(
                 f"no C compiler is here: {diagram.name!r} runs on the reference interpreter, thousands of times "
-                "slower; install cc, or the wheel ziglang",
+                "slower; install gcc, or the wheel ziglang (pip install ziglang)",
                 RuntimeWarning,
                 stacklevel=2,
             )

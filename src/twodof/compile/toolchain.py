@@ -64,7 +64,7 @@ def find_compiler(name: str | None = None) -> Compiler:
     raise CompileError(
         f"there is no C compiler {name!r}" if name else "there is no C compiler",
         "",
-        "install cc, or the wheel ziglang (`pip install ziglang`)",
+        "install gcc (Debian: apt-get install gcc libc6-dev), or the wheel ziglang (pip install ziglang)",
     )
 
 
