@@ -153,11 +153,11 @@ def accumulators(lanes: int, precision: str = "float64") -> Any:
 
 def test_values_are_one_for_all_or_one_for_each() -> None:
     machine = accumulators(5)
-    machine.set("acc.gain", [1.0, 2.0, 3.0, 4.0, 5.0])
+    machine.set_many({"acc.gain": [1.0, 2.0, 3.0, 4.0, 5.0], "acc.size": range(1, 6)})
     assert machine.get("acc.gain").tolist() == [1.0, 2.0, 3.0, 4.0, 5.0]
     out = machine.step({"u": 1.0, "w": [7.0, 8.0], "n": [1, 2, 3, 4, 5], "flag": [True, False, True, False, True]})
     assert out["a"].tolist() == [[7.0, 8.0]] * 5
-    assert out["m"].tolist() == [4, 5, 6, 7, 8]
+    assert out["m"].tolist() == [2, 4, 6, 8, 10]
     assert out["m"].dtype == np.int32
     assert out["not_flag"].tolist() == [False, True, False, True, False]
     assert out["not_flag"].dtype == np.bool_
@@ -198,6 +198,8 @@ def test_a_refused_value_names_its_lane_and_bound_and_changes_nothing() -> None:
         machine.set_many({"acc.size": 2, "acc.gain": [1.0, 2.0, 3.0, 11.0, 5.0]})
     assert machine.get("acc.gain").tolist() == [1.0] * 5
     assert machine.get("acc.size").tolist() == [3] * 5
+    with pytest.raises(ParameterError, match="differ in length"):
+        machine.set("acc.gain", [[1.0], [1.0, 2.0]])
     with pytest.raises(ParameterError, match="nan is outside"):
         machine.set("acc.gain", float("nan"))
     with pytest.raises(ParameterError, match=r"shape \(4,\) for 5 lanes"):

@@ -125,6 +125,8 @@ class LaneRenderer(Renderer):
             at = super()._index(index, counted, width)
             self.writer.shared.add(at)
             return at
+        if index.op == "and" and any(a.op == "const" and 0 <= a.data < width for a in map(self._resolve, index.args)):
+            return text[0]
         return f"lanes_clamp_index({text[0]}, {width - 1})"
 
     def _expression(self, item: Expr, args: Sequence[Text]) -> Text:

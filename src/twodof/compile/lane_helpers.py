@@ -94,7 +94,10 @@ def _types(shape: Shape) -> str:
         ("int32_t", "lanes_i", narrow, ""),
         ("uint32_t", "lanes_u", narrow, ""),
     )
-    text = ["#if defined(__AVX2__)\n#include <immintrin.h>\n#endif\n\n"]
+    gcc = "#if defined(__GNUC__) && !defined(__clang__)\n"
+    gcc += '#pragma GCC optimize("no-tree-reassoc") /* its order of the operations that choose is worse */\n#endif\n'
+    text = [gcc]
+    text += ["#if defined(__AVX2__)\n#include <immintrin.h>\n#endif\n\n"]
     text += [
         f"/* {shape.lanes} lanes: {shape.vectors} vectors of {shape.each}. */\n",
         f"#define LANES_BYTES {shape.size}\n",
@@ -286,10 +289,13 @@ def _conversions(
         yield lanewise("real", "from_bits", ("uint32", "uint32"), "real_from_bits(a[l], b[l])")
         yield vectorwise("real", "from_word", "a uint32", "(lanes_r)$a")
         return
-    yield vectorwise("uint32", "word_0", "a real", "lanes_u_of_w((lanes_w)($a == $a) & (lanes_w)$a)")
-    quiet = "UINT64_C(0x7ff8000000000000)"
-    canonical = f"((lanes_w)($a == $a) & (lanes_w)$a) | ((lanes_w)($a != $a) & {quiet})"
-    yield vectorwise("uint32", "word_1", "a real", f"lanes_u_of_w(({canonical}) >> 32)")
+    yield (
+        "td_inline lanes_w lanes_bits(lanes_r x)\n{\n"
+        "    const lanes_m quiet = (lanes_m){0} + INT64_C(0x7ff8000000000000);\n"
+        "    return (lanes_w)lanes_blend_m((lanes_m)(x == x), (lanes_m)x, quiet);\n}\n\n"
+    )
+    yield vectorwise("uint32", "word_0", "a real", "lanes_u_of_w(lanes_bits($a))")
+    yield vectorwise("uint32", "word_1", "a real", "lanes_u_of_w(lanes_bits($a) >> 32)")
     yield vectorwise(
         "real",
         "from_bits",
@@ -303,10 +309,11 @@ def _memory(shape: Shape) -> Iterator[str]:
     """Elements of arrays at an index of each lane's own, and whether anything holds anywhere."""
     n = shape.lanes
     yield (
+        "td_inline lanes_i lanes_within(lanes_i i, int32_t last)\n{\n"
+        "    const lanes_i low = i & ~(i < 0), over = low > last;\n"
+        "    return (over & last) | (~over & low);\n}\n\n"
         "td_inline lanes_int32 lanes_clamp_index(lanes_int32 i, int32_t last)\n{\n"
-        "    const lanes_int32 low = lanes_int32_all(0), high = lanes_int32_all(last);\n"
-        "    i = lanes_pick_int32(lanes_lt_int32(i, low), low, i);\n"
-        "    return lanes_pick_int32(lanes_lt_int32(high, i), high, i);\n}\n\n"
+        f"    return (lanes_int32){{{', '.join(f'lanes_within(i.v{k}, last)' for k in range(shape.vectors))}}};\n}}\n\n"
     )
     bits = shape.each * 32
     words = bits // 64

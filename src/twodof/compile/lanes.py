@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import platform
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -311,16 +311,19 @@ class Lanes:
 
     def _each(self, value: Any, width: int | None, path: str) -> list[tuple[int | None, Any]]:
         """(lane, its value), or (None, the value) if it is one for all."""
-        data = (
-            value if isinstance(value, np.ndarray) else np.asarray(value) if isinstance(value, (list, tuple)) else None
-        )
-        if data is None or data.ndim == 0 or (width is not None and data.shape == (width,)):
+        many = isinstance(value, (np.ndarray, Sequence)) and not isinstance(value, (str, bytes))
+        try:
+            data: NDArray[Any] = np.asarray(value) if many else np.zeros(())
+        except ValueError as error:
+            raise ParameterError("its rows differ in length", path, "give each lane the same") from error
+        if data.ndim == 0 or (width is not None and data.shape == (width,)):
             return [(None, value)]
         if data.shape not in ((self.lanes,), (self.lanes, width)) or data.dtype == object:
             raise ParameterError(
                 f"a value of shape {data.shape} for {self.lanes} lanes", path, "give one value, or one for each lane"
             )
-        return list(enumerate(data.tolist()))
+        rows: list[Any] = data.tolist()
+        return list(enumerate(rows))
 
     def _numbers(self, value: Any, kind: str, width: int | None, path: str) -> NDArray[Any]:
         """A value's numbers, with the lane as the first axis, of length 1 if it is one for all."""
