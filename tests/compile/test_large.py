@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import time
+import resource
 from pathlib import Path
 
 import pytest
@@ -48,17 +48,28 @@ def chain(blocks: int) -> Diagram:
     return d
 
 
-def test_900_blocks_are_emitted_compiled_and_cached(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def processor_time() -> float:
+    """Seconds that this process and the compilers it has run have computed; others add little to it."""
+    return sum(
+        used.ru_utime + used.ru_stime
+        for used in (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    )
+
+
+@pytest.mark.parametrize("target", ["native", "wasm"])
+def test_900_blocks_are_emitted_compiled_and_cached(
+    target: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("TWODOF_CACHE", str(tmp_path))
     d = chain(900)
-    start = time.perf_counter()
-    program = build(d, 0.001)
-    first = time.perf_counter() - start
-    start = time.perf_counter()
-    build(d, 0.001)
-    second = time.perf_counter() - start
+    start = processor_time()
+    program = build(d, 0.001, target=target)
+    first = processor_time() - start
+    start = processor_time()
+    build(d, 0.001, target=target)
+    second = processor_time() - start
     assert isinstance(program, Program)
     assert len(program.machine().run(100, {"r": 1.0})["y"]) == 100
-    # The aim is 3 s and 0.5 s on an idle machine; the bounds leave room for a loaded one.
-    assert first < 30.0, f"{first:.2f} s"
-    assert second < 10.0, f"{second:.2f} s"
+    # The aim is 3 s and 0.5 s; a core that others load, or shares with a twin, computes half as fast.
+    assert first < 6.0, f"{first:.2f} s"
+    assert second < 1.0, f"{second:.2f} s"

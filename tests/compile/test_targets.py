@@ -59,7 +59,6 @@ def whole_loop() -> list[Case]:
 GROUPS: dict[str, tuple[Callable[[], list[Case]], str]] = {
     **{f"small-{k}": (partial(cheap_cases, 1000 + 100 * k, SMALL, STEPS), "rk4") for k in range(8)},
     "large-rk4": (partial(random_cases, range(LARGE), 200), "rk4"),
-    "large-rk4-2": (partial(random_cases, range(40, 40 + LARGE), 200), "rk4"),
     "large-euler": (partial(random_cases, range(20, 20 + LARGE), 200), "euler"),
     **{f"library-{k}": (partial(library_cases, rooms, STEPS, False), "rk4") for k, rooms in ROOMS.items()},
     **{f"library-{k}-more": (partial(library_cases, rooms, EMULATED_STEPS, True), "rk4") for k, rooms in ROOMS.items()},
