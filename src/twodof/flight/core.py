@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from twodof.blocks import Block, Diagram, Port, State
 from twodof.flight.cascade import cascade
 from twodof.flight.estimator import estimator
+from twodof.flight.failsafe import INPUTS as FAILSAFE_INPUTS
+from twodof.flight.failsafe import OUTPUTS as FAILSAFE_OUTPUTS
+from twodof.flight.failsafe import failsafe as failsafe_diagram
 from twodof.flight.gains import DEFAULT, Gains
+from twodof.flight.gate import COMMANDS, Standby
 from twodof.flight.level_hold import ArmingReset, LevelHold
 from twodof.flight.mixer import Mixer
 from twodof.flight.motors import MotorFlags, Pairs, Sound
@@ -54,6 +58,10 @@ OUTPUTS: tuple[tuple[str, str, str], ...] = (
 """Name, unit, meaning of each output of the core."""
 
 
+GIVEN = ("mode", "x0", "v0", "theta0", "q0", "thrust", "M_open", "ax0")
+"""The inputs that say what is to be flown; with the failsafe they pass through it."""
+
+
 class PreviousPitch(Block):
     """The pitch of the sample before: the drone's estimator publishes after the controller has read."""
 
@@ -68,7 +76,12 @@ class PreviousPitch(Block):
         return u.theta
 
 
-def core(gains: Gains = DEFAULT, position_filter: str = "joint", controllers: Iterable[Diagram] = ()) -> Diagram:
+def core(
+    gains: Gains = DEFAULT,
+    position_filter: str = "joint",
+    controllers: Iterable[Diagram] = (),
+    failsafe: bool = False,
+) -> Diagram:
     """What flies: estimator, level hold, cascade, mixer, with the ports `INPUTS` and `OUTPUTS`, made for 250 Hz.
 
     Parameter paths: `estimator.filter...` (of the joint filter; else `estimator.pitch...`, `estimator.position...`),
@@ -79,40 +92,57 @@ def core(gains: Gains = DEFAULT, position_filter: str = "joint", controllers: It
     `motor_control...`. Where a moment or thrust that one of them asks for is infinite or NaN the motors stop (a single
     motor's stops that motor), and M or T shows it. With a motor controller M and T are what the motors are given.
 
+    With `failsafe` the ports of `flight.failsafe` come on top, and its gate is the last thing before the motors: as
+    long as nothing is wrong every output has the same bits as without. A user's controllers are then watched, and the
+    stock ones, computed at every step as `stock...` with their integrals in reset, stand ready to replace them.
+
     Raises ParameterError for an unknown position filter, DiagramError for a diagram that fits no template.
     """
     own = by_kind(controllers)
     d = Diagram("flight", "estimator, level hold, cascade and mixer at 250 Hz")
-    for name, kind, unit, _ in INPUTS:
+    for name, kind, unit, _ in (*INPUTS, *(FAILSAFE_INPUTS if failsafe else ())):
         d.input(name, kind, unit=unit)
+    # Where the controllers read the mode and the set-points: as given, or as the failsafe lets them pass.
+    given = {name: f"failsafe.safe_{name}" if failsafe else name for name in GIVEN}
     d.add("estimator", estimator(position_filter))
     for name in ("acc_x", "acc_z", "gyro_y", "dist", "dist_new", "dist_age"):
         d.connect(name, f"estimator.{name}")
     d.add("previous", PreviousPitch(), theta="estimator.theta")
-    d.add("arming", ArmingReset(), mode="mode", thrust="thrust", in_reset="in_reset")
-    d.add("hold", LevelHold(), mode="mode", thrust="thrust", excitation="M_open", use_trim="use_trim")
+    d.add("arming", ArmingReset(), mode=given["mode"], thrust=given["thrust"], in_reset="in_reset")
     d.add(
-        "cascade",
-        cascade(gains, own.get(ATTITUDE.name), own.get(POSITION.name)),
-        mode="mode",
-        in_reset="arming",
-        M_open="hold.M_open",
-        x="estimator.x_published",
-        v="estimator.v_published",
-        theta="previous.theta",
-        q="estimator.q",
+        "hold",
+        LevelHold(),
+        mode=given["mode"],
+        thrust=given["thrust"],
+        excitation=given["M_open"],
+        use_trim="use_trim",
     )
-    for name in ("x0", "v0", "theta0", "q0", "thrust", *(["ax0"] if POSITION.name in own else [])):
-        d.connect(name, f"cascade.{name}")
+    in_reset = "arming"
+    if failsafe:
+        d.add("standby", Standby(bool(own)), in_reset="arming", own="failsafe.own")
+        in_reset = "standby.own_in_reset" if own else "arming"
+    _cascade(d, "cascade", cascade(gains, own.get(ATTITUDE.name), own.get(POSITION.name)), given, in_reset)
+    if POSITION.name in own:
+        d.connect(given["ax0"], "cascade.ax0")
     command = "cascade"
     if own:
         command = d.add("sound", Sound(), M="cascade.M", T="cascade.T")
-    moment = _own_motors(d, own[MOTOR.name], command) if MOTOR.name in own else _mixer(d, command)
-    d.output("M", "pairs.M_shown" if MOTOR.name in own else "cascade.M")
-    d.output("T", "pairs.T_shown" if MOTOR.name in own else "cascade.T")
+    if MOTOR.name in own:
+        pairs, flown = _own_motors(d, own[MOTOR.name], command, given["mode"], in_reset), "pairs.M"
+        shown = {"M": "pairs.M_shown", "T": "pairs.T_shown"}
+    else:
+        pairs, flown = d.add("mixer", Mixer(), T=f"{command}.T", M=f"{command}.M"), f"{command}.M"
+        shown = {"M": "cascade.M", "T": "cascade.T"}
+    commands = shown | {name: f"{pairs}.{name}" for name in ("fore", "aft")}
+    if failsafe:
+        _failsafe(d, gains, given, commands, bool(own))
+        commands = {name: f"failsafe.{name}" for name in COMMANDS}
+        flown = "failsafe.M"
+    for name in COMMANDS:
+        d.output(name, commands[name])
     for name in ("x0", "v0", "theta0", "q0"):
         d.output(name, f"cascade.{name}")
-    d.connect(moment, "hold.M")
+    d.connect(flown, "hold.M")
     d.output("theta", "estimator.theta")
     d.output("q", "estimator.q")
     d.output("x", "estimator.x_published")
@@ -121,17 +151,46 @@ def core(gains: Gains = DEFAULT, position_filter: str = "joint", controllers: It
     return d
 
 
-def _mixer(d: Diagram, command: str) -> str:
-    """Adds the stock mixer, fed by the part `command`; returns the source of the moment that flies."""
-    d.add("mixer", Mixer(), T=f"{command}.T", M=f"{command}.M")
-    for name in ("fore", "aft"):
-        d.output(name, f"mixer.{name}")
-    return f"{command}.M"
+def _cascade(d: Diagram, name: str, item: Diagram, given: Mapping[str, str], in_reset: str) -> None:
+    """Adds a cascade, fed by the set-points `given` and the estimates."""
+    d.add(
+        name,
+        item,
+        in_reset=in_reset,
+        M_open="hold.M_open",
+        x="estimator.x_published",
+        v="estimator.v_published",
+        theta="previous.theta",
+        q="estimator.q",
+        inputs={port: given[port] for port in ("mode", "x0", "v0", "theta0", "q0", "thrust")},
+    )
 
 
-def _own_motors(d: Diagram, motors: Diagram, command: str) -> str:
-    """Adds a user's motor controller in the mixer's place; returns the same."""
-    d.add("flags", MotorFlags(), mode="mode")
+def _failsafe(d: Diagram, gains: Gains, given: Mapping[str, str], commands: Mapping[str, str], own: bool) -> None:
+    """Adds the failsafe behind `commands`, and the stock controllers where those are a user's."""
+    d.add("failsafe", failsafe_diagram())
+    for name, _, _, _ in FAILSAFE_INPUTS:
+        d.connect(name, f"failsafe.{name}")
+    for name in ("acc_x", "acc_z", "gyro_y", "dist", "dist_new", *GIVEN):
+        d.connect(name, f"failsafe.{name}")
+    for name, source in (("theta", "theta"), ("q", "q"), ("x", "x_published"), ("v", "v_published")):
+        d.connect(f"estimator.{source}", f"failsafe.{name}")
+    stock = commands
+    if own:
+        _cascade(d, "stock", cascade(gains), given, "standby.stock_in_reset")
+        d.add("stock_mixer", Mixer(), T="stock.T", M="stock.M")
+        stock = {"M": "stock.M", "T": "stock.T", "fore": "stock_mixer.fore", "aft": "stock_mixer.aft"}
+    d.connect("standby.own_given", "failsafe.own_given")
+    for name in COMMANDS:
+        d.connect(stock[name], f"failsafe.{name}")
+        d.connect(commands[name], f"failsafe.own_{name}")
+    for name, _, _ in FAILSAFE_OUTPUTS:
+        d.output(name, f"failsafe.{name}")
+
+
+def _own_motors(d: Diagram, motors: Diagram, command: str, mode: str, in_reset: str) -> str:
+    """Adds a user's motor controller in the mixer's place, fed by the part `command`; returns what makes the pairs."""
+    d.add("flags", MotorFlags(), mode=mode)
     d.add(
         MOTOR.name,
         motors,
@@ -148,13 +207,11 @@ def _own_motors(d: Diagram, motors: Diagram, command: str) -> str:
         acc_x="acc_x",
         acc_z="acc_z",
         gyro_y="gyro_y",
-        FLAG_RESET_INT="arming",
+        FLAG_RESET_INT=in_reset,
     )
     for flag in ("rate", "attitude", "velocity", "position"):
         d.connect(f"flags.{flag}", f"{MOTOR.name}.FLAG_{flag.upper()}_ENABLED")
-    d.add("pairs", Pairs(), mode="mode")
+    d.add("pairs", Pairs(), mode=mode)
     for port in MOTOR.outputs:
         d.connect(f"{MOTOR.name}.{port.name}", f"pairs.{port.name}")
-    for name in ("fore", "aft"):
-        d.output(name, f"pairs.{name}")
-    return "pairs.M"
+    return "pairs"

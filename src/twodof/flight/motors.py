@@ -9,12 +9,8 @@ from typing import Any
 
 from twodof.blocks import Block, Port, int32, maximum, minimum, where
 from twodof.flight.cascade import ATTITUDE, OFF, POSITION, RATE, VELOCITY
+from twodof.flight.finite import finite
 from twodof.flight.templates import AFT_MOTORS, FORE_MOTORS
-
-
-def _finite(value: Any) -> Any:
-    """Whether a number is neither infinite nor NaN: those leave a difference to themselves that is no 0."""
-    return value - value == 0.0
 
 
 class Sound(Block):
@@ -24,7 +20,7 @@ class Sound(Block):
     outputs = (Port("M"), Port("T"))
 
     def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-        sound = _finite(u.M) & _finite(u.T)
+        sound = finite(u.M) & finite(u.T)
         return {"M": where(sound, u.M, 0.0), "T": where(sound, u.T, 0.0)}
 
 
@@ -59,11 +55,11 @@ class Pairs(Block):
 
         def command(motor: str) -> Any:
             asked = u[motor]
-            return where(off | ~_finite(asked), 0.0, maximum(0.0, minimum(1.0, asked)))
+            return where(off | ~finite(asked), 0.0, maximum(0.0, minimum(1.0, asked)))
 
         fore, aft = (0.5 * (command(a) + command(b)) for a, b in (FORE_MOTORS, AFT_MOTORS))
         moment, thrust = 0.5 * (fore - aft), 0.5 * (fore + aft)
-        lost = ~off & ~reduce(and_, [_finite(u[motor]) for motor in (*FORE_MOTORS, *AFT_MOTORS)])
+        lost = ~off & ~reduce(and_, [finite(u[motor]) for motor in (*FORE_MOTORS, *AFT_MOTORS)])
         return {
             "fore": fore,
             "aft": aft,

@@ -18,6 +18,9 @@ from twodof.blocks.reference import Reference
 from twodof.compile import Program, build
 from twodof.errors import ExperimentError
 from twodof.flight.core import INPUTS, OUTPUTS, core
+from twodof.flight.failsafe import INPUTS as FAILSAFE_INPUTS
+from twodof.flight.failsafe import OUTPUTS as FAILSAFE_OUTPUTS
+from twodof.flight.failsafe_machine import FLYING
 from twodof.flight.gains import DEFAULT, Gains
 from twodof.flight.templates import TEMPLATES
 from twodof.parameters import ParameterSet
@@ -31,6 +34,12 @@ TICKS = SAMPLE[0]
 
 SETPOINTS = tuple(name for name, _, _, _ in INPUTS if name not in MEASUREMENTS)
 """Inputs of the closed loop: mode, set-points and the like, of the flight code."""
+
+SAFETY = tuple(name for name, _, _, _ in FAILSAFE_INPUTS if name != "voltage")
+"""Inputs of the closed loop with the failsafe, besides `SETPOINTS`."""
+
+ARMING = 25
+"""Steps after a start with the motors off until `fly` arms: the range sensor has then given a sample."""
 
 FILTERS: Mapping[str, tuple[str, str]] = MappingProxyType(
     {
@@ -51,28 +60,39 @@ _COVARIANCE = re.compile(r"\.(P_\w+|\w*variance)$").search
 _ARMED = 1000  # more than any count of samples that the flight code waits for after arming
 
 
-def closed_loop(gains: Gains = DEFAULT, position_filter: str = "joint", controllers: Iterable[Diagram] = ()) -> Diagram:
+def closed_loop(
+    gains: Gains = DEFAULT,
+    position_filter: str = "joint",
+    controllers: Iterable[Diagram] = (),
+    failsafe: bool = False,
+) -> Diagram:
     """The rig flown by the flight code, for a base tick of 1 ms.
 
     Inputs: those of the flight code that are not measured (`SETPOINTS`). Outputs: those of the flight code; the
     measurements; the truth as `true_theta`, `true_q`, `true_x`, `true_v`; `load`, `voltage`, `charge`. Parameters:
-    `rig.<name>` and `flight.<path>`. `controllers` fly in place of the stock ones, see `flight.core`. Raises
-    ParameterError for an unknown position filter, DiagramError for a diagram that fits no template.
+    `rig.<name>` and `flight.<path>`. `controllers` fly in place of the stock ones, see `flight.core`. With `failsafe`
+    the flight code has it as its last gate, with the inputs `SAFETY` and the outputs `flight.failsafe.OUTPUTS`; the
+    voltage is the rig's. Raises ParameterError for an unknown position filter, DiagramError for a diagram that fits no
+    template.
     """
     d = Diagram("closed_loop", "the virtual rig and the code that flies it")
-    for name, kind, unit, _ in INPUTS:
-        if name in SETPOINTS:
+    given = (*SETPOINTS, *(SAFETY if failsafe else ()))
+    for name, kind, unit, _ in (*INPUTS, *FAILSAFE_INPUTS):
+        if name in given:
             d.input(name, kind, unit=unit)
             d.add(f"{name}_held", ZeroOrderHold(kind=kind, unit=unit), rate=SAMPLE, u=name)
     d.add("rig", rig())
-    d.add("flight", core(gains, position_filter, controllers), rate=SAMPLE)
-    for name in SETPOINTS:
+    d.add("flight", core(gains, position_filter, controllers, failsafe), rate=SAMPLE)
+    for name in given:
         d.connect(f"{name}_held", f"flight.{name}")
     for name in MEASUREMENTS:
         d.connect(f"rig.{name}", f"flight.{name}")
     for name in ("fore", "aft"):
         d.connect(f"flight.{name}", f"rig.{name}")
-    for name, _, _ in OUTPUTS:
+    if failsafe:
+        d.add("voltage_held", ZeroOrderHold(unit="V"), rate=SAMPLE, u="rig.voltage")
+        d.connect("voltage_held", "flight.voltage")
+    for name, _, _ in (*OUTPUTS, *(FAILSAFE_OUTPUTS if failsafe else ())):
         d.output(name, f"flight.{name}")
     for name in MEASUREMENTS:
         d.output(name, f"rig.{name}")
@@ -110,7 +130,8 @@ class ClosedLoop:
     `seed`, `rings`, `trim`, ...), `tuning` those of the flight code besides the gains, by path. `controllers` are
     diagrams that fly in place of the stock loops and mixer (`flight.templates`); the gains are those of the stock loops
     that are left. `precision`, "float64" or "float32", is that of everything, the rig included. Without a C compiler it
-    runs on the reference interpreter, with its warning.
+    runs on the reference interpreter, with its warning. With `failsafe` its inputs `SAFETY` are those of a flight on
+    which nothing fails, unless `fly` is given others: it arms after `ARMING` steps (at once in hover).
 
     A controller whose moment or thrust is not finite stops the motors; the flight goes on to its end, and its `M` and
     `T` show where it was not. Raises DiagramError for a diagram that fits no template or two that fit one.
@@ -126,9 +147,10 @@ class ClosedLoop:
         log: tuple[str, ...] = (),
         controllers: Iterable[Diagram] = (),
         precision: str = "float64",
+        failsafe: bool = False,
     ) -> None:
         # Gains are parameters: one program, compiled once, flies them all.
-        diagram = closed_loop(position_filter=position_filter, controllers=controllers)
+        diagram = closed_loop(position_filter=position_filter, controllers=controllers, failsafe=failsafe)
         self.program: Program | Reference = build(diagram, BASE_DT, precision, log=log)
         self.machine = self.program.machine()
         self.controllers = {
@@ -140,6 +162,8 @@ class ClosedLoop:
         self.machine.set_many({f"flight.{path}": value for path, value in (tuning or {}).items()})
         self.filters = FILTERS[position_filter]
         self.states = frozenset(_state_paths(diagram))
+        self.inputs = (*SETPOINTS, *(SAFETY if failsafe else ()))
+        self.failsafe = failsafe
         self.rig = dict((lab() if rig is None else rig).snapshot())
         self.conditions = dict(conditions or {})
         self.configure(self.rig | self.conditions)
@@ -203,6 +227,10 @@ class ClosedLoop:
             states[f"{position}.x_filter"] = estimate["x"]
         if running:
             states["flight.arming.count"] = _ARMED
+        if running and self.failsafe:
+            thrust = at.commands[-1][1] if at.commands else HOVER
+            states |= {"flight.failsafe.machine.state": FLYING, "flight.failsafe.safe.thrust": thrust}
+            states |= dict.fromkeys((f"flight.failsafe.{name}.count" for name in ("range", "range_stuck", "link")), 0)
         for path, value in (states | dict(at.states)).items():
             self.machine.set_state(path, value)
 
@@ -241,9 +269,13 @@ class ClosedLoop:
         Raises ExperimentError for an unknown set-point or mode.
         """
         inputs: dict[str, Any] = dict.fromkeys(SETPOINTS, 0.0) | {"mode": 0, "in_reset": False, "use_trim": False}
+        if self.failsafe:
+            inputs |= self._nothing_fails(steps)
         for name, value in setpoints.items():
-            if name not in SETPOINTS:
-                raise ExperimentError(f"no set-point called {name!r:.80}", "fly", f"there are: {', '.join(SETPOINTS)}")
+            if name not in self.inputs:
+                raise ExperimentError(
+                    f"no set-point called {name!r:.80}", "fly", f"there are: {', '.join(self.inputs)}"
+                )
             if name == "mode" and isinstance(value, str):
                 if value not in MODES:
                     raise ExperimentError(f"no mode called {value!r:.80}", "fly", f"use one of {', '.join(MODES)}")
@@ -252,6 +284,14 @@ class ClosedLoop:
             inputs[name] = np.repeat(array, TICKS) if array.ndim else array[()].item()
         out = self.machine.run(steps * TICKS, inputs)
         return {name: np.asarray(values[::TICKS]) for name, values in out.items()}
+
+    def _nothing_fails(self, steps: int) -> dict[str, Any]:
+        """The inputs `SAFETY` of a flight on which nothing fails."""
+        flying = int(self.machine.state("flight.failsafe.machine.state")) == FLYING
+        arm = np.arange(steps) >= (0 if flying else ARMING)
+        healthy = dict.fromkeys(("setpoint_new", "link_new", "imu_new"), True)
+        late = dict.fromkeys(("step_late", "own_late"), False)
+        return {**healthy, **late, "arm": np.repeat(arm, TICKS), "rings": bool(self.machine.get("rig.rings"))}
 
 
 def _state_paths(diagram: Diagram, prefix: str = "") -> Iterator[str]:

@@ -1,0 +1,208 @@
+"""The failsafe: thresholds, timers, state machine and the last gate to the motors, as one diagram at 250 Hz."""
+
+from __future__ import annotations
+
+from types import MappingProxyType
+
+from twodof.blocks import Diagram
+from twodof.blocks.library.logic import Logic
+from twodof.flight.causes import ACTIONS, CAUSES, Classes
+from twodof.flight.failsafe_machine import STATES, Machine, Reasons
+from twodof.flight.gate import COMMANDS, Gate
+from twodof.flight.safe_setpoints import SafeSetPoints
+from twodof.flight.safety_flags import SET_POINTS, BatteryFlags, PlaceFlags, SensorFlags, SetPointFlags, StuckCommands
+from twodof.flight.timers import Linger, Timeout
+
+__all__ = ["ACTIONS", "CAUSES", "INPUTS", "OUTPUTS", "STATES", "TIMERS", "failsafe"]
+
+INPUTS: tuple[tuple[str, str, str, str], ...] = (
+    ("arm", "bool", "", "arm; a rising edge arms if nothing speaks against it, false disarms at once"),
+    (
+        "setpoint_new",
+        "bool",
+        "",
+        "a set-point came in this tick, from whatever source has the command, on board or not",
+    ),
+    ("link_new", "bool", "", "something came over the link in this tick"),
+    ("imu_new", "bool", "", "the IMU gave a sample in this tick"),
+    ("rings", "bool", "", "the rings lock the cart: range and rail end do not matter"),
+    ("voltage", "real", "V", "of the battery"),
+    ("step_late", "bool", "", "the flight controller's last step ran out of its time"),
+    ("own_late", "bool", "", "the user's controller ran out of its time, its commands of this tick are not to be used"),
+)
+"""Name, type, unit, meaning of what the flight code takes besides `core.INPUTS` when it has the failsafe."""
+
+OUTPUTS: tuple[tuple[str, str, str], ...] = (
+    ("armed", "", "motors may turn"),
+    ("action", "", "what the failsafe does: index into ACTIONS"),
+    ("state", "", "its state: index into STATES"),
+    ("reason", "", "why: mask of CAUSES, bit n for the nth"),
+    ("causes", "", "all causes that hold in this tick, those that only speak against arming included: mask of CAUSES"),
+)
+"""Name, unit, meaning of what the flight code gives besides `core.OUTPUTS` when it has the failsafe."""
+
+TIMERS = MappingProxyType(
+    {
+        "setpoint": Timeout(0.5, 0.02, 0.9, "silence of set-points after which it levels"),
+        "link": Timeout(3.0, 0.1, 30.0, "silence of the link after which it descends (heartbeats come at 1 Hz)"),
+        "imu": Timeout(0.02, 0.004, 0.1, "silence or repetition of the IMU after which the motors stop"),
+        "range": Timeout(0.25, 0.06, 2.0, "time without a believed range after which it descends"),
+        "range_stuck": Timeout(0.5, 0.06, 5.0, "time of one and the same range after which it descends"),
+        "battery_low": Timeout(1.0, 0.004, 30.0, "time of low voltage until it counts"),
+        "battery_critical": Timeout(0.5, 0.004, 10.0, "time of critical voltage until it descends"),
+        "late": Timeout(0.008, 0.004, 0.008, "time of late steps in a row after which the motors stop"),
+        "stuck": Timeout(0.5, 0.02, 5.0, "time of commands that do not move after which they are not believed"),
+    }
+)
+"""The timers by name: `failsafe.NAME.timeout` is the parameter."""
+
+_MEASURED = (
+    ("acc_x", "real", "m/s2"),
+    ("acc_z", "real", "m/s2"),
+    ("gyro_y", "real", "rad/s"),
+    ("dist", "real", "m"),
+    ("dist_new", "bool", ""),
+)
+_ESTIMATED = (("theta", "rad"), ("q", "rad/s"), ("x", "m"), ("v", "m/s"))
+_SAME = MappingProxyType({name: name for name, _ in SET_POINTS})
+
+
+def failsafe() -> Diagram:
+    """The failsafe, made for 250 Hz.
+
+    Inputs: `INPUTS`; the measurements and estimates; `mode` and the set-points as given; the stock commands `fore`,
+    `aft`, `M`, `T` and the user's `own_fore`, ..., where `own_given` says that there are any. Outputs: the mode and
+    set-points for the controllers (`safe_mode`, `safe_x0`, ...) and `own`, which both depend on nothing behind the
+    controllers; `fore`, `aft`, `M`, `T` as they fly; and `OUTPUTS`.
+    """
+    d = Diagram("failsafe", "flags, timers, state machine, and the last gate to the motors")
+    for name, kind, unit, _ in INPUTS:
+        d.input(name, kind, unit=unit)
+    for name, kind, unit in _MEASURED:
+        d.input(name, kind, unit=unit)
+    for name, unit in _ESTIMATED:
+        d.input(name, unit=unit)
+    d.input("mode", "int32")
+    for name, unit in (*SET_POINTS, ("ax0", "m/s2")):
+        d.input(name, unit=unit)
+    d.input("own_given", "bool")
+    for name in COMMANDS:
+        d.input(name)
+        d.input(f"own_{name}")
+    d.param("descent", 1.0, unit="s", low=0.1, high=10.0, text="time in which the thrust fades")
+    _flags(d)
+    _timers(d)
+    _machine(d)
+    _gate(d)
+    return d
+
+
+def _flags(d: Diagram) -> None:
+    d.add(
+        "sensors",
+        SensorFlags(),
+        inputs={name: name for name in (*(row[0] for row in _MEASURED), "imu_new", "x", "rings")},
+    )
+    d.add("place", PlaceFlags(), inputs={name: name for name in (*(row[0] for row in _ESTIMATED), "rings")})
+    d.add("battery", BatteryFlags(), voltage="voltage")
+    d.add("asked", SetPointFlags(), mode="mode", setpoint_new="setpoint_new", rings="rings", inputs=_SAME)
+    d.add("in_time", Logic("not"), a="step_late")
+    d.add("commands", StuckCommands(), mode="safe.mode", imu_moves="sensors.imu_moves", stopped="machine.stopped")
+
+
+def _timers(d: Diagram) -> None:
+    for name, timer in TIMERS.items():
+        d.add(name, Timeout(**timer.config))
+    for name, source in (
+        ("setpoint", "asked.fed"),
+        ("link", "link_new"),
+        ("imu", "sensors.imu_moves"),
+        ("range", "sensors.range_good"),
+        ("range_stuck", "sensors.range_moves"),
+        ("battery_low", "battery.full"),
+        ("battery_critical", "battery.usable"),
+        ("late", "in_time"),
+        ("stuck", "commands.moves"),
+    ):
+        d.connect(source, f"{name}.alive")
+
+
+def _machine(d: Diagram) -> None:
+    d.add("range_lost", Logic("or"), a="range", b="range_stuck")
+    d.add(
+        "classes",
+        Classes(),
+        setpoint_lost="setpoint",
+        setpoint_invalid="asked.invalid",
+        pitch_near="place.pitch_near",
+        rings_wrong="asked.rings_wrong",
+        rail_near="place.rail_near",
+        link_lost="link",
+        battery_critical="battery_critical",
+        range_lost="range_lost",
+        imu_lost="imu",
+        estimate_lost="place.estimate_lost",
+        pitch_stop="place.pitch_stop",
+        rail_end="place.rail_end",
+        step_late="late",
+        battery_low="battery_low",
+        not_idle="asked.active",
+        tilted="place.tilted",
+    )
+    for name, text in (("level", "levelling lasts at least"), ("brake", "braking lasts at least")):
+        d.add(f"{name}_lasts", Linger(0.5, 0.02, 5.0, text), flag=f"classes.{name}")
+    d.add(
+        "machine",
+        Machine(),
+        params={"descent": "descent"},
+        arm="arm",
+        ready="classes.ready",
+        off="classes.off",
+        descend="classes.descend",
+        brake="brake_lasts",
+        level="level_lasts",
+        stuck="stuck",
+        own_given="own_given",
+        own_lost="gate.own_lost",
+        command_lost="gate.command_lost",
+    )
+    d.add(
+        "reasons",
+        Reasons(),
+        state="machine.state",
+        mask="classes.mask",
+        failed="machine.failed",
+        stuck_off="machine.stuck_off",
+        own_lost="gate.own_lost",
+        command_lost="gate.command_lost",
+    )
+    for name in ("armed", "action", "state"):
+        d.output(name, f"machine.{name}")
+    d.output("reason", "reasons")
+    d.output("causes", "classes.mask")
+
+
+def _gate(d: Diagram) -> None:
+    d.add(
+        "safe",
+        SafeSetPoints(),
+        params={"descent": "descent"},
+        state="machine.state",
+        timer="machine.timer",
+        stopped="machine.stopped",
+        mode="mode",
+        ax0="ax0",
+        x="x",
+        T_flown="gate.T",
+        inputs=_SAME,
+    )
+    for name in ("mode", *(name for name, _ in SET_POINTS), "ax0"):
+        d.output(f"safe_{name}", f"safe.{name}")
+    d.add("gate", Gate(), stopped="machine.stopped", own="machine.own", own_late="own_late")
+    d.output("own", "machine.own")
+    for name in COMMANDS:
+        d.connect(name, f"gate.{name}")
+        d.connect(f"own_{name}", f"gate.own_{name}")
+        d.output(name, f"gate.{name}")
+    for name in ("fore", "aft"):
+        d.connect(f"gate.{name}", f"commands.{name}")
