@@ -67,3 +67,11 @@ class ParameterError(TwodofError):
 
 class ExperimentError(TwodofError):
     """An experiment cannot be flown as asked: it does not fit the rig or is malformed."""
+
+
+class LinkError(TwodofError):
+    """A link cannot be opened or used as asked: a malformed URL, a message that cannot be encoded, a key not kept safe."""
+
+
+class LinkLost(LinkError):
+    """The other side of a link is gone, or the link was closed."""

@@ -1,0 +1,1 @@
+"""The wire: our MAVLink dialect, transports by URL, framing, signing, statistics, and a connection of all of them."""
