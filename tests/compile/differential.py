@@ -41,9 +41,9 @@ class Case:
 
     def columns(self, steps: int) -> dict[str, Any]:
         """The first `steps` inputs as columns: an input that a row does not name keeps its value."""
+        zero = {n: False if p.kind == "bool" else 0 for n, p in self.diagram.inputs.items()}
         present: dict[str, Any] = {
-            n: (0 if p.kind != "bool" else False) if p.width is None else [0] * p.width
-            for n, p in self.diagram.inputs.items()
+            n: zero[n] if p.width is None else [zero[n]] * p.width for n, p in self.diagram.inputs.items()
         }
         made: dict[str, list[Any]] = {n: [] for n in present}
         for row in self.rows[:steps]:

@@ -64,11 +64,11 @@ def read_diagram(path: str | Path) -> Diagram:
     file = Path(path)
     try:
         if not file.is_file():
-            raise DiagramError("there is no such file", str(path), "name a diagram's JSON file")
+            raise DiagramError("there is no such file", f"{path!s:.200}", "name a diagram's JSON file")
         with file.open("rb") as stream:
             data = stream.read(MAX_BYTES + 1)
     except (OSError, ValueError) as error:
-        raise DiagramError(f"it cannot be read: {error!s:.200}", str(path), "name a diagram's JSON file") from error
+        raise DiagramError(f"it cannot be read: {error!s:.200}", f"{path!s:.200}", "name a diagram's JSON file") from error
     try:
         return from_json(data)
     except DiagramError as error:

@@ -40,7 +40,7 @@ def starter(name: str) -> Diagram:
 def load_diagram(source: str | Path) -> Diagram:
     """The starter diagram called `source`, or the diagram in a JSON file, of which nothing is executed.
 
-    Raises DiagramError for a file that cannot be read, is larger than 16 MiB or holds no diagram.
+    Raises DiagramError for a file that cannot be read, is larger than 8 MiB or holds no diagram.
     """
     if isinstance(source, str) and source in STARTERS:
         return starter(source)
