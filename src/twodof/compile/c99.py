@@ -105,6 +105,7 @@ def _function(name: str, precision: str, lean: bool, style: Style) -> tuple[str,
     arguments = ["x"] if ARGUMENTS[name] == 1 else ["y", "x"]
     with tracing(name):
         result = DEFINITIONS[name][precision](*(leaf("input", a, "real") for a in arguments))
+    style = style.inner
     writer, real = style.writer(lean), style.types["real"]
     renderer = style.renderer(writer, Names({*arguments, "td"}), precision, lambda e: (e.data, ATOM), "td")
     writer.line(f"return {renderer.text(result)};")

@@ -160,7 +160,7 @@ class Renderer:
         self.precision = precision
         self.leaf = leaf
         self.stem = stem
-        self.named: dict[int, Text] = {id(e): (t, ATOM) for e, t in (known or {}).items()}
+        self.named: dict[int, Text] = {}
         self.bound: dict[tuple[int, int], Text] = {}
         self.limits: dict[tuple[int, int], int] = {}  # loop counters: one more than the largest value
         self.targets: dict[int, str] = {}
@@ -168,11 +168,20 @@ class Renderer:
         self._resolved: dict[int, Expr] = {}
         self._free: dict[int, frozenset[int]] = {}
         self._wanted: dict[tuple[Any, ...], set[int]] = {}  # of each fold, which of its results
+        self.learn(known or {})
         self._later: dict[int, list[int]] = {}  # of expressions that are needed later, what there reads them
 
     def learn(self, known: Mapping[Expr, str]) -> None:
         """More expressions that are already at hand."""
-        self.named |= {id(e): (t, ATOM) for e, t in known.items()}
+        self.named |= {id(e): self._local(t) if e.width is None else (t, ATOM) for e, t in known.items()}
+
+    def _local(self, name: str) -> Text:
+        """The text of a number that stands in a variable or a struct's member."""
+        return name, ATOM
+
+    def _stored(self, text: str, kind: str) -> str:
+        """A number's text as it is assigned."""
+        return text
 
     def expect(self, roots: Iterable[Expr]) -> None:
         """Expressions that will be asked for later: what they share with others before them becomes a temporary."""
@@ -186,7 +195,9 @@ class Renderer:
     def scalars(self, roots: Sequence[Expr]) -> list[Text]:
         """The C texts of `roots`, after the lines that they need. An array's text is a name."""
         self._find_bound(roots)
-        return self._texts([self._resolve(r) for r in roots])
+        resolved = [self._resolve(r) for r in roots]
+        texts = zip(resolved, self._texts(resolved), strict=True)
+        return [(self._stored(text, r.kind) if r.width is None else text, binding) for r, (text, binding) in texts]
 
     def text(self, root: Expr) -> str:
         """The C text of one expression."""
@@ -194,8 +205,9 @@ class Renderer:
 
     def index(self, root: Expr, width: int) -> str:
         """The C text of an array index, clamped unless it cannot be outside."""
-        (text,) = self.scalars([root])
-        return self._index(self._resolve(root), text, width)
+        self._find_bound([root])
+        resolved = self._resolve(root)
+        return self._index(resolved, self._texts([resolved])[0], width)
 
     def assign(self, targets: Sequence[tuple[str, Expr]]) -> None:
         """Lines that store each expression in its lvalue, which no expression may read."""
@@ -208,7 +220,7 @@ class Renderer:
         texts = self._texts(roots)
         for (target, _), root, (text, _) in zip(targets, roots, texts, strict=True):
             if root.width is None:
-                self.writer.assign(target, text, root.kind)
+                self.writer.assign(target, self._stored(text, root.kind), root.kind)
             elif text != target:
                 self.writer.copy(target, text, root.width, root.kind)
 
@@ -247,8 +259,8 @@ class Renderer:
                 trivial = item.op in LEAVES or (item.op == "select" and "(" not in made[0])
                 if not trivial and (uses[id(item)] > 1 or (len(made[0]) > WIDEST_LINE and id(item) not in whole)):
                     name = self.names.numbered(f"{self.stem}_t")
-                    self.writer.line(f"const {self.types[item.kind]} {name} = {made[0]};")
-                    made = name, ATOM
+                    self.writer.line(f"const {self.types[item.kind]} {name} = {self._stored(made[0], item.kind)};")
+                    made = self._local(name)
                     self.named[id(item)] = made
             else:
                 self.named[id(item)] = made
@@ -417,10 +429,11 @@ class Renderer:
         name = target or self.names.new(f"{self.stem}_array")
         self.writer.elements += 0 if target else width
         if item.op == "vector":
+            elements = [self._stored(a, item.kind) for a, _ in args]
             if target is None:
-                self.writer.line(f"const {ctype} {name}[{width}] = {{{', '.join(a for a, _ in args)}}};")
+                self.writer.line(f"const {ctype} {name}[{width}] = {{{', '.join(elements)}}};")
             else:
-                for i, (a, _) in enumerate(args):
+                for i, a in enumerate(elements):
                     self.writer.line(f"{name}[{i}] = {a};")
             return name, ATOM
         if target is None:
@@ -428,12 +441,12 @@ class Renderer:
         if item.op == "store":
             self.writer.copy(name, args[0][0], width, item.kind, target is None)
             at = self._index(self._resolve(item.args[1]), args[1], width)
-            self.writer.put(name, at, args[2][0], item.kind, target is None)
+            self.writer.put(name, at, self._stored(args[2][0], item.kind), item.kind, target is None)
             return name, ATOM
         length, depth = item.data
         with self._loop(length, depth) as counter:
             ((body, _),) = self._texts([self._resolve(item.args[0])])
-            self.writer.line(f"{name}[{counter}] = {body};")
+            self.writer.line(f"{name}[{counter}] = {self._stored(body, item.kind)};")
         return name, ATOM
 
     def _fold(self, item: Expr, args: Sequence[Text]) -> Text:
@@ -442,23 +455,26 @@ class Renderer:
         needed = self._carried(bodies, depth, {which} | self._wanted.get(_loop_key(item), set()))
         names = {j: self.names.new(f"{self.stem}_sum") for j in needed}
         for j, name in names.items():
-            self.writer.line(f"{self.types[bodies[j].kind]} {name} = {args[j][0]};")
+            kind = bodies[j].kind
+            self.writer.line(f"{self.types[kind]} {name} = {self._stored(args[j][0], kind)};")
         with self._loop(length, depth):
             for j, name in names.items():
-                self.bound[depth, j + 1] = name, ATOM
+                self.bound[depth, j + 1] = self._local(name)
             texts = self._texts([self._resolve(bodies[j]) for j in needed])
             if len(names) == 1:
-                self.writer.line(f"{names[needed[0]]} = {texts[0][0]};")
+                (j,) = needed
+                self.writer.line(f"{names[j]} = {self._stored(texts[0][0], bodies[j].kind)};")
             else:
                 nexts = [self.names.new(f"{names[j]}_next") for j in needed]
                 for j, new, (text, _) in zip(needed, nexts, texts, strict=True):
-                    self.writer.line(f"const {self.types[bodies[j].kind]} {new} = {text};")
+                    kind = bodies[j].kind
+                    self.writer.line(f"const {self.types[kind]} {new} = {self._stored(text, kind)};")
                 for j, new in zip(needed, nexts, strict=True):
                     self.writer.line(f"{names[j]} = {new};")
         for j, name in names.items():  # the loop's other results
             twin = self._keep("fold", bodies[j].kind, item.args, (length, depth, j))
-            self.named[id(twin)] = name, ATOM
-        return names[which], ATOM
+            self.named[id(twin)] = self._local(name)
+        return self._local(names[which])
 
     def _carried(self, bodies: Sequence[Expr], depth: int, wanted: set[int]) -> list[int]:
         """The values that a fold must carry so that those `wanted` come out."""

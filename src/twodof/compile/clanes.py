@@ -16,7 +16,7 @@ from twodof.blocks.graph import outside
 from twodof.compile.cexpr import ATOM, Renderer, Text, Writer, constant
 from twodof.compile.cnames import Names
 from twodof.compile.cstyle import Style
-from twodof.compile.lane_helpers import SCALARS, TYPES, Shape, prelude
+from twodof.compile.lane_helpers import SCALARS, TYPES, VECTORS, Shape, prelude
 from twodof.compile.layout import Member
 
 MASKS = 1000  # names kept for masks
@@ -93,11 +93,28 @@ def conjunction(texts: Sequence[str]) -> str:
     return made
 
 
+_VARIABLE = re.compile(r"[A-Za-z_][\w.\[\]]*(->[\w.\[\]]+)?\.v@")
+
+
 class LaneRenderer(Renderer):
-    """Writes the expressions of one block, each value in all lanes."""
+    """Writes the expressions of one block, each value in all lanes: `@` stands for the number of a vector."""
+
+    vectors: int
 
     types: Mapping[str, str] = TYPES
     writer: LaneWriter
+
+    def _local(self, name: str) -> Text:
+        return f"{name}.v@", ATOM
+
+    def _stored(self, text: str, kind: str) -> str:
+        """All vectors of a value: an expression is written once for each, all of one before the next.
+
+        So it needs the registers of one, and the processor still finds both to work on.
+        """
+        if _VARIABLE.fullmatch(text):
+            return text[:-3]
+        return f"({self.types[kind]}){{{', '.join(text.replace('@', str(k)) for k in range(self.vectors))}}}"
 
     def _args(self, item: Expr) -> tuple[Expr, ...]:
         if id(item) in self.named:
@@ -126,24 +143,21 @@ class LaneRenderer(Renderer):
             self.writer.shared.add(at)
             return at
         if index.op == "and" and any(a.op == "const" and 0 <= a.data < width for a in map(self._resolve, index.args)):
-            return text[0]
-        return f"lanes_clamp_index({text[0]}, {width - 1})"
+            return self._stored(text[0], "int32")
+        return self._stored(f"lanes_within({text[0]}, {width - 1})", "int32")
 
     def _expression(self, item: Expr, args: Sequence[Text]) -> Text:
         op, kind, texts = item.op, item.kind, [a for a, _ in args]
         if op == "const":
-            return f"lanes_{kind}_all({constant(item.data, kind, self.precision)[0]})", ATOM
+            return f"lanes_v_{kind}_all({constant(item.data, kind, self.precision)[0]})", ATOM
         if op == "bound":
             text = self.bound[item.data]
-            return (f"lanes_int32_all({text[0]})", ATOM) if item.data[1] == 0 else text
+            return (f"lanes_v_int32_all({text[0]})", ATOM) if item.data[1] == 0 else text
         if op in ("input", "state", "param", "tick", "dt"):
-            return self.leaf(item)
+            text = self.leaf(item)
+            return text if item.width is not None else self._local(text[0])
         if op == "select":
-            array = self._resolve(item.args[0])
-            if array.width is None:
-                raise ValueError("select on a scalar")
-            at = self._index(self._resolve(item.args[1]), args[1], array.width)
-            return (f"{texts[0]}[{at}]" if at in self.writer.shared else f"lanes_get_{kind}({texts[0]}, {at})"), ATOM
+            return self._element(item, texts[0], args[1])
         if op == "call":
             self.writer.functions.add(item.data)
             return f"td_{item.data}({', '.join(texts)})", ATOM
@@ -155,9 +169,9 @@ class LaneRenderer(Renderer):
                 compared = [id(self._resolve(a)) for a in test.args]
                 chosen = [id(self._resolve(a)) for a in item.args[1:]]
                 if compared == chosen:
-                    return f"lanes_min_real({texts[1]}, {texts[2]})", ATOM
+                    return f"lanes_v_min_real({texts[1]}, {texts[2]})", ATOM
                 if compared == chosen[::-1]:
-                    return f"lanes_max_real({texts[1]}, {texts[2]})", ATOM
+                    return f"lanes_v_max_real({texts[1]}, {texts[2]})", ATOM
         elif op in ("lt", "le", "eq", "ne"):
             name = f"{op}_{operand}"
         elif op == "convert":
@@ -168,28 +182,67 @@ class LaneRenderer(Renderer):
             name = f"word_{1 if item.data else 0}"
         else:
             name = f"{op}_{kind}"
-        return f"lanes_{name}({', '.join(texts)})", ATOM
+        return f"lanes_v_{name}({', '.join(texts)})", ATOM
+
+    def _element(self, item: Expr, name: str, index: Text) -> Text:
+        """An array's element; one at each lane's own index is fetched into a variable."""
+        array = self._resolve(item.args[0])
+        if array.width is None:
+            raise ValueError("select on a scalar")
+        at = self._index(self._resolve(item.args[1]), index, array.width)
+        if at in self.writer.shared:
+            return self._local(f"{name}[{at}]")
+        fetched = self.names.numbered(f"{self.stem}_t")
+        self.writer.line(f"const {self.types[item.kind]} {fetched} = lanes_get_{item.kind}({name}, {at});")
+        self.named[id(item)] = self._local(fetched)
+        return self.named[id(item)]
+
+
+class VectorRenderer(LaneRenderer):
+    """Writes an elementary function of a single vector."""
+
+    types: Mapping[str, str] = VECTORS
+
+    def _local(self, name: str) -> Text:
+        return name, ATOM
+
+    def _stored(self, text: str, kind: str) -> str:
+        return text
+
+
+_WEIGHTED = (
+    "lanes_v_add_real(x->{m}.v@, lanes_v_mul_real(sixth.v@, lanes_v_add_real(lanes_v_add_real(lanes_v_add_real("
+    "k1.{m}.v@, lanes_v_mul_real({two}.v@, k2.{m}.v@)), lanes_v_mul_real({two}.v@, k3.{m}.v@)), k4.{m}.v@)))"
+)
 
 
 class Lanes(Style):
     """C for as many instances as a `Shape` says."""
 
     types: Mapping[str, str] = TYPES
-    renderer = LaneRenderer
     function = "td_inline"
     needs = SCALARS
     tables = False
-    along = "lanes_add_real({0}, lanes_mul_real(h, {1}))"
-    weighted = (
-        "lanes_add_real(x->{m}, lanes_mul_real(sixth, lanes_add_real(lanes_add_real(lanes_add_real(k1.{m}, "
-        "lanes_mul_real({two}, k2.{m})), lanes_mul_real({two}, k3.{m})), k4.{m})))"
-    )
 
     def __init__(self, shape: Shape) -> None:
         self.shape = shape
+        along = self._whole("lanes_v_add_real({0}.v@, lanes_v_mul_real(h.v@, {1}.v@))")
+        self.along = along.replace("{{", "{{{{").replace("}}", "}}}}")  # it is formatted twice
+        self.weighted = self._whole(_WEIGHTED)
+        self.renderer = type("Renderer", (LaneRenderer,), {"vectors": shape.vectors})
         self.copies = shape.lanes
         self.prelude = prelude(shape)
         self.reserved = frozenset(re.findall(r"\blanes_\w+", self.prelude)) | {f"on_{i}" for i in range(MASKS)}
+
+    def _whole(self, text: str) -> str:
+        """A real whose vectors `text` gives, `@` being the number of each; braces doubled, for it will be formatted."""
+        vectors = ", ".join(text.replace("@", str(k)) for k in range(self.shape.vectors))
+        return f"(lanes_real){{{{{vectors}}}}}"
+
+    @property
+    def inner(self) -> Style:
+        """The style of the elementary functions: of single vectors."""
+        return VECTOR
 
     def writer(self, lean: bool) -> Writer:
         """A new writer."""
@@ -257,3 +310,18 @@ class Lanes(Style):
                     writer.assign(f"{x}.{m.name}", f"{moved}.{m.name}", m.kind)
                 else:
                     writer.copy(f"{x}.{m.name}", f"{moved}.{m.name}", m.width, m.kind)
+
+
+class Vector(Style):
+    """C of single vectors, for the elementary functions."""
+
+    types: Mapping[str, str] = VECTORS
+    renderer = VectorRenderer
+    function = "td_inline"
+
+    def writer(self, lean: bool) -> Writer:
+        """A new writer."""
+        return LaneWriter(lean=lean)
+
+
+VECTOR = Vector()

@@ -24,6 +24,11 @@ class Style:
     along = "{0} + h * {1}"
     weighted = "x->{m} + sixth * (((k1.{m} + {two} * k2.{m}) + {two} * k3.{m}) + k4.{m})"
 
+    @property
+    def inner(self) -> Style:
+        """The style of the elementary functions."""
+        return self
+
     def writer(self, lean: bool) -> Writer:
         """A new writer; `lean` as in `c99.emit`."""
         return Writer(lean=lean)
