@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.compile import examples
-from tests.compile.differential import random_cases, sources
+from tests.compile import differential, examples
 from twodof.blocks import Block, Diagram, Param, Port, State, sin, to_int32, to_real, to_uint32
 from twodof.blocks.reference import Reference
 from twodof.compile import build, native, toolchain
@@ -35,7 +34,7 @@ def strictly(compiler: str, source: str, folder: Path, *more: str) -> subprocess
 @pytest.mark.parametrize("precision", ["float64", "float32"])
 def test_strict_compilers_do_not_complain(compiler: str, precision: str, tmp_path: Path) -> None:
     emitted = [emit_program(make(), 0.01, precision).source for make in ALL]
-    emitted.append(sources(random_cases(range(300, 308), 1), precision, "rk4")[0].text)
+    emitted.append(differential.emitted(differential.random_cases(range(300, 308), 1), precision, "rk4")[0].source)
     for source in emitted:
         done = strictly(compiler, source, tmp_path)
         assert done.returncode == 0, done.stderr
