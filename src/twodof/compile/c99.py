@@ -12,12 +12,13 @@ from functools import cache
 
 from twodof.blocks.elementary import ARGUMENTS, DEFINITIONS
 from twodof.blocks.expr import leaf, tracing
-from twodof.compile.cexpr import ATOM, Writer
+from twodof.compile.cexpr import ATOM
 from twodof.compile.chelpers import HELPERS
 from twodof.compile.cnames import Names
 from twodof.compile.cstage import Stage
 from twodof.compile.cstyle import SCALAR, Style
 from twodof.compile.ctick import INTEGRATION, NEXT_TICK, RETURNED, Scope, Tick, describe
+from twodof.compile.cwriter import Writer
 from twodof.compile.flat import Program
 from twodof.compile.layout import Layout, Member
 from twodof.errors import DiagramError

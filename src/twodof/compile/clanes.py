@@ -13,9 +13,10 @@ from dataclasses import dataclass, field
 
 from twodof.blocks.expr import Expr
 from twodof.blocks.graph import outside
-from twodof.compile.cexpr import ATOM, Renderer, Text, Writer, constant
+from twodof.compile.cexpr import ATOM, Renderer, Text, constant
 from twodof.compile.cnames import Names
 from twodof.compile.cstyle import Style
+from twodof.compile.cwriter import Writer
 from twodof.compile.lane_helpers import SCALARS, TYPES, VECTORS, Shape, prelude
 from twodof.compile.layout import Member
 

@@ -7,9 +7,10 @@ from contextlib import AbstractContextManager, nullcontext
 
 from twodof.blocks.expr import LEAVES, Expr
 from twodof.blocks.graph import walk
-from twodof.compile.cexpr import Renderer, Writer, loop_depths
+from twodof.compile.cexpr import Renderer, loop_depths
 from twodof.compile.cnames import Names
 from twodof.compile.ctick import FROZEN, NEXT_TICK, Scope, Tick, commit, describe
+from twodof.compile.cwriter import Writer
 from twodof.compile.flat import Guard, Node, Signal
 from twodof.compile.layout import Member, Struct
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
-from twodof.compile.cexpr import C_TYPES, Renderer, Text, Writer
+from twodof.compile.cexpr import C_TYPES, Renderer, Text
 from twodof.compile.cnames import Names
+from twodof.compile.cwriter import Writer
 from twodof.compile.layout import Member
 
 

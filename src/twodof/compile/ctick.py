@@ -9,9 +9,10 @@ from contextlib import contextmanager
 from twodof.blocks.block import Param, Port, State
 from twodof.blocks.expr import LEAVES, Expr
 from twodof.blocks.graph import leaves
-from twodof.compile.cexpr import ATOM, C_TYPES, Renderer, Text, Writer, constant
+from twodof.compile.cexpr import ATOM, C_TYPES, Renderer, Text, constant
 from twodof.compile.cnames import Names
 from twodof.compile.cstyle import SCALAR, Style
+from twodof.compile.cwriter import Writer
 from twodof.compile.flat import Action, Guard, Node, Program, Signal
 from twodof.compile.layout import Layout, Member
 from twodof.compile.lower import inputs_of
