@@ -206,6 +206,11 @@ class Events:
         """What its commands returned."""
         return [int(rest) for what, rest in self.rows if what == "returned"]
 
+    def withdrawn(self) -> dict[str, int]:
+        """When [us] the module's publications ended, by topic: what nobody has read by then nobody ever reads."""
+        ends = [rest.split() for what, rest in self.rows if what == "withdrawn"]
+        return {topic: int(now) for topic, now in ends}
+
     def used(self) -> set[str]:
         """The parameters it asked for."""
         return {rest for what, rest in self.rows if what == "used"}

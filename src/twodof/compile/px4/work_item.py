@@ -85,6 +85,7 @@ private:
     uint8_t _faults{{0}};
     bool _active{{false}};
     bool _waiting{{false}};
+    bool _stopping{{false}};
     float _torque_scale{{1.41421356f}};
 
 {members_text(role)}
@@ -208,12 +209,20 @@ bool {c}::due(hrt_abstime sample)
 void {c}::Run()
 {{
     if (_should_stop.load()) {{
-        _angular_velocity_sub.unregisterCallback();
         ScheduleClear();
-        // The last command would stand for ever: what is safe takes its place.
-        _faults = STALE;
-        read_topics();
-        command(hrt_absolute_time());
+
+        if (!_stopping) {{
+            // The last command would stand for ever: what is safe takes its place. The item outlives it by a
+            // while, since nobody reads a topic whose publication has gone.
+            _stopping = true;
+            _angular_velocity_sub.unregisterCallback();
+            _faults = STALE;
+            read_topics();
+            command(hrt_absolute_time());
+            ScheduleDelayed(SILENCE);
+            return;
+        }}
+
         pthread_mutex_lock(&instance_lock);
         instance.store(nullptr);
         pthread_mutex_unlock(&instance_lock);

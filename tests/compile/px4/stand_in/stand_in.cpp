@@ -41,6 +41,12 @@ void publish(const char *topic, const void *value, size_t size)
     }
 }
 
+void withdraw(const char *topic)
+{
+    printf("withdrawn %s %llu\n", topic, static_cast<unsigned long long>(now));
+    fflush(stdout);
+}
+
 void work()
 {
     std::vector<px4::WorkItem *> late;
@@ -69,8 +75,9 @@ hrt_abstime hrt_absolute_time()
     return stand_in::now;
 }
 
-int px4_usleep(unsigned int)
+int px4_usleep(unsigned int us)
 {
+    stand_in::now += us;
     stand_in::work(); // another thread would
     return 0;
 }

@@ -37,6 +37,8 @@ extern std::map<px4::WorkItem *, uint64_t> delayed;
 extern std::vector<std::string> said;
 
 void publish(const char *topic, const void *value, size_t size);
+// A topic loses its publication: who has not read the last value by then never does.
+void withdraw(const char *topic);
 // Runs what is ready, and what was delayed until now.
 void work();
 } // namespace stand_in

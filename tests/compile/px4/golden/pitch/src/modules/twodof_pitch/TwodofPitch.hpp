@@ -75,6 +75,7 @@ private:
     uint8_t _faults{0};
     bool _active{false};
     bool _waiting{false};
+    bool _stopping{false};
     float _torque_scale{1.41421356f};
 
     hrt_abstime _now{0};
