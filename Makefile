@@ -26,7 +26,7 @@ demo: $(VENV)/ready-run
 	$(BIN)/twodof demo
 
 test: $(VENV)/ready-dev tools
-	$(BIN)/python -m pytest -n $(TEST_JOBS) --dist loadgroup
+	$(BIN)/python -m pytest -n $(TEST_JOBS)
 
 check: $(VENV)/ready-dev
 	$(BIN)/ruff format --check --quiet .
@@ -38,7 +38,7 @@ bench: $(VENV)/ready-dev tools
 	$(BIN)/python -m bench
 
 soak: $(VENV)/ready-dev tools
-	$(BIN)/python -m pytest -n $(TEST_JOBS) --dist loadgroup -m soak
+	$(BIN)/python -m pytest -n $(TEST_JOBS) -m soak
 
 # Part of test, soak and bench; quick and silent when everything is there.
 tools:

@@ -22,11 +22,15 @@ def required() -> bool:
     return os.environ.get("TWODOF_REQUIRE_TOOLS") == "1" or os.environ.get("CI") == "true"
 
 
+def missing(*programs: str) -> list[str]:
+    """Those of `programs` that are not there."""
+    return [program for program in programs if shutil.which(program) is None]
+
+
 def need(*programs: str) -> None:
     """Skip the present test, naming the package, if one of `programs` is missing; fail it instead if `required`."""
-    for program in programs:
-        if shutil.which(program) is None:
-            reason = f"{program} is missing: `make tools` as root, or install {PACKAGES[program]}"
-            if required():
-                pytest.fail(reason)
-            pytest.skip(reason)
+    for program in missing(*programs):
+        reason = f"{program} is missing: `make tools` as root, or install {PACKAGES[program]}"
+        if required():
+            pytest.fail(reason)
+        pytest.skip(reason)

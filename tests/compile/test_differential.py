@@ -34,7 +34,6 @@ from twodof.compile.native import Native
 from twodof.compile.target import Emitted, Target
 from twodof.compile.wasm.target import Wasm
 
-pytestmark = pytest.mark.xdist_group("faults")
 GCC = Native("gcc", "-O1", cpu=False)
 ON_M7 = CortexM7("gcc")
 
