@@ -1,0 +1,219 @@
+"""What every transport is: packets of bytes out and in, bounded queues whose drops are counted, a clear end.
+
+Sending never waits: what the system does not take now is queued up to a bound and then dropped and counted. Receiving
+waits up to a deadline. A transport that is lost or closed gives what has arrived and then raises LinkLost; none
+reconnects by itself, as only its user knows what must be said again: open it anew (`open_transport` tries until its
+deadline). UDP is never lost: who is silent may come back, and silence is for the layer above to judge.
+"""
+
+import asyncio
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from twodof.errors import LinkLost
+
+# A second of eight drones at full rate; beyond that the reader is stuck, and the oldest packets are worth least.
+MOST_PACKETS = 8192
+MOST_BYTES = 4 << 20
+MOST_OUT_BYTES = 256 << 10
+READ_BYTES = 65_536
+
+
+class Packet(NamedTuple):
+    """Bytes that arrived, and who sent them: what `Transport.send` takes as `to`."""
+
+    data: bytes
+    peer: Hashable
+
+
+@dataclass(slots=True)
+class TransportCounts:
+    """Packets and bytes that passed, and packets that were dropped because a queue was full or a peer one too many."""
+
+    packets_in: int = 0
+    bytes_in: int = 0
+    packets_out: int = 0
+    bytes_out: int = 0
+    dropped_in: int = 0
+    dropped_out: int = 0
+    errors: int = 0
+
+
+class Inbox:
+    """Packets that arrived and were not taken: bounded, the oldest dropped and counted; put from any thread."""
+
+    def __init__(self, counts: TransportCounts) -> None:
+        self._loop = asyncio.get_running_loop()
+        self._counts = counts
+        self._packets: deque[Packet] = deque()
+        self._bytes = 0
+        self._waiter: asyncio.Future[None] | None = None
+        self._end: LinkLost | None = None
+        self.on_room: Callable[[], None] | None = None
+
+    @property
+    def full(self) -> bool:
+        """Whether half of what it may hold is there, so that a stream should be stopped."""
+        return self._bytes > MOST_BYTES // 2 or len(self._packets) > MOST_PACKETS // 2
+
+    def put(self, packet: Packet) -> None:
+        """Add a packet, dropping the oldest where there is no room."""
+        self._counts.packets_in += 1
+        self._counts.bytes_in += len(packet.data)
+        self._packets.append(packet)
+        self._bytes += len(packet.data)
+        while len(self._packets) > 1 and (self._bytes > MOST_BYTES or len(self._packets) > MOST_PACKETS):
+            self._bytes -= len(self._packets.popleft().data)
+            self._counts.dropped_in += 1
+        self._wake()
+
+    def put_from_anywhere(self, packet: Packet) -> None:
+        """Add a packet from whatever thread or loop; silently nothing once the loop is gone."""
+        if _running_loop() is self._loop:
+            self.put(packet)
+        elif not self._loop.is_closed():
+            self._loop.call_soon_threadsafe(self.put, packet)
+
+    def end(self, reason: LinkLost) -> None:
+        """No more will come; the first reason stays."""
+        if self._end is None:
+            self._end = reason
+        self._wake()
+
+    def end_from_anywhere(self, reason: LinkLost) -> None:
+        """`end` from whatever thread or loop."""
+        if _running_loop() is self._loop:
+            self.end(reason)
+        elif not self._loop.is_closed():
+            self._loop.call_soon_threadsafe(self.end, reason)
+
+    def take(self) -> Packet | None:
+        """The oldest packet, None if there is none now. Raises LinkLost if none will come."""
+        if self._packets:
+            packet = self._packets.popleft()
+            self._bytes -= len(packet.data)
+            if self.on_room is not None and not self._packets:
+                self.on_room()
+            return packet
+        if self._end is not None:
+            raise LinkLost(self._end.what, self._end.where, self._end.remedy)
+        return None
+
+    async def wait(self, timeout: float) -> Packet | None:
+        """The oldest packet, waiting up to `timeout` [s] for one; None when that has passed. Raises LinkLost."""
+        packet = self.take()
+        if packet is not None or timeout <= 0:
+            return packet
+        if self._waiter is not None:
+            raise RuntimeError("two tasks receive from one transport: let one receive and hand on")
+        waiter = self._waiter = self._loop.create_future()
+        handle = self._loop.call_later(timeout, _finish, waiter)
+        try:
+            await waiter
+        finally:
+            handle.cancel()
+            self._waiter = None
+        return self.take()
+
+    def _wake(self) -> None:
+        if self._waiter is not None:
+            _finish(self._waiter)
+
+
+def _finish(waiter: asyncio.Future[None]) -> None:
+    if not waiter.done():
+        waiter.set_result(None)
+
+
+def _running_loop() -> asyncio.AbstractEventLoop | None:
+    try:
+        return asyncio.get_running_loop()
+    except RuntimeError:
+        return None
+
+
+class Transport(ABC):
+    """Packets to and from one peer or several; use it in the event loop that opened it.
+
+    `whole` says that a packet is a datagram: no frame goes across two of them.
+    """
+
+    whole: bool = False
+
+    def __init__(self, url: str) -> None:
+        self.url = url
+        self.counts = TransportCounts()
+        self._inbox = Inbox(self.counts)
+        self._closed = False
+
+    async def __aenter__(self) -> "Transport":
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self.close()
+
+    @property
+    def closed(self) -> bool:
+        """Whether it was closed or lost."""
+        return self._closed
+
+    @property
+    @abstractmethod
+    def peers(self) -> tuple[Hashable, ...]:
+        """Those that `send` without `to` reaches."""
+
+    def confirm(self, peer: Hashable) -> None:
+        """What came from `peer` was sound: from now on it is among `peers`.
+
+        Only UDP that listens asks for it, so that rubbish from a forged address draws no telemetry to that address.
+        """
+        return
+
+    def send(self, data: bytes, to: Hashable | None = None) -> None:
+        """Send a packet to one peer, or to all of `peers`; a peer that is gone is no error, it gets nothing.
+
+        Raises LinkLost once the transport is closed or lost.
+        """
+        if self._closed:
+            raise LinkLost("the link is closed", self.url, "open it again")
+        for peer in self.peers if to is None else (to,):
+            if self._send(data, peer):
+                self.counts.packets_out += 1
+                self.counts.bytes_out += len(data)
+            else:
+                self.counts.dropped_out += 1
+
+    async def receive(self, timeout: float) -> Packet | None:
+        """The next packet, or None if none comes within `timeout` [s]; with 0 it does not wait.
+
+        Raises LinkLost when the link is closed or lost, after what had arrived before. One task at a time may wait.
+        """
+        return await self._inbox.wait(timeout)
+
+    def receive_now(self) -> Packet | None:
+        """The next packet if one is there. Raises LinkLost as `receive`."""
+        return self._inbox.take()
+
+    async def close(self) -> None:
+        """Close it, now; a second time does nothing. Whoever waits in `receive` gets LinkLost."""
+        self._lose("the link was closed")
+        # Sockets are closed by the loop in its next round; a caller may end the loop right after this.
+        await asyncio.sleep(0)
+
+    def _lose(self, what: str, remedy: str = "open it again") -> None:
+        """The end, whoever brought it about."""
+        if not self._closed:
+            self._closed = True
+            self._release()
+        self._inbox.end_from_anywhere(LinkLost(what, self.url, remedy))
+
+    @abstractmethod
+    def _send(self, data: bytes, peer: Hashable) -> bool:
+        """Hand the packet to the system; False if it was dropped."""
+
+    @abstractmethod
+    def _release(self) -> None:
+        """Give back what the system lent; called once."""

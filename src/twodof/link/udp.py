@@ -1,0 +1,111 @@
+"""UDP: to one address, or listening, where who sends sound packets is a peer until it has long been silent."""
+
+import asyncio
+import socket
+from collections.abc import Hashable
+from contextlib import suppress
+from typing import Any, cast
+
+from twodof.errors import LinkError
+from twodof.link.transport import READ_BYTES, Packet, Transport
+from twodof.link.url import Address
+
+MOST_PEERS = 32
+# A ground station sends a heartbeat each second; ten missed ones, and its place may go to another.
+SILENT_S = 10.0
+SOCKET_BUFFER = 4 << 20
+# Datagrams read before anybody else gets a turn.
+BURST = 64
+
+
+class UdpTransport(Transport):
+    """One UDP socket; the system's buffer is its queue. Made by `open_udp`."""
+
+    whole = True
+
+    def __init__(self, address: Address, opened: socket.socket) -> None:
+        super().__init__(str(address))
+        self._listens = address.listens
+        self._loop = asyncio.get_running_loop()
+        self._socket = opened
+        self._heard: dict[Hashable, float] = {}  # peer -> when last heard
+        self._server: Hashable = None if address.listens else opened.getpeername()
+        self._loop.add_reader(opened.fileno(), self._readable)
+
+    @property
+    def peers(self) -> tuple[Hashable, ...]:
+        """The address it was opened to, or those that sent sound packets."""
+        return tuple(self._heard) if self._listens else (self._server,)
+
+    @property
+    def port(self) -> int:
+        """The port it listens on or sends from; 0 once it is closed."""
+        return 0 if self._closed else int(self._socket.getsockname()[1])
+
+    def confirm(self, peer: Hashable) -> None:
+        """Make room for `peer` if need be, by forgetting one that has been silent for SILENT_S."""
+        if not self._listens or peer in self._heard:
+            return
+        now = self._loop.time()
+        if len(self._heard) >= MOST_PEERS:
+            oldest = min(self._heard, key=self._heard.__getitem__)
+            if now - self._heard[oldest] < SILENT_S:
+                return
+            del self._heard[oldest]
+        self._heard[peer] = now
+
+    def _readable(self) -> None:
+        for _ in range(BURST):
+            try:
+                data, peer = self._socket.recvfrom(READ_BYTES)
+            except (BlockingIOError, InterruptedError):
+                return
+            except OSError:  # the other side's port is closed (yet): counted, no reason to end
+                self.counts.errors += 1
+                continue
+            if not self._listens:
+                peer = self._server
+            elif peer in self._heard:
+                self._heard[peer] = self._loop.time()
+            self._inbox.put(Packet(data, peer))
+
+    def _send(self, data: bytes, peer: Hashable) -> bool:
+        try:
+            if self._listens:
+                self._socket.sendto(data, cast(tuple[Any, ...], peer))
+            else:
+                self._socket.send(data)
+        except (BlockingIOError, InterruptedError):
+            return False
+        except OSError:
+            self.counts.errors += 1
+            return False
+        return True
+
+    def _release(self) -> None:
+        self._loop.remove_reader(self._socket.fileno())
+        self._socket.close()
+
+
+async def open_udp(address: Address) -> UdpTransport:
+    """A UDP socket that listens at or sends to `address`. Raises LinkError where the system refuses."""
+    loop = asyncio.get_running_loop()
+    opened: socket.socket | None = None
+    try:
+        places = await loop.getaddrinfo(address.name, address.port, type=socket.SOCK_DGRAM)
+        family, kind, protocol, _, place = places[0]
+        opened = socket.socket(family, kind, protocol)
+        opened.setblocking(False)
+        if address.listens:
+            opened.bind(place)
+        else:
+            opened.connect(place)
+    except OSError as error:
+        if opened is not None:
+            opened.close()
+        remedy = "choose another port, or end who has it" if address.listens else "check the host's name"
+        raise LinkError(f"cannot be opened: {error.strerror or error}", str(address), remedy) from error
+    for option in (socket.SO_RCVBUF, socket.SO_SNDBUF):
+        with suppress(OSError):  # the system's own bound stays
+            opened.setsockopt(socket.SOL_SOCKET, option, SOCKET_BUFFER)
+    return UdpTransport(address, opened)
