@@ -53,6 +53,10 @@ class LogError(TwodofError):
     """A flight log cannot be read, lacks what was asked for, or would be written wrongly."""
 
 
+class RecordingError(LogError):
+    """A recording cannot go on, the disk being full or silent; what was acknowledged is in its file."""
+
+
 class DownloadError(LogError):
     """A public log is not at hand and cannot be fetched now."""
 

@@ -1,4 +1,4 @@
-"""`twodof log info`, `twodof log convert` and `twodof log fetch`."""
+"""`twodof log info`, `convert`, `recover` and `fetch`."""
 
 from __future__ import annotations
 
@@ -9,10 +9,12 @@ import typer
 from rich.table import Table
 
 from twodof.cli.output import Json, print_json, table_console
+from twodof.errors import LogError
 from twodof.flightlog.contents import describe
 from twodof.flightlog.files import convert as convert_log
 from twodof.flightlog.files import read_log
 from twodof.flightlog.public_data import PUBLIC_LOGS, find
+from twodof.flightlog.recovery import recover as recover_log
 
 app = typer.Typer(help="Look into flight logs and convert them.", no_args_is_help=True, add_completion=False)
 # More rows than this say nothing more to a reader; --json has all.
@@ -21,7 +23,7 @@ _ROWS = 20
 
 @app.command()
 def info(
-    file: Annotated[Path, typer.Argument(help="A .mat, .parquet or .csv log.")],
+    file: Annotated[Path, typer.Argument(help="A .mat, .mcap, .parquet, .csv or .ulg log.")],
     json: Json = False,
 ) -> None:
     """Channels, rates, gaps, events, and the experiment that a log looks like."""
@@ -63,12 +65,42 @@ def convert(
     target: Annotated[Path, typer.Argument(help="The file to write; its suffix says the format.")],
     json: Json = False,
 ) -> None:
-    """Write a log in another format (.mat, .parquet, .csv); the target is there whole or not at all."""
+    """Write a log in another format (.mat, .mcap, .parquet, .csv); the target is there whole or not at all."""
     log = convert_log(source, target)
     if json:
         print_json({"file": str(target), "channels": list(log.channels)})
     else:
         table_console().print(f"{target}: {len(log.channels)} channels", markup=False)
+
+
+@app.command()
+def recover(
+    file: Annotated[Path, typer.Argument(help="An .mcap recording or .ulg log that was cut off or damaged.")],
+    out: Annotated[
+        Path | None, typer.Argument(help="The .mcap file to write; FILE with .recovered.mcap if it is left out.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Write what is sound of a recording as a complete .mcap file; FILE stays as it is."""
+    target = out if out is not None else file.with_name(f"{file.stem}.recovered.mcap")
+    if target.suffix.lower() != ".mcap":
+        raise LogError(f"{target.suffix!r} is not what is written", str(target), "name an .mcap file")
+    if target.exists():
+        raise LogError("is there already", str(target), "name a new file: nothing is replaced")
+    found = recover_log(file)
+    found.write(target)
+    # What was written is what is reported: it has to read back whole.
+    samples = sum(len(channel) for channel in read_log(target).channels.values())
+    start, end = found.log.span
+    if json:
+        kept = {"file": str(target), "samples": samples, "span_s": [start, end]}
+        print_json({**kept, "lost_bytes": found.lost_bytes, "what": list(found.what)})
+        return
+    console = table_console()
+    console.print(f"{target}: {samples} samples from {start:.3f} to {end:.3f} s", markup=False, soft_wrap=True)
+    for line in found.what[:_ROWS] or ("nothing was wrong with it",):
+        console.print(line, markup=False, soft_wrap=True)
+    console.print(f"{found.lost_bytes} bytes could not be used")
 
 
 @app.command()

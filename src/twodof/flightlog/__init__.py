@@ -26,6 +26,10 @@ if TYPE_CHECKING:
     from twodof.flightlog.log import Channel as Channel
     from twodof.flightlog.log import FlightLog as FlightLog
     from twodof.flightlog.log import Gap as Gap
+    from twodof.flightlog.recorder import Recorder as Recorder
+    from twodof.flightlog.recovery import Recovered as Recovered
+    from twodof.flightlog.recovery import recover as recover
+    from twodof.flightlog.ulog_writer import ULogWriter as ULogWriter
 
 _HOMES = {
     "atomic": ("atomic_write",),
@@ -33,6 +37,9 @@ _HOMES = {
     "events": ("Event", "Stretch", "modes", "openloop_edges", "setpoint_steps", "thrust_edges", "window"),
     "files": ("convert", "read_log", "write_log"),
     "log": ("Channel", "FlightLog", "Gap"),
+    "recorder": ("Recorder",),
+    "recovery": ("Recovered", "recover"),
+    "ulog_writer": ("ULogWriter",),
 }
 _HOME = {name: home for home, names in _HOMES.items() for name in names}
 

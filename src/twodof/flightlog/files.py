@@ -7,31 +7,33 @@ from types import MappingProxyType
 from twodof.errors import LogError
 from twodof.flightlog.log import FlightLog
 from twodof.flightlog.mat import read_mat, write_mat
+from twodof.flightlog.mcap import read_mcap, write_mcap
 from twodof.flightlog.table import read_csv, read_parquet, write_csv, write_parquet
+from twodof.flightlog.ulog import read_ulog
 
 _READERS: Mapping[str, Callable[[str | Path], FlightLog]] = MappingProxyType(
-    {".mat": read_mat, ".parquet": read_parquet, ".csv": read_csv}
+    {".mat": read_mat, ".mcap": read_mcap, ".parquet": read_parquet, ".csv": read_csv, ".ulg": read_ulog}
 )
 _WRITERS: Mapping[str, Callable[[FlightLog, str | Path], None]] = MappingProxyType(
-    {".mat": write_mat, ".parquet": write_parquet, ".csv": write_csv}
+    {".mat": write_mat, ".mcap": write_mcap, ".parquet": write_parquet, ".csv": write_csv}
 )
 
 
 def read_log(path: str | Path) -> FlightLog:
-    """Reads a log from a .mat, .parquet or .csv file. Raises LogError."""
-    _check(path)
+    """Reads a log from a .mat, .mcap, .parquet, .csv or .ulg file. Raises LogError."""
+    _check(path, _READERS)
     return _READERS[Path(path).suffix.lower()](path)
 
 
 def write_log(log: FlightLog, path: str | Path) -> None:
-    """Writes a log to a .mat, .parquet or .csv file, atomically. Raises LogError."""
-    _check(path)
+    """Writes a log to a .mat, .mcap, .parquet or .csv file, atomically. Raises LogError."""
+    _check(path, _WRITERS)
     _WRITERS[Path(path).suffix.lower()](log, path)
 
 
 def convert(src: str | Path, dst: str | Path) -> FlightLog:
     """Reads `src` and writes it as `dst`; returns the log. Raises LogError before anything is written."""
-    _check(dst)
+    _check(dst, _WRITERS)
     if Path(dst).exists() and Path(src).exists() and Path(dst).samefile(src):
         raise LogError("would be written over itself", str(src), "name another file to write")
     log = read_log(src)
@@ -39,6 +41,9 @@ def convert(src: str | Path, dst: str | Path) -> FlightLog:
     return log
 
 
-def _check(path: str | Path) -> None:
-    if Path(path).suffix.lower() not in _READERS:
-        raise LogError(f"no log format has the suffix {Path(path).suffix!r}", str(path), f"use {', '.join(_READERS)}")
+def _check(path: str | Path, known: Mapping[str, object]) -> None:
+    suffix = Path(path).suffix.lower()
+    if suffix in _READERS and suffix not in known:
+        raise LogError(f"{suffix} logs are read, not written", str(path), f"write {', '.join(known)}")
+    if suffix not in known:
+        raise LogError(f"no log format has the suffix {Path(path).suffix!r}", str(path), f"use {', '.join(known)}")

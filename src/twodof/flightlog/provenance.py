@@ -3,6 +3,7 @@
 import hashlib
 import json
 import platform
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -50,10 +51,15 @@ def to_json(log: FlightLog) -> str:
 
     Raises LogError for a provenance that JSON cannot hold.
     """
-    kept = {key: value for key, value in log.provenance.items() if key not in ("file", "history")}
-    history = [*log.provenance.get("history", [])]
-    if "file" in log.provenance:
-        history.append(log.provenance["file"])
+    return kept_json(log.provenance, log.source)
+
+
+def kept_json(entries: Mapping[str, Any], where: str) -> str:
+    """Entries of provenance as JSON, with `file` moved to the end of `history`. Raises LogError."""
+    kept = {key: value for key, value in entries.items() if key not in ("file", "history")}
+    history = [*entries.get("history", [])]
+    if "file" in entries:
+        history.append(entries["file"])
     if history:
         kept["history"] = history
     kept.setdefault("versions", versions())
@@ -61,7 +67,7 @@ def to_json(log: FlightLog) -> str:
         return json.dumps(kept, allow_nan=False)
     except (TypeError, ValueError) as reason:
         raise LogError(
-            f"provenance is not JSON: {reason}", log.source, "keep numbers, text, lists and dicts in it"
+            f"provenance is not JSON: {reason}", where, "keep numbers, text, lists and dicts in it"
         ) from reason
 
 

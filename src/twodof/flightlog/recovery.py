@@ -1,0 +1,67 @@
+"""What is left of a recording that was cut off: by a crash, a power cut, a full or damaged disk."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from twodof.errors import LogError
+from twodof.flightlog import provenance
+from twodof.flightlog.atomic import atomic_write
+from twodof.flightlog.log import FlightLog
+from twodof.flightlog.mcap import RECOVERED_NOTE, to_log, write_contents, write_mcap
+from twodof.flightlog.mcap_decoder import Contents, scan
+from twodof.flightlog.ulog import ulog_to_log
+from twodof.flightlog.ulog_decoder import scan_ulog
+
+
+@dataclass(frozen=True)
+class Recovered:
+    """What was read: `log`, `samples` in it, `lost_bytes` that could not be used, `what` was wrong, in words."""
+
+    log: FlightLog
+    samples: int
+    lost_bytes: int
+    what: tuple[str, ...]
+    contents: Contents | None = None
+
+    def write(self, path: str | Path) -> None:
+        """Writes a complete MCAP file, atomically. Raises LogError."""
+        if self.contents is None:
+            write_mcap(self.log, path)
+        else:
+            with atomic_write(path) as file:
+                write_contents(self.contents, file)
+
+
+def recover(path: str | Path) -> Recovered:
+    """Reads an .mcap or .ulg file as far as it is sound; of an MCAP file, only chunks whose checksum holds (where
+    it has one: ours do).
+
+    Everything that a Recorder or ULogWriter has acknowledged is in the result, whatever was cut off or written
+    over behind it. Raises LogError for a file in which no sample can be read: that is never a success.
+    """
+    data = provenance.read_bytes(path)
+    where = str(path)
+    contents = None
+    if Path(path).suffix.lower() == ".ulg":
+        found = scan_ulog(data, where, salvage=True)
+        log = ulog_to_log(found, provenance.of_file(path, data, "ulog"), where)
+        lost, finished = found.lost, found.finished
+    elif Path(path).suffix.lower() == ".mcap":
+        contents = scan(data, where, salvage=True)
+        log = to_log(contents, provenance.of_file(path, data, "mcap"), where)
+        lost, finished = contents.lost, contents.finished
+    else:
+        raise LogError(f"cannot recover {Path(path).suffix!r} files", where, "give an .mcap or .ulg file")
+    samples = sum(len(channel) for channel in log.channels.values())
+    if not samples:
+        raise LogError("no sample can be read in it", where, "nothing was acknowledged, or the file is another's")
+    what = [f"{loss.size} bytes at byte {loss.at}: {loss.why}" for loss in lost]
+    if not finished:
+        what.insert(0, "the recording was not closed")
+    size = sum(loss.size for loss in lost)
+    if contents is not None:
+        what += [f"{count} messages of {name}, which is not ours" for name, count in contents.ignored.items()]
+        if what:
+            note = {"from": Path(path).name, "lost_bytes": str(size), "what": "; ".join(what)[:10_000]}
+            contents.metadata.append((RECOVERED_NOTE, note))
+    return Recovered(log, samples, size, tuple(what), contents)

@@ -1,0 +1,269 @@
+"""A file that only grows and survives whatever ends its writer: one thread writes it, in parts that it acknowledges.
+
+A part is acknowledged when fsync has returned: from then on it is on the disk, and no later part can take it back.
+The producer never waits for the disk unless it asks to; its buffer is bounded, and what does not fit is counted.
+"""
+
+import os
+import threading
+import time
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Literal, Self
+
+from twodof.errors import LogError, RecordingError
+
+Full = Literal["drop", "wait"]
+DEADLINE_S = 10.0
+"""A disk that has not answered for so long is taken for dead."""
+
+
+@dataclass(frozen=True)
+class Acknowledged:
+    """What is on the disk: the first `position` bytes of the file, `samples` of those accepted, in their order."""
+
+    position: int = 0
+    samples: int = 0
+
+
+class Spool(ABC):
+    """Writes what a producer hands over to a new file; a child says what is handed over and how it is encoded.
+
+    Every `flush_s` at the latest, or when `part_bytes` wait, what is there is written and synced. More than
+    `capacity_bytes` never wait: `full` says whether a sample beyond is dropped and counted, or waits for the disk.
+    Safe to use from several threads. A process that forks keeps it in the parent only.
+    """
+
+    def __init__(
+        self, path: str | Path, flush_s: float, capacity_bytes: int, full: Full, part_bytes: int = 1 << 18
+    ) -> None:
+        if not 0.0 < flush_s <= 60.0 or capacity_bytes < 1 or full not in ("drop", "wait"):
+            raise LogError(
+                f"flush_s {flush_s!r}, capacity {capacity_bytes!r}, full {full!r}",
+                str(path),
+                "give 0 < flush_s <= 60, capacity_bytes > 0 and 'drop' or 'wait'",
+            )
+        self.path = Path(path)
+        self._flush_s, self._capacity, self._full, self._part_bytes = flush_s, capacity_bytes, full, part_bytes
+        self._changed = threading.Condition()
+        self._waiting_bytes = 0
+        self._accepted = 0
+        self._acknowledged = Acknowledged()
+        self._asked = 0
+        self._closing = self._ended = self._fine = False
+        self._failure: RecordingError | None = None
+        self._descriptor = self._open()
+        self._thread = threading.Thread(target=self._run, name=f"spool {self.path.name}", daemon=True)
+
+    @abstractmethod
+    def _take(self) -> object:
+        """Empties the buffer and returns what was in it, None for nothing. Called with the lock held."""
+
+    @abstractmethod
+    def _encode(self, taken: object) -> bytes:
+        """The next bytes of the file. Called without the lock."""
+
+    @abstractmethod
+    def _ending(self) -> bytes:
+        """The last bytes of the file."""
+
+    @abstractmethod
+    def _kept(self) -> None:
+        """Told when everything encoded so far is on the disk."""
+
+    @abstractmethod
+    def _undone(self) -> None:
+        """Told when what was encoded since the last `_kept` is not in the file."""
+
+    @property
+    def acknowledged(self) -> Acknowledged:
+        """What is on the disk now, and stays readable whatever happens next."""
+        return self._acknowledged
+
+    @property
+    def accepted(self) -> int:
+        """Samples taken so far; those not acknowledged yet wait in memory."""
+        return self._accepted
+
+    @property
+    def failure(self) -> RecordingError | None:
+        """Why the recording ended before it was closed; None while it goes on."""
+        return self._failure
+
+    def flush(self, deadline_s: float = DEADLINE_S) -> Acknowledged:
+        """Waits until everything accepted so far is on the disk. Raises RecordingError, at the deadline at last."""
+        with self._changed:
+            goal = self._accepted
+            self._asked = max(self._asked, goal)
+            self._changed.notify_all()
+            self._changed.wait_for(lambda: self._ended or self._acknowledged.samples >= goal, deadline_s)
+            self._check()
+            if self._acknowledged.samples < goal:
+                raise self._silent(deadline_s)
+            return self._acknowledged
+
+    def close(self, deadline_s: float = DEADLINE_S) -> Acknowledged:
+        """Writes what waits and the file's end. Raises RecordingError; a second call only returns."""
+        with self._changed:
+            if self._closing:
+                return self._acknowledged
+            self._closing = True
+            self._changed.notify_all()
+        self._thread.join(deadline_s)
+        if self._thread.is_alive():
+            raise self._silent(deadline_s)
+        self._check()
+        return self._acknowledged
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            self.close()
+        except RecordingError:
+            # What went wrong in the block says more; `failure` still has ours.
+            if kind is None:
+                raise
+
+    def _admit(self, size: int) -> bool:
+        """Whether `size` more bytes may wait, with the lock held. Raises RecordingError once the recording ended."""
+        self._check()
+        if self._closing:
+            raise RecordingError("the recording is closed", str(self.path), "start another one")
+        if self._waiting_bytes + size > self._capacity:
+            if self._full == "drop":
+                return False
+            self._changed.notify_all()
+            if size > self._capacity or not self._changed.wait_for(
+                lambda: self._ended or self._closing or self._waiting_bytes + size <= self._capacity, DEADLINE_S
+            ):
+                raise self._silent(DEADLINE_S)
+            return self._admit(size)
+        self._waiting_bytes += size
+        if self._waiting_bytes >= self._part_bytes > self._waiting_bytes - size:
+            self._changed.notify_all()
+        return True
+
+    def _check(self) -> None:
+        if self._failure is not None:
+            raise RecordingError(self._failure.what, self._failure.where, self._failure.remedy)
+
+    def _silent(self, deadline_s: float) -> RecordingError:
+        return RecordingError(
+            f"the disk has not answered within {deadline_s:g} s; {self._acknowledged.samples} of {self._accepted} "
+            "samples are on it",
+            str(self.path),
+            "record to another disk",
+        )
+
+    def _open(self) -> int:
+        try:
+            # A recording never takes the place of another one.
+            return os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
+        except FileExistsError as there:
+            raise LogError(
+                "is there already", str(self.path), "name a new file: recordings are not replaced"
+            ) from there
+        except OSError as refusal:
+            raise LogError(
+                f"cannot be written: {refusal.strerror}", str(self.path), "choose a folder that exists and is writable"
+            ) from refusal
+
+    def _start(self, head: bytes) -> None:
+        """Writes the head and the folder's entry through to the disk, then begins. Raises RecordingError."""
+        try:
+            self._write(head)
+            folder = os.open(self.path.resolve().parent, os.O_RDONLY)
+            try:
+                os.fsync(folder)
+            finally:
+                os.close(folder)
+        except OSError as refusal:
+            os.close(self._descriptor)
+            self.path.unlink(missing_ok=True)
+            raise RecordingError(
+                f"cannot be written: {refusal.strerror}", str(self.path), "nothing was recorded"
+            ) from refusal
+        self._acknowledged = Acknowledged(len(head), 0)
+        self._kept()
+        self._thread.start()
+
+    def _run(self) -> None:
+        try:
+            self._serve()
+        finally:
+            os.close(self._descriptor)
+            with self._changed:
+                if self._failure is None and not self._fine:
+                    self._failure = RecordingError(
+                        "the writer ended by a fault of its own", str(self.path), "report it"
+                    )
+                self._ended = True
+                self._changed.notify_all()
+
+    def _serve(self) -> None:
+        due = time.monotonic() + self._flush_s
+        while True:
+            with self._changed:
+                self._changed.wait_for(self._is_urgent, max(0.0, due - time.monotonic()))
+                closing = self._closing
+                taken, samples = self._take(), self._accepted
+                self._waiting_bytes = 0
+                self._changed.notify_all()
+            due = time.monotonic() + self._flush_s
+            try:
+                if taken is not None:
+                    self._append(self._encode(taken), samples)
+                if closing:
+                    self._append(self._ending(), samples)
+                    self._fine = True
+                    return
+            except OSError as refusal:
+                self._fail(refusal, samples)
+                return
+
+    def _is_urgent(self) -> bool:
+        return (
+            self._closing
+            or self._waiting_bytes >= min(self._part_bytes, self._capacity)
+            or self._asked > self._acknowledged.samples
+        )
+
+    def _append(self, part: bytes, samples: int) -> None:
+        self._write(part)
+        with self._changed:
+            self._acknowledged = Acknowledged(self._acknowledged.position + len(part), samples)
+            self._kept()
+            self._changed.notify_all()
+
+    def _write(self, part: bytes) -> None:
+        rest = memoryview(part)
+        while rest:
+            rest = rest[os.write(self._descriptor, rest) :]
+        os.fsync(self._descriptor)
+
+    def _fail(self, refusal: OSError, samples: int) -> None:
+        """Takes back the part that did not fit and, where the disk allows it, gives the file a proper end."""
+        there = self._acknowledged
+        failure = RecordingError(
+            f"the disk refused: {refusal.strerror}; {there.samples} of {samples} samples are in the file",
+            str(self.path),
+            "make room and start another recording",
+        )
+        self._undone()
+        for part in (self._ending(), b""):
+            try:
+                os.ftruncate(self._descriptor, there.position)
+                os.lseek(self._descriptor, there.position, os.SEEK_SET)
+                self._write(part)
+            except OSError:
+                continue  # the second round only takes back what the first one wrote
+            break
+        with self._changed:
+            self._failure = failure
+            self._changed.notify_all()
