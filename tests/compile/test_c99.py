@@ -6,13 +6,13 @@ import re
 import shutil
 import subprocess
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 
 from tests.compile import differential, examples
-from twodof.blocks import Block, Diagram, Param, Port, State, sin, to_int32, to_real, to_uint32
+from twodof.blocks import Block, Diagram, Param, Port, State, sin, store, to_int32, to_real, to_uint32
 from twodof.blocks.reference import Reference
 from twodof.compile import build, native, toolchain
 from twodof.compile.cexpr import constant
@@ -28,6 +28,50 @@ def strictly(compiler: str, source: str, folder: Path, *more: str) -> subprocess
     found = toolchain.find_compiler(compiler)
     command = [*found.command, *STRICT, *found.flags, *more, "-c", "-o", str(folder / "emitted.o"), str(file)]
     return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+class Stores(Block):
+    """An array in which elements are replaced `count` times before as many are read."""
+
+    inputs: ClassVar = [Port("i", "int32")]
+    outputs: ClassVar = [Port("y")]
+    states: ClassVar = [State("a", width=20)]
+
+    def __init__(self, count: int) -> None:
+        self.count = count
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        a = x.a
+        for k in range(self.count):
+            a = store(a, u.i * (k + 1), a[u.i - k] + float(k))
+        total = 0.0
+        for k in range(self.count):
+            total = total + a[u.i + 3 * k]
+        return total
+
+    def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        return {"a": store(store(x.a, u.i, x.a[u.i + 1] + 1.0), u.i + 2, 0.5)}
+
+
+def stores(count: int) -> Diagram:
+    d = Diagram("stores")
+    d.input("i", "int32")
+    d.add("b", Stores(count), i="i")
+    d.output("y", "b")
+    return d
+
+
+def test_reading_what_was_stored_costs_what_is_written() -> None:
+    """Each reader asking for each store grew with the square: 300 gave five megabytes."""
+    small, large = (len(emit_program(stores(n), 0.01).source) for n in (100, 200))
+    assert large < 2.2 * small  # twice, and names that are a digit longer
+
+
+@pytest.mark.parametrize("count", [1, 3, 4, 5, 6, 12])
+def test_reading_what_was_stored_gives_the_same_bits(count: int) -> None:
+    compiled, judge = build(stores(count), 0.01).machine(), Reference(stores(count), 0.01).machine()
+    places = [*range(-3, 24), 2**31 - 1, -(2**31), *range(19)]
+    assert compiled.run(len(places), {"i": places})["y"].tolist() == [judge.step({"i": i})["y"] for i in places]
 
 
 @pytest.mark.parametrize("compiler", [c for c in ("gcc", "zig") if c == "zig" or shutil.which(c)])

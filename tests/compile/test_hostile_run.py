@@ -10,12 +10,13 @@ from pathlib import Path
 import pytest
 
 from tests.blocks.door import connected
-from tests.blocks.hostile import LARGE, loops
+from tests.blocks.hostile import LARGE, custom, loops
 from tests.blocks.mutations import mutants, retouched
 from tests.compile.differential import DT, Case, differences, emitted, reference_run
 from tests.compile.random_diagrams import Maker
 from tests.compile.whole_library import strange_inputs
 from twodof.blocks import Diagram
+from twodof.blocks.reference import Reference
 from twodof.blocks.schema import from_json, to_json
 from twodof.compile import build
 from twodof.compile.lower import lower
@@ -68,6 +69,16 @@ def test_many_mutated_files_that_load_run_within_their_fuel(seed: int) -> None:
 def test_the_largest_that_is_let_in_runs_in_the_sandbox(name: str) -> None:
     d = connected(from_json(LARGE[name]))
     build(d, DT, target="wasm", optimise="-O1").machine().run(20)
+
+
+@pytest.mark.parametrize(("index", "value"), [(-(2**31), 1.0), (-1, 1.0), (2, 3.0), (3, 3.0), (2**31 - 1, 3.0)])
+def test_a_constant_index_is_clamped_where_the_array_is_written_out(index: int, value: float) -> None:
+    """Python refuses such an index; a file can have it."""
+    numbers = [["const", [], "real", float(v).hex()] for v in (1.0, 2.0, 3.0)]
+    nodes = [*numbers, ["vector", [0, 1, 2]], ["const", [], "int32", index], ["select", [3, 4]], ["input", [], "u"]]
+    d = from_json(custom(nodes=[*nodes, ["mul", [5, 6]]], output={"y": 7}))
+    for machine in (Reference(d, DT).machine(), build(d, DT).machine(), build(d, DT, target="wasm").machine()):
+        assert machine.step({"u": 1.0})["y"] == value
 
 
 def test_a_million_operations_run_within_their_fuel() -> None:

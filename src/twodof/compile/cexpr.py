@@ -21,6 +21,7 @@ C_TYPES = {"real": "real", "int32": "int32_t", "uint32": "uint32_t", "bool": "bo
 _CALL = re.compile(r"\w+\(.*\)")  # or what looks like it, which does no harm
 WIDEST_LINE = 150  # an expression that would be longer becomes two
 SMALL_ARRAY = 16  # up to here a copy is cheaper than a choice
+MOST_CHOICES = 4  # stores in a row that are read by choices: more are copied, as each reader would choose among all
 
 NOBODY = 0  # no node's identity
 
@@ -67,6 +68,15 @@ def _arithmetic(op: str, args: Sequence[Text]) -> Text:
     if op == "mul":
         return f"{_paren(args[0], PRODUCT)} * {_paren(args[1], ATOM)}", PRODUCT
     return f"{_paren(args[0], SUM)} {'+' if op == 'add' else '-'} {_paren(args[1], PRODUCT)}", SUM
+
+
+def _stores(array: Expr) -> int:
+    """How many stores in a row made `array`, counted to one more than MOST_CHOICES."""
+    found = 0
+    while array.op == "store" and found <= MOST_CHOICES:
+        array = array.args[0]
+        found += 1
+    return found
 
 
 def loop_depths(item: Expr, known: Mapping[int, frozenset[int]]) -> frozenset[int]:
@@ -239,8 +249,8 @@ class Renderer:
         while item.op == "select" and id(item) not in self.named:
             array, index = item.args
             if array.op == "vector" and index.op == "const":
-                item = array.args[index.data]
-            elif array.op == "store" and array.width is not None and array.width > SMALL_ARRAY:
+                item = array.args[min(max(index.data, 0), len(array.args) - 1)]
+            elif array.width is not None and array.width > SMALL_ARRAY and 0 < _stores(array) <= MOST_CHOICES:
                 base, where, value = array.args
                 same = self._keep("eq", "bool", (self._clamped(index, array.width), self._clamped(where, array.width)))
                 other = self._keep("select", array.kind, (base, index))
