@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import select
 import stat
 import subprocess
 import sys
@@ -113,6 +114,26 @@ def test_a_compiler_that_is_missing_or_broken_is_an_error(tmp_path: Path) -> Non
     broken.chmod(0o755)
     with pytest.raises(CompileError, match="does not start"):
         native.load(SOURCE, toolchain.find_compiler(str(broken)))
+
+
+def test_a_compiler_that_hangs_ends_with_all_that_it_started(
+    cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As gcc's driver does, the script leaves the work to a process of its own, which holds the pipe's other end."""
+    monkeypatch.setattr(toolchain, "BUILD_SECONDS", 2)
+    pipe, hanging = tmp_path / "pipe", tmp_path / "cc"
+    os.mkfifo(pipe)
+    hanging.write_text(f"#!/bin/sh\nexec 3> {pipe}\nprintf begun >&3\nsleep 60\ntrue\n", encoding="utf-8")
+    hanging.chmod(0o755)
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    try:
+        with pytest.raises(CompileError, match="did not end within 2 s"):
+            native.load(SOURCE, toolchain.find_compiler(str(hanging)))
+        assert os.read(reader, 100) == b"begun"
+        assert select.select([reader], [], [], 10.0)[0] == [reader]
+        assert os.read(reader, 100) == b""  # nobody has the other end any more
+    finally:
+        os.close(reader)
 
 
 def test_the_cache_does_not_grow_for_ever(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,6 +8,7 @@ import importlib.util
 import os
 import platform
 import shutil
+import signal
 import stat
 import subprocess
 import tempfile
@@ -172,15 +173,7 @@ def compile_c(
     file = target.with_suffix(".c")
     for path, text in {file: source, **{target.parent / n: t for n, t in (files or {}).items()}}.items():
         path.write_text(text, encoding="utf-8")
-    command = [*compiler.command, *options, "-o", str(target), str(file)]
-    try:
-        done = subprocess.run(command, capture_output=True, timeout=BUILD_SECONDS, check=False, cwd=target.parent)
-    except subprocess.TimeoutExpired as error:
-        raise CompileError(
-            f"it did not end within {BUILD_SECONDS} s", compiler.name, "make the diagram smaller"
-        ) from error
-    except OSError as error:
-        raise CompileError(f"it does not start: {error}", compiler.name, "install a working C compiler") from error
+    done = run_compiler(compiler, (*options, "-o", str(target), str(file)), target.parent)
     if done.returncode or not target.is_file():
         said = done.stderr.decode("utf-8", "replace").strip()[-2000:]
         raise CompileError(
@@ -188,6 +181,38 @@ def compile_c(
             compiler.name,
             "check that the compiler works; if it does, this is a fault of twodof",
         )
+
+
+def run_compiler(compiler: Compiler, arguments: Sequence[str], folder: Path) -> subprocess.CompletedProcess[bytes]:
+    """Run `compiler` in `folder`, where its temporary files are too; the result has what it said, but no output.
+
+    Raises CompileError if it does not start, or does not end within BUILD_SECONDS: then the processes it has started
+    end with it.
+    """
+    command = [*compiler.command, *arguments]
+    try:
+        with subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            cwd=folder,
+            env=os.environ | {"TMPDIR": str(folder)},
+            start_new_session=True,
+        ) as process:
+            try:
+                _, said = process.communicate(timeout=BUILD_SECONDS)
+            except BaseException:
+                with suppress(OSError):  # the driver is only the parent of what computes
+                    os.killpg(process.pid, signal.SIGKILL)
+                raise
+    except subprocess.TimeoutExpired as error:
+        raise CompileError(
+            f"it did not end within {BUILD_SECONDS} s", compiler.name, "make the diagram smaller"
+        ) from error
+    except OSError as error:
+        raise CompileError(f"it does not start: {error}", compiler.name, "install a working C compiler") from error
+    return subprocess.CompletedProcess(command, process.returncode, None, said)
 
 
 def contents(file: Path) -> bytes:

@@ -12,7 +12,7 @@ import pytest
 from tests.compile.cortex_m7.hand_written import ADD, COMPILERS, HEAD, STEP, image, steps
 from tests.toolchains import need
 from twodof.blocks import Diagram
-from twodof.compile import build
+from twodof.compile import build, toolchain
 from twodof.compile.cortex_m7.elf import read_elf
 from twodof.compile.cortex_m7.image import find_cross_compiler
 from twodof.compile.cortex_m7.processor import Processor
@@ -44,7 +44,7 @@ def test_the_second_time_no_compiler_runs(cache: Path, monkeypatch: pytest.Monke
     def never(*_: object, **__: object) -> None:
         raise AssertionError
 
-    monkeypatch.setattr(subprocess, "run", never)
+    monkeypatch.setattr(toolchain, "run_compiler", never)
     assert image(ADD) == first
     with pytest.raises(AssertionError):
         image(ADD, optimise="-O1")

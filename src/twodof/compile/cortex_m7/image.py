@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import re
 import shutil
-import subprocess
 import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -132,23 +131,7 @@ def build_image(
 
 def _command(compiler: Compiler, arguments: Sequence[str], folder: Path) -> None:
     """Run the compiler in `folder`, within bounds of time."""
-    try:
-        done = subprocess.run(
-            [*compiler.command, *arguments],
-            capture_output=True,
-            timeout=toolchain.BUILD_SECONDS,
-            check=False,
-            cwd=folder,
-            stdin=subprocess.DEVNULL,
-        )
-    except subprocess.TimeoutExpired as error:
-        raise CompileError(
-            f"it did not end within {toolchain.BUILD_SECONDS} s", compiler.name, "make the diagram smaller"
-        ) from error
-    except OSError as error:
-        raise CompileError(
-            f"it does not start: {error}", compiler.name, "install it again (Debian: gcc-arm-none-eabi)"
-        ) from error
+    done = toolchain.run_compiler(compiler, arguments, folder)
     if done.returncode:
         said = done.stderr.decode("utf-8", "replace").strip()[-2000:]
         if re.search(r"overflowed by|will not fit in region", said):
