@@ -66,6 +66,16 @@ def test_all_change_in_one_step_or_none_does(machine: Machine) -> None:
     assert machine.run(STEPS)["theta"].tobytes() == twin.run(STEPS)["theta"].tobytes()
 
 
+def test_what_float32_does_not_hold_becomes_infinite_without_a_warning(machine: Machine) -> None:
+    """A warning that a caller has made an error stopped half way: some parameters new, the derived ones old."""
+    judge = Reference(examples.loop(), 0.01, "float32", LOG).machine()
+    for each in (machine, judge):
+        each.set_many({"pendulum.omega": 3.0, "sum.limit": 1e39})
+    assert machine.get("sum.limit") == float("inf")
+    assert derived(machine)[0] == 9.0
+    assert machine.step({"r": 0.3}) == judge.step({"r": 0.3})
+
+
 def test_reset_starts_from_the_present_parameters(machine: Machine) -> None:
     machine.run(STEPS, {"r": 0.4})
     machine.set("pendulum.theta0", 0.25)

@@ -12,7 +12,7 @@ from twodof.blocks import numbers
 from twodof.blocks.block import check_bounds, check_steps, numeric, unknown_parameter
 from twodof.blocks.numbers import Integer, Vector
 from twodof.compile import flat
-from twodof.errors import DiagramError, ParameterError, TwodofError
+from twodof.errors import DiagramError, ParameterError
 
 if TYPE_CHECKING:
     from twodof.compile.program import Program
@@ -59,10 +59,11 @@ class Machine:
             new = {self._member(path): self._checked(path, value) for path, value in values.items()}
         before = self._p.copy()
         try:
-            for member, value in new.items():
-                self._p[member][0] = value
+            with np.errstate(over="ignore"):  # what float32 does not hold is infinite
+                for member, value in new.items():
+                    self._p[member][0] = value
             self._instance.prepare()
-        except TwodofError:
+        except BaseException:  # Ctrl-C too: all or none
             self._p[:] = before
             raise
 
