@@ -1,0 +1,209 @@
+"""A connection: messages out and in over one transport, signed if asked, counted, for one system and component.
+
+What the flight controller, the companion and the ground all stand on. It answers TIMESYNC and PING by itself and does
+nothing else on its own: heartbeats, leases and what silence means belong to its user.
+"""
+
+import asyncio
+import time
+from collections import OrderedDict, deque
+from collections.abc import Callable, Hashable
+from contextlib import suppress
+from typing import Any, NamedTuple, Self
+
+from twodof.errors import LinkLost
+from twodof.link.framing import Frame, Parser, decode, encode
+from twodof.link.messages import message
+from twodof.link.signing import Signing, Verdict
+from twodof.link.statistics import LinkStatistics
+from twodof.link.transport import Transport
+
+# A parser holds at most one frame.
+MOST_PARSERS = 64
+# What has begun and is not followed for this long is no frame: 280 bytes take 49 ms at 57600 baud.
+BROKEN_OFF_S = 0.1
+_TIMESYNC, _PING = 111, 4
+
+
+class Received(NamedTuple):
+    """A message, the frame it came in, and the peer that `Connection.send` takes as `to`."""
+
+    message: Any
+    frame: Frame
+    peer: Hashable
+
+
+class Connection:
+    """Messages over `transport` as `system` and `component` (1 to 255 each).
+
+    With `signing` everything sent is signed and nothing else is taken in, MAVLink 1 included (exceptions:
+    `signing.UNSIGNED_ALLOWED`). `clock` gives seconds for statistics and round trips. Closing it closes the transport.
+    """
+
+    def __init__(
+        self,
+        transport: Transport,
+        system: int,
+        component: int,
+        signing: Signing | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.transport = transport
+        self.system = system
+        self.component = component
+        self.signing = signing
+        self.statistics = LinkStatistics()
+        self._clock = clock
+        self._parsers: OrderedDict[Hashable, Parser] = OrderedDict()
+        self._finished: list[int] = [0, 0, 0, 0, 0]  # counts of parsers that were let go
+        self._sequences: OrderedDict[Hashable, int] = OrderedDict()
+        self._frames: deque[tuple[Frame, Hashable]] = deque()
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self.close()
+
+    async def close(self) -> None:
+        """Close the transport and keep the time stamps of signing."""
+        await self.transport.close()
+        if self.signing is not None:
+            self.signing.close()
+
+    @property
+    def framing(self) -> dict[str, int]:
+        """Counts over all peers: frames, unknown, bad_checksum, mavlink1_refused, rubbish_bytes."""
+        names = ("frames", "unknown", "bad_checksum", "mavlink1_refused", "rubbish_bytes")
+        counts = [parser.counts for parser in self._parsers.values()]
+        return {
+            name: before + sum(getattr(one, name) for one in counts)
+            for name, before in zip(names, self._finished, strict=True)
+        }
+
+    def send(self, sent: Any, to: Hashable | None = None) -> None:
+        """Send a message to one peer, or to all; each has a sequence of its own, so that its losses can be counted.
+
+        Raises LinkError, naming the field, where a value does not fit, and LinkLost once the link is gone.
+        """
+        if self.transport.closed:
+            raise LinkLost("the link is closed", self.transport.url, "open it again")
+        for peer in self.transport.peers if to is None else (to,):
+            sequence = self._sequences.pop(peer, 0)
+            signing = (self.signing.outgoing(),) if self.signing is not None else ()
+            raw = encode(sent, self.system, self.component, sequence, *signing)
+            self._sequences[peer] = (sequence + 1) & 0xFF
+            if len(self._sequences) > MOST_PARSERS:
+                self._sequences.popitem(last=False)
+            self.transport.send(raw, peer)
+
+    def forward(self, frame: Frame, to: Hashable | None = None) -> None:
+        """Send a frame on as it is, its sender's sequence and signature with it."""
+        self.transport.send(frame.raw, to)
+
+    async def receive(self, timeout: float) -> Received | None:
+        """The next message that the dialect has, None if none comes within `timeout` [s]; with 0 it does not wait.
+
+        Raises LinkLost when the link is gone, after what had arrived before.
+        """
+        end = self._clock_of_loop() + timeout
+        while True:
+            found = await self.receive_frame(max(0.0, end - self._clock_of_loop()))
+            if found is None:
+                return None
+            got = decode(found[0])
+            if got is not None:
+                return Received(got, *found)
+
+    def receive_now(self) -> Received | None:
+        """The next message if one is there. Raises LinkLost as `receive`."""
+        while (found := self._next_frame()) is not None:
+            got = decode(found[0])
+            if got is not None:
+                return Received(got, *found)
+        return None
+
+    async def receive_frame(self, timeout: float) -> tuple[Frame, Hashable] | None:
+        """The next frame, of messages that the dialect has not too, and its peer: what a router passes on.
+
+        None if none comes within `timeout` [s]. Raises LinkLost as `receive`.
+        """
+        end = self._clock_of_loop() + timeout
+        while True:
+            found = self._next_frame()
+            if found is not None:
+                return found
+            left = end - self._clock_of_loop()
+            if left <= 0.0:
+                return None
+            begun = not self.transport.whole and any(parser.waiting for parser in self._parsers.values())
+            packet = await self.transport.receive(min(left, BROKEN_OFF_S) if begun else left)
+            if packet is not None:
+                self._take(packet.data, packet.peer)
+            elif begun:
+                for peer in [*self._parsers]:
+                    self._take(b"", peer, whole=True)
+
+    def ping(self, to: Hashable | None = None) -> None:
+        """Ask for the other clock by TIMESYNC; the answer shows in `statistics.round_trips` once it was received."""
+        now = self._clock()
+        token = int(now * 1e9)
+        self.statistics.round_trips.asked(token, now)
+        self.send(message("TIMESYNC", tc1=0, ts1=token), to)
+
+    def _clock_of_loop(self) -> float:
+        return asyncio.get_running_loop().time()
+
+    def _next_frame(self) -> tuple[Frame, Hashable] | None:
+        while not self._frames:
+            packet = self.transport.receive_now()
+            if packet is None:
+                return None
+            self._take(packet.data, packet.peer)
+        return self._frames.popleft()
+
+    def _take(self, data: bytes, peer: Hashable, whole: bool = False) -> None:
+        """Cut what came into frames and keep those that are let in."""
+        whole = whole or self.transport.whole
+        key: Hashable = None if self.transport.whole else peer  # datagrams leave nothing behind
+        parser = self._parsers.get(key)
+        if parser is None:
+            parser = self._parsers[key] = Parser(mavlink1=self.signing is None)
+            if len(self._parsers) > MOST_PARSERS:
+                self._forget(self._parsers.popitem(last=False)[1])
+        for frame in parser.feed(data, whole):
+            if self.signing is not None and self.signing.check(frame) not in (Verdict.ACCEPTED, Verdict.EXCEPTED):
+                continue
+            if frame.known:
+                self.transport.confirm(peer)
+            self.statistics.count(frame, self._clock())
+            if frame.message_id not in (_TIMESYNC, _PING) or not self._answer(frame, peer):
+                self._frames.append((frame, peer))
+
+    def _forget(self, parser: Parser) -> None:
+        counts = parser.counts
+        rows = (counts.frames, counts.unknown, counts.bad_checksum, counts.mavlink1_refused, counts.rubbish_bytes)
+        self._finished = [before + row for before, row in zip(self._finished, rows, strict=True)]
+
+    def _answer(self, frame: Frame, peer: Hashable) -> bool:
+        """Answer a question about time that is ours to answer, take an answer to ours; False for what is others'."""
+        got = decode(frame)
+        if got is None:
+            return False
+        now = self._clock()
+        mine = (self.system, self.component)
+        target = (getattr(got, "target_system", 0), getattr(got, "target_component", 0))
+        answer = None
+        if frame.message_id == _TIMESYNC and target in ((0, 0), mine, (self.system, 0)):
+            if got.tc1:
+                return self.statistics.round_trips.answered(got.ts1, now, got.tc1 * 1e-9) is not None
+            there = {"target_system": frame.system, "target_component": frame.component}
+            answer = message("TIMESYNC", tc1=max(1, int(now * 1e9)), ts1=got.ts1, **there)
+        elif frame.message_id == _PING and target == (0, 0):
+            there = {"target_system": frame.system, "target_component": frame.component}
+            answer = message("PING", time_usec=got.time_usec, seq=got.seq, **there)
+        if answer is None:
+            return False
+        with suppress(LinkLost):  # who asks and goes gets no answer
+            self.send(answer, peer)
+        return True

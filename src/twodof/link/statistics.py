@@ -1,0 +1,145 @@
+"""What a link is worth: loss per sender, round trip and clock offset, rate per message."""
+
+from dataclasses import dataclass, field
+
+from twodof.link.framing import Frame
+
+# A sequence number is one byte: what is behind by more than half of its range is ahead.
+_RANGE, _HALF = 256, 128
+WINDOW = 64
+MOST_SENDERS = 256
+MOST_ASKED = 16
+RATE_WINDOW_S = 1.0
+
+
+@dataclass(slots=True)
+class SenderCounts:
+    """Frames of one system and component: `lost` is gaps in their sequence that were not filled later."""
+
+    received: int = 0
+    lost: int = 0
+    duplicated: int = 0
+    reordered: int = 0
+    restarts: int = 0
+    _last: int = -1
+    _seen: int = 0  # bit n: the frame n before the last has come
+
+    @property
+    def loss(self) -> float:
+        """Fraction of the frames sent that were lost, 0 to 1."""
+        sent = self.received - self.duplicated + self.lost
+        return self.lost / sent if sent > 0 else 0.0
+
+    def count(self, sequence: int) -> None:
+        """One more frame.
+
+        A frame up to WINDOW behind the newest is one that was late, or a second copy. One further behind, but not far
+        ahead, can only be of a sender that began anew.
+        """
+        self.received += 1
+        ahead = (sequence - self._last) % _RANGE
+        if self._last < 0:
+            self._last, self._seen = sequence, 1
+        elif 0 < ahead < _HALF:
+            self.lost += ahead - 1
+            self._last, self._seen = sequence, (self._seen << ahead | 1) & (1 << WINDOW) - 1
+        elif (behind := (_RANGE - ahead) % _RANGE) >= WINDOW:
+            self.restarts += 1
+            self._last, self._seen = sequence, (1 << WINDOW) - 1
+        elif self._seen >> behind & 1:
+            self.duplicated += 1
+        else:
+            # Before the first frame that came nothing was counted as lost.
+            self.reordered += 1
+            self.lost = max(0, self.lost - 1)
+            self._seen |= 1 << behind
+
+
+@dataclass(slots=True)
+class Rate:
+    """How often one message comes: in all, and per second over the last whole window."""
+
+    count: int = 0
+    _since: float = 0.0
+    _in_window: int = 0
+    _last: float = 0.0
+
+    def add(self, now: float) -> None:
+        """One more, at `now` [s]."""
+        self._roll(now)
+        self.count += 1
+        self._in_window += 1
+
+    def per_second(self, now: float) -> float:
+        """Messages a second [1/s] over the last whole window before `now` [s]; 0 once it has been silent for one."""
+        self._roll(now)
+        return self._last
+
+    def _roll(self, now: float) -> None:
+        if self.count == 0:
+            self._since = now
+        elapsed = now - self._since
+        if elapsed >= RATE_WINDOW_S:
+            self._last = self._in_window / elapsed if elapsed < 2 * RATE_WINDOW_S else 0.0
+            self._since, self._in_window = now, 0
+
+
+@dataclass(slots=True)
+class RoundTrips:
+    """Round trips [s] of TIMESYNC and PING: the last, the least, a mean that forgets, and how often."""
+
+    count: int = 0
+    last: float = 0.0
+    least: float = float("inf")
+    mean: float = 0.0
+    offset: float = 0.0  # the other clock minus ours [s], from the quickest round trip
+    _asked: dict[int, float] = field(default_factory=dict)
+
+    def asked(self, token: int, now: float) -> None:
+        """A question that `token` names was sent at `now` [s]; of those without an answer the oldest is forgotten."""
+        self._asked[token] = now
+        if len(self._asked) > MOST_ASKED:
+            del self._asked[next(iter(self._asked))]
+
+    def answered(self, token: int, now: float, theirs: float | None = None) -> float | None:
+        """The round trip [s] of an answer at `now` [s], None if nobody asked; `theirs` is the other clock [s]."""
+        sent = self._asked.pop(token, None)
+        if sent is None or now < sent:
+            return None
+        self.last = now - sent
+        self.mean = self.last if self.count == 0 else self.mean + 0.1 * (self.last - self.mean)
+        self.count += 1
+        if self.last < self.least:
+            self.least = self.last
+            if theirs is not None:
+                self.offset = theirs - (sent + now) / 2.0
+        return self.last
+
+
+class LinkStatistics:
+    """Everything counted of what comes over one link."""
+
+    def __init__(self) -> None:
+        self.senders: dict[tuple[int, int], SenderCounts] = {}
+        self.messages: dict[int, Rate] = {}
+        self.round_trips = RoundTrips()
+
+    def count(self, frame: Frame, now: float) -> None:
+        """One frame that was taken, at `now` [s]. Beyond MOST_SENDERS senders only rates are counted."""
+        sender = self.senders.get((frame.system, frame.component))
+        if sender is None and len(self.senders) < MOST_SENDERS:
+            sender = self.senders[frame.system, frame.component] = SenderCounts()
+        if sender is not None:
+            sender.count(frame.sequence)
+        if frame.known:
+            rate = self.messages.get(frame.message_id)
+            if rate is None:
+                rate = self.messages[frame.message_id] = Rate()
+            rate.add(now)
+
+    @property
+    def loss(self) -> float:
+        """Fraction of all senders' frames that were lost, 0 to 1."""
+        lost = sum(one.lost for one in self.senders.values())
+        sent = lost + sum(one.received - one.duplicated for one in self.senders.values())
+        return lost / sent if sent > 0 else 0.0

@@ -1,0 +1,246 @@
+"""Connections: over every transport, over a bad one on virtual time, signed, among several, and against rubbish."""
+
+import asyncio
+import random
+from collections.abc import Coroutine
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.faults.transport import Faults, FaultyTransport
+from tests.faults.virtual_time import run_virtual
+from twodof.errors import LinkError, LinkLost
+from twodof.link.connection import Connection
+from twodof.link.framing import encode
+from twodof.link.key import Key
+from twodof.link.memory import memory_pair
+from twodof.link.messages import message
+from twodof.link.opening import open_transport
+from twodof.link.signing import Signing
+from twodof.link.stamps import Stamps
+from twodof.link.tcp import TcpTransport
+from twodof.link.udp import UdpTransport
+
+SOON = 5.0
+
+
+def run(work: Coroutine[Any, Any, Any]) -> Any:
+    """In a fresh loop, with a deadline for the whole."""
+    return asyncio.run(asyncio.wait_for(work, 20.0))
+
+
+@pytest.mark.parametrize("kind", ["udp", "tcp", "mem"])
+def test_messages_both_ways(kind: str) -> None:
+    async def work() -> None:
+        there_at = await open_transport("memin://both" if kind == "mem" else f"{kind}in://:0")
+        port = there_at.port if isinstance(there_at, UdpTransport | TcpTransport) else 0
+        here_at = await open_transport(f"{kind}://127.0.0.1:{port}" if port else "mem://both")
+        async with Connection(there_at, 1, 1) as drone, Connection(here_at, 255, 190) as ground:
+            for tick in range(300):
+                ground.send(message("TWODOF_OPENLOOP", tick=tick, M=0.1, openloop=1))
+            got = [await drone.receive(SOON) for _ in range(300)]
+            assert [one.message.tick for one in got if one] == list(range(300))
+            assert got[0] is not None
+            assert (got[0].frame.system, got[0].frame.component) == (255, 190)
+            drone.send(message("HEARTBEAT", type=2, autopilot=12))  # the ground's address was learned
+            answer = await ground.receive(SOON)
+            assert answer is not None
+            assert answer.message.autopilot == 12
+            assert drone.statistics.senders[255, 190].received == 300
+            assert drone.statistics.loss == 0.0
+            assert drone.framing["frames"] == 300
+            assert await drone.receive(0.01) is None
+
+    run(work())
+
+
+def test_loss_is_counted_as_it_was() -> None:
+    async def work() -> tuple[int, int, int]:
+        here, there = memory_pair()
+        loop = asyncio.get_running_loop()
+        faulty = FaultyTransport(here, Faults(loss=0.3, jitter=0.2, duplicate=0.05), seed=4)
+        async with (
+            Connection(faulty, 1, 1, clock=loop.time) as drone,
+            Connection(there, 255, 190, clock=loop.time) as ground,
+        ):
+            for tick in range(2000):
+                drone.send(message("TWODOF_TICK", tick=tick))
+                await asyncio.sleep(0.02)
+            await asyncio.sleep(1.0)
+            got = set()
+            while one := ground.receive_now():
+                got.add(one.message.tick)
+            counts = ground.statistics.senders[1, 1]
+            return len(got), counts.lost, faulty.lost
+
+    got, counted, lost = run_virtual(work())
+    assert got == 2000 - lost
+    # Jitter of 200 ms is ten places, which the window sees through; what is lost at the ends leaves no gap.
+    assert abs(counted - lost) <= 10
+
+
+def test_a_round_trip_is_measured() -> None:
+    async def work() -> Connection:
+        here, there = memory_pair()
+        loop = asyncio.get_running_loop()
+        slow = FaultyTransport(here, Faults(delay=0.1), seed=1)
+        back = FaultyTransport(there, Faults(delay=0.1), seed=2)
+        ground = Connection(slow, 255, 190, clock=loop.time)
+        drone = Connection(back, 1, 1, clock=lambda: loop.time() + 50.0)
+        serving = asyncio.create_task(drone.receive(10.0))
+        ground.ping()
+        assert await ground.receive(3.0) is None  # answered and taken within
+        await ground.close()
+        with pytest.raises(LinkLost):
+            await serving
+        await drone.close()
+        return ground
+
+    trips = run_virtual(work()).statistics.round_trips
+    assert trips.count == 1
+    assert trips.last == pytest.approx(0.2, abs=1e-6)
+    assert trips.offset == pytest.approx(50.0, abs=1e-6)  # the way takes as long there as back
+
+
+def test_a_ping_of_anybody_is_answered() -> None:
+    async def work() -> None:
+        here, there = memory_pair()
+        async with Connection(here, 1, 1) as drone:
+            there.send(encode(message("PING", time_usec=7, seq=3), 255, 190, 0))
+            there.send(encode(message("PING", time_usec=7, seq=3, target_system=9), 255, 190, 1))  # not ours
+            got = await drone.receive(SOON)
+            assert got is not None
+            assert got.message.target_system == 9
+            answer = await Connection(there, 255, 190).receive(SOON)
+            assert answer is not None
+            assert (answer.message.seq, answer.message.target_system, answer.message.target_component) == (3, 255, 190)
+
+    run(work())
+
+
+def test_every_peer_has_its_own_sequence() -> None:
+    async def work() -> None:
+        async with (
+            Connection(await open_transport("memin://two"), 1, 1) as drone,
+            Connection(await open_transport("mem://two"), 255, 190) as one,
+            Connection(await open_transport("mem://two"), 254, 190) as two,
+        ):
+            one.send(message("HEARTBEAT"))
+            first = await drone.receive(SOON)
+            assert first is not None
+            for number in range(600):
+                drone.send(message("TWODOF_TICK", tick=number), to=first.peer if number % 3 else None)
+            for ground, expected in ((one, 600), (two, 200)):
+                while ground.receive_now():
+                    pass
+                counts = ground.statistics.senders[1, 1]
+                assert (counts.received, counts.lost) == (expected, 0)
+
+    run(work())
+
+
+def test_a_signed_link_and_an_intruder(tmp_path: Path) -> None:
+    key = Key.fresh()
+
+    async def work() -> None:
+        async with (
+            Connection(await open_transport("memin://signed"), 1, 1, Signing(key, Stamps(tmp_path / "drone"))) as drone,
+            Connection(
+                await open_transport("mem://signed"), 255, 190, Signing(key, Stamps(tmp_path / "ground"))
+            ) as ground,
+            Connection(await open_transport("mem://signed"), 255, 191) as intruder,
+        ):
+            assert drone.signing is not None
+            intruder.send(message("COMMAND_LONG", command=400, param1=1.0))
+            ground.send(message("COMMAND_LONG", command=400, param1=0.0))
+            got = await drone.receive(SOON)
+            assert got is not None
+            assert (got.frame.component, got.message.param1) == (190, 0.0)
+            # What was recorded on the air and sent again is refused, by whoever sends it.
+            intruder.transport.send(got.frame.raw)
+            assert await drone.receive(0.05) is None
+            assert (drone.signing.counts.unsigned, drone.signing.counts.repeated) == (1, 1)
+            drone.send(message("COMMAND_ACK", command=400), to=got.peer)
+            answer = await ground.receive(SOON)
+            assert answer is not None
+            assert answer.frame.signed
+
+    run(work())
+
+
+def test_an_unsigned_stranger_over_udp_gets_no_telemetry() -> None:
+    async def work() -> None:
+        at = await open_transport("udpin://:0")
+        assert isinstance(at, UdpTransport)
+        drone = Connection(at, 1, 1, Signing(Key.fresh(), Stamps(None)))
+        stranger = Connection(await open_transport(f"udp://127.0.0.1:{at.port}"), 255, 190)
+        stranger.send(message("HEARTBEAT"))
+        assert await drone.receive(0.1) is None
+        drone.send(message("HEARTBEAT"))
+        assert await stranger.receive(0.1) is None
+        await stranger.close()
+        await drone.close()
+
+    run(work())
+
+
+def test_half_a_frame_on_a_stream_holds_the_next_up_for_a_tenth_of_a_second() -> None:
+    async def work() -> float:
+        here, there = memory_pair()
+        here.whole = False  # as a serial line cuts it
+        loop = asyncio.get_running_loop()
+        there.send(b"\xfd\xff\x00" + encode(message("HEARTBEAT"), 1, 1, 0))
+        got = await Connection(here, 255, 190).receive(10.0)
+        assert got is not None
+        return loop.time()
+
+    assert run_virtual(work()) == pytest.approx(0.1, abs=1e-6)
+
+
+def test_rubbish_arms_nothing_and_leaves_nothing_behind() -> None:
+    async def work() -> None:
+        here, there = memory_pair()
+        chance = random.Random(5)
+        async with Connection(here, 1, 1) as drone:
+            for _ in range(3000):
+                there.send(chance.randbytes(chance.randrange(300)))
+                assert drone.receive_now() is None
+            there.send(encode(message("HEARTBEAT"), 255, 190, 0))
+            got = await drone.receive(SOON)
+            assert got is not None
+            assert drone.framing["rubbish_bytes"] > 100_000
+            assert len(drone._parsers) == 1
+
+    run(work())
+
+
+def test_ends_are_errors_of_their_type() -> None:
+    async def work() -> None:
+        here, there = memory_pair()
+        drone = Connection(here, 1, 1)
+        there.send(encode(message("HEARTBEAT"), 255, 190, 0))
+        await there.close()
+        assert await drone.receive(SOON) is not None  # what had arrived comes first
+        with pytest.raises(LinkLost, match="the other end was closed"):
+            await drone.receive(SOON)
+        with pytest.raises(LinkLost):
+            drone.send(message("HEARTBEAT"))
+        await drone.close()
+
+    run(work())
+
+
+def test_a_message_that_does_not_fit_uses_up_no_sequence() -> None:
+    async def work() -> None:
+        here, there = memory_pair()
+        async with Connection(here, 1, 1) as drone, Connection(there, 255, 190) as ground:
+            drone.send(message("HEARTBEAT"))
+            with pytest.raises(LinkError, match="type = 999"):
+                drone.send(message("HEARTBEAT", type=999))
+            drone.send(message("HEARTBEAT"))
+            while ground.receive_now():
+                pass
+            assert ground.statistics.senders[1, 1].lost == 0
+
+    run(work())

@@ -1,0 +1,271 @@
+"""Signing: a differential against pymavlink, keys kept safe, and stamps that survive what happens to processes."""
+
+import copy
+import hashlib
+import json
+import logging
+import os
+import pickle
+import stat
+from pathlib import Path
+from typing import Any
+
+import pytest
+from fastcrc import crc16
+
+from twodof.errors import LinkError
+from twodof.link import dialect
+from twodof.link.framing import Frame, Parser, encode
+from twodof.link.key import Key, read_key, write_key
+from twodof.link.messages import message
+from twodof.link.signing import Signing, Verdict
+from twodof.link.stamps import MARGIN, OWN, PER_SECOND, Stamps
+
+KEY = Key(bytes(range(32)))
+START = 11 * 365 * 24 * 3600 * PER_SECOND
+
+
+class Clock:
+    """A clock that is set by hand."""
+
+    def __init__(self, now: int = START) -> None:
+        self.now = now
+
+    def __call__(self) -> int:
+        return self.now
+
+
+def signing(key: Key = KEY, clock: Clock | None = None, path: Path | None = None, link: int = 0) -> Signing:
+    """One side of a signed link."""
+    return Signing(key, Stamps(path, clock or Clock()), link)
+
+
+def signed(by: Signing, sequence: int = 0, system: int = 1) -> Frame:
+    """A signed command, as it is received."""
+    return frame_of(encode(message("COMMAND_LONG", command=400, param1=1.0), system, 1, sequence, by.outgoing()))
+
+
+def frame_of(raw: bytes) -> Frame:
+    """The one frame in some bytes."""
+    (frame,) = Parser().feed(raw)
+    return frame
+
+
+def pymavlink(key: Key = KEY, now: int = START) -> Any:
+    """pymavlink's own signing end."""
+    mav = dialect.load().MAVLink(None, 1, 1)
+    mav.signing.secret_key, mav.signing.sign_outgoing, mav.signing.timestamp = key.secret, True, now
+    return mav
+
+
+def test_pymavlink_takes_what_we_sign_and_we_what_it_signs() -> None:
+    ours, theirs = signing(), pymavlink()
+    for _ in range(5):
+        got = theirs.decode(bytearray(signed(ours).raw))
+        assert got.get_signed()
+        assert ours.check(frame_of(bytes(message("HEARTBEAT").pack(theirs)))) is Verdict.ACCEPTED
+    assert theirs.signing.badsig_count == 0
+    assert ours.counts.accepted == 5
+
+
+def test_the_signature_is_the_published_one() -> None:
+    # First 6 bytes of SHA-256 over key, packet, link id and stamp; computed by hand of the definition.
+    raw = signed(signing(link=5)).raw
+    assert raw[-13] == 5
+    assert int.from_bytes(raw[-12:-6], "little") == START
+    assert raw[-6:] == hashlib.sha256(KEY.secret + raw[:-6]).digest()[:6]
+
+
+def test_unsigned_is_refused_but_for_the_radio() -> None:
+    mine = signing()
+    assert mine.check(frame_of(encode(message("COMMAND_LONG", command=400), 1, 1, 0))) is Verdict.UNSIGNED
+    assert mine.check(frame_of(encode(message("RADIO_STATUS", rssi=9), 51, 68, 0))) is Verdict.EXCEPTED
+    old = bytes(message("COMMAND_LONG", command=400).pack(dialect.load().MAVLink(None, 1, 1), force_mavlink1=True))
+    assert mine.check(frame_of(old)) is Verdict.UNSIGNED
+    assert (mine.counts.unsigned, mine.counts.excepted, mine.counts.refused) == (2, 1, 2)
+
+
+def test_every_changed_bit_is_seen() -> None:
+    raw = signed(signing()).raw
+    mine = signing()
+    kind = dialect.classes()["COMMAND_LONG"]
+    for place in range(8 * 3, 8 * len(raw)):  # the marker, length and flags decide what a frame is
+        bad = bytearray(raw)
+        bad[place // 8] ^= 1 << place % 8
+        if place // 8 < len(raw) - 15:
+            # A forger mends the checksum, which needs no key.
+            bad[-15:-13] = crc16.mcrf4xx(bytes(bad[1:-15]) + bytes([kind.crc_extra])).to_bytes(2, "little")
+        found = Parser().feed(bytes(bad), whole=True)
+        for frame in found:
+            assert mine.check(frame) in (Verdict.FORGED, Verdict.UNSIGNED), place
+    assert mine.counts.accepted == 0
+    assert mine.check(frame_of(raw)) is Verdict.ACCEPTED  # none of the forgeries spoilt the true one
+
+
+def test_a_forged_stamp_shuts_nobody_out() -> None:
+    ours, mine = signing(), signing()
+    bad = bytearray(signed(ours).raw)
+    bad[-12:-6] = b"\xff" * 6
+    assert mine.check(frame_of(bytes(bad))) is Verdict.FORGED
+    assert mine.check(signed(ours)) is Verdict.ACCEPTED
+
+
+def test_another_key_is_none() -> None:
+    assert signing(Key(bytes(32))).check(signed(signing())) is Verdict.FORGED
+
+
+def test_replayed_and_overtaken_packets_are_refused() -> None:
+    theirs, mine = signing(), signing()
+    frames = [signed(theirs, sequence) for sequence in range(5)]
+    assert mine.check(frames[2]) is Verdict.ACCEPTED
+    assert [mine.check(frame) for frame in (frames[2], frames[0], frames[4])] == [
+        Verdict.REPEATED,
+        Verdict.REPEATED,
+        Verdict.ACCEPTED,
+    ]
+
+
+def test_streams_do_not_disturb_each_other() -> None:
+    mine = signing()
+    late, early = Clock(START + 1000), Clock(START)
+    assert mine.check(signed(signing(clock=late, link=1))) is Verdict.ACCEPTED
+    assert mine.check(signed(signing(clock=early, link=2))) is Verdict.ACCEPTED
+    assert mine.check(signed(signing(clock=early), system=9)) is Verdict.ACCEPTED
+
+
+def test_a_new_stream_may_be_a_minute_behind_and_no_more() -> None:
+    minute = 60 * PER_SECOND
+    assert signing().check(signed(signing(clock=Clock(START - minute)))) is Verdict.ACCEPTED
+    assert signing().check(signed(signing(clock=Clock(START - minute - 1)))) is Verdict.STALE
+    assert signing().check(signed(signing(clock=Clock(START + 25 * 3600 * PER_SECOND)))) is Verdict.AHEAD
+
+
+def test_a_clock_that_stands_at_1970_catches_up() -> None:
+    drone, ground = signing(clock=Clock(0)), signing()
+    assert ground.check(signed(drone)) is Verdict.STALE
+    assert drone.check(signed(ground, system=255)) is Verdict.ACCEPTED
+    assert ground.check(signed(drone)) is Verdict.ACCEPTED
+
+
+def test_a_clock_that_jumps_back_uses_no_stamp_twice() -> None:
+    clock = Clock()
+    theirs, mine = signing(clock=clock), signing()
+    assert mine.check(signed(theirs)) is Verdict.ACCEPTED
+    clock.now -= 3600 * PER_SECOND
+    assert mine.check(signed(theirs)) is Verdict.ACCEPTED
+
+
+@pytest.mark.parametrize("crash", [False, True])
+def test_stamps_survive_a_restart(tmp_path: Path, crash: bool) -> None:
+    clock, theirs = Clock(), signing(clock=Clock())
+    first = signing(clock=clock, path=tmp_path / "stamps")
+    heard = [signed(theirs, sequence) for sequence in range(200)]
+    assert all(first.check(frame) is Verdict.ACCEPTED for frame in heard)
+    used = first.outgoing().timestamp
+    if crash:
+        os.close(first.stamps._lock_file)  # what the system does to a killed process; nothing else is said
+        first.stamps._lock_file = -1
+    else:
+        first.close()
+    clock.now -= 30 * PER_SECOND  # and its clock is off after the start
+    again = signing(clock=clock, path=tmp_path / "stamps")
+    assert {again.check(frame) for frame in heard} == {Verdict.REPEATED}
+    assert again.outgoing().timestamp > used
+    if not crash:
+        assert again.check(signed(theirs)) is Verdict.ACCEPTED  # at once
+    later = signing(clock=Clock(START + MARGIN + 300))
+    assert again.check(signed(later)) is Verdict.ACCEPTED  # after the margin at the latest
+    again.close()
+
+
+def test_a_packet_does_not_cost_a_write(tmp_path: Path) -> None:
+    path, clock = tmp_path / "stamps", Clock()
+    with_store = signing(clock=clock, path=path)
+    written = set()
+    for _ in range(5000):  # 20 s of packets at 250 Hz
+        clock.now += PER_SECOND // 250
+        with_store.outgoing()
+        written.add(path.stat().st_ino)  # an atomic write is another file
+    assert 2 <= len(written) <= 8
+    assert json.loads(path.read_text())[OWN] > clock.now
+    with_store.close()
+    assert json.loads(path.read_text())[OWN] == with_store.stamps.own
+
+
+def test_two_processes_do_not_share_stamps(tmp_path: Path) -> None:
+    first = Stamps(tmp_path / "stamps")
+    with pytest.raises(LinkError, match="another process signs with these time stamps"):
+        Stamps(tmp_path / "stamps")
+    first.close()
+    Stamps(tmp_path / "stamps").close()
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[]", '{"own": -1}', '{"own": 1e3}', '{"own": true}', "{" * 50_000, "x" * 200_000]
+)
+def test_damaged_stamps_are_refused(tmp_path: Path, text: str) -> None:
+    (tmp_path / "stamps").write_text(text)
+    for _ in range(2):  # and the file is not left locked
+        with pytest.raises(LinkError, match="holds no time stamps"):
+            Stamps(tmp_path / "stamps")
+
+
+def test_a_disk_that_fails_stops_no_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    mine, theirs = signing(path=tmp_path / "stamps"), signing()
+
+    def full(path: Path, stamps: dict[str, int]) -> None:
+        raise LinkError("the time stamps are not kept: No space left on device", str(path))
+
+    monkeypatch.setattr("twodof.link.stamps._write", full)
+    assert mine.check(signed(theirs)) is Verdict.ACCEPTED
+    assert "No space left" in mine.stamps.failure
+    frame = signed(theirs)
+    assert mine.check(frame) is Verdict.ACCEPTED
+    assert mine.check(frame) is Verdict.REPEATED
+    with pytest.raises(LinkError, match="No space left"):
+        mine.close()
+
+
+def test_a_key_in_a_file_of_its_owner_only(tmp_path: Path) -> None:
+    path, key = tmp_path / "key", Key.fresh()
+    write_key(path, key)
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    assert read_key(path).secret == key.secret
+    with pytest.raises(LinkError, match="is there already"):
+        write_key(path, key)
+    for mode in (0o640, 0o604, 0o620, 0o666):
+        path.chmod(mode)
+        with pytest.raises(LinkError, match=f"mode {mode:04o}.*chmod 600"):
+            read_key(path)
+
+
+def test_what_is_no_key_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "key"
+    with pytest.raises(LinkError, match="cannot be read"):
+        read_key(path)
+    os.mkfifo(tmp_path / "fifo", 0o600)
+    with pytest.raises(LinkError, match="is no file"):
+        read_key(tmp_path / "fifo")  # and it does not wait for a writer
+    for text in ("", "secret", "0" * 63, "0" * 64 + "zz", "x" * 10_000):
+        path.write_text(text)
+        path.chmod(0o600)
+        with pytest.raises(LinkError, match="holds no key") as caught:
+            read_key(path)
+        assert text[:6] not in str(caught.value) or not text
+    with pytest.raises(LinkError, match="is guessed"):
+        Key.of("password")
+    assert Key.of("correct horse battery").secret != Key.of("correct horse batterz").secret
+
+
+def test_a_key_shows_nowhere(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.DEBUG)
+    mine = signing()
+    mine.check(signed(signing()))
+    shown = f"{mine!r} {mine.key} {mine.outgoing()!r} {vars(mine)} {caplog.text}"
+    for form in (KEY.secret.hex(), repr(KEY.secret), repr(list(KEY.secret))):
+        assert form not in shown
+    assert KEY.fingerprint in repr(mine)
+    with pytest.raises(TypeError, match="not pickled"):
+        pickle.dumps(KEY)
+    with pytest.raises(TypeError, match="not pickled"):
+        copy.copy(KEY)

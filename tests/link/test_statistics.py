@@ -1,0 +1,98 @@
+"""Loss, order and rates against sequences whose truth is known."""
+
+import random
+
+import pytest
+
+from twodof.link.framing import Frame
+from twodof.link.statistics import MOST_SENDERS, LinkStatistics, Rate, RoundTrips, SenderCounts
+
+
+def counted(sequences: list[int]) -> SenderCounts:
+    """What is counted of these sequence numbers."""
+    counts = SenderCounts()
+    for sequence in sequences:
+        counts.count(sequence % 256)
+    return counts
+
+
+@pytest.mark.parametrize(
+    ("sequences", "lost", "duplicated", "reordered"),
+    [
+        (list(range(1000)), 0, 0, 0),  # wraps three times
+        ([0, 1, 3, 4], 1, 0, 0),
+        ([254, 255, 256, 258], 1, 0, 0),
+        ([0, 2, 1, 3], 0, 0, 1),
+        ([0, 1, 1, 2], 0, 1, 0),
+        ([0, 3, 3, 1, 2, 1, 4], 0, 2, 2),
+        ([200, 0], 55, 0, 0),
+    ],
+)
+def test_gaps_copies_and_disorder(sequences: list[int], lost: int, duplicated: int, reordered: int) -> None:
+    counts = counted(sequences)
+    assert (counts.lost, counts.duplicated, counts.reordered, counts.restarts) == (lost, duplicated, reordered, 0)
+
+
+def test_a_sender_that_begins_anew_is_no_loss() -> None:
+    counts = counted([*range(100), *range(10)])
+    assert (counts.lost, counts.restarts, counts.received) == (0, 1, 110)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_against_a_channel_whose_losses_are_known(seed: int) -> None:
+    chance = random.Random(seed)
+    sent = range(5000)
+    kept = [number for number in sent if chance.random() > 0.3]
+    copies = 0
+    arrived: list[tuple[float, int]] = []
+    for number in kept:
+        # Up to 15 places late: within the window, so every one must be told apart.
+        arrived.append((number + chance.uniform(0, 15), number))
+        if chance.random() < 0.1:
+            arrived.append((number + chance.uniform(0, 15), number))
+            copies += 1
+    order = [number for _, number in sorted(arrived)]
+    counts = counted(order)
+    # What was late before the first that came, or is missing behind the last, leaves no gap to be seen.
+    start, end = order.index(max(order[:16])), 20
+    assert counts.duplicated == pytest.approx(copies, abs=3)
+    assert counts.lost == pytest.approx(5000 - len(kept), abs=start + end)
+    assert counts.loss == pytest.approx(0.3, abs=0.03)  # standard deviation .0065
+
+
+def test_rates_over_the_last_second() -> None:
+    rate = Rate()
+    for step in range(500):
+        rate.add(step * 0.004)
+    # A window is closed by the first message after it: 250 or 251 fall into one.
+    assert rate.per_second(1.998) == pytest.approx(250.0, rel=0.01)
+    assert rate.count == 500
+    assert rate.per_second(10.0) == 0.0
+
+
+def test_round_trips_and_the_other_clock() -> None:
+    trips = RoundTrips()
+    for step, there_and_back in enumerate((0.010, 0.002, 0.030)):
+        trips.asked(step, 100.0 + step)
+        # The other clock is 7 s ahead and the way takes as long there as back.
+        assert trips.answered(step, 100.0 + step + there_and_back, 107.0 + step + there_and_back / 2) == pytest.approx(
+            there_and_back
+        )
+    assert trips.least == pytest.approx(0.002)
+    assert trips.offset == pytest.approx(7.0)
+    assert trips.count == 3
+    assert trips.answered(1, 200.0) is None  # twice
+    assert trips.answered(99, 200.0) is None  # never asked
+    for token in range(1000):
+        trips.asked(token, 0.0)
+    assert trips.answered(0, 1.0) is None  # long forgotten: what is kept is bounded
+
+
+def test_senders_are_bounded() -> None:
+    statistics = LinkStatistics()
+    for system in range(256):
+        for component in (1, 2, 3):
+            statistics.count(Frame(b"", 2, 0, system, component, 0, False), 0.0)
+    assert len(statistics.senders) == MOST_SENDERS
+    assert statistics.messages[0].count == 768
+    assert statistics.loss == 0.0
