@@ -68,7 +68,9 @@ def read_diagram(path: str | Path) -> Diagram:
         with file.open("rb") as stream:
             data = stream.read(MAX_BYTES + 1)
     except (OSError, ValueError) as error:
-        raise DiagramError(f"it cannot be read: {error!s:.200}", f"{path!s:.200}", "name a diagram's JSON file") from error
+        raise DiagramError(
+            f"it cannot be read: {error!s:.200}", f"{path!s:.200}", "name a diagram's JSON file"
+        ) from error
     try:
         return from_json(data)
     except DiagramError as error:
