@@ -161,13 +161,16 @@ class Bench:
         kind = {row.name: "f" if row.kind == "real" else "i" for row in self.module.parameters}[name]
         self.script.append(f"parameter {name} {kind} {float(value)!r}")
 
-    def publish(self, topic: str, **values: Any) -> None:
-        """A topic's fields; those not named are 0, `timestamp` and `timestamp_sample` the present."""
+    def publish(self, topic: str, at_once: bool = True, **values: Any) -> None:
+        """A topic's fields; those not named are 0, `timestamp` and `timestamp_sample` the present.
+
+        Its listeners run now or (`at_once` false) before what the next line of the script wants to run.
+        """
         row = np.zeros(1, self.dtypes[topic])
         for name in row.dtype.names or ():
             row[name] = values.get(name, self.now if name.startswith("timestamp") else 0)
         assert set(values) <= set(row.dtype.names or ())
-        self.script.append(f"publish {topic} {row.tobytes().hex()}")
+        self.script.append(f"{'publish' if at_once else 'queue'} {topic} {row.tobytes().hex()}")
 
     def command(self, *words: str) -> None:
         """The module's command."""

@@ -75,6 +75,7 @@ private:
 
     hrt_abstime _due{{0}};
     hrt_abstime _last_sample{{0}};
+    hrt_abstime _stopping_since{{0}};
     px4::atomic_bool _should_stop{{false}};
     uint32_t _steps{{0}};
     uint32_t _tick{{0}};
@@ -85,7 +86,6 @@ private:
     uint8_t _faults{{0}};
     bool _active{{false}};
     bool _waiting{{false}};
-    bool _stopping{{false}};
     float _torque_scale{{1.41421356f}};
 
 {members_text(role)}
@@ -209,20 +209,25 @@ bool {c}::due(hrt_abstime sample)
 void {c}::Run()
 {{
     if (_should_stop.load()) {{
-        ScheduleClear();
+        const hrt_abstime now = hrt_absolute_time();
 
-        if (!_stopping) {{
-            // The last command would stand for ever: what is safe takes its place. The item outlives it by a
-            // while, since nobody reads a topic whose publication has gone.
-            _stopping = true;
+        if (_stopping_since == 0) {{
+            // The last command would stand for ever: what is safe takes its place.
+            _stopping_since = now;
             _angular_velocity_sub.unregisterCallback();
             _faults = STALE;
             read_topics();
-            command(hrt_absolute_time());
+            command(now);
+        }}
+
+        // The item outlives its last command by a while, as nobody reads a topic whose publication has gone; a run that
+        // was already asked for comes sooner.
+        if (now < _stopping_since + SILENCE) {{
             ScheduleDelayed(SILENCE);
             return;
         }}
 
+        ScheduleClear();
         pthread_mutex_lock(&instance_lock);
         instance.store(nullptr);
         pthread_mutex_unlock(&instance_lock);

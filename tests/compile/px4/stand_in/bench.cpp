@@ -45,6 +45,13 @@ int main()
         std::string what, name, value;
         line >> what;
 
+        if (what == "queue") { // as publish, but the listeners do not run yet
+            line >> name >> value;
+            const std::vector<uint8_t> bytes = bytes_of(value);
+            stand_in::publish(name.c_str(), bytes.data(), bytes.size());
+            continue;
+        }
+
         if (what == "time") {
             line >> stand_in::now;
 

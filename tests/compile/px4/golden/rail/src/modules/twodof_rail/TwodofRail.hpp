@@ -64,6 +64,7 @@ private:
 
     hrt_abstime _due{0};
     hrt_abstime _last_sample{0};
+    hrt_abstime _stopping_since{0};
     px4::atomic_bool _should_stop{false};
     uint32_t _steps{0};
     uint32_t _tick{0};
@@ -74,7 +75,6 @@ private:
     uint8_t _faults{0};
     bool _active{false};
     bool _waiting{false};
-    bool _stopping{false};
     float _torque_scale{1.41421356f};
 
     hrt_abstime _now{0};
