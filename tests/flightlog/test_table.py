@@ -19,7 +19,7 @@ from twodof.flightlog.files import convert, read_log, write_log
 from twodof.flightlog.log import Channel, FlightLog
 from twodof.flightlog.table import read_csv, read_parquet, write_csv, write_parquet
 
-SUFFIXES = (".parquet", ".csv", ".mat")
+SUFFIXES = (".parquet", ".csv", ".mat", ".mcap")
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
@@ -181,7 +181,7 @@ def test_other_tools_see_the_tidy_table(tmp_path: Path) -> None:
 
 
 def test_suffixes_and_conversion_onto_itself(tmp_path: Path) -> None:
-    with pytest.raises(LogError, match=r"no log format has the suffix '.xlsx' .use .mat, .parquet, .csv"):
+    with pytest.raises(LogError, match=r"no log format has the suffix '.xlsx' .use .mat, .mcap, .parquet, .csv"):
         read_log(tmp_path / "a.xlsx")
     write_log(attitude_steps(), tmp_path / "a.csv")
     with pytest.raises(LogError, match="written over itself"):

@@ -8,9 +8,9 @@ import numpy as np
 
 from twodof.errors import LogError, shown
 from twodof.flightlog.mcap_encoder import Attachment, Samples
-from twodof.flightlog.mcap_records import CHUNK_HEAD, CODECS, MAGIC, RECORD_HEAD, Cursor, Op, frame, inflate
+from twodof.flightlog.mcap_records import CHUNK_HEAD, CODECS, MAGIC, RECORD_HEAD, Cursor, Op, check_size, frame, inflate
 from twodof.flightlog.mcap_stream import CDR_LITTLE_ENDIAN, Stream, parse
-from twodof.flightlog.settle import Loss
+from twodof.flightlog.settle import RECOVER, Loss
 
 MAX_INFLATED_BYTES = 2 << 30
 MAX_CHANNELS = 1000
@@ -130,11 +130,9 @@ class Decoder:
             return
         if not found.finished or at != len(self._data):
             what = "was not closed: the recording was cut off" if not found.finished else "goes on after its end"
-            raise LogError(what, self._where, "get what is there with: twodof log recover")
+            raise LogError(what, self._where, RECOVER)
         if self._stated is not None and self._stated != total:
-            raise LogError(
-                f"{total} messages of {self._stated} are there", self._where, "get them with: twodof log recover"
-            )
+            raise LogError(f"{total} messages of {self._stated} are there", self._where, RECOVER)
 
     def _record(self, op: int, at: int, start: int, end: int) -> None:
         self._total += 1
@@ -157,16 +155,16 @@ class Decoder:
         elif op == Op.DATA_END:
             stated = inside.number(4)
             if stated and not self._salvage and stated != zlib.crc32(self._data[:at]):
-                raise LogError("the checksum of the data is wrong", self._where, "recover what is sound")
+                raise LogError("the checksum of the data is wrong", self._where, RECOVER)
         elif op == Op.FOOTER:
             self._footer(inside, end)
 
     def _footer(self, inside: Cursor, end: int) -> None:
         summary, _, stated = inside.number(8), inside.number(8), inside.number(4)
         if bytes(self._data[end : end + len(MAGIC)]) != MAGIC:
-            raise LogError("the mark at the end is missing", self._where, "recover what is there")
+            raise LogError("the mark at the end is missing", self._where, RECOVER)
         if stated and summary and stated != zlib.crc32(self._data[min(summary, end) : end - 4]):
-            raise LogError("the checksum of the summary is wrong", self._where, "recover what is sound")
+            raise LogError("the checksum of the summary is wrong", self._where, RECOVER)
         self.contents.finished = True
 
     def _channel(self, inside: Cursor) -> None:
@@ -191,7 +189,7 @@ class Decoder:
         data = bytes(inside.raw(inside.number(8)))
         stated = inside.number(4)
         if stated and stated != zlib.crc32(self._data[start : end - 4]):
-            raise LogError(f"the checksum of attachment {shown(name)} is wrong", self._where, "recover what is sound")
+            raise LogError(f"the checksum of attachment {shown(name)} is wrong", self._where, RECOVER)
         self.contents.attachments.append(Attachment(name, media_type, data, time_ns))
 
     def _chunk(self, start: int, end: int) -> tuple[bytes, bool]:
@@ -201,6 +199,8 @@ class Decoder:
         _, _, size, crc = CHUNK_HEAD.unpack(head)
         codec = inside.text()
         packed = inside.raw(inside.number(8))
+        # A size that is refused unread costs nothing, or one damaged length would end the whole recovery.
+        check_size(size, self._where)
         # Damaged chunks count too, or a file of them would cost time without end.
         self._budget -= min(size, self._budget + 1)
         if self._budget < 0:
@@ -220,13 +220,13 @@ class Decoder:
             stream = self.contents.streams.get(number)
             if stream is None:
                 if number not in self._foreign:
-                    raise LogError(f"a message of channel {number}, which is not described", where, "recover the file")
+                    raise LogError(f"a message of channel {number}, which is not described", where, RECOVER)
                 name = self._foreign[number]
                 self.contents.ignored[name] = self.contents.ignored.get(name, 0) + 1
                 at = end
                 continue
             if end - start != stream.content_bytes:
-                raise LogError(f"a message of {stream.topic} has {end - start} bytes", where, "recover the file")
+                raise LogError(f"a message of {stream.topic} has {end - start} bytes", where, RECOVER)
             at += self._run(body, at, number, stream, where)
 
     def _run(self, body: memoryview, at: int, number: int, stream: Stream, where: str) -> int:

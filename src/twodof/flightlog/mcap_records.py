@@ -12,6 +12,7 @@ from struct import Struct
 import pyarrow as pa
 
 from twodof.errors import LogError
+from twodof.flightlog.settle import RECOVER
 
 MAGIC = b"\x89MCAP0\r\n"
 RECORD_HEAD = Struct("<BQ")
@@ -81,22 +82,27 @@ def records(data: memoryview, where: str) -> Iterator[tuple[int, int, int]]:
 def frame(data: memoryview, at: int, where: str) -> tuple[int, int, int]:
     """Opcode, first byte and end of the content of the record at byte `at`. Raises LogError."""
     if len(data) - at < RECORD_HEAD.size:
-        raise LogError(f"truncated in the head of the record at byte {at}", where, "recover what is there")
+        raise LogError(f"truncated in the head of the record at byte {at}", where, RECOVER)
     op, size = RECORD_HEAD.unpack_from(data, at)
     start = at + RECORD_HEAD.size
     if op == 0 or size > len(data) - start:
         raise LogError(
             f"the record at byte {at} (opcode {op:#04x}) promises {size} bytes, {len(data) - start} are there",
             where,
-            "recover what is there",
+            RECOVER,
         )
     return op, start, start + size
 
 
-def inflate(codec: str, packed: memoryview, size: int, crc: int, where: str) -> bytes:
-    """The plain bytes of a chunk: exactly `size`, at most MAX_CHUNK_BYTES. Raises LogError."""
+def check_size(size: int, where: str) -> None:
+    """Raises LogError for a chunk larger than MAX_CHUNK_BYTES."""
     if size > MAX_CHUNK_BYTES:
         raise LogError(f"a chunk of {size} bytes", where, f"at most {MAX_CHUNK_BYTES} are inflated")
+
+
+def inflate(codec: str, packed: memoryview, size: int, crc: int, where: str) -> bytes:
+    """The plain bytes of a chunk: exactly `size`, at most MAX_CHUNK_BYTES. Raises LogError."""
+    check_size(size, where)
     if codec == "":
         plain = bytes(packed)
     elif codec not in CODECS:
@@ -105,11 +111,11 @@ def inflate(codec: str, packed: memoryview, size: int, crc: int, where: str) -> 
         try:
             plain = pa.decompress(pa.py_buffer(packed), size, codec=codec, asbytes=True) if size else b""
         except (OSError, ValueError) as reason:
-            raise LogError(f"a chunk is damaged: {reason}", where, "recover what is there") from reason
+            raise LogError(f"a chunk is damaged: {reason}", where, RECOVER) from reason
     if len(plain) != size:
-        raise LogError(f"a chunk inflates to {len(plain)} bytes, not {size}", where, "recover what is there")
+        raise LogError(f"a chunk inflates to {len(plain)} bytes, not {size}", where, RECOVER)
     if crc and zlib.crc32(plain) != crc:
-        raise LogError("a chunk's checksum is wrong", where, "recover what is there")
+        raise LogError("a chunk's checksum is wrong", where, RECOVER)
     return plain
 
 
@@ -131,9 +137,7 @@ class Cursor:
     def raw(self, size: int) -> memoryview:
         """The next `size` bytes. Raises LogError."""
         if size > self._end - self._at:
-            raise LogError(
-                f"a part of {size} bytes at byte {self._at} passes its record's end", self._where, "recover the file"
-            )
+            raise LogError(f"a part of {size} bytes at byte {self._at} passes its record's end", self._where, RECOVER)
         part = self._data[self._at : self._at + size]
         self._at += size
         return part
@@ -146,7 +150,7 @@ class Cursor:
         try:
             return str(self.raw(size), "utf-8")
         except UnicodeDecodeError as reason:
-            raise LogError(f"a text before byte {self._at} is not UTF-8", self._where, "recover the file") from reason
+            raise LogError(f"a text before byte {self._at} is not UTF-8", self._where, RECOVER) from reason
 
     def mapping(self) -> dict[str, str]:
         """A map of strings. Raises LogError."""

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from twodof.errors import LogError, shown
 from twodof.flightlog.log import Channel, FlightLog
 from twodof.flightlog.mcap_records import MESSAGE_HEAD, RECORD_HEAD
+from twodof.flightlog.settle import RECOVER
 from twodof.signals import BY_MAT, Topic, topic
 
 PACKAGE = "twodof_msgs/msg"
@@ -138,7 +139,7 @@ def parse(topic_name: str, schema: str, encoding: str, metadata: dict[str, str],
         name, unit, fields, width = (kept[key] for key in ("name", "unit", "fields", "width"))
         stamped, about = kept["stamped"], kept["about"]
     except (ValueError, KeyError, TypeError, RecursionError) as reason:
-        raise LogError(f"the description of topic {shown(topic_name)} is damaged", where, "recover it") from reason
+        raise LogError(f"the description of topic {shown(topic_name)} is damaged", where, RECOVER) from reason
     sound = (
         all(isinstance(one, str) for one in (name, unit, about))
         and isinstance(fields, list)
@@ -147,7 +148,7 @@ def parse(topic_name: str, schema: str, encoding: str, metadata: dict[str, str],
         and type(stamped) is bool
     )
     if not sound or not 1 <= width <= MAX_WIDTH or len(fields) not in (0, width) or not 0 < len(name) <= MAX_NAME:
-        raise LogError(f"the description of topic {shown(topic_name)} is damaged", where, "recover it")
+        raise LogError(f"the description of topic {shown(topic_name)} is damaged", where, RECOVER)
     return Stream(topic_name, schema, name, unit, tuple(fields), width, stamped, about)
 
 

@@ -8,6 +8,9 @@ from numpy.typing import NDArray
 
 from twodof.flightlog.log import Channel
 
+RECOVER = "get what is sound with: twodof log recover"
+"""The remedy for a file that was cut off or damaged."""
+
 
 @dataclass(frozen=True)
 class Loss:

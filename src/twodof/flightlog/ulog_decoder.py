@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twodof.errors import LogError, shown
-from twodof.flightlog.settle import Loss
+from twodof.flightlog.settle import RECOVER, Loss
 from twodof.flightlog.ulog_format import (
     BASIC,
     HEADER,
@@ -103,7 +103,7 @@ class _Walk:
                 self._lose(at, size, "the last message is cut off")
                 break
             if not self.salvage:
-                raise LogError(f"no message at byte {at}", self.where, "get what is sound with: twodof log recover")
+                raise LogError(f"no message at byte {at}", self.where, RECOVER)
             resume = data.find(_SYNC_MESSAGE, at)
             resume = size if resume < 0 else resume
             # Between the last mark and rubbish nothing vouches for a message, except that the file just ends there.
@@ -137,7 +137,7 @@ class _Walk:
         if known is None or len(payload) < known[2].itemsize:
             if not self.salvage:
                 said = "is not described" if known is None else f"of {known[0]} has only {len(payload)} bytes"
-                raise LogError(f"the record at byte {at} {said}", self.where, "recover the file")
+                raise LogError(f"the record at byte {at} {said}", self.where, RECOVER)
             self._lose(at, at + MESSAGE.size + 2 + len(payload), "a record that is not described")
             return
         name, instance, layout = known
@@ -173,7 +173,7 @@ class _Walk:
     def _format(self, body: bytes) -> None:
         name, colon, description = body.decode("ascii", "replace").partition(":")
         if not colon or len(self.formats) >= MAX_FORMATS:
-            raise LogError(f"a format that is none: {shown(name)}", self.where, "recover the file")
+            raise LogError(f"a format that is none: {shown(name)}", self.where, RECOVER)
         self.formats[name] = fields_of(description, f"{self.where}: {name[:80]}")
 
     def _value(self, letter: str, body: bytes) -> None:
@@ -183,7 +183,7 @@ class _Walk:
         raw = body[1 + size :]
         width = np.dtype(BASIC[kind]).itemsize * max(count, 1) if kind in BASIC else -1
         if width != len(raw) or (letter == "P" and (kind, count) not in (("int32_t", 0), ("float", 0))):
-            raise LogError(f"the value of {name} has {len(raw)} bytes", self.where, "recover the file")
+            raise LogError(f"the value of {name} has {len(raw)} bytes", self.where, RECOVER)
         if kind == "char":
             value: Any = raw.rstrip(b"\0").decode("utf-8", "replace")
         else:
@@ -198,7 +198,7 @@ class _Walk:
 
     def _added(self, body: bytes) -> None:
         if len(body) <= _ADD.size:
-            raise LogError("a topic without a name", self.where, "recover the file")
+            raise LogError("a topic without a name", self.where, RECOVER)
         instance, number = _ADD.unpack_from(body)
         name = body[_ADD.size :].decode("ascii", "replace")
         layout = record_type(name, self.formats, self.where)
@@ -206,13 +206,13 @@ class _Walk:
             raise LogError(f"more than {MAX_LOGGED} topics", self.where, "this is no flight log")
         known = {one[:2]: one[2] for one in self.names.values()}
         if known.get((name, instance), layout) != layout:
-            raise LogError(f"topic {shown(name)} has two layouts", self.where, "recover the file")
+            raise LogError(f"topic {shown(name)} has two layouts", self.where, RECOVER)
         self.started = True
         self.names[number] = (name, instance, layout)
 
     def _text(self, body: bytes, at: int) -> None:
         if len(body) < at:
-            raise LogError("a text without its time", self.where, "recover the file")
+            raise LogError("a text without its time", self.where, RECOVER)
         if len(self.found.texts) < MAX_TEXTS:
             stamp = int.from_bytes(body[at - 8 : at], "little")
             self.found.texts.append((body[0], stamp, body[at:].decode("utf-8", "replace")))

@@ -13,6 +13,7 @@ from types import MappingProxyType
 import numpy as np
 
 from twodof.errors import LogError, shown
+from twodof.flightlog.settle import RECOVER
 
 MAGIC = b"ULog\x01\x12\x35"
 HEADER = Struct("<7sBQ")
@@ -57,10 +58,10 @@ def fields_of(description: str, where: str) -> list[Field]:
     for part in parts:
         match = _FIELD.fullmatch(part.strip())
         if match is None or match[2] == "0":
-            raise LogError(f"no field of a format: {shown(part)}", where, "the log is damaged: recover it")
+            raise LogError(f"no field of a format: {shown(part)}", where, RECOVER)
         found.append((match[1], int(match[2] or 0), match[3]))
     if len({name for _, _, name in found}) != len(found):
-        raise LogError("a format names a field twice", where, "the log is damaged: recover it")
+        raise LogError("a format names a field twice", where, RECOVER)
     return found
 
 
@@ -76,7 +77,7 @@ def _layout(
     name: str, fields: Sequence[Field], formats: Mapping[str, Sequence[Field]], where: str, depth: int
 ) -> np.dtype[np.void]:
     if not fields:
-        raise LogError(f"no format {shown(name)}", where, "the log is damaged: recover it")
+        raise LogError(f"no format {shown(name)}", where, RECOVER)
     if depth > MAX_DEPTH:
         raise LogError(f"format {shown(name)} is nested more than {MAX_DEPTH} deep", where, "it holds itself")
     parts: list[tuple[str, np.dtype[np.generic], tuple[int, ...]]] = []

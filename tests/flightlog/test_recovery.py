@@ -1,0 +1,234 @@
+"""Recovery: whatever a power cut, a damaged disk or a vandal leaves, what was acknowledged is there, and only that."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import NonSeekingReader, make_reader
+
+from tests.flightlog.recording_child import PERIOD_NS, gyro
+from tests.flightlog.synthetic import attitude_steps, same_bits
+from twodof.cli.app import run
+from twodof.errors import LogError
+from twodof.flightlog.mcap import read_mcap, write_mcap
+from twodof.flightlog.mcap_decoder import Contents, scan
+from twodof.flightlog.recorder import Recorder
+from twodof.flightlog.recovery import recover
+
+STEP = 5  # samples in a chunk
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, list[tuple[int, int]]]:
+    """A closed recording of 14 chunks, and (bytes, samples) of everything that was acknowledged."""
+    path = tmp_path_factory.mktemp("recording") / "a.mcap"
+    with Recorder(path, ["imu.gyro"], {"seed": 5}) as recorder:
+        acknowledged = [recorder.acknowledged]
+        for block in range(14):
+            k = np.arange(STEP * block, STEP * (block + 1))
+            recorder.write_many("imu.gyro", PERIOD_NS * k, gyro(k))
+            acknowledged.append(recorder.flush())
+    return path.read_bytes(), [(one.position, one.samples) for one in acknowledged]
+
+
+def numbers(contents: Contents) -> list[int]:
+    """Which samples were found, each of them checked to the bit."""
+    if not contents.streams:
+        return []
+    some = contents.joined(1)
+    k = (some.time_ns // PERIOD_NS).astype(int)
+    assert (some.time_ns == (PERIOD_NS * k).astype(np.uint64)).all()
+    assert some.value.tobytes() == gyro(k).tobytes()
+    return k.tolist()
+
+
+def test_cut_at_every_byte(recording: tuple[bytes, list[tuple[int, int]]]) -> None:
+    whole, acknowledged = recording
+    for size in range(acknowledged[0][0], len(whole) + 1):
+        contents = scan(whole[:size], "cut.mcap", salvage=True)
+        expected = max(samples for position, samples in acknowledged if position <= size)
+        found = numbers(contents)
+        # A chunk may be whole before its index is: then it is there although nobody was told.
+        assert found in (list(range(expected)), list(range(expected + STEP))), size
+        assert contents.finished == (size == len(whole))
+        if size < len(whole):
+            with pytest.raises(LogError, match=r"cut\.mcap"):
+                scan(whole[:size], "cut.mcap")
+
+
+def test_a_head_that_never_reached_the_disk_is_no_success(
+    recording: tuple[bytes, list[tuple[int, int]]], tmp_path: Path
+) -> None:
+    whole, acknowledged = recording
+    path = tmp_path / "a.mcap"
+    for size in range(acknowledged[0][0] + 1):
+        path.write_bytes(whole[:size])
+        with pytest.raises(LogError, match=r"a\.mcap"):
+            recover(path)
+
+
+TAILS = {
+    "zeros, as ext4 leaves them": bytes(3000),
+    "ones": b"\xff" * 3000,
+    "noise": np.random.default_rng(3).bytes(3000),
+    "heads of records": b"\x06" + (500).to_bytes(8, "little") + bytes(400),
+    "fake chunks": (
+        b"\x06" + (90).to_bytes(8, "little") + bytes(16) + b"\x4d" + bytes(11) + b"\4\0\0\0zstd" + bytes(54)
+    )
+    * 20,
+    "the file again": b"again",
+}
+
+
+@pytest.mark.parametrize("name", TAILS)
+def test_rubbish_behind_what_was_acknowledged(name: str, recording: tuple[bytes, list[tuple[int, int]]]) -> None:
+    whole, acknowledged = recording
+    for position, samples in acknowledged:
+        for extra in (0, 1, 9, 40, 100):  # the next part had begun to be written
+            tail = whole[:2000] if name == "the file again" else TAILS[name]
+            contents = scan(whole[: position + extra] + tail, "cut.mcap", salvage=True)
+            found = numbers(contents)
+            assert found[:samples] == list(range(samples))
+            if samples and name != "the file again":
+                assert found == list(range(samples))
+                assert contents.lost
+
+
+def test_blocks_that_reached_the_disk_in_any_order(recording: tuple[bytes, list[tuple[int, int]]]) -> None:
+    """A power cut between two syncs: any block behind the acknowledged byte holds old zeros, noise or new data."""
+    whole, acknowledged = recording
+    chance = np.random.default_rng(4)
+    for _ in range(400):
+        position, samples = acknowledged[int(chance.integers(len(acknowledged)))]
+        data = bytearray(whole[: int(chance.integers(position, len(whole) + 1))])
+        block = int(chance.choice([64, 512, 4096]))
+        for start in range(position // block * block, len(data), block):
+            a, b = max(start, position), min(start + block, len(data))
+            kind = chance.integers(3)
+            if kind < 2:
+                data[a:b] = bytes(b - a) if kind == 0 else chance.bytes(b - a)
+        found = numbers(scan(bytes(data), "cut.mcap", salvage=True))
+        assert found[:samples] == list(range(samples))
+        assert found == sorted(set(found))
+
+
+def test_damage_in_the_middle_costs_one_chunk(recording: tuple[bytes, list[tuple[int, int]]], tmp_path: Path) -> None:
+    whole, acknowledged = recording
+    (start, before), (end, after) = acknowledged[6], acknowledged[7]
+    for at in range(start, end):
+        data = bytearray(whole)
+        data[at] ^= 0x55
+        contents = scan(bytes(data), "a.mcap", salvage=True)
+        found = numbers(contents)
+        assert set(range(70)) - set(range(before, after)) <= set(found), at
+        with pytest.raises(LogError, match=r"a\.mcap"):
+            scan(bytes(data), "a.mcap")
+    data = bytearray(whole)
+    data[start + 80] ^= 0x55
+    (tmp_path / "a.mcap").write_bytes(data)
+    found_again = recover(tmp_path / "a.mcap")
+    assert found_again.samples == 65
+    assert found_again.lost_bytes > 0
+    assert "chunk" in found_again.what[0]
+
+
+def test_what_is_written_is_a_whole_file(recording: tuple[bytes, list[tuple[int, int]]], tmp_path: Path) -> None:
+    whole, acknowledged = recording
+    for n, (position, samples) in enumerate(acknowledged[1:-1]):
+        source, target = tmp_path / f"{n}.mcap", tmp_path / f"{n}-whole.mcap"
+        source.write_bytes(whole[: position + 17])
+        found = recover(source)
+        found.write(target)
+        assert found.samples == samples
+        assert found.lost_bytes == 17
+        for kind in (make_reader, NonSeekingReader):
+            with target.open("rb") as file:
+                assert sum(1 for _ in kind(file, validate_crcs=True).iter_messages()) == samples
+        log = read_mcap(target)
+        assert log.provenance["seed"] == 5
+        assert log.provenance["recovered"]["lost_bytes"] == "17"
+        assert recover(target).what == ()
+
+
+def test_a_sound_log_passes_through(tmp_path: Path) -> None:
+    write_mcap(attitude_steps(), tmp_path / "a.mcap")
+    found = recover(tmp_path / "a.mcap")
+    assert (found.lost_bytes, found.what) == (0, ())
+    same_bits(found.log, attitude_steps())
+    found.write(tmp_path / "b.mcap")
+    same_bits(read_mcap(tmp_path / "b.mcap"), attitude_steps())
+
+
+def test_the_command(
+    recording: tuple[bytes, list[tuple[int, int]]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole, acknowledged = recording
+    source = tmp_path / "flight.mcap"
+    source.write_bytes(whole[: acknowledged[3][0] + 4])
+    assert run(["log", "info", str(source)]) == 2
+    assert "twodof log recover" in capsys.readouterr().err
+    assert run(["log", "recover", str(source)]) == 0
+    said = capsys.readouterr().out
+    assert "flight.recovered.mcap: 15 samples from 0.000 to 0.056 s" in said
+    assert "4 bytes could not be used" in said
+    assert len(read_mcap(tmp_path / "flight.recovered.mcap")["gyr"]) == 15
+    assert run(["log", "recover", str(source)]) == 2
+    assert "is there already" in capsys.readouterr().err
+    assert run(["log", "recover", str(source), str(tmp_path / "b.mcap"), "--json"]) == 0
+    assert '"lost_bytes": 4' in capsys.readouterr().out
+    for content, says in [
+        (b"rubbish" * 100, "is no MCAP file"),
+        (whole[: acknowledged[0][0]], "no sample is in it"),
+        (b"", "the file is empty"),
+    ]:
+        source.write_bytes(content)
+        assert run(["log", "recover", str(source), str(tmp_path / "c.mcap")]) == 2
+        assert says in capsys.readouterr().err
+    assert run(["log", "recover", str(tmp_path / "a.mat"), str(tmp_path / "c.mcap")]) == 2
+    assert run(["log", "recover", str(source), str(tmp_path / "c.csv")]) == 2
+    assert not (tmp_path / "c.mcap").exists()
+
+
+def damaged(whole: bytes, chance: np.random.Generator) -> bytes:
+    """The file with bytes changed, removed, repeated or put in, where lengths and counts stand too."""
+    data = bytearray(whole)
+    for _ in range(int(chance.integers(1, 6))):
+        at = int(chance.integers(len(data)))
+        kind = int(chance.integers(5))
+        if kind == 0:
+            data[at] = int(chance.integers(256))
+        elif kind == 1:
+            data[at] ^= 1 << int(chance.integers(8))
+        elif kind == 2:
+            del data[at : at + int(chance.integers(1, 50))]
+        elif kind == 3:
+            data[at:at] = chance.bytes(int(chance.integers(1, 20)))
+        else:
+            data[at : at + 8] = (0, 255, 2**63, 2**64 - 1)[int(chance.integers(4))].to_bytes(8, "little")
+    return bytes(data)
+
+
+def fuzz(whole: bytes, rounds: int, seed: int, path: Path) -> int:
+    """Damaged files give a log or a LogError, in both ways of reading; returns how many gave a log."""
+    chance = np.random.default_rng(seed)
+    read = named = 0
+    for _ in range(rounds):
+        path.write_bytes(damaged(whole, chance))
+        for way in (read_mcap, recover):
+            try:
+                way(path)
+                read += 1
+            except LogError as reason:
+                named += path.name in reason.where
+    assert read + named == 2 * rounds
+    return read
+
+
+def test_damaged_files_are_log_errors_or_logs(recording: tuple[bytes, list[tuple[int, int]]], tmp_path: Path) -> None:
+    read = fuzz(recording[0], 1500, 1, tmp_path / "fuzz.mcap")
+    assert 500 < read < 2500  # most can be recovered, few are still whole
+
+
+@pytest.mark.soak
+def test_many_damaged_files(recording: tuple[bytes, list[tuple[int, int]]], tmp_path: Path) -> None:
+    assert fuzz(recording[0], 100_000, 2, tmp_path / "fuzz.mcap") > 0
