@@ -13,7 +13,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from bench import closed_loop, cortex_m7, greybox, lanes, start_up, targets
+from bench import closed_loop, cortex_m7, greybox, lanes, link, start_up, targets
 from bench.measure import Figure, machine
 from twodof.flightlog.atomic import atomic_write
 
@@ -22,6 +22,7 @@ BENCHMARKS: Mapping[str, Callable[[bool], list[Figure]]] = {
     "cortex_m7": cortex_m7.run,
     "greybox": greybox.run,
     "lanes": lanes.run,
+    "link": link.run,
     "start_up": start_up.run,
     "targets": targets.run,
 }

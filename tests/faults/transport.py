@@ -4,7 +4,10 @@ import asyncio
 import random
 from collections.abc import Hashable
 from dataclasses import dataclass
+from heapq import heappop, heappush
+from itertools import count
 
+from twodof.errors import LinkLost
 from twodof.link.transport import Transport
 
 
@@ -40,6 +43,8 @@ class FaultyTransport(Transport):
         self.whole = inner.whole
         self._chance = random.Random(seed)
         self._is_cut = False
+        self._under_way: list[tuple[float, int, bytes, Hashable]] = []
+        self._numbers = count()
         self._reader = asyncio.get_running_loop().create_task(self._read())
 
     @property
@@ -65,12 +70,11 @@ class FaultyTransport(Transport):
                 packet = await self.inner.receive(1.0)
                 if packet is not None and not self._is_cut:
                     self._inbox.put(packet)
-        except Exception as error:
-            self._lose(str(error))
-            raise
+        except LinkLost as error:
+            self._lose(error.what)
 
     def _send(self, data: bytes, peer: Hashable) -> bool:
-        chance, faults = self._chance, self.faults
+        chance, faults, loop = self._chance, self.faults, asyncio.get_running_loop()
         if self._is_cut or chance.random() < faults.loss:
             self.lost += 1
             return True
@@ -81,10 +85,14 @@ class FaultyTransport(Transport):
             if chance.random() < faults.damage:
                 place = chance.randrange(8 * len(data))
                 data = bytes(b ^ (1 << place % 8 if at == place // 8 else 0) for at, b in enumerate(data))
-            asyncio.get_running_loop().call_later(wait, self._deliver, data, peer)
+            due = loop.time() + wait
+            heappush(self._under_way, (due, next(self._numbers), data, peer))
+            loop.call_at(due, self._deliver)
         return True
 
-    def _deliver(self, data: bytes, peer: Hashable) -> None:
+    def _deliver(self) -> None:
+        """The packet due next; of two that are due at once the first that was sent, which timers do not promise."""
+        _, _, data, peer = heappop(self._under_way)
         if not self._is_cut and not self.inner.closed:
             self.inner.send(data, peer)
 

@@ -80,6 +80,48 @@ def test_loss_is_counted_as_it_was() -> None:
     assert abs(counted - lost) <= 10
 
 
+def test_damage_on_the_way_changes_no_message() -> None:
+    async def work() -> tuple[list[int], int, int]:
+        here, there = memory_pair()
+        faulty = FaultyTransport(here, Faults(damage=0.5), seed=6)
+        async with Connection(faulty, 1, 1) as drone, Connection(there, 255, 190) as ground:
+            for tick in range(2000):
+                drone.send(message("TWODOF_TICK", tick=tick, until=tick + 1, number=7 * tick))
+            await asyncio.sleep(1.0)
+            got = []
+            while one := ground.receive_now():
+                assert one.message.get_type() == "TWODOF_TICK"
+                assert (one.message.until, one.message.number) == (one.message.tick + 1, 7 * one.message.tick)
+                got.append(one.message.tick)
+            return got, ground.framing["bad_checksum"], ground.framing["rubbish_bytes"]
+
+    got, bad, rubbish = run_virtual(work())
+    assert got == sorted(set(got))
+    assert abs(len(got) - 1000) < 112  # five standard deviations of 2000 throws
+    assert bad > 600  # the others hit the marker, the length, the flags or the id
+    assert rubbish > 1000 * 12
+
+
+def test_a_cut_cable_is_silence_until_it_is_mended() -> None:
+    async def work() -> None:
+        here, there = memory_pair()
+        faulty = FaultyTransport(here, Faults(), seed=1)
+        async with Connection(faulty, 1, 1) as drone, Connection(there, 255, 190) as ground:
+            faulty.cut()
+            for number in range(10):
+                drone.send(message("TWODOF_TICK", tick=number))
+                ground.send(message("HEARTBEAT"))
+            assert await ground.receive(2.0) is None
+            assert await drone.receive(2.0) is None
+            faulty.mend()
+            drone.send(message("TWODOF_TICK", tick=99))
+            got = await ground.receive(2.0)
+            assert got is not None
+            assert got.message.tick == 99
+
+    run_virtual(work())
+
+
 def test_a_round_trip_is_measured() -> None:
     async def work() -> Connection:
         here, there = memory_pair()

@@ -1,0 +1,18 @@
+"""The benchmark of the wire measures answers that came."""
+
+import asyncio
+
+from bench import link
+
+
+def test_every_round_trip_is_answered() -> None:
+    for signed in (False, True):
+        taken = asyncio.run(link.round_trips(50, signed))
+        assert len(taken) == 50
+        assert taken == sorted(taken)
+        assert taken[0] > 0.0
+    assert asyncio.run(link.lockstep_seconds(50)) > 0.0
+
+
+def test_the_dialect_s_load_is_timed() -> None:
+    assert 0.0 < link.load_seconds("twodof.link import dialect", "dialect.load()", 1) < 10.0
