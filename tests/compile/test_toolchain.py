@@ -39,9 +39,9 @@ def test_the_second_time_no_compiler_runs(cache: Path, monkeypatch: pytest.Monke
         raise AssertionError
 
     monkeypatch.setattr(toolchain, "compile_c", never)
-    start = time.perf_counter()
+    start = time.process_time()
     assert answer(native.load(SOURCE, compiler)) == 42
-    assert time.perf_counter() - start < 0.5  # milliseconds, on an idle machine
+    assert time.process_time() - start < 0.5  # milliseconds, by this process's own clock
 
 
 def test_source_flags_and_compiler_are_in_the_key(cache: Path) -> None:

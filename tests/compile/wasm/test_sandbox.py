@@ -64,10 +64,10 @@ def test_a_fault_stops_the_instance_for_good(code: str, said: str) -> None:
     for k in range(5):
         machine.step({"r": 0.1 * k})
     last = machine.get("k"), machine.state("pendulum.theta")
-    start = time.perf_counter()
+    start = time.process_time()
     with pytest.raises(ControllerFault, match=said) as caught:
         machine.step()
-    assert time.perf_counter() - start < 1.0
+    assert time.process_time() - start < 1.0
     assert "loop_tick, tick 5" in caught.value.where
     calls = (machine.step, lambda: machine.run(3), machine.reset, lambda: machine.set("k", 1.0))
     for call in calls:
