@@ -45,6 +45,7 @@ CAUSES: tuple[Cause, ...] = (
     Cause("estimate_lost", OFF, "an estimate is no number, or beyond what the rig can do"),
     Cause("pitch_stop", OFF, "the pitch is at its stop"),
     Cause("rail_end", OFF, "the cart is at the rail's end"),
+    Cause("brake_failed", OFF, "the cart stays near the rail's end however long it is braked"),
     Cause("step_late", OFF, "the flight controller's step ran out of its time"),
     Cause("command_stuck", OFF, "the stock controller's commands do not move in a closed loop", inner=True),
     Cause("command_lost", OFF, "a command that was to fly is infinite or NaN", inner=True),

@@ -46,8 +46,9 @@ TIMERS = MappingProxyType(
         "setpoint": Timeout(0.5, 0.02, 0.9, "silence of set-points after which it levels"),
         "link": Timeout(3.0, 0.1, 30.0, "silence of the link after which it descends (heartbeats come at 1 Hz)"),
         "imu": Timeout(0.02, 0.004, 0.1, "silence or repetition of the IMU after which the motors stop"),
-        "range": Timeout(0.25, 0.06, 2.0, "time without a believed range after which it descends"),
+        "range": Timeout(0.24, 0.06, 2.0, "time without a believed range after which it descends"),
         "range_stuck": Timeout(0.5, 0.06, 5.0, "time of one and the same range after which it descends"),
+        "brake": Timeout(3.0, 0.1, 10.0, "longest time of braking, then the motors stop"),
         "battery_low": Timeout(1.0, 0.004, 30.0, "time of low voltage until it counts"),
         "battery_critical": Timeout(0.5, 0.004, 10.0, "time of critical voltage until it descends"),
         "late": Timeout(0.008, 0.004, 0.008, "time of late steps in a row after which the motors stop"),
@@ -123,6 +124,7 @@ def _timers(d: Diagram) -> None:
         ("battery_critical", "battery.usable"),
         ("late", "in_time"),
         ("stuck", "commands.moves"),
+        ("brake", "at_large"),
     ):
         d.connect(source, f"{name}.alive")
 
@@ -144,6 +146,7 @@ def _machine(d: Diagram) -> None:
         estimate_lost="place.estimate_lost",
         pitch_stop="place.pitch_stop",
         rail_end="place.rail_end",
+        brake_failed="brake",
         step_late="late",
         battery_low="battery_low",
         not_idle="asked.active",
@@ -151,6 +154,7 @@ def _machine(d: Diagram) -> None:
     )
     for name, text in (("level", "levelling lasts at least"), ("brake", "braking lasts at least")):
         d.add(f"{name}_lasts", Linger(0.5, 0.02, 5.0, text), flag=f"classes.{name}")
+    d.add("at_large", Logic("not"), a="brake_lasts")
     d.add(
         "machine",
         Machine(),

@@ -29,8 +29,8 @@ class Machine(Block):
     disarmed   flying where `ready`, else refused: until `arm` was false once
     armed      off where `off`; else
     descend    off after `descent` s, whatever else happens
-    armed      descend where `descend`, or after `level_limit` s of level; else
-    armed      brake where `brake` (off after `brake_limit` s of it); else
+    armed      descend where `descend`, or after `level_limit` s of level and brake; else
+    armed      brake where `brake`; else
     armed      level where `level` or the user's controller has failed; else flying
     off        stays, until disarmed
     ========== =========================================================================================
@@ -38,8 +38,8 @@ class Machine(Block):
     The outputs are those of this tick: what acts follows its cause in the same tick. What the gate finds behind the
     controllers (`own_lost`, `command_lost`) stops the motors there, and is known here from the next tick on.
     `own` says that the user's controller flies, as far as it is healthy in this tick; one that failed does not fly
-    again until disarmed. `stuck` says that the commands that flew did not move. `timer` counts the ticks in this state
-    (those with a limit), 0 in the first. `action` is the index into `causes.ACTIONS`.
+    again until disarmed. `stuck` says that the commands that flew did not move. `timer` counts the ticks
+    of descend, or of level and brake together, 0 in the first. `action` is the index into `causes.ACTIONS`.
     """
 
     inputs = (
@@ -60,17 +60,17 @@ class Machine(Block):
         Port("stuck_off", "bool"),
     )
     states = (State("state", DISARMED, "int32"), State("timer", 0, "int32"), State("own_failed", False, "bool"))
-    derived = (Port("level_ticks", "int32"), Port("brake_ticks", "int32"), Port("descent_ticks", "int32"))
+    derived = (Port("level_ticks", "int32"), Port("descent_ticks", "int32"))
     params = (
-        Param("level_limit", 10.0, unit="s", low=0.1, high=60.0, text="longest time held level, then it descends"),
-        Param("brake_limit", 3.0, unit="s", low=0.1, high=10.0, text="longest time of braking, then the motors stop"),
+        Param(
+            "level_limit", 10.0, unit="s", low=0.1, high=60.0, text="longest time of level and brake, then it descends"
+        ),
         Param("descent", 1.0, unit="s", low=0.1, high=10.0, text="time in which the thrust fades"),
     )
 
     def prepare(self, p: Any, t: Any) -> Any:
         return {
             "level_ticks": ticks(p.level_limit, t.dt),
-            "brake_ticks": ticks(p.brake_limit, t.dt),
             "descent_ticks": ticks(p.descent, t.dt),
         }
 
@@ -81,19 +81,13 @@ class Machine(Block):
         own_flew = u.own_given & ~x.own_failed & (held == int32(FLYING))
         stuck_off = armed & u.stuck & ~own_flew
         failed = u.arm & (x.own_failed | (own_flew & u.stuck))
-        spent = maximum(x.timer, int32(0)) + int32(1)  # ticks in the state held, if this is one more
+        spent = maximum(x.timer, int32(0)) + int32(1)  # ticks of the action, if this is one more
+        acted = (held == int32(LEVEL)) | (held == int32(BRAKE))
+        weaker = where(u.brake, int32(BRAKE), where(u.level | failed, int32(LEVEL), int32(FLYING)))
         end = where(
             held == int32(DESCEND),
             where(spent >= p.descent_ticks, int32(OFF), int32(DESCEND)),
-            where(
-                u.descend | ((held == int32(LEVEL)) & (spent >= p.level_ticks)),
-                int32(DESCEND),
-                where(
-                    u.brake,
-                    where((held == int32(BRAKE)) & (spent >= p.brake_ticks), int32(OFF), int32(BRAKE)),
-                    where(u.level | failed, int32(LEVEL), int32(FLYING)),
-                ),
-            ),
+            where(u.descend | (acted & (spent >= p.level_ticks)), int32(DESCEND), weaker),
         )
         state = where(
             ~u.arm,
@@ -104,7 +98,8 @@ class Machine(Block):
                 where(armed, where(u.off | stuck_off, int32(OFF), end), held),
             ),
         )
-        counted = (state >= int32(LEVEL)) & (state <= int32(DESCEND)) & (state == held)
+        acts = (state == int32(LEVEL)) | (state == int32(BRAKE))
+        counted = (acts & acted) | ((state == int32(DESCEND)) & (held == int32(DESCEND)))
         stopped = (state < int32(FLYING)) | (state > int32(DESCEND))
         return {
             "state": state,

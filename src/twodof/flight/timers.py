@@ -42,7 +42,7 @@ class Timeout(Block):
         return where(u.alive, int32(0), where(x.count < p.limit, maximum(x.count, int32(0)) + int32(1), p.limit))
 
     def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-        return ~u.alive & (self._count(u, x, p) >= p.limit)
+        return self._count(u, x, p) >= p.limit  # the limit is 1 at least, and alive the count is 0
 
     def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
         return self._count(u, x, p)
@@ -66,4 +66,4 @@ class Linger(Block):
         return u.flag | (x.left > int32(0))
 
     def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-        return where(u.flag, p.limit, maximum(int32(0), minimum(x.left, p.limit) - int32(1)))
+        return where(u.flag, p.limit, maximum(int32(1), minimum(x.left, p.limit)) - int32(1))

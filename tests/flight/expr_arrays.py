@@ -1,0 +1,143 @@
+"""A block's recorded expressions on whole arrays of cases at once, and mutants of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twodof.blocks import Block
+from twodof.blocks.expr import Expr, const, node
+from twodof.blocks.graph import walk
+
+Array = NDArray[Any]
+Columns = Mapping[str, Any]
+Graph = dict[str, Expr]
+"""Section and name, "output.state" or "update.timer", -> expression."""
+
+NUMPY: dict[str, Callable[..., Any]] = {
+    "add": np.add,
+    "sub": np.subtract,
+    "mul": np.multiply,
+    "div": np.divide,
+    "neg": np.negative,
+    "abs": np.abs,
+    "lt": np.less,
+    "le": np.less_equal,
+    "eq": np.equal,
+    "ne": np.not_equal,
+    "and": np.bitwise_and,
+    "or": np.bitwise_or,
+    "xor": np.bitwise_xor,
+    "not": np.invert,
+    "where": np.where,
+}
+DTYPES = {"int32": np.int32, "bool": np.bool_, "real": np.float64}
+
+
+def graph_of(block: Block) -> Graph:
+    """What the block's outputs and discrete states become."""
+    trace = block.trace
+    sections = {"output": trace.outputs, "update": trace.update}
+    return {f"{section}.{name}": e for section, exprs in sections.items() for name, e in exprs.items()}
+
+
+def on_arrays(graph: Graph, columns: Columns) -> dict[str, Array]:
+    """Every expression of `graph`; inputs, states and parameters are `columns` by name, of one length or scalars."""
+    values: dict[int, Any] = {}
+    with np.errstate(all="ignore"):
+        for item in walk(graph.values()):
+            if item.op == "const":
+                values[id(item)] = DTYPES[item.kind](item.data)
+            elif item.op == "convert":
+                values[id(item)] = np.asarray(values[id(item.args[0])]).astype(DTYPES[item.kind])
+            elif item.op in NUMPY:
+                values[id(item)] = NUMPY[item.op](*(values[id(a)] for a in item.args))
+            else:
+                values[id(item)] = np.asarray(columns[item.data], DTYPES[item.kind])
+    length = max(np.size(column) for column in columns.values())
+    return {name: np.broadcast_to(values[id(e)], length) for name, e in graph.items()}
+
+
+def combinations(**choices: Sequence[Any]) -> dict[str, Array]:
+    """Every combination of the values given by name, as columns of one length."""
+    grid = np.meshgrid(*(np.arange(len(values)) for values in choices.values()), indexing="ij")
+    return {
+        name: np.asarray(values)[index.ravel()] for (name, values), index in zip(choices.items(), grid, strict=True)
+    }
+
+
+def flags(*names: str) -> dict[str, Sequence[Any]]:
+    """False and true for each name: a choice for `combinations`."""
+    return dict.fromkeys(names, (False, True))
+
+
+def mutants(graph: Graph) -> Iterator[tuple[str, Graph]]:
+    """Every graph with one small fault in it, and what the fault is.
+
+    Operations are exchanged for their relatives (< for <=, and for or, + for -, ...), a choice for one of its branches,
+    each use of a constant or an integer parameter is off by one, each use of a flag is negated, true or false.
+    """
+    items = walk(graph.values())
+    place = {id(item): number for number, item in enumerate(items)}
+    for item in items:
+        for what, other in _relatives(item):
+            yield f"{place[id(item)]} {item.op}: {what}", _replaced(graph, item, other)
+        for position, argument in enumerate(item.args):
+            for what, other in _misused(argument):
+                args = (*item.args[:position], other, *item.args[position + 1 :])
+                changed = node(item.op, item.kind, args, item.data, item.width)
+                if changed is not item:
+                    yield f"{place[id(item)]} {item.op}[{position}]: {what}", _replaced(graph, item, changed)
+
+
+def _relatives(item: Expr) -> Iterator[tuple[str, Expr]]:
+    a = item.args
+    swaps = {"lt": "le", "le": "lt", "eq": "ne", "ne": "eq", "and": "or", "or": "and", "add": "sub", "sub": "add"}
+    if item.op in swaps:
+        yield f"{swaps[item.op]}", node(swaps[item.op], item.kind, a)
+    if item.op in ("lt", "le"):
+        yield "the other way round", node(item.op, item.kind, (a[1], a[0]))
+    if item.op in ("mul", "div"):
+        yield "add", node("add", item.kind, a)
+    if item.op in ("not", "abs", "neg"):
+        yield "left out", a[0]
+    if item.op == "where":
+        yield "always the first", a[1]
+        yield "always the second", a[2]
+        yield "exchanged", node("where", item.kind, (a[0], a[2], a[1]))
+
+
+def _misused(argument: Expr) -> Iterator[tuple[str, Expr]]:
+    if argument.op == "const" and argument.kind == "int32":
+        for shift in (-1, 1):
+            yield f"{argument.data} is {argument.data + shift}", const(argument.data + shift, "int32")
+    elif argument.op == "const" and argument.kind == "real":
+        yield f"{argument.data} is {argument.data + 0.5}", const(argument.data + 0.5, "real")
+    elif argument.op == "param" and argument.kind == "int32":
+        for op in ("sub", "add"):
+            yield f"{argument.data} {op} 1", node(op, "int32", (argument, const(1, "int32")))
+    elif argument.kind == "bool":
+        name = argument.data if argument.op in ("input", "state", "param") else argument.op
+        for constant in (False, True):
+            yield f"{name} is {constant}", const(constant, "bool")
+        yield f"{name} is negated", node("not", "bool", (argument,))
+
+
+def _replaced(graph: Graph, old: Expr, new: Expr) -> Graph:
+    """`graph` with `new` in the place of the node `old`, whose own arguments stay."""
+    made: dict[int, Expr] = {id(old): new}
+    for item in walk(graph.values()):
+        if id(item) not in made:
+            args = tuple(made[id(a)] for a in item.args)
+            made[id(item)] = (
+                item if same_nodes(args, item.args) else node(item.op, item.kind, args, item.data, item.width)
+            )
+    return {name: made[id(e)] for name, e in graph.items()}
+
+
+def same_nodes(a: Sequence[Expr], b: Sequence[Expr]) -> bool:
+    """Whether two sequences hold the very same nodes (== on nodes records a comparison)."""
+    return len(a) == len(b) and all(x is y for x, y in zip(a, b, strict=True))
