@@ -41,6 +41,8 @@ def info(
         gap = f"{1e3 * row['longest_gap_s']:.1f}" if row["gaps"] else ""
         table.add_row(row["name"], row["unit"] or "-", str(row["samples"]), rate, str(row["missing"] or ""), gap)
     console.print(table)
+    if found["modes_unclear"]:
+        console.print(f"modes unknown: {found['modes_unclear']}", markup=False)
     for start, end in found["armed_s"]:
         console.print(f"thrust on: {start:.3f} to {end:.3f} s")
     for event in found["events"][:_ROWS]:

@@ -76,7 +76,8 @@ def describe(log: FlightLog) -> dict[str, Any]:
     """A log in figures, as JSON values.
 
     Keys: `source`, `provenance`, `span_s`, `duration_s`; `channels` (name, unit, fields, samples, rate_hz, span_s,
-    gaps, gaps_armed, missing, longest_gap_s); `gaps`; `armed_s`; `modes`; `events`; `excitations`; `experiment`
+    gaps, gaps_armed, missing, longest_gap_s); `gaps`; `armed_s`; `modes`; `modes_unclear` (why
+    none could be found, or ""); `events`; `excitations`; `experiment`
     (the longest excitation, or None). What a log lacks the channels for is an empty list.
     """
     gaps = {name: log.gaps(name) for name in log}
@@ -100,7 +101,13 @@ def describe(log: FlightLog) -> dict[str, Any]:
             }
         )
     loops = all(name in log for name in ("T", "q0", "theta0"))
-    found = excitations(log) if loops else []
+    found: list[Excitation] = []
+    flown: list[Stretch] = []
+    unclear = "" if loops else "the log lacks T, q0 or theta0"
+    try:
+        flown, found = (modes(log), excitations(log)) if loops else ([], [])
+    except LogError as reason:  # the channels of others may not overlap: all else about them still holds
+        unclear = str(reason)
     return {
         "source": log.source,
         "provenance": log.provenance,
@@ -109,7 +116,8 @@ def describe(log: FlightLog) -> dict[str, Any]:
         "channels": channels,
         "gaps": [asdict(gap) for name in log for gap in gaps[name]],
         "armed_s": [list(stretch) for stretch in log.armed()] if "T" in log else [],
-        "modes": [asdict(stretch) for stretch in modes(log)] if loops else [],
+        "modes": [asdict(stretch) for stretch in flown],
+        "modes_unclear": unclear,
         "events": [asdict(event) for event in _events(log, found)],
         "excitations": [asdict(excitation) for excitation in found],
         "experiment": asdict(max(found, key=_length)) if found else None,
@@ -130,6 +138,8 @@ def _events(log: FlightLog, found: Sequence[Excitation]) -> list[Event]:
 
 
 def _open_loop(log: FlightLog, stretch: Stretch) -> Excitation | None:
+    if "lmnf" not in log:
+        return None
     # The message that opened the loop is up to 20 ms older than the first M made from it.
     steps = [
         event

@@ -23,12 +23,17 @@ OWN = "twodof"
 MAX_OWN_FIELDS = 1000
 
 
-def _field(name: str, scale: float = 1.0) -> Values:
-    return lambda rows: scale * rows[name].astype(np.float64)
+def _field(name: str) -> Values:
+    return lambda rows: rows[name].astype(np.float64)
 
 
-def _item(name: str, index: int, scale: float = 1.0) -> Values:
-    return lambda rows: scale * rows[name][:, index].astype(np.float64)
+def _item(name: str, index: int) -> Values:
+    return lambda rows: rows[name][:, index].astype(np.float64)
+
+
+def _opposite(name: str, index: int) -> Values:
+    # Not negated, so that thrust 0 is not written as -0.
+    return lambda rows: 0.0 - rows[name][:, index].astype(np.float64)
 
 
 def _pitch(name: str) -> Values:
@@ -62,9 +67,9 @@ _SOURCES: Mapping[str, tuple[tuple[str, Values], ...]] = MappingProxyType(
             ("vehicle_local_position_setpoint", _field("vx")),
             ("trajectory_setpoint", _item("velocity", 0)),
         ),
-        "thrust0": (("vehicle_thrust_setpoint", _item("xyz", 2)), ("actuator_controls_0", _item("control", 3, -1.0))),
+        "thrust0": (("vehicle_thrust_setpoint", _item("xyz", 2)), ("actuator_controls_0", _opposite("control", 3))),
         "M": (("vehicle_torque_setpoint", _item("xyz", 1)), ("actuator_controls_0", _item("control", 1))),
-        "T": (("vehicle_thrust_setpoint", _item("xyz", 2, -1.0)), ("actuator_controls_0", _item("control", 3))),
+        "T": (("vehicle_thrust_setpoint", _opposite("xyz", 2)), ("actuator_controls_0", _item("control", 3))),
         "voltage": (("battery_status", _field("voltage_v")),),
         "charge": (("battery_status", _field("remaining")),),
     }
@@ -97,7 +102,9 @@ def ulog_to_log(found: ULog, file: dict[str, Any], where: str) -> FlightLog:
         known = BY_MAT.get(name)
         unit, fields = (known.unit, known.fields) if known else ("", ())
         try:
-            values = value(logged.rows)
+            # A NaN or infinity in a quaternion is no pitch: such samples are counted below.
+            with np.errstate(invalid="ignore", over="ignore"):
+                values = value(logged.rows)
         except (ValueError, IndexError, TypeError):
             continue  # of a PX4 that lays this topic out differently: it is named among those ignored
         if values.ndim > 2 or (known and values[:1].size != known.width):

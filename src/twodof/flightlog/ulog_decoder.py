@@ -30,6 +30,8 @@ MAX_DROPOUTS = 1_000_000
 _APPENDED = 1
 _SYNC_MESSAGE = MESSAGE.pack(len(SYNC), ord("S")) + SYNC
 _ADD = Struct("<BH")
+# In the information of our own logs, which have a mark at the end of each part that reached the disk.
+_MARKED = b"\x10char[6] sys_nametwodof"
 
 
 @dataclass(frozen=True)
@@ -88,29 +90,29 @@ class _Walk:
     def _stretches(self, at: int) -> Iterator[tuple[int, int]]:
         """Parts of the file whose messages follow each other without a break."""
         data, size = self.data, len(self.data)
-        start, synced = at, 0
+        start, synced, marked = at, 0, False
         while at < size:
             length, letter = MESSAGE.unpack_from(data, at) if size - at >= MESSAGE.size else (size, 0)
             after = at + MESSAGE.size + length
             if after <= size and letter in LETTERS:
                 if letter == ord("S"):
                     synced = after
+                marked = marked or data[at + MESSAGE.size : after] == _MARKED
                 at = after
                 continue
             # A tail that is only cut is the rule with logs on a flight controller; the messages before it are whole.
             cut = at + MESSAGE.size > size or letter in LETTERS
-            if cut and not self.salvage:
-                self._lose(at, size, "the last message is cut off")
-                break
-            if not self.salvage:
+            if not cut and not self.salvage:
                 raise LogError(f"no message at byte {at}", self.where, RECOVER)
-            resume = data.find(_SYNC_MESSAGE, at)
+            resume = data.find(_SYNC_MESSAGE, at) if self.salvage else size
             resume = size if resume < 0 else resume
-            # Between the last mark and rubbish nothing vouches for a message, except that the file just ends there.
-            sound = at if (cut and resume == size) or not synced else max(synced, start)
+            # Between the last mark and rubbish nothing vouches for a message. In a log of others that just ends, what
+            # is before its end is taken; in our own nothing behind the last mark was acknowledged.
+            ends = cut and resume == size
+            sound = at if (ends and not marked) or not synced else max(synced, start)
             if sound > start:
                 yield start, sound
-            self._lose(sound, resume, "rubbish" if not cut or resume < size else "the last message is cut off")
+            self._lose(sound, resume, "the last message is cut off" if ends else "rubbish")
             start = at = resume
         if min(at, size) > start:
             yield start, at
