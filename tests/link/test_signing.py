@@ -15,11 +15,12 @@ from fastcrc import crc16
 
 from twodof.errors import LinkError
 from twodof.link import dialect
+from twodof.link import stamps as stamps_module
 from twodof.link.framing import Frame, Parser, encode
 from twodof.link.key import Key, read_key, write_key
 from twodof.link.messages import message
-from twodof.link.signing import Signing, Verdict
-from twodof.link.stamps import MARGIN, OWN, PER_SECOND, Stamps
+from twodof.link.signing import Signing, SigningCounts, Verdict
+from twodof.link.stamps import HIGHEST, MARGIN, OWN, PER_SECOND, Stamps, wall_stamp
 
 KEY = Key(bytes(range(32)))
 START = 11 * 365 * 24 * 3600 * PER_SECOND
@@ -140,6 +141,19 @@ def test_a_new_stream_may_be_a_minute_behind_and_no_more() -> None:
     assert signing().check(signed(signing(clock=Clock(START + 25 * 3600 * PER_SECOND)))) is Verdict.AHEAD
 
 
+def test_everything_but_accepted_and_excepted_is_refused() -> None:
+    counts = SigningCounts(accepted=1, excepted=2, unsigned=10, forged=200, repeated=3000, stale=40_000, ahead=500_000)
+    assert counts.refused == 543_210
+
+
+def test_streams_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("twodof.link.stamps.MOST_STREAMS", 5)
+    mine = signing()
+    verdicts = [mine.check(signed(signing(), system=system)) for system in range(1, 9)]
+    assert verdicts == [Verdict.ACCEPTED] * 5 + [Verdict.STALE] * 3
+    assert mine.check(signed(signing(clock=Clock(START + 1)), system=1)) is Verdict.ACCEPTED  # those known go on
+
+
 def test_a_clock_that_stands_at_1970_catches_up() -> None:
     drone, ground = signing(clock=Clock(0)), signing()
     assert ground.check(signed(drone)) is Verdict.STALE
@@ -192,6 +206,42 @@ def test_a_packet_does_not_cost_a_write(tmp_path: Path) -> None:
     assert json.loads(path.read_text())[OWN] == with_store.stamps.own
 
 
+def test_only_the_first_write_of_a_stream_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    waited: list[dict[str, int]] = []
+    write = Stamps._write
+
+    def counted(self: Stamps, stamps: dict[str, int]) -> None:
+        waited.append(stamps)
+        write(self, stamps)
+
+    monkeypatch.setattr(Stamps, "_write", counted)
+    clock, path = Clock(), tmp_path / "stamps"
+    stamps = Stamps(path, clock)
+    for _ in range(600):  # a minute; the disk takes its time, but less than half of the margin
+        clock.now += PER_SECOND // 10
+        stamps.next_own()
+        if stamps._writing is not None and clock.now % PER_SECOND == 0:
+            stamps._writing.result(timeout=10.0)
+        assert stamps._stored[OWN] >= stamps.own
+    assert len(waited) == 1
+    stamps.close()
+
+
+def test_the_clock_of_stamps_is_the_published_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    # 2015-01-01 00:00:00 UTC is 1420070400; a unit is 10 us.
+    monkeypatch.setattr("twodof.link.stamps.time.time", lambda: 1_420_070_400 + 3.00002)
+    assert wall_stamp() == 300_002
+    monkeypatch.setattr("twodof.link.stamps.time.time", lambda: 0.0)
+    assert wall_stamp() == 0
+
+
+def test_stamps_that_are_used_up_are_an_error() -> None:
+    stamps = Stamps(None, lambda: HIGHEST)
+    assert stamps.next_own() == HIGHEST == 2**48 - 1
+    with pytest.raises(LinkError, match="used up"):
+        stamps.next_own()
+
+
 def test_two_processes_do_not_share_stamps(tmp_path: Path) -> None:
     first = Stamps(tmp_path / "stamps")
     with pytest.raises(LinkError, match="another process signs with these time stamps"):
@@ -213,17 +263,31 @@ def test_damaged_stamps_are_refused(tmp_path: Path, text: str) -> None:
 def test_a_disk_that_fails_stops_no_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     mine, theirs = signing(path=tmp_path / "stamps"), signing()
 
+    tried = []
+
     def full(path: Path, stamps: dict[str, int]) -> None:
+        tried.append(stamps)
         raise LinkError("the time stamps are not kept: No space left on device", str(path))
 
-    monkeypatch.setattr("twodof.link.stamps._write", full)
+    write = stamps_module._write
+    monkeypatch.setattr(stamps_module, "_write", full)
     assert mine.check(signed(theirs)) is Verdict.ACCEPTED
     assert "No space left" in mine.stamps.failure
     frame = signed(theirs)
     assert mine.check(frame) is Verdict.ACCEPTED
     assert mine.check(frame) is Verdict.REPEATED
+    for _ in range(100):
+        assert mine.check(signed(theirs)) is Verdict.ACCEPTED
+    assert len(tried) == 1  # not once a packet: a full disk answers slowly
+    mine.stamps._retry_at = 0.0  # a second later there is room
+    monkeypatch.setattr(stamps_module, "_write", write)
+    assert mine.check(signed(theirs)) is Verdict.ACCEPTED
+    assert mine.stamps.failure == ""
+    monkeypatch.setattr(stamps_module, "_write", full)
     with pytest.raises(LinkError, match="No space left"):
         mine.close()
+    monkeypatch.setattr(stamps_module, "_write", write)
+    Stamps(tmp_path / "stamps").close()  # and the file is free
 
 
 def test_a_key_in_a_file_of_its_owner_only(tmp_path: Path) -> None:
@@ -253,7 +317,11 @@ def test_what_is_no_key_is_refused(tmp_path: Path) -> None:
             read_key(path)
         assert text[:6] not in str(caught.value) or not text
     with pytest.raises(LinkError, match="is guessed"):
-        Key.of("password")
+        Key.of("elevenchars")
+    assert Key.of("twelve chars").secret == hashlib.sha256(b"twelve chars").digest()
+    for secret in (bytes(31), bytes(33), "0" * 32):
+        with pytest.raises(LinkError, match="has 32 bytes"):
+            Key(secret)
     assert Key.of("correct horse battery").secret != Key.of("correct horse batterz").secret
 
 
