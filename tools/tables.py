@@ -1,4 +1,4 @@
-"""Writes the tables in docs/physics.md and docs/flight.md from the code: `python tools/tables.py`.
+"""Writes the tables in docs/physics.md, docs/flight.md and docs/logs.md from the code: `python tools/tables.py`.
 
 A table stands between `<!-- made: NAME -->` and `<!-- end -->`; the text around it is written by hand. A test compares
 the pages with what this gives.
@@ -13,13 +13,16 @@ from pathlib import Path
 from twodof.flight.gains import NAMED
 from twodof.flight.starters import STARTERS, starter
 from twodof.flight.templates import TEMPLATES, kind_of
+from twodof.flightlog.mcap_stream import stream_of
+from twodof.flightlog.ulog import PX4_SOURCES
 from twodof.rig.parameters import CONDITIONS, NAMES, Q_AGE, TABLE, load_rig, origins
 from twodof.rig.predict import moment_gain, rotor_moment, velocity_damping, velocity_gain
 from twodof.rig.rig import PARTS, rig_params
 from twodof.rig.rotors import HOVER
+from twodof.signals import TOPICS
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
-PAGES = (DOCS / "physics.md", DOCS / "flight.md")
+PAGES = (DOCS / "physics.md", DOCS / "flight.md", DOCS / "logs.md")
 GRAVITY = 9.81
 UNITS = {
     "rate.kp": "s/rad",
@@ -42,6 +45,7 @@ def render(text: str) -> str:
         "gains": _gains,
         "templates": _templates,
         "starters": _starters,
+        "channels": _channels,
     }
 
     def made(match: re.Match[str]) -> str:
@@ -105,6 +109,16 @@ def _starters() -> Iterator[str]:
     for name in STARTERS:
         diagram = starter(name)
         yield f"| `{name}` | {kind_of(diagram)} | {diagram.text} |"
+
+
+def _channels() -> Iterator[str]:
+    yield "| topic | channel | fields | unit | rate, Hz | MCAP topic | from PX4's |"
+    yield "|---|---|---|---|---|---|---|"
+    for row in TOPICS:
+        rate = f"{row.rate_hz:g}" if row.rate_hz else "on events"
+        px4 = " or ".join(f"`{topic}`" for topic, _ in PX4_SOURCES.get(row.mat, ()))
+        fields = ", ".join(row.fields)
+        yield f"| `{row.name}` | `{row.mat}` | {fields} | {row.unit} | {rate} | `{stream_of(row).topic}` | {px4} |"
 
 
 def _parameters() -> Iterator[str]:

@@ -40,7 +40,8 @@ def agree(ours: ULog, theirs: TheirULog) -> int:
             mine: Any = rows
             for part in name.replace("]", "").split("."):
                 field, _, index = part.partition("[")
-                mine = mine[field] if not index else mine[field][:, int(index)]
+                mine = mine[field]
+                mine = mine[:, int(index)] if index and mine.ndim == 2 else mine
             if mine.dtype.kind != "S":  # pyulog gives letters one by one
                 assert mine.tobytes() == column.astype(mine.dtype).tobytes(), (data.name, name)
                 fields += 1

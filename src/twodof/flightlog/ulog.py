@@ -48,7 +48,7 @@ def _pitch(name: str) -> Values:
 
 # Channel -> topic and value; of several, the first that the log has (later ones are of older PX4 versions).
 # The rail is PX4's local x axis, as for the modules that `twodof px4 export` makes.
-_SOURCES: Mapping[str, tuple[tuple[str, Values], ...]] = MappingProxyType(
+PX4_SOURCES: Mapping[str, tuple[tuple[str, Values], ...]] = MappingProxyType(
     {
         "acc": (("sensor_combined", _field("accelerometer_m_s2")), ("vehicle_acceleration", _field("xyz"))),
         "gyr": (("sensor_combined", _field("gyro_rad")),),
@@ -74,6 +74,7 @@ _SOURCES: Mapping[str, tuple[tuple[str, Values], ...]] = MappingProxyType(
         "charge": (("battery_status", _field("remaining")),),
     }
 )
+"""Which topic of PX4, and which value of its records, becomes which channel."""
 
 
 def read_ulog(path: str | Path) -> FlightLog:
@@ -131,7 +132,7 @@ def ulog_to_log(found: ULog, file: dict[str, Any], where: str) -> FlightLog:
 
 def _px4_topics(found: ULog) -> dict[str, tuple[Logged, Values]]:
     rows = {}
-    for channel, sources in _SOURCES.items():
+    for channel, sources in PX4_SOURCES.items():
         for topic, value in sources:
             logged = found.topic(topic)
             if logged is not None and len(logged.rows):
