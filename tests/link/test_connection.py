@@ -219,6 +219,8 @@ def test_an_unsigned_stranger_over_udp_gets_no_telemetry() -> None:
         stranger = Connection(await open_transport(f"udp://127.0.0.1:{at.port}"), 255, 190)
         stranger.send(message("HEARTBEAT"))
         assert await drone.receive(0.1) is None
+        stranger.send(message("RADIO_STATUS", rssi=1))  # taken in unsigned, and still a stranger's
+        assert await drone.receive(SOON) is not None
         drone.send(message("HEARTBEAT"))
         assert await stranger.receive(0.1) is None
         await stranger.close()
@@ -253,6 +255,72 @@ def test_rubbish_arms_nothing_and_leaves_nothing_behind() -> None:
             assert got is not None
             assert drone.framing["rubbish_bytes"] > 100_000
             assert len(drone._parsers) == 1
+
+    run(work())
+
+
+def test_peers_on_a_stream_each_have_a_parser_and_those_are_bounded() -> None:
+    async def work() -> None:
+        at = await open_transport("memin://many")
+        at.whole = False  # as TCP cuts it
+        heartbeat = encode(message("HEARTBEAT"), 255, 190, 0)
+        async with Connection(at, 1, 1) as drone:
+            clients = [await open_transport("mem://many") for _ in range(100)]
+            for cut in (5, len(heartbeat)):
+                for client in clients[:60]:
+                    client.send(heartbeat[:5] if cut == 5 else heartbeat[5:])
+            for _ in range(60):  # none took the other's half for its own
+                assert drone.receive_now() is not None
+            for client in clients:
+                client.send(b"\x00" + heartbeat)
+                assert drone.receive_now() is not None
+            assert len(drone._parsers) == 64
+            assert drone.framing["frames"] == 160
+            assert drone.framing["rubbish_bytes"] == 100
+            for client in clients:
+                await client.close()
+
+    run(work())
+
+
+def test_a_router_passes_frames_on_as_they_are() -> None:
+    async def work() -> None:
+        here, there = memory_pair()
+        left, right = memory_pair()
+        strange = b"\xfd\x03\x00\x00\x05\x01\x01" + (300_000).to_bytes(3, "little") + b"abc" + b"\x12\x34"
+        sent = [encode(message("HEARTBEAT"), 7, 8, 9), strange]
+        router, onward = Connection(there, 1, 191), Connection(left, 1, 191)
+        for raw in sent:
+            here.send(raw)
+            found = await router.receive_frame(SOON)
+            assert found is not None
+            onward.forward(found[0])
+            packet = right.receive_now()
+            assert packet is not None
+            assert packet.data == raw
+        assert await router.receive_frame(0.0) is None
+        here.send(strange)
+        here.send(sent[0])
+        got = await router.receive(SOON)  # who reads messages does not see what the dialect has not
+        assert got is not None
+        assert got.frame.raw == sent[0]
+        await router.close()
+        await onward.close()
+
+    run(work())
+
+
+def test_two_tasks_cannot_receive_at_once() -> None:
+    async def work() -> None:
+        here, _ = memory_pair()
+        drone = Connection(here, 1, 1)
+        first = asyncio.create_task(drone.receive(SOON))
+        await asyncio.sleep(0)
+        with pytest.raises(RuntimeError, match="two tasks receive"):
+            await drone.receive(SOON)
+        await drone.close()
+        with pytest.raises(LinkLost):
+            await first
 
     run(work())
 

@@ -171,10 +171,13 @@ class Connection:
             parser = self._parsers[key] = Parser(mavlink1=self.signing is None)
             if len(self._parsers) > MOST_PARSERS:
                 self._forget(self._parsers.popitem(last=False)[1])
+        else:
+            self._parsers.move_to_end(key)
         for frame in parser.feed(data, whole):
-            if self.signing is not None and self.signing.check(frame) not in (Verdict.ACCEPTED, Verdict.EXCEPTED):
+            verdict = self.signing.check(frame) if self.signing is not None else Verdict.ACCEPTED
+            if verdict not in (Verdict.ACCEPTED, Verdict.EXCEPTED):
                 continue
-            if frame.known:
+            if frame.known and verdict is Verdict.ACCEPTED:
                 self.transport.confirm(peer)
             self.statistics.count(frame, self._clock())
             if frame.message_id not in (_TIMESYNC, _PING) or not self._answer(frame, peer):
