@@ -71,7 +71,7 @@ class PlaceFlags(Block):
     """Where pitch and cart are, and whether the estimates are believed.
 
     `pitch_near`: |theta + look_ahead q| above `pitch_limit`, until below it by `pitch_margin`; `pitch_stop`: |theta| at
-    `pitch_end`. `rail_near`: the place where the cart could be stopped, x + v |v| / (2 braking), is beyond
+    `pitch_end`. `rail_near`: the place where the cart could be stopped, x + v reaction + v |v| / (2 braking), is beyond
     `rail_limit`, until inside by `rail_margin`; `rail_end`: |x| at `rail_end`. A locked cart is near no end.
     `estimate_lost`: theta, q, x or v is no number, |theta| > `theta_bound` or |q| > `q_bound`. Each is written so that
     a NaN raises it.
@@ -98,6 +98,7 @@ class PlaceFlags(Block):
         Param("arm_tilt", 0.30, unit="rad", low=0.02, high=0.8, text="largest pitch at arming"),
         Param("rail_limit", 0.37, unit="m", low=0.05, high=0.40, text="beyond which the cart is braked"),
         Param("rail_margin", 0.03, unit="m", low=0.005, high=0.1, text="hysteresis of the rail's limit"),
+        Param("reaction", 0.2, unit="s", low=0.0, high=0.5, text="time until braking takes hold"),
         Param("braking", 3.0, unit="m/s2", low=0.5, high=10.0, text="deceleration that braking is trusted with"),
         Param("rail_end", 0.395, unit="m", low=0.05, high=0.45, text="place at which the motors stop"),
     )
@@ -105,7 +106,7 @@ class PlaceFlags(Block):
     def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
         theta, q = abs(u.theta), abs(u.q)
         foreseen = abs(u.theta + p.look_ahead * u.q)
-        stopped_at = abs(u.x + u.v * abs(u.v) / (2.0 * p.braking))
+        stopped_at = abs(u.x + u.v * (p.reaction + abs(u.v) / (2.0 * p.braking)))
         believed = (theta <= p.theta_bound) & (q <= p.q_bound) & finite(u.x) & finite(u.v)
         return {
             "estimate_lost": ~believed,
