@@ -14,7 +14,7 @@ from tests.compile.lanes_differential import SPECIAL, compared, lane_differences
 from tests.compile.test_corners import LOGGED, corners
 from twodof.blocks import Block, Diagram, Param, Port, State
 from twodof.compile import Program, build
-from twodof.compile.lanes import SIMD, best_simd, build_lanes
+from twodof.compile.lanes import SIMD, Simd, best_simd, build_lanes
 from twodof.errors import CompileError, DiagramError, ParameterError
 from twodof.rig.parameters import lab
 from twodof.rig.rig import BASE_DT
@@ -40,6 +40,14 @@ def test_zig_gives_the_same_bits() -> None:
     for precision in ("float64", "float32"):
         found = lane_differences(cases, precision, "rk4", best_simd(), LANES, "zig")
         assert not found, "\n".join(found[:20])
+
+
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+def test_masks_of_bits_need_no_avx512(precision: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What AVX-512's intrinsics do with masks is also written in C; here for a processor without them."""
+    monkeypatch.setitem(SIMD, "avx512", Simd("avx512", 64, 2, (), False))
+    found = lane_differences(random_cases(range(370, 376), 120), precision, "rk4", "avx512", 19)
+    assert not found, "\n".join(found[:20])
 
 
 @pytest.mark.soak

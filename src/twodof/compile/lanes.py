@@ -281,8 +281,9 @@ class Lanes:
                 program.c_run(p.ctypes.data, s.ctypes.data, at, stride, y.ctypes.data, 1, n)
                 if changing is not None:
                     u[0] = changing[n - 1]
-                for path, (_, member) in self._outputs.items():
-                    results[path][first : first + n, mine] = np.moveaxis(y[member][:n], -1, 1)[:, :count]
+                for path, (signal, member) in self._outputs.items():
+                    values = np.moveaxis(_apart(y[member][:n], signal.kind), -1, 1)
+                    results[path][first : first + n, mine] = values[:, :count]
         return results
 
     def _shape(self, signal: flat.Signal, steps: int) -> tuple[int, ...]:
@@ -355,7 +356,8 @@ class Lanes:
             yield whole[member][0]
 
     def _read(self, struct: str, member: str, kind: str) -> NDArray[Any]:
-        data = np.concatenate([np.moveaxis(view, -1, 0) for view in self._views(struct, member)])[: self.lanes]
+        views = (_apart(view, kind) for view in self._views(struct, member))
+        data = np.concatenate([np.moveaxis(view, -1, 0) for view in views])[: self.lanes]
         return data != 0 if kind == "bool" else data
 
     def _write(self, struct: str, member: str, data: NDArray[Any], kind: str) -> None:
@@ -382,9 +384,20 @@ def _spread(target: NDArray[Any], data: NDArray[Any], count: int) -> None:
     The lanes that pad the last vector do what the last lane does.
     """
     values = np.moveaxis(-data.astype(np.int8) if data.dtype == np.bool_ else data, 1, -1)
+    if target.dtype == np.uint8:
+        lanes = np.zeros((*target.shape[:-1], 8 * target.shape[-1]), np.bool_)
+        lanes[..., :count] = values
+        lanes[..., count:] = lanes[..., count - 1 : count]
+        target[...] = np.packbits(lanes, axis=-1, bitorder="little")
+        return
     with np.errstate(over="ignore"):
         target[..., :count] = values
     target[..., count:] = target[..., count - 1 : count]
+
+
+def _apart(view: NDArray[Any], kind: str) -> NDArray[Any]:
+    """A member's memory with the lane as its last axis, also where it holds eight truth values in a byte."""
+    return np.unpackbits(view, axis=-1, bitorder="little") if kind == "bool" and view.dtype == np.uint8 else view
 
 
 def _kind(kind: str, program: LanesProgram) -> np.dtype[Any]:

@@ -100,7 +100,7 @@ class Layout:
         return struct.add(path, state.kind, state.width, path, state.unit)
 
     def lane_dtypes(self, shape: Shape) -> dict[str, np.dtype[Any]]:
-        """As `dtypes`, of structs that hold several lanes: a member's last axis is the lane; bools are -1 or 0."""
+        """As `dtypes`, of structs that hold several lanes: see `lane_dtype`."""
         x = lane_dtype(self.x.members, shape)
         s = lane_dtype(self.s.members, shape, [("x", x)] if self.x.members else [])
         p, u, y = (lane_dtype(struct.members, shape) for struct in (self.p, self.u, self.y))
@@ -135,7 +135,10 @@ def struct_dtype(
 def lane_dtype(
     members: Sequence[Member], shape: Shape, last: Sequence[tuple[str, np.dtype[Any]]] = ()
 ) -> np.dtype[Any]:
-    """The numpy type of a C struct of lanes; `itemsize` is a multiple of its alignment."""
+    """The numpy type of a C struct of lanes; `itemsize` is a multiple of its alignment.
+
+    A member's last axis is the lane, or, of bools whose masks are bits, a byte of eight lanes.
+    """
     word = 4 if shape.precision == "float32" else 8
     bases: dict[str, Any] = {"real": shape.precision, "bool": f"int{8 * word}"}
     names, formats, offsets = [], [], []
@@ -143,8 +146,12 @@ def lane_dtype(
     for m in members:
         base = np.dtype(bases.get(m.kind, m.kind))
         dims = () if m.width is None else (m.width,)
-        place = np.dtype((base, dims if m.shared else (*dims, shape.lanes)))
-        align = base.itemsize if m.shared else base.itemsize * shape.each
+        last_axis, align = shape.lanes, base.itemsize * shape.each
+        if m.kind == "bool" and shape.bits:
+            base, last_axis, align = np.dtype("uint8"), shape.lanes // 8, shape.each // 8
+        if m.shared:
+            align = base.itemsize
+        place = np.dtype((base, dims if m.shared else (*dims, last_axis)))
         names.append(m.name)
         formats.append(place)
         offsets.append(-(-end // align) * align)
