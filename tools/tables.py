@@ -1,4 +1,4 @@
-"""Writes the tables in docs/physics.md, docs/flight.md and docs/logs.md from the code: `python tools/tables.py`.
+"""Writes the tables in docs (physics, flight, logs, safety) from the code: `python tools/tables.py`.
 
 A table stands between `<!-- made: NAME -->` and `<!-- end -->`; the text around it is written by hand. A test compares
 the pages with what this gives.
@@ -10,6 +10,10 @@ from collections.abc import Iterator, Mapping
 from math import sqrt
 from pathlib import Path
 
+from twodof.compile.lower import lower
+from twodof.flight.causes import ACTIONS, CAUSES, NONE
+from twodof.flight.core import PERIOD
+from twodof.flight.failsafe import failsafe
 from twodof.flight.gains import NAMED
 from twodof.flight.starters import STARTERS, starter
 from twodof.flight.templates import TEMPLATES, kind_of
@@ -22,7 +26,7 @@ from twodof.rig.rotors import HOVER
 from twodof.signals import TOPICS
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
-PAGES = (DOCS / "physics.md", DOCS / "flight.md", DOCS / "logs.md")
+PAGES = (DOCS / "physics.md", DOCS / "flight.md", DOCS / "logs.md", DOCS / "safety.md")
 GRAVITY = 9.81
 UNITS = {
     "rate.kp": "s/rad",
@@ -46,6 +50,8 @@ def render(text: str) -> str:
         "templates": _templates,
         "starters": _starters,
         "channels": _channels,
+        "causes": _causes,
+        "safety": _safety,
     }
 
     def made(match: re.Match[str]) -> str:
@@ -119,6 +125,24 @@ def _channels() -> Iterator[str]:
         px4 = " or ".join(f"`{topic}`" for topic, _ in PX4_SOURCES.get(row.mat, ()))
         fields = ", ".join(row.fields)
         yield f"| `{row.name}` | `{row.mat}` | {fields} | {row.unit} | {rate} | `{stream_of(row).topic}` | {px4} |"
+
+
+def _causes() -> Iterator[str]:
+    yield "| bit | cause | is | asks for |"
+    yield "|---|---|---|---|"
+    for bit, cause in enumerate(CAUSES):
+        action = ACTIONS[cause.action] if cause.action != NONE else "no arming"
+        yield f"| {bit} | `{cause.name}` | {cause.text} | {action} |"
+
+
+def _safety() -> Iterator[str]:
+    yield "| parameter | unit | default | from | to | is |"
+    yield "|---|---|---|---|---|---|"
+    for path, parameter in lower(failsafe(), PERIOD).parameters.items():
+        declared = parameter.declared
+        bounds = "" if declared.kind == "bool" else f"{declared.low:g} | {declared.high:g}"
+        value = declared.value if declared.kind == "bool" else f"{declared.value:g}"
+        yield f"| `{path}` | {declared.unit} | {value} | {bounds or ' | '} | {declared.text} |"
 
 
 def _parameters() -> Iterator[str]:

@@ -1,0 +1,131 @@
+"""The failsafe as a whole: ports, hostile inputs on many lanes, and its cost on the processor."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tests.toolchains import need
+from twodof.blocks.schema import from_json, to_json
+from twodof.compile import build
+from twodof.compile.cortex_m7.report import measure
+from twodof.compile.lanes import build_lanes
+from twodof.flight.core import INPUTS, OUTPUTS, PERIOD, core
+from twodof.flight.failsafe import INPUTS as SAFETY_INPUTS
+from twodof.flight.failsafe import OUTPUTS as SAFETY_OUTPUTS
+from twodof.flight.failsafe import STATES, failsafe
+from twodof.flight.failsafe_machine import DISARMED, FLYING, MAY_TURN
+from twodof.flight.failsafe_machine import OFF as OFF_STATE
+from twodof.flight.templates import PERIOD as TEMPLATE_PERIOD
+
+LANES, STEPS = 128, 2500
+
+
+def test_the_ports_are_those_that_are_documented() -> None:
+    diagram = core(failsafe=True)
+    rows = (*INPUTS, *SAFETY_INPUTS)
+    assert list(diagram.inputs) == [name for name, *_ in rows]
+    assert [(p.kind, p.unit) for p in diagram.inputs.values()] == [(kind, unit) for _, kind, unit, _ in rows]
+    assert sorted(diagram.outputs) == sorted(name for name, *_ in (*OUTPUTS, *SAFETY_OUTPUTS))
+    assert PERIOD == TEMPLATE_PERIOD
+
+
+def test_it_travels_as_json() -> None:
+    text = to_json(failsafe())
+    assert to_json(from_json(text)) == text
+
+
+def hostile(rng: np.random.Generator, kind: str, sound: float, wild: NDArray[Any]) -> NDArray[Any]:
+    """An input for STEPS steps on LANES lanes: mostly `sound`, in `wild` stretches anything at all."""
+    shape = (STEPS, LANES)
+    if kind == "bool":
+        return np.where(wild, rng.random(shape) < 0.5, bool(sound))
+    if kind == "int32":
+        return np.where(wild, rng.choice([-(2**31), -1, 0, 1, 2, 3, 4, 5, 6, 2**31 - 1], shape), int(sound))
+    special = [np.nan, np.inf, -np.inf, 0.0, -0.0, 5e-324, 1e308, -1e308, 0.1, -0.5, 0.9, 1.5, -9.81, 12.0]
+    usual = sound + 0.01 * rng.standard_normal(shape)
+    return np.where(wild, rng.choice(special, shape), usual)
+
+
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+def test_whatever_comes_in_the_motors_get_numbers_in_0_to_1_and_only_when_armed(precision: str) -> None:
+    """NaN, infinities, any mode, any flag, controllers gone mad, on 128 lanes; what holds must hold in every step."""
+    rng = np.random.default_rng(1)
+    diagram = failsafe()
+    sound = {
+        "arm": 1,
+        "setpoint_new": 1,
+        "link_new": 1,
+        "imu_new": 1,
+        "dist_new": 1,
+        "own_given": 1,
+        "voltage": 12.0,
+        "acc_z": -9.81,
+        "dist": 0.5,
+        "mode": 3,
+        "thrust": 0.4,
+        **{f"{who}{what}": 0.4 for who in ("", "own_") for what in ("fore", "aft", "T")},
+    }
+    inputs = {}
+    for name, port in diagram.inputs.items():
+        # One input in a hundred is wild at a time, for a while: of some forty a third of the time none.
+        stretches = rng.random((STEPS // 20, LANES)) < 0.01
+        inputs[name] = hostile(rng, port.kind, sound.get(name, 0.0), np.repeat(stretches, 20, axis=0))
+    # Disarmed, armed idle, flown, again and again.
+    phase = np.arange(STEPS)[:, None] % 250
+    inputs["arm"] &= phase >= 40
+    for name in ("thrust", "M_open", "mode"):
+        inputs[name] = np.where(phase < 60, 0, inputs[name])
+    with np.errstate(over="ignore"):
+        machine = build_lanes(diagram, PERIOD, LANES, precision).machine()
+        # Wild stretches last 80 ms: shorter timers, so that descending is seen, too.
+        machine.set_many({"battery_critical.timeout": 0.02, "descent": 0.1, "machine.level_limit": 1.0})
+        out = machine.run(STEPS, inputs)
+    state, arm = out["state"], inputs["arm"]
+    commands = np.stack([out["fore"], out["aft"]])
+    assert np.isfinite(commands).all()
+    assert (commands >= 0.0).all()
+    assert (commands <= 1.0).all()
+    assert (commands[:, ~arm] == 0.0).all()
+    assert (state[~arm] == DISARMED).all()
+    assert (commands[:, ~np.isin(state, MAY_TURN)] == 0.0).all()
+    latched = (state[:-1] == OFF_STATE) & arm[1:]
+    assert (state[1:][latched] == OFF_STATE).all()
+    assert np.isfinite(
+        np.stack([out[f"safe_{name}"] for name in ("x0", "v0", "theta0", "q0", "thrust", "M_open")])
+    ).all()
+    assert out["safe_mode"].max() <= 5
+    # The experiment reaches what it speaks of: every state was seen, and motors turned and were stopped.
+    assert set(np.unique(state).tolist()) == set(range(len(STATES)))
+    assert (state[:, :] == FLYING).mean() > 0.02
+    assert latched.sum() > 1000
+
+
+def test_what_passes_has_its_bits() -> None:
+    rng = np.random.default_rng(2)
+    n = 2000
+    commands = {name: rng.random(n) for name in ("fore", "aft", "M", "T")}
+    healthy = {"setpoint_new": True, "link_new": True, "imu_new": True, "rings": True, "voltage": 12.0, "acc_z": -9.81}
+    late = np.arange(n)
+    asked = {"arm": late > 0, "mode": np.where(late > 1, 3, 0), "thrust": np.where(late > 1, 0.4, 0.0)}
+    out = build(failsafe(), PERIOD).machine().run(n, healthy | asked | commands | {"gyro_y": rng.random(n)})
+    for name, given in commands.items():
+        assert out[name][1:].tobytes() == given[1:].tobytes()
+        assert out[name][0] == 0.0
+
+
+def test_it_costs_less_than_a_percent_of_the_processors_time(record_property: Any) -> None:
+    need("arm-none-eabi-gcc", "qemu-system-arm")
+    program = build(failsafe(), PERIOD, "float32", target="cortex-m7")
+    n = 500
+    rng = np.random.default_rng(0)
+    healthy = {"setpoint_new": True, "link_new": True, "imu_new": True, "rings": True, "voltage": 12.0, "acc_z": -9.81}
+    asked = {"arm": np.arange(n) > 2, "mode": np.where(np.arange(n) > 4, 3, 0), "thrust": 0.4 * (np.arange(n) > 4)}
+    report = measure(program, n, healthy | asked | {"gyro_y": rng.random(n), "fore": 0.4, "aft": 0.4, "T": 0.4})
+    record_property("instructions a step, mean and most", (report.instructions.mean(), report.instructions.max()))
+    record_property("bytes of flash, RAM, stack", (report.step.flash, report.ram, report.stack))
+    # 216 MHz (an STM32F7 of a Pixhawk 4; later boards are faster), 250 Hz, and at most two cycles an instruction.
+    assert 2.0 * report.instructions.max() < 0.01 * 216e6 * PERIOD
