@@ -416,10 +416,12 @@ def _memory(shape: Shape) -> Iterator[str]:
                 f"    const lanes_m new = ((const lanes_m *)from)[l / {each}];\n"
                 f"    ((lanes_m *)to)[l / {each}] = (lanes_m)((old & ~bit) | (new & bit));\n}}\n\n"
             )
+        fetched = f"    for (int l = 0; l < {n}; l++)\n        {got};\n"
+        if kind == "real" and shape.bits:
+            fetched = f"#if defined(__AVX512F__)\n{_gathered(shape)}#else\n{fetched}#endif\n"
         yield (
-            f"LANES_APART void lanes_apart_get_{kind}({whole} *y, const {whole} *a, const lanes_int32 *i)\n{{\n{begun}"
-            f"    for (int l = 0; l < {n}; l++)\n"
-            f"        {got};\n}}\n\n"
+            f"LANES_APART void lanes_apart_get_{kind}({whole} *y, const {whole} *a, const lanes_int32 *i)\n{{\n"
+            f"{begun}{fetched}}}\n\n"
             f"/* a[i], of each lane its own */\n"
             f"td_inline {whole} lanes_get_{kind}(const {whole} *a, lanes_int32 i)\n{{\n"
             f"    if (lanes_same(i))\n        return a[i.v0[0]];\n"
@@ -443,3 +445,13 @@ def _memory(shape: Shape) -> Iterator[str]:
         f"    for (int l = 0; l < {n // each if shape.bits else n}; l++)\n"
         "        any |= ((const lanes_one_bool *)&c)[l];\n    return any;\n}\n\n"
     )
+
+
+def _gathered(shape: Shape) -> str:
+    """Reals at an index of each lane's own, as AVX-512 fetches them."""
+    how, whole, word = ("ps", 512, 4) if shape.precision == "float32" else ("pd", 256, 8)
+    text = f"    const lanes_i lane = {{{', '.join(str(l) for l in range(shape.each))}}};\n"
+    for k in range(shape.vectors):
+        at = f"(__m{whole}i)(i->v{k} * {shape.lanes} + (lane + {k * shape.each}))"
+        text += f"    y->v{k} = (lanes_r)_mm512_i32gather_{how}({at}, a, {word});\n"
+    return text
