@@ -13,7 +13,7 @@ from twodof.blocks.expr import Expr, const, node
 from twodof.blocks.graph import walk
 
 Array = NDArray[Any]
-Columns = Mapping[str, Any]
+Columns = Mapping[Any, Any]
 Graph = dict[str, Expr]
 """Section and name, "output.state" or "update.timer", -> expression."""
 
@@ -45,7 +45,9 @@ def graph_of(block: Block) -> Graph:
 
 
 def on_arrays(graph: Graph, columns: Columns) -> dict[str, Array]:
-    """Every expression of `graph`; inputs, states and parameters are `columns` by name, of one length or scalars."""
+    """Every expression of `graph`; inputs, states and parameters are `columns` by name or (kind, name), of one length
+    or scalars.
+    """
     values: dict[int, Any] = {}
     with np.errstate(all="ignore"):
         for item in walk(graph.values()):
@@ -56,7 +58,8 @@ def on_arrays(graph: Graph, columns: Columns) -> dict[str, Array]:
             elif item.op in NUMPY:
                 values[id(item)] = NUMPY[item.op](*(values[id(a)] for a in item.args))
             else:
-                values[id(item)] = np.asarray(columns[item.data], DTYPES[item.kind])
+                given = columns[item.data] if item.data in columns else columns[item.op, item.data]
+                values[id(item)] = np.asarray(given, DTYPES[item.kind])
     length = max(np.size(column) for column in columns.values())
     return {name: np.broadcast_to(values[id(e)], length) for name, e in graph.items()}
 

@@ -13,6 +13,7 @@ from twodof.blocks.schema import from_json, to_json
 from twodof.compile import build
 from twodof.compile.cortex_m7.report import measure
 from twodof.compile.lanes import build_lanes
+from twodof.flight.causes import BIT, BRAKE, CAUSES, DESCEND, LEVEL, NONE, OFF
 from twodof.flight.core import INPUTS, OUTPUTS, PERIOD, core
 from twodof.flight.failsafe import INPUTS as SAFETY_INPUTS
 from twodof.flight.failsafe import OUTPUTS as SAFETY_OUTPUTS
@@ -129,3 +130,77 @@ def test_it_costs_less_than_a_percent_of_the_processors_time(record_property: An
     record_property("bytes of flash, RAM, stack", (report.step.flash, report.ram, report.stack))
     # 216 MHz (an STM32F7 of a Pixhawk 4; later boards are faster), 250 Hz, and at most two cycles an instruction.
     assert 2.0 * report.instructions.max() < 0.01 * 216e6 * PERIOD
+
+
+NAN = float("nan")
+ALONE: dict[str, tuple[dict[str, Any], int, int]] = {
+    "setpoint_lost": ({"setpoint_new": False}, 125, LEVEL),
+    "setpoint_invalid": ({"v0": NAN}, 1, LEVEL),
+    "pitch_near": ({"theta": -0.81}, 1, LEVEL),
+    "rings_wrong": ({"rings": True}, 1, LEVEL),
+    "own_failed": ({"own_T": NAN}, 2, LEVEL),
+    "rail_near": ({"x": 0.372, "dist": 0.872}, 1, BRAKE),
+    "link_lost": ({"link_new": False}, 750, DESCEND),
+    "battery_critical": ({"voltage": 9.0}, 125, DESCEND),
+    "range_lost": ({"dist": 0.7}, 60, DESCEND),
+    "imu_lost": ({"imu_new": False}, 5, OFF),
+    "estimate_lost": ({"q": 31.0}, 1, OFF),
+    "pitch_stop": ({"theta": 0.86}, 1, OFF),
+    "rail_end": ({"x": -0.396, "dist": 0.104}, 1, OFF),
+    "brake_failed": ({"x": 0.372, "dist": 0.872}, 750, OFF),
+    "step_late": ({"step_late": True}, 2, OFF),
+    "command_stuck": ({"fore": 0.4, "aft": 0.4}, 127, OFF),
+    "command_lost": ({"T": NAN}, 2, OFF),
+    "battery_low": ({"voltage": 11.0}, 250, NONE),
+}
+"""Cause -> what is wrong, from which tick of it on it acts (the first is 1), what it does.
+
+Commands that stand still differ in their first tick from those before, and what they did is known in the next.
+"""
+
+
+def flown(steps: int, **changes: Any) -> dict[str, NDArray[Any]]:
+    """The failsafe over 1 s in which it arms and all is well, then `steps` with `changes`; what it did in these."""
+    n = 250 + steps
+    rng = np.random.default_rng(3)
+    late = np.arange(n) >= 250
+    inputs: dict[str, Any] = {
+        **dict.fromkeys(("setpoint_new", "link_new", "imu_new", "dist_new"), True),
+        **{name: 0.4 + 0.01 * rng.standard_normal(n) for name in ("fore", "aft", "T", "own_fore", "own_aft", "own_T")},
+        "arm": np.arange(n) >= 10,
+        "mode": np.where(np.arange(n) >= 20, 5, 0),
+        "gyro_y": 0.01 * rng.standard_normal(n),
+        "dist": np.full(n, 0.5),
+        "voltage": 12.0,
+        "own_given": "own_T" in changes,
+    }
+    noise = 0.004 * rng.standard_normal(n)
+    for name, value in changes.items():
+        before = inputs.get(name, 0.0 if name not in ("rings", "step_late") else False)
+        inputs[name] = np.where(late, value, before)
+    inputs["dist"] = inputs["dist"] + noise
+    out = build(failsafe(), PERIOD).machine().run(n, inputs)
+    assert (out["action"][20:250] == NONE).all()
+    assert not out["reason"][20:250].any()
+    return {name: column[250:] for name, column in out.items()}
+
+
+@pytest.mark.parametrize("cause", ALONE)
+def test_each_cause_alone_gives_its_action_in_its_tick_and_says_so(cause: str) -> None:
+    changes, ticks, action = ALONE[cause]
+    out = flown(800, **changes)
+    said = np.flatnonzero(out["reason"] & BIT[cause])
+    begun = np.flatnonzero(out["action"] >= action) if action != NONE else said
+    assert begun[0] + 1 == ticks
+    assert out["action"][begun[0]] == action
+    # What the gate sees is said a tick before the state machine acts on it; the gate has acted by then.
+    assert said[0] in (begun[0], begun[0] - 1)
+    if action == OFF:
+        assert not out["fore"][said[0] :].any()
+        assert not out["aft"][said[0] :].any()
+
+
+def test_each_cause_of_the_table_is_tried() -> None:
+    assert set(ALONE) == {cause.name for cause in CAUSES} - {"not_idle", "tilted"}
+    for cause in CAUSES:
+        assert cause.name not in ALONE or ALONE[cause.name][2] == cause.action
