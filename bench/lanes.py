@@ -112,7 +112,7 @@ def run(quick: bool = False) -> list[Figure]:
                         f"{precision}, {best_simd()}: {LANES} of {what}, delays of each its own",
                         lone / (own.median / (ticks * LANES)),
                         "times scalar",
-                        remark="the lanes read their delay lines one by one",
+                        remark="each lane reads its own place (AVX-512: a gather)",
                     )
                 )
     return figures
