@@ -13,6 +13,7 @@ from twodof.blocks.schema import from_json, to_json
 from twodof.compile import build
 from twodof.compile.cortex_m7.report import measure
 from twodof.compile.lanes import build_lanes
+from twodof.errors import DiagramError
 from twodof.flight.causes import BIT, BRAKE, CAUSES, DESCEND, LEVEL, NONE, OFF
 from twodof.flight.core import INPUTS, OUTPUTS, PERIOD, core
 from twodof.flight.failsafe import INPUTS as SAFETY_INPUTS
@@ -20,6 +21,7 @@ from twodof.flight.failsafe import OUTPUTS as SAFETY_OUTPUTS
 from twodof.flight.failsafe import STATES, failsafe
 from twodof.flight.failsafe_machine import DISARMED, FLYING, MAY_TURN
 from twodof.flight.failsafe_machine import OFF as OFF_STATE
+from twodof.flight.starters import starter
 from twodof.flight.templates import PERIOD as TEMPLATE_PERIOD
 
 LANES, STEPS = 128, 2500
@@ -204,3 +206,37 @@ def test_each_cause_of_the_table_is_tried() -> None:
     assert set(ALONE) == {cause.name for cause in CAUSES} - {"not_idle", "tilted"}
     for cause in CAUSES:
         assert cause.name not in ALONE or ALONE[cause.name][2] == cause.action
+
+
+def test_commands_from_outside_fly_and_are_watched_like_those_inside() -> None:
+    """A user's whole core, stepped beside the gate as a sandbox would be: the bits of the same controller inside."""
+    own = starter("lqr-attitude")
+    inside = build(core(controllers=[own], failsafe=True), PERIOD).machine()
+    sandbox = build(core(controllers=[own]), PERIOD).machine()
+    gate = build(core(failsafe=True, outside=True), PERIOD).machine()
+    rng = np.random.default_rng(4)
+    healthy = {**dict.fromkeys(("setpoint_new", "link_new", "imu_new", "rings"), True), "voltage": 12.0}
+    flown = []
+    for k in range(500):
+        asked = {"mode": 3 if k >= 20 else 0, "thrust": 0.4 if k >= 20 else 0.0, "theta0": 0.1}
+        seen = {
+            "acc_x": 0.1 * rng.standard_normal(),
+            "acc_z": -9.81,
+            "gyro_y": 0.01 * rng.standard_normal(),
+            "dist": 0.5,
+        }
+        theirs = sandbox.step(seen | asked)
+        commands = {f"own_{name}": theirs[name] for name in ("fore", "aft", "M", "T")}
+        if k >= 400:
+            commands["own_aft"] = NAN
+        late = {"own_late": k >= 400}
+        expected = inside.step(seen | asked | healthy | late | {"arm": k >= 10})
+        out = gate.step(seen | asked | healthy | commands | {"own_given": True, "arm": k >= 10})
+        assert out["own"] == (10 <= k <= 400)
+        assert [out[name] for name in ("fore", "aft", "M", "T", "action", "reason")] == [
+            expected[name] for name in ("fore", "aft", "M", "T", "action", "reason")
+        ], k
+        flown.append(out["M"])
+    assert len(set(flown[20:])) == 480
+    with pytest.raises(DiagramError, match="failsafe=True"):
+        core(outside=True)

@@ -6,10 +6,12 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from twodof.blocks import Block, Diagram, Port, State
+from twodof.errors import DiagramError
 from twodof.flight.cascade import cascade
 from twodof.flight.estimator import estimator
 from twodof.flight.failsafe import INPUTS as FAILSAFE_INPUTS
 from twodof.flight.failsafe import OUTPUTS as FAILSAFE_OUTPUTS
+from twodof.flight.failsafe import OWN_INPUTS
 from twodof.flight.failsafe import failsafe as failsafe_diagram
 from twodof.flight.gains import DEFAULT, Gains
 from twodof.flight.gate import COMMANDS, Standby
@@ -81,6 +83,7 @@ def core(
     position_filter: str = "joint",
     controllers: Iterable[Diagram] = (),
     failsafe: bool = False,
+    outside: bool = False,
 ) -> Diagram:
     """What flies: estimator, level hold, cascade, mixer, with the ports `INPUTS` and `OUTPUTS`, made for 250 Hz.
 
@@ -96,11 +99,23 @@ def core(
     long as nothing is wrong every output has the same bits as without. A user's controllers are then watched, and the
     stock ones, computed at every step as `stock...` with their integrals in reset, stand ready to replace them.
 
-    Raises ParameterError for an unknown position filter, DiagramError for a diagram that fits no template.
+    `outside` is for a user's controllers that are not trusted and run elsewhere, such as a whole core of theirs in a
+    sandbox: their commands come in as `flight.failsafe.OWN_INPUTS`, watched just so, and the output `own` says whether
+    they were to fly in this tick.
+
+    Raises ParameterError for an unknown position filter, DiagramError for a diagram that fits no template, and for
+    `outside` without `failsafe` or with `controllers`.
     """
     own = by_kind(controllers)
+    if outside and (own or not failsafe):
+        raise DiagramError(
+            "commands from outside are gated by the failsafe, in place of controllers inside",
+            "outside",
+            "give failsafe=True and no controllers",
+        )
     d = Diagram("flight", "estimator, level hold, cascade and mixer at 250 Hz")
-    for name, kind, unit, _ in (*INPUTS, *(FAILSAFE_INPUTS if failsafe else ())):
+    safety = (*(FAILSAFE_INPUTS if failsafe else ()), *(OWN_INPUTS if outside else ()))
+    for name, kind, unit, _ in (*INPUTS, *safety):
         d.input(name, kind, unit=unit)
     # Where the controllers read the mode and the set-points: as given, or as the failsafe lets them pass.
     given = {name: f"failsafe.safe_{name}" if failsafe else name for name in GIVEN}
@@ -120,7 +135,7 @@ def core(
     in_reset = "arming"
     if failsafe:
         d.add("standby", Standby(bool(own)), in_reset="arming", own="failsafe.own")
-        in_reset = "standby.own_in_reset" if own else "arming"
+        in_reset = "standby.own_in_reset" if own else "standby.stock_in_reset"
     _cascade(d, "cascade", cascade(gains, own.get(ATTITUDE.name), own.get(POSITION.name)), given, in_reset)
     if POSITION.name in own:
         d.connect(given["ax0"], "cascade.ax0")
@@ -135,7 +150,7 @@ def core(
         shown = {"M": "cascade.M", "T": "cascade.T"}
     commands = shown | {name: f"{pairs}.{name}" for name in ("fore", "aft")}
     if failsafe:
-        _failsafe(d, gains, given, commands, bool(own))
+        _failsafe(d, given, commands, gains if own else None, outside)
         commands = {name: f"failsafe.{name}" for name in COMMANDS}
         flown = "failsafe.M"
     for name in COMMANDS:
@@ -166,8 +181,10 @@ def _cascade(d: Diagram, name: str, item: Diagram, given: Mapping[str, str], in_
     )
 
 
-def _failsafe(d: Diagram, gains: Gains, given: Mapping[str, str], commands: Mapping[str, str], own: bool) -> None:
-    """Adds the failsafe behind `commands`, and the stock controllers where those are a user's."""
+def _failsafe(
+    d: Diagram, given: Mapping[str, str], commands: Mapping[str, str], reserve: Gains | None, outside: bool
+) -> None:
+    """Adds the failsafe behind `commands`; where those are a user's, stock controllers with the gains `reserve`."""
     d.add("failsafe", failsafe_diagram())
     for name, _, _, _ in FAILSAFE_INPUTS:
         d.connect(name, f"failsafe.{name}")
@@ -176,16 +193,18 @@ def _failsafe(d: Diagram, gains: Gains, given: Mapping[str, str], commands: Mapp
     for name, source in (("theta", "theta"), ("q", "q"), ("x", "x_published"), ("v", "v_published")):
         d.connect(f"estimator.{source}", f"failsafe.{name}")
     stock = commands
-    if own:
-        _cascade(d, "stock", cascade(gains), given, "standby.stock_in_reset")
+    if reserve is not None:
+        _cascade(d, "stock", cascade(reserve), given, "standby.stock_in_reset")
         d.add("stock_mixer", Mixer(), T="stock.T", M="stock.M")
         stock = {"M": "stock.M", "T": "stock.T", "fore": "stock_mixer.fore", "aft": "stock_mixer.aft"}
-    d.connect("standby.own_given", "failsafe.own_given")
     for name in COMMANDS:
         d.connect(stock[name], f"failsafe.{name}")
-        d.connect(commands[name], f"failsafe.own_{name}")
+        d.connect(f"own_{name}" if outside else commands[name], f"failsafe.own_{name}")
+    d.connect("own_given" if outside else "standby.own_given", "failsafe.own_given")
     for name, _, _ in FAILSAFE_OUTPUTS:
         d.output(name, f"failsafe.{name}")
+    if outside:
+        d.output("own", "failsafe.own")
 
 
 def _own_motors(d: Diagram, motors: Diagram, command: str, mode: str, in_reset: str) -> str:

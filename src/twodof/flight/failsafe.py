@@ -13,7 +13,7 @@ from twodof.flight.safe_setpoints import SafeSetPoints
 from twodof.flight.safety_flags import SET_POINTS, BatteryFlags, PlaceFlags, SensorFlags, SetPointFlags, StuckCommands
 from twodof.flight.timers import Linger, Timeout
 
-__all__ = ["ACTIONS", "CAUSES", "INPUTS", "OUTPUTS", "STATES", "TIMERS", "failsafe"]
+__all__ = ["ACTIONS", "CAUSES", "INPUTS", "OUTPUTS", "OWN_INPUTS", "STATES", "TIMERS", "failsafe"]
 
 INPUTS: tuple[tuple[str, str, str, str], ...] = (
     ("arm", "bool", "", "arm; a rising edge arms if nothing speaks against it, false disarms at once"),
@@ -31,6 +31,15 @@ INPUTS: tuple[tuple[str, str, str, str], ...] = (
     ("own_late", "bool", "", "the user's controller ran out of its time, its commands of this tick are not to be used"),
 )
 """Name, type, unit, meaning of what the flight code takes besides `core.INPUTS` when it has the failsafe."""
+
+OWN_INPUTS: tuple[tuple[str, str, str, str], ...] = (
+    ("own_given", "bool", "", "a user's commands are there and are to fly as long as they are healthy"),
+    ("own_fore", "real", "", "the user's command of the fore rotor pair"),
+    ("own_aft", "real", "", "of the aft pair"),
+    ("own_M", "real", "", "the user's moment, to be shown while it flies"),
+    ("own_T", "real", "", "the user's thrust, the same"),
+)
+"""The same for a user's commands that come from outside the flight code."""
 
 OUTPUTS: tuple[tuple[str, str, str], ...] = (
     ("armed", "", "motors may turn"),
@@ -86,10 +95,10 @@ def failsafe() -> Diagram:
     d.input("mode", "int32")
     for name, unit in (*SET_POINTS, ("ax0", "m/s2")):
         d.input(name, unit=unit)
-    d.input("own_given", "bool")
     for name in COMMANDS:
         d.input(name)
-        d.input(f"own_{name}")
+    for name, kind, unit, _ in OWN_INPUTS:
+        d.input(name, kind, unit=unit)
     d.param("descent", 1.0, unit="s", low=0.1, high=10.0, text="time in which the thrust fades")
     _flags(d)
     _timers(d)
