@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
@@ -35,6 +36,11 @@ NUMPY: dict[str, Callable[..., Any]] = {
     "where": np.where,
 }
 DTYPES = {"int32": np.int32, "bool": np.bool_, "real": np.float64}
+
+
+def tell(what: str) -> None:
+    """A figure that a test found, for who runs it with -s or -rA."""
+    sys.stdout.write(f"{what}\n")
 
 
 def graph_of(block: Block) -> Graph:

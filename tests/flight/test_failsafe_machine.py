@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tests.flight.expr_arrays import combinations, flags, graph_of, mutants, on_arrays
+from tests.flight.expr_arrays import combinations, flags, graph_of, mutants, on_arrays, tell
 from tests.flight.machine_space import (
     COLUMNS,
     FLAGS,
@@ -66,12 +66,9 @@ def explored() -> dict[str, NDArray[Any]]:
     return columns | run(machine, columns)
 
 
-def test_the_compiled_machine_keeps_every_property_in_every_case(
-    explored: dict[str, NDArray[Any]], record_property: Callable[[str, object], None]
-) -> None:
+def test_the_compiled_machine_keeps_every_property_in_every_case(explored: dict[str, NDArray[Any]]) -> None:
     inside = reached(explored)
-    record_property("cases", len(inside))
-    record_property("reachable", int(inside.sum()))
+    tell(f"{len(inside)} cases, {inside.sum()} of them reachable")
     assert len(inside) > 10_000_000
     assert violated(explored) == []
 
@@ -103,9 +100,7 @@ def test_it_does_what_is_meant_in_every_case_states_that_do_not_exist_included()
             np.testing.assert_array_equal(out[name], expected[name], name)
 
 
-def test_no_mutant_of_the_machine_survives_but_those_explained(
-    record_property: Callable[[str, object], None],
-) -> None:
+def test_no_mutant_of_the_machine_survives_but_those_explained() -> None:
     expected, by_properties, by_meaning, survivors = meant_table(**LIMITS), 0, 0, []
     for what, graph in mutants(graph_of(Machine())):
         table = cases() | on_arrays(graph, cases() | LIMITS)
@@ -115,7 +110,7 @@ def test_no_mutant_of_the_machine_survives_but_those_explained(
             by_meaning += 1
         else:
             survivors.append(what.partition(" ")[2])
-    record_property("killed by properties, by the meaning, left", (by_properties, by_meaning, len(survivors)))
+    tell(f"killed by the properties {by_properties}, by the meaning {by_meaning}; left {survivors}")
     assert sorted(survivors) == sorted(EQUIVALENT)
     assert by_properties > 200
 

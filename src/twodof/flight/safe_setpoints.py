@@ -39,8 +39,8 @@ class SafeSetPoints(Block):
         Param("thrust_held", 0.6, low=0.0, high=1.0, text="most thrust that is held while levelling"),
         Param("rail_hold", 0.10, unit="m", low=0.0, high=0.36, text="farthest place that braking goes to"),
         Param("x0_limit", 0.30, unit="m", low=0.0, high=0.40, text="largest position set-point"),
-        Param("v0_limit", 1.0, unit="m/s", low=0.0, high=2.0, text="largest velocity set-point"),
-        Param("theta0_limit", 0.75, unit="rad", low=0.0, high=0.80, text="largest pitch set-point"),
+        Param("v0_limit", 0.5, unit="m/s", low=0.0, high=2.0, text="largest velocity set-point"),
+        Param("theta0_limit", 0.6, unit="rad", low=0.0, high=0.80, text="largest pitch set-point"),
         Param("q0_limit", 20.0, unit="rad/s", low=0.0, high=20.0, text="largest pitch-rate set-point"),
     )
 
