@@ -142,6 +142,15 @@ def test_ros_reads_every_topic(tmp_path: Path) -> None:
     assert seen == 2 * len(streams)
 
 
+def test_wide_samples_are_read_again(tmp_path: Path) -> None:
+    log = FlightLog({"wide": Channel(np.arange(9000.0), np.arange(9_000_000.0).reshape(9000, 1000))})
+    write_mcap(log, tmp_path / "a.mcap")  # 72 MB, more than a chunk may hold
+    same_bits(log, read_mcap(tmp_path / "a.mcap"))
+    for channels in ({"w": Channel([0.0], np.zeros((1, 1001)))}, {f"c{k}": Channel([], []) for k in range(1001)}):
+        with pytest.raises(LogError, match="at most 1000"):
+            write_mcap(FlightLog(channels), tmp_path / "b.mcap")
+
+
 def test_schemas_name_units() -> None:
     assert stream_of(topic("imu.gyro")).definition.splitlines()[1:] == [f"float64 {axis}  # rad/s" for axis in "xyz"]
     assert ros_names(("M", "enableM", "openloop", "2nd", "a b", "a_b", "time")) == [

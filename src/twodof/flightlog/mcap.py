@@ -25,6 +25,7 @@ END_NOTE = "twodof.end"
 RECOVERED_NOTE = "twodof.recovered"
 # A reader that seeks inflates one chunk: about a second of every topic at full rate.
 CHUNK_SAMPLES = 8192
+CHUNK_BYTES = 1 << 22
 
 
 def read_mcap(path: str | Path) -> FlightLog:
@@ -62,7 +63,9 @@ def write_contents(contents: Contents, file: IO[bytes]) -> None:
     for k, number in enumerate(numbers):
         some = contents.joined(number)
         sorted_by_time[k] = some.part(np.argsort(some.time_ns, kind="stable"))
-    for start, end in _windows([some.time_ns for some in sorted_by_time.values()]):
+    widest = max((contents.streams[number].record_bytes for number in numbers), default=1)
+    each = max(1, min(CHUNK_SAMPLES, CHUNK_BYTES // widest))
+    for start, end in _windows([some.time_ns for some in sorted_by_time.values()], each):
         parts = {}
         for k, some in sorted_by_time.items():
             a, b = np.searchsorted(some.time_ns, np.array([start, end], dtype=np.uint64))
@@ -111,11 +114,11 @@ def _provenance(contents: Contents, where: str) -> dict[str, Any]:
     return kept
 
 
-def _windows(times: list[NDArray[np.uint64]]) -> list[tuple[int, int]]:
-    """Stretches of time [ns], each with about CHUNK_SAMPLES samples."""
+def _windows(times: list[NDArray[np.uint64]], each: int) -> list[tuple[int, int]]:
+    """Stretches of time [ns], each with about `each` samples."""
     every = np.sort(np.concatenate(times)) if times else np.empty(0, np.uint64)
     if not every.size:
         return []
-    edges = np.unique(every[::CHUNK_SAMPLES])
+    edges = np.unique(every[::each])
     bounds = [*edges.tolist(), int(every[-1]) + 1]
     return list(pairwise(bounds))

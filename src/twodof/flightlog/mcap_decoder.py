@@ -9,12 +9,11 @@ import numpy as np
 from twodof.errors import LogError, shown
 from twodof.flightlog.mcap_encoder import Attachment, Samples
 from twodof.flightlog.mcap_records import CHUNK_HEAD, CODECS, MAGIC, RECORD_HEAD, Cursor, Op, check_size, frame, inflate
-from twodof.flightlog.mcap_stream import CDR_LITTLE_ENDIAN, Stream, parse
+from twodof.flightlog.mcap_stream import CDR_LITTLE_ENDIAN, MAX_CHANNELS, Stream, parse
 from twodof.flightlog.settle import RECOVER, Loss
 
 MAX_INFLATED_BYTES = 2 << 30
-MAX_CHANNELS = 1000
-MAX_RECORDS = 10_000_000
+MAX_RECORDS = 50_000_000
 # Where a chunk's codec stands in its record: after the head, its times, size and checksum.
 _BEFORE_CODEC = RECORD_HEAD.size + CHUNK_HEAD.size
 _STATED_MESSAGES = 8
@@ -135,9 +134,7 @@ class Decoder:
             raise LogError(f"{total} messages of {self._stated} are there", self._where, RECOVER)
 
     def _record(self, op: int, at: int, start: int, end: int) -> None:
-        self._total += 1
-        if self._total > MAX_RECORDS:
-            raise LogError(f"more than {MAX_RECORDS} records", self._where, "this is no flight log")
+        self._count()
         inside = Cursor(self._data, start, end, self._where)
         if op == Op.CHANNEL:
             self._channel(inside)
@@ -158,6 +155,13 @@ class Decoder:
                 raise LogError("the checksum of the data is wrong", self._where, RECOVER)
         elif op == Op.FOOTER:
             self._footer(inside, end)
+
+    def _count(self) -> None:
+        """One more record, or one more run of messages of one stream."""
+        self._total += 1
+        if self._total > MAX_RECORDS:
+            self._budget = -1  # ends a recovery too
+            raise LogError(f"more than {MAX_RECORDS} records", self._where, "this is no flight log")
 
     def _footer(self, inside: Cursor, end: int) -> None:
         summary, _, stated = inside.number(8), inside.number(8), inside.number(4)
@@ -210,6 +214,7 @@ class Decoder:
     def _messages(self, body: memoryview, where: str) -> None:
         at = 0
         while at < len(body):
+            self._count()
             op, start, end = frame(body, at, where)
             if op != Op.MESSAGE:
                 if op == Op.CHANNEL:

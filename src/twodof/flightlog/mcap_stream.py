@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.errors import LogError, shown
+from twodof.errors import LogError, listed, shown
 from twodof.flightlog.log import Channel, FlightLog
 from twodof.flightlog.mcap_records import MESSAGE_HEAD, RECORD_HEAD
 from twodof.flightlog.settle import RECOVER
@@ -28,6 +28,7 @@ KEY = "twodof"
 CDR_LITTLE_ENDIAN = 0x0100  # bytes 00 01 00 00: representation CDR_LE, no options
 MAX_WIDTH = 1000
 MAX_NAME = 1000
+MAX_CHANNELS = 1000
 
 
 @dataclass(frozen=True)
@@ -100,15 +101,22 @@ def stream_of(row: Topic) -> Stream:
 def named(streams: Iterable[str | Topic | Stream]) -> dict[str, Stream]:
     """Streams by the name under which samples are given; a text is a signal of TOPICS, by name or .mat channel.
 
-    Raises LogError for a signal that is unknown or named twice.
+    Raises LogError for a signal that is unknown or named twice and for a stream that could not be read again.
     """
     found: dict[str, Stream] = {}
     for one in streams:
         row = topic(one) if isinstance(one, str) else one
         name = row.topic if isinstance(row, Stream) else row.name
         made = row if isinstance(row, Stream) else stream_of(row)
-        if name in found or made.topic in {other.topic for other in found.values()}:
-            raise LogError("is recorded twice", name, "name each topic once")
+        if name in found or any(made.topic == one.topic or made.mat == one.mat for one in found.values()):
+            raise LogError("is recorded twice", name, "name each topic and channel once")
+        sound = 1 <= made.width <= MAX_WIDTH and len(made.fields) in (0, made.width)
+        if not sound or not 0 < len(made.mat) <= MAX_NAME or len(found) >= MAX_CHANNELS:
+            raise LogError(
+                f"{made.width} columns, fields {listed(made.fields)}, channel {shown(made.mat)}",
+                name,
+                f"give a name for each column or none; at most {MAX_WIDTH} columns and {MAX_CHANNELS} topics",
+            )
         found[name] = made
     return found
 
@@ -116,6 +124,8 @@ def named(streams: Iterable[str | Topic | Stream]) -> dict[str, Stream]:
 def streams_of(log: FlightLog) -> dict[str, Stream]:
     """The stream of each channel of a log; those that TOPICS does not know get topics `/other/...`."""
     found: dict[str, Stream] = {}
+    if len(log.channels) > MAX_CHANNELS:
+        raise LogError(f"{len(log.channels)} channels", log.source, f"at most {MAX_CHANNELS} are written")
     for k, (name, channel) in enumerate(log.channels.items()):
         width = 1 if channel.value.ndim == 1 else channel.value.shape[1]
         known = BY_MAT.get(name)

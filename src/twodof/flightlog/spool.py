@@ -16,6 +16,8 @@ from typing import Literal, Self
 from twodof.errors import LogError, RecordingError
 
 Full = Literal["drop", "wait"]
+MAX_CAPACITY_BYTES = 1 << 24
+"""So that what waited becomes a chunk that readers inflate: its messages are 2.7 times as large."""
 DEADLINE_S = 10.0
 """A disk that has not answered for so long is taken for dead."""
 
@@ -39,11 +41,11 @@ class Spool(ABC):
     def __init__(
         self, path: str | Path, flush_s: float, capacity_bytes: int, full: Full, part_bytes: int = 1 << 18
     ) -> None:
-        if not 0.0 < flush_s <= 60.0 or capacity_bytes < 1 or full not in ("drop", "wait"):
+        if not 0.0 < flush_s <= 60.0 or not 0 < capacity_bytes <= MAX_CAPACITY_BYTES or full not in ("drop", "wait"):
             raise LogError(
                 f"flush_s {flush_s!r}, capacity {capacity_bytes!r}, full {full!r}",
                 str(path),
-                "give 0 < flush_s <= 60, capacity_bytes > 0 and 'drop' or 'wait'",
+                f"give 0 < flush_s <= 60, at most {MAX_CAPACITY_BYTES} bytes and 'drop' or 'wait'",
             )
         self.path = Path(path)
         self._flush_s, self._capacity, self._full, self._part_bytes = flush_s, capacity_bytes, full, part_bytes
@@ -136,10 +138,14 @@ class Spool(ABC):
         if self._closing:
             raise RecordingError("the recording is closed", str(self.path), "start another one")
         if self._waiting_bytes + size > self._capacity:
+            if size > self._capacity:
+                raise LogError(
+                    f"{size} bytes at once, {self._capacity} may wait", str(self.path), "give them in smaller parts"
+                )
             if self._full == "drop":
                 return False
             self._changed.notify_all()
-            if size > self._capacity or not self._changed.wait_for(
+            if not self._changed.wait_for(
                 lambda: self._ended or self._closing or self._waiting_bytes + size <= self._capacity, DEADLINE_S
             ):
                 raise self._silent(DEADLINE_S)

@@ -24,6 +24,7 @@ from twodof.flightlog.ulog_format import (
 )
 
 MAX_LOGGED = 5000
+MAX_MESSAGES = 50_000_000
 MAX_TEXTS = 100_000
 MAX_DROPOUTS = 1_000_000
 # The specification's bit 0 of the incompatible flags: data is appended, at offsets that the message holds.
@@ -90,11 +91,14 @@ class _Walk:
     def _stretches(self, at: int) -> Iterator[tuple[int, int]]:
         """Parts of the file whose messages follow each other without a break."""
         data, size = self.data, len(self.data)
-        start, synced, marked = at, 0, False
+        start, synced, marked, messages = at, 0, False, 0
         while at < size:
             length, letter = MESSAGE.unpack_from(data, at) if size - at >= MESSAGE.size else (size, 0)
             after = at + MESSAGE.size + length
             if after <= size and letter in LETTERS:
+                messages += 1
+                if messages > MAX_MESSAGES:
+                    raise LogError(f"more than {MAX_MESSAGES} messages", self.where, "this is no flight log")
                 if letter == ord("S"):
                     synced = after
                 marked = marked or data[at + MESSAGE.size : after] == _MARKED
