@@ -146,8 +146,11 @@ def safe(r: Row) -> dict[str, Any]:
     if state == DESCEND:
         out["thrust"] = r["last_thrust"] * max(0.0, 1.0 - r["timer"] * r["per_tick"])
     if state == BRAKE:
-        out["x0"] = min(r["rail_hold"], max(-r["rail_hold"], r["x"])) if r["x"] == r["x"] else NAN
-    out["mode"] = (r["mode"] if r["mode"] <= 5 else 0) if state == FLYING else 5 if state == BRAKE else 3
+        near = min(r["rail_hold"], max(-r["rail_hold"], r["x"])) if r["x"] == r["x"] else NAN
+        tilt = r["brake_x"] * (r["x"] - near) + r["brake_v"] * r["v"]
+        # A speed that is no number gives no tilt; one beyond all bounds the largest.
+        out["theta0"] = 0.0 if math.isnan(tilt) else min(r["brake_tilt"], max(-r["brake_tilt"], tilt))
+    out["mode"] = (r["mode"] if r["mode"] <= 5 else 0) if state == FLYING else 3
     if r["stopped"] or (state in (LEVEL, BRAKE, DESCEND) and not turns):
         out["mode"] = 0
     held = 0.0 if r["stopped"] else r["last_thrust"]
@@ -283,6 +286,10 @@ MEANINGS = (
             "per_tick": (0.25,),
             "thrust_held": (0.5,),
             "rail_hold": (0.125,),
+            "v": SMALL,
+            "brake_x": (0.5,),
+            "brake_v": (0.25,),
+            "brake_tilt": (0.375,),
             **{f"{name}_limit": (0.375 + 0.125 * k,) for k, name in enumerate(("x0", "v0", "theta0", "q0"))},
         },
         safe,

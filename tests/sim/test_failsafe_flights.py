@@ -269,14 +269,14 @@ def test_a_controller_out_of_time_once_is_replaced_and_one_that_is_stuck_within_
     ],
     ids=["x0 +-5", "v0 +-9", "v0 .5", "theta0 .2", "theta0 -.75"],
 )
-def test_set_points_at_the_limits_drive_nothing_into_a_stop_under_power(setpoints: dict[str, Any]) -> None:
+def test_set_points_at_the_limits_drive_neither_cart_nor_pitch_into_a_stop(setpoints: dict[str, Any]) -> None:
     loop = FaultyLoop(rings=False)
     loop.take_off(mode=5)
     out = loop.fly(12.0, **setpoints)
     farthest, fastest = np.abs(out["true_x"]).max(), np.abs(out["true_v"]).max()
     tell(f"{setpoints}: at most {farthest:.3f} m, {fastest:.2f} m/s, {np.abs(out['true_theta']).max():.2f} rad")
-    struck = (np.abs(out["true_x"]) >= 0.3999) | (np.abs(out["true_theta"]) >= 0.8699)
-    assert stands(out)[struck].all()
+    assert farthest < 0.3999
+    assert np.abs(out["true_theta"]).max() < 0.8699
     assert_no_chatter(out)
 
 

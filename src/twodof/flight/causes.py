@@ -12,8 +12,9 @@ from twodof.blocks import Block, Port, int32, where
 ACTIONS = ("none", "level", "brake", "descend", "off")
 """What the failsafe does, by number; the later in the tuple, the stronger.
 
-none: what was asked for flies. level: pitch set-point 0, the thrust of before. brake: the position loop brings the cart
-back from the rail's end. descend: level, the thrust fades to 0, then off. off: the motors stand until disarmed.
+none: what was asked for flies. level: pitch set-point 0, the thrust of before. brake: a pitch that stops the cart and
+brings it back from the rail's end. descend: level, the thrust fades to 0, then off. off: the motors stand until
+disarmed.
 """
 
 NONE, LEVEL, BRAKE, DESCEND, OFF = range(len(ACTIONS))

@@ -206,6 +206,7 @@ def _gate(d: Diagram) -> None:
         mode="mode",
         ax0="ax0",
         x="x",
+        v="v",
         T_flown="gate.T",
         inputs=_SAME,
     )

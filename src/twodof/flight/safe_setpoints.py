@@ -16,9 +16,11 @@ class SafeSetPoints(Block):
     """Mode and set-points for the controllers.
 
     Flying: those given, each within its limit (one inside passes with its bits), 0 for one that is no number. Level:
-    attitude mode, theta0 = 0, the thrust that flew last. Brake: position mode, x0 the cart's place, at most
-    `rail_hold` from the middle. Descend: as level, the thrust fading to 0 within `descent`. Where no thrust flew when
-    the failsafe began to act, and whenever the motors are stopped, the mode is off: no action starts motors that stood.
+    attitude mode, theta0 = 0, the thrust that flew last. Brake: the same with the pitch that stops the cart and brings
+    it back, theta0 = brake_x (x - place) + brake_v v within +-`brake_tilt`, where `place` is x within +-`rail_hold`
+    (the position loop would tilt the further the faster the cart is, into the stop). Descend: as level, the thrust
+    fading to 0 within `descent`. Where no thrust flew when the failsafe began to act, and whenever the motors are
+    stopped, the mode is off: no action starts motors that stood.
     """
 
     inputs = (
@@ -29,6 +31,7 @@ class SafeSetPoints(Block):
         *(Port(name, unit=unit) for name, unit in SET_POINTS),
         Port("ax0", unit="m/s2"),
         Port("x", unit="m"),
+        Port("v", unit="m/s"),
         Port("T_flown"),
     )
     outputs = (Port("mode", "int32"), *(Port(name, unit=unit) for name, unit in SET_POINTS), Port("ax0", unit="m/s2"))
@@ -38,6 +41,9 @@ class SafeSetPoints(Block):
         Param("descent", 1.0, unit="s", low=0.1, high=10.0, text="time in which the thrust fades"),
         Param("thrust_held", 0.6, low=0.0, high=1.0, text="most thrust that is held while levelling"),
         Param("rail_hold", 0.10, unit="m", low=0.0, high=0.36, text="farthest place that braking goes to"),
+        Param("brake_x", 0.8, unit="rad/m", low=0.0, high=5.0, text="pitch of braking per metre beyond that place"),
+        Param("brake_v", 0.8, unit="rad*s/m", low=0.0, high=5.0, text="pitch of braking per speed"),
+        Param("brake_tilt", 0.55, unit="rad", low=0.05, high=0.7, text="largest pitch of braking"),
         Param("x0_limit", 0.30, unit="m", low=0.0, high=0.40, text="largest position set-point"),
         Param("v0_limit", 0.5, unit="m/s", low=0.0, high=2.0, text="largest velocity set-point"),
         Param("theta0_limit", 0.6, unit="rad", low=0.0, high=0.80, text="largest pitch set-point"),
@@ -63,10 +69,12 @@ class SafeSetPoints(Block):
         acting = (u.state >= int32(LEVEL)) & (u.state <= int32(DESCEND))
         standing = u.stopped | (acting & ~(x.thrust > 0.0))
         asked = where(u.mode > int32(POSITION), int32(OFF), u.mode)
-        mode = where(flying, asked, where(braking, int32(POSITION), int32(ATTITUDE)))
+        mode = where(flying, asked, int32(ATTITUDE))
         fade = where(u.state == int32(DESCEND), maximum(0.0, 1.0 - to_real(u.timer) * p.per_tick), 1.0)
         place = maximum(-p.rail_hold, minimum(p.rail_hold, u.x))
-        own = {"thrust": x.thrust * fade, "x0": where(braking, place, 0.0)}
+        back = p.brake_x * (u.x - place) + p.brake_v * u.v
+        tilt = maximum(-p.brake_tilt, minimum(p.brake_tilt, back))
+        own = {"thrust": x.thrust * fade, "theta0": where(braking & finite(tilt), tilt, 0.0)}
         return {"mode": where(standing, int32(OFF), mode)} | {
             name: where(flying, value, own.get(name, 0.0)) for name, value in given.items()
         }

@@ -98,7 +98,7 @@ class PlaceFlags(Block):
         Param("arm_tilt", 0.30, unit="rad", low=0.02, high=0.8, text="largest pitch at arming"),
         Param("rail_limit", 0.37, unit="m", low=0.05, high=0.40, text="beyond which the cart is braked"),
         Param("rail_margin", 0.03, unit="m", low=0.005, high=0.1, text="hysteresis of the rail's limit"),
-        Param("reaction", 0.2, unit="s", low=0.0, high=0.5, text="time until braking takes hold"),
+        Param("reaction", 0.25, unit="s", low=0.0, high=0.5, text="time until braking takes hold"),
         Param("braking", 3.0, unit="m/s2", low=0.5, high=10.0, text="deceleration that braking is trusted with"),
         Param("rail_end", 0.395, unit="m", low=0.05, high=0.45, text="place at which the motors stop"),
     )
