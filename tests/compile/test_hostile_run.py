@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import random
+import resource
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -84,3 +85,25 @@ def test_a_constant_index_is_clamped_where_the_array_is_written_out(index: int, 
 def test_a_million_operations_run_within_their_fuel() -> None:
     machine = build(from_json(loops([370, 370])), DT, target="wasm").machine()
     assert machine.step({"u": 1.0})["y"] > 0.0
+
+
+def test_many_values_alive_at_once_compile_in_seconds() -> None:
+    """Each of 2,500 sums is read twice, the last one first: zig's -O3 takes minutes of processor time for it."""
+    count = 2500
+    nodes: list[list[object]] = [["input", [], "u"]]
+    sums = []
+    for k in range(count):
+        nodes += [["const", [], "real", float(k + 1).hex()], ["mul", [0, len(nodes)]]]
+        sums.append(len(nodes) - 1)
+    total = sums[0]
+    for op, several in (("add", sums[1:]), ("sub", sums[::-1])):
+        for item in several:
+            nodes.append([op, [total, item]])
+            total = len(nodes) - 1
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    program = build(from_json(custom(nodes=nodes, output={"y": total})), DT, target="wasm")
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < 10
+    machine = program.machine()
+    assert machine.step({"u": 1.0})["y"] == 0.0
+    assert machine.step({"u": 3.0})["y"] == 0.0

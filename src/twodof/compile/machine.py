@@ -22,6 +22,7 @@ class Machine:
     """One running instance: parameters, states and inputs of its own, in the memory of the C structs.
 
     Where the target can fault (see docs/compilation.md), any method that computes may raise ControllerFault.
+    One thread at a time may use it: for changes from another, queue them and apply them between two steps.
     """
 
     def __init__(self, program: Program) -> None:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from twodof.compile import freestanding, toolchain
+from twodof.compile.crowding import CROWDED, crowding
 from twodof.compile.target import Emitted
 from twodof.compile.toolchain import Compiler
 from twodof.compile.wasm.binary import PAGE, closed
@@ -166,6 +167,7 @@ def find_wasm_compiler(name: str | None = None) -> Compiler:
 def compile_module(programs: Sequence[Emitted], compiler: str | None = None, optimise: str = "-O3") -> Module:
     """`programs`, which stand in one source, as one module; needs no engine.
 
+    What is too crowded to be optimised in seconds (compile/crowding.py) is compiled with -O0 whatever `optimise` says.
     Raises CompileError if the compiler is not there or refuses, or if a program needs too much memory.
     """
     found = find_wasm_compiler(compiler)
@@ -174,7 +176,7 @@ def compile_module(programs: Sequence[Emitted], compiler: str | None = None, opt
     start = max(p.end for p in places.values())
     options = (
         *FLAGS,
-        optimise,
+        "-O0" if crowding(programs[0].source) > CROWDED else optimise,
         *found.flags,
         f"-Wl,--global-base={start}",
         *(f"-Wl,--export={f}" for f in functions),
