@@ -7,7 +7,7 @@ import re
 _WORD = re.compile(r"[A-Za-z_]\w*")
 _LOCAL = re.compile(r" +(?:const )?(?:real|int32_t|uint32_t|bool) (\w+) = ")
 CROWDED = 100_000_000
-"""From here on code is not optimised: zig's -O3 needs about 4 s of processor time for as much, and grows with the cube of the values."""
+"""From here on code is not optimised: zig's -O3 needs about 4 s of processor time for as much; cubic in the values."""
 
 
 def crowding(source: str) -> int:
