@@ -136,6 +136,16 @@ def test_a_compiler_that_hangs_ends_with_all_that_it_started(
         os.close(reader)
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux limits a process that runs")
+def test_a_compiler_has_a_limit_of_processor_time_of_its_own(cache: Path, tmp_path: Path) -> None:
+    """It ends even if the Python that waits for it is killed before."""
+    asked = tmp_path / "cc"
+    asked.write_text("#!/bin/sh\nsleep 0.3\nulimit -t >&2\nexit 1\n", encoding="utf-8")
+    asked.chmod(0o755)
+    with pytest.raises(CompileError, match=f"{toolchain.BUILD_SECONDS}"):
+        native.load(SOURCE, toolchain.find_compiler(str(asked)))
+
+
 def test_the_cache_does_not_grow_for_ever(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(toolchain, "MOST_ENTRIES", 3)
     compiler = toolchain.find_compiler()

@@ -11,6 +11,7 @@ import shutil
 import signal
 import stat
 import subprocess
+import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -18,6 +19,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from twodof.errors import CompileError
+
+if sys.platform == "linux":
+    import resource
 
 # Every target gives the same bits only under these; see the rules at the head of the emitted file.
 FLAGS = (
@@ -200,6 +204,9 @@ def run_compiler(compiler: Compiler, arguments: Sequence[str], folder: Path) -> 
             env=os.environ | {"TMPDIR": str(folder)},
             start_new_session=True,
         ) as process:
+            if sys.platform == "linux":
+                with suppress(OSError):  # it may have ended; a limit of its own, for when this process is killed
+                    resource.prlimit(process.pid, resource.RLIMIT_CPU, (BUILD_SECONDS, BUILD_SECONDS))
             try:
                 _, said = process.communicate(timeout=BUILD_SECONDS)
             except BaseException:
