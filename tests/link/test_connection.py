@@ -11,6 +11,7 @@ import pytest
 from tests.faults.transport import Faults, FaultyTransport
 from tests.faults.virtual_time import run_virtual
 from twodof.errors import LinkError, LinkLost
+from twodof.link import dialect
 from twodof.link.connection import Connection
 from twodof.link.framing import encode
 from twodof.link.key import Key
@@ -203,6 +204,10 @@ def test_a_signed_link_and_an_intruder(tmp_path: Path) -> None:
             intruder.transport.send(got.frame.raw)
             assert await drone.receive(0.05) is None
             assert (drone.signing.counts.unsigned, drone.signing.counts.repeated) == (1, 1)
+            old = message("COMMAND_LONG", command=400, param1=1.0)
+            intruder.transport.send(bytes(old.pack(dialect.load().MAVLink(None, 255, 190), force_mavlink1=True)))
+            assert await drone.receive(0.05) is None
+            assert drone.framing["mavlink1_refused"] == 1
             drone.send(message("COMMAND_ACK", command=400), to=got.peer)
             answer = await ground.receive(SOON)
             assert answer is not None

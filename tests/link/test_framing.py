@@ -151,6 +151,20 @@ def test_unknown_messages_pass_as_frames_where_frames_are() -> None:
     assert parser.feed(b"\x01" + unknown_frame() + heartbeat)[0].message_id == 0  # after rubbish nothing vouches for it
 
 
+@pytest.mark.parametrize("old", [False, True], ids=["MAVLink 2", "MAVLink 1"])
+def test_rubbish_that_looks_like_an_unknown_message_hides_no_frame(old: bool) -> None:
+    inside = bytes(message("HEARTBEAT", type=2).pack(reference(), force_mavlink1=old))
+    rubbish = bytearray(unknown_frame())[:-2] + b"\x00" * 20
+    rubbish[1] = 3 + 20 + len(inside) - 2  # its end is that of the frame inside, or of what follows
+    parser = Parser()
+    got = parser.feed(encode(message("HEARTBEAT"), 1, 1, 0) + bytes(rubbish) + inside)
+    assert [f.message_id for f in got] == [0, 0]
+    assert got[1].raw == inside
+    assert (decode(got[1]).get_header().incompat_flags, decode(got[1]).get_seq()) == (0, 0)
+    assert parser.counts.unknown == 0
+    assert parser.counts.rubbish_bytes == len(rubbish)
+
+
 def test_a_newer_dialect_s_longer_payload_is_read() -> None:
     longer = bytearray(encode(message("CURRENT_MODE", custom_mode=5, intended_custom_mode=7), 1, 1, 0))
     body = bytes([longer[1] + 4]) + bytes(longer[2:-2]) + b"\0\0\0\x09"

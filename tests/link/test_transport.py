@@ -16,8 +16,8 @@ import pytest
 from tests.faults.transport import Faults, FaultyTransport
 from tests.faults.virtual_time import run_virtual
 from twodof.errors import LinkError, LinkLost
+from twodof.link import tcp, udp
 from twodof.link import transport as bounds
-from twodof.link import udp
 from twodof.link.memory import memory_pair
 from twodof.link.opening import open_transport
 from twodof.link.tcp import TcpTransport
@@ -364,6 +364,47 @@ def test_tcp_clients_are_several_and_one_that_goes_harms_nobody() -> None:
                 gone = next(p.peer for p in packets if p and p.data == b"1")
                 there.send(b"x", to=gone)  # no error, nothing sent
                 assert there.counts.dropped_out == 1
+
+    run(work())
+
+
+def test_tcp_clients_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tcp, "MOST_CLIENTS", 2)
+
+    async def work() -> None:
+        async with await open_transport("tcpin://:0") as there:
+            assert isinstance(there, TcpTransport)
+            url = f"tcp://127.0.0.1:{there.port}"
+            async with (
+                await open_transport(url) as one,
+                await open_transport(url) as two,
+                await open_transport(url) as late,
+            ):
+                with pytest.raises(LinkLost):
+                    await late.receive(SOON)
+                for end in (one, two):
+                    end.send(b"x")
+                    assert await there.receive(SOON) is not None
+                assert len(there.peers) == 2
+                assert there.counts.errors == 1
+
+    run(work())
+
+
+def test_a_server_that_closes_is_seen_by_its_clients_after_what_it_said() -> None:
+    async def work() -> None:
+        there = await open_transport("tcpin://:0")
+        assert isinstance(there, TcpTransport)
+        async with await open_transport(f"tcp://127.0.0.1:{there.port}") as here:
+            while not there.peers:
+                await asyncio.sleep(0.01)
+            there.send(b"goodbye")
+            await there.close()
+            assert await gather(here, 7) == b"goodbye"
+            with pytest.raises(LinkLost, match="the other side closed the connection"):
+                await here.receive(SOON)
+        with pytest.raises(LinkLost, match="nobody answered"):
+            await open_transport(here.url, timeout=0.1)  # the port is free
 
     run(work())
 
