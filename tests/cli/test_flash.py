@@ -154,3 +154,11 @@ def test_what_is_wrong_changes_nothing(folder: Path, capfd: pytest.CaptureFixtur
     for arguments in (["--to", "px4-dir"], ["--to", "sim", "--out", "x"], ["--to", "sim", "--px4", "x"], ["--to", "x"]):
         assert run(["flash", "pid-attitude", *arguments]) == 2
     assert (folder / "data/flashed/sim/attitude_control.json").read_bytes() == before
+
+
+@pytest.mark.parametrize("name", ["empty-attitude", "stock-attitude"])
+def test_what_check_remarks_on_is_said_before_it_flies(name: str, capfd: pytest.CaptureFixture[str]) -> None:
+    remarks = answer(capfd, "flash", name, "--to", "sim", "--dry-run")["remarks"]
+    found = answer(capfd, "diagram", "check", name)["remarks"]
+    assert found
+    assert remarks == [f"{row['where']}: {row['what']} ({row['remedy']})" for row in found]

@@ -213,6 +213,16 @@ def test_what_the_picture_says() -> None:
     assert root.find("{http://www.w3.org/2000/svg}desc") is not None
 
 
+def test_a_sum_of_many_shows_its_signs() -> None:
+    d = Diagram("many")
+    for name in "abcd":
+        d.input(name)
+    d.add("total", lib.Sum("+--+"), a="a", b="b", c="c", d="d")
+    d.output("y", "total.y")
+    said = ["".join(e.itertext()) for e in ElementTree.fromstring(to_svg(d)).iter("{http://www.w3.org/2000/svg}text")]
+    assert {"+ a", "− b", "− c", "+ d"} <= set(said)
+
+
 def test_a_sub_diagram_is_found_by_its_path() -> None:
     assert find(closed_loop(), "flight.cascade").name == "cascade"
     with pytest.raises(DiagramError, match="no sub-diagram"):

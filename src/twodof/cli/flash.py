@@ -16,6 +16,7 @@ from twodof.blocks.difference import Difference, difference
 from twodof.cli.diagram_argument import DIAGRAM_HELP, read_diagram
 from twodof.cli.output import Json, print_json, table_console
 from twodof.compile import Program, build
+from twodof.compile.check import check as check_diagram
 from twodof.compile.cortex_m7.report import measure
 from twodof.compile.px4 import check, export
 from twodof.compile.px4.check import ERROR
@@ -68,7 +69,7 @@ def costs(diagram: Diagram, precision: str) -> Costs:
     """
     program = build(diagram, PERIOD, precision)
     if not isinstance(program, Program):
-        raise CompileError("there is no C compiler", diagram.name, "install cc, or the wheel ziglang")
+        raise CompileError("there is no C compiler", diagram.name, "install gcc, or the wheel ziglang")
     p, s, u, y = (program.dtypes[struct].itemsize for struct in "PSUY")
     try:
         on_m7 = build(diagram, PERIOD, precision, target="cortex-m7")
@@ -101,13 +102,16 @@ def flash(
             "--to fcu",
             "use --to sim, or --to px4-dir and build PX4 with the module",
         )
-    if (out is None) == (to is To.PX4):
-        raise typer.BadParameter("--to px4-dir needs --out DIR, and only that")
+    if out is None and to is To.PX4:
+        raise typer.BadParameter("--to px4-dir needs --out DIR, the module's folder")
+    if out is not None and to is not To.PX4:
+        raise typer.BadParameter("--out goes with --to px4-dir")
     if px4 is not None and to is not To.PX4:
         raise typer.BadParameter("--px4 goes with --to px4-dir")
     new = read_diagram(diagram)
     kind = check_template(new).name
     cost = costs(new, precision)
+    remarks = [f"{r.where}: {r.what} ({r.remedy})" for r in check_diagram(new, PERIOD).remarks]
     slot = simulator_slot()
     before, origin = slot.flies(kind) if out is None else _in_module(out, kind)
     changes = difference(before, new)
@@ -128,6 +132,7 @@ def flash(
                 "costs": cost.to_json(),
                 "against": origin,
                 "changes": changes.to_json(),
+                "remarks": remarks,
                 "warnings": warnings,
                 "place": str(place),
                 "flashed": not dry_run,
@@ -138,6 +143,8 @@ def flash(
     console.print(f"{new.name} fits {kind}; {precision}, {1.0 / PERIOD:g} Hz", markup=False)
     _print_costs(console, cost)
     _print_changes(console, changes, origin)
+    for remark in remarks:
+        console.print(f"remark: {remark}", markup=False)
     for warning in warnings:
         console.print(f"warning: {warning}", markup=False)
     if dry_run:

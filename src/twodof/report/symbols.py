@@ -8,6 +8,7 @@ from typing import Any
 
 from twodof.blocks.block import Block, Port
 from twodof.blocks.diagram import BASE, Diagram, Part
+from twodof.blocks.library.math import Sum
 from twodof.report.layered_layout import Box
 from twodof.report.text_width import shortened, text_width
 
@@ -120,7 +121,8 @@ def _block(part: Part, block: Block) -> Symbol:
         lines.append(f"{len(block.params)} parameters")
     units = {p.name: p.unit for p in (*block.inputs, *block.outputs)}
     outputs = [(p.name, units[p.name]) for p in block.outputs]
-    return _rectangle(part, kind, lines, outputs, "block")
+    signs = block.signs if isinstance(block, Sum) else ""  # of a sum with more inputs than a circle has places for
+    return _rectangle(part, kind, lines, outputs, "block", [s.replace("-", "−") for s in signs])
 
 
 def _subdiagram(part: Part, diagram: Diagram) -> Symbol:
@@ -132,8 +134,16 @@ def _subdiagram(part: Part, diagram: Diagram) -> Symbol:
     return made
 
 
-def _rectangle(part: Part, kind: str, lines: list[str], outputs: list[tuple[str, str]], style: str) -> Symbol:
-    inputs = input_names(part)
+def _rectangle(
+    part: Part,
+    kind: str,
+    lines: list[str],
+    outputs: list[tuple[str, str]],
+    style: str,
+    signs: Sequence[str] = (),
+) -> Symbol:
+    names = input_names(part)
+    inputs = [f"{sign} {name}" for sign, name in zip(signs, names, strict=False)] + names[len(signs) :]
     name = shortened(part.name, NAME, MOST, True)
     about = " · ".join([*([kind] if kind else []), *_rate(part)])
     small = [shortened(t, SMALL, MOST) for t in ([about] if about else []) + lines]

@@ -225,6 +225,16 @@ def test_what_is_no_px4_is_refused(tmp_path: Path, exported: Path, name: str) ->
     assert len(found.rows) == 1
 
 
+@pytest.mark.parametrize("lost", ["src", "msg", "README.md", "src/CMakeLists.txt"])
+def test_an_export_that_has_lost_files_does_not_fit(px4: Path, exported: Path, lost: str) -> None:
+    place = exported / lost
+    shutil.rmtree(place) if place.is_dir() else place.unlink()
+    found = check(px4, exported)
+    assert not found.fits
+    assert "has lost files of the export" in said(found, ERROR)
+    assert lost in said(found, ERROR)
+
+
 def test_a_pipe_in_the_tree_does_not_hang(px4: Path, exported: Path) -> None:
     (px4 / "msg/CMakeLists.txt").unlink()
     os.mkfifo(px4 / "msg/CMakeLists.txt")

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from twodof.compile.px4.source_tree import SourceTree
 from twodof.compile.px4.topics import FIELDS
-from twodof.compile.px4.tree import read_manifest, strangers
+from twodof.compile.px4.tree import absent, read_manifest, strangers
 from twodof.compile.px4.versions import FIRST, LAST, TESTED, Version
 from twodof.errors import CompileError
 
@@ -118,10 +118,18 @@ def _strings(value: object) -> list[str]:
 
 
 def _export(folder: Path) -> Iterator[Finding]:
+    missing = absent(folder)
+    if missing:
+        yield Finding(ERROR, f"has lost files of the export: {_some(missing)}", str(folder), "export the diagram again")
     changed = strangers(folder)
     if changed:
-        listed = ", ".join(changed[:5]) + (f" and {len(changed) - 5} more" if len(changed) > 5 else "")
-        yield Finding(WARNING, f"was changed since the export: {listed}", str(folder), "export the diagram again")
+        yield Finding(
+            WARNING, f"was changed since the export: {_some(changed)}", str(folder), "export the diagram again"
+        )
+
+
+def _some(paths: list[str]) -> str:
+    return ", ".join(paths[:5]) + (f" and {len(paths) - 5} more" if len(paths) > 5 else "")
 
 
 def _checked_out(tree: SourceTree, missing: list[str]) -> Iterator[Finding]:

@@ -39,6 +39,13 @@ def read_manifest(folder: Path) -> dict[str, object] | None:
     return data if good else None
 
 
+def absent(folder: Path) -> list[str]:
+    """What an export has put into `folder` and is there no more, by relative path."""
+    known = read_manifest(folder)
+    files = known["files"] if known else {}
+    return [path for path in sorted(files if isinstance(files, dict) else {}) if not (folder / path).is_file()]
+
+
 def strangers(folder: Path) -> list[str]:
     """What in `folder` no export has put there, or what has been changed since, by relative path."""
     known = read_manifest(folder)
