@@ -74,7 +74,7 @@ class ExperimentError(TwodofError):
 
 
 class LinkError(TwodofError):
-    """A link cannot be opened or used as asked: a malformed URL, a message that cannot be encoded, a key not kept safe."""
+    """A link cannot be opened or used as asked: a malformed URL, a message that does not encode, an unsafe key."""
 
 
 class LinkLost(LinkError):
