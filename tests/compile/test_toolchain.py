@@ -154,6 +154,38 @@ def test_the_cache_does_not_grow_for_ever(cache: Path, monkeypatch: pytest.Monke
     assert len(list(cache.glob("*.so"))) <= 4
 
 
+def test_the_cache_is_bounded_in_bytes_and_forgets_what_ended_builds_left(
+    cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    compiler = toolchain.find_compiler()
+    native.load(SOURCE, compiler, "-O0")
+    one = sum(file.stat().st_size for file in cache.glob("*.so"))
+    monkeypatch.setattr(toolchain, "MOST_BYTES", 3 * one)
+    old, young = cache / "build-old", cache / "build-young"
+    for folder in (old, young):
+        folder.mkdir()
+        (folder / "program.c").write_text("int x;")
+    long_ago = time.time() - 3 * toolchain.BUILD_SECONDS
+    os.utime(old, (long_ago, long_ago))
+    for k in range(8):
+        native.load(SOURCE.replace("42", str(k)), compiler, "-O0")
+    assert sum(file.stat().st_size for file in cache.glob("*.so")) <= 4 * one
+    assert not old.exists()
+    assert young.exists()
+
+
+@pytest.mark.parametrize("mode", [0o777, 0o770])
+def test_a_cache_that_others_can_write_is_not_used(cache: Path, mode: int) -> None:
+    compiler = toolchain.find_compiler()
+    native.load(SOURCE, compiler, "-O0")
+    before = sorted(cache.iterdir())
+    assert before
+    cache.chmod(mode)
+    with pytest.warns(RuntimeWarning, match="others may write into this cache"):
+        assert native.load(SOURCE.replace("42", "43"), compiler, "-O0") is not None
+    assert sorted(cache.iterdir()) == before
+
+
 def test_without_a_home_a_folder_that_others_can_write_is_not_trusted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

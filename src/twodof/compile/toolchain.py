@@ -13,6 +13,8 @@ import stat
 import subprocess
 import sys
 import tempfile
+import time
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -37,6 +39,7 @@ FLAGS = (
 CACHE_VERSION = "twodof-cache-2"
 BUILD_SECONDS = 600
 MOST_ENTRIES = 2000
+MOST_BYTES = 2 * 1024**3
 _SEAL = hashlib.sha256().digest_size
 
 
@@ -150,20 +153,22 @@ def cached(key: Sequence[str], suffix: str, make: Callable[[Path], None], afresh
     """
     digest = hashlib.sha256("\0".join((CACHE_VERSION, *key)).encode()).hexdigest()
     folder = cache_folder()
+    with suppress(OSError):
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+    trusted = _trusted(folder)
     entry = folder / f"{digest}{suffix}"
-    if not afresh and whole(entry):
+    if trusted and not afresh and whole(entry):
         yield entry
         return
     try:
-        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-        work = tempfile.TemporaryDirectory(dir=folder, prefix="build-")
+        work = tempfile.TemporaryDirectory(dir=folder if trusted else None, prefix="build-")
     except OSError:  # a cache that cannot be written is no reason not to run
         work = tempfile.TemporaryDirectory(prefix="twodof-")
     with work as name:
         made = Path(name) / f"program{suffix}"
         make(made)
         _seal(made)
-        if made.parent.parent == folder:
+        if trusted and made.parent.parent == folder:
             made.replace(entry)  # atomic: another process sees the old file, none, or the whole new one
             _prune(folder)
             made = entry
@@ -245,11 +250,37 @@ def _seal(file: Path) -> None:
         os.fsync(stream.fileno())
 
 
+def _trusted(folder: Path) -> bool:
+    """Whether nobody else can put a file into `folder`, which this process would run: a seal is no signature.
+
+    Warns of a folder that is there and is not.
+    """
+    try:
+        found = folder.stat()
+    except OSError:
+        return False
+    if found.st_uid in (0, os.getuid()) and not found.st_mode & 0o022:
+        return True
+    warnings.warn(
+        f"{folder}: others may write into this cache of compiled code, so it is not used; "
+        "make it yours alone (chmod go-w), or name another folder in TWODOF_CACHE",
+        RuntimeWarning,
+        stacklevel=2,
+    )
+    return False
+
+
 def _prune(folder: Path) -> None:
-    """Forget the oldest entries of a cache that has grown too large."""
-    entries = [file for file in folder.iterdir() if file.is_file()]
-    if len(entries) <= MOST_ENTRIES:
-        return
+    """Forget the oldest entries of a cache that has grown too large, and what ended builds have left."""
+    ages: list[tuple[int, int, Path]] = []
     with suppress(OSError):
-        for old in sorted(entries, key=lambda f: f.stat().st_mtime_ns)[: len(entries) // 2]:
+        for item in folder.iterdir():
+            found = item.lstat()
+            if stat.S_ISREG(found.st_mode):
+                ages.append((found.st_mtime_ns, found.st_size, item))
+            elif item.name.startswith("build-") and time.time() - found.st_mtime > 2 * BUILD_SECONDS:
+                shutil.rmtree(item, ignore_errors=True)
+        if len(ages) <= MOST_ENTRIES and sum(size for _, size, _ in ages) <= MOST_BYTES:
+            return
+        for _, _, old in sorted(ages)[: max(1, len(ages) // 2)]:
             old.unlink(missing_ok=True)
