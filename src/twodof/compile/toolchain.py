@@ -115,8 +115,7 @@ def _private_folder(folder: Path) -> Path:
         found = folder.lstat()
     except OSError:
         return Path(tempfile.mkdtemp(prefix="twodof-"))
-    ours = stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o022
-    return folder if ours else Path(tempfile.mkdtemp(prefix="twodof-"))
+    return folder if stat.S_ISDIR(found.st_mode) and _ours(found) else Path(tempfile.mkdtemp(prefix="twodof-"))
 
 
 @contextmanager
@@ -250,6 +249,11 @@ def _seal(file: Path) -> None:
         os.fsync(stream.fileno())
 
 
+def _ours(found: os.stat_result) -> bool:
+    """Whether only this user, or root, can write."""
+    return found.st_uid in (0, os.getuid()) and not found.st_mode & 0o022
+
+
 def _trusted(folder: Path) -> bool:
     """Whether nobody else can put a file into `folder`, which this process would run: a seal is no signature.
 
@@ -259,7 +263,7 @@ def _trusted(folder: Path) -> bool:
         found = folder.stat()
     except OSError:
         return False
-    if found.st_uid in (0, os.getuid()) and not found.st_mode & 0o022:
+    if _ours(found):
         return True
     warnings.warn(
         f"{folder}: others may write into this cache of compiled code, so it is not used; "
