@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from math import isfinite
 from numbers import Real
 from types import MappingProxyType
+from typing import Literal
 
 from twodof.errors import ParameterError
 
@@ -21,7 +22,7 @@ _VERSION = 1
 
 @dataclass(frozen=True)
 class Parameter:
-    """One tunable number: `low` <= value <= `high` in `unit`."""
+    """One tunable number: `low` <= value <= `high` in `unit`; one of kind "int32" is a whole number."""
 
     name: str
     default: float
@@ -30,6 +31,7 @@ class Parameter:
     unit: str
     text: str
     drone: str = ""
+    kind: Literal["float", "int32"] = "float"
 
     def __post_init__(self) -> None:
         if not 1 <= len(self.name) <= NAME_LENGTH or not self.name.isascii():
@@ -38,6 +40,13 @@ class Parameter:
             raise ParameterError("default and bounds must be finite", self.name)
         if not self.low <= self.default <= self.high:
             raise ParameterError(f"default {self.default:g} is outside {self.low:g} to {self.high:g}", self.name)
+        whole = all(float(number).is_integer() for number in (self.low, self.default, self.high))
+        if self.kind == "int32" and not (whole and -(2**31) <= self.low <= self.high < 2**31):
+            raise ParameterError("default and bounds must be whole numbers of 32 bits", self.name)
+
+    def kept(self, value: float) -> float:
+        """A value within the bounds as a set keeps it: int for int32, else float."""
+        return int(value) if self.kind == "int32" else float(value)
 
 
 PARAMETERS: tuple[Parameter, ...] = (
@@ -87,7 +96,7 @@ class ParameterSet(Mapping[str, float]):
         self._alias = {row.drone: row.name for row in table if row.drone}
         if len(self._rows) != len(table) or len({*self._rows, *self._alias}) != len(table) + len(self._alias):
             raise ParameterError("two parameters have one name", ", ".join(row.name for row in table))
-        self._values: Mapping[str, float] = {row.name: float(row.default) for row in table}
+        self._values: Mapping[str, float] = {row.name: row.kept(row.default) for row in table}
         self._values = {**self._values, **self._checked(values or {})}
         self._undo: list[Mapping[str, float]] = []
         self._redo: list[Mapping[str, float]] = []
@@ -152,6 +161,16 @@ class ParameterSet(Mapping[str, float]):
         self._undo.append(self._values)
         self._commit(self._redo.pop())
 
+    @property
+    def before(self) -> Mapping[str, float] | None:
+        """The values that `undo` would bring back; None if there are none."""
+        return MappingProxyType(self._undo[-1]) if self._undo else None
+
+    @property
+    def after(self) -> Mapping[str, float] | None:
+        """The values that `redo` would bring; None if there are none."""
+        return MappingProxyType(self._redo[-1]) if self._redo else None
+
     def to_json(self) -> str:
         """The values as JSON; numbers read back to the same bits."""
         return json.dumps({"version": _VERSION, "parameters": self.snapshot()}, indent=2)
@@ -172,7 +191,8 @@ class ParameterSet(Mapping[str, float]):
             raise ParameterError("has no table 'parameters'", "parameters", "write it with to_json")
         self.update(values)
 
-    def _checked(self, changes: Mapping[str, float]) -> dict[str, float]:
+    def check(self, changes: Mapping[str, float]) -> tuple[dict[str, float], list[str]]:
+        """The changes that are right, by main name and as they would be kept, and what is wrong with the others."""
         good: dict[str, float] = {}
         faults = []
         for name, value in changes.items():
@@ -180,9 +200,14 @@ class ParameterSet(Mapping[str, float]):
             if fault:
                 faults.append(f"{name}: {fault}")
                 continue
-            if self.row(name).name in good:
+            row = self.row(name)
+            if row.name in good:
                 faults.append(f"{name}: given twice")
-            good[self.row(name).name] = float(value)
+            good[row.name] = row.kept(value)
+        return good, faults
+
+    def _checked(self, changes: Mapping[str, float]) -> dict[str, float]:
+        good, faults = self.check(changes)
         if faults:
             raise ParameterError("; ".join(faults), "parameters", "nothing was changed")
         return good
@@ -197,6 +222,8 @@ class ParameterSet(Mapping[str, float]):
             return f"{value!r} is no number"
         if not isfinite(value) or not row.low <= value <= row.high:
             return f"{float(value):g} is outside {row.low:g} to {row.high:g} {row.unit}"
+        if row.kind == "int32" and not float(value).is_integer():
+            return f"{float(value):g} is no whole number"
         return ""
 
     def _commit(self, values: Mapping[str, float]) -> None:

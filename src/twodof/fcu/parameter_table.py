@@ -1,0 +1,31 @@
+"""All parameters of a vehicle: the flight code's, the failsafe's, and those of PX4 that its clients ask for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+from twodof.fcu.failsafe_parameters import failsafe_rows
+from twodof.fcu.parameter_row import Row
+from twodof.fcu.px4_parameters import px4_rows
+from twodof.parameters import PARAMETERS
+
+
+@cache
+def own_rows(system: int) -> tuple[Row, ...]:
+    """Every parameter of the vehicle `system` once, by its main name."""
+    tuned = (Row(**vars(row)) for row in PARAMETERS)
+    return (*tuned, *failsafe_rows(), *px4_rows(system))
+
+
+@cache
+def wire_rows(system: int) -> tuple[Row, ...]:
+    """What PARAM_REQUEST_LIST shows, in the order of its indices, which is that of the names as in PX4.
+
+    A parameter that the real drone has under a name of its own (FC_PARAM_4) shows under both: `of` says so.
+    """
+    rows = own_rows(system)
+    others = (
+        replace(row, name=row.drone, drone="", of=row.name, text=f"{row.name}: {row.text}") for row in rows if row.drone
+    )
+    return tuple(sorted((*rows, *others), key=lambda row: row.name))

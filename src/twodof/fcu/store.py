@@ -1,0 +1,207 @@
+"""Store: the vehicle's parameters, bounded and typed, changed all or none, kept in a file that no crash can tear."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Callable, Iterator, Mapping
+from math import isfinite
+from numbers import Real
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+
+from twodof.errors import ParameterError, TwodofError
+from twodof.fcu.parameter_row import Row
+from twodof.fcu.parameter_table import own_rows, wire_rows
+from twodof.fcu.store_file import StoreFile
+from twodof.parameters import PARAMETERS, ParameterSet
+
+HASH_NAME = "_HASH_CHECK"
+Listener = Callable[[Mapping[str, float]], None]
+
+
+class Store(Mapping[str, float]):
+    """The parameters of the vehicle `system`, those in the file `path` taken over; `for row in store.rows` lists them.
+
+    A value is read by any of its names, int for int32. Floats are those that the wire can carry, each kept as the
+    shortest decimal that float32 rounds to the same: 0.07 sent is 0.07 here, and flies as in a simulation with 0.07.
+
+    Everything is called from one thread; reading values is safe from any. The file is written by a thread of its own
+    after changes; a disk that fails shows in `failure` and stops nothing. `remarks` says what of the file could not be
+    taken over. Closed by `close` or at the end of `with`.
+    """
+
+    def __init__(
+        self, path: str | Path | None = None, system: int = 1, values: Mapping[str, float] | None = None
+    ) -> None:
+        """Raises ParameterError for `values`, which go over those of the file, as `update` does."""
+        self.rows: tuple[Row, ...] = wire_rows(system)
+        self._index = {row.name: index for index, row in enumerate(self.rows)}
+        self._set = ParameterSet(table=own_rows(system))
+        self._listeners: list[Listener] = []
+        self._file = StoreFile(path) if path is not None else None
+        self.remarks: tuple[str, ...] = ()
+        if self._file is not None:
+            self.remarks = self._take_over(self._file.read())
+        if values:
+            self.update(values)
+
+    def __getitem__(self, name: str) -> float:
+        """A value, by any of its names. Raises ParameterError for an unknown one."""
+        return self._set[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._index)
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._index
+
+    @property
+    def revision(self) -> int:
+        """Counts the changes, those undone too."""
+        return self._set.revision
+
+    @property
+    def failure(self) -> TwodofError | None:
+        """Why the file could not be written the last time; None while all is well."""
+        return self._file.failure if self._file is not None else None
+
+    def row(self, name: str) -> Row:
+        """Type, bounds, unit and text of the parameter `name`. Raises ParameterError for an unknown one."""
+        index = self._index.get(name)
+        if index is None:
+            raise ParameterError("no such parameter", str(name)[:40], f"there are {len(self.rows)}: list them")
+        return self.rows[index]
+
+    def index(self, name: str) -> int:
+        """Place of `name` in `rows`, PARAM_VALUE's param_index. Raises ParameterError for an unknown one."""
+        self.row(name)
+        return self._index[name]
+
+    def tuned(self) -> dict[str, float]:
+        """The values of `parameters.PARAMETERS` by main name: gains and limits of the flight code."""
+        return {row.name: self._set[row.name] for row in PARAMETERS}
+
+    def failsafe(self) -> dict[str, float]:
+        """The failsafe's values by their path in its diagram (`place.pitch_limit`)."""
+        return {row.path: self._set[row.name] for row in self.rows if row.path}
+
+    def changed(self) -> dict[str, float]:
+        """What differs from the defaults, by main name."""
+        return {row.name: self._set[row.name] for row in self.rows if not row.of and self._set[row.name] != row.default}
+
+    def set(self, name: str, value: float, armed: bool = False) -> None:
+        """Changes one value. Raises ParameterError as `update` does."""
+        self.update({name: value}, armed)
+
+    def update(self, changes: Mapping[str, float], armed: bool = False) -> None:
+        """Changes several values together, as one step to undo, or none of them.
+
+        Raises ParameterError, naming every fault: an unknown name, one parameter twice, a value that is no number, no
+        whole number, or outside its bounds, and, if `armed`, a parameter that is changed only while disarmed.
+        """
+        wanted = {name: _carried(value) if self._is_float(name) else value for name, value in changes.items()}
+        good, faults = self._set.check(wanted)
+        faults += self._locked(good, armed)
+        if faults:
+            raise ParameterError("; ".join(faults), "parameters", "nothing was changed")
+        self._change(lambda: self._set.update(good))
+
+    def reset(self, armed: bool = False) -> None:
+        """All defaults, as one step to undo. Raises ParameterError as `update` does."""
+        self.update({row.name: row.default for row in self.rows if not row.of}, armed)
+
+    def undo(self, armed: bool = False) -> None:
+        """Takes the latest change back. Raises ParameterError if there is none, or one that needs disarming."""
+        self._walk(self._set.before, self._set.undo, armed)
+
+    def redo(self, armed: bool = False) -> None:
+        """Makes the change again that `undo` took back. Raises ParameterError as `undo` does."""
+        self._walk(self._set.after, self._set.redo, armed)
+
+    def hash_check(self) -> int:
+        """PX4's _HASH_CHECK: CRC-32 over names and values in the order of the indices, begun with 0, not inverted."""
+        crc = 0xFFFFFFFF  # zlib inverts what it is given and what it gives
+        for row in self.rows:
+            value = self._set[row.name]
+            raw = struct.pack("<i", int(value)) if row.kind == "int32" else struct.pack("<f", value)
+            crc = zlib.crc32(raw, zlib.crc32(row.name.encode("ascii"), crc))
+        return crc ^ 0xFFFFFFFF
+
+    def listen(self, listener: Listener) -> None:
+        """Calls `listener` after each change with the new values, under every name that they have."""
+        self._listeners.append(listener)
+
+    def flush(self, deadline_s: float = 10.0) -> None:
+        """Waits until the file holds what is here. Raises ParameterError where the disk refuses or is silent."""
+        if self._file is not None:
+            self._file.flush(deadline_s)
+
+    def close(self, deadline_s: float = 10.0) -> None:
+        """Writes what is not written yet and ends. Raises ParameterError as `flush`; a second call only returns."""
+        if self._file is not None:
+            self._file.close(deadline_s)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _is_float(self, name: str) -> bool:
+        index = self._index.get(name)
+        return index is not None and self.rows[index].kind == "float"
+
+    def _locked(self, values: Mapping[str, float], armed: bool) -> list[str]:
+        """What is wrong with changing `values` (by main name) while `armed`."""
+        if not armed:
+            return []
+        return [
+            f"{name}: is changed only while disarmed"
+            for name, value in values.items()
+            if self.row(name).disarmed and value != self._set[name]
+        ]
+
+    def _walk(self, values: Mapping[str, float] | None, step: Callable[[], None], armed: bool) -> None:
+        faults = self._locked(values or {}, armed)
+        if faults:
+            raise ParameterError("; ".join(faults), "parameters", "nothing was changed")
+        self._change(step)
+
+    def _change(self, step: Callable[[], None]) -> None:
+        before = self._set.snapshot()
+        step()
+        after = self._set.snapshot()
+        changes = {
+            row.name: after[row.of or row.name]
+            for row in self.rows
+            if after[row.of or row.name] != before[row.of or row.name]
+        }
+        if not changes:
+            return
+        if self._file is not None:
+            self._file.write(self.changed())
+        for listener in self._listeners:
+            listener(changes)
+
+    def _take_over(self, found: tuple[dict[str, float], str]) -> tuple[str, ...]:
+        """Takes each value of the file that is still right; returns what was not."""
+        values, remark = found
+        good, faults = self._set.check({n: _carried(v) if self._is_float(n) else v for n, v in values.items()})
+        self._set = ParameterSet(good, own_rows(int(self._set["MAV_SYS_ID"])))
+        return (*((remark,) if remark else ()), *faults)
+
+
+def _carried(value: float) -> float:
+    """The shortest decimal among the numbers that float32 rounds as it does `value`; what is no number stays."""
+    if isinstance(value, bool) or not isinstance(value, Real) or not isfinite(value) or abs(value) > 3e38:
+        return value
+    return float(str(np.float32(value)))

@@ -1,0 +1,157 @@
+"""The file of the vehicle's parameters: whole or not there, written by a thread of its own, checked when it is read."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from twodof.errors import ParameterError, TwodofError
+from twodof.flightlog.atomic import atomic_write
+
+VERSION = 1
+MAX_BYTES = 1 << 20
+QUIET_S = 0.25
+"""A file is written when the values have not changed for so long,"""
+LATEST_S = 2.0
+"""and at the latest so long after the first change."""
+RETRY_S = 5.0
+
+
+class StoreFile:
+    """Reads and writes a set of values; `failure` is why the last writing failed, None if it did not."""
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self.failure: TwodofError | None = None
+        self._changed = threading.Condition()
+        self._wanted: dict[str, float] | None = None
+        self._first = self._last = 0.0
+        self._asked = self._closing = False
+        self._tries = 0
+        self._thread: threading.Thread | None = None
+
+    def read(self) -> tuple[dict[str, float], str]:
+        """The values, and what is wrong with the file or "". A damaged file gives none and is kept as NAME.damaged."""
+        try:
+            if self.path.stat().st_size > MAX_BYTES:
+                return {}, self._set_aside(f"is larger than {MAX_BYTES} bytes")
+            text = self.path.read_text(encoding="utf-8")
+        except FileNotFoundError:
+            return {}, ""
+        except (OSError, ValueError) as reason:
+            return {}, self._set_aside(str(reason))
+        try:
+            return _values(json.loads(text)), ""
+        except (ValueError, RecursionError, TypeError) as reason:
+            return {}, self._set_aside(str(reason))
+
+    def write(self, values: Mapping[str, float]) -> None:
+        """Has `values` written soon; returns at once."""
+        with self._changed:
+            now = time.monotonic()
+            if self._wanted is None:
+                self._first = now
+            self._last = now
+            self._wanted = dict(values)
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._run, name=f"store {self.path.name}", daemon=True)
+                self._thread.start()
+            self._changed.notify_all()
+
+    def flush(self, deadline_s: float) -> None:
+        """Waits until what was given is written. Raises ParameterError where the disk refuses or is silent."""
+        with self._changed:
+            tries = self._tries
+            self._asked = True
+            self._changed.notify_all()
+            done = self._changed.wait_for(lambda: self._wanted is None or self._tries > tries, deadline_s)
+            if self.failure is not None and self._wanted is not None:
+                raise ParameterError(self.failure.what, self.failure.where, "the values fly, but are not stored")
+            if not done:
+                raise ParameterError(
+                    f"the disk has not answered within {deadline_s:g} s", str(self.path), "store them on another disk"
+                )
+
+    def close(self, deadline_s: float) -> None:
+        """Writes what waits and ends the thread. Raises ParameterError as `flush`."""
+        thread = self._thread
+        if thread is None or self._closing:
+            return
+        try:
+            self.flush(deadline_s)
+        finally:
+            with self._changed:
+                self._closing = True
+                self._changed.notify_all()
+            thread.join(deadline_s)
+
+    def _run(self) -> None:
+        retry = 0.0
+        while True:
+            with self._changed:
+                while not self._closing and not self._is_due(retry):
+                    self._changed.wait(self._pause(retry))
+                if self._wanted is None or self._closing:
+                    return
+                values, self._asked = self._wanted, False
+            failure = self._store(values)
+            with self._changed:
+                self.failure = failure
+                self._tries += 1
+                retry = time.monotonic() + RETRY_S if failure is not None else 0.0
+                if failure is None and self._wanted is values:
+                    self._wanted = None
+                self._changed.notify_all()
+
+    def _due(self, retry: float) -> float:
+        return max(retry, min(self._last + QUIET_S, self._first + LATEST_S))
+
+    def _is_due(self, retry: float) -> bool:
+        return self._wanted is not None and (self._asked or time.monotonic() >= self._due(retry))
+
+    def _pause(self, retry: float) -> float | None:
+        return None if self._wanted is None else max(0.0, self._due(retry) - time.monotonic())
+
+    def _store(self, values: Mapping[str, float]) -> TwodofError | None:
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            with atomic_write(self.path, "w") as file:
+                file.write(text_of(values))
+        except TwodofError as refusal:
+            return refusal
+        except OSError as refusal:
+            return ParameterError(f"cannot be written: {refusal.strerror}", str(self.path))
+        return None
+
+    def _set_aside(self, what: str) -> str:
+        """Keeps a file that cannot be used from being written over; says what was wrong."""
+        aside = self.path.with_name(f"{self.path.name}.damaged")
+        try:
+            self.path.replace(aside)
+        except OSError as refusal:
+            return f"{self.path}: {what}; the defaults fly ({refusal.strerror})"
+        return f"{self.path}: {what}; the defaults fly, the file is kept as {aside.name}"
+
+
+def text_of(values: Mapping[str, float]) -> str:
+    """A set of values as the file holds it."""
+    return json.dumps({"version": VERSION, "crc": _crc(values), "parameters": dict(sorted(values.items()))}, indent=2)
+
+
+def _crc(values: Mapping[str, Any]) -> int:
+    return zlib.crc32(json.dumps(values, sort_keys=True).encode())
+
+
+def _values(content: object) -> dict[str, float]:
+    """The values of a file's content. Raises ValueError for damage."""
+    if not isinstance(content, dict) or content.get("version") != VERSION:
+        raise ValueError(f"is not of version {VERSION}")
+    values = content.get("parameters")
+    if not isinstance(values, dict) or content.get("crc") != _crc(values):
+        raise ValueError("its checksum is wrong")
+    return values
