@@ -4,7 +4,8 @@
 #   make test    every test but the long versions          make soak   the long versions
 #   make check   format, lint, types, order of imports     make bench  figures against peers, in bench/results
 #   make lock    pin the requirements again                make clean  remove what the above made, .venv apart
-#   make tools   install gcc, g++, arm-none-eabi-gcc, qemu-system-arm and node for the tests (Debian, as root), or name them
+#   make tools   install gcc, g++, arm-none-eabi-gcc, qemu-system-arm, node and npm for the tests (Debian, as root) or
+#                name them, and node-mavlink into .venv/node
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -20,7 +21,7 @@ TEST_JOBS ?= 2
 .DELETE_ON_ERROR:
 
 help:
-	@sed -n '/^#   make/s/^#   //p' Makefile
+	@sed -n '/^#   /s/^#   //p' Makefile
 
 demo: $(VENV)/ready-run
 	$(BIN)/twodof demo
@@ -43,6 +44,7 @@ soak: $(VENV)/ready-dev tools
 # Part of test, soak and bench; quick and silent when everything is there.
 tools:
 	@tools/toolchains.sh
+	@tools/node_packages.sh $(VENV)/node
 
 $(BIN)/python:
 	@test -n "$(PYTHON)" || { echo "twodof needs Python 3.11 or newer: none found; name one with make PYTHON=..."; exit 1; }

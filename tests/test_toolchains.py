@@ -1,9 +1,11 @@
-"""tools/toolchains.sh and tests/toolchains.py: a missing tool chain is installed, named, or a failure; never silent."""
+"""What no wheel brings (tools/*.sh, tests/toolchains.py): if missing it is installed, named or a failure; never silent."""
 
 from __future__ import annotations
 
+import json
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -12,7 +14,8 @@ from tests import toolchains
 
 PROJECT = Path(__file__).resolve().parents[1]
 SCRIPT = PROJECT / "tools" / "toolchains.sh"
-NEEDED = ("bash", "cat", "chmod", "env", "sort", "timeout", "touch", "tr")
+NODE_SCRIPT = PROJECT / "tools" / "node_packages.sh"
+NEEDED = ("bash", "cat", "chmod", "cmp", "cp", "dirname", "env", "mkdir", "sort", "timeout", "touch", "tr")
 TIMEOUT_S = 30
 
 
@@ -36,9 +39,9 @@ class Machine:
         file.write_text(f"#!{shutil.which('bash')}\n{body}\n")
         file.chmod(0o755)
 
-    def run(self, **environment: str) -> subprocess.CompletedProcess[str]:
+    def run(self, *command: Path, **environment: str) -> subprocess.CompletedProcess[str]:
         return subprocess.run(
-            [str(self.bin / "bash"), str(SCRIPT)],
+            [str(self.bin / "bash"), *map(str, command or [SCRIPT])],
             env={"PATH": str(self.bin), **environment},
             capture_output=True,
             text=True,
@@ -72,7 +75,7 @@ def test_root_on_debian_gets_what_is_missing(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("root", "apt"), [(False, "exit 0"), (True, None), (True, "exit 1")])
 def test_what_cannot_be_installed_is_named_in_one_line(root: bool, apt: str | None, tmp_path: Path) -> None:
-    machine = Machine(tmp_path, ("gcc", "g++", "node"), root, apt)
+    machine = Machine(tmp_path, ("gcc", "g++", "node", "npm"), root, apt)
     done = machine.run()
     assert done.returncode == 0
     assert done.stderr.splitlines()[-1] == (
@@ -108,6 +111,47 @@ def test_a_test_is_skipped_with_the_package_or_fails_where_nothing_may_be_skippe
     monkeypatch.setenv("TWODOF_REQUIRE_TOOLS", "1")
     with pytest.raises(pytest.fail.Exception, match="install nodejs"):
         toolchains.need("node")
+
+
+def test_node_packages_are_installed_once(tmp_path: Path) -> None:
+    machine = Machine(tmp_path, ("node",), root=False, apt=None)
+    machine.write("npm", f'echo "$@" >> {machine.calls}')
+    first, second = (machine.run(NODE_SCRIPT, tmp_path / "node", CI="true") for _ in range(2))
+    assert (first.returncode, first.stderr, second.returncode, second.stdout) == (0, "", 0, "")
+    assert len(machine.calls.read_text().splitlines()) == 1
+
+
+@pytest.mark.parametrize(("npm", "reason"), [(None, "npm is missing"), ("exit 1", "npm could not install it")])
+def test_node_packages_that_cannot_be_installed_are_named(npm: str | None, reason: str, tmp_path: Path) -> None:
+    machine = Machine(tmp_path, ("node",), root=False, apt=None)
+    if npm is not None:
+        machine.write("npm", npm)
+    done = machine.run(NODE_SCRIPT, tmp_path / "node")
+    assert done.returncode == 0
+    assert done.stderr == f"tools: node-mavlink missing ({reason}): the tests that need it will be skipped\n"
+    refused = machine.run(NODE_SCRIPT, tmp_path / "node", CI="true")
+    assert refused.returncode == 1
+    assert f"({reason}), and nothing may be skipped here" in refused.stderr
+
+
+def test_node_packages_are_pinned_by_their_hashes_and_no_address_is_named() -> None:
+    packages = json.loads((PROJECT / "tests" / "interop" / "package-lock.json").read_text())["packages"]
+    assert "node_modules/node-mavlink" in packages
+    for name, about in packages.items():
+        assert not name or about["integrity"].startswith("sha512-"), name
+        assert "resolved" not in about, name
+
+
+def test_a_missing_node_package_skips_or_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(toolchains, "need", lambda *programs: None)
+    monkeypatch.setattr(sys, "prefix", str(tmp_path))
+    monkeypatch.delenv("CI", raising=False)
+    monkeypatch.setenv("TWODOF_REQUIRE_TOOLS", "0")
+    with pytest.raises(pytest.skip.Exception, match="node-mavlink is missing: `make tools`"):
+        toolchains.need_node_package("node-mavlink")
+    monkeypatch.setenv("TWODOF_REQUIRE_TOOLS", "1")
+    with pytest.raises(pytest.fail.Exception, match="node-mavlink is missing"):
+        toolchains.need_node_package("node-mavlink")
 
 
 def test_continuous_integration_requires_the_tools() -> None:

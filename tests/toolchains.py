@@ -1,9 +1,12 @@
-"""Programs that no wheel brings: without one a test is skipped, saying so, or fails where it must be there."""
+"""What no wheel brings: without it a test is skipped, saying so, or fails where it must be there."""
 
 from __future__ import annotations
 
 import os
 import shutil
+import sys
+from pathlib import Path
+from typing import NoReturn
 
 import pytest
 
@@ -12,6 +15,7 @@ PACKAGES = {
     "g++": "g++",
     "gcc": "gcc libc6-dev",
     "node": "nodejs",
+    "npm": "npm",
     "qemu-system-arm": "qemu-system-arm",
 }
 """The Debian packages that bring each program; tools/toolchains.sh installs them."""
@@ -30,7 +34,20 @@ def missing(*programs: str) -> list[str]:
 def need(*programs: str) -> None:
     """Skip the present test, naming the package, if one of `programs` is missing; fail it instead if `required`."""
     for program in missing(*programs):
-        reason = f"{program} is missing: `make tools` as root, or install {PACKAGES[program]}"
-        if required():
-            pytest.fail(reason)
-        pytest.skip(reason)
+        lacking(f"{program} is missing: `make tools` as root, or install {PACKAGES[program]}")
+
+
+def need_node_package(name: str) -> Path:
+    """The folder for NODE_PATH in which tools/node_packages.sh has put `name`; skip or fail as `need` does."""
+    need("node")
+    folder = Path(sys.prefix) / "node" / "node_modules"
+    if not (folder / name).is_dir():
+        lacking(f"{name} is missing: `make tools`, or tools/node_packages.sh {folder.parent}")
+    return folder
+
+
+def lacking(reason: str) -> NoReturn:
+    """Skip the present test for `reason`; fail it instead if `required`."""
+    if required():
+        pytest.fail(reason)
+    pytest.skip(reason)

@@ -11,6 +11,7 @@ tools=(
     "qemu-system-arm qemu-system-arm"
     "arm-none-eabi-gcc gcc-arm-none-eabi libnewlib-arm-none-eabi"
     "node nodejs"
+    "npm npm"
 )
 
 missing() {
