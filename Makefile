@@ -15,6 +15,8 @@ PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python; do \
 # Without a system C compiler the one in the ziglang wheel is installed and used.
 RUN_REQUIREMENTS := requirements/$(if $(shell command -v cc 2>/dev/null),run,compiler).txt
 TEST_JOBS ?= 2
+# A worker that has nothing left takes from the other: the long tests stand side by side in the order of files.
+PYTEST := $(BIN)/python -m pytest -n $(TEST_JOBS) --dist worksteal
 
 .DEFAULT_GOAL := help
 .PHONY: help demo test check bench soak tools lock clean
@@ -27,7 +29,7 @@ demo: $(VENV)/ready-run
 	$(BIN)/twodof demo
 
 test: $(VENV)/ready-dev tools
-	$(BIN)/python -m pytest -n $(TEST_JOBS)
+	$(PYTEST)
 
 check: $(VENV)/ready-dev
 	$(BIN)/ruff format --check --quiet .
@@ -39,7 +41,7 @@ bench: $(VENV)/ready-dev tools
 	$(BIN)/python -m bench
 
 soak: $(VENV)/ready-dev tools
-	$(BIN)/python -m pytest -n $(TEST_JOBS) -m soak
+	$(PYTEST) -m soak
 
 # Part of test, soak and bench; quick and silent when everything is there.
 tools:

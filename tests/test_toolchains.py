@@ -1,4 +1,4 @@
-"""What no wheel brings (tools/*.sh, tests/toolchains.py): if missing it is installed, named or a failure; never silent."""
+"""What no wheel brings (tools/*.sh, tests/toolchains.py): if missing, installed, named or a failure; never silent."""
 
 from __future__ import annotations
 
