@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from twodof.blocks import Diagram
 from twodof.blocks.schema import to_json
 from twodof.errors import ExperimentError, ParameterError
-from twodof.experiment.protocol import EXPERIMENTS, SETPOINT, Experiment
+from twodof.experiment.checks import Check, commanded, data_checks
+from twodof.experiment.protocol import EXPERIMENTS, Experiment
 from twodof.experiment.protocol import experiment as named_experiment
 from twodof.experiment.record import flight_log
 from twodof.experiment.script import Script, script
-from twodof.flight.core import PERIOD
 from twodof.flight.gains import DEFAULT, Gains, load_gains
 from twodof.flight.starters import load_diagram
 from twodof.flight.templates import by_kind
@@ -40,15 +40,6 @@ SEEDS = 2**32
 """Seeds of the noise are integers from 0 up to this, it excluded."""
 
 _LONG_RAIL = 5.0
-
-
-@dataclass(frozen=True)
-class Check:
-    """Whether a flight is good for its purpose in one respect, and what was seen."""
-
-    name: str
-    passed: bool
-    seen: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +65,9 @@ class Laboratory:
     `conditions` are further rig parameters such as `trim` or `rail_force`; `noise` scales all noise (0: none).
     `controllers` fly in place of the stock loops and mixer, one of a template (`flight.templates`) at most: diagrams,
     their JSON files, or names of starter diagrams such as "lqr-attitude"; `tuning` sets parameters of theirs by path,
-    such as "attitude_control.k_theta". `precision` is "float64" or "float32", that of a flight controller.
+    such as "attitude_control.k_theta". `precision` is "float64" or "float32", that of a flight controller. With
+    `failsafe` the flight code has its last gate, as on board: it is armed and disarmed as `script` says, and what it
+    does shows in `signals`. Where nothing fails the flight has the same bits as without.
 
     Raises ParameterError for a rig, gains or tuning that cannot be read or set, and for a `noise` below 0 or not
     finite; DiagramError for a controller that cannot be read or fits no template.
@@ -90,6 +83,7 @@ class Laboratory:
         controllers: Iterable[str | Path | Diagram] = (),
         tuning: Mapping[str, Any] | None = None,
         precision: str = "float64",
+        failsafe: bool = False,
     ) -> None:
         if not (isinstance(noise, Real) and math.isfinite(noise) and noise >= 0.0):
             raise ParameterError(f"a noise of {noise!r:.80}", "noise", "give 0 (none) or more; 1 is the rig's own")
@@ -105,6 +99,7 @@ class Laboratory:
             position_filter,
             controllers=self.controllers.values(),
             precision=precision,
+            failsafe=failsafe,
         )
         self.loop.tune_controllers(tuning or {})
         self._conditions = dict(conditions or {})
@@ -118,12 +113,7 @@ class Laboratory:
         A controller of one's own may fly badly: then it starts from the middle of the rail, and the checks say what
         went wrong, a moment or thrust that is not finite included: the motors stop there, and the log leaves it out.
         """
-        experiment = _ready(experiment)
-        if isinstance(seed, bool) or not isinstance(seed, Integral) or not 0 <= seed < SEEDS:
-            raise ExperimentError(
-                f"seed must be an integer 0 to {SEEDS - 1}, not {seed!r:.80}", experiment.name, "give another seed"
-            )
-        seed = int(seed)
+        experiment, seed = ready(experiment), _checked_seed(seed)
         try:
             x_start = self.start(experiment)
         except ExperimentError:
@@ -131,7 +121,7 @@ class Laboratory:
                 raise
             x_start = 0.0
         plan = script(experiment, x_start)
-        out = self._fly(experiment, plan, x_start, seed=seed, noise=self.noise)
+        out = self.signals(experiment, plan, x_start, seed)
         provenance = {
             "experiment": experiment.name,
             "excitation": experiment.excitation.to_dict(),
@@ -142,14 +132,27 @@ class Laboratory:
         if self.controllers:
             provenance["controllers"] = self.described_controllers()
         log = flight_log(out, np.asarray(plan.setpoints["mode"], dtype=np.int32), provenance)
-        return Flight(experiment, log, x_start, seed, self._checks(experiment, plan, out))
+        checks = data_checks(experiment, plan, out, self.parameters)
+        if self.controllers:
+            checks.append(commanded(out))
+        return Flight(experiment, log, x_start, seed, tuple(checks))
+
+    def signals(
+        self, experiment: Experiment, plan: Script, x_start: float = 0.0, seed: int = 1
+    ) -> dict[str, NDArray[Any]]:
+        """Every signal at the control steps, (steps,) by name, of `experiment` flown as `plan` says from `x_start`.
+
+        What the log of `fly` is made of, and what the on-board log of the same flight over MAVLink holds. Raises
+        ExperimentError for a seed that `fly` would not take.
+        """
+        return self._fly(experiment, plan, x_start, seed=_checked_seed(seed), noise=self.noise)
 
     def start(self, experiment: str | Experiment) -> float:
         """The x [m] from which the flight stays in the middle of the rail: it is flown without noise on a long one.
 
         Raises ExperimentError if it needs more rail than there is, or more pitch.
         """
-        experiment = _ready(experiment)
+        experiment = ready(experiment)
         plan = script(experiment)
         out = self._fly(experiment, plan, 0.0, seed=1, noise=0.0, rail_stop=_LONG_RAIL)
         flown = slice(plan.begin, plan.end)
@@ -195,24 +198,19 @@ class Laboratory:
         machine = {"rail_stop": self.parameters["rail_stop"]} | self._conditions
         self.loop.configure(machine | {"rings": experiment.rings, "ring_place": x_start} | conditions)
         self.loop.start(Start(x=x_start))
-        return self.loop.fly(plan.steps, plan.setpoints)
-
-    def _checks(self, experiment: Experiment, plan: Script, out: Mapping[str, NDArray[Any]]) -> tuple[Check, ...]:
-        flown = slice(plan.begin, plan.end)
-        steepest = float(np.abs(out["true_theta"][flown]).max())
-        checks = [
-            Check("pitch free", steepest < self.parameters["pitch_stop"] - 1e-3, f"{np.degrees(steepest):.1f} deg"),
-            _excited(experiment, plan, out),
-        ]
-        if not experiment.rings:
-            farthest = float(np.abs(out["true_x"][flown]).max())
-            checks.append(Check("rail free", farthest < self.parameters["rail_stop"] - 1e-3, f"{farthest:.3f} m"))
-        if self.controllers:
-            checks.append(_commanded(out))
-        return tuple(checks)
+        return self.loop.fly(plan.steps, plan.setpoints | ({"arm": plan.arm} if self.loop.failsafe else {}))
 
 
-def _ready(experiment: str | Experiment) -> Experiment:
+def _checked_seed(seed: int) -> int:
+    if isinstance(seed, bool) or not isinstance(seed, Integral) or not 0 <= seed < SEEDS:
+        raise ExperimentError(
+            f"seed must be an integer 0 to {SEEDS - 1}, not {seed!r:.80}", "experiment", "give another seed"
+        )
+    return int(seed)
+
+
+def ready(experiment: str | Experiment) -> Experiment:
+    """The experiment itself, or the ready-made one of that name. Raises ExperimentError for anything else."""
     if isinstance(experiment, str):
         return named_experiment(experiment)
     if not isinstance(experiment, Experiment):
@@ -222,35 +220,11 @@ def _ready(experiment: str | Experiment) -> Experiment:
     return experiment
 
 
-def _excited(experiment: Experiment, plan: Script, out: Mapping[str, NDArray[Any]]) -> Check:
-    """Whether the response stands out of what the signal did before (five standard deviations)."""
-    name = {"M_open": "q", "q0": "q", "theta0": "theta", "v0": "v", "x0": "x"}[SETPOINT[experiment.mode]]
-    before = out[name][max(0, plan.begin - 250) : plan.begin]
-    largest = float(np.abs(out[name][plan.begin : plan.end] - before.mean()).max())
-    return Check(
-        "excited", largest > 5.0 * float(before.std()), f"{name} moves by {largest:.3g}, {before.std():.2g} before"
-    )
-
-
 def _jsonable(value: Any) -> Any:
     """A parameter's value as JSON has it: an infinity or a NaN as its name."""
     if isinstance(value, list):
         return [_jsonable(item) for item in value]
     return str(value) if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _commanded(out: Mapping[str, NDArray[Any]]) -> Check:
-    """Whether the controllers always gave numbers."""
-    lost = {name: np.flatnonzero(~np.isfinite(out[name])) for name in ("M", "T")}
-    first = {name: steps[0] * PERIOD for name, steps in lost.items() if steps.size}
-    if not first:
-        return Check("commands are numbers", True, "M and T are")
-    name = min(first, key=lambda name: first[name])
-    return Check(
-        "commands are numbers",
-        False,
-        f"{name} is not finite from {first[name]:.3f} s on, in {lost[name].size} steps, where the motors were stopped",
-    )
 
 
 def simulate(

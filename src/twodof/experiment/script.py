@@ -11,23 +11,42 @@ from numpy.typing import NDArray
 from twodof.experiment.protocol import SETPOINT, Experiment
 from twodof.flight.core import PERIOD
 from twodof.signals import MODES
+from twodof.sim.closed_loop import ARMING
+
+
+def on_wire(value: float) -> float:
+    """A set-point as a MAVLink message carries it: rounded to float32."""
+    return float(np.float32(value))
 
 
 @dataclass(frozen=True, eq=False)
 class Script:
     """`setpoints` (steps,) by name, as the closed loop takes them.
 
-    The excitation plays from step `begin` on; at step `end` the motors go off.
+    The drone is armed at step `armed`, the thrust comes up at step `hold`, the excitation plays from step `begin` on;
+    at step `end` the drone is disarmed and the motors go off.
     """
 
     setpoints: Mapping[str, NDArray[np.generic]]
     steps: int
+    armed: int
+    hold: int
     begin: int
     end: int
 
+    @property
+    def arm(self) -> NDArray[np.bool_]:
+        """Whether the drone is armed, (steps,)."""
+        step = np.arange(self.steps)
+        return (step >= self.armed) & (step < self.end)
+
 
 def script(experiment: Experiment, x_start: float = 0.0) -> Script:
-    """`experiment` written out at 250 Hz, with positions about `x_start` [m]."""
+    """`experiment` written out at 250 Hz, with positions about `x_start` [m].
+
+    Thrust and place are those that a flight's messages carry, float32; an excitation is played on board as it is.
+    """
+    thrust_flown, x_flown = on_wire(experiment.thrust), on_wire(x_start)
     steps = round(experiment.duration / PERIOD)
     begin = round(experiment.lead / PERIOD)
     still = round(experiment.still / PERIOD)
@@ -36,16 +55,16 @@ def script(experiment: Experiment, x_start: float = 0.0) -> Script:
     thrust = np.zeros(steps)
     if experiment.thrust > 0.0:
         mode[still:begin] = MODES.index("attitude" if experiment.rings else "position")
-        thrust[powered] = experiment.thrust
+        thrust[powered] = thrust_flown
     excited = slice(begin, steps - still)
     mode[excited] = MODES.index(experiment.mode)
     setpoints: dict[str, NDArray[np.generic]] = {
         "mode": mode,
         "thrust": thrust,
         "use_trim": np.full(steps, experiment.mode == "open-loop" and experiment.thrust > 0.0),
-        "x0": np.full(steps, x_start),
+        "x0": np.full(steps, x_flown),
     }
     name = SETPOINT[experiment.mode]
     values = np.array(setpoints.get(name, np.zeros(steps)), dtype=np.float64)
     values[excited] += experiment.excitation.at(np.arange(steps - still - begin) * PERIOD)
-    return Script(setpoints | {name: values}, steps, begin, steps - still)
+    return Script(setpoints | {name: values}, steps, min(ARMING, still), still, begin, steps - still)

@@ -1,0 +1,98 @@
+"""Whether the data of a flight are good enough for what it was flown for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twodof.experiment.protocol import SETPOINT, Experiment
+from twodof.experiment.script import Script
+from twodof.flight.core import PERIOD
+
+Signals = Mapping[str, NDArray[Any]]
+"""Each signal at the control steps of a flight, (steps,), by name; NaN where a sample was lost."""
+
+STOP_MARGIN = 1e-3
+"""A flight that came nearer than this to a stop [m, rad] touched it: the rig is pressed into a stop by less."""
+
+MOST_LOST = 0.01
+"""Share of samples that may be lost: the real drone's public logs lack up to .2 % of them, and identify well."""
+
+LONGEST_GAP = 0.04
+"""Longest gap of samples [s] from the excitation's start on: two periods of the course's 50 Hz messages."""
+
+_EXCITED = {"M_open": "q", "q0": "q", "theta0": "theta", "v0": "v", "x0": "x"}
+
+
+@dataclass(frozen=True)
+class Check:
+    """Whether a flight is good for its purpose in one respect, and what was seen."""
+
+    name: str
+    passed: bool
+    seen: str
+
+
+def data_checks(experiment: Experiment, plan: Script, out: Signals, stops: Mapping[str, float]) -> list[Check]:
+    """No stop was touched, and the response stands out of what the signal did before (five standard deviations).
+
+    `stops` are `pitch_stop` [rad] and `rail_stop` [m]. Pitch and place are the true ones where `out` has them.
+    """
+    flown = slice(plan.begin, plan.end)
+    theta, x = (out.get(f"true_{name}", out[name])[flown] for name in ("theta", "x"))
+    steepest = _largest(theta)
+    checks = [
+        Check("pitch free", steepest < stops["pitch_stop"] - STOP_MARGIN, f"{np.degrees(steepest):.1f} deg"),
+        _excited(experiment, plan, out),
+    ]
+    if not experiment.rings:
+        farthest = _largest(x)
+        checks.append(Check("rail free", farthest < stops["rail_stop"] - STOP_MARGIN, f"{farthest:.3f} m"))
+    return checks
+
+
+def _largest(values: NDArray[Any]) -> float:
+    """The largest magnitude; NaN where nothing was received, which passes no check."""
+    known = values[np.isfinite(values)]
+    return float(np.abs(known).max()) if known.size else float("nan")
+
+
+def _excited(experiment: Experiment, plan: Script, out: Signals) -> Check:
+    name = _EXCITED[SETPOINT[experiment.mode]]
+    before = out[name][max(0, plan.begin - 250) : plan.begin]
+    before = before[np.isfinite(before)]
+    if not before.size:
+        return Check("excited", False, f"no sample of {name} before the excitation")
+    largest = _largest(out[name][plan.begin : plan.end] - before.mean())
+    return Check(
+        "excited", largest > 5.0 * float(before.std()), f"{name} moves by {largest:.3g}, {before.std():.2g} before"
+    )
+
+
+def commanded(out: Signals) -> Check:
+    """Whether the controllers always gave numbers."""
+    lost = {name: np.flatnonzero(~np.isfinite(out[name])) for name in ("M", "T")}
+    first = {name: steps[0] * PERIOD for name, steps in lost.items() if steps.size}
+    if not first:
+        return Check("commands are numbers", True, "M and T are")
+    name = min(first, key=lambda name: first[name])
+    return Check(
+        "commands are numbers",
+        False,
+        f"{name} is not finite from {first[name]:.3f} s on, in {lost[name].size} steps, where the motors were stopped",
+    )
+
+
+def received(plan: Script, have: NDArray[np.bool_]) -> Check:
+    """Whether enough samples came over the link; `have` (steps,) says of which control steps."""
+    missing = int((~have).sum())
+    flown = have[plan.begin : plan.end]
+    edges = np.flatnonzero(np.concatenate(([True], flown, [True])))
+    gap = float(np.diff(edges).max() - 1) * PERIOD
+    good = missing <= MOST_LOST * plan.steps and gap <= LONGEST_GAP
+    seen = f"{missing} of {plan.steps} lost" + (f", longest gap in the excitation {1e3 * gap:.0f} ms" if gap else "")
+    return Check("samples received", good, seen)
