@@ -1,0 +1,60 @@
+"""Arming: the commander's word to the failsafe, its answer, and the latch of a kill."""
+
+from __future__ import annotations
+
+from twodof.fcu.asked import ACCEPTED, FAILED, IN_PROGRESS, TEMPORARILY_REJECTED, Verdict
+from twodof.fcu.flight_code import Step
+from twodof.flight.causes import named_causes
+from twodof.flight.failsafe_machine import MAY_TURN, REFUSED
+
+PATIENCE = 25
+"""Ticks within which the failsafe has answered; it does in the tick that it is asked."""
+
+
+class Arming:
+    """`word` is what the flight code is told, `answer` what became of the last request to arm.
+
+    `killed` holds the drone disarmed until it was disarmed once in the ordinary way.
+    """
+
+    def __init__(self) -> None:
+        self.word = False
+        self.killed = False
+        self.answer = Verdict(ACCEPTED)
+        self._asked = 0
+
+    @property
+    def pending(self) -> bool:
+        """Whether the failsafe has not answered yet."""
+        return self.answer.result == IN_PROGRESS
+
+    def pull(self, tick: int) -> Verdict:
+        """Asks the failsafe to arm, from `tick` on."""
+        self.word = True
+        self._asked = tick
+        self.answer = Verdict(IN_PROGRESS)
+        return self.answer
+
+    def release(self, killed: bool = False) -> None:
+        """Disarms; a kill is latched, an ordinary disarming ends it."""
+        self.word = False
+        self.killed = killed
+        if self.pending:
+            self.answer = Verdict(FAILED, "disarmed before it had armed")
+
+    def seen(self, step: Step) -> None:
+        """Takes the failsafe's answer; called after each step while it is pending, and when it refuses."""
+        if step.state == REFUSED:
+            self.word = False
+            if self.pending:
+                self.answer = Verdict(TEMPORARILY_REJECTED, f"not armed: {_spelled(step.reason or step.causes)}")
+        elif self.pending and step.tick >= self._asked:
+            if step.state in MAY_TURN:
+                self.answer = Verdict(ACCEPTED)
+            elif step.tick >= self._asked + PATIENCE:
+                self.word = False
+                self.answer = Verdict(FAILED, "not armed: the flight code did not answer")
+
+
+def _spelled(mask: int) -> str:
+    return ", ".join(named_causes(mask)) or "no reason given"
