@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 class Machine:
     """One running instance: parameters, states and inputs of its own, in the memory of the C structs.
 
-    Where the target can fault (see docs/compilation.md), any method that computes may raise ControllerFault.
+    `instance` is what the target gave: the structs, and the calls on them. Where the target can fault (see
+    docs/compilation.md), any method that computes may raise ControllerFault.
     One thread at a time may use it: for changes from another, queue them and apply them between two steps.
     """
 
@@ -29,7 +30,7 @@ class Machine:
         self.program = program
         self.parameters = program.parameters
         self._plain = program.precision == "float64"
-        self._instance = instance = program.backend.instance()
+        self.instance = instance = program.backend.instance()
         self._p, self._s, self._u, self._y = (instance.structs[k] for k in "PSUY")
         self._step = instance.step
         layout, lowered = program.layout, program.flat
@@ -48,7 +49,7 @@ class Machine:
 
     def reset(self) -> None:
         """To the initial states of the present parameters, tick 0, held outputs 0."""
-        self._instance.init()
+        self.instance.init()
 
     def set(self, path: str, value: Any) -> None:
         """Set one parameter; see `set_many`."""
@@ -63,7 +64,7 @@ class Machine:
             with np.errstate(over="ignore"):  # what float32 does not hold is infinite
                 for member, value in new.items():
                     self._p[member][0] = value
-            self._instance.prepare()
+            self.instance.prepare()
         except BaseException:  # Ctrl-C too: all or none
             self._p[:] = before
             raise
@@ -146,7 +147,7 @@ class Machine:
                     u[member] = data
             self._u[0] = u[-1]
         y: NDArray[Any] = np.empty(max(steps, 1), self._y.dtype)
-        self._instance.run(steps, u, y)
+        self.instance.run(steps, u, y)
         return {path: np.ascontiguousarray(y[member][:steps]) for path, member in self._outputs.items()}
 
     def _input(self, name: str) -> tuple[flat.Signal, str]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from collections.abc import Mapping
+from typing import Any, NamedTuple, Protocol
 
 
 class Sample(NamedTuple):
@@ -54,3 +55,23 @@ class Hardware(Protocol):
 
     def drive(self, fore: float, aft: float) -> None:
         """Commands the rotor pairs, 0 to 1 each, for the period that begins; a virtual rig's time runs to its end."""
+
+    def stop(self) -> None:
+        """Both pairs off, whatever is commanded, until `release`. From any thread, at once: the watchdog calls it."""
+
+    def release(self) -> None:
+        """Commands count again."""
+
+
+class VirtualHardware(Hardware, Protocol):
+    """A simulated drone: its time runs in `drive`, so it can begin again, and its true state is known."""
+
+    @property
+    def truth(self) -> tuple[float, float, float, float]:
+        """Pitch [rad], pitch rate [rad/s], position [m] and velocity [m/s] at this tick."""
+
+    def reset(self, seed: int, x: float, noise: float, rings: bool) -> Mapping[str, Any]:
+        """Begins again at rest at `x` [m]; returns the states, by path, in which the flight code is to begin.
+
+        Raises ParameterError for a place beyond the rail, a seed or a noise that cannot be.
+        """

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
 
@@ -26,8 +24,9 @@ from twodof.flight.templates import TEMPLATES
 from twodof.parameters import ParameterSet
 from twodof.rig.parameters import lab
 from twodof.rig.rig import BASE_DT, MEASUREMENTS, SAMPLE, TRUTH, rig
-from twodof.rig.rotors import HOVER, RING
 from twodof.signals import MODES
+from twodof.sim.start import FILTERS as FLIGHT_FILTERS
+from twodof.sim.start import SETTLE_STEPS, Start, covariances
 
 TICKS = SAMPLE[0]
 """Base ticks in a step of the flight code."""
@@ -42,11 +41,7 @@ ARMING = 25
 """Steps after a start with the motors off until `fly` arms: the range sensor has then given a sample."""
 
 FILTERS: Mapping[str, tuple[str, str]] = MappingProxyType(
-    {
-        "joint": ("flight.estimator.filter", "flight.estimator.filter"),
-        "fixed-gain": ("flight.estimator.pitch", "flight.estimator.position"),
-        "kalman": ("flight.estimator.pitch", "flight.estimator.position"),
-    }
+    {name: (f"flight.{pitch}", f"flight.{position}") for name, (pitch, position) in FLIGHT_FILTERS.items()}
 )
 """Paths of the blocks that estimate pitch and position, by the position filter's name."""
 
@@ -54,10 +49,8 @@ FLIGHT, CASCADE = "flight.", "flight.cascade."
 """Where the flight code's parameters are in the closed loop, and those of the cascade."""
 
 _OWN = tuple(f"{prefix}{name}." for name in TEMPLATES for prefix in (FLIGHT, CASCADE))
-_SETTLE_TICKS = 100_000  # the gyro's bias settles within some tens of seconds
+_SETTLE_TICKS = SETTLE_STEPS * TICKS
 _SETTLE_TICKS_INTERPRETED = 2_000
-_COVARIANCE = re.compile(r"\.(P_\w+|\w*variance)$").search
-_ARMED = 1000  # more than any count of samples that the flight code waits for after arming
 
 
 def closed_loop(
@@ -103,26 +96,6 @@ def closed_loop(
     return d
 
 
-@dataclass(frozen=True)
-class Start:
-    """Where a simulated flight starts: the rig's state, the estimates (None: as the truth) and what flew before.
-
-    `commands` are (M, T) of the control steps before the start, the latest last; the rotors and the delay line are
-    filled with them (none: the rotors stand, or with `hover` they run at T = .4 and the integrals are out of reset).
-    `states` overwrites single states by path, such as "flight.cascade.rate.sum".
-    """
-
-    theta: float = 0.0
-    q: float = 0.0
-    x: float = 0.0
-    v: float = 0.0
-    estimates: Mapping[str, float] = field(default_factory=dict)
-    commands: tuple[tuple[float, float], ...] = ()
-    hover: bool = False
-    wake: float | None = None
-    states: Mapping[str, Any] = field(default_factory=dict)
-
-
 class ClosedLoop:
     """A compiled closed loop with one rig and one set of gains, to be flown again and again.
 
@@ -161,7 +134,9 @@ class ClosedLoop:
         self.tune(gains)
         self.machine.set_many({f"flight.{path}": value for path, value in (tuning or {}).items()})
         self.filters = FILTERS[position_filter]
+        self.position_filter = position_filter
         self.states = frozenset(_state_paths(diagram))
+        self._flight_states = {path.removeprefix(FLIGHT) for path in self.states if path.startswith(FLIGHT)}
         self.inputs = (*SETPOINTS, *(SAFETY if failsafe else ()))
         self.failsafe = failsafe
         self.rig = dict((lab() if rig is None else rig).snapshot())
@@ -196,70 +171,23 @@ class ClosedLoop:
 
     def start(self, at: Start) -> None:
         """Puts everything to the start. Raises ExperimentError for a start beyond a stop."""
-        limits = {"theta": "rig.pitch_stop", "x": "rig.rail_stop"}
-        for name, limit in limits.items():
-            bound = float(self.machine.get(limit))
-            if not abs(getattr(at, name)) <= bound:
-                raise ExperimentError(
-                    f"{name} = {getattr(at, name):g} is beyond the stop at {bound:g}", "start", "start inside"
-                )
-        running = at.hover or (bool(at.commands) and at.commands[-1][1] > 0.0)
-        wake = at.wake if at.wake is not None else float(running)
-        starts = {"theta_start": at.theta, "q_start": at.q, "x_start": at.x, "v_start": at.v, "wake_start": wake}
-        self.configure(starts)
+        get, known = self.machine.get, self._flight_states
+        at.check(float(get("rig.pitch_stop")), float(get("rig.rail_stop")))
+        self.configure(at.rig_parameters())
         self.machine.reset()
-        self._spin(at.commands or (((0.0, HOVER),) if at.hover else ()))
-        estimate = {"theta": at.theta, "x": at.x, "v": at.v} | dict(at.estimates)
-        pitch, position = self.filters
-        states: dict[str, Any] = {
-            **self._settled,
-            "flight.previous.theta": estimate["theta"],
-            f"{pitch}.theta": estimate["theta"],
-            f"{pitch}.started": True,
-            f"{position}.x": estimate["x"],
-            f"{position}.v": estimate["v"],
-            f"{position}.started": True,
-            "flight.estimator.publisher.x": estimate["x"],
-            "flight.estimator.publisher.v": estimate["v"],
-            "rig.battery.load": float(running),
-        }
-        if f"{position}.x_filter" in self.states:
-            states[f"{position}.x_filter"] = estimate["x"]
-        if running:
-            states["flight.arming.count"] = _ARMED
-        if running and self.failsafe:
-            thrust = at.commands[-1][1] if at.commands else HOVER
-            states |= {"flight.failsafe.machine.state": FLYING, "flight.failsafe.safe.thrust": thrust}
-            states |= dict.fromkeys((f"flight.failsafe.{name}.count" for name in ("range", "range_stuck", "link")), 0)
-        for path, value in (states | dict(at.states)).items():
+        rig = at.rig_states(float(get("rig.delay")), float(get("rig.lag")))
+        states = {f"rig.{path}": value for path, value in rig.items()}
+        states |= {f"{FLIGHT}{path}": value for path, value in at.flight_states(self.position_filter, known).items()}
+        for path, value in (states | self._settled | dict(at.states)).items():
             self.machine.set_state(path, value)
 
     def _settle(self) -> dict[str, Any]:
         """The covariances to which the estimator settles at rest: a flight does not start with a doubtful pitch."""
-        paths = [path for path in sorted(self.states) if path.startswith("flight.estimator.") and _COVARIANCE(path)]
+        paths = [f"{FLIGHT}{path}" for path in covariances(self._flight_states)]
         self.machine.reset()
         compiled = isinstance(self.program, Program)
         self.machine.run(_SETTLE_TICKS if compiled else _SETTLE_TICKS_INTERPRETED)
         return {path: self.machine.state(path) for path in paths}
-
-    def _spin(self, commands: tuple[tuple[float, float], ...]) -> None:
-        """Fills the delay lines with what was commanded and runs the rotors' lag over it."""
-        if not commands:
-            return
-        held = np.repeat(np.asarray(commands, dtype=np.float64), TICKS, axis=0)
-        delay, lag = float(self.machine.get("rig.delay")), float(self.machine.get("rig.lag"))
-        back = max(1, round(delay / BASE_DT))
-        decay = float(np.exp(-BASE_DT / lag)) if lag > 0.0 else 0.0
-        for name, sign in (("fore", 1.0), ("aft", -1.0)):
-            command = np.clip(held[:, 1] + sign * held[:, 0], 0.0, 1.0)
-            speed = command[0]
-            for arrived in command[: max(0, len(command) - back)]:
-                speed = arrived + decay * (speed - arrived)
-            ring = np.full(RING, command[0])
-            recent = command[-RING:]
-            ring[RING - len(recent) :] = recent  # place 0 is written next, so the latest stands last
-            self.machine.set_state(f"rig.rotors.{name}", float(speed))
-            self.machine.set_state(f"rig.rotors.{name}_ring", ring.tolist())
 
     def fly(self, steps: int, setpoints: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
         """Flies `steps` control steps (4 ms each). A set-point is one value or an array of `steps` values, and 0

@@ -78,7 +78,7 @@ def test_the_interface_says_where_everything_stands() -> None:
     machine = program.machine()
     machine.set_many({"k": 3.0, "pendulum.omega": 2.5})
     machine.run(30, {"r": 0.5})
-    memory = bytes(machine._instance._memory)
+    memory = bytes(machine.instance._memory)
 
     def at(entry: dict[str, Any]) -> Any:
         values = np.frombuffer(memory, entry["type"], entry["count"], entry["address"]).tolist()

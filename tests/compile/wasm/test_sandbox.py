@@ -115,7 +115,7 @@ def test_the_fuel_of_a_step_is_a_bound_with_a_wide_margin(optimise: str) -> None
     for diagram in [*(room(name) for name in ROOMS), examples.loop(), examples.edge(), examples.delay(1000)]:
         program = build(diagram, 0.004, target="wasm", optimise=optimise)
         machine: Any = program.machine()
-        instance = machine._instance
+        instance = machine.instance
         inputs = random_inputs(diagram, 40, 1, True)
         for k in range(40):
             machine.step({name: column[k].tolist() for name, column in inputs.items()})

@@ -1,0 +1,99 @@
+"""Stepper: a machine's steps with its inputs and outputs by position, for who steps it hundreds of times a second."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twodof.compile.machine import Machine
+from twodof.errors import DiagramError
+
+_LETTERS = {"float64": "d", "float32": "f", "int32": "i", "uint32": "I", "bool": "?"}
+
+
+class Stepper:
+    """Steps `machine`, whose memory it shares, with `inputs`, all that it has, and `outputs`, those that are wanted.
+
+    Both are names of scalars, and values come and go as tuples in their order. `Machine.step` by name costs some ten
+    times as much. Values are not checked: a real is a float, an int32 or uint32 an int within its range, a bool
+    anything that is true or false. Raises DiagramError for a name that is not there or is an array, and for an input
+    that is left out. Methods that compute raise ControllerFault where the target can fault.
+    """
+
+    def __init__(self, machine: Machine, inputs: Sequence[str], outputs: Sequence[str]) -> None:
+        self.machine = machine
+        self._instance = instance = machine.instance
+        program = machine.program
+        layout, lowered = program.layout, program.flat
+        if missing := sorted(lowered.inputs.keys() - set(inputs)):
+            raise DiagramError(f"the inputs {', '.join(missing)} are left out", lowered.name, "name every input")
+        ins = {name: layout.inputs[signal].name for name, signal in lowered.inputs.items() if signal.width is None}
+        outs = {name: layout.outputs[name].name for name, signal in lowered.outputs.items() if signal.width is None}
+        self._u, self._y = instance.structs["U"], instance.structs["Y"]
+        self._ins = _Members(self._u, inputs, ins, lowered.name)
+        self._outs = _Members(self._y, outputs, outs, lowered.name)
+        self._step = instance.step
+        self._state = instance.structs["S"].view(np.uint8)
+        self._kept = np.empty_like(self._state)
+
+    def step(self, values: Sequence[Any]) -> tuple[Any, ...]:
+        """Writes the inputs, steps once and reads the outputs."""
+        self._ins.write(values)
+        self._step()
+        return self._outs.read()
+
+    def run(self, steps: int, values: Sequence[Any]) -> None:
+        """Writes the inputs and makes `steps` steps with them; the outputs are not read."""
+        self._ins.write(values)
+        self._instance.run(steps, self._u, self._y)
+
+    def peek(self) -> tuple[Any, ...]:
+        """The outputs that a step would give with the inputs as they were written last; nothing advances."""
+        self._kept[:] = self._state
+        try:
+            self._step()
+        finally:
+            self._state[:] = self._kept
+        return self._outs.read()
+
+
+class _Members:
+    """Scalar members of a struct, read and written together in the order of `names`."""
+
+    def __init__(self, array: NDArray[Any], names: Sequence[str], members: Mapping[str, str], where: str) -> None:
+        self._buffer = memoryview(array.view(np.uint8))
+        places: list[tuple[int, str, int]] = []
+        for name in names:
+            if name not in members:
+                known = ", ".join(members) or "none"
+                raise DiagramError(f"there is no scalar called {name!r:.80}", where, f"there are: {known}")
+            dtype, offset = (array.dtype.fields or {})[members[name]][:2]
+            places.append((offset, _LETTERS[dtype.name], dtype.itemsize))
+        order = sorted(range(len(places)), key=lambda i: places[i])
+        form, end = "=", 0
+        for offset, letter, size in (places[i] for i in order):
+            form += f"{offset - end}x{letter}"
+            end = offset + size
+        self._struct = struct.Struct(form)
+        self._sorted = order == list(range(len(order)))
+        self._order = order
+        self._back = [order.index(i) for i in range(len(order))]
+
+    def write(self, values: Sequence[Any]) -> None:
+        """Writes the values; what is too large for float32 becomes infinite. What lies between the members is lost."""
+        ordered = values if self._sorted else [values[i] for i in self._order]
+        try:
+            self._struct.pack_into(self._buffer, 0, *ordered)
+        except OverflowError:
+            with np.errstate(over="ignore"):
+                single = [float(np.float32(v)) if type(v) is float else v for v in ordered]
+            self._struct.pack_into(self._buffer, 0, *single)
+
+    def read(self) -> tuple[Any, ...]:
+        """The present values."""
+        values = self._struct.unpack_from(self._buffer, 0)
+        return values if self._sorted else tuple([values[i] for i in self._back])

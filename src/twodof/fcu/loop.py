@@ -1,0 +1,118 @@
+"""The flight controller: one control period after the other, in real time or in lockstep."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol, cast
+
+from twodof.errors import ParameterError
+from twodof.fcu.asked import Asked
+from twodof.fcu.flight_code import FlightCode, Step
+from twodof.fcu.hardware import Hardware, VirtualHardware
+from twodof.fcu.timing import Timing
+
+PERIOD_NS = 4_000_000
+"""The control period."""
+
+MOST_GRANTED = 25_000
+"""Ticks that may be granted beyond those that have run: 100 s."""
+
+
+class Commands(Protocol):
+    """Who says what is to be flown: the commander."""
+
+    def asked(self, tick: int) -> Asked:
+        """What is asked for in this tick."""
+
+    def seen(self, step: Step) -> None:
+        """What became of it."""
+
+    def restart(self) -> None:
+        """Time begins again at tick 0."""
+
+
+class FlightController:
+    """What runs at each control period, and the tick that counts them.
+
+    `commander` says what is asked, `code` flies, `hardware` measures and drives; each of `listeners` gets the step. In
+    `lockstep` time stands still until ticks are granted, and nothing is late; else the processor time of a step is
+    held against its budget. All methods are for one thread, but `stop`.
+    """
+
+    def __init__(self, hardware: Hardware, code: FlightCode, commander: Commands, lockstep: bool = False) -> None:
+        self.hardware = hardware
+        self.code = code
+        self.commander = commander
+        self.lockstep = lockstep
+        self.listeners: list[Callable[[Step], None]] = []
+        self.timing = Timing()
+        self.tick = 0
+        self.granted = 0
+        self.latest: Step | None = None
+        self._late = False
+        self._stopped = False
+        if code.sandbox is not None:
+            code.sandbox.timed = not lockstep
+
+    def step(self) -> Step:
+        """One control period."""
+        began = 0 if self.lockstep else time.thread_time_ns()
+        hardware = self.hardware
+        sample = hardware.read()
+        asked = self.commander.asked(self.tick)
+        step = self.code.step(self.tick, sample, asked, hardware.rings, self._late or self._stopped)
+        if began:
+            self._late = self.timing.stepped(time.thread_time_ns() - began, PERIOD_NS)
+        hardware.drive(step.fore, step.aft)
+        self.tick += 1
+        self.latest = step
+        if self._stopped and not step.armed:
+            self._stopped = False
+            hardware.release()
+        self.commander.seen(step)
+        for listener in self.listeners:
+            listener(step)
+        return step
+
+    def stop(self) -> None:
+        """Motors off, at once and from any thread (the watchdog's); the failsafe gives `step_late` as the reason."""
+        self.hardware.stop()
+        self._stopped = True
+
+    def grant(self, until: int) -> None:
+        """Lets time run up to the tick `until`, which is not run; one that was granted already changes nothing."""
+        self.granted = max(self.granted, min(until, self.tick + MOST_GRANTED))
+
+    def set_parameters(self, values: Mapping[str, Any]) -> None:
+        """Before the next tick all of `values`, or none; see `FlightCode.set_parameters`."""
+        self.code.set_parameters(values)
+
+    def reset(self, seed: int, x: float = 0.0, noise: float = 1.0, rings: bool = False) -> None:
+        """Begins again at tick 0, the virtual rig at rest at `x` [m] and everything as after the start.
+
+        Raises ParameterError, and changes nothing, on a real rig, while armed, and as `VirtualHardware.reset`.
+        """
+        if not self.hardware.virtual:
+            raise ParameterError("a real rig cannot begin again", self.hardware.name, "place it by hand")
+        if self.latest is not None and self.latest.armed:
+            raise ParameterError("it is armed", "reset", "disarm first")
+        states = cast(VirtualHardware, self.hardware).reset(seed, x, noise, rings)
+        self.code.reset(states)
+        self.tick = self.granted = 0
+        self.latest = None
+        self._late = self._stopped = False
+        self.hardware.release()
+        self.commander.restart()
+
+    def replace(self, code: FlightCode) -> None:
+        """Another flight code flies from the next tick on, from the states in which the present one is.
+
+        Raises ParameterError while armed.
+        """
+        if self.latest is not None and self.latest.armed:
+            raise ParameterError("it is armed", "controller", "disarm first")
+        code.take_over(self.code)
+        if code.sandbox is not None:
+            code.sandbox.timed = not self.lockstep
+        self.code = code

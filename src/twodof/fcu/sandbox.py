@@ -1,0 +1,94 @@
+"""A user's controllers that are not trusted: a whole flight core of theirs in WebAssembly, bounded, watched."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple
+
+from twodof.blocks import Diagram
+from twodof.compile import Program, build
+from twodof.compile.stepper import Stepper
+from twodof.compile.wasm.target import Wasm
+from twodof.errors import CompileError, ControllerFault
+from twodof.fcu.asked import Asked
+from twodof.fcu.hardware import Sample
+from twodof.flight.core import INPUTS as CORE_INPUTS
+from twodof.flight.core import PERIOD, core
+
+BUDGET_NS = 1_000_000
+"""Processor time [ns] that a step in the sandbox may take in real time: a quarter of the control period."""
+
+INPUTS = tuple(name for name, _, _, _ in CORE_INPUTS)
+OUTPUTS = ("fore", "aft", "M", "T")
+
+
+class Commands(NamedTuple):
+    """What the controllers asked for; `late` says that they were stopped or out of time, and the rest is not to fly."""
+
+    late: bool
+    given: bool
+    fore: float
+    aft: float
+    M: float
+    T: float
+
+
+_NOTHING = Commands(True, True, 0.0, 0.0, 0.0, 0.0)
+
+
+class Sandbox:
+    """The flight core with `controllers`, without failsafe, in WebAssembly; its commands go through the native gate.
+
+    `fault` says what stopped it, "" while it runs; then every step is late until `restart`. A step in real time
+    (`timed`) that takes more than `BUDGET_NS` of the processor is late. Raises DiagramError for a controller that fits
+    no template, CompileError where the compiler for WebAssembly or wasmtime is not there.
+    """
+
+    def __init__(
+        self,
+        controllers: Iterable[Diagram],
+        position_filter: str = "joint",
+        precision: str = "float64",
+        fuel: int | None = None,
+    ) -> None:
+        diagram = core(position_filter=position_filter, controllers=controllers)
+        program = build(diagram, PERIOD, precision, target=Wasm(fuel=fuel))
+        if not isinstance(program, Program):
+            raise CompileError("there is no WebAssembly", diagram.name, "install the wheels ziglang and wasmtime")
+        self.program = program
+        self.timed = False
+        self.late_steps = 0
+        self.fault = ""
+        self.machine = program.machine()
+        self._stepper = Stepper(self.machine, INPUTS, OUTPUTS)
+
+    def restart(self, parameters: Mapping[str, Any], states: Mapping[str, Any]) -> None:
+        """A fresh instance with these parameters and states by path, as far as it has them."""
+        self.machine = self.program.machine()
+        self._stepper = Stepper(self.machine, INPUTS, OUTPUTS)
+        self.fault = ""
+        self.machine.set_many({path: value for path, value in parameters.items() if path in self.machine.parameters})
+        for path, value in states.items():
+            if path in self.program.states:
+                self.machine.set_state(path, value)
+
+    def step(self, sample: Sample, asked: Asked, in_reset: bool) -> Commands:
+        """One control period, with set-points that are numbers within their limits."""
+        if self.fault:
+            return _NOTHING
+        began = time.thread_time_ns() if self.timed else 0
+        try:
+            fore, aft, moment, thrust = self._stepper.step(
+                (
+                    *(sample.acc_x, sample.acc_z, sample.gyro_y, sample.dist, sample.dist_new, sample.dist_age),
+                    *(asked.mode, in_reset, asked.x0, asked.v0, asked.ax0, asked.theta0, asked.q0),
+                    *(asked.thrust, asked.M_open, asked.use_trim),
+                )
+            )
+        except ControllerFault as fault:
+            self.fault = str(fault)
+            return _NOTHING
+        late = self.timed and time.thread_time_ns() - began > BUDGET_NS
+        self.late_steps += late
+        return Commands(late, True, fore, aft, moment, thrust)

@@ -1,0 +1,161 @@
+"""The virtual rig as a flight controller's hardware: compiled by itself, stepped four base ticks a control period."""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from twodof.compile import Program, build
+from twodof.compile.stepper import Stepper
+from twodof.errors import CompileError, ExperimentError, ParameterError
+from twodof.fcu.asked import Asked
+from twodof.fcu.flight_code import FlightCode
+from twodof.fcu.hardware import Sample
+from twodof.parameters import ParameterSet
+from twodof.rig.parameters import lab
+from twodof.rig.rig import BASE_DT, MEASUREMENTS, SAMPLE, TRUTH, rig
+from twodof.sim.start import SETTLE_STEPS, Start, covariances
+
+TICKS = SAMPLE[0]
+"""Base ticks in a control period."""
+
+SEEDS = 2**32
+"""Seeds of the noise are integers from 0 up to this, it excluded."""
+
+_OUTPUTS = (*MEASUREMENTS, "voltage", "charge", *TRUTH)
+
+
+class VirtualRig:
+    """A rig from `twodof.rig.parameters` (None: `lab`) as a `VirtualHardware`, with the bits of `ClosedLoop`.
+
+    `conditions` are further parameters of the rig (`trim`, `noise`, `seed`, `rings`, ...). `safety_off` says that the
+    safety switch was pressed. `distort` changes what the sensors say, for trying faults. Raises ParameterError for
+    parameters that are unknown or out of bounds, CompileError where there is no C compiler.
+    """
+
+    virtual = True
+
+    def __init__(
+        self,
+        parameters: ParameterSet | None = None,
+        conditions: Mapping[str, Any] | None = None,
+        precision: str = "float64",
+        name: str = "lab",
+        safety_off: bool = True,
+    ) -> None:
+        program = build(rig(), BASE_DT, precision)
+        if not isinstance(program, Program):
+            raise CompileError("there is no C compiler", "rig", "install gcc, or the wheel ziglang")
+        self.name = name
+        self.safety_off = safety_off
+        self.distort: Callable[[Sample], Sample] | None = None
+        self.machine = program.machine()
+        self.machine.set_many(dict((lab() if parameters is None else parameters).snapshot()) | dict(conditions or {}))
+        self._conditions = dict(conditions or {})
+        self._stepper = Stepper(self.machine, ("fore", "aft"), _OUTPUTS)
+        self._position_filter = ""
+        self._flight_states: frozenset[str] = frozenset()
+        self._settled: dict[str, Any] = {}
+        self._stopped = False
+        self._take_conditions()
+        self.machine.reset()
+        self._look()
+
+    @property
+    def seed(self) -> int:
+        """Of the noise."""
+        return self._seed
+
+    @property
+    def rings(self) -> bool:
+        """Whether the rings lock the cart."""
+        return self._rings
+
+    @property
+    def truth(self) -> tuple[float, float, float, float]:
+        """Pitch [rad], pitch rate [rad/s], position [m] and velocity [m/s] at this tick."""
+        return self._outputs[8:]
+
+    def settle(self, code: FlightCode) -> None:
+        """Finds the covariances to which the estimator of `code` settles on this rig at rest; then both begin at rest.
+
+        It runs 100 s of the rig with the motors off, in some tenths of a second; `reset` then starts from there.
+        """
+        states = code.machine.program.states
+        self._position_filter, self._flight_states = code.position_filter, frozenset(states)
+        self.machine.reset()
+        self._look()
+        code.reset()
+        asked = Asked()
+        for tick in range(SETTLE_STEPS):
+            code.step(tick, self.read(), asked)
+            self.drive(0.0, 0.0)
+        self._settled = {path: code.machine.state(path) for path in covariances(states)}
+        code.reset(self._begin(Start()))
+
+    def reset(
+        self, seed: int | None = None, x: float = 0.0, noise: float | None = None, rings: bool | None = None
+    ) -> dict[str, Any]:
+        """Begins again at rest at `x` [m]; what is None stays as it is. Returns states for the flight code, by path.
+
+        Raises ParameterError, and changes nothing, for a place beyond the rail, a seed or a noise that cannot be.
+        """
+        values: dict[str, Any] = {}
+        if seed is not None:
+            if isinstance(seed, bool) or not 0 <= operator.index(seed) < SEEDS:
+                raise ParameterError(f"{seed!r:.40} is no seed", "seed", f"give an integer 0 to {SEEDS - 1}")
+            values["seed"] = operator.index(seed)
+        if noise is not None:
+            if not (math.isfinite(noise) and noise >= 0.0):
+                raise ParameterError(f"a noise of {noise!r:.40}", "noise", "give 0 (none) or more; 1 is the rig's own")
+            values["noise"] = float(noise)
+        if rings is not None:
+            values["rings"] = bool(rings)
+        start = Start(x=float(x))
+        try:
+            start.check(float(self.machine.get("pitch_stop")), float(self.machine.get("rail_stop")))
+        except ExperimentError as error:
+            raise ParameterError(error.what, error.where, error.remedy) from error
+        # The rings hold the cart where it starts.
+        self.machine.set_many(values | {"ring_place": float(x)} | start.rig_parameters())
+        self._take_conditions()
+        return self._begin(start)
+
+    def read(self) -> Sample:
+        """The measurements of this tick."""
+        acc_x, acc_z, gyro_y, dist, dist_new, dist_age, voltage, charge = self._outputs[:8]
+        sample = Sample(acc_x, 0.0, acc_z, 0.0, gyro_y, 0.0, True, dist, dist_new, dist_age, voltage, charge)
+        return sample if self.distort is None else self.distort(sample)
+
+    def drive(self, fore: float, aft: float) -> None:
+        """Commands the rotor pairs, 0 to 1 each, and lets the rig's time run by a control period."""
+        if self._stopped:
+            fore = aft = 0.0
+        self._stepper.run(TICKS, (fore, aft))
+        self._look()
+
+    def stop(self) -> None:
+        """Both pairs off, whatever is commanded, until `release`; from any thread."""
+        self._stopped = True
+
+    def release(self) -> None:
+        """Commands count again."""
+        self._stopped = False
+
+    def _look(self) -> None:
+        # What the sensors say of a tick depends on the rig's state only, and is needed before that tick's commands.
+        self._outputs = self._stepper.peek()
+
+    def _begin(self, start: Start) -> dict[str, Any]:
+        machine = self.machine
+        machine.set_many(start.rig_parameters())
+        machine.reset()
+        for path, value in start.rig_states(float(machine.get("delay")), float(machine.get("lag"))).items():
+            machine.set_state(path, value)
+        self._look()
+        return start.flight_states(self._position_filter, self._flight_states) | self._settled
+
+    def _take_conditions(self) -> None:
+        self._seed, self._rings = int(self.machine.get("seed")), bool(self.machine.get("rings"))
