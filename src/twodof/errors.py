@@ -79,3 +79,16 @@ class LinkError(TwodofError):
 
 class LinkLost(LinkError):
     """The other side of a link is gone, or the link was closed."""
+
+
+class Rejected(TwodofError):
+    """The drone received a command and refused it; `reason` is what it said."""
+
+    @property
+    def reason(self) -> str:
+        """Why, in the drone's words where it gave any."""
+        return self.what
+
+
+class Timeout(TwodofError, TimeoutError):
+    """A call's deadline passed before the drone had answered, or before what was waited for came."""

@@ -1,0 +1,104 @@
+"""The drone's time: which control period it is in, how it passes, and how it is let pass in lockstep."""
+
+from collections.abc import Callable
+from itertools import count
+from typing import Any
+
+from twodof.errors import Timeout
+from twodof.gcs.deadline import Deadline
+from twodof.gcs.session import Session
+from twodof.link.messages import message
+
+TICK_S = 0.004
+TICK_MS = 4
+_STAMPED_MS = ("ATTITUDE", "ATTITUDE_TARGET", "LOCAL_POSITION_NED", "ATTITUDE_QUATERNION")
+_TICKED = ("TWODOF_SAFETY", "TWODOF_TIMING", "TWODOF_EXCITE_STATUS", "TWODOF_RIG")
+# Real time of the drone's silence over its own time, after which it stands still.
+STANDS_STILL_S = 3.0
+# Lockstep: real time that a slice may take, and how much of the drone's time goes by in one.
+SLICE_WALL_S = 10.0
+SLICE_TICKS = 25
+SETPOINT_TICKS = 5
+
+
+class Clock:
+    """The drone's ticks of 4 ms. `tick` is the newest that was told of; in lockstep the first that has not been run."""
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+        self.tick = 0
+        self.before_slice: list[Callable[[int, int], None]] = []
+        self._numbers = count(1)
+        session.on(self._stamped, *_STAMPED_MS)
+        session.on(self._ticked, *_TICKED)
+        session.on(self._told, "TWODOF_TICK")
+
+    @property
+    def seconds(self) -> float:
+        """The drone's time since it started [s]."""
+        return self.tick * TICK_S
+
+    @property
+    def lockstep(self) -> bool:
+        """Whether its time stands still until it is granted."""
+        return self._session.lockstep
+
+    def restart(self) -> None:
+        """It began anew at tick 0."""
+        self.tick = 0
+
+    async def run_until(self, tick: int, done: Callable[[], bool] | None = None) -> None:
+        """Let the drone's time pass up to `tick` (not run yet), or until `done()`, asked each 20 ms of its time.
+
+        Raises LinkLost; Timeout if its time stands still.
+        """
+        if self.lockstep:
+            step = SETPOINT_TICKS if done is not None else SLICE_TICKS
+            while self.tick < tick and not (done is not None and done()):
+                await self._grant(min(tick, self.tick + step))
+        else:
+            await self._pass(tick, done)
+
+    async def _grant(self, until: int) -> None:
+        session, number = self._session, next(self._numbers)
+        for prepare in self.before_slice:
+            prepare(self.tick, until)
+        place = {"target_system": session.system, "target_component": session.component}
+        deadline = Deadline(SLICE_WALL_S, f"granting time up to tick {until}", f"drone {session.system}")
+        await session.ask(
+            lambda _: message("TWODOF_GRANT", until=until, number=number, **place),
+            ("TWODOF_TICK",),
+            lambda got: True if got.tick >= until else None,
+            deadline,
+        )
+
+    async def _pass(self, tick: int, done: Callable[[], bool] | None) -> None:
+        session = self._session
+        moved, seen = session.now, self.tick
+        with session.listen(*_STAMPED_MS, *_TICKED) as heard:
+            while self.tick < tick and not (done is not None and done()):
+                if self.tick != seen:
+                    moved, seen = session.now, self.tick
+                if session.now - moved > STANDS_STILL_S:
+                    raise Timeout(
+                        f"the drone's time stands still at tick {self.tick}",
+                        f"drone {session.system}",
+                        "nothing that carries its time comes: subscribe to ATTITUDE, or look at the link",
+                    )
+                await heard.next(session.now + SETPOINT_TICKS * TICK_S)
+
+    def _stamped(self, got: Any) -> None:
+        if not self.lockstep:
+            self._to(got.time_boot_ms // TICK_MS)
+
+    def _ticked(self, got: Any) -> None:
+        if not self.lockstep:
+            self._to(got.tick)
+
+    def _told(self, got: Any) -> None:
+        self._to(got.tick)
+
+    def _to(self, tick: int) -> None:
+        # What was overtaken on the way is up to a second old; what is older says that the drone began anew.
+        if tick > self.tick or tick < self.tick - 250:
+            self.tick = tick

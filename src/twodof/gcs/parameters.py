@@ -1,0 +1,257 @@
+"""The drone's parameters from the ground: read, listed, set one or several at once, undone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import count
+from math import isfinite
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from twodof.errors import ParameterError, Rejected, listed, shown
+from twodof.gcs.deadline import Deadline
+from twodof.gcs.session import Session
+from twodof.link.messages import float_of_int, int_of_float, message
+from twodof.parameters import PARAMETERS, Parameter
+
+INT32, REAL32 = 6, 9
+HASH = "_HASH_CHECK"
+MOST = 5000
+BEGIN, COMMIT, ROLL_BACK, UNDO = range(4)
+_ERRORS = (
+    "",
+    "there is no such parameter",
+    "the value is out of range",
+    "it may not be changed now",
+    "no such component",
+    "it is read-only",
+    "its type is not supported",
+    "the value has the wrong type",
+    "it could not be read",
+)
+_BY_NAME: Mapping[str, Parameter] = {name: row for row in PARAMETERS for name in (row.name, row.drone) if name}
+
+
+class Entry(NamedTuple):
+    """A parameter as the drone told it: `kind` is a MAV_PARAM_TYPE."""
+
+    name: str
+    value: float
+    kind: int
+    place: int
+
+    @property
+    def row(self) -> Parameter | None:
+        """Bounds, unit and text, where the package knows them."""
+        return _BY_NAME.get(self.name)
+
+
+class AsyncParameters:
+    """Parameters of one drone by its own names or the package's; `known` is what it has told so far."""
+
+    def __init__(self, session: Session, timeout: float = 5.0) -> None:
+        self._session = session
+        self._timeout = timeout
+        self.known: dict[str, Entry] = {}
+        self.transactions = False  # whether several can be set at once: the drone is one of ours
+        self._numbers = count(1)
+        session.on(self._told, "PARAM_VALUE")
+
+    async def read(self, name: str, timeout: float | None = None) -> float:
+        """The value of one. Raises ParameterError for one that the drone says it has not, LinkLost, Timeout."""
+        return (await self._entry(name, self._deadline(timeout, f"reading {name}"))).value
+
+    async def set(self, name: str, value: float, timeout: float | None = None) -> None:
+        """Set one and see that it is set. Raises as `update`."""
+        await self.update({name: value}, timeout)
+
+    async def update(self, changes: Mapping[str, float], timeout: float | None = None) -> None:
+        """Set several, all or none. Raises ParameterError for a value that cannot be, Rejected, LinkLost, Timeout.
+
+        A drone of ours takes them in one transaction, at one tick; with another's, those that were set are set back
+        when a later one is refused.
+        """
+        if not changes:
+            return
+        deadline = self._deadline(timeout, f"setting {listed(changes, 3)}")
+        entries = [await self._entry(name, deadline) for name in changes]
+        if len({entry.name for entry in entries}) < len(entries):
+            raise ParameterError("a parameter is given twice", listed(changes), "nothing was changed")
+        wanted = [(entry, _checked(entry, value)) for entry, value in zip(entries, changes.values(), strict=True)]
+        if self.transactions and len(wanted) > 1:
+            await self._together(wanted, deadline)
+            for entry, _ in wanted:
+                await self._ask(entry.name, deadline)
+        else:
+            await self._one_by_one(wanted, deadline)
+
+    async def undo(self, timeout: float | None = None) -> None:
+        """Back to what was before the last change. Raises Rejected, LinkLost, Timeout."""
+        deadline = self._deadline(timeout, "undoing the last change of parameters")
+        await self._transaction(UNDO, 0, deadline, ())
+        self.known.clear()
+
+    async def all(self, timeout: float = 30.0) -> dict[str, Entry]:
+        """Every parameter, by the drone's names. Raises LinkLost, Timeout."""
+        deadline = self._deadline(timeout, "listing the parameters")
+        place = self._place()
+        found: dict[int, Entry] = {}
+        total = MOST
+        with self._session.listen("PARAM_VALUE") as heard:
+            self._session.send(message("PARAM_REQUEST_LIST", **place))
+            while len(found) < total:
+                got = await heard.next(min(deadline.end, self._session.now + 0.5))
+                if got is None:
+                    deadline.check()
+                    if not found:
+                        self._session.send(message("PARAM_REQUEST_LIST", **place))
+                    for index in [index for index in range(min(total, MOST)) if index not in found][:50]:
+                        if found:
+                            self._session.send(message("PARAM_REQUEST_READ", param_index=index, **place))
+                elif got.param_index < got.param_count <= MOST:
+                    total = got.param_count
+                    found[got.param_index] = _entry(got)
+                deadline.check()
+        return {found[index].name: found[index] for index in sorted(found)}
+
+    def name_on_board(self, name: str) -> str:
+        """What the drone calls it: as given where it told so, else the package's name or the real drone's."""
+        row = _BY_NAME.get(name)
+        if name in self.known or row is None:
+            return name
+        other = row.drone if name == row.name else row.name
+        return other if other in self.known else name
+
+    async def _one_by_one(self, wanted: list[tuple[Entry, float]], deadline: Deadline) -> None:
+        done: list[tuple[Entry, float]] = []
+        for entry, value in wanted:
+            try:
+                await self._set(entry, value, deadline)
+            except Rejected:
+                for before, _ in reversed(done):
+                    await self._set(before, before.value, deadline)
+                raise
+            done.append((entry, value))
+
+    async def _set(self, entry: Entry, value: float, deadline: Deadline) -> None:
+        sent = _float32(value) if entry.kind == REAL32 else value
+
+        def accept(got: Any) -> bool | None:
+            if got.get_type() == "PARAM_ERROR":
+                self._refused(got, entry.name)
+                return None
+            if got.param_id != entry.name:
+                return None
+            if _entry(got).value != sent:
+                raise Rejected(
+                    f"{entry.name} is {_entry(got).value:g} and not {value:g}", f"drone {self._session.system}"
+                )
+            return True
+
+        await self._session.ask(
+            lambda _: self._set_message(entry, value), ("PARAM_VALUE", "PARAM_ERROR"), accept, deadline
+        )
+
+    async def _together(self, wanted: list[tuple[Entry, float]], deadline: Deadline) -> None:
+        await self._transaction(COMMIT, len(wanted), deadline, wanted)
+
+    async def _transaction(
+        self, action: int, size: int, deadline: Deadline, wanted: list[tuple[Entry, float]] | tuple[()]
+    ) -> None:
+        number = 0
+
+        def question(_: int) -> Any:
+            nonlocal number
+            number = next(self._numbers) & 0xFFFF
+            if wanted:
+                self._session.send(self._transaction_message(BEGIN, number, size))
+                for entry, value in wanted:
+                    self._session.send(self._set_message(entry, value))
+            return self._transaction_message(action, number, size)
+
+        def accept(got: Any) -> bool | None:
+            if got.transaction != number or got.action != action:
+                return None
+            if got.result:
+                raise Rejected(
+                    f"{got.param_id or 'the change'}: {_error(got.result)}",
+                    f"drone {self._session.system}, {deadline.doing}",
+                    "nothing was changed",
+                )
+            return True
+
+        await self._session.ask(question, ("TWODOF_PARAM_TRANSACTION",), accept, deadline)
+
+    async def _entry(self, name: str, deadline: Deadline) -> Entry:
+        return self.known.get(self.name_on_board(name)) or await self._ask(self.name_on_board(name), deadline)
+
+    async def _ask(self, name: str, deadline: Deadline) -> Entry:
+        if not isinstance(name, str) or not name.isascii() or not 1 <= len(name) <= 16:
+            raise ParameterError(f"{shown(name)} is no name of 1 to 16 ASCII characters", "parameters")
+
+        def accept(got: Any) -> Entry | None:
+            if got.get_type() == "PARAM_ERROR":
+                self._refused(got, name)
+                return None
+            return _entry(got) if got.param_id == name else None
+
+        return await self._session.ask(
+            lambda _: message("PARAM_REQUEST_READ", param_id=name, param_index=-1, **self._place()),
+            ("PARAM_VALUE", "PARAM_ERROR"),
+            accept,
+            deadline,
+        )
+
+    def _refused(self, got: Any, name: str) -> None:
+        if got.param_id != name or not got.error:
+            return
+        if got.error == 1:
+            raise ParameterError("the drone has no such parameter", name, "parameters.all() lists them")
+        raise Rejected(f"{name}: {_error(got.error)}", f"drone {self._session.system}", "nothing was changed")
+
+    def _told(self, got: Any) -> None:
+        if got.param_id != HASH and (got.param_id in self.known or len(self.known) < MOST):
+            self.known[got.param_id] = _entry(got)
+
+    def _set_message(self, entry: Entry, value: float) -> Any:
+        carried = float_of_int(int(value)) if entry.kind == INT32 else float(value)
+        return message("PARAM_SET", param_id=entry.name, param_value=carried, param_type=entry.kind, **self._place())
+
+    def _transaction_message(self, action: int, number: int, size: int) -> Any:
+        return message("TWODOF_PARAM_TRANSACTION", transaction=number, count=size, action=action, **self._place())
+
+    def _place(self) -> dict[str, int]:
+        return {"target_system": self._session.system, "target_component": self._session.component}
+
+    def _deadline(self, timeout: float | None, doing: str) -> Deadline:
+        return Deadline(self._timeout if timeout is None else timeout, doing, f"drone {self._session.system}")
+
+
+def _entry(got: Any) -> Entry:
+    value = float(int_of_float(got.param_value)) if got.param_type == INT32 else float(got.param_value)
+    return Entry(str(got.param_id), value, int(got.param_type), int(got.param_index))
+
+
+def _checked(entry: Entry, value: float) -> float:
+    """A value that the parameter can have. Raises ParameterError."""
+    row = entry.row
+    if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
+        raise ParameterError(f"{shown(value)} is no number", entry.name, "nothing was changed")
+    if entry.kind not in (INT32, REAL32):
+        raise ParameterError(f"has the type {entry.kind}, which is not set from here", entry.name)
+    if entry.kind == INT32 and (value != int(value) or not -(2**31) <= value < 2**31):
+        raise ParameterError(f"{value:g} is no int32", entry.name, "nothing was changed")
+    if row is not None and not row.low <= value <= row.high:
+        raise ParameterError(
+            f"{value:g} is outside {row.low:g} to {row.high:g} {row.unit}", entry.name, "nothing was changed"
+        )
+    return value
+
+
+def _error(number: int) -> str:
+    return _ERRORS[number] if number < len(_ERRORS) else f"error {number}"
+
+
+def _float32(value: float) -> float:
+    return float(np.float32(value))

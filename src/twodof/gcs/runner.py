@@ -1,0 +1,92 @@
+"""An event loop in a thread of its own, for whoever does not write asyncio; it never keeps a process from ending."""
+
+from __future__ import annotations
+
+import asyncio
+import atexit
+import threading
+from collections.abc import Callable, Coroutine
+from concurrent.futures import CancelledError
+from contextlib import suppress
+from typing import Any, TypeVar
+from weakref import WeakMethod
+
+from twodof.errors import LinkLost, TwodofError
+
+T = TypeVar("T")
+# A loop that does not answer for so long is stuck, and is left behind.
+CLOSING_S = 5.0
+
+
+class Runner:
+    """Runs coroutines in its thread and hands their results back; `where` is for errors."""
+
+    def __init__(self, where: str) -> None:
+        self._where = where
+        self._loop = asyncio.new_event_loop()
+        self._leave: Callable[[], None] | None = None
+        self._thread = threading.Thread(target=self._serve, name=f"drone {where}", daemon=True)
+        self._thread.start()
+
+    @property
+    def alive(self) -> bool:
+        """Whether it still takes work."""
+        return self._thread.is_alive() and not self._loop.is_closed()
+
+    def run(self, work: Coroutine[Any, Any, T]) -> T:
+        """What `work` returns or raises; Ctrl-C while it waits cancels it. Raises LinkLost once it was closed."""
+        if not self.alive or threading.current_thread() is self._thread:
+            work.close()
+            if self.alive:
+                raise RuntimeError("a callback cannot wait for the drone: set something that the script sees")
+            raise LinkLost("the drone was closed", self._where, "connect again")
+        future = asyncio.run_coroutine_threadsafe(work, self._loop)
+        try:
+            return future.result()
+        except CancelledError:
+            raise LinkLost("the drone was closed meanwhile", self._where, "connect again") from None
+        except BaseException:
+            future.cancel()
+            raise
+
+    def call(self, work: Callable[[], T]) -> T:
+        """What the plain function `work` returns, called in the thread."""
+
+        async def called() -> T:
+            return work()
+
+        return self.run(called())
+
+    def at_exit(self, leave: Callable[[], None]) -> None:
+        """Call the method `leave` when the interpreter ends, unless it was closed before."""
+        method = WeakMethod(leave)
+
+        def left() -> None:
+            found = method()
+            if found is not None:
+                with suppress(TwodofError):  # nobody is there any more to be told
+                    found()
+
+        self._leave = left
+        atexit.register(left)
+
+    def close(self) -> None:
+        """Cancel what still runs and end the thread; a second time does nothing."""
+        if self._leave is not None:
+            atexit.unregister(self._leave)
+            self._leave = None
+        if self.alive:
+            self._loop.call_soon_threadsafe(self._loop.stop)
+            self._thread.join(CLOSING_S)
+
+    def _serve(self) -> None:
+        asyncio.set_event_loop(self._loop)
+        try:
+            self._loop.run_forever()
+            left = asyncio.all_tasks(self._loop)
+            for task in left:
+                task.cancel()
+            if left:
+                self._loop.run_until_complete(asyncio.wait(left, timeout=CLOSING_S / 2))
+        finally:
+            self._loop.close()

@@ -1,0 +1,146 @@
+"""Set-points: what each verb sends, and the stream that keeps the latest one alive until another takes its place.
+
+50 times a second, as the real ground station; in lockstep at every fifth tick of the drone, each stamped with its tick.
+The stream ends with its process: then the drone's failsafe acts, which is what it is for.
+"""
+
+import asyncio
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from math import isfinite, nan
+from typing import Any
+
+from twodof.errors import LinkLost, ParameterError, shown
+from twodof.gcs.clock import SETPOINT_TICKS, TICK_MS, Clock
+from twodof.gcs.session import Session
+from twodof.link.messages import message
+from twodof.link.setpoints import NO_THRUST, attitude_target, position_target, rate_target, velocity_target
+
+PERIOD_S = 0.02
+
+
+@dataclass(frozen=True)
+class Setpoint:
+    """What is to be followed, in the vehicle's `mode`: `make(tick, place)` is its message."""
+
+    mode: str
+    make: Callable[[int, dict[str, int]], Any]
+
+
+def moment(M: float, thrust: float | None) -> Setpoint:
+    """Normalised pitch moment without a loop; thrust None leaves the thrust as it is."""
+    fields = {
+        "M": _number("M", M),
+        "T": _thrust(thrust),
+        "openloop": 1,
+        "enableM": 1,
+        "enableT": int(thrust is not None),
+    }
+    return Setpoint("manual", lambda tick, place: message("TWODOF_OPENLOOP", tick=tick, **place, **fields))
+
+
+def pitch(theta: float, thrust: float | None) -> Setpoint:
+    """Pitch [rad]; thrust None leaves the thrust as it is."""
+    return _attitude(attitude_target, _number("theta", theta), thrust)
+
+
+def pitch_rate(q: float, thrust: float | None) -> Setpoint:
+    """Pitch rate [rad/s]; thrust None leaves the thrust as it is."""
+    return _attitude(rate_target, _number("q", q), thrust)
+
+
+def velocity(v: float, acceleration: float | None) -> Setpoint:
+    """Velocity along the rail [m/s], with an acceleration [m/s^2] fed forward if it is given."""
+    return _along_rail(velocity_target, _number("v", v), acceleration)
+
+
+def position(x: float, acceleration: float | None) -> Setpoint:
+    """Position along the rail [m], with an acceleration [m/s^2] fed forward if it is given."""
+    return _along_rail(position_target, _number("x", x), acceleration)
+
+
+def _attitude(make: Callable[..., Any], value: float, thrust: float | None) -> Setpoint:
+    power = _thrust(thrust)
+
+    def made(tick: int, place: dict[str, int]) -> Any:
+        sent = make(value, power, time_boot_ms=tick * TICK_MS, **place)
+        if thrust is None:
+            sent.type_mask |= NO_THRUST
+        return sent
+
+    return Setpoint("offboard", made)
+
+
+def _along_rail(make: Callable[..., Any], value: float, acceleration: float | None) -> Setpoint:
+    forward = nan if acceleration is None else _number("acceleration", acceleration)
+    return Setpoint("offboard", lambda tick, place: make(value, forward, time_boot_ms=tick * TICK_MS, **place))
+
+
+def _thrust(thrust: float | None) -> float:
+    value = _number("thrust", 0.0 if thrust is None else thrust)
+    if not 0.0 <= value <= 1.0:
+        raise ParameterError(f"thrust {value:g} is outside 0 to 1", "set-point", "nothing was sent")
+    return value
+
+
+def _number(name: str, value: float) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
+        raise ParameterError(f"{name} = {shown(value)} is no finite number", "set-point", "nothing was sent")
+    return float(value)
+
+
+class Setpoints:
+    """The stream of the latest set-point, one for each drone."""
+
+    def __init__(self, session: Session, clock: Clock) -> None:
+        self._session, self._clock = session, clock
+        self.current: Setpoint | None = None
+        self.sent = 0
+        self._next_tick = 0
+        self._streaming: asyncio.Task[None] | None = None
+        clock.before_slice.append(self._slice)
+
+    def hold(self, setpoint: Setpoint) -> None:
+        """Send it now and keep sending it. Raises LinkLost."""
+        self.current = setpoint
+        self._next_tick = self._clock.tick
+        if self._clock.lockstep:
+            self._send(self._clock.tick)
+        elif self._streaming is None or self._streaming.done():
+            self._send(0)
+            self._streaming = asyncio.get_running_loop().create_task(self._stream())
+        else:
+            self._send(0)
+
+    def stop(self) -> None:
+        """Send no more."""
+        self.current = None
+        if self._streaming is not None:
+            self._streaming.cancel()
+            self._streaming = None
+
+    async def _stream(self) -> None:
+        loop = asyncio.get_running_loop()
+        due = loop.time()
+        with suppress(LinkLost):  # the next call says so
+            while self.current is not None:
+                # After a pause of the machine it goes on from now: set-points of the past are worth nothing.
+                due = max(due + PERIOD_S, loop.time())
+                await asyncio.sleep(due - loop.time())
+                self._send(0)
+
+    def _slice(self, tick: int, until: int) -> None:
+        """Those that belong to the ticks from `tick` to `until` (not included), before they are granted."""
+        if self._next_tick < tick:
+            self._next_tick = tick
+        while self.current is not None and self._next_tick < until:
+            self._send(self._next_tick)
+
+    def _send(self, tick: int) -> None:
+        if self.current is None:
+            return
+        place = {"target_system": self._session.system, "target_component": self._session.component}
+        self._session.send(self.current.make(tick, place))
+        self.sent += 1
+        self._next_tick = tick + SETPOINT_TICKS

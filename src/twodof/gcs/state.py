@@ -1,0 +1,133 @@
+"""How the drone stands, in words: mode, armed, failsafe, rig, battery; from what it last said."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from twodof.gcs.session import Session
+from twodof.link import dialect
+from twodof.link.modes import mode_name
+
+ARMED = 128
+RINGS, SAFETY_OFF, VIRTUAL, LOCKSTEP = 1, 2, 4, 8
+
+
+@dataclass(frozen=True)
+class Safety:
+    """The failsafe: what it does since which tick, what decided (`reason`), and the causes it sees now."""
+
+    action: str = "none"
+    reason: str = ""
+    causes: tuple[str, ...] = ()
+    since: int = 0
+    tick: int = 0
+
+
+@dataclass(frozen=True)
+class Rig:
+    """What the drone stands on: its name, the controller that flies, and how the rig is set."""
+
+    name: str = ""
+    controller: str = ""
+    diagram: int = 0
+    seed: int = 0
+    virtual: bool = False
+    lockstep: bool = False
+    rings_locked: bool = False
+    safety_off: bool = False
+
+
+@dataclass(frozen=True)
+class Battery:
+    """Voltage [V] and charge (0 empty, 1 full); NaN while unknown."""
+
+    voltage: float = float("nan")
+    charge: float = float("nan")
+
+
+@dataclass(frozen=True)
+class State:
+    """How the drone stood when it was last heard."""
+
+    mode: str = "unknown"
+    armed: bool = False
+    status: str = "unknown"
+    safety: Safety = Safety()
+    rig: Rig = Rig()
+    battery: Battery = Battery()
+
+    def __str__(self) -> str:
+        text = f"{'armed' if self.armed else 'disarmed'}, {self.mode}"
+        if self.safety.action != "none":
+            text += f", failsafe: {self.safety.action} because of {self.safety.reason or 'nothing that it names'}"
+        return text
+
+
+_STATUS = ("uninit", "boot", "calibrating", "standby", "active", "critical", "emergency", "power off", "terminated")
+
+
+class Watcher:
+    """Keeps `state` up to date."""
+
+    def __init__(self, session: Session) -> None:
+        self.state = State()
+        self.heartbeats = 0
+        session.on(self._heartbeat, "HEARTBEAT")
+        session.on(self._safety, "TWODOF_SAFETY")
+        session.on(self._rig, "TWODOF_RIG")
+        session.on(self._battery, "BATTERY_STATUS")
+        self._session = session
+
+    def _change(self, **changes: Any) -> None:
+        self.state = State(**{**vars(self.state), **changes})
+
+    def _heartbeat(self, got: Any) -> None:
+        self.heartbeats += 1
+        status = _STATUS[got.system_status] if got.system_status < len(_STATUS) else "unknown"
+        self._change(mode=mode_name(got.custom_mode), armed=bool(got.base_mode & ARMED), status=status)
+
+    def _safety(self, got: Any) -> None:
+        causes = names_of("TWODOF_CAUSE", got.flags)
+        reason = names_of("TWODOF_CAUSE", 1 << got.reason) if 0 <= got.reason < 32 else ()
+        action = word_of("TWODOF_ACTION", got.action)
+        self._change(safety=Safety(action, ", ".join(reason), causes, got.since, got.tick))
+
+    def _rig(self, got: Any) -> None:
+        flags = got.flags
+        self._session.lockstep = bool(flags & LOCKSTEP)
+        rig = Rig(
+            _text(got.name),
+            _text(got.controller),
+            got.diagram,
+            got.seed,
+            bool(flags & VIRTUAL),
+            bool(flags & LOCKSTEP),
+            bool(flags & RINGS),
+            bool(flags & SAFETY_OFF),
+        )
+        self._change(rig=rig)
+
+    def _battery(self, got: Any) -> None:
+        cells = [one for one in got.voltages if one != 0xFFFF]
+        charge = got.battery_remaining / 100.0 if got.battery_remaining >= 0 else float("nan")
+        self._change(battery=Battery(sum(cells) / 1000.0 if cells else float("nan"), charge))
+
+
+def names_of(enum: str, mask: int) -> tuple[str, ...]:
+    """The bits of a mask in the words of the dialect's enumeration; "bit 7" for one it has not."""
+    rows = dialect.load().enums.get(enum, {})
+    return tuple(_word(enum, rows, bit) for k in range(32) if mask & (bit := 1 << k))
+
+
+def word_of(enum: str, value: int) -> str:
+    """A value in the words of the dialect's enumeration, its number where it has none."""
+    return _word(enum, dialect.load().enums.get(enum, {}), value)
+
+
+def _word(enum: str, rows: Any, value: int) -> str:
+    row = rows.get(value)
+    return str(row.name).removeprefix(f"{enum}_").lower() if row is not None else str(value)
+
+
+def _text(value: Any) -> str:
+    text = value if isinstance(value, str) else bytes(value).decode("utf-8", "replace")
+    return "".join(c if c.isprintable() else " " for c in text.split("\0")[0])

@@ -1,0 +1,164 @@
+"""AsyncDrone against a drone by script, on virtual time: each verb does what it says, or says why not."""
+
+import asyncio
+from collections.abc import Callable, Coroutine
+from typing import Any
+
+import pytest
+
+from tests.faults.virtual_time import run_virtual
+from tests.gcs.peer import Peer
+from twodof.errors import LinkLost, ParameterError, Rejected, Timeout
+from twodof.gcs.async_drone import AsyncDrone
+
+Flight = Callable[[Peer, AsyncDrone], Coroutine[Any, Any, None]]
+
+
+def fly(flight: Flight, peer: Peer | None = None, **options: Any) -> Peer:
+    """Connect to a peer, run `flight`, leave."""
+    made = peer or Peer()
+
+    async def work() -> None:
+        async with made, await AsyncDrone.connect(made.url, **options) as drone:
+            await flight(made, drone)
+
+    run_virtual(work())
+    return made
+
+
+def test_connecting_takes_the_lease_and_leaving_disarms_and_gives_it_up() -> None:
+    async def flight(peer: Peer, drone: AsyncDrone) -> None:
+        assert drone.ours
+        assert peer.holder == (250, 190)
+        await drone.arm()
+        assert peer.armed
+        assert drone.state.armed
+
+    peer = fly(flight)
+    assert not peer.armed
+    assert peer.holder == (0, 0)
+
+
+def test_leaving_by_an_exception_disarms_too() -> None:
+    async def flight(peer: Peer, drone: AsyncDrone) -> None:
+        await drone.arm()
+        raise ZeroDivisionError
+
+    peer = Peer()
+    with pytest.raises(ZeroDivisionError):
+        fly(flight, peer)
+    assert not peer.armed
+
+
+def test_a_refusal_says_why() -> None:
+    async def flight(peer: Peer, drone: AsyncDrone) -> None:
+        peer.refuse[400] = (1, "the safety switch is on")
+        with pytest.raises(Rejected, match="the safety switch is on"):
+            await drone.arm()
+
+    fly(flight)
+
+
+def test_setpoints_are_streamed_at_50_hz_until_stopped() -> None:
+    async def flight(peer: Peer, drone: AsyncDrone) -> None:
+        await drone.set_pitch(0.1, thrust=0.4)
+        assert drone.state.mode == "offboard"
+        before = peer.count("SET_ATTITUDE_TARGET")
+        await drone.run(2.0)
+        assert peer.count("SET_ATTITUDE_TARGET") - before == pytest.approx(100, abs=2)  # edges of the two seconds
+        drone.stop_setpoints()
+        before = peer.count("SET_ATTITUDE_TARGET")
+        await drone.run(1.0)
+        assert peer.count("SET_ATTITUDE_TARGET") == before
+
+    fly(flight)
+
+
+def test_in_lockstep_setpoints_follow_the_drones_time() -> None:
+    async def flight(peer: Peer, drone: AsyncDrone) -> None:
+        await drone.set_velocity(0.2)
+        start = drone.tick
+        await drone.run(1.0)
+        assert drone.tick == start + 250
+        stamps = {one.time_boot_ms for one in peer.heard if one.get_type() == "SET_POSITION_TARGET_LOCAL_NED"}
+        assert stamps >= {4 * (start + 5 * k) for k in range(50)}
+
+    fly(flight, Peer(lockstep=True))
+
+
+def test_parameters_are_read_listed_and_set_all_or_none() -> None:
+    async def flight(peer: Peer, drone: AsyncDrone) -> None:
+        assert await drone.parameters.read("ATT_KP") == 11.0
+        found = await drone.parameters.all()
+        assert {name: entry.value for name, entry in found.items()} == pytest.approx(peer.parameters, rel=1e-7)
+        await drone.parameters.update({"ATT_KP": 6.0, "SYS_AUTOSTART": 4002})
+        assert (peer.parameters["ATT_KP"], peer.parameters["SYS_AUTOSTART"]) == (6.0, 4002)
+        before = dict(peer.parameters)
+        with pytest.raises(Rejected, match="ATT_KP: the value is out of range"):
+            await drone.parameters.update({"RATE_KP": 0.05, "ATT_KP": 13.0})
+        with pytest.raises(ParameterError, match="outside 0 to 15"):
+            await drone.parameters.update({"RATE_KP": 0.05, "ATT_KP": 99.0})
+        assert peer.parameters == before
+        with pytest.raises(ParameterError, match="no such parameter"):
+            await drone.parameters.read("NO_SUCH")
+        await drone.parameters.undo()
+        assert await drone.parameters.read("ATT_KP") == 11.0
+
+    fly(flight)
+
+
+def test_silence_is_a_lost_link() -> None:
+    async def flight(peer: Peer, drone: AsyncDrone) -> None:
+        peer.beating = False
+        loop = asyncio.get_running_loop()
+        start = loop.time()
+        with pytest.raises(LinkLost, match="nothing was heard"):
+            await drone.arm(timeout=30.0)
+        assert loop.time() - start == pytest.approx(3.0, abs=1.0)  # seen at the latest at the next second
+        with pytest.raises(LinkLost):
+            await drone.set_pitch(0.0)
+
+    with pytest.raises(LinkLost):  # closing cannot see it disarmed... it never was armed
+        fly(_then_lost(flight))
+
+
+def _then_lost(flight: Flight) -> Flight:
+    async def work(peer: Peer, drone: AsyncDrone) -> None:
+        await flight(peer, drone)
+        raise LinkLost("told")
+
+    return work
+
+
+def test_a_kill_needs_no_lease() -> None:
+    async def flight(peer: Peer, drone: AsyncDrone) -> None:
+        peer.armed = True
+        await drone.kill()
+        assert not peer.armed
+
+    peer = Peer()
+    peer.holder = (1, 191)
+    fly(flight, peer, take_lease=False)
+    assert peer.holder == (1, 191)
+
+
+def test_a_held_lease_is_a_refusal_that_names_the_holder() -> None:
+    async def flight(peer: Peer, drone: AsyncDrone) -> None:
+        raise AssertionError("connected")
+
+    peer = Peer()
+    peer.holder = (245, 190)
+    with pytest.raises(Rejected, match="245/190 holds the lease"):
+        fly(flight, peer)
+
+
+def test_waiting_for_a_condition_ends_with_it_or_at_the_timeout() -> None:
+    async def flight(peer: Peer, drone: AsyncDrone) -> None:
+        q = drone.telemetry("q")
+        await drone.wait_until(lambda: q.latest is not None and q.value > 1.0, timeout=10.0)
+        assert q.value == pytest.approx(1.0, abs=0.1)
+        with pytest.raises(Timeout, match="within 1 s"):
+            await drone.wait_until(lambda: False, timeout=1.0)
+
+    fly(flight)
+    fly(flight, Peer(lockstep=True))
