@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from twodof.fcu.asked import Asked
+from twodof.fcu.commander import Commander
 from twodof.fcu.flight_code import FlightCode, Step
 from twodof.fcu.hardware import Hardware
 from twodof.fcu.loop import FlightController
@@ -18,24 +18,12 @@ def assemble(
     hardware: Hardware, code: FlightCode, system: int, lockstep: bool = False, signing: Signing | None = None
 ) -> tuple[FlightController, Server]:
     """The control loop on `hardware` and its shell as MAVLink system `system`, with every service."""
-    controller = FlightController(hardware, code, Nobody(), lockstep)
+    commander = Commander(hardware, lambda: float(controller.code.parameter("THRUST_BAR")), lockstep)
+    controller = FlightController(hardware, code, commander, lockstep)
     server = Server(controller, system, signing)
     server.services.append(Heartbeat(server))
+    controller.on_restart += [service.restarted for service in server.services if hasattr(service, "restarted")]
     return controller, server
-
-
-class Nobody:
-    """A commander that asks for nothing."""
-
-    def asked(self, tick: int) -> Asked:
-        """Nothing."""
-        return Asked()
-
-    def seen(self, step: Step) -> None:
-        """Nothing comes of it."""
-
-    def restart(self) -> None:
-        """Nothing begins again."""
 
 
 class Heartbeat:

@@ -28,16 +28,17 @@ class Commands(Protocol):
     def seen(self, step: Step) -> None:
         """What became of it."""
 
-    def restart(self) -> None:
+    def restarted(self) -> None:
         """Time begins again at tick 0."""
 
 
 class FlightController:
     """What runs at each control period, and the tick that counts them.
 
-    `commander` says what is asked, `code` flies, `hardware` measures and drives; each of `listeners` gets the step. In
-    `lockstep` time stands still until ticks are granted, and nothing is late; else the processor time of a step is
-    held against its budget. All methods are for one thread, but `stop`.
+    `commander` says what is asked, `code` flies, `hardware` measures and drives; each of `listeners` gets the step, each
+    of `on_restart` is called when time begins again. In `lockstep` time stands still until ticks are granted, and
+    nothing is late; else the processor time of a step is held against its budget. All methods but `stop` are for one
+    thread.
     """
 
     def __init__(self, hardware: Hardware, code: FlightCode, commander: Commands, lockstep: bool = False) -> None:
@@ -46,6 +47,7 @@ class FlightController:
         self.commander = commander
         self.lockstep = lockstep
         self.listeners: list[Callable[[Step], None]] = []
+        self.on_restart: list[Callable[[], None]] = []
         self.timing = Timing()
         self.tick = 0
         self.granted = 0
@@ -103,7 +105,9 @@ class FlightController:
         self.latest = None
         self._late = self._stopped = False
         self.hardware.release()
-        self.commander.restart()
+        self.commander.restarted()
+        for listener in self.on_restart:
+            listener()
 
     def replace(self, code: FlightCode) -> None:
         """Another flight code flies from the next tick on, from the states in which the present one is.

@@ -155,6 +155,8 @@ class VirtualRig:
         for path, value in start.rig_states(float(machine.get("delay")), float(machine.get("lag"))).items():
             machine.set_state(path, value)
         self._look()
+        if not self._flight_states:
+            return {}
         return start.flight_states(self._position_filter, self._flight_states) | self._settled
 
     def _take_conditions(self) -> None:
