@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from types import MappingProxyType
 
 from twodof.fcu.failsafe_parameters import failsafe_rows
 from twodof.fcu.parameter_row import Row
@@ -11,11 +12,16 @@ from twodof.fcu.px4_parameters import px4_rows
 from twodof.parameters import PARAMETERS
 
 
+_SAME = MappingProxyType({"X0_MAX": "safe.x0_limit"})
+"""Those of PARAMETERS that are the failsafe's, which are not there twice."""
+
+
 @cache
 def own_rows(system: int) -> tuple[Row, ...]:
     """Every parameter of the vehicle `system` once, by its main name."""
-    tuned = (Row(**vars(row)) for row in PARAMETERS)
-    return (*tuned, *failsafe_rows(), *px4_rows(system))
+    tuned = (Row(**vars(row), path=_SAME.get(row.name, "")) for row in PARAMETERS)
+    safe = (row for row in failsafe_rows() if row.path not in _SAME.values())
+    return (*tuned, *safe, *px4_rows(system))
 
 
 @cache

@@ -13,8 +13,8 @@ from twodof.fcu.parameter_row import Row
 
 Kind = Literal["float", "int32"]
 
-LOG_ALWAYS, LOG_ARMED, LOG_NEVER = 2, 0, -1
-"""Values of SDLOG_MODE: from the start to the end, from arming to disarming, only when a client asks."""
+LOG_ALWAYS, LOG_BOOT, LOG_ARMED, LOG_NEVER = 2, 1, 0, -1
+"""Values of SDLOG_MODE: from the start on, from the start to the first disarming, while armed, only on request."""
 SIMULATED_IMU, SIMULATED_MAG = 1310988, 197388
 """What PX4 in simulation calls its sensors; an id of 0 is a sensor that was never calibrated."""
 _UNUSED = "; kept, acts on nothing here"

@@ -89,8 +89,16 @@ class Store(Mapping[str, float]):
         return {row.name: self._set[row.name] for row in PARAMETERS}
 
     def failsafe(self) -> dict[str, float]:
-        """The failsafe's values by their path in its diagram (`place.pitch_limit`)."""
-        return {row.path: self._set[row.name] for row in self.rows if row.path}
+        """The failsafe's values by their path in its diagram (`place.pitch_limit`); a flag is a bool."""
+        return {
+            row.path: bool(self._set[row.name]) if row.kind == "int32" else self._set[row.name]
+            for row in self.rows
+            if row.path and not row.of
+        }
+
+    def flying(self) -> dict[str, float]:
+        """What the flight code is to fly with, as `FlightCode.set_parameters` takes it: `tuned` and `failsafe`."""
+        return self.tuned() | {f"failsafe.{path}": value for path, value in self.failsafe().items()}
 
     def changed(self) -> dict[str, float]:
         """What differs from the defaults, by main name."""
