@@ -1,0 +1,75 @@
+"""MAVSDK, which knows nothing of us, goes through a flight from discovery to the log."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pyulog import ULog
+
+from tests.interop.programs import port
+from twodof.fcu.store import Store
+
+CLIENT = Path(__file__).with_name("mavsdk_client.py")
+DEADLINE_S = 120.0
+SET_TO = 0.09
+STILL = 0.02  # rad; the estimator's noise at rest is far below
+REACHED = 0.03  # rad; the set-point is 0.1
+
+
+def flight(url: str, log: Path, first: str) -> dict[str, list[dict[str, Any]]]:
+    """What the client saw, by step; AssertionError with all that it said if it does not come to its end."""
+    command = [sys.executable, "-W", "error", str(CLIENT), url, "RATE_KP", str(SET_TO), str(log), first]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=DEADLINE_S, check=False)
+    except subprocess.TimeoutExpired as error:
+        pytest.fail(f"no end after {DEADLINE_S} s: {error.stdout!r} {error.stderr!r}")
+    assert done.returncode == 0, f"{done.stdout}\n{done.stderr}"
+    saw: dict[str, list[dict[str, Any]]] = {}
+    for line in done.stdout.splitlines():
+        if line.startswith("{"):
+            step = json.loads(line)
+            saw.setdefault(step.pop("step"), []).append(step)
+    return saw
+
+
+@pytest.mark.parametrize("first", ["arm", "offboard"])
+def test_mavsdk_flies(fcu_url: str, tmp_path: Path, first: str) -> None:
+    log = tmp_path / "fetched.ulg"
+    saw = flight(f"tcpout://127.0.0.1:{port(fcu_url)}", log, first)
+
+    assert saw["discovered"] == [{"system": 1, "autopilot": "PX4"}]
+    (version,) = saw["version"]
+    assert version["software"] >= [1, 16, 0]  # what clients take as PX4's
+
+    ours = {row.name: row for row in Store().rows}
+    (parameters,) = saw["parameters"]
+    assert set(parameters["values"]) == set(ours)  # nothing missing, nothing else
+    assert parameters["integers"] == sum(row.kind == "int32" for row in ours.values())
+    for name, value in parameters["values"].items():
+        if name not in ("RATE_KP", ours["RATE_KP"].of):
+            assert value == pytest.approx(np.float32(ours[name].default), rel=1e-6), name  # seven digits of a float32
+    assert saw["set"] == [{"name": "RATE_KP", "value": pytest.approx(SET_TO, rel=1e-6)}]
+
+    (telemetry,) = saw["telemetry"]
+    assert np.abs(telemetry["pitch"]).max() < STILL
+    assert np.all(np.diff(telemetry["stamps"]) > 0)
+    assert np.abs(telemetry["x"]).max() < STILL
+    assert 9.0 < telemetry["voltage"] < 12.7  # three cells
+    assert not telemetry["armed"]
+
+    assert saw["offboard"] == [{"active": True, "mode": "OFFBOARD"}]
+    assert len(saw["attitude"]) == 2
+    for reached in saw["attitude"]:
+        assert np.median(reached["pitch"]) == pytest.approx(reached["wanted"], abs=REACHED)
+    assert saw["armed"] == saw["disarmed"] == [{}]
+
+    (downloaded,) = saw["downloaded"]
+    assert downloaded["size"] == saw["logs"][0]["sizes"][-1]
+    read = ULog(str(log))
+    assert read.data_list
