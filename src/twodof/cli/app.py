@@ -29,6 +29,7 @@ COMMANDS = MappingProxyType(
         "replay": ("replay", "Feed a log's inputs to the compiled flight code and compare its outputs."),
         "log": ("log", "Look into flight logs and convert them."),
         "calibrate": ("calibrate", "Calibrate the virtual rig on the real drone's logs."),
+        "companion": ("companion", "Pass MAVLink between the flight controller and several clients; run an app on board."),
         "px4": ("px4", "Make a module for PX4 of a diagram, and see whether a PX4 fits it."),
     }
 )

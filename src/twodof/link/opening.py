@@ -36,7 +36,7 @@ async def open_transport(url: str, timeout: float = 5.0) -> Transport:
 
 async def _open(address: Address) -> Transport:
     match address.kind:
-        case "udp" | "udpin":
+        case "udp" | "udpin" | "udpbcast":
             return await open_udp(address)
         case "tcp" | "tcpin":
             return await open_tcp(address)

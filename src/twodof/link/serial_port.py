@@ -32,6 +32,11 @@ class SerialTransport(Transport):
         """The device."""
         return (self._peer,)
 
+    @property
+    def backlog(self) -> int:
+        """Bytes that the line's driver has not taken yet."""
+        return len(self._out)
+
     def _resume(self) -> None:
         if not self._reading and not self._closed:
             self._reading = True

@@ -62,6 +62,11 @@ class TcpTransport(Transport):
         """The port it listens on, 0 for a client."""
         return int(self._server.sockets[0].getsockname()[1]) if self._server is not None else 0
 
+    @property
+    def backlog(self) -> int:
+        """Bytes that wait for the slowest reader."""
+        return max((one.socket.get_write_buffer_size() for one in self._streams if one.socket is not None), default=0)
+
     def _connected(self, stream: _Stream) -> None:
         if len(self._streams) >= MOST_CLIENTS or self._closed:
             self.counts.errors += 1

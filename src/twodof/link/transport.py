@@ -165,6 +165,11 @@ class Transport(ABC):
     def peers(self) -> tuple[Hashable, ...]:
         """Those that `send` without `to` reaches."""
 
+    @property
+    def backlog(self) -> int:
+        """Bytes that were sent and that the system has not taken yet; 0 where there is no queue of our own."""
+        return 0
+
     def confirm(self, peer: Hashable) -> None:
         """What came from `peer` was sound: from now on it is among `peers`.
 

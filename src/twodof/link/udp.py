@@ -1,4 +1,8 @@
-"""UDP: to one address, or listening, where who sends sound packets is a peer until it has long been silent."""
+"""UDP: to one address, or listening, where who sends sound packets is a peer until it has long been silent, or both.
+
+Bound to a port of its own it sends to its address always, and to whoever writes to that port, as PX4's links do. A
+broadcast is for those who have not answered yet: it ends while somebody is heard.
+"""
 
 import asyncio
 import socket
@@ -23,19 +27,26 @@ class UdpTransport(Transport):
 
     whole = True
 
-    def __init__(self, address: Address, opened: socket.socket) -> None:
+    def __init__(self, address: Address, opened: socket.socket, there: Hashable) -> None:
         super().__init__(str(address))
-        self._listens = address.listens
+        self._broadcast = address.kind == "udpbcast"
+        self._learns = address.listens or self._broadcast or bool(address.bind_name)
         self._loop = asyncio.get_running_loop()
         self._socket = opened
         self._heard: dict[Hashable, float] = {}  # peer -> when last heard
-        self._server: Hashable = None if address.listens else opened.getpeername()
+        self._server = there
         self._loop.add_reader(opened.fileno(), self._readable)
 
     @property
     def peers(self) -> tuple[Hashable, ...]:
-        """The address it was opened to, or those that sent sound packets."""
-        return tuple(self._heard) if self._listens else (self._server,)
+        """The address it was opened to, and those that sent sound packets to where it listens."""
+        if self._server is None:
+            return tuple(self._heard)
+        if self._broadcast and self._heard:
+            now = self._loop.time()
+            heard = tuple(peer for peer, when in self._heard.items() if now - when < SILENT_S)
+            return heard or (self._server,)
+        return (self._server, *self._heard)
 
     @property
     def port(self) -> int:
@@ -44,7 +55,7 @@ class UdpTransport(Transport):
 
     def confirm(self, peer: Hashable) -> None:
         """Make room for `peer` if need be, by forgetting one that has been silent for SILENT_S."""
-        if not self._listens or peer in self._heard:
+        if not self._learns or peer in self._heard or peer == self._server:
             return
         now = self._loop.time()
         if len(self._heard) >= MOST_PEERS:
@@ -63,7 +74,7 @@ class UdpTransport(Transport):
             except OSError:  # the other side's port is closed (yet): counted, no reason to end
                 self.counts.errors += 1
                 continue
-            if not self._listens:
+            if not self._learns:
                 peer = self._server
             elif peer in self._heard:
                 self._heard[peer] = self._loop.time()
@@ -71,7 +82,7 @@ class UdpTransport(Transport):
 
     def _send(self, data: bytes, peer: Hashable) -> bool:
         try:
-            if self._listens:
+            if self._learns:
                 self._socket.sendto(data, cast(tuple[Any, ...], peer))
             else:
                 self._socket.send(data)
@@ -88,7 +99,7 @@ class UdpTransport(Transport):
 
 
 async def open_udp(address: Address) -> UdpTransport:
-    """A UDP socket that listens at or sends to `address`. Raises LinkError where the system refuses."""
+    """A UDP socket that listens at or sends to `address`, or does both. Raises LinkError where the system refuses."""
     loop = asyncio.get_running_loop()
     opened: socket.socket | None = None
     try:
@@ -96,16 +107,21 @@ async def open_udp(address: Address) -> UdpTransport:
         family, kind, protocol, _, place = places[0]
         opened = socket.socket(family, kind, protocol)
         opened.setblocking(False)
+        opened.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, int(address.kind == "udpbcast"))
         if address.listens:
             opened.bind(place)
-        else:
+        elif address.bind_name:
+            own = await loop.getaddrinfo(address.bind_name, address.bind_port, family=family, type=kind)
+            opened.bind(own[0][4])
+        elif address.kind == "udp":
             opened.connect(place)
     except OSError as error:
         if opened is not None:
             opened.close()
-        remedy = "choose another port, or end who has it" if address.listens else "check the host's name"
+        bound = address.listens or address.bind_name
+        remedy = "choose another port, or end who has it" if bound else "check the host's name"
         raise LinkError(f"cannot be opened: {error.strerror or error}", str(address), remedy) from error
     for option in (socket.SO_RCVBUF, socket.SO_SNDBUF):
         with suppress(OSError):  # the system's own bound stays
             opened.setsockopt(socket.SOL_SOCKET, option, SOCKET_BUFFER)
-    return UdpTransport(address, opened)
+    return UdpTransport(address, opened, None if address.listens else place)

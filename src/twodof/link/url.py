@@ -8,28 +8,33 @@ from urllib.parse import parse_qsl, urlsplit
 from twodof.errors import LinkError, shown
 
 FORMS = (
-    "udp://HOST:PORT or udp://:PORT (listens), udpin://HOST:PORT, tcp://HOST:PORT, tcpin://HOST:PORT, "
-    "serial:///dev/NAME?baud=N, mem://NAME, memin://NAME"
+    "udp://HOST:PORT or udp://:PORT (listens), udpin://HOST:PORT, udp://HOST:PORT?bind=[HOST:]PORT, "
+    "udpbcast://HOST:PORT, tcp://HOST:PORT, tcpin://HOST:PORT, serial:///dev/NAME?baud=N, mem://NAME, memin://NAME"
 )
 LOOPBACK = "127.0.0.1"
 ANY = ("0.0.0.0", "::")
+HERE = ("127.0.0.1", "localhost", "::1")
 DEFAULT_BAUD = 921_600
 LONGEST_URL = 1000
 _ALIASES = {"udpout": "udp", "tcpout": "tcp"}
-_NETWORK = ("udp", "udpin", "tcp", "tcpin")
-_SHORT = re.compile(r"(udp|udpin|udpout|tcp|tcpin):([^/].*)?")
+_NETWORK = ("udp", "udpin", "udpbcast", "tcp", "tcpin")
+_SHORT = re.compile(r"(udp|udpin|udpout|udpbcast|tcp|tcpin):([^/].*)?")
 _MEMORY_NAME = re.compile(r"[A-Za-z0-9_.-]{1,100}")
 BAUDS = {int(name[1:]): int(getattr(termios, name)) for name in dir(termios) if re.fullmatch(r"B[1-9]\d*", name)}
 
 
 @dataclass(frozen=True)
 class Address:
-    """Where a link leads: `kind` is udp, udpin, tcp, tcpin, serial, mem or memin; `name` a host, device or name."""
+    """Where a link leads: `kind` is udp, udpin, udpbcast, tcp, tcpin, serial, mem or memin; `name` a host, device or
+    name. `bind_name` and `bind_port` are where a udp or udpbcast listens too, "" if nowhere.
+    """
 
     kind: str
     name: str
     port: int = 0
     baud: int = 0
+    bind_name: str = ""
+    bind_port: int = 0
 
     @property
     def listens(self) -> bool:
@@ -39,8 +44,10 @@ class Address:
     def __str__(self) -> str:
         if self.kind == "serial":
             return f"serial://{self.name}?baud={self.baud}"
-        host = f"[{self.name}]" if ":" in self.name else self.name
-        return f"{self.kind}://{host}:{self.port}" if self.kind in _NETWORK else f"{self.kind}://{self.name}"
+        if self.kind not in _NETWORK:
+            return f"{self.kind}://{self.name}"
+        bound = f"?bind={_bracketed(self.bind_name)}:{self.bind_port}" if self.bind_name else ""
+        return f"{self.kind}://{_bracketed(self.name)}:{self.port}{bound}"
 
 
 def parse(url: str) -> Address:
@@ -48,7 +55,8 @@ def parse(url: str) -> Address:
 
     A listening form without a host listens on this machine only; `udpin://0.0.0.0:14550` listens on every interface.
     MAVProxy's short forms `udpin:HOST:PORT`, `udp:HOST:PORT` (listens, as there), `udpout:HOST:PORT`, `tcp:HOST:PORT`
-    and `/dev/NAME,BAUD` are taken too. Raises LinkError for anything else.
+    and `/dev/NAME,BAUD` are taken too. `udp://HOST:PORT?bind=[HOST:]PORT` sends to the first, always, and listens at the
+    second. Raises LinkError for anything else.
     """
     if not isinstance(url, str) or len(url) > LONGEST_URL or not url.isprintable():
         raise LinkError(f"{shown(url)} is no URL", "", f"use {FORMS}")
@@ -66,7 +74,12 @@ def parse(url: str) -> Address:
     kind = _ALIASES.get(parts.scheme, parts.scheme)
     if kind == "serial":
         return _serial(url, parts.netloc, parts.path, parts.query)
-    if parts.query or parts.fragment or parts.path.strip("/") or parts.username is not None:
+    bind_name, bind_port = "", 0
+    if kind in ("udp", "udpbcast") and parts.query and parts.hostname:
+        bind_name, bind_port = _bound(url, parts.query, parts.hostname)
+    elif parts.query:
+        raise LinkError("has parts that this kind of link does not take", url, f"use {FORMS}")
+    if parts.fragment or parts.path.strip("/") or parts.username is not None:
         raise LinkError("has parts that this kind of link does not take", url, f"use {FORMS}")
     if kind in ("mem", "memin"):
         if not _MEMORY_NAME.fullmatch(parts.netloc):
@@ -77,13 +90,39 @@ def parse(url: str) -> Address:
     host = parts.hostname or ""
     if kind in ("udp", "tcp") and not host:
         kind += "in"
+    if kind == "udpbcast" and not host:
+        raise LinkError("has no host", url, "write udpbcast://255.255.255.255:14550, or a network's own such address")
     if port is None or (port == 0 and not kind.endswith("in")):
         raise LinkError("has no port", url, f"write {kind}://{host or LOOPBACK}:14550")
-    if kind in ("udp", "tcp") and host in ANY:
+    if kind in ("udp", "udpbcast", "tcp") and host in ANY:
         raise LinkError(
             f"{host} is no host to send to", url, f"to listen on every interface write {kind}in://{host}:{port}"
         )
-    return Address(kind, host or LOOPBACK, port)
+    return Address(kind, host or LOOPBACK, port, bind_name=bind_name, bind_port=bind_port)
+
+
+def _bracketed(host: str) -> str:
+    return f"[{host}]" if ":" in host else host
+
+
+def _bound(url: str, query: str, host: str) -> tuple[str, int]:
+    """Where `?bind=` listens; without a host on this machine only, as every listening form."""
+    options = parse_qsl(query, keep_blank_values=True, max_num_fields=4)
+    if [name for name, _ in options] != ["bind"]:
+        raise LinkError("has parts that this kind of link does not take", url, f"use {FORMS}")
+    text = options[0][1]
+    try:
+        parts = urlsplit(f"//{text}" if ":" in text else f"//:{text}")
+        port = parts.port
+    except ValueError as error:
+        raise LinkError(str(error), url, "write ?bind=PORT or ?bind=HOST:PORT") from error
+    if port is None or parts.path or parts.query or parts.fragment or parts.username is not None:
+        raise LinkError(f"{shown(text)} is no place to listen at", url, "write ?bind=PORT or ?bind=HOST:PORT")
+    if not parts.hostname and host not in HERE:
+        raise LinkError(
+            f"listens on this machine only and cannot send to {host}", url, f"write ?bind=0.0.0.0:{port} to be open"
+        )
+    return parts.hostname or ("::1" if ":" in host else LOOPBACK), port
 
 
 def _serial(url: str, host: str, device: str, query: str) -> Address:

@@ -1,0 +1,50 @@
+"""Answers without an address: PARAM_VALUE and the log messages name nobody, so it counts who has asked."""
+
+from twodof.fcc import wire
+from twodof.fcc.client import Client
+from twodof.link.framing import Frame
+
+# A list of parameters goes on without a word from the client; each value that comes shows that it still does.
+OPEN_S = 5.0
+_ASK_PARAMETERS = frozenset({wire.PARAM_REQUEST_READ, wire.PARAM_REQUEST_LIST})
+_ASK_LOGS = frozenset({wire.LOG_REQUEST_LIST, wire.LOG_REQUEST_DATA})
+_CHANGE = frozenset({wire.PARAM_SET, wire.PARAM_TRANSACTION})
+_ANSWERS = {wire.PARAM_VALUE: "parameters", wire.LOG_ENTRY: "logs", wire.LOG_DATA: "logs"}
+
+
+class Answers:
+    """Who has asked for parameters or logs, and until when what comes is for them."""
+
+    def __init__(self) -> None:
+        self._open: dict[str, dict[Client, float]] = {"parameters": {}, "logs": {}}
+        self._changing = 0.0
+
+    def asked(self, client: Client, frame: Frame, now: float) -> None:
+        """A frame of a client is on its way to the vehicle."""
+        number = frame.message_id
+        if number in _ASK_PARAMETERS:
+            self._open["parameters"][client] = now + OPEN_S
+        elif number in _ASK_LOGS:
+            self._open["logs"][client] = now + OPEN_S
+        elif number in _CHANGE:
+            self._changing = now + OPEN_S
+
+    def forget(self, client: Client) -> None:
+        """A client has gone."""
+        for waiting in self._open.values():
+            waiting.pop(client, None)
+
+    def receivers(self, frame: Frame, now: float) -> list[Client] | None:
+        """Who gets a message of the vehicle; None: it is no such answer, or everybody's.
+
+        While a client changes parameters, what comes of it concerns everybody.
+        """
+        kind = _ANSWERS.get(frame.message_id)
+        if kind is None or (kind == "parameters" and now < self._changing):
+            return None
+        waiting = self._open[kind]
+        for client in [client for client, until in waiting.items() if until < now]:
+            del waiting[client]
+        for client in waiting:
+            waiting[client] = now + OPEN_S
+        return [*waiting] or None

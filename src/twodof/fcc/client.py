@@ -1,0 +1,103 @@
+"""A client of the companion: who is there, what it wants, what it was sent."""
+
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass, field
+
+from twodof.errors import LinkLost
+from twodof.fcc.rates import EVERY, OFF
+from twodof.fcc.wire import renumbered
+from twodof.link.framing import Frame
+from twodof.link.transport import Transport
+
+Identity = tuple[int, int]  # a system and a component
+# A ground station speaks for itself and perhaps a camera or two.
+MOST_IDENTITIES = 16
+MOST_WISHES = 256
+# As long as a client is silent before it counts as gone: a ground station sends a heartbeat each second.
+SILENT_S = 30.0
+
+
+@dataclass(slots=True)
+class ClientCounts:
+    """Frames from and to one client; of the former what did not reach the flight controller, by cause."""
+
+    received: int = 0
+    sent: int = 0
+    thinned: int = 0
+    crowded_out: int = 0
+    impostors: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Wish:
+    """What a client asked of one message: its interval [us] (EVERY, OFF), and of a batch the mask of its channels."""
+
+    interval: int
+    mask: int = 0
+
+
+@dataclass(eq=False)
+class Client:
+    """One peer of one transport. `defaults` is what it gets unasked (`rates.profile`), `heard` when it last spoke [s].
+
+    `stays`: it is sent to even if it never speaks, as PX4's links send to their default address.
+    """
+
+    name: str
+    transport: Transport
+    peer: Hashable
+    defaults: Mapping[int, int]
+    heard: float
+    stays: bool = False
+    identities: dict[Identity, float] = field(default_factory=dict)
+    wishes: dict[int, Wish] = field(default_factory=dict)
+    due_once: dict[int, int] = field(default_factory=dict)  # message -> how many it has asked for by 512
+    counts: ClientCounts = field(default_factory=ClientCounts)
+    _sequences: dict[Identity, int] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        return f"<client {self.name}>"
+
+    def known_as(self, identity: Identity, now: float) -> bool:
+        """It spoke as `identity`; False where it has too many faces to remember one more."""
+        self.heard = now
+        if identity not in self.identities and len(self.identities) >= MOST_IDENTITIES:
+            return False
+        self.identities[identity] = now
+        return True
+
+    def forget(self) -> None:
+        """It has been silent for so long that whoever speaks there next is somebody else."""
+        self.identities.clear()
+        self.wishes.clear()
+        self.due_once.clear()
+
+    def wish(self, message_id: int) -> int:
+        """The interval [us] at which it wants a message that it may have asked for, else its default, else OFF."""
+        asked = self.wishes.get(message_id)
+        return asked.interval if asked is not None else self.defaults.get(message_id, OFF)
+
+    def gets_all(self, message_id: int) -> bool:
+        """Whether it takes every one of a message."""
+        return self.wish(message_id) == EVERY
+
+    def deliver(self, frame: Frame, lost: int = 0) -> None:
+        """Send it a frame, numbered so that it counts as lost only what was: `lost` of its sender on the way to us."""
+        identity = (frame.system, frame.component)
+        number = self._sequences.get(identity, 0)
+        self._sequences[identity] = number + 1
+        self.write(renumbered(frame, (number + lost) & 0xFF))
+
+    def number(self, identity: Identity, lost: int = 0) -> int:
+        """The sequence number of the next frame to it in the name of `identity`."""
+        number = self._sequences.get(identity, 0)
+        self._sequences[identity] = number + 1
+        return (number + lost) & 0xFF
+
+    def write(self, raw: bytes) -> None:
+        """Hand bytes to its transport, which drops and counts them if the client does not read."""
+        try:
+            self.transport.send(raw, self.peer)
+        except LinkLost:
+            return
+        self.counts.sent += 1

@@ -1,0 +1,317 @@
+"""The companion: opens the links, keeps the one to the flight controller up, and lets the router pass the frames."""
+
+import asyncio
+from collections.abc import Callable, Hashable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Self
+
+from twodof.errors import LinkError, LinkLost
+from twodof.fcc.client import SILENT_S, Client
+from twodof.fcc.component import Component
+from twodof.fcc.computer import Computer, Traffic
+from twodof.fcc.line import BITS_A_BYTE, Line
+from twodof.fcc.rates import profile
+from twodof.fcc.router import Router
+from twodof.link.framing import Frame, Parser
+from twodof.link.opening import open_transport
+from twodof.link.signing import Signing
+from twodof.link.transport import Packet, Transport
+from twodof.link.url import parse
+
+MOST_CLIENTS = 64
+# Packets of one link before the others get their turn.
+TURN = 64
+SWEEP_S = 0.1
+BEAT_S = 1.0
+# What has begun on a stream and does not go on for this long is no frame.
+BROKEN_OFF_S = 0.1
+OPEN_S = 2.0
+FIRST_BACK_OFF_S, LONGEST_BACK_OFF_S = 0.1, 2.0
+
+
+@dataclass(frozen=True)
+class Serve:
+    """Where clients come to, and the rates (`rates.PROFILES`) that they get unasked."""
+
+    url: str
+    rates: str = "onboard"
+
+
+def px4_links(index: int = 0, open_to_all: bool = False) -> tuple[Serve, ...]:
+    """Where PX4 in simulation serves its clients, for drone `index`: UDP onboard and ground, and a TCP server.
+
+    On this machine only, unless `open_to_all`.
+    """
+    host = "0.0.0.0" if open_to_all else "127.0.0.1"
+    return (
+        Serve(f"udp://127.0.0.1:{14540 + index}?bind={host}:{14580 + index}", "onboard"),
+        Serve(f"udp://127.0.0.1:14550?bind={host}:{18570 + index}", "ground"),
+        Serve(f"tcpin://{host}:{5760 + index}", "onboard"),
+    )
+
+
+class _Port:
+    """One link that clients come to, and who is there."""
+
+    def __init__(self, transport: Transport, serve: Serve) -> None:
+        self.transport = transport
+        self.url = serve.url
+        self.rates = profile(serve.rates)
+        self.clients: dict[Hashable, Client] = {}
+        self.parsers: dict[Hashable, tuple[Parser, float]] = {}
+        kind = parse(serve.url).kind
+        self.datagrams = kind in ("udp", "udpin", "udpbcast")  # nobody says when a peer has gone
+        self.lasting: Hashable = transport.peers[0] if kind in ("udp", "udpbcast") else None
+
+    def frames(self, packet: Packet, now: float) -> list[Frame]:
+        """The frames that end in a packet."""
+        key: Hashable = None if self.transport.whole else packet.peer
+        known = self.parsers.get(key)
+        parser = known[0] if known is not None else Parser()
+        self.parsers[key] = (parser, now)
+        return parser.feed(packet.data, self.transport.whole)
+
+
+class Companion:
+    """Routes between the flight controller at `vehicle` (a URL) and clients at `serve`; a context manager.
+
+    `system` is the vehicle's system id (1 to 255), `signing` what its own messages are signed with. `line_rate`
+    [byte/s] bounds what is sent to the flight controller; for a serial line it is what its baud rate carries.
+    Raises LinkError where a client's link cannot be opened; the flight controller may come later.
+    """
+
+    def __init__(
+        self,
+        vehicle: str,
+        serve: Sequence[Serve],
+        system: int = 1,
+        signing: Signing | None = None,
+        line_rate: float | None = None,
+    ) -> None:
+        address = parse(vehicle)
+        if address.kind == "serial" and line_rate is None:
+            line_rate = address.baud / BITS_A_BYTE
+        self.vehicle = vehicle
+        self.serve = tuple(serve)
+        self.line = Line(line_rate)
+        self.reopened = 0
+        self._signing = signing
+        self._system = system
+        self._ports: list[_Port] = []
+        self._tasks: list[asyncio.Task[None]] = []
+        self._parser = Parser()
+        self._fed = 0.0
+        self._pumping: asyncio.TimerHandle | None = None
+        self._bytes = [0, 0]
+
+    async def __aenter__(self) -> Self:
+        self._loop = asyncio.get_running_loop()
+        self.router = Router(self._system, self.line, self._loop.time, self._signing)
+        self.component = Component(self.router, self._loop.time, Computer(self._traffic, self._loop.time))
+        try:
+            for one in self.serve:
+                self._ports.append(_Port(await open_transport(one.url), one))
+        except LinkError:
+            await self.close()
+            raise
+        for port in self._ports:
+            self._sweep_port(port, self._loop.time())
+        works = [self._keep_line(), self._sweep(), self._beat(), *(self._serve(port) for port in self._ports)]
+        self._tasks = [self._loop.create_task(work) for work in works]
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self.close()
+
+    async def close(self) -> None:
+        """Close all links."""
+        for task in self._tasks:
+            task.cancel()
+        ended = await asyncio.gather(*self._tasks, return_exceptions=True)
+        self._tasks = []
+        if self._pumping is not None:
+            self._pumping.cancel()
+        for port in self._ports:
+            await port.transport.close()
+        if self.line.transport is not None:
+            await self.line.transport.close()
+        if self._signing is not None:
+            self._signing.close()
+        for end in ended:
+            if isinstance(end, Exception):
+                raise end
+
+    async def run(self) -> None:
+        """Until a part of it fails, which it raises, or it is cancelled."""
+        await asyncio.gather(*self._tasks)
+
+    @property
+    def clients(self) -> list[Client]:
+        """Who is there."""
+        return [*self.router.clients]
+
+    # The line to the flight controller.
+
+    async def _keep_line(self) -> None:
+        """Open it, read it until it breaks, and so on for ever, at growing intervals while it does not come back."""
+        wait, before = FIRST_BACK_OFF_S, False
+        while True:
+            try:
+                transport = await open_transport(self.vehicle, OPEN_S)
+            except LinkError as error:
+                if not before:
+                    self.component.link(False, f"flight controller not reached: {error.what}")
+                    before = True
+                await asyncio.sleep(wait)
+                wait = min(2.0 * wait, LONGEST_BACK_OFF_S)
+                continue
+            wait, before = FIRST_BACK_OFF_S, True
+            self._parser = Parser()
+            self.line.connect(transport)
+            self.router.started()
+            self.component.link(True, "flight controller connected")
+            try:
+                await self._read(transport, self._from_vehicle)
+            except LinkLost as error:
+                self.line.cut()
+                self.reopened += 1
+                self.component.link(False, f"flight controller lost: {error.what}")
+            finally:
+                await transport.close()
+            await asyncio.sleep(wait)
+
+    def _from_vehicle(self, packet: Packet) -> None:
+        self._fed = self._loop.time()
+        self._bytes[1] += len(packet.data)
+        transport = self.line.transport
+        whole = transport is not None and transport.whole
+        for frame in self._parser.feed(packet.data, whole):
+            if transport is not None and frame.known:
+                transport.confirm(packet.peer)
+            self.router.from_vehicle(frame)
+        self._pump()
+
+    def _pump(self) -> None:
+        """Send what waits as soon as the line has room."""
+        if self._pumping is None and self.line.waiting:
+            delay = self.line.pump(self._loop.time())
+            if delay is not None:
+                self._pumping = self._loop.call_later(delay, self._pump_again)
+
+    def _pump_again(self) -> None:
+        self._pumping = None
+        self._pump()
+
+    # Clients.
+
+    async def _serve(self, port: _Port) -> None:
+        """Read a clients' link, opening it again where it was one that breaks."""
+
+        def take(packet: Packet) -> None:
+            self._from_client(port, packet)
+
+        wait = FIRST_BACK_OFF_S
+        while True:
+            try:
+                await self._read(port.transport, take)
+            except LinkLost:
+                self._sweep_port(port, self._loop.time())
+            await asyncio.sleep(wait)
+            wait = min(2.0 * wait, LONGEST_BACK_OFF_S)
+            with suppress(LinkError):
+                port.transport = await open_transport(port.url, OPEN_S)
+                wait = FIRST_BACK_OFF_S
+
+    def _from_client(self, port: _Port, packet: Packet) -> None:
+        for frame in port.frames(packet, self._loop.time()):
+            client = port.clients.get(packet.peer)
+            if client is None:
+                if not frame.known:  # its checksum cannot be known, and a stranger is not believed
+                    continue
+                client = self._welcome(port, packet.peer)
+                if client is None:
+                    return
+            if frame.known:
+                port.transport.confirm(packet.peer)
+            self.router.from_client(client, frame)
+        self._pump()
+
+    def _welcome(self, port: _Port, peer: Hashable, stays: bool = False) -> Client | None:
+        """A new client; None where there are too many, and none of them is silent."""
+        now = self._loop.time()
+        if len(self.router.clients) >= MOST_CLIENTS:
+            silent = min((one for one in self.router.clients if not one.stays), key=lambda one: one.heard, default=None)
+            if silent is None or now - silent.heard < SWEEP_S * 100:
+                return None
+            self._dismiss(silent)
+        client = Client(f"{port.transport.url} {peer}", port.transport, peer, port.rates, now, stays)
+        port.clients[peer] = client
+        self.router.add(client)
+        return client
+
+    def _dismiss(self, client: Client) -> None:
+        for port in self._ports:
+            if port.clients.get(client.peer) is client:
+                del port.clients[client.peer]
+                port.parsers.pop(client.peer, None)
+        self.router.remove(client)
+
+    async def _read(self, transport: Transport, take: Callable[[Packet], None]) -> None:
+        """Hand on what comes, a limited number of packets in a row."""
+        while True:
+            packet = await transport.receive(BEAT_S)
+            for _ in range(TURN):
+                if packet is None:
+                    break
+                take(packet)
+                packet = transport.receive_now()
+            else:
+                if packet is not None:
+                    take(packet)
+                await asyncio.sleep(0)
+
+    # What is done by the clock.
+
+    async def _sweep(self) -> None:
+        """Find who has come and gone without a word, what broke off, and what was not answered."""
+        while True:
+            await asyncio.sleep(SWEEP_S)
+            now = self._loop.time()
+            for port in self._ports:
+                self._sweep_port(port, now)
+            if now - self._fed > BROKEN_OFF_S and self._parser.waiting:
+                for frame in self._parser.feed(b"", whole=True):
+                    self.router.from_vehicle(frame)
+            if self.line.transport is not None:
+                self.router.asking.poll(now)
+            self._pump()
+
+    def _sweep_port(self, port: _Port, now: float) -> None:
+        there = port.transport.peers
+        for peer in (port.lasting,) if port.datagrams else there:
+            if peer in there and peer not in port.clients:
+                self._welcome(port, peer, stays=port.datagrams)
+        for client in [*port.clients.values()]:
+            silent = now - client.heard > SILENT_S
+            if client.stays and client.peer in there:
+                if silent and client.identities:
+                    self.router.forget(client)
+            elif client.stays or (silent if port.datagrams else client.peer not in there):
+                self._dismiss(client)
+        for peer, (parser, fed) in [*port.parsers.items()]:
+            if parser.waiting and now - fed > BROKEN_OFF_S and peer in port.clients:
+                for frame in parser.feed(b"", whole=True):
+                    self.router.from_client(port.clients[peer], frame)
+            if peer is not None and peer not in port.clients:
+                del port.parsers[peer]
+
+    async def _beat(self) -> None:
+        while True:
+            self.component.beat()
+            await asyncio.sleep(BEAT_S)
+
+    def _traffic(self) -> list[Traffic]:
+        """The line first, then the clients' links."""
+        rows = [Traffic(self.line.counts.bytes, self._bytes[1], self.line.rate or 0.0)]
+        return rows + [Traffic(port.transport.counts.bytes_out, port.transport.counts.bytes_in) for port in self._ports]

@@ -1,0 +1,85 @@
+"""The companion as a MAVLink component of its own: its heartbeat, what it answers, how its computer is."""
+
+import struct
+from collections.abc import Callable
+from typing import Any
+
+from twodof.fcc import wire
+from twodof.fcc.client import Client
+from twodof.fcc.computer import Computer
+from twodof.fcc.router import COMPANION, Router
+from twodof.link.framing import Frame
+from twodof.link.messages import message, statustext
+
+ONBOARD_CONTROLLER, INVALID_AUTOPILOT = 18, 8
+BOOTING, ACTIVE, CRITICAL = 1, 4, 5
+WARNING, INFO = 4, 6
+ACCEPTED, UNSUPPORTED = 0, 3
+MAVLINK2 = 8192  # the one capability of MAV_PROTOCOL_CAPABILITY that it has
+VERSION = 1 << 24 | 255  # 1.0.0, a release
+_TIMESYNC, _PING = 111, 4
+
+
+class Component:
+    """What the companion says of itself, through `router`. `clock` gives seconds."""
+
+    def __init__(self, router: Router, clock: Callable[[], float], computer: Computer) -> None:
+        self.state = BOOTING
+        self._router = router
+        self._clock = clock
+        self._computer = computer
+        self._texts = 0
+        router.own = self.handle
+
+    def beat(self) -> None:
+        """Once a second: the heartbeat to all, the state of the computer to the clients."""
+        self._router.tell(self._heartbeat())
+        self._router.tell(self._computer.status(), vehicle=False)
+
+    def link(self, stands: bool, why: str) -> None:
+        """The link to the vehicle was cut, or stands again: said at once."""
+        self.state = ACTIVE if stands else CRITICAL
+        self.say(why, INFO if stands else WARNING)
+        self._router.tell(self._heartbeat())
+
+    def say(self, text: str, severity: int = INFO) -> None:
+        """A line of text to the clients."""
+        self._texts = self._texts % 65535 + 1
+        for part in statustext(text, severity, self._texts):
+            self._router.tell(part, vehicle=False)
+
+    def handle(self, frame: Frame, client: Client | None) -> None:
+        """A frame that is for the companion, from a client or (None) from the vehicle."""
+        there = {"target_system": frame.system, "target_component": frame.component}
+        asked = wire.command(frame)
+        if asked is not None and (asked.system, asked.component) == (self._router.system, COMPANION):
+            what = self._asked(asked)
+            result = UNSUPPORTED if what is None else ACCEPTED
+            self._reply(client, message("COMMAND_ACK", command=asked.command, result=result, **there))
+            if what is not None:
+                self._reply(client, what)
+        elif frame.message_id == _TIMESYNC:
+            theirs, ours = struct.unpack("<qq", frame.payload.ljust(16, b"\0")[:16])
+            if not theirs:
+                now = max(1, int(self._clock() * 1e9))
+                self._reply(client, message("TIMESYNC", tc1=now, ts1=ours, **there))
+
+    def _asked(self, asked: wire.Command) -> Any | None:
+        """What a command asks for, None if it is nothing that we have."""
+        answers: dict[int, Callable[[], Any]] = {0: self._heartbeat, 148: self._version, 390: self._computer.status}
+        if asked.command != wire.REQUEST_MESSAGE:
+            return None
+        answer = answers.get(int(asked.params[0]) if 0.0 <= asked.params[0] < 65536.0 else -1)
+        return answer() if answer is not None else None
+
+    def _reply(self, client: Client | None, sent: Any) -> None:
+        if client is not None:
+            self._router.answer(client, sent)
+        else:
+            self._router.tell(sent, clients=False)
+
+    def _heartbeat(self) -> Any:
+        return message("HEARTBEAT", type=ONBOARD_CONTROLLER, autopilot=INVALID_AUTOPILOT, system_status=self.state)
+
+    def _version(self) -> Any:
+        return message("AUTOPILOT_VERSION", capabilities=MAVLINK2, flight_sw_version=VERSION, uid=COMPANION)

@@ -1,0 +1,131 @@
+"""Who gets which message how often: the wishes of all clients, the fastest of them for the vehicle, the rest thinned.
+
+Thinning goes by the time in the message (or, where it tells none, by counting), never by our clock: the same flight
+gives a client the same messages, in lockstep as in real time.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+
+from twodof.fcc.client import MOST_WISHES, Client, Wish
+from twodof.fcc.rates import EVERY, OFF, profiles
+from twodof.fcc.wire import HEARTBEAT, time_us
+from twodof.link import dialect
+from twodof.link.framing import Frame
+
+# What comes when it must: no rate can be asked for it.
+_EVENTS = (
+    *("PING", "PARAM_VALUE", "COMMAND_ACK", "TIMESYNC", "LOG_ENTRY", "LOG_DATA", "MESSAGE_INTERVAL", "STATUSTEXT"),
+    *("LOGGING_DATA", "LOGGING_DATA_ACKED", "PARAM_ERROR", "EVENT", "CURRENT_EVENT_SEQUENCE", "RESPONSE_EVENT_ERROR"),
+    *("MISSION_ACK", "MISSION_COUNT", "TWODOF_OPENLOOP", "TWODOF_EXCITE", "TWODOF_EXCITE_STATUS", "TWODOF_TICK"),
+    *("TWODOF_GRANT", "TWODOF_LEASE", "TWODOF_PARAM_TRANSACTION"),
+)
+# Nobody gets these who has not asked.
+_ON_REQUEST = ("TWODOF_BATCH", "TWODOF_TRUTH")
+
+
+@cache
+def events() -> frozenset[int]:
+    """Ids of the messages that no rate can be asked for."""
+    return frozenset(dialect.message_id(name) for name in _EVENTS)
+
+
+@cache
+def _streamed() -> frozenset[int]:
+    """Ids of the messages that only go to those who want them."""
+    unasked = {number for rows in profiles().values() for number in rows}
+    return frozenset(unasked | {dialect.message_id(name) for name in _ON_REQUEST})
+
+
+@dataclass(slots=True)
+class _Tap:
+    """One client's share of one message."""
+
+    client: Client
+    interval: int
+    slot: int = -1
+    credit: int = 0
+
+    def passes(self, time: int, vehicle_interval: int) -> bool:
+        """Whether the client gets the message of `time` [us], -1 if it tells none."""
+        if self.interval <= max(vehicle_interval, EVERY):
+            return True
+        if time >= 0:
+            if time // self.interval == self.slot:
+                return False
+            self.slot = time // self.interval
+            return True
+        self.credit += vehicle_interval if vehicle_interval > 0 else self.interval
+        if self.credit < self.interval:
+            return False
+        self.credit %= self.interval
+        return True
+
+
+class Streams:
+    """Who wants what; `at` is what the vehicle has been told, message id -> interval [us]."""
+
+    def __init__(self) -> None:
+        self.clients: list[Client] = []
+        self.at: dict[int, int] = {}
+        self._taps: dict[int, list[_Tap]] = {}
+
+    def changed(self) -> None:
+        """A client came, went or forgot."""
+        self._renew([*self._taps])
+
+    def set(self, client: Client, message_id: int, wish: Wish | None) -> bool:
+        """A client's wish, None for its default again; False if it has too many."""
+        if wish is None:
+            client.wishes.pop(message_id, None)
+        elif message_id in client.wishes or len(client.wishes) < MOST_WISHES:
+            client.wishes[message_id] = wish
+        else:
+            return False
+        self._renew([message_id])
+        return True
+
+    def wanted(self, message_id: int) -> Wish:
+        """What the vehicle must send so that everybody has enough: EVERY means at its own rate."""
+        intervals = [client.wish(message_id) for client in self.clients]
+        timed = [one for one in intervals if one > EVERY]
+        mask = 0
+        for client in self.clients:
+            asked = client.wishes.get(message_id)
+            mask |= asked.mask if asked is not None and asked.interval != OFF else 0
+        untimed = EVERY if EVERY in intervals or message_id == HEARTBEAT else OFF
+        return Wish(min(timed, default=untimed), mask)
+
+    def receivers(self, frame: Frame) -> Sequence[Client]:
+        """Who gets a message of the vehicle that is addressed to nobody."""
+        number = frame.message_id
+        taps = self._taps.get(number)
+        if taps is None:
+            taps = self._renew([number])
+        at = self.at.get(number, OFF)
+        time = -1 if all(tap.interval <= max(at, EVERY) for tap in taps) else time_us(frame)
+        found = []
+        for tap in taps:
+            if (tap.interval != OFF and tap.passes(time, at)) or number in tap.client.due_once:
+                found.append(tap.client)
+            else:
+                tap.client.counts.thinned += 1
+                continue
+            tap.client.due_once.pop(number, None)
+        return found
+
+    def _renew(self, numbers: Sequence[int]) -> list[_Tap]:
+        """Find out anew who gets these messages, what was thinned out so far kept in mind; the last one's taps."""
+        taps: list[_Tap] = []
+        for number in numbers:
+            before = {tap.client: tap for tap in self._taps.get(number, ())}
+            asked = number in _streamed() or any(number in client.wishes for client in self.clients)
+            choose = asked and number not in events()
+            taps = []
+            for client in self.clients:
+                interval = client.wish(number) if choose else EVERY
+                old = before.get(client)
+                taps.append(old if old is not None and old.interval == interval else _Tap(client, interval))
+            self._taps[number] = taps
+        return taps
