@@ -8,7 +8,7 @@ from twodof.flight.causes import named_causes
 from twodof.flight.failsafe_machine import MAY_TURN, REFUSED
 
 PATIENCE = 25
-"""Ticks within which the failsafe has answered; it does in the tick that it is asked."""
+"""Ticks within which the failsafe has answered; it does in the tick in which it is asked."""
 
 
 class Arming:
@@ -21,7 +21,7 @@ class Arming:
         self.word = False
         self.killed = False
         self.answer = Verdict(ACCEPTED)
-        self._asked = 0
+        self._from = 0
 
     @property
     def pending(self) -> bool:
@@ -29,11 +29,14 @@ class Arming:
         return self.answer.result == IN_PROGRESS
 
     def pull(self, tick: int) -> Verdict:
-        """Asks the failsafe to arm, from `tick` on."""
-        self.word = True
-        self._asked = tick
+        """Asks the failsafe to arm at `tick`. It acts on an edge: until then the word is not given."""
+        self._from = tick
         self.answer = Verdict(IN_PROGRESS)
         return self.answer
+
+    def speak(self, tick: int) -> None:
+        """Called before each tick while it is pending: gives the word when its tick has come."""
+        self.word = tick >= self._from
 
     def release(self, killed: bool = False) -> None:
         """Disarms; a kill is latched, an ordinary disarming ends it."""
@@ -43,18 +46,15 @@ class Arming:
             self.answer = Verdict(FAILED, "disarmed before it had armed")
 
     def seen(self, step: Step) -> None:
-        """Takes the failsafe's answer; called after each step while it is pending, and when it refuses."""
-        if step.state == REFUSED:
+        """Takes the failsafe's answer; called after each tick while it is pending."""
+        if step.tick < self._from:
+            return
+        if step.state in MAY_TURN:
+            self.answer = Verdict(ACCEPTED)
+        elif step.state == REFUSED:
             self.word = False
-            if self.pending:
-                self.answer = Verdict(TEMPORARILY_REJECTED, f"not armed: {_spelled(step.reason or step.causes)}")
-        elif self.pending and step.tick >= self._asked:
-            if step.state in MAY_TURN:
-                self.answer = Verdict(ACCEPTED)
-            elif step.tick >= self._asked + PATIENCE:
-                self.word = False
-                self.answer = Verdict(FAILED, "not armed: the flight code did not answer")
-
-
-def _spelled(mask: int) -> str:
-    return ", ".join(named_causes(mask)) or "no reason given"
+            causes = ", ".join(named_causes(step.reason or step.causes)) or "the failsafe gives no reason"
+            self.answer = Verdict(TEMPORARILY_REJECTED, f"not armed: {causes}")
+        elif step.tick >= self._from + PATIENCE:
+            self.word = False
+            self.answer = Verdict(FAILED, "not armed: the flight code did not answer")

@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 
 from twodof.errors import ExperimentError
 from twodof.excitation import Excitation, from_json
+from twodof.fcu.schedule import NEVER
 from twodof.fcu.setpoints import ATTITUDE, OPEN_LOOP, POSITION, RATE, VELOCITY
 from twodof.flight.core import PERIOD
 
-STATES = IDLE, RECEIVING, READY, PLAYING, DONE, STOPPED, REFUSED = range(7)
+IDLE, RECEIVING, READY, PLAYING, DONE, STOPPED, REFUSED = range(7)
 """TWODOF_EXCITE_STATE."""
 
 
@@ -33,38 +34,37 @@ LOOPS = (
 )
 """By TWODOF_LOOP."""
 
-_NEVER = 1 << 62
-
 
 class Prepared(NamedTuple):
-    """An excitation written out: value at the k-th tick after its start, (n,), and the unit."""
+    """An excitation written out: the value at the k-th tick after its start, (n,), and the unit."""
 
     unit: str
     values: NDArray[np.float64]
 
 
-def prepare(definition: bytes | str) -> Prepared:
-    """An excitation's JSON written out at 250 Hz. Raises ExperimentError for one that is none.
-
-    The values are `excitation.at(arange(n) * PERIOD)`, as `experiment.script` computes them.
-    """
+def prepare(definition: bytes) -> Prepared:
+    """An excitation's JSON written out at 250 Hz. Raises ExperimentError for what is none."""
     try:
-        text = definition if isinstance(definition, str) else definition.decode()
+        text = definition.decode()
     except UnicodeDecodeError as reason:
         raise ExperimentError("is no UTF-8", "excitation", "write it with to_json") from reason
     return written_out(from_json(text))
 
 
 def written_out(excitation: Excitation) -> Prepared:
-    """An excitation at 250 Hz, from its start to the end of the rest after it."""
+    """An excitation at 250 Hz, from its start to the end of the rest after it.
+
+    The values are `excitation.at(arange(n) * PERIOD)`, bit for bit what `experiment.script` flies.
+    """
     steps = int(np.ceil(excitation.duration / PERIOD - 1e-6))
     return Prepared(excitation.unit, excitation.at(np.arange(steps) * PERIOD))
 
 
 class Player:
-    """One excitation at a time: received, ready, waiting for its tick, playing, and then its base held.
+    """One excitation: defined, waiting for its tick, playing, then done. A definition plays once.
 
-    `start` and `end` are the tick of its time 0 and the first one after its end; `revision` counts changes of `state`.
+    `start` and `end` are the tick of its time 0 and the first one after its end, `begins` the tick for which it waits;
+    `reason` says why it was refused or stopped; `revision` counts the changes.
     """
 
     def __init__(self) -> None:
@@ -73,11 +73,11 @@ class Player:
         self.reason = ""
         self.start = 0
         self.end = 0
+        self.begins = NEVER
         self.revision = 0
-        self.begins = _NEVER
         self.loop = LOOPS[0]
         self.thrust: float | None = None
-        self.prepared: Prepared | None = None
+        self._prepared: Prepared | None = None
 
     @property
     def playing(self) -> bool:
@@ -87,45 +87,43 @@ class Player:
     @property
     def waiting(self) -> bool:
         """Whether it was started for a tick that has not come."""
-        return self.begins < _NEVER
+        return self.begins < NEVER
+
+    @property
+    def unit(self) -> str:
+        """Of the definition, "" if there is none to be played."""
+        return self._prepared.unit if self._prepared is not None else ""
 
     def define(self, transfer: int, prepared: Prepared) -> None:
         """Takes a definition; nothing is played yet."""
-        self.transfer, self.prepared = transfer, prepared
-        self.begins = _NEVER
+        self.transfer, self._prepared = transfer, prepared
+        self.start = self.end = 0
         self._become(READY)
 
     def wait(self, tick: int, loop: Loop, thrust: float | None) -> None:
-        """Plays from `tick` on, once `begin` is called there."""
+        """It is to begin at `tick`."""
+        self._become(READY)
         self.begins, self.loop, self.thrust = tick, loop, thrust
-        self.start, self.end = tick, tick + (len(self.prepared.values) if self.prepared is not None else 0)
-        self.revision += 1
+        self.start, self.end = tick, tick + (len(self._prepared.values) if self._prepared is not None else 0)
 
     def begin(self) -> None:
         """Its tick has come."""
-        self.begins = _NEVER
         self._become(PLAYING)
 
-    def value(self, tick: int) -> float | None:
-        """What is added at `tick`; None once it has ended."""
-        if self.prepared is None or not self.start <= tick < self.end:
+    def value(self, tick: int) -> float:
+        """What is added at `tick`; 0 once it has ended, and then it is done."""
+        if self._prepared is None or not self.start <= tick < self.end:
+            self._prepared = None
             self._become(DONE)
-            return None
-        return float(self.prepared.values.item(tick - self.start))
+            return 0.0
+        return float(self._prepared.values.item(tick - self.start))
 
     def finish(self, state: int, reason: str) -> None:
-        """It ends here: STOPPED or REFUSED, and why."""
-        self.begins = _NEVER
-        self.reason = reason
-        self._become(state)
+        """It ends here, STOPPED or REFUSED; stopped it is forgotten."""
+        if state == STOPPED:
+            self._prepared = None
+        self._become(state, reason)
 
-    def forget(self) -> None:
-        """No definition, nothing played."""
-        self.prepared, self.transfer, self.begins = None, 0, _NEVER
-        self._become(IDLE)
-
-    def _become(self, state: int) -> None:
-        self.state = state
+    def _become(self, state: int, reason: str = "") -> None:
+        self.state, self.reason, self.begins = state, reason, NEVER
         self.revision += 1
-        if state not in (STOPPED, REFUSED):
-            self.reason = ""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from twodof.fcu.asked import Source
 from twodof.flight.core import PERIOD
 
@@ -15,38 +17,47 @@ LONGEST = round(30.0 / PERIOD)
 """Most ticks that a lease is asked for at once."""
 
 
-class Lease:
-    """Who holds the lease, and until when. Time is a tick that never goes back; `moved` takes a restart into account.
+class LeaseState(NamedTuple):
+    """Who holds the lease (None: nobody), for how many ticks still, and a count of the changes of holder."""
 
-    `revision` counts the changes of holder. `orphaned`: it was lost in silence while armed, and nobody has taken it
-    since: then nobody else's frames keep the link alive.
+    holder: Source | None
+    left: int
+    revision: int
+
+
+class Lease:
+    """Who holds the lease, and until when; time is a tick that only `moved` sets back.
+
+    `orphaned`: the holder fell silent while armed and nobody took the lease since. Then no other's frames keep the link
+    alive: the drone is without its pilot, whoever else may be there.
     """
 
     def __init__(self) -> None:
         self.holder: Source | None = None
-        self.revision = 0
         self.orphaned = False
+        self.revision = 0
         self._until = 0
         self._heard = 0
 
     def end(self, armed: bool) -> int:
-        """First tick at which it is free, if nothing more is heard; only meaningful while it is held."""
+        """First tick at which it is free if nothing more is heard; means nothing while nobody holds it."""
         return max(self._until, self._heard + HEARD) if armed else self._until
 
-    def left(self, tick: int, armed: bool) -> int:
-        """Ticks for which it is still held at `tick`; 0 if it is free."""
-        return max(0, self.end(armed) - tick) if self.holder is not None else 0
+    def state(self, tick: int, armed: bool) -> LeaseState:
+        """How it stands at `tick`."""
+        left = max(0, self.end(armed) - tick) if self.holder is not None else 0
+        return LeaseState(self.holder, left, self.revision)
 
     def ask(self, source: Source, tick: int, ticks: int) -> bool:
-        """Takes it, or renews it for `ticks` from now (at most LONGEST); False while another holds it."""
-        if not self._taken(source, tick):
+        """Takes it, or renews it for `ticks` from now, 1 to LONGEST; False while another holds it."""
+        if not self._take(source, tick):
             return False
         self._until = tick + min(max(ticks, 1), LONGEST)
         return True
 
     def command(self, source: Source, tick: int) -> bool:
-        """Whether `source` may command: it holds the lease, or it takes a free one by commanding. Renews it."""
-        if not self._taken(source, tick):
+        """Whether `source` may command: it holds the lease, or takes a free one by commanding. Renews it."""
+        if not self._take(source, tick):
             return False
         self._until = max(self._until, tick + COMMANDING)
         return True
@@ -74,16 +85,14 @@ class Lease:
         return True
 
     def moved(self, ticks: int) -> None:
-        """The count of ticks was changed by `ticks`: what is left stays the same."""
+        """The count of ticks was changed by `ticks`: the time that is left stays the same."""
         self._until += ticks
         self._heard += ticks
 
-    def _taken(self, source: Source, tick: int) -> bool:
+    def _take(self, source: Source, tick: int) -> bool:
         if self.holder is None:
-            self.holder = source
+            self.holder, self.orphaned, self._until = source, False, tick
             self.revision += 1
-            self.orphaned = False
-            self._until = tick
         elif self.holder != source:
             return False
         self._heard = tick

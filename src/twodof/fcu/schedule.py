@@ -4,26 +4,39 @@ from __future__ import annotations
 
 import heapq
 from itertools import count
+from typing import NamedTuple
 
 from twodof.fcu.asked import Source
 from twodof.fcu.setpoints import SetPoint
+from twodof.flight.core import PERIOD
 
 CAPACITY = 256
 """Most set-points that wait."""
 
-HORIZON = 250 * 60
-"""Most ticks that a set-point may lie ahead: a minute."""
+HORIZON = round(60.0 / PERIOD)
+"""Most ticks that something may be asked for ahead: a minute."""
 
-_NEVER = 1 << 62
+NEVER = 1 << 62
+"""A tick that does not come."""
+
+
+class Waiting(NamedTuple):
+    """One that waits; `number` keeps those of one tick in the order in which they came."""
+
+    tick: int
+    number: int
+    source: Source
+    setpoint: SetPoint
+    kind: str
 
 
 class Schedule:
-    """A bounded queue by tick; those of one tick come out in the order in which they went in."""
+    """A bounded queue by tick. `next` is the tick of the first, NEVER if there is none."""
 
     def __init__(self) -> None:
-        self._waiting: list[tuple[int, int, Source, SetPoint, str]] = []
+        self._waiting: list[Waiting] = []
         self._number = count()
-        self.next = _NEVER
+        self.next = NEVER
 
     def __len__(self) -> int:
         return len(self._waiting)
@@ -32,19 +45,19 @@ class Schedule:
         """Keeps it until `tick`; False if too many wait."""
         if len(self._waiting) >= CAPACITY:
             return False
-        heapq.heappush(self._waiting, (tick, next(self._number), source, setpoint, kind))
-        self.next = self._waiting[0][0]
+        heapq.heappush(self._waiting, Waiting(tick, next(self._number), source, setpoint, kind))
+        self.next = self._waiting[0].tick
         return True
 
-    def due(self, tick: int) -> tuple[Source, SetPoint, str] | None:
+    def due(self, tick: int) -> Waiting | None:
         """Takes out the next one whose tick has come."""
         if self.next > tick:
             return None
-        _, _, source, setpoint, kind = heapq.heappop(self._waiting)
-        self.next = self._waiting[0][0] if self._waiting else _NEVER
-        return source, setpoint, kind
+        first = heapq.heappop(self._waiting)
+        self.next = self._waiting[0].tick if self._waiting else NEVER
+        return first
 
     def clear(self) -> None:
         """Forgets all."""
         self._waiting.clear()
-        self.next = _NEVER
+        self.next = NEVER

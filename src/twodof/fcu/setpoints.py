@@ -10,8 +10,36 @@ from twodof.signals import MODES
 OFF, OPEN_LOOP, RATE, ATTITUDE, VELOCITY, POSITION = range(len(MODES))
 """The loops by number, the index into `signals.MODES`."""
 
-NUMBERS = ("x0", "v0", "ax0", "theta0", "q0", "thrust", "M_open")
-"""The set-points that are numbers, as `Asked` has them."""
+TARGET, OPENLOOP, STICKS = "target", "open loop", "sticks"
+"""Where a set-point comes from: SET_ATTITUDE_TARGET and the like, TWODOF_OPENLOOP, MANUAL_CONTROL."""
+
+
+class Values(NamedTuple):
+    """The set-points in use, as `Asked` has them; `loop` is an index into `signals.MODES`."""
+
+    loop: int = OFF
+    x0: float = 0.0
+    v0: float = 0.0
+    ax0: float = 0.0
+    theta0: float = 0.0
+    q0: float = 0.0
+    thrust: float = 0.0
+    M_open: float = 0.0
+
+    def with_number(self, name: str, value: float) -> Values:
+        """These, but for the number `name`."""
+        return Values._make(value if own == name else old for own, old in zip(self._fields, self, strict=True))
+
+    @property
+    def flown(self) -> int:
+        """The loop that flies: without thrust rate and attitude are off, as PX4's mixer gives no moment without it."""
+        return OFF if self.loop in (RATE, ATTITUDE) and not self.thrust > 0.0 else self.loop
+
+    @property
+    def idle(self) -> bool:
+        """Whether nothing is asked of the motors, as the failsafe's `not_idle` sees it."""
+        loop = self.flown
+        return loop == OFF or (loop == OPEN_LOOP and not self.thrust and not self.M_open)
 
 
 class SetPoint(NamedTuple):
@@ -35,24 +63,6 @@ class SetPoint(NamedTuple):
         loop = self.loop is None or OPEN_LOOP <= self.loop <= POSITION
         return loop and all(value is None or isfinite(value) for value in self[1:])
 
-    def over(self, before: SetPoint) -> SetPoint:
-        """This one, with what it leaves open taken from the one before."""
-        return SetPoint(*(old if new is None else new for new, old in zip(self, before, strict=True)))
-
-
-IDLE = SetPoint(None, *(0.0,) * len(NUMBERS))
-"""Nothing is asked for."""
-
-
-def flown(values: SetPoint) -> int:
-    """The loop that flies: rate and attitude without thrust are off, as PX4's mixer gives no moment without thrust."""
-    loop = values.loop
-    if loop is None or (loop in (RATE, ATTITUDE) and not (values.thrust or 0.0) > 0.0):
-        return OFF
-    return loop
-
-
-def idle(values: SetPoint) -> bool:
-    """Whether nothing is asked of the motors, as the failsafe's `not_idle` sees it."""
-    loop = flown(values)
-    return loop == OFF or (loop == OPEN_LOOP and not values.thrust and not values.M_open)
+    def over(self, before: Values) -> Values:
+        """The values before it, with what it asks for."""
+        return Values._make(old if new is None else new for new, old in zip(self, before, strict=True))

@@ -9,12 +9,13 @@ from twodof.errors import LinkError, listed, shown
 
 
 class Mode(NamedTuple):
-    """What a client may choose. `name` is ours, `main` and `sub` are PX4's, `standard` is MAV_STANDARD_MODE's."""
+    """What a client may choose. `name` is ours, `main` and `sub` are PX4's; MAV_STANDARD_MODE, MAV_MODE_PROPERTY."""
 
     name: str
     main: int
     sub: int
-    standard: int
+    standard_mode: int
+    properties: int
     text: str
 
     @property
@@ -23,13 +24,22 @@ class Mode(NamedTuple):
         return self.main << 16 | self.sub << 24
 
 
+_AUTO_MODE = 4  # MAV_MODE_PROPERTY_AUTO_MODE: it flies by itself
+
 MODES: tuple[Mode, ...] = (
-    Mode("manual", 1, 0, 0, "open loop: sticks or TWODOF_OPENLOOP give moment and thrust"),
-    Mode("rate", 5, 0, 0, "sticks give the pitch rate and the thrust (PX4's acro)"),
-    Mode("attitude", 7, 0, 0, "sticks give the pitch and the thrust (PX4's stabilised)"),
-    Mode("position", 3, 0, 1, "the stick gives the velocity along the rail, centred it holds the position"),
-    Mode("hold", 4, 3, 0, "level hold on board: pitch 0 at the thrust THRUST_BAR"),
-    Mode("offboard", 6, 0, 0, "set-points by message or an excitation on board; the last valid one decides which loop"),
+    Mode("manual", 1, 0, 0, 0, "open loop: sticks or TWODOF_OPENLOOP give moment and thrust"),
+    Mode("rate", 5, 0, 0, 0, "sticks give the pitch rate and the thrust (PX4's acro)"),
+    Mode("attitude", 7, 0, 0, 0, "sticks give the pitch and the thrust (PX4's stabilised)"),
+    Mode("position", 3, 0, 1, 0, "the stick gives the velocity along the rail, centred it holds the position"),
+    Mode("hold", 4, 3, 0, _AUTO_MODE, "level hold on board: pitch 0 at the thrust THRUST_BAR"),
+    Mode(
+        "offboard",
+        6,
+        0,
+        0,
+        _AUTO_MODE,
+        "set-points by message or an excitation on board; the last valid one decides which loop",
+    ),
 )
 """The modes, in the order in which they are listed to clients."""
 
@@ -52,3 +62,19 @@ def mode_name(number: int) -> str:
     """Name of a custom_mode, as text where it is none of ours."""
     mode = BY_NUMBER.get(number)
     return mode.name if mode is not None else f"main {number >> 16 & 0xFF}, sub {number >> 24 & 0xFF}"
+
+
+_CUSTOM, _AUTO, _GUIDED, _STABILIZE, _MANUAL, _ARMED = 1, 4, 8, 16, 64, 128  # MAV_MODE_FLAG
+
+UNREADY, STANDBY, ACTIVE, CRITICAL, TERMINATED = 0, 3, 4, 5, 8
+"""MAV_STATE, as PX4 uses them."""
+
+
+def base_mode(number: int, armed: bool) -> int:
+    """HEARTBEAT.base_mode of a custom_mode, with the flags that PX4 sets."""
+    flags = _CUSTOM | (_ARMED if armed else 0)
+    if number in (MANUAL, RATE, ATTITUDE, POSITION):
+        flags |= _MANUAL
+    if number not in (MANUAL, RATE):
+        flags |= _STABILIZE
+    return flags | (_AUTO | _GUIDED if number == HOLD else 0)
