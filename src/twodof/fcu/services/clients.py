@@ -1,0 +1,67 @@
+"""Clients: the peers that have spoken. Each gets its own streams, until it is silent or its link closes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+
+from twodof.fcu.flight_code import Step
+from twodof.fcu.services.addressing import Client, source
+from twodof.link.connection import Received
+
+SILENT_TICKS = 15_000
+"""60 s without a frame: a client is forgotten."""
+MOST_CLIENTS = 64
+MOST_SOURCES = 16
+_SWEEP_TICKS = 250
+
+
+class Clients:
+    """Who is there. First among the services: it sees every message and takes none.
+
+    `joined` and `left` are called with each client that comes and goes.
+    """
+
+    def __init__(self) -> None:
+        self.known: dict[Hashable, Client] = {}
+        self.joined: list[Callable[[Client], None]] = []
+        self.left: list[Callable[[Client], None]] = []
+        self._tick = 0
+
+    def handle(self, received: Received) -> bool:
+        """Notes who spoke."""
+        client = self.known.get(received.peer)
+        if client is None:
+            client = self._welcome(received.peer)
+        client.heard = self._tick
+        if len(client.sources) < MOST_SOURCES:
+            client.sources[source(received)] = None
+        return False
+
+    def after(self, step: Step) -> None:
+        """Forgets who has been silent."""
+        self._tick = step.tick
+        if step.tick % _SWEEP_TICKS == 0:
+            for client in [*self.known.values()]:
+                if step.tick - client.heard > SILENT_TICKS:
+                    self.gone(client.peer)
+
+    def gone(self, peer: Hashable) -> None:
+        """Forgets a peer whose link has closed."""
+        client = self.known.pop(peer, None)
+        if client is not None:
+            for leave in self.left:
+                leave(client)
+
+    def restart(self) -> None:
+        """Time begins anew at tick 0."""
+        self._tick = 0
+        for client in self.known.values():
+            client.heard = client.since = 0
+
+    def _welcome(self, peer: Hashable) -> Client:
+        if len(self.known) >= MOST_CLIENTS:
+            self.gone(min(self.known.values(), key=lambda one: one.heard).peer)
+        client = self.known[peer] = Client(peer, self._tick)
+        for join in self.joined:
+            join(client)
+        return client

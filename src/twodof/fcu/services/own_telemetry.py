@@ -1,0 +1,103 @@
+"""twodof's own messages of state: range, failsafe, rig, timing, lease, truth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from twodof.fcu.flight_code import Step
+from twodof.fcu.services.flight_telemetry import MASK_32, TICK_MS, TICK_US, Encoder
+from twodof.fcu.services.vehicle import Commander, Controller
+from twodof.flight.causes import CAUSES
+from twodof.link.packed import Packed, Packer
+
+RINGS, SAFETY_OFF, VIRTUAL, LOCKSTEP = 1, 2, 4, 8
+"""TWODOF_RIG_FLAG."""
+SEED_MASK = 0xFFFFFFFFFFFFFFFF
+NOBODY = (0, 0)
+
+
+class Flown(NamedTuple):
+    """What flies: the controller's name, and the first 64 bits of the SHA-256 of its diagram."""
+
+    controller: str = "stock"
+    diagram: int = 0
+
+
+def deciding(reason: int) -> int:
+    """Which cause of a mask decides: the place of the one that asks for the strongest action, -1 if there is none."""
+    places = [place for place in range(len(CAUSES)) if reason >> place & 1]
+    return max(places, key=lambda place: (CAUSES[place].action, -place), default=-1)
+
+
+def range_sample() -> Encoder:
+    """TWODOF_TOF: the last range, not rounded."""
+    pack = Packer("TWODOF_TOF")
+
+    def encode(s: Step) -> Packed:
+        sample = s.sample
+        age = round(sample.dist_age * 1e6) if 0.0 <= sample.dist_age < 1e6 else 0
+        return pack(max(0, s.tick * TICK_US - age), s.tick & MASK_32, sample.dist, int(sample.dist == sample.dist))
+
+    return encode
+
+
+def safety(since: Callable[[], int]) -> Encoder:
+    """TWODOF_SAFETY; `since` says from which tick on the action is taken."""
+    pack = Packer("TWODOF_SAFETY")
+    return lambda s: pack(s.tick & MASK_32, since() & MASK_32, s.causes & MASK_32, s.action, deciding(s.reason))
+
+
+def rig(controller: Controller, flown: Callable[[], Flown]) -> Callable[[], Packed]:
+    """TWODOF_RIG."""
+    pack = Packer("TWODOF_RIG")
+
+    def encode() -> Packed:
+        hardware, what = controller.hardware, flown()
+        flags = (RINGS if hardware.rings else 0) | (SAFETY_OFF if hardware.safety_off else 0)
+        flags |= (VIRTUAL if hardware.virtual else 0) | (LOCKSTEP if controller.lockstep else 0)
+        names = hardware.name.encode()[:16], what.controller.encode()[:24]
+        return pack(hardware.seed & SEED_MASK, what.diagram, controller.tick & MASK_32, TICK_US, flags, *names)
+
+    return encode
+
+
+def timing(controller: Controller, lost: Callable[[], int]) -> Callable[[], Packed]:
+    """TWODOF_TIMING; `lost` counts messages that clients did not take."""
+    pack = Packer("TWODOF_TIMING")
+
+    def encode() -> Packed:
+        now = controller.timing
+        times = now.step_mean, now.step_worst, now.late_worst
+        return pack(controller.tick & MASK_32, now.overruns, now.missed, lost() & MASK_32, *times)
+
+    return encode
+
+
+def lease(commander: Commander) -> Callable[[], Packed]:
+    """TWODOF_LEASE: who may command."""
+    pack = Packer("TWODOF_LEASE")
+
+    def encode() -> Packed:
+        holder = commander.lease.holder or NOBODY
+        return pack(min(max(commander.lease_left, 0) * TICK_MS, MASK_32), 0, 0, 0, *holder)
+
+    return encode
+
+
+def openloop(commander: Commander) -> Callable[[], Packed]:
+    """TWODOF_OPENLOOP: what is in use."""
+    pack = Packer("TWODOF_OPENLOOP")
+
+    def encode() -> Packed:
+        now = commander.openloop
+        flags = int(now.openloop), int(now.enableM), int(now.enableT)
+        return pack(now.tick & MASK_32, now.M, now.T, 0, 0, *flags)
+
+    return encode
+
+
+def truth(state: Callable[[], tuple[float, float, float, float]], controller: Controller) -> Callable[[], Packed]:
+    """TWODOF_TRUTH: theta, q, x, v of the virtual rig, from the rig itself."""
+    pack = Packer("TWODOF_TRUTH")
+    return lambda: pack(controller.tick * TICK_US, *state(), controller.tick & MASK_32)

@@ -1,0 +1,35 @@
+"""Remarks: what the vehicle has to say in words goes to everybody as STATUSTEXT."""
+
+from __future__ import annotations
+
+from twodof.fcu.flight_code import Step
+from twodof.fcu.service import Link
+from twodof.link.connection import Received
+from twodof.link.messages import statustext
+
+
+class Remarks:
+    """Drains lists of (MAV_SEVERITY, text) that others fill."""
+
+    def __init__(self, link: Link, *sources: list[tuple[int, str]]) -> None:
+        self._link = link
+        self._sources = sources
+        self._number = 0
+
+    def handle(self, received: Received) -> bool:
+        """Takes what others say in words: it is not for us."""
+        return bool(received.message.get_type() == "STATUSTEXT")
+
+    def after(self, step: Step) -> None:
+        """Tells what there is to tell."""
+        for source in self._sources:
+            if source:
+                self._tell(source)
+
+    def _tell(self, source: list[tuple[int, str]]) -> None:
+        told = source[:]
+        source.clear()
+        for severity, text in told:
+            self._number = self._number % 0xFFFF + 1
+            for piece in statustext(text, severity, self._number):
+                self._link.send(piece)

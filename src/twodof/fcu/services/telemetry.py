@@ -1,0 +1,99 @@
+"""Telemetry: every message that can be streamed or asked for, as of now."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from twodof.fcu.flight_code import Step
+from twodof.fcu.services import flight_telemetry, own_telemetry, system_telemetry
+from twodof.fcu.services.flight_telemetry import TICK_US, Encoder
+from twodof.fcu.services.own_telemetry import Flown
+from twodof.fcu.services.vehicle import Commander, Controller
+
+HEARTBEAT, HIGHRES_IMU, DISTANCE_SENSOR = 0, 105, 132
+OPENLOOP, TOF, TRUTH, RIG, LEASE, SAFETY, TIMING = 54200, 54204, 54205, 54206, 54209, 54210, 54211
+
+
+def _nobody() -> int:
+    return 0
+
+
+class Telemetry:
+    """The latest step, and encoders of it by message id.
+
+    `flying` are encoders that take a step, `standing` those that need none. `news` has the tick of the last sample of
+    the messages that carry one of a sensor, so that none is sent twice. `truth` is the virtual rig's state, None for a
+    real one: it comes from the rig, past everything on board. A service of its own turn: it takes no message, and must
+    come before those that send.
+    """
+
+    def __init__(
+        self,
+        controller: Controller,
+        commander: Commander,
+        flown: Callable[[], Flown] = Flown,
+        lost: Callable[[], int] = _nobody,
+        truth: Callable[[], tuple[float, float, float, float]] | None = None,
+    ) -> None:
+        self.controller = controller
+        self.step: Step | None = None
+        self.news: dict[int, int] = dict.fromkeys((HIGHRES_IMU, DISTANCE_SENSOR, TOF), -1)
+        self.since = 0
+        self._action = -1
+        system, own = system_telemetry, own_telemetry
+        self.flying: dict[int, Encoder] = {
+            **{number: make() for number, make in flight_telemetry.ENCODERS.items()},
+            1: system.sys_status(self.load),
+            147: system.battery_status(),
+            230: system.estimator_status(),
+            245: system.extended_sys_state(),
+            TOF: own.range_sample(),
+            SAFETY: own.safety(lambda: self.since),
+        }
+        self.standing: dict[int, Callable[[], Any]] = {
+            HEARTBEAT: system.heartbeat(commander),
+            2: system.system_time(controller),
+            242: system.home_position(),
+            OPENLOOP: own.openloop(commander),
+            RIG: own.rig(controller, flown),
+            LEASE: own.lease(commander),
+            TIMING: own.timing(controller, lost),
+        }
+        if truth is not None:
+            self.standing[TRUTH] = own.truth(truth, controller)
+        self.messages = {*self.flying, *self.standing}
+
+    def add(self, message_id: int, encode: Callable[[], Any]) -> None:
+        """Another message that can be streamed and asked for."""
+        self.standing[message_id] = encode
+        self.messages.add(message_id)
+
+    def load(self) -> float:
+        """The part of a control period that a step takes, over the last second, 0 to 1."""
+        return self.controller.timing.step_mean / TICK_US
+
+    def message(self, message_id: int) -> Any | None:
+        """A message of `messages` as of now; None if it tells of a step and there was none yet."""
+        standing = self.standing.get(message_id)
+        if standing is not None:
+            return standing()
+        return self.flying[message_id](self.step) if self.step is not None else None
+
+    def observe(self, step: Step) -> None:
+        """Takes a step over."""
+        self.step = step
+        sample, tick = step.sample, step.tick
+        if sample.imu_new:
+            self.news[HIGHRES_IMU] = tick
+        if sample.dist_new:
+            self.news[DISTANCE_SENSOR] = self.news[TOF] = tick
+        if step.action != self._action:
+            self._action, self.since = step.action, tick
+
+    def restart(self) -> None:
+        """Time begins anew."""
+        self.step = None
+        self.since, self._action = 0, -1
+        for number in self.news:
+            self.news[number] = -1

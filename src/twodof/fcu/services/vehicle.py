@@ -1,0 +1,130 @@
+"""What the services see of the vehicle: the little that they ask of the commander and of the flight controller."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+from twodof.fcu.asked import Source, Verdict
+from twodof.fcu.hardware import Hardware
+from twodof.fcu.timing import Timing
+from twodof.link.modes import Mode
+
+
+class Lease(Protocol):
+    """Who may command."""
+
+    @property
+    def holder(self) -> Source | None:
+        """System and component, None: nobody."""
+
+
+class OpenLoop(Protocol):
+    """The open-loop message in use."""
+
+    @property
+    def tick(self) -> int:
+        """Since when."""
+
+    @property
+    def M(self) -> float:
+        """Moment."""
+
+    @property
+    def T(self) -> float:
+        """Thrust."""
+
+    @property
+    def openloop(self) -> bool:
+        """Whether the loop is open."""
+
+    @property
+    def enableM(self) -> bool:
+        """Whether the moment is flown."""
+
+    @property
+    def enableT(self) -> bool:
+        """Whether the thrust is flown."""
+
+    @property
+    def revision(self) -> int:
+        """Counts the messages."""
+
+
+class Commander(Protocol):
+    """What the services ask of `fcu.commander.Commander`."""
+
+    @property
+    def armed(self) -> bool:
+        """Whether motors may turn."""
+
+    @property
+    def base_mode(self) -> int:
+        """MAV_MODE_FLAG, for HEARTBEAT."""
+
+    @property
+    def custom_mode(self) -> int:
+        """PX4's number of the mode, for HEARTBEAT."""
+
+    @property
+    def system_status(self) -> int:
+        """MAV_STATE, for HEARTBEAT."""
+
+    @property
+    def modes(self) -> Sequence[Mode]:
+        """All that `set_mode` knows."""
+
+    @property
+    def openloop(self) -> OpenLoop:
+        """The open-loop message in use."""
+
+    @property
+    def lease_left(self) -> int:
+        """Ticks for which the lease is still held if nothing more is heard."""
+
+    @property
+    def arming(self) -> Verdict:
+        """What became of the last `arm`; IN_PROGRESS until that is known."""
+
+    @property
+    def lease(self) -> Lease:
+        """Who may command."""
+
+    @property
+    def remarks(self) -> list[tuple[int, str]]:
+        """(MAV_SEVERITY, text) to be told to the clients, drained by who tells them."""
+
+    def take(self, source: Source, what: str = "") -> Verdict:
+        """Whether `source` may command now; a free lease becomes its own. `what` it wants is named in a refusal."""
+
+    def arm(self, source: Source, force: bool = False) -> Verdict:
+        """Arms; `force` leaves checks out that may be."""
+
+    def disarm(self, source: Source, force: bool = False) -> Verdict:
+        """Disarms; in flight only with `force`."""
+
+    def set_mode(self, source: Source, custom_mode: int) -> Verdict:
+        """Changes the mode."""
+
+    def kill(self, source: Source) -> Verdict:
+        """Stops the motors in the next tick, whoever asks."""
+
+
+class Controller(Protocol):
+    """What the services ask of `fcu.loop.FlightController`."""
+
+    @property
+    def hardware(self) -> Hardware:
+        """What it stands on."""
+
+    @property
+    def timing(self) -> Timing:
+        """How it keeps its time."""
+
+    @property
+    def tick(self) -> int:
+        """Of the next control period."""
+
+    @property
+    def lockstep(self) -> bool:
+        """Whether time stands still until ticks are granted."""
