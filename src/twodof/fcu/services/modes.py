@@ -17,7 +17,6 @@ from twodof.link.messages import message
 
 DO_SET_MODE, DO_SET_STANDARD_MODE = 176, 262
 AVAILABLE_MODES, CURRENT_MODE, AVAILABLE_MODES_MONITOR = 435, 436, 437
-AUTO, AUTO_MODE = 4, 4  # PX4's main mode; MAV_MODE_PROPERTY_AUTO_MODE
 _CUSTOM = 1  # MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
 
 
@@ -59,7 +58,7 @@ class Modes:
     def current(self) -> Any:
         """CURRENT_MODE."""
         number = self._commander.custom_mode
-        standard = next((row.standard for row in self._commander.modes if row.custom_mode == number), 0)
+        standard = next((row.standard_mode for row in self._commander.modes if row.custom_mode == number), 0)
         return message("CURRENT_MODE", standard_mode=standard, custom_mode=number, intended_custom_mode=number)
 
     def _set(self, command: Command) -> Verdict:
@@ -71,7 +70,7 @@ class Modes:
     def _set_standard(self, command: Command) -> Verdict:
         wanted = whole(command.params[0])
         for row in self._commander.modes:
-            if wanted > 0 and row.standard == wanted:
+            if wanted > 0 and row.standard_mode == wanted:
                 return self._commander.set_mode(command.source, row.custom_mode)
         return Verdict(UNSUPPORTED)
 
@@ -86,9 +85,9 @@ class Modes:
                 "AVAILABLE_MODES",
                 number_modes=len(rows),
                 mode_index=place,
-                standard_mode=row.standard,
+                standard_mode=row.standard_mode,
                 custom_mode=row.custom_mode,
-                properties=AUTO_MODE if row.main == AUTO else 0,
+                properties=row.properties,
                 mode_name=row.name.encode()[:34],
             )
             for place, row in rows

@@ -79,8 +79,9 @@ def lease(commander: Commander) -> Callable[[], Packed]:
     pack = Packer("TWODOF_LEASE")
 
     def encode() -> Packed:
-        holder = commander.lease.holder or NOBODY
-        return pack(min(max(commander.lease_left, 0) * TICK_MS, MASK_32), 0, 0, 0, *holder)
+        now = commander.lease
+        holder = now.holder or NOBODY
+        return pack(min(max(now.left, 0) * TICK_MS, MASK_32), 0, 0, 0, *holder)
 
     return encode
 

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from twodof.fcu.service import Link, Service
 from twodof.fcu.services.addressing import Us
 from twodof.fcu.services.arming import Arming
+from twodof.fcu.services.batches import BATCH, Batches
 from twodof.fcu.services.changes import Changes
 from twodof.fcu.services.clients import Clients
 from twodof.fcu.services.commands import Commands
@@ -20,6 +21,7 @@ from twodof.fcu.services.remarks import Remarks
 from twodof.fcu.services.requests import Requests
 from twodof.fcu.services.streams import Streams
 from twodof.fcu.services.telemetry import Telemetry
+from twodof.fcu.services.transactions import Transactions
 from twodof.fcu.services.vehicle import Commander, Controller
 from twodof.fcu.services.version import Versions
 from twodof.fcu.store import Store
@@ -60,6 +62,9 @@ class PX4:
         self.parameters = Parameters(link, us, self.clients, self.commands, controller, commander, store)
         self.arming = Arming(self.commands, commander, restart)
         self.versions = Versions(self.requests, system, controller.hardware.name, capabilities)
+        self.transactions = Transactions(link, us, self.commands, commander, self.parameters, store)
+        self.batches = Batches(link, self.clients, commander)
+        self.streams.elsewhere[BATCH] = self.batches
         self.missions = Missions(link, us, self.commands, self.requests)
         self.remarks = Remarks(link, commander.remarks)
 
@@ -69,10 +74,12 @@ class PX4:
         return [
             self.clients,
             self.commands,
+            self.transactions,
             self.parameters,
             self.modes,
             self.missions,
             self.streams,
+            self.batches,
             self.heartbeat,
             self.remarks,
         ]

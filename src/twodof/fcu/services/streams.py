@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
 from math import isfinite
-from typing import Any
+from typing import Any, Protocol
 
 from twodof.fcu.asked import ACCEPTED, DENIED, FAILED, UNSUPPORTED, Verdict
 from twodof.fcu.flight_code import Step
@@ -50,6 +50,16 @@ class Stream:
         self.sent = -1
 
 
+class Elsewhere(Protocol):
+    """Who sends a message that is no stream of this kind."""
+
+    def subscribe(self, command: Command) -> Verdict:
+        """Command 511 for it."""
+
+    def interval(self, peer: Hashable) -> int:
+        """A client's interval of it [us], -1: none."""
+
+
 class Streams:
     """All streams of all clients, and the commands 510 and 511 that read and change a client's own.
 
@@ -71,6 +81,7 @@ class Streams:
         self._changes = changes
         self._profile = profile
         self._streams: dict[Hashable, dict[int, Stream]] = {}
+        self.elsewhere: dict[int, Elsewhere] = {}
         self._calendar: dict[int, list[Stream]] = {}
         self._tick = -1
         clients.joined.append(self._join)
@@ -174,6 +185,8 @@ class Streams:
         message_id, interval = whole(command.params[0], -1), command.params[1]
         if message_id == HEARTBEAT:
             return Verdict(FAILED, "HEARTBEAT comes once a second")
+        if message_id in self.elsewhere:
+            return self.elsewhere[message_id].subscribe(command)
         if message_id not in self._telemetry.messages:
             return Verdict(UNSUPPORTED)
         if not isfinite(interval):
@@ -185,10 +198,19 @@ class Streams:
         message_id = whole(command.params[0], -1)
         if not 0 <= message_id <= 0xFFFF:
             return Verdict(DENIED)
-        known = message_id in self._telemetry.messages
-        interval = self.interval(command.peer, message_id)
-        micros = 10**6 if message_id == HEARTBEAT else -1 if interval < 0 else max(1, interval // 1000) if known else 0
         self._link.send(
-            message("MESSAGE_INTERVAL", message_id=message_id, interval_us=micros if known else 0), command.peer
+            message("MESSAGE_INTERVAL", message_id=message_id, interval_us=self._told(command.peer, message_id)),
+            command.peer,
         )
         return Verdict(ACCEPTED)
+
+    def _told(self, peer: Hashable, message_id: int) -> int:
+        """MESSAGE_INTERVAL's number [us]: -1 for a message that is not sent at any interval, 0 for one there is not."""
+        if message_id == HEARTBEAT:
+            return 10**6
+        if message_id in self.elsewhere:
+            return self.elsewhere[message_id].interval(peer)
+        if message_id not in self._telemetry.messages:
+            return 0
+        interval = self.interval(peer, message_id)
+        return max(1, round(interval / 1000)) if interval > 0 else -1

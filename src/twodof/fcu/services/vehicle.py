@@ -18,6 +18,10 @@ class Lease(Protocol):
     def holder(self) -> Source | None:
         """System and component, None: nobody."""
 
+    @property
+    def left(self) -> int:
+        """Ticks for which it is still held if nothing more is heard."""
+
 
 class OpenLoop(Protocol):
     """The open-loop message in use."""
@@ -77,10 +81,6 @@ class Commander(Protocol):
     @property
     def openloop(self) -> OpenLoop:
         """The open-loop message in use."""
-
-    @property
-    def lease_left(self) -> int:
-        """Ticks for which the lease is still held if nothing more is heard."""
 
     @property
     def arming(self) -> Verdict:
