@@ -44,13 +44,17 @@ _LONG_RAIL = 5.0
 
 @dataclass(frozen=True, eq=False)
 class Flight:
-    """A flown experiment: its log, where it started, and the checks of its data. The same seed gives the same bits."""
+    """A flown experiment: its log, where it started, and the checks of its data. The same seed gives the same bits.
+
+    `reason` says why a flight over MAVLink ended before its end, "" if it did not.
+    """
 
     experiment: Experiment
     log: FlightLog
     x_start: float
     seed: int
     checks: tuple[Check, ...]
+    reason: str = ""
 
     @property
     def good(self) -> bool:
@@ -92,17 +96,24 @@ class Laboratory:
         self.noise = noise
         self.controllers = by_kind(c if isinstance(c, Diagram) else load_diagram(c) for c in controllers)
         self.precision = precision
-        self.loop = ClosedLoop(
-            gains if isinstance(gains, Gains) else load_gains(gains),
-            self.parameters,
-            conditions,
-            position_filter,
-            controllers=self.controllers.values(),
-            precision=precision,
-            failsafe=failsafe,
-        )
-        self.loop.tune_controllers(tuning or {})
         self._conditions = dict(conditions or {})
+
+        def loop(failsafe: bool) -> ClosedLoop:
+            made = ClosedLoop(
+                gains if isinstance(gains, Gains) else load_gains(gains),
+                self.parameters,
+                conditions,
+                position_filter,
+                controllers=self.controllers.values(),
+                precision=precision,
+                failsafe=failsafe,
+            )
+            made.tune_controllers(tuning or {})
+            return made
+
+        self.loop = loop(failsafe)
+        # Where a flight is to start is seen on a rail that is too long for the failsafe, which would brake.
+        self._planning = loop(False) if failsafe else self.loop
 
     def fly(self, experiment: str | Experiment, seed: int = 1) -> Flight:
         """Flies `experiment` (or the ready-made one of that name) with the noise of `seed`, from a start that fits.
@@ -145,7 +156,7 @@ class Laboratory:
         What the log of `fly` is made of, and what the on-board log of the same flight over MAVLink holds. Raises
         ExperimentError for a seed that `fly` would not take.
         """
-        return self._fly(experiment, plan, x_start, seed=_checked_seed(seed), noise=self.noise)
+        return self._fly(self.loop, experiment, plan, x_start, seed=_checked_seed(seed), noise=self.noise)
 
     def start(self, experiment: str | Experiment) -> float:
         """The x [m] from which the flight stays in the middle of the rail: it is flown without noise on a long one.
@@ -154,7 +165,7 @@ class Laboratory:
         """
         experiment = ready(experiment)
         plan = script(experiment)
-        out = self._fly(experiment, plan, 0.0, seed=1, noise=0.0, rail_stop=_LONG_RAIL)
+        out = self._fly(self._planning, experiment, plan, 0.0, seed=1, noise=0.0, rail_stop=_LONG_RAIL)
         flown = slice(plan.begin, plan.end)
         steepest = float(np.abs(out["true_theta"][flown]).max())
         stop = self.parameters["pitch_stop"]
@@ -193,12 +204,12 @@ class Laboratory:
         }
 
     def _fly(
-        self, experiment: Experiment, plan: Script, x_start: float, **conditions: float
+        self, loop: ClosedLoop, experiment: Experiment, plan: Script, x_start: float, **conditions: float
     ) -> dict[str, NDArray[Any]]:
         machine = {"rail_stop": self.parameters["rail_stop"]} | self._conditions
-        self.loop.configure(machine | {"rings": experiment.rings, "ring_place": x_start} | conditions)
-        self.loop.start(Start(x=x_start))
-        return self.loop.fly(plan.steps, plan.setpoints | ({"arm": plan.arm} if self.loop.failsafe else {}))
+        loop.configure(machine | {"rings": experiment.rings, "ring_place": x_start} | conditions)
+        loop.start(Start(x=x_start))
+        return loop.fly(plan.steps, plan.setpoints | ({"arm": plan.arm} if loop.failsafe else {}))
 
 
 def _checked_seed(seed: int) -> int:

@@ -50,19 +50,21 @@ def script(experiment: Experiment, x_start: float = 0.0) -> Script:
     steps = round(experiment.duration / PERIOD)
     begin = round(experiment.lead / PERIOD)
     still = round(experiment.still / PERIOD)
-    powered = slice(still, steps - still)
+    excited = slice(begin, steps - still)
     mode = np.full(steps, MODES.index("off"), dtype=np.int32)
-    thrust = np.zeros(steps)
+    thrust, place = np.zeros(steps), np.zeros(steps)
     if experiment.thrust > 0.0:
         mode[still:begin] = MODES.index("attitude" if experiment.rings else "position")
-        thrust[powered] = thrust_flown
-    excited = slice(begin, steps - still)
+        # In position mode the thrust is the velocity loop's.
+        thrust[still:begin] = thrust_flown if experiment.rings else 0.0
+        place[still : steps - still] = 0.0 if experiment.rings else x_flown
     mode[excited] = MODES.index(experiment.mode)
+    thrust[excited] = thrust_flown
     setpoints: dict[str, NDArray[np.generic]] = {
         "mode": mode,
         "thrust": thrust,
-        "use_trim": np.full(steps, experiment.mode == "open-loop" and experiment.thrust > 0.0),
-        "x0": np.full(steps, x_flown),
+        "use_trim": (mode == MODES.index("open-loop")) & (thrust > 0.0),
+        "x0": place,
     }
     name = SETPOINT[experiment.mode]
     values = np.array(setpoints.get(name, np.zeros(steps)), dtype=np.float64)

@@ -1,0 +1,151 @@
+"""Programs of ours as child processes: started, waited for, restarted by a stated rule, ended within a deadline."""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+from collections import deque
+from collections.abc import Awaitable, Callable, Sequence
+from dataclasses import dataclass, field
+
+from twodof.errors import LinkError
+
+MOST_RESTARTS = 3
+"""A program that ends more often than this within `WITHIN_S` is not restarted again: all end."""
+
+WITHIN_S = 60.0
+AGAIN_S = 0.5
+"""Before a program is started again [s]."""
+
+END_S = 3.0
+"""What a program has to end when it is asked to [s]; then it is killed."""
+
+_LAST_LINES = 8
+
+
+@dataclass
+class Child:
+    """One program: its name, and its command line (`twodof ...` by this very Python)."""
+
+    name: str
+    arguments: Sequence[str]
+    process: asyncio.subprocess.Process | None = None
+    ended: deque[float] = field(default_factory=lambda: deque(maxlen=MOST_RESTARTS + 1))
+    said: deque[str] = field(default_factory=lambda: deque(maxlen=_LAST_LINES))
+
+    @property
+    def running(self) -> bool:
+        """Whether it runs."""
+        return self.process is not None and self.process.returncode is None
+
+    async def start(self) -> None:
+        """Starts it. Its standard input is a pipe from here, its messages are kept for `said`."""
+        self.process = await asyncio.create_subprocess_exec(
+            sys.executable,
+            "-m",
+            "twodof.cli.child",
+            *self.arguments,
+            stdin=asyncio.subprocess.PIPE,
+            stdout=asyncio.subprocess.DEVNULL,
+            stderr=asyncio.subprocess.PIPE,
+            start_new_session=True,  # Ctrl-C in the terminal is for us, who end them in order
+        )
+
+    async def wait(self) -> int:
+        """Its exit status, once it has ended; what it said on its standard error is in `said`."""
+        if self.process is None or self.process.stderr is None:
+            return 0
+        while line := await self.process.stderr.readline():
+            self.said.append(line.decode(errors="replace").rstrip()[:500])
+        return await self.process.wait()
+
+    async def end(self) -> None:
+        """Asks it to end, and kills it if it has not after `END_S`."""
+        process = self.process
+        if process is None or process.returncode is not None:
+            return
+        process.terminate()
+        try:
+            await asyncio.wait_for(process.wait(), END_S)
+        except TimeoutError:
+            process.kill()
+            await process.wait()
+
+
+class Children:
+    """Programs that run until one cannot be kept running, or `end` is called.
+
+    A program that ends is started again after `AGAIN_S`, `MOST_RESTARTS` times within `WITHIN_S`; after that all are to
+    end. `tell` is called with a line for people at each such event; `answers` waits until a program that was started
+    does its work, and raises LinkError if it does not.
+    """
+
+    def __init__(
+        self,
+        children: Sequence[Child],
+        tell: Callable[[str], None],
+        answers: Callable[[Child], Awaitable[None]],
+    ) -> None:
+        self.children = list(children)
+        self._tell = tell
+        self._answers = answers
+
+    async def start(self) -> None:
+        """Starts all in their order, each once the one before answers. Raises LinkError."""
+        for child in self.children:
+            await self._begin(child)
+
+    async def _begin(self, child: Child) -> None:
+        await child.start()
+        waiting = asyncio.ensure_future(self._answers(child))
+        ending = asyncio.ensure_future(child.wait())
+        try:
+            await asyncio.wait((waiting, ending), return_when=asyncio.FIRST_COMPLETED)
+            if waiting.done():
+                waiting.result()
+            else:
+                why = " ".join(child.said) or "it said nothing"
+                raise LinkError(f"ended with status {ending.result()}: {why}", child.name, "see what it says")
+        finally:
+            waiting.cancel()
+            ending.cancel()
+            await asyncio.gather(waiting, ending, return_exceptions=True)
+
+    async def run(self) -> Child:
+        """Keeps all running; returns the one that could not be."""
+        watchers = {asyncio.ensure_future(self._keep(child)): child for child in self.children}
+        try:
+            done, _ = await asyncio.wait(watchers, return_when=asyncio.FIRST_COMPLETED)
+            first = done.pop()
+            first.result()
+            return watchers[first]
+        finally:
+            for watcher in watchers:
+                watcher.cancel()
+            await asyncio.gather(*watchers, return_exceptions=True)
+
+    async def _keep(self, child: Child) -> None:
+        clock = asyncio.get_running_loop()
+        while True:
+            status = await child.wait()
+            child.ended.append(clock.time())
+            reason = f": {child.said[-1]}" if child.said else ""
+            often = len(child.ended) > MOST_RESTARTS and child.ended[-1] - child.ended[0] < WITHIN_S
+            if often:
+                self._tell(f"{child.name} ended with status {status}{reason}; too often, all end")
+                return
+            self._tell(f"{child.name} ended with status {status}{reason}; it is started again")
+            child.said.clear()
+            await asyncio.sleep(AGAIN_S)
+            try:
+                await self._begin(child)
+            except LinkError as error:
+                self._tell(str(error))
+                await child.end()
+            else:
+                self._tell(f"{child.name} answers again")
+
+    async def end(self) -> None:
+        """Ends all, the last started first, within `END_S` each; a second time does nothing."""
+        for child in reversed(self.children):
+            await child.end()

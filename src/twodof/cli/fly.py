@@ -1,0 +1,73 @@
+"""`twodof fly`: fly a ready-made experiment over MAVLink, on a virtual drone or a real one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from twodof.cli.output import Json, print_json, progress, table_console
+from twodof.experiment.flight import Flight
+from twodof.experiment.fly import fly as fly_experiment
+from twodof.experiment.protocol import EXPERIMENTS
+from twodof.experiment.protocol import experiment as named_experiment
+from twodof.flightlog.files import write_log
+from twodof.gcs.async_drone import DEFAULT_URL
+from twodof.gcs.drone import Drone
+
+app = typer.Typer(add_completion=False)
+
+
+@app.command()
+def fly(
+    experiment: Annotated[str, typer.Argument(help=f"One of {', '.join(EXPERIMENTS)}.")],
+    url: Annotated[str, typer.Option(help="Where the drone is, as `twodof up` says.")] = DEFAULT_URL,
+    drone: Annotated[int | None, typer.Option(min=1, max=255, help="Its system, where several are heard.")] = None,
+    key: Annotated[Path | None, typer.Option(help="File of the key that signs everything.")] = None,
+    seed: Annotated[int, typer.Option(min=0, max=2**32 - 1, help="Seed of a virtual drone's noise.")] = 1,
+    start: Annotated[
+        float | None, typer.Option(metavar="X", help="Where the cart starts, in metres; left out: where it fits.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Write the flight's log (.mat, .mcap, .parquet, .csv).")] = None,
+    json: Json = False,
+) -> None:
+    """Arm, hold, excite on board, disarm, and check that the data are good enough.
+
+    A virtual drone is put to its start first. What went wrong in flight breaks it off: the drone is levelled and
+    disarmed, and the log holds what there is. Exit status 1: it was broken off, or its data are not good.
+    """
+    asked = named_experiment(experiment)
+    with progress() as report, Drone.connect(url, key=key, drone=drone) as there:
+        flight = fly_experiment(asked, there, seed=seed, x_start=start, progress=report)
+        rig = there.state.rig
+    if out is not None:
+        write_log(flight.log, out)
+    if json:
+        print_json(
+            {
+                "experiment": experiment,
+                "url": url,
+                "rig": rig.name,
+                "virtual": rig.virtual,
+                "seed": flight.seed,
+                "x_start_m": flight.x_start,
+                "good": flight.good,
+                "reason": flight.reason or None,
+                "checks": [{"name": c.name, "passed": c.passed, "seen": c.seen} for c in flight.checks],
+                "file": None if out is None else str(out),
+            }
+        )
+    else:
+        _print(flight, rig.name, out)
+    if not flight.good:
+        raise typer.Exit(1)
+
+
+def _print(flight: Flight, rig: str, out: Path | None) -> None:
+    console = table_console()
+    console.print(f"{flight.experiment.name} flown on {rig}, seed {flight.seed}, start x = {flight.x_start:+.3f} m")
+    for check in flight.checks:
+        console.print(f"  {'ok    ' if check.passed else 'FAILED'} {check.name}: {check.seen}", markup=False)
+    if out is not None:
+        console.print(f"written: {out}", markup=False)

@@ -1,0 +1,274 @@
+"""Flying an experiment over MAVLink, on a virtual drone or a real one, in lockstep or in real time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twodof.errors import ExperimentError, LinkLost, Rejected, Timeout
+from twodof.experiment.checks import Check, data_checks, received
+from twodof.experiment.flight import MARGIN, PITCH_MARGIN, Flight, Laboratory, ready
+from twodof.experiment.protocol import Experiment
+from twodof.experiment.received import COLUMNS, Samples
+from twodof.experiment.script import Script, on_wire, script
+from twodof.flight.core import PERIOD
+from twodof.flightlog.provenance import versions
+from twodof.gcs.drone import Drone
+from twodof.rig.parameters import NAMES
+
+Progress = Callable[[str, float], None]
+"""Called with what the drone does and the share of the flight that is done, 0 to 1."""
+
+LOOP = {"open-loop": "M", "rate": "q", "attitude": "theta", "velocity": "v", "position": "x"}
+"""Which loop an experiment's mode excites, as `Drone.excite` calls it."""
+
+WATCH = round(0.1 / PERIOD)
+"""Control steps between two looks at the flight from the ground; on board the failsafe looks at every step."""
+
+UPLOAD = round(0.5 / PERIOD)
+"""Control steps before its start at which an excitation is on board."""
+
+START = round(0.1 / PERIOD)
+"""Control steps from now at which a flight in real time begins: what is subscribed to has begun to come by then."""
+
+LEVEL = round(1.0 / PERIOD)
+"""Control steps that a flight which is broken off is held level before it is disarmed."""
+
+LEAST_STILL = 0.2
+"""Shortest time [s] with the motors off: the drone hears its sensors and arms in it."""
+
+OUT_OF_PLACE = 0.08
+"""Farthest [m] from its start at which an experiment with the cart free is begun: gusts move the lab rig's by .05."""
+
+TILTED = 0.2
+"""Largest pitch [rad] at which it is begun; a level hold stays within .05."""
+
+
+class Rows(Protocol):
+    """What `Drone.batch` collects."""
+
+    @property
+    def ticks(self) -> NDArray[np.uint32]:
+        """Tick of each row, (n,)."""
+
+    @property
+    def values(self) -> NDArray[np.float32]:
+        """Its samples, (n, columns)."""
+
+
+def fly(
+    experiment: str | Experiment,
+    drone: Drone,
+    seed: int = 1,
+    noise: float = 1.0,
+    x_start: float | None = None,
+    laboratory: Laboratory | None = None,
+    progress: Progress | None = None,
+) -> Flight:
+    """Flies `experiment` (or the ready-made one of that name) with `drone`: arm, hold, excite on board, disarm.
+
+    A virtual drone is put to its start first, with the noise of `seed` times `noise`; in lockstep the flight then has
+    the bits of `Laboratory.fly` (`experiment.script` is followed to the tick), in real time it begins whenever the
+    drone is there. A real drone must have its rings set as the experiment wants them; with the cart free it flies to
+    its start during the hold.
+
+    `x_start` [m] is where a flight with the cart free begins; None: where `laboratory` says it fits the rail, which is
+    by default the virtual rig of the drone's name, else "lab".
+
+    From the ground pitch and place are watched ten times a second. A flight that met a limit, on which the failsafe
+    acted, that was refused or whose link was lost is broken off (level, then disarmed) and returned with its `reason`,
+    its samples so far and failed checks. Raises ExperimentError for what cannot be flown at all, before anything
+    moves, and what `Drone` raises while the drone is put to its start.
+    """
+    experiment = ready(experiment)
+    rig = drone.state.rig
+    if experiment.still < LEAST_STILL:
+        raise ExperimentError(
+            f"the motors stand for {experiment.still:g} s only",
+            f"{experiment.name}.still",
+            f"give {LEAST_STILL:g} s or more, in which the drone hears its sensors and arms",
+        )
+    if not rig.virtual and rig.rings_locked != experiment.rings:
+        asked, found = ("locked", "free") if experiment.rings else ("free", "locked")
+        raise ExperimentError(
+            f"it is flown with the cart {asked}, and the cart is {found}", experiment.name, "set the rings, then fly"
+        )
+    model = laboratory if laboratory is not None else _model(rig.name)
+    if x_start is None:
+        x_start = 0.0 if experiment.rings else model.start(experiment)
+    plan = script(experiment, x_start)
+    if rig.virtual:
+        drone.reset(seed=seed, x=x_start, noise=noise, rings=experiment.rings)
+    with drone.batch(COLUMNS) as rows:
+        course = _Course(experiment, plan, x_start, drone, rows, model.parameters, progress or _silent)
+        reason = course.fly()
+    samples = Samples.of(rows.ticks, rows.values, course.first, plan.steps)
+    out, have = samples.on_grid(course.first, plan.steps)
+    checks = [
+        Check("flown to its end", not reason, reason or "yes"),
+        Check("failsafe silent", not course.acted, course.acted or "yes"),
+        received(plan, have),
+        *data_checks(experiment, plan, out, model.parameters),
+    ]
+    provenance = {
+        "experiment": experiment.name,
+        "excitation": experiment.excitation.to_dict(),
+        "rig": rig.name,
+        "seed": seed if rig.virtual else 0,
+        "versions": versions(),
+        "flown": {"url": drone.url, "virtual": rig.virtual, "controller": rig.controller, "reason": reason},
+    }
+    return Flight(experiment, samples.log(provenance), x_start, provenance["seed"], tuple(checks), reason)
+
+
+def _model(name: str) -> Laboratory:
+    """The virtual rig that is most like the drone's."""
+    return Laboratory(name if name in NAMES else "lab")
+
+
+def _silent(text: str, share: float) -> None:
+    """Says nothing."""
+
+
+@dataclass
+class _Course:
+    """One flight in its course; `first` is the tick of step 0, `acted` what the failsafe did ("": nothing)."""
+
+    experiment: Experiment
+    plan: Script
+    x_start: float
+    drone: Drone
+    rows: Rows
+    stops: Mapping[str, float]
+    progress: Progress
+    first: int = 0
+    acted: str = ""
+    _seen: int = 0
+    _flying: bool = False
+
+    def fly(self) -> str:
+        """Flies the script; returns why it ended before its end, "" if it did not."""
+        if not self.drone.state.rig.lockstep:
+            self.first = self.drone.tick + START
+        try:
+            reason = self._follow()
+        except (Rejected, Timeout, LinkLost) as error:
+            reason = str(error)
+        except BaseException:
+            # Ctrl-C above all: whoever takes over must not find the motors running.
+            self._end()
+            raise
+        return reason if not reason else "; ".join([reason, *self._break_off()])
+
+    def _follow(self) -> str:
+        plan, held = self.plan, self.experiment.thrust > 0.0
+        upload = max(plan.begin - UPLOAD, plan.hold if held else plan.armed)
+        course: list[tuple[int, str, Callable[[], str]]] = [
+            (plan.armed, "arm", self._arm),
+            *([(plan.armed, "arm", self._offer), (plan.hold, "hold", self._hold)] if held else []),
+            (upload, "excite", self._excite),
+            (plan.end, "disarm", self._end),
+            (plan.steps, "done", lambda: ""),
+        ]
+        for step, text, act in course:
+            reason = self._watch_until(step)
+            if not reason:
+                self.progress(text, step / plan.steps)
+                reason = act()
+            if reason:
+                return reason
+        return ""
+
+    def _arm(self) -> str:
+        self.drone.arm()
+        self._flying = True
+        return ""
+
+    def _offer(self) -> str:
+        # Offboard wants set-points first: these ask for nothing, so that the hold begins at its tick.
+        self.drone.set_pitch(0.0, thrust=0.0)
+        return ""
+
+    def _hold(self) -> str:
+        if self.experiment.rings:
+            self.drone.set_pitch(0.0, thrust=on_wire(self.experiment.thrust))
+        else:
+            self.drone.set_position(on_wire(self.x_start))
+        return ""
+
+    def _excite(self) -> str:
+        theta, x = (self._latest(name) for name in ("estimate.theta", "estimate.x"))
+        if not abs(theta) <= TILTED:
+            return f"it does not hold level: the pitch is {np.degrees(theta):.0f} deg"
+        if not (self.experiment.rings or abs(x - self.x_start) <= OUT_OF_PLACE):
+            return f"it does not hold its place: the cart is at {x:+.2f} m and not at {self.x_start:+.2f} m"
+        excitation = self.experiment.excitation
+        # The rest is flown as a part of the excitation: its loop stays closed, or open, as it is.
+        longer = replace(excitation, settle=excitation.settle + self.experiment.rest)
+        self.drone.excite(
+            longer,
+            loop=LOOP[self.experiment.mode],
+            thrust=on_wire(self.experiment.thrust),
+            at=self.first + self.plan.begin,
+        )
+        return ""
+
+    def _end(self) -> str:
+        self._flying = False
+        self.drone.disarm()
+        return ""
+
+    def _break_off(self) -> list[str]:
+        """Level, then disarm; returns what of it did not work."""
+        failed = []
+        for what, act in (("level", self._level), ("disarm", self._end)):
+            if self._flying:
+                try:
+                    act()
+                except (Rejected, Timeout, LinkLost) as error:
+                    failed.append(f"{what}: {error}")
+        return failed
+
+    def _level(self) -> None:
+        if self.experiment.thrust > 0.0 and not self.acted:
+            self.drone.level_hold()
+        self.drone.run_until(self.drone.tick + LEVEL)
+
+    def _watch_until(self, step: int) -> str:
+        """Lets the drone's time pass up to `step`; returns why the flight must end, "" if it need not."""
+        until = self.first + step
+        while self.drone.tick < until:
+            self.drone.run_until(min(until, self.drone.tick + WATCH))
+            self.progress("", min(1.0, (self.drone.tick - self.first) / self.plan.steps))
+            if self._flying and (reason := self._wrong()):
+                return reason
+        return ""
+
+    def _wrong(self) -> str:
+        safety = self.drone.state.safety
+        if safety.action != "none":
+            self.acted = f"{safety.action} because of {safety.reason or 'nothing that it names'}"
+            return f"the failsafe acts: {self.acted}"
+        if not self.drone.state.armed:
+            self._flying = False
+            return "the drone was disarmed"
+        new = np.asarray(self.rows.values[self._seen :], dtype=np.float64)
+        self._seen += len(new)
+        limits = [("estimate.theta", self.stops["pitch_stop"] - PITCH_MARGIN, "pitch", "rad")]
+        if not self.experiment.rings:
+            limits.append(("estimate.x", self.stops["rail_stop"] - MARGIN, "cart", "m"))
+        for column, limit, name, unit in limits:
+            values = np.abs(new[:, COLUMNS.index(column)])
+            if (values > limit).any():
+                return f"the {name} is at {np.nanmax(values):.2f} {unit}, beyond {limit:.2f}"
+        return ""
+
+    def _latest(self, column: str) -> float:
+        """The latest sample of a column; NaN if there is none."""
+        values = np.asarray(self.rows.values, dtype=np.float64)[:, COLUMNS.index(column)]
+        known = values[np.isfinite(values)]
+        return float(known[-1]) if known.size else float("nan")
