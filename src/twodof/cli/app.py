@@ -26,10 +26,11 @@ COMMANDS = MappingProxyType(
         "diagram": ("diagram", "Start, check, draw and linearize a diagram; see the C that it becomes."),
         "flash": ("flash", "Check and compile a controller, say what changes, and let it fly."),
         "identify": ("identify", "Identify a model from a flight log."),
+        "fcu": ("fcu", "Run a virtual drone: rig and flight controller, reached over MAVLink."),
         "replay": ("replay", "Feed a log's inputs to the compiled flight code and compare its outputs."),
         "log": ("log", "Look into flight logs and convert them."),
         "calibrate": ("calibrate", "Calibrate the virtual rig on the real drone's logs."),
-        "companion": ("companion", "Pass MAVLink between the flight controller and several clients; run an app on board."),
+        "companion": ("companion", "Route MAVLink between the flight controller and clients; run an app on board."),
         "px4": ("px4", "Make a module for PX4 of a diagram, and see whether a PX4 fits it."),
     }
 )

@@ -1,44 +1,98 @@
-"""The flight controller's program put together: commander, control loop, links and services."""
+"""The flight controller's program put together: store, commander, control loop, links and services."""
 
 from __future__ import annotations
 
+from contextlib import ExitStack
+from pathlib import Path
+from typing import cast
+
 from twodof.fcu.commander import Commander
-from twodof.fcu.flight_code import FlightCode, Step
-from twodof.fcu.hardware import Hardware
+from twodof.fcu.controllers import Controllers, flown
+from twodof.fcu.hardware import Hardware, VirtualHardware
 from twodof.fcu.loop import FlightController
+from twodof.fcu.onboard_log import OnboardLog
 from twodof.fcu.server import Server
-from twodof.link.connection import Received
-from twodof.link.messages import message
+from twodof.fcu.services.own_telemetry import Flown
+from twodof.fcu.services.px4 import PX4
+from twodof.fcu.services.reload import Reload
+from twodof.fcu.store import Store
 from twodof.link.signing import Signing
 
-HEARTBEAT_TICKS = 250
+WARNING = 4
+"""MAV_SEVERITY."""
 
 
-def assemble(
-    hardware: Hardware, code: FlightCode, system: int, lockstep: bool = False, signing: Signing | None = None
-) -> tuple[FlightController, Server]:
-    """The control loop on `hardware` and its shell as MAVLink system `system`, with every service."""
-    commander = Commander(hardware, lambda: float(controller.code.parameter("THRUST_BAR")), lockstep)
-    controller = FlightController(hardware, code, commander, lockstep)
-    server = Server(controller, system, signing)
-    server.services.append(Heartbeat(server))
-    controller.on_restart += [service.restarted for service in server.services if hasattr(service, "restarted")]
-    return controller, server
+class Assembly:
+    """The program of a drone: MAVLink system `system` on `hardware`.
 
+    `state` is the folder of what it keeps: parameters.json, logs/, controllers/; None keeps nothing and logs nothing.
+    `signing` is asked of every client. `close` ends what stands outside the event loop; the server closes by itself.
+    """
 
-class Heartbeat:
-    """HEARTBEAT at 1 Hz."""
+    def __init__(
+        self,
+        hardware: Hardware,
+        controllers: Controllers,
+        system: int,
+        lockstep: bool = False,
+        signing: Signing | None = None,
+        state: Path | None = None,
+    ) -> None:
+        code, damage = controllers.build_safely()
+        self.store = Store(None if state is None else state / "parameters.json", system)
+        self._what = (code, flown(code))
+        self._flies = self.store.flying()
+        code.set_parameters(self._flies)
+        self.commander = commander = Commander(hardware, lambda: self.store["THRUST_BAR"], lockstep)
+        self.controller = controller = FlightController(hardware, code, commander, lockstep)
+        self.server = server = Server(controller, system, signing)
+        self.store.listen(lambda _: self._fly_with(self.store.flying()))
+        self.log: OnboardLog | None = None
+        self._closing = ExitStack()
+        self._closing.callback(self.store.close)
+        if state is not None:
+            info: dict[str, str | int] = {
+                "rig": hardware.name,
+                "seed": hardware.seed,
+                "controller": self._what[1].controller,
+            }
+            self.log = OnboardLog(state / "logs", self.store, lockstep, info)
+            self._closing.callback(self.log.close)
+            controller.listeners.append(self.log.step)
+        self.px4 = PX4(
+            server,
+            system,
+            controller,
+            commander,
+            self.store,
+            restart=self._restart if hardware.virtual else None,
+            flown=self._flown,
+            lost=lambda: server.lost,
+            truth=(lambda: cast(VirtualHardware, hardware).truth) if hardware.virtual else None,
+        )
+        self.reload = Reload(self.px4.commands, controller, commander, controllers)
+        server.services += self.px4.services
+        controller.remarks = commander.remarks
+        commander.remarks += [(WARNING, text) for text in (damage, *self.store.remarks) if text]
+        for service in server.services:
+            if hasattr(service, "restart"):
+                controller.on_restart.append(service.restart)
 
-    def __init__(self, link: Server) -> None:
-        self._link = link
+    def close(self) -> None:
+        """Writes what is not written yet. Raises ParameterError or LogError where the disk refuses; twice is once."""
+        self._closing.close()
 
-    def handle(self, received: Received) -> bool:
-        """Takes nothing."""
-        return False
+    def _fly_with(self, values: dict[str, float]) -> None:
+        changed = {name: value for name, value in values.items() if value != self._flies[name]}
+        self._flies = values
+        if changed:
+            self.controller.set_parameters(changed)
 
-    def after(self, step: Step) -> None:
-        """Sends when it is time."""
-        if step.tick % HEARTBEAT_TICKS == 0:
-            self._link.send(
-                message("HEARTBEAT", type=2, autopilot=12, base_mode=81, system_status=3, mavlink_version=3)
-            )
+    def _flown(self) -> Flown:
+        code = self.controller.code
+        if self._what[0] is not code:
+            self._what = (code, flown(code))
+        return self._what[1]
+
+    def _restart(self) -> None:
+        self.controller.reset()

@@ -138,7 +138,8 @@ class FlightCode:
             outputs = self._stepper.step((*measured, *asked, rings, step_late, False))
         else:
             late, *own = self.sandbox.step(sample, self._limited(asked), asked.in_reset or not self._own)
-            *outputs, self._own = self._stepper.step((*measured, *asked, rings, step_late, late, *own))
+            *flown, self._own = self._stepper.step((*measured, *asked, rings, step_late, late, *own))
+            outputs = tuple(flown)
         step = Step(tick, sample, asked, *outputs)
         if self._armed and not step.armed and self.own_fault:
             self._revive()
@@ -208,12 +209,15 @@ class FlightCode:
 
     def _limited(self, asked: Asked) -> Asked:
         """The set-points as the failsafe lets them pass to controllers inside."""
-        within = {name: _within(getattr(asked, name), limit) for name, limit in self._limits.items()}
+        limits = self._limits
         return asked._replace(
+            x0=_within(asked.x0, limits["x0"]),
+            v0=_within(asked.v0, limits["v0"]),
+            theta0=_within(asked.theta0, limits["theta0"]),
+            q0=_within(asked.q0, limits["q0"]),
             thrust=max(0.0, _within(asked.thrust, 1.0)),
             M_open=_within(asked.M_open, 1.0),
             ax0=asked.ax0 if math.isfinite(asked.ax0) else 0.0,
-            **within,
         )
 
 

@@ -70,8 +70,11 @@ class VirtualHardware(Hardware, Protocol):
     def truth(self) -> tuple[float, float, float, float]:
         """Pitch [rad], pitch rate [rad/s], position [m] and velocity [m/s] at this tick."""
 
-    def reset(self, seed: int, x: float, noise: float, rings: bool) -> Mapping[str, Any]:
-        """Begins again at rest at `x` [m]; returns the states, by path, in which the flight code is to begin.
+    def reset(
+        self, seed: int | None = None, x: float = 0.0, noise: float | None = None, rings: bool | None = None
+    ) -> Mapping[str, Any]:
+        """Begins again at rest at `x` [m], what is None as it was.
 
-        Raises ParameterError for a place beyond the rail, a seed or a noise that cannot be.
+        Returns the states, by path, in which the flight code is to begin. Raises ParameterError, and changes nothing,
+        for a place beyond the rail, a seed or a noise that cannot be.
         """

@@ -15,6 +15,9 @@ from twodof.fcu.timing import Timing
 PERIOD_NS = 4_000_000
 """The control period."""
 
+CRITICAL = 2
+"""MAV_SEVERITY."""
+
 MOST_GRANTED = 25_000
 """Ticks that may be granted beyond those that have run: 100 s."""
 
@@ -28,17 +31,17 @@ class Commands(Protocol):
     def seen(self, step: Step) -> None:
         """What became of it."""
 
-    def restarted(self) -> None:
+    def restart(self) -> None:
         """Time begins again at tick 0."""
 
 
 class FlightController:
     """What runs at each control period, and the tick that counts them.
 
-    `commander` says what is asked, `code` flies, `hardware` measures and drives; each of `listeners` gets the step, each
-    of `on_restart` is called when time begins again. In `lockstep` time stands still until ticks are granted, and
-    nothing is late; else the processor time of a step is held against its budget. All methods but `stop` are for one
-    thread.
+    `commander` says what is asked, `code` flies, `hardware` measures and drives; each of `listeners` gets the step,
+    each of `on_restart` is called when time begins again. In `lockstep` time stands still until ticks are granted, and
+    nothing is late; else the processor time of a step is held against its budget. `remarks` are (MAV_SEVERITY, text)
+    for the clients, for whoever drains it. All methods but `stop` are for one thread.
     """
 
     def __init__(self, hardware: Hardware, code: FlightCode, commander: Commands, lockstep: bool = False) -> None:
@@ -52,8 +55,10 @@ class FlightController:
         self.tick = 0
         self.granted = 0
         self.latest: Step | None = None
+        self.remarks: list[tuple[int, str]] = []
         self._late = False
         self._stopped = False
+        self._fault = ""
         if code.sandbox is not None:
             code.sandbox.timed = not lockstep
 
@@ -72,6 +77,10 @@ class FlightController:
         if self._stopped and not step.armed:
             self._stopped = False
             hardware.release()
+        if self.code.own_fault != self._fault:
+            self._fault = self.code.own_fault
+            if self._fault:
+                self.remarks.append((CRITICAL, f"controller stopped: {self._fault}"))
         self.commander.seen(step)
         for listener in self.listeners:
             listener(step)
@@ -81,6 +90,7 @@ class FlightController:
         """Motors off, at once and from any thread (the watchdog's); the failsafe gives `step_late` as the reason."""
         self.hardware.stop()
         self._stopped = True
+        self.remarks.append((CRITICAL, "the control loop hung: motors stopped"))
 
     def grant(self, until: int) -> None:
         """Lets time run up to the tick `until`, which is not run; one that was granted already changes nothing."""
@@ -90,8 +100,10 @@ class FlightController:
         """Before the next tick all of `values`, or none; see `FlightCode.set_parameters`."""
         self.code.set_parameters(values)
 
-    def reset(self, seed: int, x: float = 0.0, noise: float = 1.0, rings: bool = False) -> None:
-        """Begins again at tick 0, the virtual rig at rest at `x` [m] and everything as after the start.
+    def reset(
+        self, seed: int | None = None, x: float = 0.0, noise: float | None = None, rings: bool | None = None
+    ) -> None:
+        """Begins again at tick 0, the virtual rig at rest at `x` [m], what is None as it was, all else as at the start.
 
         Raises ParameterError, and changes nothing, on a real rig, while armed, and as `VirtualHardware.reset`.
         """
@@ -105,7 +117,7 @@ class FlightController:
         self.latest = None
         self._late = self._stopped = False
         self.hardware.release()
-        self.commander.restarted()
+        self.commander.restart()
         for listener in self.on_restart:
             listener()
 

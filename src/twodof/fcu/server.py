@@ -93,6 +93,11 @@ class Server:
             except LinkError:
                 self.dropped += 1
 
+    @property
+    def lost(self) -> int:
+        """Messages that did not go out: queues were full, links gone, values that fit no field."""
+        return self.dropped + sum(connection.transport.counts.dropped_out for connection in self.connections)
+
     def alive(self, peer: Hashable) -> bool:
         """Whether a peer is still connected."""
         return isinstance(peer, Peer) and peer.there in peer.connection.transport.peers

@@ -9,22 +9,26 @@ from pathlib import Path
 from typing import Any, Self
 
 from twodof.blocks import Diagram
-from twodof.fcu.assembly import assemble
-from twodof.fcu.flight_code import FlightCode
+from twodof.fcu.assembly import Assembly
+from twodof.fcu.commander import Commander
+from twodof.fcu.controllers import Controllers
+from twodof.fcu.loop import FlightController
 from twodof.fcu.server import Server
-from twodof.flight.starters import load_diagram
+from twodof.link.signing import Signing
 from twodof.parameters import ParameterSet
 from twodof.rig.parameters import load_rig
 from twodof.sim.rig_host import VirtualRig
 
 
 class VirtualDrone:
-    """Drone number `index` on a virtual rig, in real time or in `lockstep`.
+    """Drone number `index` (system `index` + 1) on a virtual rig, in real time or in `lockstep`.
 
-    `rig` is "paper", "lab", a file or a set of parameters; `conditions` further parameters of it. `controllers` are
-    diagrams, their JSON files, or names of starter diagrams, which fly in a sandbox unless `trusted`. `precision` is
-    that of everything. Use it as an asynchronous context manager: within, it runs, and `urls` says where. Raises
-    ParameterError, DiagramError, CompileError and LinkError for what cannot be.
+    `rig` is "paper", "lab", a file or a set of parameters; `conditions` further parameters of it (`seed`, `noise`,
+    `rings`, ...). `controllers` are diagrams, their JSON files, or names of starter diagrams, which fly in a sandbox
+    unless `trusted`. `precision` is that of everything. `state` is the folder of what it keeps, None for nothing.
+
+    Use it as an asynchronous context manager: within, it runs; `listen` opens links. Raises ParameterError,
+    DiagramError, CompileError and LinkError for what cannot be.
     """
 
     def __init__(
@@ -37,31 +41,38 @@ class VirtualDrone:
         lockstep: bool = False,
         index: int = 0,
         safety_off: bool = True,
+        state: Path | None = None,
+        signing: Signing | None = None,
         position_filter: str = "joint",
+        fuel: int | None = None,
     ) -> None:
         parameters = rig if isinstance(rig, ParameterSet) else load_rig(rig)
         name = "own" if isinstance(rig, ParameterSet) else Path(rig).stem
         self.rig = VirtualRig(parameters, conditions, precision, name, safety_off)
-        code = FlightCode(
-            [c if isinstance(c, Diagram) else load_diagram(c) for c in controllers],
-            trusted,
-            position_filter,
-            precision,
-        )
-        self.rig.settle(code)
-        self.lockstep = lockstep
-        self.controller, self._server = assemble(self.rig, code, index + 1, lockstep)
+        uploads = None if state is None else state / "controllers"
+        chosen = Controllers(controllers, trusted, uploads, position_filter, precision, fuel)
+        self.assembly = Assembly(self.rig, chosen, index + 1, lockstep, signing, state)
+        self.rig.settle(self.controller.code)
         self.urls: list[str] = []
         self._running: asyncio.Task[None] | None = None
 
     @property
+    def controller(self) -> FlightController:
+        """The control loop."""
+        return self.assembly.controller
+
+    @property
+    def commander(self) -> Commander:
+        """Who decides what is flown."""
+        return self.assembly.commander
+
+    @property
     def server(self) -> Server:
-        """The program's shell."""
-        return self._server
+        """The shell: links and services."""
+        return self.assembly.server
 
     async def __aenter__(self) -> Self:
-        """Starts it; `listen` opens links."""
-        self._running = asyncio.create_task(self._server.run(), name=f"drone {self._server.system}")
+        self._running = asyncio.create_task(self.server.run(), name=f"drone {self.server.system}")
         return self
 
     async def __aexit__(self, *_: object) -> None:
@@ -69,7 +80,7 @@ class VirtualDrone:
 
     async def listen(self, url: str) -> str:
         """Opens a link and returns its URL, with the port that the system chose for port 0. Raises LinkError."""
-        self.urls.append(await self._server.listen(url))
+        self.urls.append(await self.server.listen(url))
         return self.urls[-1]
 
     async def wait(self) -> None:
@@ -78,7 +89,7 @@ class VirtualDrone:
             await self._running
 
     async def close(self) -> None:
-        """Motors off, links closed; a second time does nothing. Raises what ended it, if that was an error."""
+        """Motors off, links and log closed; a second time does nothing. Raises what ended it, if that was an error."""
         running, self._running = self._running, None
         try:
             if running is not None:
@@ -86,4 +97,5 @@ class VirtualDrone:
                 with suppress(asyncio.CancelledError):
                     await running
         finally:
-            await self._server.close()
+            await self.server.close()
+            self.assembly.close()
