@@ -1,4 +1,4 @@
-"""Answers without an address: PARAM_VALUE and the log messages name nobody, so it counts who has asked."""
+"""Answers without an address: PARAM_VALUE, the log messages and MESSAGE_INTERVAL name nobody: it counts who asked."""
 
 from twodof.fcc import wire
 from twodof.fcc.client import Client
@@ -9,14 +9,20 @@ OPEN_S = 5.0
 _ASK_PARAMETERS = frozenset({wire.PARAM_REQUEST_READ, wire.PARAM_REQUEST_LIST})
 _ASK_LOGS = frozenset({wire.LOG_REQUEST_LIST, wire.LOG_REQUEST_DATA})
 _CHANGE = frozenset({wire.PARAM_SET, wire.PARAM_TRANSACTION})
-_ANSWERS = {wire.PARAM_VALUE: "parameters", wire.LOG_ENTRY: "logs", wire.LOG_DATA: "logs"}
+_INTERVALS = "intervals"
+_ANSWERS = {
+    wire.MESSAGE_INTERVAL: _INTERVALS,
+    wire.PARAM_VALUE: "parameters",
+    wire.LOG_ENTRY: "logs",
+    wire.LOG_DATA: "logs",
+}
 
 
 class Answers:
     """Who has asked for parameters or logs, and until when what comes is for them."""
 
     def __init__(self) -> None:
-        self._open: dict[str, dict[Client, float]] = {"parameters": {}, "logs": {}}
+        self._open: dict[str, dict[Client, float]] = {"parameters": {}, "logs": {}, _INTERVALS: {}}
         self._changing = 0.0
 
     def asked(self, client: Client, frame: Frame, now: float) -> None:
@@ -28,6 +34,10 @@ class Answers:
             self._open["logs"][client] = now + OPEN_S
         elif number in _CHANGE:
             self._changing = now + OPEN_S
+
+    def interval(self, client: Client, now: float) -> None:
+        """A client's question about an interval is on its way to the vehicle."""
+        self._open[_INTERVALS][client] = now + OPEN_S
 
     def forget(self, client: Client) -> None:
         """A client has gone."""

@@ -1,7 +1,7 @@
 """What a client gets that has asked for nothing: PX4's rates of its onboard and of its ground link.
 
-Rates of v1.16 (src/modules/mavlink/mavlink_main.cpp, MAVLINK_MODE_ONBOARD and MAVLINK_MODE_NORMAL), of the messages
-that fit a drone on a rail.
+Rates of v1.16 (src/modules/mavlink/mavlink_main.cpp, MAVLINK_MODE_ONBOARD and MAVLINK_MODE_NORMAL) where it has one, of
+the messages that the flight controller streams; what is not here comes as the flight controller sends it.
 """
 
 from collections.abc import Mapping
@@ -37,6 +37,8 @@ _RATES = {
         "SERVO_OUTPUT_RAW": 10.0,
         "DISTANCE_SENSOR": 10.0,
         "VFR_HUD": 10.0,
+        "ACTUATOR_CONTROL_TARGET": 10.0,
+        "ESTIMATOR_STATUS": 1.0,
         "SYSTEM_TIME": 1.0,
         "BATTERY_STATUS": 0.5,
         "HOME_POSITION": 0.5,
@@ -52,6 +54,11 @@ _RATES = {
         "SERVO_OUTPUT_RAW": 1.0,
         "DISTANCE_SENSOR": 0.5,
         "VFR_HUD": 4.0,
+        "HIGHRES_IMU": 2.0,
+        "ODOMETRY": 0.5,
+        "ACTUATOR_CONTROL_TARGET": 1.0,
+        "ESTIMATOR_STATUS": 0.5,
+        "SYSTEM_TIME": 0.5,
         "BATTERY_STATUS": 0.5,
         "HOME_POSITION": 0.5,
     },

@@ -12,12 +12,13 @@ from typing import Any
 from twodof.fcc import wire
 from twodof.fcc.answers import Answers
 from twodof.fcc.asking import Asking
+from twodof.fcc.batches import TICK_US, Batches
 from twodof.fcc.client import Client, Identity, Wish
 from twodof.fcc.line import Line
 from twodof.fcc.rates import EVERY, OFF, group, profiles
 from twodof.fcc.streams import Streams, events
 from twodof.link.framing import Frame, encode
-from twodof.link.messages import message
+from twodof.link.messages import BATCH_VALUES, message
 from twodof.link.signing import Signing, Verdict
 
 AUTOPILOT, COMPANION = 1, 191
@@ -51,6 +52,7 @@ class Router:
         self.streams = Streams()
         self.asking = Asking(self._ask, self._settled)
         self.answers = Answers()
+        self.batches = Batches(self._as_vehicle, self._deliver)
         self.counts = RouterCounts()
         self.own: Callable[[Frame, Client | None], None] = lambda frame, client: None
         self.clock = clock
@@ -75,6 +77,7 @@ class Router:
         """A client has gone: nobody asks the vehicle in its name any more."""
         self.clients.remove(client)
         self.answers.forget(client)
+        self.batches.forget(client)
         self._refresh()
 
     def forget(self, client: Client) -> None:
@@ -141,6 +144,11 @@ class Router:
         """A frame that came over the line."""
         self.counts.from_vehicle += 1
         self._account(frame)
+        if frame.message_id == wire.BATCH:
+            self.batches.take(frame, self.clients, not frame.signed or self._signing is not None)
+            return
+        if frame.message_id == wire.TICK:
+            self.batches.flush_all()
         system, component = wire.target(frame)
         if system:
             if system == self.system and component in (0, COMPANION):
@@ -240,16 +248,26 @@ class Router:
         if not self._ours(frame):
             return False
         if asked.command != wire.SET_MESSAGE_INTERVAL:
+            if not self.streams.chosen(number) or client.wish(number) == EVERY:
+                self.answers.interval(client, self.clock())
+                return False
             self._acknowledge(client, asked.command, source, 0)
-            self._say_interval(client, number)
+            self._as_vehicle(client, message("MESSAGE_INTERVAL", message_id=number, interval_us=client.wish(number)))
             return True
         if number in events() or not isfinite(asked.params[1]):
             self._acknowledge(client, asked.command, source, DENIED)
             return True
         every = round(min(max(asked.params[1], -1.0), 1e9))
+        if number == wire.BATCH and every == 0:  # of samples: each tick
+            every = TICK_US
         before = client.wishes.get(number)
-        mask = (_whole(asked.params[2]) & 0xFFFF) | _whole(asked.params[3]) << 16
+        mask = max(_whole(asked.params[2]), 0) & 0xFFFF | max(_whole(asked.params[3]), 0) << 16
         wish = None if every == 0 else Wish(every, mask if number == wire.BATCH else 0)
+        if number == wire.BATCH:
+            self.batches.flush(client)
+            if wish is not None and wish.interval != OFF and not 1 <= wish.mask.bit_count() <= BATCH_VALUES:
+                self._acknowledge(client, asked.command, source, DENIED)
+                return True
         if not self.streams.set(client, number, wish):
             self._acknowledge(client, asked.command, source, TEMPORARILY_REJECTED)
             return True
@@ -271,11 +289,6 @@ class Router:
     def _acknowledge(self, client: Client, number: int, to: Identity, result: int) -> None:
         there = {"target_system": to[0], "target_component": to[1]}
         self._as_vehicle(client, message("COMMAND_ACK", command=number, result=result, **there))
-
-    def _say_interval(self, client: Client, number: int) -> None:
-        every = client.wish(number)
-        told = every if every > EVERY else 0 if every == EVERY or number not in self.asking.granted else OFF
-        self._as_vehicle(client, message("MESSAGE_INTERVAL", message_id=number & 0xFFFF, interval_us=told))
 
     def _as_vehicle(self, client: Client, sent: Any) -> None:
         """Answer in the vehicle's name: it is whom the client asked."""

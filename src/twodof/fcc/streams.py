@@ -8,15 +8,26 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 
+from twodof.fcc.batches import together
 from twodof.fcc.client import MOST_WISHES, Client, Wish
 from twodof.fcc.rates import EVERY, OFF, profiles
-from twodof.fcc.wire import HEARTBEAT, time_us
+from twodof.fcc.wire import BATCH, time_us
 from twodof.link import dialect
 from twodof.link.framing import Frame
 
 # What comes when it must: no rate can be asked for it.
 _EVENTS = (
-    *("PING", "PARAM_VALUE", "COMMAND_ACK", "TIMESYNC", "LOG_ENTRY", "LOG_DATA", "MESSAGE_INTERVAL", "STATUSTEXT"),
+    *(
+        "HEARTBEAT",
+        "PING",
+        "PARAM_VALUE",
+        "COMMAND_ACK",
+        "TIMESYNC",
+        "LOG_ENTRY",
+        "LOG_DATA",
+        "MESSAGE_INTERVAL",
+        "STATUSTEXT",
+    ),
     *("LOGGING_DATA", "LOGGING_DATA_ACKED", "PARAM_ERROR", "EVENT", "CURRENT_EVENT_SEQUENCE", "RESPONSE_EVENT_ERROR"),
     *("MISSION_ACK", "MISSION_COUNT", "TWODOF_OPENLOOP", "TWODOF_EXCITE", "TWODOF_EXCITE_STATUS", "TWODOF_TICK"),
     *("TWODOF_GRANT", "TWODOF_LEASE", "TWODOF_PARAM_TRANSACTION"),
@@ -86,16 +97,19 @@ class Streams:
         self._renew([message_id])
         return True
 
+    def chosen(self, message_id: int) -> bool:
+        """Whether a message goes only to those who want it, as often as they do; else to all, as it comes."""
+        if message_id in events():
+            return False
+        return message_id in _streamed() or any(message_id in client.wishes for client in self.clients)
+
     def wanted(self, message_id: int) -> Wish:
         """What the vehicle must send so that everybody has enough: EVERY means at its own rate."""
+        if message_id == BATCH:
+            return together([client.wishes[BATCH] for client in self.clients if BATCH in client.wishes])
         intervals = [client.wish(message_id) for client in self.clients]
         timed = [one for one in intervals if one > EVERY]
-        mask = 0
-        for client in self.clients:
-            asked = client.wishes.get(message_id)
-            mask |= asked.mask if asked is not None and asked.interval != OFF else 0
-        untimed = EVERY if EVERY in intervals or message_id == HEARTBEAT else OFF
-        return Wish(min(timed, default=untimed), mask)
+        return Wish(min(timed, default=EVERY if EVERY in intervals else OFF))
 
     def receivers(self, frame: Frame) -> Sequence[Client]:
         """Who gets a message of the vehicle that is addressed to nobody."""
@@ -120,8 +134,7 @@ class Streams:
         taps: list[_Tap] = []
         for number in numbers:
             before = {tap.client: tap for tap in self._taps.get(number, ())}
-            asked = number in _streamed() or any(number in client.wishes for client in self.clients)
-            choose = asked and number not in events()
+            choose = self.chosen(number)
             taps = []
             for client in self.clients:
                 interval = client.wish(number) if choose else EVERY
