@@ -36,7 +36,8 @@ class Commands:
 
     Repeated commands are idempotent: one that says itself that it is a repetition (`confirmation` above 0), or that
     the network doubled, gets the answer of the first and is not carried out again once it was accepted. In lockstep,
-    where time may stand still between two real commands, only the former counts.
+    where time may stand still between two real commands, only the former counts. Each of `carried_out` is called after
+    each command.
     """
 
     def __init__(self, link: Link, us: Us, lockstep: bool = False) -> None:
@@ -49,6 +50,7 @@ class Commands:
         self._pending: dict[Hashable, Command] = {}
         self._tick = 0
         self.refused = 0
+        self.carried_out: list[Callable[[], None]] = []
 
     def on(self, number: int, handler: Handler, poll: Callable[[], Verdict] | None = None) -> None:
         """Registers who carries out the command `number` (a MAV_CMD).
@@ -77,6 +79,8 @@ class Commands:
             params = (got.param1, got.param2, got.param3, got.param4, *last, final)
             command = Command(got.command, params, sender, received.peer)
             self._answer(command, self._verdict(command, received))
+            for call in self.carried_out:
+                call()
         return True
 
     def after(self, step: Step) -> None:

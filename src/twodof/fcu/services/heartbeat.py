@@ -31,9 +31,15 @@ class Heartbeat:
 
     def after(self, step: Step) -> None:
         """Sends it when it is due or says something new."""
+        if step.tick % PERIOD_TICKS == 0:
+            self._said = None
+        self.check()
+
+    def check(self) -> None:
+        """Sends it if it says something new."""
         c = self._commander
         says = (c.base_mode, c.custom_mode, c.system_status)
-        if says != self._said or step.tick % PERIOD_TICKS == 0:
+        if says != self._said:
             self._said = says
             self._link.send(self._beat())
 

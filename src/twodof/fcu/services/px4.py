@@ -11,6 +11,7 @@ from twodof.fcu.services.batches import BATCH, Batches
 from twodof.fcu.services.changes import Changes
 from twodof.fcu.services.clients import Clients
 from twodof.fcu.services.commands import Commands
+from twodof.fcu.services.events import Events
 from twodof.fcu.services.heartbeat import Heartbeat
 from twodof.fcu.services.missions import Missions
 from twodof.fcu.services.modes import Modes
@@ -57,6 +58,7 @@ class PX4:
         self.requests = Requests(link, self.commands, self.telemetry)
         changes = Changes(controller, commander)
         self.heartbeat = Heartbeat(link, self.clients, self.telemetry, commander)
+        self.commands.carried_out.append(self.heartbeat.check)
         self.modes = Modes(us, self.commands, self.requests, self.telemetry, commander)
         self.streams = Streams(link, self.clients, self.commands, self.telemetry, changes, profile)
         self.parameters = Parameters(link, us, self.clients, self.commands, controller, commander, store)
@@ -65,6 +67,7 @@ class PX4:
         self.transactions = Transactions(link, us, self.commands, commander, self.parameters, store)
         self.batches = Batches(link, self.clients, commander)
         self.streams.elsewhere[BATCH] = self.batches
+        self.events = Events(link, us, self.telemetry, commander)
         self.missions = Missions(link, us, self.commands, self.requests)
         self.remarks = Remarks(link, commander.remarks)
 
@@ -78,6 +81,7 @@ class PX4:
             self.parameters,
             self.modes,
             self.missions,
+            self.events,
             self.streams,
             self.batches,
             self.heartbeat,
