@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from functools import lru_cache
-from math import isfinite, log, pi, radians, sqrt
+from math import log, pi, radians, sqrt
 from numbers import Integral, Real
 from types import MappingProxyType
 from typing import Any, ClassVar, Literal, Self
@@ -151,8 +151,9 @@ class Excitation(ABC):
         return numbers
 
     def _real(self, name: str, value: Any) -> float:
-        if isinstance(value, bool) or not isinstance(value, Real) or not isfinite(value):
-            raise self._mistake(name, f"{value!r} is no finite number")
+        # A whole number may be too large for a float.
+        if isinstance(value, bool) or not isinstance(value, Real) or not -1e300 < value < 1e300:
+            raise self._mistake(name, f"{value!r:.80} is no finite number")
         return float(value)
 
 

@@ -27,7 +27,7 @@ class Rig(Protocol):
 def against_arming(arming: Arming, rig: Rig, state: int, causes: int | None, moves_cart: bool, asks: bool) -> str:
     """What speaks against arming.
 
-    `state` is the failsafe's, `causes` what it misses (None: it was not heard yet); `moves_cart`: the mode does; `asks`:
+    `state` is the failsafe's, `causes` what it misses (None: none was heard yet); `moves_cart`: the mode does; `asks`:
     set-points ask for thrust or moment.
     """
     if arming.killed:

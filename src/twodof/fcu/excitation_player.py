@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import json
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twodof.errors import ExperimentError
-from twodof.excitation import Excitation, from_json
+from twodof.excitation import MAX_DURATION_S, MAX_LINES, MAX_PARTS, Excitation, Multisine, from_dict
 from twodof.fcu.schedule import NEVER
 from twodof.fcu.setpoints import ATTITUDE, OPEN_LOOP, POSITION, RATE, VELOCITY
 from twodof.flight.core import PERIOD
 
 IDLE, RECEIVING, READY, PLAYING, DONE, STOPPED, REFUSED = range(7)
 """TWODOF_EXCITE_STATE."""
+
+
+_BEYOND = 1e9  # what no number of an excitation reaches
 
 
 class Loop(NamedTuple):
@@ -42,13 +46,45 @@ class Prepared(NamedTuple):
     values: NDArray[np.float64]
 
 
+MOST_EFFORT = 1e8
+"""Cosines that a multisine may take on board: a second's work of one core."""
+
+
 def prepare(definition: bytes) -> Prepared:
-    """An excitation's JSON written out at 250 Hz. Raises ExperimentError for what is none."""
+    """An excitation's JSON written out at 250 Hz.
+
+    Raises ExperimentError for what is none, or would take longer than a second: only a sum of many cosines does.
+    """
     try:
-        text = definition.decode()
-    except UnicodeDecodeError as reason:
-        raise ExperimentError("is no UTF-8", "excitation", "write it with to_json") from reason
-    return written_out(from_json(text))
+        values = json.loads(definition.decode())
+    except (ValueError, RecursionError) as reason:
+        raise ExperimentError("is no JSON", "excitation", "write it with to_json") from reason
+    if not isinstance(values, dict):
+        raise ExperimentError("is no table of values", "excitation", "write it with to_json")
+    effort = _effort(values) if values.get("kind") == Multisine.kind else 0.0
+    if effort > MOST_EFFORT:
+        raise ExperimentError(
+            f"{effort:.2g} cosines are too many to be written out on board",
+            "multisine",
+            f"take fewer or lower harmonics, or less time: {MOST_EFFORT:.2g} can be",
+        )
+    return written_out(from_dict(values))
+
+
+def _effort(values: dict[str, Any]) -> float:
+    """Cosines that a multisine with these values takes; 0 where `from_dict` refuses it at once."""
+    lines = values.get("harmonics")
+    times = [values.get(name, 0) for name in ("lead", "settle", "period", "pause", "repeat")]
+    numbers = [*lines, *times] if isinstance(lines, list) else ["none"]
+    if not lines or len(lines) > MAX_LINES or not all(_plain(number) for number in numbers):
+        return 0.0
+    lead, settle, period, pause, repeat = times
+    duration = min(lead + settle + repeat * (period + pause), MAX_DURATION_S)
+    return float(len(lines) * (64.0 * min(max(lines), MAX_PARTS) + duration / PERIOD))
+
+
+def _plain(value: Any) -> bool:
+    return isinstance(value, int | float) and abs(value) < _BEYOND
 
 
 def written_out(excitation: Excitation) -> Prepared:

@@ -48,14 +48,14 @@ def safety(since: Callable[[], int]) -> Encoder:
     return lambda s: pack(s.tick & MASK_32, since() & MASK_32, s.causes & MASK_32, s.action, deciding(s.reason))
 
 
-def rig(controller: Controller, flown: Callable[[], Flown]) -> Callable[[], Packed]:
-    """TWODOF_RIG."""
+def rig(controller: Controller, flown: Callable[[], Flown]) -> Callable[..., Packed]:
+    """TWODOF_RIG; called with flags that come on top."""
     pack = Packer("TWODOF_RIG")
 
-    def encode() -> Packed:
+    def encode(on_top: int = 0) -> Packed:
         hardware, what = controller.hardware, flown()
         flags = (RINGS if hardware.rings else 0) | (SAFETY_OFF if hardware.safety_off else 0)
-        flags |= (VIRTUAL if hardware.virtual else 0) | (LOCKSTEP if controller.lockstep else 0)
+        flags |= on_top | (VIRTUAL if hardware.virtual else 0) | (LOCKSTEP if controller.lockstep else 0)
         names = hardware.name.encode()[:16], what.controller.encode()[:24]
         return pack(hardware.seed & SEED_MASK, what.diagram, controller.tick & MASK_32, TICK_US, flags, *names)
 

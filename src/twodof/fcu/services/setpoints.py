@@ -1,0 +1,99 @@
+"""Set-points: SET_ATTITUDE_TARGET, SET_POSITION_TARGET_LOCAL_NED, MANUAL_CONTROL and TWODOF_OPENLOOP."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+from math import isnan
+from typing import Any
+
+from twodof.fcu.asked import DENIED, Source, Verdict
+from twodof.fcu.commander import Commander
+from twodof.fcu.flight_code import Step
+from twodof.fcu.services.addressing import Us, source
+from twodof.fcu.setpoints import ATTITUDE, POSITION, RATE, VELOCITY, SetPoint
+from twodof.link.connection import Received
+from twodof.link.setpoints import Target, read_attitude, read_position
+
+TOLD_TICKS = 250
+"""A refusal is told in words once a second at most; all are counted."""
+
+TICK_MS = 4
+FULL_STICK = 1000
+"""MANUAL_CONTROL's largest value."""
+
+_NOTHING = Verdict(DENIED, "set-point refused: it asks for nothing that is flown here")
+
+
+class SetPoints:
+    """Hands set-points to the commander, and tells a client why one is refused.
+
+    In lockstep `time_boot_ms` names the tick at which one acts; in real time it is a clock that nobody knows, and it
+    acts at once.
+    """
+
+    def __init__(self, us: Us, commander: Commander, tell: Callable[[Hashable, Verdict], None]) -> None:
+        self._us = us
+        self._commander = commander
+        self._tell = tell
+        self._tick = 0
+        self._told = -TOLD_TICKS
+        self._readers: dict[str, Callable[[Any, Source], Verdict]] = {
+            "SET_ATTITUDE_TARGET": self._attitude,
+            "SET_POSITION_TARGET_LOCAL_NED": self._position,
+            "TWODOF_OPENLOOP": self._open_loop,
+            "MANUAL_CONTROL": self._sticks,
+        }
+
+    def handle(self, received: Received) -> bool:
+        """Takes a set-point."""
+        got, sender = received.message, source(received)
+        read = self._readers.get(got.get_type())
+        if read is None:
+            return False
+        ours = got.target in (self._us.system, 0) if read == self._sticks else self._us.addressed(got, everybody=True)
+        if ours and sender != tuple(self._us):
+            verdict = read(got, sender)
+            if not verdict.accepted and self._tick - self._told >= TOLD_TICKS:
+                self._told = self._tick
+                self._tell(received.peer, verdict)
+        return True
+
+    def after(self, step: Step) -> None:
+        """Nothing is ever due."""
+        self._tick = step.tick
+
+    def restarted(self) -> None:
+        """Time begins anew at tick 0."""
+        self._tick, self._told = 0, -TOLD_TICKS
+
+    def _attitude(self, got: Any, sender: Source) -> Verdict:
+        return self._target(read_attitude(got), got, sender)
+
+    def _position(self, got: Any, sender: Source) -> Verdict:
+        return self._target(read_position(got), got, sender)
+
+    def _target(self, target: Target | None, got: Any, sender: Source) -> Verdict:
+        if target is None:
+            self._commander.refused["nothing"] += 1
+            return _NOTHING
+        # What is ignored in the message is None; of what it is about a NaN stays, and is refused.
+        thrust = None if isnan(target.thrust) else target.thrust
+        forward = 0.0 if isnan(target.feed_forward) else target.feed_forward
+        setpoint = SetPoint(None, thrust=thrust)
+        if target.loop == "attitude":
+            setpoint = SetPoint(ATTITUDE, theta0=target.value, thrust=thrust)
+        elif target.loop == "rate":
+            setpoint = SetPoint(RATE, q0=target.value, thrust=thrust)
+        elif target.loop == "velocity":
+            setpoint = SetPoint(VELOCITY, v0=target.value, ax0=forward)
+        elif target.loop == "position":
+            setpoint = SetPoint(POSITION, x0=target.value, ax0=forward)
+        at_tick = -(-got.time_boot_ms // TICK_MS) if self._commander.lockstep else 0
+        return self._commander.setpoint(sender, setpoint, at_tick)
+
+    def _open_loop(self, got: Any, sender: Source) -> Verdict:
+        flags = bool(got.openloop), bool(got.enableM), bool(got.enableT)
+        return self._commander.open_loop(sender, got.M, got.T, *flags, at_tick=got.tick)
+
+    def _sticks(self, got: Any, sender: Source) -> Verdict:
+        return self._commander.sticks(sender, got.x / FULL_STICK, got.z / FULL_STICK)
