@@ -1,22 +1,47 @@
-"""`twodof companion`: pass MAVLink between the flight controller and several clients."""
+"""`twodof companion`: pass MAVLink between the flight controller and several clients; run a user's app on board."""
 
 from __future__ import annotations
 
 import asyncio
 import signal
+import sys
+from collections.abc import Awaitable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from twodof.cli.output import Json, print_json, table_console
-from twodof.errors import LinkError
+from twodof.cli.output import Json, print_json
 from twodof.fcc.companion import Companion, Serve, px4_links
+from twodof.fcc.supervisor import MISTAKE, Limits, Restarts, Supervisor
 from twodof.link.key import read_key
 from twodof.link.signing import Signing
 from twodof.link.stamps import Stamps
 
 app = typer.Typer(add_completion=False)
+# Where the app comes to: this machine only, at a port that is free.
+APP_LINK = Serve("tcpin://127.0.0.1:0", "onboard")
+MIB = 1 << 20
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """What the options say."""
+
+    vehicle: str
+    serve: tuple[Serve, ...]
+    system: int
+    key: Path | None
+    line_rate: float | None
+    json: bool
+
+    def made(self) -> Companion:
+        """The companion that they ask for. Raises LinkError."""
+        signing = None
+        if self.key is not None:
+            signing = Signing(read_key(self.key), Stamps(self.key.with_suffix(".stamps")))
+        return Companion(self.vehicle, self.serve, self.system, signing, self.line_rate)
 
 
 @app.callback(invoke_without_command=True)
@@ -40,32 +65,85 @@ def companion(
     Without --onboard and --ground it serves as PX4 in simulation does: UDP 14580 + index to 14540 + index, 18570 +
     index to 14550, TCP 5760 + index. Ends at Ctrl-C or SIGTERM.
     """
-    if context.invoked_subcommand is not None:
-        return
     chosen = [*(Serve(url, "onboard") for url in onboard or ()), *(Serve(url, "ground") for url in ground or ())]
     serve = tuple(chosen) or px4_links(index, open_)
-    signing = None if key is None else Signing(read_key(str(key)), Stamps(str(key.with_suffix(".stamps"))))
-    vehicle = fcu or f"tcp://127.0.0.1:{5790 + index}"
-    if json:
-        print_json({"fcu": vehicle, "system": index + 1, "serve": [{"url": s.url, "rates": s.rates} for s in serve]})
-    else:
-        console = table_console()
-        console.print(f"flight controller {vehicle}, system {index + 1}", markup=False)
-        for one in serve:
-            console.print(f"clients at {one.url} ({one.rates} rates)", markup=False)
-    asyncio.run(_serve(Companion(vehicle, serve, index + 1, signing, line_rate)))
+    asked = _Asked(fcu or f"tcp://127.0.0.1:{5790 + index}", serve, index + 1, key, line_rate, json)
+    context.obj = asked
+    if context.invoked_subcommand is None:
+        raise typer.Exit(asyncio.run(_until_told(_route(asked))))
 
 
-async def _serve(made: Companion) -> None:
-    """Until somebody asks it to end."""
+@app.command()
+def run(
+    context: typer.Context,
+    program: Annotated[
+        Path, typer.Argument(metavar="APP", exists=True, dir_okay=False, help="A file with `async def main(drone)`.")
+    ],
+    restarts: Annotated[int, typer.Option(min=0, max=100, help="How often in a row it is started again.")] = 4,
+    memory: Annotated[int, typer.Option(min=64, help="Memory that it may use [MiB].")] = 4096,
+) -> None:
+    """Route, and run a program of your own on board: started again if it crashes, ended with the companion.
+
+    Exit status: 0 it ended by itself, 1 it crashed too often, 2 it is no app.
+    """
+    supervised = (program, Restarts(most=restarts), Limits(memory=memory * MIB))
+    raise typer.Exit(asyncio.run(_until_told(_fly(context.obj, *supervised))))
+
+
+async def _until_told(work: Awaitable[int]) -> int:
+    """What `work` returns; 0 if SIGINT or SIGTERM ends it."""
     loop, ended = asyncio.get_running_loop(), asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, ended.set)
-    async with made:
-        running = asyncio.ensure_future(made.run())
-        waiting = asyncio.ensure_future(ended.wait())
-        await asyncio.wait({running, waiting}, return_when=asyncio.FIRST_COMPLETED)
-        waiting.cancel()
-        if running.done() and not running.cancelled():
-            raise running.exception() or LinkError("it ended by itself", made.vehicle, "report this")
-        running.cancel()
+    working, waiting = asyncio.ensure_future(work), asyncio.ensure_future(ended.wait())
+    await asyncio.wait({working, waiting}, return_when=asyncio.FIRST_COMPLETED)
+    waiting.cancel()
+    if working.done():
+        return working.result()
+    working.cancel()
+    await asyncio.wait({working})
+    return 0
+
+
+async def _route(asked: _Asked) -> int:
+    async with asked.made() as made:
+        _tell(asked, made)
+        await made.run()
+    return 0
+
+
+async def _fly(asked: _Asked, program: Path, restarts: Restarts, limits: Limits) -> int:
+    """Route until the app has ended; its exit status as ours."""
+    asked = replace(asked, serve=(*asked.serve, APP_LINK))
+    async with asked.made() as made:
+        _tell(asked, made)
+        url = made.urls[-1][0].replace("tcpin:", "tcp:")
+        command = [sys.executable, "-u", "-m", "twodof.gcs.app", str(program), "--url", url]
+        supervised = asyncio.ensure_future(Supervisor(command, _log, limits, restarts).run())
+        routing = asyncio.ensure_future(made.run())
+        try:
+            await asyncio.wait({supervised, routing}, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            supervised.cancel()
+            await asyncio.wait({supervised})
+            routing.cancel()
+        if supervised.cancelled():
+            routing.result()
+        status = supervised.result()
+    return status if status in (0, MISTAKE) else 1
+
+
+def _tell(asked: _Asked, made: Companion) -> None:
+    """Say where it may be reached, now that it may be."""
+    if asked.json:
+        rows = [{"url": url, "rates": rates} for url, rates in made.urls]
+        print_json({"fcu": asked.vehicle, "system": asked.system, "serve": rows})
+    else:
+        sys.stdout.write(f"flight controller {asked.vehicle}, system {asked.system}\n")
+        sys.stdout.writelines(f"listening on {url} ({rates} rates)\n" for url, rates in made.urls)
+    sys.stdout.flush()
+
+
+def _log(line: str) -> None:
+    sys.stderr.write(f"{line}\n")
+    sys.stderr.flush()

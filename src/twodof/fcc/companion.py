@@ -3,7 +3,7 @@
 import asyncio
 from collections.abc import Callable, Hashable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 from twodof.errors import LinkError, LinkLost
@@ -16,7 +16,9 @@ from twodof.fcc.router import Router
 from twodof.link.framing import Frame, Parser
 from twodof.link.opening import open_transport
 from twodof.link.signing import Signing
+from twodof.link.tcp import TcpTransport
 from twodof.link.transport import Packet, Transport
+from twodof.link.udp import UdpTransport
 from twodof.link.url import parse
 
 MOST_CLIENTS = 64
@@ -63,6 +65,16 @@ class _Port:
         kind = parse(serve.url).kind
         self.datagrams = kind in ("udp", "udpin", "udpbcast")  # nobody says when a peer has gone
         self.lasting: Hashable = transport.peers[0] if kind in ("udp", "udpbcast") else None
+
+    @property
+    def open_url(self) -> str:
+        """Its URL, with the port that it listens on."""
+        address, transport = parse(self.url), self.transport
+        if not isinstance(transport, UdpTransport | TcpTransport):
+            return self.url
+        if address.bind_name:
+            return str(replace(address, bind_port=transport.port))
+        return str(replace(address, port=transport.port)) if address.listens else str(address)
 
     def frames(self, packet: Packet, now: float) -> list[Frame]:
         """The frames that end in a packet."""
@@ -145,6 +157,11 @@ class Companion:
     async def run(self) -> None:
         """Until a part of it fails, which it raises, or it is cancelled."""
         await asyncio.gather(*self._tasks)
+
+    @property
+    def urls(self) -> list[tuple[str, str]]:
+        """Of each link that clients come to its URL, with the port that the system chose for port 0, and its rates."""
+        return [(port.open_url, one.rates) for port, one in zip(self._ports, self.serve, strict=True)]
 
     @property
     def clients(self) -> list[Client]:

@@ -1,0 +1,182 @@
+"""A user's program on board as a child process: limited, listened to, started again if it crashes, never left behind.
+
+Nothing here speaks to the vehicle. When the app dies its link goes silent, and the flight controller lets the lease
+lapse by its own rules (docs/safety.md).
+"""
+
+import asyncio
+import json
+import os
+import signal
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from twodof.errors import shown
+
+CONFINE = Path(__file__).with_name("confine.py")
+LONGEST_LINE = 2000
+READ_BYTES = 65_536
+FINE, MISTAKE = 0, 2
+PIPE_S = 1.0
+MOST_LINES, LINES_PER_SECOND = 200.0, 50.0
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What an app may use: memory and the largest file [byte], open files, and by how much it stands back."""
+
+    memory: int = 4 << 30
+    file: int = 1 << 30
+    files: int = 256
+    niceness: int = 5
+
+
+@dataclass(frozen=True)
+class Restarts:
+    """When an app that crashed is started again.
+
+    After `first` [s], which is longer than a lease lives without its holder (3 s), so that what flew has come to rest;
+    then after twice as long, up to `longest`; at most `most` times in a row. A run of `good` [s] counts as a new start.
+    """
+
+    first: float = 4.0
+    longest: float = 30.0
+    most: int = 4
+    good: float = 60.0
+
+
+class Supervisor:
+    """Runs `command` until it ends by itself, is given up or the task is cancelled; `log` gets its lines and ours."""
+
+    def __init__(
+        self,
+        command: Sequence[str],
+        log: Callable[[str], None],
+        limits: Limits = Limits(),
+        restarts: Restarts = Restarts(),
+        environment: Mapping[str, str] | None = None,
+        stop_s: float = 5.0,
+    ) -> None:
+        self.command = tuple(command)
+        self.starts = 0
+        self.lines_left_out = 0
+        self._log = log
+        self._limits = limits
+        self._restarts = restarts
+        self._environment = environment
+        self._stop_s = stop_s
+        self._room, self._room_at, self._left_out = MOST_LINES, 0.0, 0
+
+    async def run(self) -> int:
+        """Its exit status: 0, or the last one if it is given up (128 + n: ended by signal n).
+
+        Status 2, a mistake of the caller, is not tried again.
+        """
+        loop = asyncio.get_running_loop()
+        crashes, wait = 0, self._restarts.first
+        while True:
+            began = loop.time()
+            status = await self._once()
+            if loop.time() - began >= self._restarts.good:
+                crashes, wait = 0, self._restarts.first
+            if status in (FINE, MISTAKE):
+                return status
+            crashes += 1
+            if crashes > self._restarts.most:
+                self._log(f"app: {_ended(status)}, the {crashes}th time in a row: given up")
+                return status
+            self._log(f"app: {_ended(status)}; started again in {wait:g} s")
+            await asyncio.sleep(wait)
+            wait = min(2.0 * wait, self._restarts.longest)
+
+    async def _once(self) -> int:
+        """One run of it, from start to the last of its processes."""
+        self.starts += 1
+        limits = json.dumps(asdict(self._limits))
+        try:
+            child = await asyncio.create_subprocess_exec(
+                *(sys.executable, "-I", "-S", str(CONFINE), limits, str(os.getpid())),
+                *self.command,
+                stdin=asyncio.subprocess.DEVNULL,
+                stdout=asyncio.subprocess.PIPE,
+                stderr=asyncio.subprocess.STDOUT,
+                start_new_session=True,
+                env=None if self._environment is None else dict(self._environment),
+            )
+        except OSError as error:
+            self._log(f"app: cannot be started: {error.strerror}")  # no memory or no process to be had now
+            return 1
+        reading = asyncio.ensure_future(self._listen(child))
+        try:
+            status = await child.wait()
+        finally:
+            await self._end(child, reading)
+        return status if status >= 0 else 128 - status
+
+    async def _end(self, child: asyncio.subprocess.Process, reading: asyncio.Future[None]) -> None:
+        """Nothing of it is left within `stop_s` and a moment: asked, then killed, its children with it."""
+        try:
+            if child.returncode is None:
+                _signal(child.pid, signal.SIGTERM)
+                with suppress(TimeoutError):
+                    async with asyncio.timeout(self._stop_s):
+                        await child.wait()
+        finally:
+            _signal(child.pid, signal.SIGKILL)
+        await child.wait()
+        with suppress(TimeoutError):  # a grandchild in a session of its own may hold the pipe
+            async with asyncio.timeout(PIPE_S):
+                await reading
+
+    async def _listen(self, child: asyncio.subprocess.Process) -> None:
+        """Its lines to the log, as they come; it is never held up, however much it says."""
+        stream = child.stdout
+        if stream is None:
+            return
+        rest = b""
+        while data := await stream.read(READ_BYTES):
+            *lines, rest = (rest + data).split(b"\n")
+            for line in lines:
+                self._say(line)
+            if len(rest) > LONGEST_LINE:
+                self._say(rest)
+                rest = b""
+        if rest:
+            self._say(rest)
+        self._tell_left_out()
+
+    def _say(self, line: bytes) -> None:
+        """One line of its to the log, unless there were too many."""
+        now = asyncio.get_running_loop().time()
+        self._room = min(self._room + (now - self._room_at) * LINES_PER_SECOND, MOST_LINES)
+        self._room_at = now
+        if self._room < 1.0:
+            self._left_out += 1
+            self.lines_left_out += 1
+            return
+        self._room -= 1.0
+        self._tell_left_out()
+        text = line[:LONGEST_LINE].decode("utf-8", "replace").rstrip()
+        self._log("".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in text))
+
+    def _tell_left_out(self) -> None:
+        if self._left_out:
+            self._log(f"app: {self._left_out} lines left out")
+            self._left_out = 0
+
+
+def _signal(group: int, number: int) -> None:
+    with suppress(ProcessLookupError, PermissionError):
+        os.killpg(group, number)
+
+
+def _ended(status: int) -> str:
+    if status <= 128:
+        return f"ended with status {status}"
+    try:
+        return f"ended by {signal.Signals(status - 128).name}"
+    except ValueError:
+        return f"ended with status {shown(status)}"
