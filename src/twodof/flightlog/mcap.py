@@ -107,8 +107,8 @@ def _provenance(contents: Contents, where: str) -> dict[str, Any]:
     for name, rows in contents.metadata:
         if name == NOTE and "provenance" in rows:
             kept |= provenance.from_json(rows["provenance"], where)
-        elif name == END_NOTE and "dropped" in rows:
-            kept["dropped"] = provenance.from_json(rows["dropped"], where)
+        elif name == END_NOTE and "noted" in rows:
+            kept |= provenance.from_json(rows["noted"], where)
         elif name == RECOVERED_NOTE:
             kept["recovered"] = rows
     return kept

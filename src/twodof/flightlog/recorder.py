@@ -69,6 +69,7 @@ class Recorder(Spool):
         note = kept_json(dict(provenance or {}), str(path))
         self._slots = {name: _Slot(k, stream) for k, (name, stream) in enumerate(streams.items())}
         self._encoder = Encoder(list(streams.values()))
+        self._notes: dict[str, object] = {}
         super().__init__(path, flush_s, capacity_bytes, full)
         self._start(self._encoder.head({NOTE: {"provenance": note, "empty": "left out"}}, attachments))
 
@@ -123,6 +124,14 @@ class Recorder(Spool):
             self._accepted += len(times)
         return True
 
+    def note(self, name: str, value: object) -> None:
+        """Keeps a JSON value that is known at the end only, in the log's provenance under `name`.
+
+        It stands behind the last sample: a recording that is cut off has it not. Raises LogError for what is no JSON.
+        """
+        kept_json({name: value}, str(self.path))
+        self._notes[name] = value
+
     def _slot(self, topic: str) -> _Slot:
         try:
             return self._slots[topic]
@@ -142,9 +151,9 @@ class Recorder(Spool):
         return self._encoder.chunk(taken) if isinstance(taken, dict) else b""
 
     def _ending(self) -> bytes:
-        dropped = self.dropped
-        note = self._encoder.metadata(END_NOTE, {"dropped": json.dumps(dropped)}) if dropped else b""
-        return note + self._encoder.tail()
+        notes = {**self._notes, **({"dropped": dropped} if (dropped := self.dropped) else {})}
+        rows = {"noted": json.dumps(notes)}
+        return (self._encoder.metadata(END_NOTE, rows) if notes else b"") + self._encoder.tail()
 
     def _kept(self) -> None:
         self._encoder.keep()

@@ -2,31 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import suppress
+import asyncio
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import AbstractAsyncContextManager, suppress
 from math import ceil
 from pathlib import Path
 from typing import Any, Self
 
 from twodof.errors import LinkLost, Rejected, Timeout, TwodofError
+from twodof.excitation import Excitation
 from twodof.gcs import setpoints
+from twodof.gcs.batches import Batches, Rows
 from twodof.gcs.clock import TICK_S, Clock
 from twodof.gcs.commands import Commands, number_of
 from twodof.gcs.deadline import Deadline
+from twodof.gcs.exciting import Exciter, Playback
 from twodof.gcs.lease import Lease
+from twodof.gcs.log_download import Logs
 from twodof.gcs.parameters import AsyncParameters
+from twodof.gcs.recording import Recording, Recordings
 from twodof.gcs.session import Session
 from twodof.gcs.setpoints import Setpoint, Setpoints
-from twodof.gcs.state import State, Watcher
-from twodof.gcs.telemetry import Signal, Telemetry
+from twodof.gcs.state import Battery, State, Watcher
+from twodof.gcs.telemetry import Telemetry
 from twodof.gcs.texts import Text, Texts
 from twodof.link import dialect
 from twodof.link.connection import Connection
 from twodof.link.key import Key, read_key
+from twodof.link.messages import message
 from twodof.link.modes import custom_mode
 from twodof.link.opening import open_transport
 from twodof.link.signing import Signing
 from twodof.link.stamps import Stamps
+from twodof.link.statistics import LinkStatistics
 
 DEFAULT_URL = "udpin://127.0.0.1:14540"
 TIMEOUT_S = 5.0
@@ -35,6 +43,7 @@ LEAVING_S = 3.0
 _MODE_RETRY_S = 0.1
 _KILL_RETRY_S = 0.05
 _FORCE = 21196
+_REFUSED = 16
 _GROUND_COMPONENT = 190
 _TICKS_FOR_AN_ANSWER = 250
 
@@ -57,6 +66,11 @@ class AsyncDrone:
         self.parameters = AsyncParameters(session)
         self.telemetry = Telemetry(session)
         self.setpoints = Setpoints(session, self.clock)
+        self.exciter = Exciter(session, self.clock)
+        self.batches = Batches(session, self.commands)
+        self.recordings = Recordings(session, self.commands, self.batches, self.texts, self.clock)
+        self.logs = Logs(session)
+        self.commands.on_progress = self._one_tick
         self.ours = False  # one of ours, not somebody else's PX4
         self._closed = False
 
@@ -233,13 +247,21 @@ class AsyncDrone:
         self.setpoints.stop()
 
     async def _follow(self, setpoint: Setpoint, timeout: float) -> None:
-        """Stream it, and switch to the mode in which it is followed; refusals are tried again while it streams."""
-        deadline = self._deadline(timeout, f"changing to the mode {setpoint.mode}")
+        """Stream it, and switch to a mode in which it is followed; refusals are tried again while it streams."""
+        mode = setpoint.modes[0]
+        deadline = self._deadline(timeout, f"changing to the mode {mode}")
         self.setpoints.hold(setpoint)
-        while self.state.mode != setpoint.mode:
+        if self.state.mode in setpoint.modes:
+            return
+        # Offboard wants to see that they keep coming.
+        if self.session.lockstep:
+            self.setpoints.hold(setpoint)
+        else:
+            await asyncio.sleep(2.5 * setpoints.PERIOD_S)
+        while self.state.mode not in setpoint.modes:
             try:
-                await self._switch(custom_mode(setpoint.mode), deadline)
-                await self._see(lambda: self.state.mode == setpoint.mode, deadline)
+                await self._switch(custom_mode(mode), deadline)
+                await self._see(lambda: self.state.mode in setpoint.modes, deadline)
             except Rejected:
                 if deadline.left < _MODE_RETRY_S:
                     raise
@@ -269,12 +291,97 @@ class AsyncDrone:
                 elif await heard.next(deadline.end) is None:
                     raise deadline.error("it acknowledged, but its heartbeat says otherwise")
 
-    def signal(self, name: str) -> Signal:
-        """As `telemetry(name)`."""
-        return self.telemetry(name)
+    async def excite(
+        self,
+        excitation: Excitation,
+        loop: str | None = None,
+        thrust: float | None = None,
+        at: int | None = None,
+        wait: bool = True,
+        timeout: float = TIMEOUT_S,
+    ) -> Playback:
+        """Play an excitation on board, added to what `loop` ("M", "q", "theta", "v", "x") follows.
+
+        `loop` None is that of the excitation's unit; `thrust` 0 to 1, None: as it is; `at` is the tick at which it
+        starts, None: at once. With `wait` the drone's time passes until it is over. Raises ExperimentError for a loop
+        of another unit, Rejected with the drone's reason.
+        """
+        playback = await self.exciter.start(excitation, loop, thrust, at, timeout)
+        return await self.exciter.finish(playback) if wait else playback
+
+    def stop_excitation(self) -> None:
+        """Stop what plays; the set-point before it is held."""
+        self.exciter.stop()
+
+    def batch(self, columns: Iterable[str]) -> AbstractAsyncContextManager[Rows]:
+        """Every sample of these columns of signals.TOPICS (`imu.gyro_y`) at the full rate, for `async with`."""
+        return self.batches.rows(columns)
+
+    def record(
+        self,
+        path: str | Path,
+        topics: Iterable[str] | None = None,
+        provenance: Mapping[str, object] | None = None,
+    ) -> AbstractAsyncContextManager[Recording]:
+        """Record topics (None: all) at the full rate into a new MCAP file, for `async with`. See gcs.recording."""
+        rig = self.state.rig
+        about = {"rig": rig.name, "controller": rig.controller, "diagram": f"{rig.diagram:016x}", "seed": rig.seed}
+        link = {"url": self.session.url, "system": self.session.system, "lockstep": rig.lockstep}
+        return self.recordings.to(path, topics, self.state, {"drone": {**about, **link}, **(provenance or {})})
+
+    async def reset(
+        self, seed: int = 1, x: float = 0.0, noise: float = 1.0, rings: bool = False, timeout: float = TIMEOUT_S
+    ) -> None:
+        """Start a virtual drone anew: tick 0, at rest at `x` [m], `rings` locked or not, the noise of `seed` scaled.
+
+        Raises Rejected for a real one, while armed, or where the drone says so.
+        """
+        deadline = self._deadline(timeout, "resetting the rig")
+        self.setpoints.stop()
+        spoken = self.texts.count
+        asked = message(
+            "TWODOF_RIG_RESET",
+            seed=seed,
+            x=x,
+            noise=noise,
+            rings=int(rings),
+            target_system=self.session.system,
+            target_component=self.session.component,
+        )
+        got = await self.session.ask(lambda _: asked, ("TWODOF_RIG",), _reset_answer, deadline)
+        if got.flags & _REFUSED:
+            said = await self.commands.words(spoken, deadline)
+            raise Rejected(said or "the rig is not reset", deadline.where, "disarm it first; a real rig has no reset")
+        self.clock.restart()
+        self.telemetry.clear()
+
+    async def stream(self, name: str, rate: float, timeout: float = TIMEOUT_S) -> None:
+        """Have a message (such as "ACTUATOR_CONTROL_TARGET") sent `rate` times a second; 0: as by default, < 0: not."""
+        interval = 1e6 / rate if rate > 0.0 else -1.0 if rate < 0.0 else 0.0
+        values = [dialect.message_id(name), interval]
+        await self.commands.run("SET_MESSAGE_INTERVAL", values, timeout, f"setting the rate of {name}")
+
+    async def _one_tick(self) -> None:
+        if self.session.lockstep:
+            await self.run_until(self.tick + 1)
+
+    @property
+    def battery(self) -> Battery:
+        """Voltage [V] and charge, 0 to 1; NaN while unknown."""
+        return self.state.battery
+
+    @property
+    def statistics(self) -> LinkStatistics:
+        """What the link is worth: loss, round trips, rates."""
+        return self.session.connection.statistics
 
     def _deadline(self, timeout: float, doing: str) -> Deadline:
         return Deadline(timeout, doing, f"drone {self.session.system}")
+
+
+def _reset_answer(got: Any) -> Any | None:
+    """The answer to a reset: a refusal, or the rig at its tick 0."""
+    return got if got.flags & _REFUSED or got.tick == 0 else None
 
 
 def _signing(key: Key | str | Path | None, system: int) -> Signing | None:

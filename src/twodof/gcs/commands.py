@@ -1,7 +1,7 @@
 """Commands with an answer: sent again until acknowledged, refusals with the drone's own reason."""
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Awaitable, Callable, Sequence
 from itertools import count
 from typing import Any
 
@@ -45,6 +45,8 @@ class Commands:
         self._session = session
         self._texts = texts
         self._turns: dict[int, asyncio.Lock] = {}
+        self.on_progress: Callable[[], Awaitable[None]] | None = None
+        """What makes the drone's time pass where it stands still while a command is in progress."""
 
     async def run(self, command: str, values: Sequence[float], timeout: float, doing: str) -> Any:
         """Send a command with up to seven `values` and return its COMMAND_ACK once it was accepted.
@@ -80,6 +82,8 @@ class Commands:
                         if got.result != IN_PROGRESS:
                             raise await self._refusal(got.result, spoken, deadline)
                         progress = True
+                    if progress and self.on_progress is not None:
+                        await self.on_progress()
                     deadline.check()
                 deadline.check()
         raise deadline.error()

@@ -2,89 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, MutableMapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import AbstractAsyncContextManager, AbstractContextManager, contextmanager, suppress
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 from twodof.errors import TwodofError
+from twodof.excitation import Excitation
 from twodof.gcs.async_drone import DEFAULT_URL, LEAVING_S, TIMEOUT_S, AsyncDrone
-from twodof.gcs.parameters import AsyncParameters, Entry
+from twodof.gcs.exciting import Playback
+from twodof.gcs.faces import DroneLogs, DroneRows, DroneSignal, Parameters
+from twodof.gcs.recording import Recording
 from twodof.gcs.runner import Runner
-from twodof.gcs.state import State
-from twodof.gcs.telemetry import Callback, Sample, Signal, Value
+from twodof.gcs.state import Battery, State
 from twodof.gcs.texts import Text
 from twodof.link.key import Key
+from twodof.link.statistics import LinkStatistics
 
-
-class Parameters(MutableMapping[str, float]):
-    """The drone's parameters as a mapping, by its own names or the package's; each access asks the drone."""
-
-    def __init__(self, there: AsyncParameters, runner: Runner) -> None:
-        self._there, self._runner = there, runner
-
-    def __getitem__(self, name: str) -> float:
-        """Raises ParameterError for one that it has not, LinkLost, Timeout."""
-        return self._runner.run(self._there.read(name))
-
-    def __setitem__(self, name: str, value: float) -> None:
-        """Raises ParameterError, Rejected, LinkLost, Timeout; then nothing was changed."""
-        self._runner.run(self._there.set(name, value))
-
-    def __delitem__(self, name: str) -> None:
-        raise TypeError("a drone's parameter cannot be removed")
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self.all())
-
-    def __len__(self) -> int:
-        return len(self.all())
-
-    def all(self, timeout: float = 30.0) -> dict[str, Entry]:
-        """Every parameter with its type and, where the package knows it, its row: bounds, unit, text."""
-        return self._runner.run(self._there.all(timeout))
-
-    def change(self, changes: Mapping[str, float], timeout: float = TIMEOUT_S) -> None:
-        """Set several, all or none. Raises ParameterError, Rejected, LinkLost, Timeout."""
-        self._runner.run(self._there.update(changes, timeout))
-
-    def update(self, changes: Any = (), /, **more: float) -> None:
-        """As `change`; also takes what dict.update takes."""
-        self.change({**dict(changes), **more})
-
-    def undo(self) -> None:
-        """Back to what was before the last change. Raises Rejected, LinkLost, Timeout."""
-        self._runner.run(self._there.undo())
-
-
-class SyncSignal:
-    """One signal of the drone: latest value, next samples, callbacks."""
-
-    def __init__(self, there: Signal, runner: Runner) -> None:
-        self._there, self._runner = there, runner
-        self.name = there.name
-        self.unit = there.row.unit
-
-    def __repr__(self) -> str:
-        return repr(self._there)
-
-    @property
-    def latest(self) -> Sample | None:
-        """The latest sample, None if none has come."""
-        return self._there.latest
-
-    @property
-    def value(self) -> Value:
-        """The latest value; the first one is waited for. Raises LinkLost, Timeout."""
-        latest = self._there.latest
-        return latest.value if latest is not None else self._runner.run(self._there.next()).value
-
-    def next(self, timeout: float = 2.0) -> Sample:
-        """The next sample. Raises LinkLost, Timeout."""
-        return self._runner.run(self._there.next(timeout))
-
-    def on(self, callback: Callback) -> Callable[[], None]:
-        """Call `callback` with each sample, in the drone's thread, quickly; what is returned ends that."""
-        return self._there.on(callback)
+T = TypeVar("T")
 
 
 class Drone:
@@ -98,6 +33,7 @@ class Drone:
         self.there = there
         self._runner = runner
         self.parameters = Parameters(there.parameters, runner)
+        self.logs = DroneLogs(there.logs, runner)
 
     @classmethod
     def connect(
@@ -153,9 +89,48 @@ class Drone:
         """What it said in words, the last 1000 lines."""
         return self.there.messages
 
-    def telemetry(self, name: str) -> SyncSignal:
+    @property
+    def url(self) -> str:
+        """Where the link leads."""
+        return self.there.session.url
+
+    @property
+    def battery(self) -> Battery:
+        """Voltage [V] and charge, 0 to 1; NaN while unknown."""
+        return self.state.battery
+
+    @property
+    def statistics(self) -> LinkStatistics:
+        """What the link is worth: loss, round trips, rates."""
+        return self.there.statistics
+
+    @property
+    def theta(self) -> float:
+        """The latest estimate of the pitch [rad]; the first one is waited for."""
+        return self._scalar("estimate.theta")
+
+    @property
+    def q(self) -> float:
+        """The latest estimate of the pitch rate [rad/s]."""
+        return self._scalar("estimate.q")
+
+    @property
+    def x(self) -> float:
+        """The latest estimate of the position along the rail [m]."""
+        return self._scalar("estimate.x")
+
+    @property
+    def v(self) -> float:
+        """The latest estimate of the velocity along the rail [m/s]."""
+        return self._scalar("estimate.v")
+
+    def _scalar(self, name: str) -> float:
+        value = self.telemetry(name).value
+        return value[0] if isinstance(value, tuple) else value
+
+    def telemetry(self, name: str) -> DroneSignal:
         """A signal by its name (`estimate.q`) or .mat channel (`q`). Raises LogError if there is none."""
-        return SyncSignal(self.there.telemetry(name), self._runner)
+        return DroneSignal(self.there.telemetry(name), self._runner)
 
     def command(self, command: str, *values: float, timeout: float = TIMEOUT_S) -> Any:
         """Any MAV_CMD by its name, with up to seven values; returns its COMMAND_ACK."""
@@ -200,6 +175,69 @@ class Drone:
     def set_position(self, x: float, acceleration: float | None = None) -> None:
         """Follow a position along the rail [m], with an acceleration [m/s^2] fed forward."""
         self._runner.run(self.there.set_position(x, acceleration))
+
+    def excite(
+        self,
+        excitation: Excitation,
+        loop: str | None = None,
+        thrust: float | None = None,
+        at: int | None = None,
+        wait: bool = True,
+    ) -> Playback:
+        """Play an excitation on board, added to what `loop` ("M", "q", "theta", "v", "x") follows.
+
+        As AsyncDrone.excite: with `wait` the drone's time passes until it is over.
+        """
+        return self._runner.run(self.there.excite(excitation, loop, thrust, at, wait))
+
+    def stop_excitation(self) -> None:
+        """Stop what plays; the set-point before it is held."""
+        self._runner.call(self.there.stop_excitation)
+
+    def batch(self, columns: Iterable[str]) -> AbstractContextManager[DroneRows]:
+        """Every sample of these columns of signals.TOPICS (`imu.gyro_y`) at the full rate, for `with`."""
+        return self._batch(columns)
+
+    @contextmanager
+    def _batch(self, columns: Iterable[str]) -> Iterator[DroneRows]:
+        with self._within(self.there.batch(columns)) as rows:
+            yield DroneRows(rows, self._runner)
+
+    def record(
+        self, path: str | Path, topics: Iterable[str] | None = None, provenance: Mapping[str, object] | None = None
+    ) -> AbstractContextManager[Recording]:
+        """Record topics (None: all) at the full rate into a new MCAP file, for `with`."""
+        return self._within(self.there.record(path, topics, provenance))
+
+    @contextmanager
+    def _within(self, manager: AbstractAsyncContextManager[T]) -> Iterator[T]:
+        """An asynchronous context as one for `with`."""
+
+        async def enter() -> T:
+            return await manager.__aenter__()
+
+        async def leave(*reason: Any) -> None:
+            await manager.__aexit__(*reason)
+
+        entered = self._runner.run(enter())
+        try:
+            yield entered
+        except BaseException as error:
+            with suppress(TwodofError):  # what went wrong in the block says more
+                self._runner.run(leave(type(error), error, error.__traceback__))
+            raise
+        self._runner.run(leave(None, None, None))
+
+    def reset(self, seed: int = 1, x: float = 0.0, noise: float = 1.0, rings: bool = False) -> None:
+        """Start a virtual drone anew: tick 0, at rest at `x` [m], `rings` locked or not, the noise of `seed` scaled.
+
+        Raises Rejected for a real one, while armed, or where the drone says so.
+        """
+        self._runner.run(self.there.reset(seed, x, noise, rings))
+
+    def stream(self, name: str, rate: float) -> None:
+        """Have a message (such as "ACTUATOR_CONTROL_TARGET") sent `rate` times a second; 0: as by default, < 0: not."""
+        self._runner.run(self.there.stream(name, rate))
 
     def stop_setpoints(self) -> None:
         """Send no more set-points: after .5 s the drone levels itself."""

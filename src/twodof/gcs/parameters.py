@@ -30,6 +30,7 @@ _ERRORS = (
     "the value has the wrong type",
     "it could not be read",
 )
+_INCOMPLETE = 8  # MAV_PARAM_ERROR_READ_FAIL: some were lost on the way
 _BY_NAME: Mapping[str, Parameter] = {name: row for row in PARAMETERS for name in (row.name, row.drone) if name}
 
 
@@ -159,11 +160,10 @@ class AsyncParameters:
     async def _transaction(
         self, action: int, size: int, deadline: Deadline, wanted: list[tuple[Entry, float]] | tuple[()]
     ) -> None:
-        number = 0
+        # The same number again is done once only; what came in parts gets a new one.
+        number = next(self._numbers) & 0xFFFF
 
         def question(_: int) -> Any:
-            nonlocal number
-            number = next(self._numbers) & 0xFFFF
             if wanted:
                 self._session.send(self._transaction_message(BEGIN, number, size))
                 for entry, value in wanted:
@@ -171,7 +171,11 @@ class AsyncParameters:
             return self._transaction_message(action, number, size)
 
         def accept(got: Any) -> bool | None:
+            nonlocal number
             if got.transaction != number or got.action != action:
+                return None
+            if wanted and got.result == _INCOMPLETE:
+                number = next(self._numbers) & 0xFFFF
                 return None
             if got.result:
                 raise Rejected(

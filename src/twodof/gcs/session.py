@@ -128,6 +128,15 @@ class Session:
             self._handlers.setdefault(name, []).append(handler)
 
     @contextmanager
+    def handling(self, handler: Handler, name: str) -> Iterator[None]:
+        """As `on`, meanwhile."""
+        self.on(handler, name)
+        try:
+            yield
+        finally:
+            self._handlers[name].remove(handler)
+
+    @contextmanager
     def listen(self, *names: str) -> Iterator[Heard]:
         """Messages of these kinds from now on; before a vehicle was found, of every sender."""
         heard = Heard(self, names)

@@ -22,9 +22,9 @@ PERIOD_S = 0.02
 
 @dataclass(frozen=True)
 class Setpoint:
-    """What is to be followed, in the vehicle's `mode`: `make(tick, place)` is its message."""
+    """What is to be followed, in one of the vehicle's `modes`, best the first: `make(tick, place)` is its message."""
 
-    mode: str
+    modes: tuple[str, ...]
     make: Callable[[int, dict[str, int]], Any]
 
 
@@ -37,7 +37,9 @@ def moment(M: float, thrust: float | None) -> Setpoint:
         "enableM": 1,
         "enableT": int(thrust is not None),
     }
-    return Setpoint("manual", lambda tick, place: message("TWODOF_OPENLOOP", tick=tick, **place, **fields))
+    return Setpoint(
+        ("manual", "offboard"), lambda tick, place: message("TWODOF_OPENLOOP", tick=tick, **place, **fields)
+    )
 
 
 def pitch(theta: float, thrust: float | None) -> Setpoint:
@@ -69,12 +71,12 @@ def _attitude(make: Callable[..., Any], value: float, thrust: float | None) -> S
             sent.type_mask |= NO_THRUST
         return sent
 
-    return Setpoint("offboard", made)
+    return Setpoint(("offboard",), made)
 
 
 def _along_rail(make: Callable[..., Any], value: float, acceleration: float | None) -> Setpoint:
     forward = nan if acceleration is None else _number("acceleration", acceleration)
-    return Setpoint("offboard", lambda tick, place: make(value, forward, time_boot_ms=tick * TICK_MS, **place))
+    return Setpoint(("offboard",), lambda tick, place: make(value, forward, time_boot_ms=tick * TICK_MS, **place))
 
 
 def _thrust(thrust: float | None) -> float:

@@ -139,6 +139,11 @@ class Telemetry:
         """The signal of that name (`estimate.q`) or .mat channel (`q`). Raises LogError if there is none."""
         return self._signals[topic(name).name]
 
+    def clear(self) -> None:
+        """Forget what was said before the drone began anew."""
+        for signal in self._signals.values():
+            signal.latest = None
+
     def _take(self, decode: Callable[[Any], Decoded], got: Any) -> None:
         for name, time, value in decode(got):
             self._signals[name].take(Sample(time, value))

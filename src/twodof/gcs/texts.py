@@ -1,7 +1,8 @@
 """What the drone says in words: STATUSTEXT, put together where a line came in pieces."""
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 from twodof.gcs.session import Session
@@ -33,6 +34,15 @@ class Texts:
         self._pieces: dict[int, str] = {}
         self._number = 0
         session.on(self._take, "STATUSTEXT")
+
+    @contextmanager
+    def listening(self, listener: Callable[[Text], None]) -> Iterator[None]:
+        """Tell `listener` of each line meanwhile."""
+        self.listeners.append(listener)
+        try:
+            yield
+        finally:
+            self.listeners.remove(listener)
 
     def since(self, count: int) -> list[Text]:
         """Lines that came after the first `count`."""

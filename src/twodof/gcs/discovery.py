@@ -1,0 +1,77 @@
+"""Which drones are there: who sends heartbeats to the usual ports of this machine, and who answers at a host's."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterable
+from contextlib import suppress
+from typing import NamedTuple
+
+from twodof.errors import LinkError, LinkLost
+from twodof.link.connection import Connection
+from twodof.link.messages import message
+from twodof.link.modes import mode_name
+from twodof.link.opening import open_transport
+
+GROUND_PORT, ONBOARD_PORT = 14550, 14540
+"""Where PX4 and the companion send to: all to the first, drone i to the second + i."""
+VEHICLE_PORTS = (14580, 18570, 5760, 5790)
+"""Where they listen: UDP on the first two, TCP on the others, + i for drone i."""
+DRONES = 8
+_NO_AUTOPILOT = 8
+
+
+class Found(NamedTuple):
+    """A drone that was heard: its system id, the URL to connect to, how it stands; PX4's autopilot number is 12."""
+
+    system: int
+    url: str
+    mode: str
+    armed: bool
+    autopilot: int
+
+
+def urls(hosts: Iterable[str] = (), drones: int = DRONES) -> list[str]:
+    """Where `discover` looks: ports of this machine to which drones send, and those of `hosts` at which they listen."""
+    places = [f"udpin://127.0.0.1:{GROUND_PORT}", *(f"udpin://127.0.0.1:{ONBOARD_PORT + i}" for i in range(drones))]
+    for host in hosts:
+        for i in range(drones):
+            places += [f"{'udp' if port > 10_000 else 'tcp'}://{host}:{port + i}" for port in VEHICLE_PORTS]
+    return places
+
+
+async def discover(timeout: float = 3.0, hosts: Iterable[str] = (), places: Iterable[str] | None = None) -> list[Found]:
+    """The drones that are heard within `timeout` [s], by system id.
+
+    Listens at the ports of this machine at which drones send; of `hosts` the ports are asked at which they listen.
+    `places` are URLs to look at instead. A place that cannot be opened, since somebody else has it, is passed over.
+    """
+    looked = list(urls(hosts) if places is None else places)
+    heard: dict[tuple[int, str], Found] = {}
+    await asyncio.gather(*(_look(url, timeout, heard) for url in looked))
+    best: dict[int, Found] = {}
+    for found in sorted(heard.values(), key=lambda found: looked.index(found.url), reverse=True):
+        best[found.system] = found
+    return [best[system] for system in sorted(best)]
+
+
+async def _look(url: str, timeout: float, heard: dict[tuple[int, str], Found]) -> None:
+    loop = asyncio.get_running_loop()
+    end = loop.time() + timeout
+    with suppress(LinkError):
+        async with Connection(await open_transport(url, timeout), system=255, component=190) as connection:
+            while (left := end - loop.time()) > 0.0:
+                with suppress(LinkLost):
+                    connection.send(message("HEARTBEAT", type=6, autopilot=_NO_AUTOPILOT, system_status=4))
+                turn = min(end, loop.time() + 1.0)
+                while (received := await connection.receive(max(0.0, turn - loop.time()))) is not None:
+                    got, frame = received.message, received.frame
+                    if got.get_type() == "HEARTBEAT" and got.autopilot != _NO_AUTOPILOT and frame.component == 1:
+                        armed = bool(got.base_mode & 128)
+                        heard[frame.system, url] = Found(
+                            frame.system, url, mode_name(got.custom_mode), armed, got.autopilot
+                        )
+                    if loop.time() >= turn:
+                        break
+                if left <= 0.0:
+                    break

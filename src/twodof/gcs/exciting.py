@@ -1,0 +1,141 @@
+"""An excitation played on board: sent in pieces, started at a tick, watched to its end."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import count
+from math import nan
+from typing import Any
+
+from twodof.errors import ExperimentError, Rejected, listed, shown
+from twodof.excitation import Excitation
+from twodof.gcs.clock import Clock
+from twodof.gcs.deadline import Deadline
+from twodof.gcs.session import RETRY_S, Session
+from twodof.link.messages import excite, message
+
+LOOPS = ("M", "q", "theta", "v", "x")
+"""By TWODOF_LOOP: what is excited; the loops below it are closed."""
+UNITS = ("-", "rad/s", "rad", "m/s", "m")
+_READY, _PLAYING, _DONE, _STOPPED, _REFUSED = 2, 3, 4, 5, 6
+_START, _STOP = 1, 2
+# Status comes at each change and at 1 Hz; in real time it is believed to be over so long after its end.
+_LATE_TICKS = 500
+
+
+@dataclass
+class Playback:
+    """An excitation on board: from `start_tick` to `end_tick` (the first after it); `state` and why it stopped."""
+
+    transfer: int
+    start_tick: int
+    end_tick: int
+    state: str = "waiting"
+    reason: str = ""
+
+    @property
+    def done(self) -> bool:
+        """Whether it was played to its end."""
+        return self.state == "done"
+
+
+class Exciter:
+    """Plays excitations on one drone."""
+
+    def __init__(self, session: Session, clock: Clock) -> None:
+        self._session, self._clock = session, clock
+        self._transfers = count(1)
+        self._playback: Playback | None = None
+        session.on(self._told, "TWODOF_EXCITE_STATUS")
+
+    async def start(
+        self, excitation: Excitation, loop: str | None, thrust: float | None, at: int | None, timeout: float
+    ) -> Playback:
+        """Send it and have it start at tick `at`, None: at once. Raises Rejected with the reason, LinkLost, Timeout."""
+        number = loop_number(excitation, loop)
+        transfer = next(self._transfers) & 0xFFFF
+        deadline = Deadline(timeout, "sending an excitation", f"drone {self._session.system}")
+        await self._send(excitation, number, transfer, deadline)
+        start = message(
+            "TWODOF_EXCITE",
+            action=_START,
+            transfer=transfer,
+            loop=number,
+            tick=at or 0,
+            thrust=nan if thrust is None else float(thrust),
+            **self._place(),
+        )
+        playback = await self._session.ask(
+            lambda _: start, ("TWODOF_EXCITE_STATUS",), lambda got: _begun(got, transfer, at), deadline
+        )
+        self._playback = playback
+        return playback
+
+    async def finish(self, playback: Playback) -> Playback:
+        """Let the drone's time pass until it is over, whether it was played to its end or stopped. Raises LinkLost."""
+        over = ("done", "stopped")
+        await self._clock.run_until(playback.end_tick + 1, lambda: playback.state in over)
+        await self._clock.run_until(playback.end_tick + _LATE_TICKS, lambda: playback.state in over)
+        return playback
+
+    def stop(self) -> None:
+        """Stop it now; its base is held."""
+        self._session.send(message("TWODOF_EXCITE", action=_STOP, **self._place()))
+
+    async def _send(self, excitation: Excitation, loop: int, transfer: int, deadline: Deadline) -> None:
+        session = self._session
+        with session.listen("TWODOF_EXCITE_STATUS") as heard:
+            while True:
+                for piece in excite(excitation, loop, transfer, session.system, session.component):
+                    session.send(piece)
+                until = min(deadline.end, session.now + RETRY_S)
+                while (got := await heard.next(until)) is not None:
+                    if got.transfer == transfer and got.state == _REFUSED:
+                        raise _refusal(got, deadline.where)
+                    if got.transfer == transfer and got.state == _READY:
+                        return
+                    deadline.check()
+                deadline.check()
+
+    def _told(self, got: Any) -> None:
+        playback = self._playback
+        if playback is not None and got.transfer == playback.transfer:
+            if got.state == _PLAYING:
+                playback.state, playback.start_tick, playback.end_tick = "playing", got.start_tick, got.end_tick
+            elif got.state in (_DONE, _STOPPED, _REFUSED):
+                playback.state = "done" if got.state == _DONE else "stopped"
+                playback.reason = str(got.reason)
+
+    def _place(self) -> dict[str, int]:
+        return {"target_system": self._session.system, "target_component": self._session.component}
+
+
+def loop_number(excitation: Excitation, loop: str | None) -> int:
+    """TWODOF_LOOP of "M", "q", "theta", "v" or "x"; None: that of the excitation's unit. Raises ExperimentError."""
+    if loop is None:
+        return UNITS.index(excitation.unit)
+    if loop not in LOOPS:
+        raise ExperimentError(f"no loop {shown(loop)}", "excite", f"there are {listed(LOOPS)}")
+    unit = UNITS[LOOPS.index(loop)]
+    if excitation.unit != unit:
+        raise ExperimentError(
+            f"the excitation is in {excitation.unit}, the loop {loop} in {unit}", "excite", f'give unit="{unit}"'
+        )
+    return LOOPS.index(loop)
+
+
+def _begun(got: Any, transfer: int, at: int | None) -> Playback | None:
+    if got.transfer != transfer:
+        return None
+    if got.state == _REFUSED:
+        raise _refusal(got, "")
+    starts = got.state in (_PLAYING, _DONE, _STOPPED)
+    waits = got.state == _READY and got.end_tick > got.start_tick and at in (None, 0, got.start_tick)
+    if not (starts or waits):
+        return None
+    states = {_PLAYING: "playing", _DONE: "done", _STOPPED: "stopped"}
+    return Playback(transfer, got.start_tick, got.end_tick, states.get(got.state, "waiting"), str(got.reason))
+
+
+def _refusal(got: Any, where: str) -> Rejected:
+    return Rejected(str(got.reason) or "the drone does not play it", where or "excitation", "put right what it says")

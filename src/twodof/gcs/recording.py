@@ -1,0 +1,249 @@
+"""Recording a flight on the ground: every topic at full rate into MCAP, what was lost counted and kept in the file."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Iterable, Mapping
+from contextlib import AsyncExitStack, asynccontextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twodof.errors import LinkLost, LogError, Rejected, Timeout
+from twodof.flightlog.mcap_stream import Stream
+from twodof.flightlog.recorder import Recorder
+from twodof.flightlog.spool import Acknowledged
+from twodof.flightlog.steps import BOOT, MESSAGE_PERIOD, shift
+from twodof.gcs.batches import Batches
+from twodof.gcs.clock import TICK_S, Clock
+from twodof.gcs.commands import Commands
+from twodof.gcs.decoding import columns_of
+from twodof.gcs.session import Session
+from twodof.gcs.state import State
+from twodof.gcs.texts import Text, Texts
+from twodof.link import dialect
+from twodof.link.messages import batch_rows
+from twodof.signals import MODES, TOPICS, Topic, topic
+
+SAFETY = Stream(
+    "/safety", "twodof_msgs/msg/Safety", "safety", "", ("action", "reason", "causes"), 3, about="what the failsafe does"
+)
+MOST_TEXTS = 1000
+TIMEOUT_S = 5.0
+# Batches that are written together: 64 of all channels are half a second.
+TOGETHER = 64
+_EVENTS = "openloop"
+TICK_US = 4000
+BATTERY_TICKS = 125
+"""The battery's topics come at 2 Hz."""
+# Position and velocity are first read in the step after the one in which they were published.
+_READ_LATER = ("x", "v")
+
+
+class Recording:
+    """A recording in the making, then made: `samples` taken, rows `lost` on the way, samples `dropped` by the disk."""
+
+    def __init__(self, path: str | Path, topics: Iterable[Topic], provenance: Mapping[str, object], wait: bool) -> None:
+        self.topics = tuple(topics)
+        self.onboard = tuple(row for row in self.topics if row.onboard and row.name != _EVENTS)
+        self.recorder = Recorder(path, [*self.topics, SAFETY], provenance, full="wait" if wait else "drop")
+        self.path = self.recorder.path
+        self.texts: list[tuple[int, str, str]] = []
+        self._with_events = any(row.name == _EVENTS for row in self.topics)
+        self._waiting: list[Any] = []
+        self._seen: set[int] = set()
+        self._first = self._last = -1
+        self._rows = 0
+        self._open = _Open()
+
+    @property
+    def samples(self) -> int:
+        """Samples taken; those that are not acknowledged yet wait in memory."""
+        return self.recorder.accepted
+
+    @property
+    def acknowledged(self) -> Acknowledged:
+        """What is on the disk, and stays readable whatever happens."""
+        return self.recorder.acknowledged
+
+    @property
+    def dropped(self) -> dict[str, int]:
+        """Samples that the disk was too slow for, by topic."""
+        return self.recorder.dropped
+
+    @property
+    def lost(self) -> int:
+        """Rows that are missing between the first tick and the last that came."""
+        return self._last - self._first + 1 - self._rows if self._rows else 0
+
+    @property
+    def columns(self) -> list[str]:
+        """What the drone is asked for at full rate."""
+        return [column for row in self.onboard for column in row.columns]
+
+    def take(self, got: Any) -> None:
+        """A TWODOF_BATCH. Raises RecordingError once the disk has refused."""
+        self._waiting.append(got)
+        if len(self._waiting) >= TOGETHER:
+            self.write()
+
+    def write(self) -> None:
+        """Hands on what waits."""
+        waiting, self._waiting = self._waiting, []
+        by_mask: dict[int, list[Any]] = {}
+        for got in waiting:
+            by_mask.setdefault(got.channels, []).append(got)
+        for mask, some in by_mask.items():
+            parts = [batch_rows(got) for got in some]
+            ticks = np.concatenate([part[0] for part in parts]).astype(np.int64)
+            values = np.concatenate([part[1] for part in parts]).astype(np.float64)
+            self._write(columns_of(mask), *self._new(ticks, values))
+
+    def _new(self, ticks: NDArray[np.int64], values: NDArray[np.float64]) -> tuple[Any, Any]:
+        """Those that did not come before, by another message or a second copy of this one."""
+        ticks, first = np.unique(ticks, return_index=True)
+        fresh = np.array([tick not in self._seen for tick in ticks.tolist()], dtype=bool)
+        ticks, values = ticks[fresh], values[first][fresh]
+        if len(ticks):
+            self._seen.update(ticks.tolist())
+            self._rows += len(ticks)
+            self._first = int(ticks[0]) if self._first < 0 else min(self._first, int(ticks[0]))
+            self._last = max(self._last, int(ticks[-1]))
+            if len(self._seen) > 4096:
+                self._seen = {tick for tick in self._seen if tick > self._last - 2048}
+        return ticks, values
+
+    def _write(self, columns: Mapping[str, int], ticks: NDArray[np.int64], values: NDArray[np.float64]) -> None:
+        for row in self.onboard:
+            places = [columns[column] for column in row.columns if column in columns]
+            if len(places) != row.width:
+                continue
+            some = values[:, places]
+            there = np.isfinite(some).all(axis=1)
+            if row.name.startswith("battery."):
+                there &= ticks % BATTERY_TICKS == 0
+            if there.any():
+                self.recorder.write_many(row.name, stamps(row.mat, ticks[there]), some[there])
+        if self._with_events and all(name in columns for name in _Open.COLUMNS):
+            at, rows = self._open.messages(ticks, *(values[:, columns[name]] for name in _Open.COLUMNS))
+            if len(at):
+                self.recorder.write_many(_EVENTS, stamps("lmnf", at), rows)
+
+    def safety(self, got: Any) -> None:
+        """A TWODOF_SAFETY."""
+        values = (float(got.action), float(got.reason), float(got.flags))
+        self.recorder.write(SAFETY.topic, int(stamps("", np.array([got.tick]))[0]), values)
+
+    def truth(self, got: Any) -> None:
+        """A TWODOF_TRUTH."""
+        time = round(BOOT * 1e9) + got.time_usec * 1000
+        for row in self.topics:
+            if not row.onboard:
+                self.recorder.write(row.name, time, getattr(got, row.name.split(".")[1]))
+
+    def said(self, tick: int, line: Text) -> None:
+        """A line in words."""
+        if len(self.texts) < MOST_TEXTS:
+            self.texts.append((tick, line.severity, line.text))
+
+    def finish(self) -> None:
+        """Write what waits, what was lost and what was said, and end the file. Raises RecordingError."""
+        try:
+            self.write()
+            self.recorder.note("lost", self.lost)
+            self.recorder.note("texts", [list(row) for row in self.texts])
+        finally:
+            self.recorder.close()
+
+
+class _Open:
+    """The open-loop messages of a flight, as the drone's own logs have them: from the moments that were flown.
+
+    One where the loop opens, closes or M steps, and 50 a second while it is open (flightlog.steps does it for a whole
+    flight at once).
+    """
+
+    COLUMNS = ("state.mode", "command.M", "command.T")
+
+    def __init__(self) -> None:
+        self._was, self._before, self._count = False, 0.0, 0
+
+    def messages(
+        self, ticks: NDArray[np.int64], mode: NDArray[np.float64], M: NDArray[np.float64], T: NDArray[np.float64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Ticks (m,) and messages (m, 5) of rows (n,) that follow those before."""
+        opened = mode == MODES.index("open-loop")
+        changed = np.diff(opened.astype(np.int8), prepend=self._was) != 0
+        stepped = opened & (np.append(self._before, M[:-1]) != M)
+        number = self._count + np.cumsum(opened)
+        due = opened & (number % MESSAGE_PERIOD == 1)
+        if len(ticks):
+            self._was, self._before, self._count = bool(opened[-1]), float(M[-1]), int(number[-1])
+        sent = (changed | stepped | due) & np.isfinite(M) & np.isfinite(T)
+        flag = opened[sent].astype(np.float64)
+        return ticks[sent], np.column_stack([M[sent] * flag, T[sent] * flag, flag, flag, flag])
+
+
+def stamps(mat: str, ticks: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The drone's time stamps [ns] of a channel's samples at these ticks, as its own logs have them."""
+    published = ticks - (mat in _READ_LATER)
+    return np.asarray(np.rint((BOOT + shift(mat) + TICK_S * published) * 1e9), dtype=np.int64)
+
+
+def chosen(topics: Iterable[str] | None, virtual: bool) -> list[Topic]:
+    """The rows to record; None: all that there are. Raises LogError for one that there is not."""
+    if topics is None:
+        return [row for row in TOPICS if row.onboard or virtual]
+    rows = [topic(name) for name in topics]
+    if not virtual and (unknown := [row.name for row in rows if not row.onboard]):
+        raise LogError("nobody knows the truth of a real drone", unknown[0], "leave it out")
+    return rows
+
+
+class Recordings:
+    """Makes recordings of one drone."""
+
+    def __init__(self, session: Session, commands: Commands, batches: Batches, texts: Texts, clock: Clock) -> None:
+        self._session, self._commands, self._batches = session, commands, batches
+        self._texts, self._clock = texts, clock
+
+    @asynccontextmanager
+    async def to(
+        self, path: str | Path, topics: Iterable[str] | None, state: State, provenance: Mapping[str, object]
+    ) -> AsyncIterator[Recording]:
+        """Records meanwhile into a new file.
+
+        Raises LogError for a file that exists or a topic that is none, RecordingError when the disk refuses, Rejected,
+        LinkLost, Timeout.
+        """
+        session, rows = self._session, chosen(topics, state.rig.virtual)
+        recording = Recording(path, rows, provenance, wait=session.lockstep)
+        handlers = {
+            "TWODOF_SAFETY": recording.safety,
+            "TWODOF_TRUTH": recording.truth,
+        }
+        truth = any(not row.onboard for row in rows)
+        try:
+            async with AsyncExitStack() as stack:
+                for name, handler in handlers.items():
+                    stack.enter_context(session.handling(handler, name))
+                stack.enter_context(self._texts.listening(lambda line: recording.said(self._clock.tick, line)))
+                if truth:
+                    await self._interval(TICK_US)
+                    stack.push_async_callback(self._quietly, -1)
+                if recording.columns:
+                    await stack.enter_async_context(self._batches.to(recording.columns, recording.take))
+                yield recording
+        finally:
+            # The writer's thread is waited for in another one: the loop goes on, heartbeats with it.
+            await asyncio.to_thread(recording.finish)
+
+    async def _quietly(self, interval: int) -> None:
+        with suppress(LinkLost, Rejected, Timeout):  # what is not wanted any more harms nobody
+            await self._interval(interval)
+
+    async def _interval(self, interval: int) -> None:
+        values = [dialect.message_id("TWODOF_TRUTH"), interval]
+        await self._commands.run("SET_MESSAGE_INTERVAL", values, TIMEOUT_S, "subscribing to the rig's true state")
