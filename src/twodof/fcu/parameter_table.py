@@ -11,7 +11,6 @@ from twodof.fcu.parameter_row import Row
 from twodof.fcu.px4_parameters import px4_rows
 from twodof.parameters import PARAMETERS
 
-
 _SAME = MappingProxyType({"X0_MAX": "safe.x0_limit"})
 """Those of PARAMETERS that are the failsafe's, which are not there twice."""
 

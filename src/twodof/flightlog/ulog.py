@@ -12,6 +12,7 @@ from twodof.errors import LogError
 from twodof.flightlog import provenance
 from twodof.flightlog.log import Channel, FlightLog
 from twodof.flightlog.settle import noted, settle
+from twodof.flightlog.steps import ASKED, STEP_TOPIC, step_channels
 from twodof.flightlog.ulog_decoder import Logged, ULog, scan_ulog
 from twodof.signals import BY_MAT, TOPICS
 
@@ -83,7 +84,8 @@ def read_ulog(path: str | Path) -> FlightLog:
     The time of a sample is its `timestamp_sample` where the topic has one, else its `timestamp`. A module that
     `twodof px4 export` made gives a channel for each of its signals, such as `twodof_mine_out_m`. Samples that are
     not finite or repeat a stamp are counted in provenance["left_out"], topics that become no channel are named in
-    provenance["ignored"], a last message that was cut off in provenance["lost_bytes"].
+    provenance["ignored"], a last message that was cut off in provenance["lost_bytes"]. A log of the virtual flight
+    controller has the channels, stamps and bits of the log of a simulated flight, but for the ground truth.
     """
     data = provenance.read_bytes(path)
     where = str(path)
@@ -96,7 +98,11 @@ def ulog_to_log(found: ULog, file: dict[str, Any], where: str) -> FlightLog:
     counts: dict[str, dict[str, int]] = {}
     used = set()
     own = found.info.get("sys_name") == OWN
+    steps = found.topic(STEP_TOPIC) if own else None
     rows = _own_topics(found) if own else {**_px4_topics(found), **_modules(found)}
+    if steps is not None and len(steps.rows):
+        channels, rows = _of_steps(steps, where), {}
+        used = {one.name for one in found.topics}
     for name, (logged, value) in rows.items():
         if not len(logged.rows) or "timestamp" not in (logged.rows.dtype.names or ()):
             continue
@@ -120,6 +126,10 @@ def ulog_to_log(found: ULog, file: dict[str, Any], where: str) -> FlightLog:
         raise LogError(f"no topic in it becomes a channel; topics: {there}", where, "log those that docs/logs.md names")
     kept: dict[str, Any] = {"ulog": {"start_s": found.start_us / 1e6, "info": _plain(found.info)}}
     kept["parameters"] = _plain(found.parameters)
+    if own and found.changes:
+        kept["changes"] = [[stamp / 1e6, name, *_plain({"": value}).values()] for stamp, name, value in found.changes]
+    if own and found.texts:
+        kept["texts"] = [[stamp / 1e6, level - ord("0"), text] for level, stamp, text in found.texts[:MAX_OWN_FIELDS]]
     ignored = sorted({one.name for one in found.topics} - used)
     if ignored:
         kept["ignored"] = ignored
@@ -161,6 +171,21 @@ def _own_topics(found: ULog) -> dict[str, tuple[Logged, Values]]:
         if logged is not None and {"timestamp", *names} <= set(logged.rows.dtype.names or ()):
             rows[topic.mat] = (logged, _columns(names))
     return rows
+
+
+def _of_steps(steps: Logged, where: str) -> dict[str, Channel]:
+    """The channels of a log that has every step; the other topics in it say the same in PX4's words."""
+    ticks = steps.rows["tick"].astype(np.int64) if "tick" in (steps.rows.dtype.names or ()) else np.empty(0, np.int64)
+    # A tick that comes twice is of a file that was damaged: the first stays.
+    rising = np.append(True, ticks[1:] > np.maximum.accumulate(ticks)[:-1]) if len(ticks) else np.empty(0, np.bool_)
+    rows = steps.rows[rising] if len(ticks) else steps.rows[:0]
+    out = {name: rows[name] for name in rows.dtype.names or ()}
+    try:
+        return step_channels(ticks[rising], out, rows[f"{ASKED}mode"].astype(np.int32))
+    except (KeyError, ValueError, TypeError) as reason:
+        raise LogError(
+            f"{STEP_TOPIC} is not laid out as it is now: {reason}", where, "read it with the twodof that wrote it"
+        ) from reason
 
 
 def _columns(names: tuple[str, ...]) -> Values:

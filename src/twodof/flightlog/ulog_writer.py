@@ -8,11 +8,25 @@ import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from struct import Struct, error
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from twodof.errors import LogError, shown
 from twodof.flightlog.spool import Full, Spool
 from twodof.flightlog.ulog import OWN
-from twodof.flightlog.ulog_format import BASIC, HEADER, MAGIC, MAX_RECORD, MESSAGE, SYNC, Field, fields_of
+from twodof.flightlog.ulog_format import (
+    BASIC,
+    HEADER,
+    MAGIC,
+    MAX_RECORD,
+    MESSAGE,
+    SYNC,
+    Field,
+    fields_of,
+    record_type,
+)
 from twodof.signals import TOPICS, Topic
 
 _LETTERS = {
@@ -64,12 +78,14 @@ class ULogWriter(Spool):
         described = dict(topic_format(topic) for topic in TOPICS if topic.onboard) if formats is None else dict(formats)
         self._where = str(path)
         self._records: dict[str, tuple[int, Struct, int]] = {}
+        self._layouts: dict[str, np.dtype[np.void]] = {}
         head = HEADER.pack(MAGIC, 1, _whole(start_us, 64, self._where)) + _message("B", bytes(40))
         added = b""
         for number, (name, description) in enumerate(described.items()):
             head += _message("F", f"{name}:{description}".encode("ascii", "replace"))
             added += _message("A", Struct("<BH").pack(0, number) + name.encode())
             self._records[name] = (number, *_layout(name, description, self._where))
+            self._layouts[name] = record_type(name, {name: fields_of(description, self._where)}, self._where)
         for key, value in {"sys_name": OWN, **(info or {})}.items():
             head += self._info(key, value)
         head += b"".join(self._parameter(name, value) for name, value in (parameters or {}).items())
@@ -98,6 +114,30 @@ class ULogWriter(Spool):
             raise LogError(f"{shown(values)} at {shown(timestamp_us)}: {reason}", f"{self._where}: {name}") from reason
         return self._put(_message("D", payload), timestamp_us)
 
+    def layout(self, name: str) -> np.dtype[np.void]:
+        """How numpy has the records of the topic `name`. Raises LogError for one without a format."""
+        if name not in self._layouts:
+            raise LogError(f"no topic {shown(name)}", self._where, "describe it when the log is opened")
+        return self._layouts[name]
+
+    def write_many(self, name: str, rows: NDArray[np.void]) -> bool:
+        """Takes records (n,) laid out as `layout(name)`, all or none; False if they were dropped. Raises as `write`."""
+        layout = self.layout(name)
+        if rows.dtype != layout or rows.ndim != 1:
+            raise LogError(f"records of {rows.dtype}, shape {rows.shape}", f"{self._where}: {name}", "see layout()")
+        if not len(rows):
+            return True
+        whole: NDArray[Any] = np.empty(
+            len(rows), dtype=[("size", "<u2"), ("letter", "u1"), ("number", "<u2"), ("record", layout)]
+        )
+        whole["size"], whole["letter"] = layout.itemsize + 2, ord("D")
+        whole["number"], whole["record"] = self._records[name][0], rows
+        return self._put(whole.tobytes(), int(rows["timestamp"][-1]), len(rows))
+
+    def dropout(self, lost_ms: int, timestamp_us: int) -> bool:
+        """Takes the mark that nothing could be logged for `lost_ms` before `timestamp_us`."""
+        return self._put(_dropout(lost_ms), _whole(timestamp_us, 64, self._where))
+
     def text(self, level: str, timestamp_us: int, line: str) -> bool:
         """Takes a line for the log's reader, of a level of LEVELS. Raises LogError for another level."""
         if level not in LEVELS:
@@ -110,18 +150,17 @@ class ULogWriter(Spool):
         """Takes a change of a parameter. Raises LogError for one that ULog cannot hold."""
         return self._put(self._parameter(name, value), _whole(timestamp_us, 64, self._where))
 
-    def _put(self, made: bytes, stamp_us: int) -> bool:
+    def _put(self, made: bytes, stamp_us: int, count: int = 1) -> bool:
         with self._changed:
             if not self._admit(len(made)):
-                self._dropped += 1
+                self._dropped += count
                 self._dropped_since = stamp_us if self._dropped_since is None else self._dropped_since
                 return False
             if self._dropped_since is not None:
-                lost_ms = min(max((stamp_us - self._dropped_since) // 1000, 1), _MAX_DROPOUT_MS)
-                self._buffer += _message("O", lost_ms.to_bytes(2, "little"))
+                self._buffer += _dropout((stamp_us - self._dropped_since) // 1000)
                 self._dropped_since = None
             self._buffer += made
-            self._accepted += 1
+            self._accepted += count
         return True
 
     def _info(self, key: str, value: str | int) -> bytes:
@@ -172,6 +211,10 @@ def _layout(name: str, description: str, where: str) -> tuple[Struct, int]:
 def _named(name: str, where: str) -> None:
     if not _NAME.fullmatch(name):
         raise LogError(f"{shown(name)} cannot name anything in a ULog", where, "use up to 64 letters, digits and _")
+
+
+def _dropout(lost_ms: int) -> bytes:
+    return _message("O", min(max(lost_ms, 1), _MAX_DROPOUT_MS).to_bytes(2, "little"))
 
 
 def _message(letter: str, body: bytes) -> bytes:

@@ -1,0 +1,188 @@
+"""From rows of steps to ULog files: when a log begins and ends and what is in it; knows no control loop, no queue."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twodof.errors import LogError, TwodofError
+from twodof.fcu.log_folder import LogFolder
+from twodof.fcu.px4_parameters import LOG_ALWAYS, LOG_ARMED, LOG_BOOT, LOG_NEVER
+from twodof.fcu.px4_topics import PX4_TOPICS, Rows, records
+from twodof.fcu.step_row import FORMAT, STEP_TOPIC
+from twodof.flightlog.ulog_writer import ULogWriter
+
+MARGIN = 250
+"""Steps that a log has before arming and after disarming."""
+LINES = 64
+RETRY_S = 10.0
+"""A disk that refused is tried again after so long, or when the next log is due."""
+
+FORMATS: Mapping[str, str] = {STEP_TOPIC: FORMAT, **{topic.name: topic.format for topic in PX4_TOPICS}}
+
+
+class LogWriter:
+    """Writes rows of steps into the logs of `folder`, as `mode` (SDLOG_MODE) says; called from one thread.
+
+    `info` and `parameters` stand at the beginning of each log. `failure` is why the last log ended or did not begin,
+    `missed` counts rows that were to be logged and are not.
+    """
+
+    def __init__(self, folder: LogFolder, info: Mapping[str, str | int], parameters: Mapping[str, float]) -> None:
+        self.folder, self.mode, self.requested = folder, LOG_ARMED, False
+        self.failure: TwodofError | None = None
+        self.missed = 0
+        self._info, self._parameters = dict(info), dict(parameters)
+        self._writer: ULogWriter | None = None
+        self._before: Rows | None = None
+        self._lines: deque[tuple[str, int, str]] = deque(maxlen=LINES)
+        self._since_armed = MARGIN
+        self._was_armed = self._was_disarmed_again = False
+        self._tick = -1
+        self._stamp_us = 0
+        self._retry = 0.0
+
+    @property
+    def path(self) -> Path | None:
+        """The log being written."""
+        return self._writer.path if self._writer is not None else None
+
+    def rows(self, rows: Rows) -> None:
+        """Takes steps (n,), laid out as `step_row.ROW`; a tick before the last one is a restart, a new log."""
+        ticks = rows["tick"].astype(np.int64)
+        breaks = np.flatnonzero(np.diff(ticks, prepend=self._tick) <= 0)
+        at = 0
+        for end in (*breaks.tolist(), len(rows)):
+            if end > at:
+                self._run(rows[at:end])
+            if end < len(rows):
+                self._restart()
+            at = end
+
+    def text(self, level: str, line: str) -> None:
+        """Takes a line for the log's reader; one that comes shortly before a log begins is the first in it."""
+        if self._writer is None:
+            self._lines.append((level, self._stamp_us, line))
+        else:
+            self._guarded(lambda writer: writer.text(level, self._stamp_us, line))
+
+    def parameters(self, values: Mapping[str, float]) -> None:
+        """Takes changes of parameters."""
+        self._parameters.update(values)
+        self._guarded(lambda writer: [writer.parameter(name, value, self._stamp_us) for name, value in values.items()])
+
+    def dropped(self, count: int, lost_ms: int) -> None:
+        """Notes that `count` rows did not come, over `lost_ms`."""
+        self.missed += count
+        self._guarded(lambda writer: writer.dropout(lost_ms, self._stamp_us))
+
+    def flush(self, deadline_s: float) -> None:
+        """Waits until what was taken is on the disk."""
+        self._guarded(lambda writer: writer.flush(deadline_s))
+
+    def end(self) -> None:
+        """Ends the log being written, if there is one."""
+        writer, self._writer = self._writer, None
+        if writer is not None:
+            try:
+                writer.close()
+            except LogError as refusal:
+                self.failure = refusal
+
+    def _restart(self) -> None:
+        self.end()
+        self._lines.clear()
+        self._before, self._since_armed, self._tick = None, MARGIN, -1
+        self._was_armed = self._was_disarmed_again = False
+
+    def _run(self, rows: Rows) -> None:
+        """Takes steps of one run, cut where logging begins and ends."""
+        wanted = self._wanted(rows["armed"] != 0)
+        edges = np.flatnonzero(np.diff(wanted)) + 1
+        for part, wants in zip(np.split(rows, edges), wanted[np.append(0, edges).astype(np.intp)], strict=True):
+            if wants:
+                self._log(part)
+            else:
+                self._retry = 0.0
+                self.end()
+                self._stamp_us = int(part["timestamp"][-1])
+                before = part if self._before is None else np.concatenate([self._before, part])
+                self._before = before[-MARGIN:].copy()
+        self._tick = int(rows["tick"][-1])
+
+    def _wanted(self, armed: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Which of the next steps are to be logged."""
+        index = np.arange(len(armed))
+        last = np.maximum.accumulate(np.where(armed, index, -1))
+        since = np.where(last >= 0, index - last, index + 1 + self._since_armed)
+        ended = np.asarray((since == MARGIN) & (self._was_armed | (last >= 0)))
+        self._since_armed = min(int(since[-1]), 1 << 30)
+        self._was_armed |= bool(armed.any())
+        if self.requested or self.mode == LOG_ALWAYS:
+            return np.ones(len(armed), dtype=np.bool_)
+        if self.mode == LOG_NEVER:
+            return np.zeros(len(armed), dtype=np.bool_)
+        near = since < MARGIN
+        if self.mode == LOG_BOOT and not self._was_disarmed_again:
+            near |= ~np.logical_or.accumulate(ended)
+        self._was_disarmed_again |= bool(ended.any())
+        return np.asarray(near)
+
+    def _log(self, rows: Rows) -> None:
+        if self._writer is None and time.monotonic() >= self._retry:
+            self._begin(rows)
+        if not self._append(rows):
+            self.missed += len(rows)
+        elif self._writer is not None and self._writer.acknowledged.position >= self.folder.most_of_one:
+            self.end()
+
+    def _begin(self, rows: Rows) -> None:
+        """Opens a log with what came shortly before `rows`."""
+        before, self._before = self._before, None
+        first = rows if before is None else before
+        start_us = int(first["timestamp"][0])
+        info: dict[str, str | int] = {**self._info, "time_ref_utc": 0, "start_utc": int(time.time())}
+        try:
+            self._writer = ULogWriter(
+                self.folder.next_path(), FORMATS, info, self._parameters, start_us=start_us, full="wait"
+            )
+        except LogError as refusal:
+            self._failed(refusal)
+            return
+        self.failure = None
+        lines = [line for line in self._lines if line[1] >= start_us]
+        self._lines.clear()
+        if before is not None:
+            self._append(before)
+        self._guarded(lambda writer: [writer.text(*line) for line in lines])
+
+    def _append(self, rows: Rows) -> bool:
+        self._stamp_us = int(rows["timestamp"][-1])
+
+        def append(writer: ULogWriter) -> None:
+            writer.write_many(STEP_TOPIC, rows)
+            for topic in PX4_TOPICS:
+                writer.write_many(topic.name, records(topic, writer.layout(topic.name), rows))
+
+        return self._guarded(append)
+
+    def _guarded(self, action: Callable[[ULogWriter], object]) -> bool:
+        """Does something with the log being written; False if there is none, or it ended over it."""
+        if self._writer is None:
+            return False
+        try:
+            action(self._writer)
+        except LogError as refusal:
+            self._failed(refusal)
+            return False
+        return True
+
+    def _failed(self, refusal: LogError) -> None:
+        self.end()
+        self.failure = refusal
+        self._retry = time.monotonic() + RETRY_S

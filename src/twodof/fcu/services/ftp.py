@@ -1,0 +1,288 @@
+"""MAVLink FTP: clients read descriptions and on-board logs, and send diagrams; each has sessions of its own.
+
+What is not in `file_tree` does not exist. Uploads need the lease, wait in memory and are written whole when their
+session ends. A request that comes again gets the answer that it got. Source: MAVLink guide, "File Transfer Protocol".
+"""
+
+from __future__ import annotations
+
+import struct
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from contextlib import suppress
+
+from twodof.errors import TwodofError
+from twodof.fcu.asked import Source, Verdict
+from twodof.fcu.flight_code import Step
+from twodof.fcu.service import Link
+from twodof.fcu.services.addressing import Us, source
+from twodof.fcu.services.background import Background
+from twodof.fcu.services.file_tree import EXISTS, MAX_UPLOAD, FileFault, FileTree, OpenFile
+from twodof.fcu.services.ftp_guest import BURST_BYTES, Burst, Guest, Session
+from twodof.fcu.services.ftp_packet import MOST_DATA, Fault, Op, Packet, packed, read_packet
+from twodof.fcu.services.pump import Pump
+from twodof.link.connection import Received
+
+FTP_CAPABILITY = 32
+"""MAV_PROTOCOL_CAPABILITY_FTP."""
+MOST_GUESTS = 32
+A_TICK, A_TICK_ARMED = 16, 2
+"""Packets of a burst that are sent in a control period: .9 MB/s, and little while it flies."""
+
+_ONCE = (Op.OPEN_RO, Op.CREATE, Op.WRITE, Op.TERMINATE, Op.RESET, Op.REMOVE)
+"""Not carried out again when they come again; what only reads is."""
+
+Take = Callable[[Source, str], Verdict]
+
+
+class FileTransfer:
+    """The server of MAVLink FTP over `tree`; `take` says whether a source may command."""
+
+    def __init__(self, link: Link, us: Us, tree: FileTree, take: Take, lockstep: bool = False) -> None:
+        self.tree = tree
+        self._link, self._us, self._take = link, us, take
+        self._background = Background(inline=lockstep)
+        self._pump = Pump(self._send_bursts, lockstep)
+        self._guests: OrderedDict[Hashable, Guest] = OrderedDict()
+        self._armed = False
+        self._does: dict[int, Callable[[Guest, Packet], None]] = {
+            Op.NONE: lambda guest, asked: self._answer(guest, asked, asked.ack()),
+            Op.TERMINATE: self._terminate,
+            Op.RESET: self._reset,
+            Op.LIST: self._list,
+            Op.OPEN_RO: self._open,
+            Op.READ: self._read,
+            Op.CREATE: self._create,
+            Op.WRITE: self._write,
+            Op.REMOVE: self._remove,
+            Op.CRC32: self._checksum,
+            Op.BURST: self._burst,
+        }
+
+    def handle(self, received: Received) -> bool:
+        """Takes a request."""
+        if received.message.get_type() != "FILE_TRANSFER_PROTOCOL":
+            return False
+        if self._us.addressed(received.message, everybody=True):
+            asked = read_packet(bytes(received.message.payload))
+            if asked.op not in (Op.ACK, Op.NAK):
+                self._take_in(self._guest(received), asked)
+        return True
+
+    def after(self, step: Step) -> None:
+        """Hands over what was read and goes on with bursts."""
+        self._armed = step.armed
+        self._background.poll()
+        self._pump.tick()
+
+    def gone(self, peer: Hashable) -> None:
+        """Forgets the sessions of a peer whose link has closed."""
+        for key in [key for key, guest in self._guests.items() if guest.peer == peer]:
+            self._dismiss(self._guests.pop(key))
+
+    @property
+    def sessions(self) -> int:
+        """Sessions that are open, of all clients."""
+        return sum(len(guest.sessions) for guest in self._guests.values())
+
+    def _guest(self, received: Received) -> Guest:
+        key = (received.peer, source(received))
+        guest = self._guests.get(key)
+        if guest is None:
+            guest = self._guests[key] = Guest(received.peer, source(received))
+            if len(self._guests) > MOST_GUESTS:
+                self._dismiss(self._guests.popitem(last=False)[1])
+        else:
+            self._guests.move_to_end(key)
+        return guest
+
+    def _take_in(self, guest: Guest, asked: Packet) -> None:
+        if asked == guest.asked and asked.op in _ONCE:  # its answer got lost, or is under way
+            if guest.answer is not None:
+                self._send(guest, guest.answer)
+            return
+        guest.asked, guest.answer = asked, None
+        does = self._does.get(asked.op)
+        if asked.size > MOST_DATA:
+            self._answer(guest, asked, asked.nak(Fault.DATA_SIZE))
+        elif does is not None:
+            does(guest, asked)
+        else:
+            known = asked.op in (Op.CREATE_FOLDER, Op.REMOVE_FOLDER, Op.OPEN_WO, Op.TRUNCATE, Op.RENAME)
+            self._answer(guest, asked, asked.nak(Fault.PROTECTED if known else Fault.UNKNOWN))
+
+    def _list(self, guest: Guest, asked: Packet) -> None:
+        def listed(entries: list[tuple[str, int | None]]) -> Packet:
+            data = b""
+            for name, size in entries[asked.offset :]:
+                line = (f"D{name}" if size is None else f"F{name}\t{size}").encode() + b"\0"
+                if len(data) + len(line) > MOST_DATA:
+                    break
+                data += line
+            return asked.ack(data) if data else asked.nak(Fault.END)
+
+        self._later(guest, asked, lambda: listed([*self.tree.entries(asked.text)]))
+
+    def _open(self, guest: Guest, asked: Packet) -> None:
+        def opened(found: object) -> Packet:
+            if not isinstance(found, OpenFile):
+                return self._refused(asked, found)
+            number = guest.open(Session(found), asked.session, self._close)
+            if number is None:
+                self._close(found)
+                return asked.nak(Fault.NO_SESSIONS)
+            return asked.ack(struct.pack("<I", found.size), session=number)
+
+        self._work(guest, asked, lambda: self.tree.open(asked.text), opened)
+
+    def _read(self, guest: Guest, asked: Packet) -> None:
+        session = guest.sessions.get(asked.session)
+        if session is None or session.file is None:
+            self._answer(guest, asked, asked.nak(Fault.SESSION))
+            return
+        file, most = session.file, asked.size or MOST_DATA
+
+        def read() -> Packet:
+            data = file.read(asked.offset, most)
+            return asked.ack(data) if data else asked.nak(Fault.END)
+
+        self._later(guest, asked, read)
+
+    def _burst(self, guest: Guest, asked: Packet) -> None:
+        session = guest.sessions.get(asked.session)
+        if session is None or session.file is None:
+            self._answer(guest, asked, asked.nak(Fault.SESSION))
+            return
+        file, most = session.file, asked.size or MOST_DATA
+        count = BURST_BYTES // most * most
+
+        def ready(data: object) -> Packet | None:
+            if not isinstance(data, bytes):
+                return self._refused(asked, data)
+            guest.burst = Burst(asked, data, most, ends=asked.offset + len(data) >= file.size)
+            self._pump.start()
+            return None
+
+        self._work(guest, asked, lambda: file.read(asked.offset, count), ready)
+
+    def _create(self, guest: Guest, asked: Packet) -> None:
+        if not self._take(guest.source, "files").accepted:
+            self._answer(guest, asked, asked.nak(Fault.PROTECTED))
+            return
+
+        def created(found: object) -> Packet:
+            if isinstance(found, Exception):
+                return self._refused(asked, found)
+            number = guest.open(Session(None, asked.text), asked.session, self._close)
+            return asked.nak(Fault.NO_SESSIONS) if number is None else asked.ack(session=number)
+
+        self._work(guest, asked, lambda: self.tree.check_upload(asked.text), created)
+
+    def _write(self, guest: Guest, asked: Packet) -> None:
+        session = guest.sessions.get(asked.session)
+        if session is None or session.file is not None:
+            answer = asked.nak(Fault.SESSION)
+        elif asked.offset > len(session.upload) or asked.offset + asked.size > MAX_UPLOAD:
+            answer = asked.nak(Fault.FAIL)
+        else:
+            session.upload[asked.offset : asked.offset + asked.size] = asked.data[: asked.size]
+            answer = asked.ack()
+        self._answer(guest, asked, answer)
+
+    def _terminate(self, guest: Guest, asked: Packet) -> None:
+        session = guest.sessions.pop(asked.session, None)
+        if guest.burst is not None and guest.burst.asked.session == asked.session:
+            guest.burst = None
+        if session is None:
+            self._answer(guest, asked, asked.nak(Fault.SESSION))
+        elif session.file is not None:
+            self._close(session.file)
+            self._answer(guest, asked, asked.ack())
+        elif not self._take(guest.source, "files").accepted:
+            self._answer(guest, asked, asked.nak(Fault.PROTECTED))
+        else:
+            path, content = session.path, bytes(session.upload)
+
+            def written() -> Packet:
+                self.tree.upload(path, content)
+                return asked.ack()
+
+            self._later(guest, asked, written)
+
+    def _reset(self, guest: Guest, asked: Packet) -> None:
+        self._dismiss(guest)
+        self._answer(guest, asked, asked.ack())
+
+    def _remove(self, guest: Guest, asked: Packet) -> None:
+        if not self._take(guest.source, "files").accepted:
+            self._answer(guest, asked, asked.nak(Fault.PROTECTED))
+            return
+
+        def removed() -> Packet:
+            self.tree.remove(asked.text)
+            return asked.ack()
+
+        self._later(guest, asked, removed)
+
+    def _checksum(self, guest: Guest, asked: Packet) -> None:
+        self._later(guest, asked, lambda: asked.ack(struct.pack("<I", self.tree.checksum(asked.text))))
+
+    def _later(self, guest: Guest, asked: Packet, work: Callable[[], Packet]) -> None:
+        """Answers with what `work` gives, done in the background."""
+        self._work(guest, asked, work, lambda made: made if isinstance(made, Packet) else self._refused(asked, made))
+
+    def _work(
+        self, guest: Guest, asked: Packet, work: Callable[[], object], answer: Callable[[object], Packet | None]
+    ) -> None:
+        def done(result: object) -> None:
+            made = answer(result)
+            if made is not None:
+                self._answer(guest, asked, made)
+
+        if not self._background.submit(work, done):
+            guest.asked = None  # too much waits: it may ask again
+
+    def _refused(self, asked: Packet, fault: object) -> Packet:
+        if isinstance(fault, FileFault):
+            return asked.nak(fault.code if fault.code != EXISTS else Fault.EXISTS)
+        if isinstance(fault, OSError):
+            return asked.nak(Fault.ERRNO, fault.errno or 0)
+        return asked.nak(Fault.FAIL)
+
+    def _answer(self, guest: Guest, asked: Packet, answer: Packet) -> None:
+        if guest.asked == asked:
+            guest.answer = answer
+        self._send(guest, answer)
+
+    def _send(self, guest: Guest, packet: Packet) -> None:
+        self._link.send(packed(packet, *guest.source), guest.peer)
+
+    def _send_bursts(self) -> bool:
+        most = A_TICK_ARMED if self._armed else A_TICK
+        busy = False
+        for guest in [*self._guests.values()]:
+            burst = guest.burst
+            if burst is not None:
+                for packet in burst.next(most):
+                    self._send(guest, packet)
+                if burst.done and guest.burst is burst:
+                    guest.burst = None
+                busy = busy or guest.burst is not None
+        return busy
+
+    def _dismiss(self, guest: Guest) -> None:
+        guest.burst = None
+        for session in guest.sessions.values():
+            if session.file is not None:
+                self._close(session.file)
+        guest.sessions.clear()
+
+    def _close(self, file: OpenFile) -> None:
+        # In order with what is still being read of it.
+        if not self._background.submit(file.close, _ignore):
+            with suppress(OSError, TwodofError):
+                file.close()
+
+
+def _ignore(_result: object) -> None:
+    """Nobody waits for it."""

@@ -1,0 +1,82 @@
+"""What the FTP server keeps of one client: its sessions, its burst, its last request with the answer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Iterator
+
+from twodof.fcu.asked import Source
+from twodof.fcu.services.file_tree import OpenFile
+from twodof.fcu.services.ftp_packet import Fault, Packet
+
+MOST_SESSIONS = 4
+"""Sessions of one client; a fifth closes the one that was opened first, but no upload."""
+BURST_BYTES = 35_000
+"""Most that answers one burst request, as in PX4."""
+
+
+class Session:
+    """A file being read, or an upload to `path` that waits in memory."""
+
+    __slots__ = ("file", "path", "upload")
+
+    def __init__(self, file: OpenFile | None, path: str = "") -> None:
+        self.file = file
+        self.path = path
+        self.upload = bytearray()
+
+
+class Burst:
+    """The answer to a burst request: `data` in packets of `most` bytes, then, if the file `ends` there, its end."""
+
+    def __init__(self, asked: Packet, data: bytes, most: int, ends: bool) -> None:
+        self.asked = asked
+        self.done = False
+        self._data, self._most, self._ends = data, most, ends
+        self._at = self._number = 0
+
+    def next(self, count: int) -> Iterator[Packet]:
+        """The next packets, at most `count`."""
+        for _ in range(count):
+            if self.done:
+                return
+            part = self._data[self._at : self._at + self._most]
+            if not part:
+                self.done = True
+                end = self.asked.nak(Fault.END)
+                yield end._replace(
+                    sequence=(self.asked.sequence + 1 + self._number) & 0xFFFF,
+                    offset=self.asked.offset + self._at,
+                )
+                return
+            last = self._at + len(part) >= len(self._data) and not self._ends
+            yield self.asked.part(self._number, self.asked.offset + self._at, part, last)
+            self._at += len(part)
+            self._number += 1
+            self.done = last
+
+
+class Guest:
+    """A client of the server, at `peer`."""
+
+    __slots__ = ("answer", "asked", "burst", "peer", "sessions", "source")
+
+    def __init__(self, peer: Hashable, source: Source) -> None:
+        self.peer = peer
+        self.source = source
+        self.sessions: dict[int, Session] = {}
+        self.burst: Burst | None = None
+        self.asked: Packet | None = None
+        self.answer: Packet | None = None
+
+    def open(self, session: Session, wanted: int, close: Callable[[OpenFile], None]) -> int | None:
+        """Opens a session, with the number `wanted` if that is free; None if only uploads are open already."""
+        if len(self.sessions) >= MOST_SESSIONS:
+            oldest = next((number for number, one in self.sessions.items() if one.file is not None), None)
+            if oldest is None:
+                return None
+            file = self.sessions.pop(oldest).file
+            if file is not None:
+                close(file)
+        number = wanted if wanted not in self.sessions else min({*range(256)} - self.sessions.keys())
+        self.sessions[number] = session
+        return number

@@ -1,0 +1,81 @@
+"""Metadata: what QGroundControl shows of parameters, as JSON files that it fetches by MAVLink FTP.
+
+COMPONENT_METADATA names the general file, which names the others. Sources: MAVLink guide, "Component Metadata
+Protocol"; schemas general and parameter, version 1.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from types import MappingProxyType
+from typing import Any
+
+from twodof.fcu.parameter_row import Row
+from twodof.fcu.services.file_tree import EXTRAS, mavlink_crc32
+from twodof.link.messages import message
+
+COMPONENT_METADATA = 397
+GENERAL, PARAMETERS = "component_general.json", "parameters.json"
+_PARAMETER_TYPE = 1
+"""COMP_METADATA_TYPE_PARAMETER."""
+_KINDS = MappingProxyType({"int32": "Int32", "float": "Float"})
+
+
+def metadata_files(rows: Sequence[Row]) -> Mapping[str, bytes]:
+    """The files by name, made of the parameters `rows`."""
+    parameters = _json({"version": 1, "parameters": [_parameter(row) for row in rows]})
+    general = {
+        "version": 1,
+        "metadataTypes": [
+            {"type": _PARAMETER_TYPE, "uri": _uri(PARAMETERS), "fileCrc": mavlink_crc32(parameters)},
+        ],
+    }
+    return MappingProxyType({GENERAL: _json(general), PARAMETERS: parameters})
+
+
+def metadata_message(files: Mapping[str, bytes], time_boot_ms: Callable[[], int]) -> Callable[[object], Iterable[Any]]:
+    """Answers a request for COMPONENT_METADATA."""
+    crc = mavlink_crc32(files[GENERAL])
+    return lambda _command: [
+        message("COMPONENT_METADATA", time_boot_ms=time_boot_ms(), file_crc=crc, uri=_uri(GENERAL).encode())
+    ]
+
+
+def _parameter(row: Row) -> dict[str, Any]:
+    text = row.text[0].upper() + row.text[1:] if row.text else row.name
+    made: dict[str, Any] = {
+        "name": row.name,
+        "type": _KINDS[row.kind],
+        "shortDesc": text,
+        "units": row.unit,
+        "default": row.kept(row.default),
+        "min": row.kept(row.low),
+        "max": row.kept(row.high),
+        "group": row.group,
+        "category": "Standard" if row.acts else "Developer",
+        "rebootRequired": row.reboot,
+        "readOnly": row.fixed,
+    }
+    if said := _conditions(row):
+        made["longDesc"] = said
+    if row.kind == "float":
+        made["decimalPlaces"] = 6
+    return made
+
+
+def _conditions(row: Row) -> str:
+    said = [f"Another name of {row.of}."] if row.of else []
+    if row.fixed:
+        said.append("Fixed.")
+    elif row.disarmed:
+        said.append("Changed only while disarmed.")
+    return " ".join(said)
+
+
+def _uri(name: str) -> str:
+    return f"mftp://{EXTRAS}/{name}"
+
+
+def _json(content: object) -> bytes:
+    return json.dumps(content, separators=(",", ":"), allow_nan=False).encode()

@@ -1,0 +1,42 @@
+"""Sending much in small portions: after each control period, or by the clock where ticks may stand still."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from contextlib import suppress
+
+PORTION_S = 0.002
+
+
+class Pump:
+    """Calls `portion` until it returns False: nothing more to send.
+
+    In real time `tick`, called after each control period, does; in lockstep the event loop every two milliseconds.
+    """
+
+    def __init__(self, portion: Callable[[], bool], lockstep: bool) -> None:
+        self._portion = portion
+        self._lockstep = lockstep
+        self._busy = False
+
+    def start(self) -> None:
+        """There is something to send; in lockstep the first portion goes now."""
+        if self._lockstep:
+            if not self._busy:
+                self._by_clock()
+        else:
+            self._busy = True
+
+    def tick(self) -> None:
+        """A control period has ended."""
+        if self._busy and not self._lockstep:
+            self._busy = self._portion()
+
+    def _by_clock(self) -> None:
+        self._busy = self._portion()
+        if self._busy:
+            with suppress(RuntimeError):  # outside an event loop `start` is called for each portion
+                asyncio.get_running_loop().call_later(PORTION_S, self._by_clock)
+                return
+            self._busy = False

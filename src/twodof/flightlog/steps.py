@@ -1,0 +1,106 @@
+"""Channels of a flight of which every step is known, simulated or logged on board, stamped as the drone's logs are."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twodof.flightlog.log import Channel
+from twodof.signals import MODES, topic
+
+PERIOD = 0.004
+"""Of the flight code [s]; `flight.core.PERIOD`."""
+
+BOOT = 10.0
+"""Time stamp of tick 0 [s]: the drone's logs count from when the flight controller booted."""
+
+Q_AGE = 0.35e-3
+"""How old q is when the drone computes M [s]; `rig.parameters.Q_AGE`."""
+
+STEP_TOPIC = "twodof_step"
+"""The ULog topic with every step of the flight code; what was asked for has names that begin with `ASKED`."""
+ASKED = "asked_"
+
+# Stamps against that of the moment M of the same step, as the real logs have them (docs/physics.md, sensors).
+_AGE = {"acc": 1.1e-3, "gyr": 1.1e-3, "dist": 1.0e-3, "q": Q_AGE, "lmnf": 1.5e-3}
+_LATER = {"theta": 0.33e-3, "x": 1.3e-3, "v": 1.3e-3, "q0": 3e-6, "theta0": 5e-6, "v0": 7e-6, "x0": 9e-6, "T": 11e-6}
+_LATER |= {"thrust0": 13e-6, "mode": 15e-6}
+_TRUTH = ("theta", "q", "x", "v")
+
+MESSAGE_PERIOD = round(0.02 / PERIOD)
+"""Steps between two open-loop messages."""
+_BATTERY_PERIOD = 125
+
+
+def step_channels(
+    tick: NDArray[np.int64], out: Mapping[str, NDArray[Any]], mode: NDArray[np.int32]
+) -> dict[str, Channel]:
+    """The channels of the steps at `tick` (n,), rising, whose signals (n,) are `out`; ticks may be missing.
+
+    `out` holds the measurements (acc_x, acc_z, gyro_y, dist, dist_new, voltage, charge; acc_y, gyro_x and gyro_z if
+    there are any), the flight code's outputs (theta, q, x, v, theta0, q0, x0, v0, M, T) and, of a simulation, the truth
+    (true_theta, ...). Samples that are not finite, which a user's controller may give, are left out: a gap.
+    """
+    time = np.asarray(BOOT + PERIOD * tick, dtype=np.float64)
+    zero = np.zeros(len(tick))
+    columns: dict[str, NDArray[Any]] = {
+        "acc": np.column_stack([out["acc_x"], out.get("acc_y", zero), out["acc_z"]]),
+        "gyr": np.column_stack([out.get("gyro_x", zero), out["gyro_y"], out.get("gyro_z", zero)]),
+        **{name: out[name] for name in ("theta", "q", "theta0", "q0", "x0", "v0", "M", "T")},
+        "thrust0": -np.abs(out["T"]),
+        "mode": mode.astype(np.float64),
+    }
+    channels = {name: _channel(name, time, values) for name, values in columns.items()}
+    new = out["dist_new"].astype(bool)
+    channels["dist"] = _channel("dist", time[new], out["dist"][new])
+    held, after = _published(tick)
+    for name in ("x", "v"):
+        channels[name] = _channel(name, time[held], out[name][after])
+    channels["lmnf"] = _messages(time, out, mode)
+    for name in _TRUTH:
+        row = topic(f"truth.{name}")
+        if f"true_{name}" in out:
+            channels[row.mat] = _channel(row.mat, time, out[f"true_{name}"])
+    slow = tick % _BATTERY_PERIOD == 0
+    for name in ("voltage", "charge"):
+        channels[name] = _channel(name, time[slow], out[name][slow])
+    return channels
+
+
+def is_published(tick: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """In which steps the estimator publishes x and v: 100 Hz out of 250, two of five."""
+    return (2 * (tick + 1)) % 5 < 2
+
+
+def shift(name: str) -> float:
+    """How much later [s] than M of the same step a .mat channel is stamped; negative for what was measured before."""
+    return _LATER.get(name, 0.0) - _AGE.get(name, 0.0)
+
+
+def _published(tick: NDArray[np.int64]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Where an estimate of x and v was published, and where it is first read: in the next step, if that is there."""
+    at = np.flatnonzero(is_published(tick[:-1]) & (np.diff(tick) == 1))
+    return at, at + 1
+
+
+def _channel(name: str, time: NDArray[np.float64], values: NDArray[Any]) -> Channel:
+    return _finite(time + shift(name), np.asarray(values, dtype=np.float64), name)
+
+
+def _finite(time: NDArray[np.float64], values: NDArray[np.float64], name: str) -> Channel:
+    good = np.isfinite(values) if values.ndim == 1 else np.isfinite(values).all(axis=1)
+    return Channel(time[good], values[good], topic(name).unit, topic(name).fields, name)
+
+
+def _messages(time: NDArray[np.float64], out: Mapping[str, NDArray[Any]], mode: NDArray[np.int32]) -> Channel:
+    """The open-loop messages: at 50 Hz while the loop is open, and one that closes it."""
+    opened = mode == MODES.index("open-loop")
+    changed = np.flatnonzero(np.diff(opened.astype(np.int8), prepend=0) != 0)
+    stepped = np.flatnonzero(opened & (out["M"] != np.append(0.0, out["M"][:-1])))
+    steps = np.union1d(np.union1d(changed, stepped), np.flatnonzero(opened)[::MESSAGE_PERIOD]).astype(np.intp)
+    flag = opened[steps].astype(np.float64)
+    values = np.column_stack([out["M"][steps] * flag, out["T"][steps] * flag, flag, flag, flag])
+    return _channel("lmnf", time[steps], values)
