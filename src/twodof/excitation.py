@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from functools import lru_cache
-from math import log, pi, radians, sqrt
+from math import inf, isfinite, log, pi, radians, sqrt
 from numbers import Integral, Real
 from types import MappingProxyType
 from typing import Any, ClassVar, Literal, Self
@@ -151,10 +151,9 @@ class Excitation(ABC):
         return numbers
 
     def _real(self, name: str, value: Any) -> float:
-        # A whole number may be too large for a float.
-        if isinstance(value, bool) or not isinstance(value, Real) or not -1e300 < value < 1e300:
+        if isinstance(value, bool) or not isinstance(value, Real) or not isfinite(number := _as_float(value)):
             raise self._mistake(name, f"{value!r:.80} is no finite number")
-        return float(value)
+        return number
 
 
 class _Held(Excitation):
@@ -450,6 +449,14 @@ def from_json(text: str) -> Excitation:
     if not isinstance(values, dict):
         raise ExperimentError("is no table of values", "excitation", "write it with to_json")
     return from_dict(values)
+
+
+def _as_float(value: Real) -> float:
+    """A number as a float; a whole one that is too large for it is infinite."""
+    try:
+        return float(value)
+    except OverflowError:
+        return inf
 
 
 def _us(seconds: float) -> int:

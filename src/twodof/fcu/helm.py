@@ -10,7 +10,7 @@ from twodof.flight.core import PERIOD
 from twodof.link import modes
 
 FRESH = round(0.5 / PERIOD)
-"""Set-points must come above 2 Hz, as PX4 asks: at most so many ticks apart."""
+"""Set-points must come above 2 Hz, as PX4 asks: the last one at most so many ticks ago."""
 
 HEARD_IN = {
     modes.MANUAL: (OPENLOOP, STICKS),
@@ -41,13 +41,13 @@ class Helm:
         self._on_board = False  # level hold or an excitation gives set-points, at every tick
         self._fresh = False  # one came for the next tick
         self._offer = Values()  # the latest messages for offboard, whether it is the mode or not
-        self._offered = self._before = _LONG_AGO
+        self._offered = _LONG_AGO
         self._latest = Values()  # what would fly in this mode, were the drone armed
         self._latest_at = _LONG_AGO
 
     def streamed(self, tick: int) -> bool:
         """Whether set-points have been coming above 2 Hz."""
-        return tick - self._offered <= FRESH and self._offered - self._before <= FRESH
+        return tick - self._offered <= FRESH
 
     def asks(self, tick: int) -> bool:
         """Whether fresh set-points ask something of the motors in this mode."""
@@ -56,7 +56,7 @@ class Helm:
     def take(self, setpoint: SetPoint, kind: str, tick: int, armed: bool) -> None:
         """A set-point's tick has come: it acts, or is kept for when offboard is entered."""
         if kind != STICKS:
-            self._before, self._offered = self._offered, tick
+            self._offered = tick
             self._offer = setpoint.over(self._offer)
         if kind not in HEARD_IN[self.custom_mode]:
             return

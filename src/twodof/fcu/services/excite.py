@@ -39,7 +39,7 @@ class Excite:
     Writing a definition out may take a second: it is done beside the control loop, but in lockstep, where time waits.
     """
 
-    def __init__(self, link: Link, us: Us, commander: Commander, tell: Callable[[Hashable, Verdict], None]) -> None:
+    def __init__(self, link: Link, us: Us, commander: Commander, tell: Callable[[Hashable, str], None]) -> None:
         self._link = link
         self._us = us
         self._commander = commander
@@ -58,7 +58,7 @@ class Excite:
         if name == "TWODOF_EXCITE" and self._us.addressed(got) and source(received) != tuple(self._us):
             verdict = self._act(got, source(received), received.peer)
             if not verdict.accepted:
-                self._tell(received.peer, verdict)
+                self._tell(received.peer, verdict.text)
                 self._send(received.peer, got.transfer, REFUSED, verdict.text)
             self._tell_changes()
         return bool(name in ("TWODOF_EXCITE", "TWODOF_EXCITE_STATUS"))
@@ -73,7 +73,7 @@ class Excite:
         elif player.playing and (step.tick - player.start) % STATUS_TICKS == 0:
             self._tell_player(None)
 
-    def restarted(self) -> None:
+    def restart(self) -> None:
         """Time begins anew at tick 0: no definition is there any more."""
         self._receiver, self._coming, self._whole, self._refused = ExcitationReceiver(), None, False, ""
         self._tick, self._revision = 0, self._commander.player.revision

@@ -26,7 +26,7 @@ MOST_VEHICLES = 64
 class Lease:
     """Tells the commander of every frame, and answers TWODOF_LEASE to who asks; the state goes out as telemetry."""
 
-    def __init__(self, link: Link, us: Us, commander: Commander, tell: Callable[[Hashable, Verdict], None]) -> None:
+    def __init__(self, link: Link, us: Us, commander: Commander, tell: Callable[[Hashable, str], None]) -> None:
         self._link = link
         self._us = us
         self._commander = commander
@@ -56,7 +56,7 @@ class Lease:
 
     def _answer(self, received: Received, verdict: Verdict) -> None:
         if not verdict.accepted:
-            self._tell(received.peer, verdict)
+            self._tell(received.peer, verdict.text)
         now = self._commander.lease
         system, component = now.holder or (0, 0)
         self._link.send(

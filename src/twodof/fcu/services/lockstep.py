@@ -43,7 +43,7 @@ class Lockstep:
         us: Us,
         controller: FlightController,
         commander: Commander,
-        tell: Callable[[Hashable, Verdict], None],
+        tell: Callable[[Hashable, str], None],
         rig: Callable[[int], Any],
     ) -> None:
         self._link = link
@@ -62,7 +62,7 @@ class Lockstep:
         if self._us.addressed(got) and source(received) != tuple(self._us):
             verdict = self._grant(received) if name == "TWODOF_GRANT" else self._reset(received)
             if not verdict.accepted:
-                self._tell(received.peer, verdict)
+                self._tell(received.peer, verdict.text)
         return True
 
     def after(self, step: Step) -> None:
@@ -74,7 +74,7 @@ class Lockstep:
             for grant in done:
                 self._answer(grant.number, grant.peer)
 
-    def restarted(self) -> None:
+    def restart(self) -> None:
         """Time begins anew at tick 0: what was granted is void, and answered."""
         waiting, self._waiting = self._waiting, []
         for grant in waiting:

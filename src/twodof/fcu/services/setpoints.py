@@ -31,7 +31,7 @@ class SetPoints:
     acts at once.
     """
 
-    def __init__(self, us: Us, commander: Commander, tell: Callable[[Hashable, Verdict], None]) -> None:
+    def __init__(self, us: Us, commander: Commander, tell: Callable[[Hashable, str], None]) -> None:
         self._us = us
         self._commander = commander
         self._tell = tell
@@ -55,14 +55,14 @@ class SetPoints:
             verdict = read(got, sender)
             if not verdict.accepted and self._tick - self._told >= TOLD_TICKS:
                 self._told = self._tick
-                self._tell(received.peer, verdict)
+                self._tell(received.peer, verdict.text)
         return True
 
     def after(self, step: Step) -> None:
         """Nothing is ever due."""
         self._tick = step.tick
 
-    def restarted(self) -> None:
+    def restart(self) -> None:
         """Time begins anew at tick 0."""
         self._tick, self._told = 0, -TOLD_TICKS
 
