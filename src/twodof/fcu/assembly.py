@@ -12,9 +12,20 @@ from twodof.fcu.hardware import Hardware, VirtualHardware
 from twodof.fcu.loop import FlightController
 from twodof.fcu.onboard_log import OnboardLog
 from twodof.fcu.server import Server
-from twodof.fcu.services.own_telemetry import Flown
+from twodof.fcu.service import Service
+from twodof.fcu.services.addressing import Us
+from twodof.fcu.services.excite import Excite
+from twodof.fcu.services.file_tree import FileTree
+from twodof.fcu.services.ftp import FTP_CAPABILITY, FileTransfer
+from twodof.fcu.services.keeping import Keeping
+from twodof.fcu.services.lease import Lease
+from twodof.fcu.services.lockstep import Lockstep
+from twodof.fcu.services.log_download import LogDownload
+from twodof.fcu.services.metadata import COMPONENT_METADATA, metadata_files, metadata_message
+from twodof.fcu.services.own_telemetry import Flown, rig
 from twodof.fcu.services.px4 import PX4
 from twodof.fcu.services.reload import Reload
+from twodof.fcu.services.setpoints import SetPoints
 from twodof.fcu.store import Store
 from twodof.link.signing import Signing
 
@@ -48,6 +59,7 @@ class Assembly:
         self.server = server = Server(controller, system, signing)
         self.store.listen(lambda _: self._fly_with(self.store.flying()))
         self.log: OnboardLog | None = None
+        self._state = state
         self._closing = ExitStack()
         self._closing.callback(self.store.close)
         if state is not None:
@@ -69,14 +81,45 @@ class Assembly:
             flown=self._flown,
             lost=lambda: server.lost,
             truth=(lambda: cast(VirtualHardware, hardware).truth) if hardware.virtual else None,
+            capabilities=FTP_CAPABILITY,
         )
+        if self.log is not None:
+            self.px4.remarks.listeners.append(self.log.remark)
         self.reload = Reload(self.px4.commands, controller, commander, controllers)
-        server.services += self.px4.services
+        server.services += self._services(controller, commander)
         controller.remarks = commander.remarks
         commander.remarks += [(WARNING, text) for text in (damage, *self.store.remarks) if text]
         for service in server.services:
             if hasattr(service, "restart"):
                 controller.on_restart.append(service.restart)
+
+    def _services(self, controller: FlightController, commander: Commander) -> list[Service]:
+        """All, in their order: every frame is heard first, and a tick is over when all else of it was sent."""
+        px4, server, us = self.px4, self.server, Us(self.server.system)
+        explain = px4.commands.explain
+        return [
+            px4.services[0],
+            Lease(server, us, commander, explain),
+            *px4.services[1:],
+            SetPoints(us, commander, explain),
+            Excite(server, us, commander, explain),
+            *self._files(us, controller.lockstep),
+            Lockstep(server, us, controller, commander, explain, rig(controller, self._flown)),
+        ]
+
+    def _files(self, us: Us, lockstep: bool) -> list[Service]:
+        """Descriptions of the parameters, logs and uploads over MAVLink, and word of what cannot be written."""
+        server, log, state, commander = self.server, self.log, self._state, self.commander
+        made = metadata_files(self.store.rows)
+        self.px4.requests.on(COMPONENT_METADATA, metadata_message(made, lambda: 4 * self.controller.tick))
+        tree = FileTree(made, log.folder if log else None, state / "controllers" if state else None)
+        files: list[Service] = [
+            FileTransfer(server, us, tree, commander.take, lockstep),
+            Keeping(self.store, log, commander.remarks),
+        ]
+        if log is not None:
+            files.append(LogDownload(server, us, log, commander.take, self.px4.commands.explain, lockstep))
+        return files
 
     def close(self) -> None:
         """Writes what is not written yet. Raises ParameterError or LogError where the disk refuses; twice is once."""

@@ -102,6 +102,10 @@ class OnboardLog:
         """Takes a line for the log's reader: "error", "warning", "info" or "debug"."""
         self._put("text", level, line)
 
+    def remark(self, severity: int, text: str) -> None:
+        """Takes what the vehicle says in words, of a MAV_SEVERITY."""
+        self.note("error" if severity <= 3 else "warning" if severity == 4 else "info", text)
+
     def start(self) -> None:
         """Logs from the next step on whether armed or not, until `stop`."""
         self._put("requested", "", True)

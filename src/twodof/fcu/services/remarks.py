@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from twodof.fcu.flight_code import Step
 from twodof.fcu.service import Link
 from twodof.link.connection import Received
@@ -9,9 +11,10 @@ from twodof.link.messages import statustext
 
 
 class Remarks:
-    """Drains lists of (MAV_SEVERITY, text) that others fill."""
+    """Drains lists of (MAV_SEVERITY, text) that others fill; each of `listeners` gets what is told, too."""
 
     def __init__(self, link: Link, *sources: list[tuple[int, str]]) -> None:
+        self.listeners: list[Callable[[int, str], None]] = []
         self._link = link
         self._sources = sources
         self._number = 0
@@ -30,6 +33,8 @@ class Remarks:
         told = source[:]
         source.clear()
         for severity, text in told:
+            for listener in self.listeners:
+                listener(severity, text)
             self._number = self._number % 0xFFFF + 1
             for piece in statustext(text, severity, self._number):
                 self._link.send(piece)
