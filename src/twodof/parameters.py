@@ -58,7 +58,7 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter("VEL_KP", 2.4, 0.0, 4.0, "N s/m", "velocity loop, proportional gain", "FC_PARAM_13"),
     Parameter("VEL_KI", 2.81, 0.0, 4.0, "N/m", "velocity loop, integral gain", "FC_PARAM_14"),
     Parameter("POS_KP", 1.5, 0.0, 2.5, "1/s", "position loop, proportional gain", "FC_PARAM_19"),
-    Parameter("THRUST_BAR", 0.4, 0.0, 1.0, "-", "thrust held while flying level"),
+    Parameter("THRUST_BAR", 0.4, 0.05, 1.0, "-", "thrust held while flying level"),
     Parameter("THRUST_ETA", 6.3386, 1.0, 20.0, "N", "force at full thrust, of the projection to theta0"),
     Parameter("M_MAX", 1.0, 0.0, 1.0, "-", "limit of the moment commanded"),
     Parameter("X0_MAX", 0.3, 0.0, 0.4, "m", "limit of the position set-point"),

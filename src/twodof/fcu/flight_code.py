@@ -53,6 +53,7 @@ PATHS: Mapping[str, str] = MappingProxyType(
 )
 """Where each of `parameters.PARAMETERS` stands in the flight code."""
 
+_USED = slice(OUTPUTS.index("x0"), OUTPUTS.index("q0") + 1)
 _CASCADE, _RESERVE = "cascade.", "stock."
 _LIMITS = MappingProxyType({name: f"failsafe.safe.{name}_limit" for name in ("x0", "v0", "theta0", "q0")})
 
@@ -137,8 +138,13 @@ class FlightCode:
         if self.sandbox is None:
             outputs = self._stepper.step((*measured, *asked, rings, step_late, False))
         else:
-            late, *own = self.sandbox.step(sample, self._limited(asked), asked.in_reset or not self._own)
-            *flown, self._own = self._stepper.step((*measured, *asked, rings, step_late, late, *own))
+            own = self.sandbox.step(sample, self._limited(asked), asked.in_reset or not self._own)
+            late, fore, aft, moment, thrust = own[:5]
+            *flown, self._own = self._stepper.step(
+                (*measured, *asked, rings, step_late, late, True, fore, aft, moment, thrust)
+            )
+            if self._own and not late:
+                flown[_USED] = own[5:]  # the set-points in use are those of who flies
             outputs = tuple(flown)
         step = Step(tick, sample, asked, *outputs)
         if self._armed and not step.armed and self.own_fault:
@@ -157,16 +163,17 @@ class FlightCode:
     def set_parameters(self, values: Mapping[str, Any]) -> None:
         """Sets parameters by the names of `parameters.PARAMETERS`, or by paths such as "failsafe.battery.low".
 
-        All take effect at the next step, or none does: raises ParameterError for a name that is not there and a value
-        that is out of bounds. Stock controllers in reserve get the gains too.
+        A flag is true or false, or 1 or 0. All take effect at the next step, or none does: raises ParameterError for a
+        name that is not there and a value that is out of bounds. Stock controllers in reserve get the gains too.
         """
+        known = self.machine.parameters
         paths = {PATHS.get(name, name): value for name, value in values.items()}
+        paths = {path: _of_kind(known[path].kind, value) if path in known else value for path, value in paths.items()}
         reserve = {
             f"{_RESERVE}{path.removeprefix(_CASCADE)}": value
             for path, value in paths.items()
             if path.startswith(_CASCADE)
         }
-        known = self.machine.parameters
         replaced = set(PATHS.values()) - known.keys()  # gains of a loop that a user's controller replaces
         self.machine.set_many(
             {path: value for path, value in paths.items() if path not in replaced}
@@ -224,3 +231,10 @@ class FlightCode:
 def _within(value: float, limit: float) -> float:
     """`value` within +-`limit`, 0 for what is no number."""
     return max(-limit, min(limit, value)) if math.isfinite(value) else 0.0
+
+
+def _of_kind(kind: str, value: Any) -> Any:
+    """A whole number that came as a float, as a parameter of type `kind` takes it."""
+    if not isinstance(value, float) or not value.is_integer():
+        return value
+    return value == 1.0 if kind == "bool" and value in (0.0, 1.0) else value if kind == "real" else int(value)

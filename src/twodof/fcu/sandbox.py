@@ -20,21 +20,27 @@ BUDGET_NS = 1_000_000
 """Processor time [ns] that a step in the sandbox may take in real time: a quarter of the control period."""
 
 INPUTS = tuple(name for name, _, _, _ in CORE_INPUTS)
-OUTPUTS = ("fore", "aft", "M", "T")
+OUTPUTS = ("fore", "aft", "M", "T", "x0", "v0", "theta0", "q0")
 
 
 class Commands(NamedTuple):
-    """What the controllers asked for; `late` says that they were stopped or out of time, and the rest is not to fly."""
+    """What the controllers asked for, and the set-points that they used.
+
+    `late` says that they were stopped or out of time, and that the rest is not to fly.
+    """
 
     late: bool
-    given: bool
     fore: float
     aft: float
     M: float
     T: float
+    x0: float
+    v0: float
+    theta0: float
+    q0: float
 
 
-_NOTHING = Commands(True, True, 0.0, 0.0, 0.0, 0.0)
+_NOTHING = Commands(True, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class Sandbox:
@@ -79,7 +85,7 @@ class Sandbox:
             return _NOTHING
         began = time.thread_time_ns() if self.timed else 0
         try:
-            fore, aft, moment, thrust = self._stepper.step(
+            asked_for = self._stepper.step(
                 (
                     *(sample.acc_x, sample.acc_z, sample.gyro_y, sample.dist, sample.dist_new, sample.dist_age),
                     *(asked.mode, in_reset, asked.x0, asked.v0, asked.ax0, asked.theta0, asked.q0),
@@ -91,4 +97,4 @@ class Sandbox:
             return _NOTHING
         late = self.timed and time.thread_time_ns() - began > BUDGET_NS
         self.late_steps += late
-        return Commands(late, True, fore, aft, moment, thrust)
+        return Commands(late, *asked_for)
