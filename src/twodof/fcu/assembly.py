@@ -86,12 +86,9 @@ class Assembly:
         if self.log is not None:
             self.px4.remarks.listeners.append(self.log.remark)
         self.reload = Reload(self.px4.commands, controller, commander, controllers)
-        server.services += self._services(controller, commander)
+        server.serve(self._services(controller, commander))
         controller.remarks = commander.remarks
         commander.remarks += [(WARNING, text) for text in (damage, *self.store.remarks) if text]
-        for service in server.services:
-            if hasattr(service, "restart"):
-                controller.on_restart.append(service.restart)
 
     def _services(self, controller: FlightController, commander: Commander) -> list[Service]:
         """All, in their order: every frame is heard first, and a tick is over when all else of it was sent."""
@@ -114,7 +111,7 @@ class Assembly:
         self.px4.requests.on(COMPONENT_METADATA, metadata_message(made, lambda: 4 * self.controller.tick))
         tree = FileTree(made, log.folder if log else None, state / "controllers" if state else None)
         files: list[Service] = [
-            FileTransfer(server, us, tree, commander.take, lockstep),
+            FileTransfer(server, us, tree, commander.take, self.px4.commands.explain, lockstep),
             Keeping(self.store, log, commander.remarks),
         ]
         if log is not None:

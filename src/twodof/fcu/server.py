@@ -28,6 +28,12 @@ RESPONSIVE_S = 0.004
 REOPEN_S = 0.5
 """Between attempts to open a link again that was lost."""
 
+WAIT_S = 60.0
+"""A link is waited for so long at a time."""
+
+IDLE_S = 1.0
+"""In lockstep, time that stands still for so long [s] is noticed."""
+
 PEERS_TICKS = 25
 """Periods between looks at who has gone."""
 
@@ -43,8 +49,9 @@ class Peer:
 class Server:
     """Speaks for `controller` as MAVLink system `system`, component 1, over any number of links.
 
-    `services` get each message in their order, until one takes it, and each step. Use it as a context manager: leaving
-    it stops the motors and closes the links.
+    `services` get each message in their order, until one takes it, and each step. A fault in one ends `run` with it:
+    motors off is the safe state, half a program is not. Use it as a context manager: leaving it stops the motors and
+    closes the links.
     """
 
     def __init__(self, controller: FlightController, system: int, signing: Signing | None = None) -> None:
@@ -52,15 +59,15 @@ class Server:
         self.system = system
         self.signing = signing
         self.services: list[Service] = []
-        self.ignored = 0
-        self.dropped = 0
         self.connections: list[Connection] = []
+        self.ignored = 0
+        self._dropped = 0
+        self._gone: list[Callable[[Hashable], None]] = []
+        self._idle: list[Callable[[], None]] = []
         self._tasks: set[asyncio.Task[None]] = set()
+        self._failed: asyncio.Event = asyncio.Event()
         self._peers: set[Peer] = set()
-        self._granted = asyncio.Event()
-        self._idle = asyncio.Event()
-        self._idle.set()
-        self._watchdog: Watchdog | None = None
+        self._time = asyncio.Lock()
 
     async def __aenter__(self) -> Self:
         return self
@@ -68,57 +75,70 @@ class Server:
     async def __aexit__(self, *_: object) -> None:
         await self.close()
 
+    def serve(self, services: Iterable[Service]) -> None:
+        """Adds services behind those that are there."""
+        for service in services:
+            self.services.append(service)
+            if hasattr(service, "restart"):
+                self.controller.on_restart.append(service.restart)
+            if hasattr(service, "gone"):
+                self._gone.append(service.gone)
+            if hasattr(service, "idle"):
+                self._idle.append(service.idle)
+
     async def listen(self, url: str) -> str:
         """Opens a link and returns its URL, with the port that the system chose for port 0. Raises LinkError."""
         connection = await self._open(url)
         task = asyncio.create_task(self._serve(connection, url), name=f"link {url}")
         self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
+        task.add_done_callback(lambda _: self._failed.set())
         address, port = parse(url), getattr(connection.transport, "port", 0)
         return str(replace(address, port=port) if address.listens and port else address)
 
     def send(self, message: Any, peer: Hashable | None = None) -> None:
-        """Sends to one peer, or to all; what a peer does not take, or is malformed, is dropped and counted."""
-        targets: Iterable[tuple[Connection, Hashable | None]]
+        """Sends to one peer, or to all; what a peer does not take, or fits no field, is dropped and counted."""
         if peer is None:
-            targets = [(connection, None) for connection in self.connections]
+            for connection in self.connections:
+                self._send(message, connection, None)
         elif isinstance(peer, Peer):
-            targets = [(peer.connection, peer.there)]
-        else:
-            self.dropped += 1
-            return
-        for connection, there in targets:
-            try:
-                connection.send(message, there)
-            except LinkError:
-                self.dropped += 1
+            self._send(message, peer.connection, peer.there)
 
     @property
     def lost(self) -> int:
         """Messages that did not go out: queues were full, links gone, values that fit no field."""
-        return self.dropped + sum(connection.transport.counts.dropped_out for connection in self.connections)
+        return self._dropped + sum(connection.transport.counts.dropped_out for connection in self.connections)
 
     def alive(self, peer: Hashable) -> bool:
         """Whether a peer is still connected."""
-        return isinstance(peer, Peer) and peer.there in peer.connection.transport.peers
+        if not isinstance(peer, Peer):
+            return False
+        transport = peer.connection.transport
+        return not transport.closed and peer.there in transport.peers
 
     async def run(self) -> None:
-        """Runs the control loop until it is cancelled."""
-        if self.controller.lockstep:
-            await self._run_lockstep()
-        else:
-            await self._run_real_time()
+        """Runs until it is cancelled; raises what goes wrong in the control loop or a service."""
+        time_passes = self._watch_time if self.controller.lockstep else self._run_real_time
+        loop = asyncio.create_task(time_passes(), name="control loop")
+        loop.add_done_callback(lambda _: self._failed.set())
+        try:
+            while True:
+                await self._failed.wait()
+                self._failed.clear()
+                for task in (loop, *self._tasks):
+                    if task.done():
+                        task.result()
+        finally:
+            loop.cancel()
+            await asyncio.gather(loop, return_exceptions=True)
+            self.controller.hardware.stop()
 
     async def close(self) -> None:
         """Motors off, links closed; a second time does nothing."""
-        if self._watchdog is not None:
-            self._watchdog.close()
-            self._watchdog = None
         self.controller.hardware.stop()
-        tasks = [*self._tasks]
-        for task in tasks:
+        for task in self._tasks:
             task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+        self._tasks.clear()
         for connection in self.connections:
             await connection.transport.close()
         self.connections.clear()
@@ -127,7 +147,7 @@ class Server:
 
     async def _run_real_time(self) -> None:
         controller, pacer = self.controller, Pacer(PERIOD_NS)
-        self._watchdog = watchdog = Watchdog(controller.stop)
+        watchdog = Watchdog(controller.stop)
         try:
             while True:
                 due = await pacer.wait()
@@ -142,18 +162,25 @@ class Server:
             watchdog.close()
             pacer.close()
 
-    async def _run_lockstep(self) -> None:
-        controller = self.controller
+    async def _watch_time(self) -> None:
+        """In lockstep time runs where grants come in; here it is seen that it does not."""
         while True:
-            await self._granted.wait()
-            self._granted.clear()
+            tick = self.controller.tick
+            await asyncio.sleep(IDLE_S)
+            if self.controller.tick == tick:
+                self._look_for_gone()
+                for idle in self._idle:
+                    idle()
+
+    async def _run_granted(self) -> None:
+        controller = self.controller
+        async with self._time:
             end = time.monotonic() + RESPONSIVE_S
             while controller.tick < controller.granted:
                 self._step()
                 if time.monotonic() > end:
                     await asyncio.sleep(0)
                     end = time.monotonic() + RESPONSIVE_S
-            self._idle.set()
 
     def _step(self) -> None:
         step = self.controller.step()
@@ -162,9 +189,14 @@ class Server:
         if step.tick % PEERS_TICKS == 0:
             self._look_for_gone()
 
+    def _send(self, message: Any, connection: Connection, there: Hashable | None) -> None:
+        try:
+            connection.send(message, there)
+        except LinkError:
+            self._dropped += 1
+
     async def _open(self, url: str) -> Connection:
-        transport = await open_transport(url)
-        connection = Connection(transport, self.system, AUTOPILOT, self.signing)
+        connection = Connection(await open_transport(url), self.system, AUTOPILOT, self.signing)
         self.connections.append(connection)
         return connection
 
@@ -173,15 +205,17 @@ class Server:
         while True:
             with suppress(LinkLost):
                 while True:
-                    received = await connection.receive(1.0)
+                    received = await connection.receive(WAIT_S)
                     if received is not None:
                         await self._take(connection, received)
             self.connections.remove(connection)
-            while True:
-                with suppress(LinkError):
-                    connection = await self._open(url)
-                    break
-                await asyncio.sleep(REOPEN_S)
+            connection = await self._open_again(url)
+
+    async def _open_again(self, url: str) -> Connection:
+        while True:
+            with suppress(LinkError):
+                return await self._open(url)
+            await asyncio.sleep(REOPEN_S)
 
     async def _take(self, connection: Connection, received: Received) -> None:
         peer = Peer(connection, received.peer)
@@ -192,17 +226,12 @@ class Server:
                 break
         else:
             self.ignored += 1
-        controller = self.controller
-        if controller.lockstep and controller.granted > controller.tick:
+        if self.controller.lockstep and self.controller.granted > self.controller.tick:
             # What this link says after a grant belongs to the ticks after those that it grants.
-            self._idle.clear()
-            self._granted.set()
-            await self._idle.wait()
+            await self._run_granted()
 
     def _look_for_gone(self) -> None:
         for peer in [peer for peer in self._peers if not self.alive(peer)]:
             self._peers.discard(peer)
-            for service in self.services:
-                gone: Callable[[Hashable], None] | None = getattr(service, "gone", None)
-                if gone is not None:
-                    gone(peer)
+            for gone in self._gone:
+                gone(peer)

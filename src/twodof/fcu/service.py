@@ -17,7 +17,11 @@ class Link(Protocol):
 
 
 class Service(Protocol):
-    """Translates between MAVLink and the flight controller; called from one task only."""
+    """Translates between MAVLink and the flight controller; called from one task only.
+
+    It may have three methods more: `restart()`, time begins again at tick 0; `gone(peer)`, a peer's link has closed;
+    `idle()`, in lockstep, about once a second of real time while no tick runs.
+    """
 
     def handle(self, received: Received) -> bool:
         """Takes a message in; False if it is none of this service's. `received.peer` tells where answers go.
