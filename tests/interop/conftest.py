@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.interop.programs import running
+from bench.programs import running
 
 
 @pytest.fixture(scope="module")

@@ -25,10 +25,10 @@ createReadStream(process.argv[2])
     const message = packet.protocol.data(packet.payload, type);
     counts[type.MSG_NAME] = (counts[type.MSG_NAME] ?? 0) + 1;
     if (type.MSG_NAME === "ATTITUDE") {
-      attitudes.push([message.timeBootMs, message.pitch, message.pitchSpeed]);
+      attitudes.push([message.timeBootMs, message.pitch, message.pitchspeed]);
     }
   })
   .on("end", () => {
-    const { invalidPackages: invalid, unknownPackages: unknown } = splitter;
+    const { invalidPackages: invalid, unknownPackagesCount: unknown } = splitter;
     process.stdout.write(JSON.stringify({ counts, attitudes, invalid, unknown, undecoded }) + "\n");
   });

@@ -77,6 +77,7 @@ class RawSession:
         while time.monotonic() < end:
             self.listen(0.1)
             values = [m for m in self.messages if m.get_type() == "PARAM_VALUE"]
-            if values and len({m.param_id for m in values}) == values[0].param_count:
+            count = max((m.param_count for m in values), default=0)
+            if count and {m.param_index for m in values} >= set(range(count)):
                 return
         raise AssertionError("not all parameters came")

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from pyulog import ULog
 
-from tests.interop.programs import port
+from bench.programs import port
 from twodof.fcu.store import Store
 
 CLIENT = Path(__file__).with_name("mavsdk_client.py")

@@ -1,4 +1,4 @@
-"""Our programs as a user starts them: `twodof fcu` and `twodof companion`, in processes of their own, on free ports."""
+"""Our programs as a user starts them (`twodof fcu`, `twodof companion`, ...): processes of their own, on free ports."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-START_S = 120.0  # a loaded machine that compiles for the first time
+START_S = 120.0
+"""For a loaded machine that compiles for the first time."""
+
 END_S = 20.0
 TWODOF = Path(sys.executable).with_name("twodof")
 
@@ -31,18 +33,36 @@ class Running:
         """In the order in which they were asked for."""
         return [m[1] for line in self.lines if (m := re.search(r"listening on (\S+)", line))]
 
+    @property
+    def said(self) -> str:
+        """All that it said."""
+        return "".join(self.lines)
+
+    def cpu_seconds(self) -> float:
+        """Processor time that it has used so far, all its threads together (Linux)."""
+        fields = Path(f"/proc/{self.process.pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
     def wait_for(self, urls: int) -> None:
-        """Until it listens at so many; AssertionError with what it said if it ends or takes too long."""
+        """Until it listens at so many; RuntimeError with what it said if it ends before or takes too long."""
         end = time.monotonic() + START_S
         while len(self.urls) < urls:
-            assert self.process.poll() is None, "\n".join(self.lines)
-            assert time.monotonic() < end, "\n".join(self.lines)
+            if self.process.poll() is not None or time.monotonic() > end:
+                raise RuntimeError(f"status {self.process.poll()}, listens at {self.urls}\n{self.said}")
             time.sleep(0.02)
+
+    def end(self) -> None:
+        """Ask it to end; RuntimeError if it ended by itself, or not with status 0, or not in time."""
+        if self.process.poll() is None:
+            self.process.terminate()
+            if self.process.wait(END_S) == 0:
+                return
+        raise RuntimeError(f"status {self.process.poll()}\n{self.said}")
 
 
 @contextmanager
 def running(*arguments: str, urls: int, folder: Path) -> Iterator[Running]:
-    """`twodof ARGUMENTS` until the end of the block, then asked to end, which it must do cleanly."""
+    """`twodof ARGUMENTS`, with `folder` as the present one, until the end of the block."""
     process = subprocess.Popen(
         [sys.executable, str(TWODOF), *arguments],
         cwd=folder,
@@ -63,10 +83,7 @@ def running(*arguments: str, urls: int, folder: Path) -> Iterator[Running]:
     try:
         program.wait_for(urls)
         yield program
-        assert process.poll() is None, "\n".join(program.lines)
-        process.terminate()
-        status = process.wait(END_S)
-        assert status == 0, f"status {status}\n" + "\n".join(program.lines)
+        program.end()
     finally:
         process.kill()
         process.wait(END_S)
@@ -80,9 +97,9 @@ def port(url: str) -> int:
     return int(url.rpartition(":")[2])
 
 
-def free_udp_port() -> int:
-    """A port at which nobody listens."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+def free_port(kind: socket.SocketKind = socket.SOCK_STREAM) -> int:
+    """A port on this machine at which nobody listens."""
+    with socket.socket(socket.AF_INET, kind) as probe:
         probe.bind(("127.0.0.1", 0))
         found: int = probe.getsockname()[1]
         return found

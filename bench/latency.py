@@ -1,0 +1,65 @@
+"""Set-point sent to first motor change: a client's call in one process, the motors' commands in another, one clock."""
+
+from __future__ import annotations
+
+import random
+import time
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from bench.drone_process import DroneProcess
+from bench.measure import Figure
+from bench.programs import running
+from twodof.gcs.drone import Drone
+
+# DESIGN section 6: one and a half control periods.
+LATENCY_US = 6_000.0
+THRUST = 0.4
+MOMENT = 0.004  # around the trim, so that the drone stays near level however long it takes
+BETWEEN_S = (0.008, 0.016)  # at any phase of the control period, and never twice in one
+
+
+def latencies(drone: DroneProcess, url: str, count: int) -> list[float]:
+    """Microseconds of `count` set-points at random moments; one without an effect is infinitely late."""
+    rng = random.Random(1)
+    sent: dict[float, int] = {}
+    with Drone.connect(url) as pilot:
+        pilot.arm()
+        pilot.set_moment(0.0, THRUST)
+        time.sleep(0.5)
+        drone.report()
+        for k in range(count):
+            moment = float(np.float32((-1) ** k * MOMENT * (1.0 + k / count)))
+            sent[moment] = time.monotonic_ns()
+            pilot.set_moment(moment, THRUST)
+            time.sleep(rng.uniform(*BETWEEN_S))
+        time.sleep(0.1)
+        acted: dict[float, int] = {}
+        for when, moment in drone.report()["changes"]:
+            acted.setdefault(moment, when)
+    return sorted((acted[m] - when) * 1e-3 if m in acted else float("inf") for m, when in sent.items())
+
+
+def run(quick: bool) -> list[Figure]:
+    """Median and 99th percentile, to the flight controller itself and through a companion."""
+    count = 50 if quick else 2_500
+    figures = []
+    with DroneProcess() as drone, TemporaryDirectory() as folder:
+        fcu = drone.url.replace("tcpin", "tcp")
+        measured = {"direct": latencies(drone, fcu, count)}
+        command = ("companion", "--fcu", fcu, "--onboard", "tcpin://127.0.0.1:0")
+        with running(*command, urls=1, folder=Path(folder)) as companion:
+            measured["through the companion"] = latencies(drone, companion.urls[0].replace("tcpin", "tcp"), count)
+        missed = drone.report()["missed"]
+    for how, times in measured.items():
+        p99 = times[len(times) * 99 // 100]
+        figures += [
+            Figure(f"set-point to motors, {how}, median", times[len(times) // 2], "us"),
+            Figure(
+                f"set-point to motors, {how}, p99", p99, "us", LATENCY_US, at_most=True, remark=f"{count} set-points"
+            ),
+            Figure(f"set-point to motors, {how}, worst", times[-1], "us"),
+        ]
+    return [*figures, Figure("control periods left out meanwhile", missed, "")]
