@@ -19,7 +19,8 @@ from twodof.fcu.log_folder import LogFolder
 from twodof.flightlog.atomic import atomic_write
 
 EXTRAS, LOGS, CONTROLLERS = "/etc/extras", "/log", "/controllers"
-MAX_UPLOAD = 1 << 20
+MAX_UPLOAD = 8 << 20
+"""Bytes of a diagram: what the loader of diagrams reads."""
 MOST_UPLOADS = 32
 _UPLOADED = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,58}\.json")
 _CARD = "/fs/microsd"

@@ -18,7 +18,7 @@ from twodof.fcu.service import Link
 from twodof.fcu.services.addressing import Us, source
 from twodof.fcu.services.background import Background
 from twodof.fcu.services.file_tree import EXISTS, MAX_UPLOAD, FileFault, FileTree, OpenFile
-from twodof.fcu.services.ftp_guest import BURST_BYTES, Burst, Guest, Session
+from twodof.fcu.services.ftp_guest import BURST_BYTES, MOST_WAITING, Burst, Guest, Session
 from twodof.fcu.services.ftp_packet import MOST_DATA, Fault, Op, Packet, packed, read_packet
 from twodof.fcu.services.pump import Pump
 from twodof.link.connection import Received
@@ -32,15 +32,21 @@ A_TICK, A_TICK_ARMED = 16, 2
 _ONCE = (Op.OPEN_RO, Op.CREATE, Op.WRITE, Op.TERMINATE, Op.RESET, Op.REMOVE)
 """Not carried out again when they come again; what only reads is."""
 
+MOST_UPLOADING = 2
+"""Uploads that wait in memory at once, of all clients."""
+
 Take = Callable[[Source, str], Verdict]
+Explain = Callable[[Hashable, str], None]
 
 
 class FileTransfer:
-    """The server of MAVLink FTP over `tree`; `take` says whether a source may command."""
+    """The server of MAVLink FTP over `tree`; `take` says whether a source may command, `explain` tells why not."""
 
-    def __init__(self, link: Link, us: Us, tree: FileTree, take: Take, lockstep: bool = False) -> None:
+    def __init__(
+        self, link: Link, us: Us, tree: FileTree, take: Take, explain: Explain, lockstep: bool = False
+    ) -> None:
         self.tree = tree
-        self._link, self._us, self._take = link, us, take
+        self._link, self._us, self._take, self._explain = link, us, take, explain
         self._background = Background(inline=lockstep)
         self._pump = Pump(self._send_bursts, lockstep)
         self._guests: OrderedDict[Hashable, Guest] = OrderedDict()
@@ -85,6 +91,10 @@ class FileTransfer:
         """Sessions that are open, of all clients."""
         return sum(len(guest.sessions) for guest in self._guests.values())
 
+    @property
+    def _uploads(self) -> int:
+        return sum(one.file is None for guest in self._guests.values() for one in guest.sessions.values())
+
     def _guest(self, received: Received) -> Guest:
         key = (received.peer, source(received))
         guest = self._guests.get(key)
@@ -97,7 +107,11 @@ class FileTransfer:
         return guest
 
     def _take_in(self, guest: Guest, asked: Packet) -> None:
-        if asked == guest.asked and asked.op in _ONCE:  # its answer got lost, or is under way
+        if guest.busy:
+            if len(guest.waiting) < MOST_WAITING and asked != guest.asked and asked not in guest.waiting:
+                guest.waiting.append(asked)
+            return
+        if asked == guest.asked and asked.op in _ONCE:  # its answer got lost
             if guest.answer is not None:
                 self._send(guest, guest.answer)
             return
@@ -166,13 +180,14 @@ class FileTransfer:
         self._work(guest, asked, lambda: file.read(asked.offset, count), ready)
 
     def _create(self, guest: Guest, asked: Packet) -> None:
-        if not self._take(guest.source, "files").accepted:
-            self._answer(guest, asked, asked.nak(Fault.PROTECTED))
+        if not self._may_write(guest, asked):
             return
 
         def created(found: object) -> Packet:
             if isinstance(found, Exception):
                 return self._refused(asked, found)
+            if self._uploads >= MOST_UPLOADING:
+                return asked.nak(Fault.NO_SESSIONS)
             number = guest.open(Session(None, asked.text), asked.session, self._close)
             return asked.nak(Fault.NO_SESSIONS) if number is None else asked.ack(session=number)
 
@@ -184,6 +199,7 @@ class FileTransfer:
             answer = asked.nak(Fault.SESSION)
         elif asked.offset > len(session.upload) or asked.offset + asked.size > MAX_UPLOAD:
             answer = asked.nak(Fault.FAIL)
+            session.failed = True
         else:
             session.upload[asked.offset : asked.offset + asked.size] = asked.data[: asked.size]
             answer = asked.ack()
@@ -198,9 +214,9 @@ class FileTransfer:
         elif session.file is not None:
             self._close(session.file)
             self._answer(guest, asked, asked.ack())
-        elif not self._take(guest.source, "files").accepted:
-            self._answer(guest, asked, asked.nak(Fault.PROTECTED))
-        else:
+        elif session.failed:
+            self._answer(guest, asked, asked.nak(Fault.FAIL))
+        elif self._may_write(guest, asked):
             path, content = session.path, bytes(session.upload)
 
             def written() -> Packet:
@@ -214,8 +230,7 @@ class FileTransfer:
         self._answer(guest, asked, asked.ack())
 
     def _remove(self, guest: Guest, asked: Packet) -> None:
-        if not self._take(guest.source, "files").accepted:
-            self._answer(guest, asked, asked.nak(Fault.PROTECTED))
+        if not self._may_write(guest, asked):
             return
 
         def removed() -> Packet:
@@ -227,6 +242,14 @@ class FileTransfer:
     def _checksum(self, guest: Guest, asked: Packet) -> None:
         self._later(guest, asked, lambda: asked.ack(struct.pack("<I", self.tree.checksum(asked.text))))
 
+    def _may_write(self, guest: Guest, asked: Packet) -> bool:
+        """Whether the client has the lease, or gets it; else it is told."""
+        verdict = self._take(guest.source, "upload")
+        if not verdict.accepted:
+            self._answer(guest, asked, asked.nak(Fault.PROTECTED))
+            self._explain(guest.peer, verdict.text)
+        return verdict.accepted
+
     def _later(self, guest: Guest, asked: Packet, work: Callable[[], Packet]) -> None:
         """Answers with what `work` gives, done in the background."""
         self._work(guest, asked, work, lambda made: made if isinstance(made, Packet) else self._refused(asked, made))
@@ -235,12 +258,17 @@ class FileTransfer:
         self, guest: Guest, asked: Packet, work: Callable[[], object], answer: Callable[[object], Packet | None]
     ) -> None:
         def done(result: object) -> None:
+            guest.busy = False
             made = answer(result)
             if made is not None:
                 self._answer(guest, asked, made)
+            while guest.waiting and not guest.busy:
+                self._take_in(guest, guest.waiting.popleft())
 
+        guest.busy = True
         if not self._background.submit(work, done):
-            guest.asked = None  # too much waits: it may ask again
+            guest.busy, guest.asked = False, None  # too much waits: it may ask again
+            guest.waiting.clear()
 
     def _refused(self, asked: Packet, fault: object) -> Packet:
         if isinstance(fault, FileFault):

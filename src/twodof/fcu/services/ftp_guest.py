@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Hashable, Iterator
 
 from twodof.fcu.asked import Source
@@ -10,6 +11,8 @@ from twodof.fcu.services.ftp_packet import Fault, Packet
 
 MOST_SESSIONS = 4
 """Sessions of one client; a fifth closes the one that was opened first, but no upload."""
+MOST_WAITING = 16
+"""Requests of one client that wait; what comes beyond is for it to ask again."""
 BURST_BYTES = 35_000
 """Most that answers one burst request, as in PX4."""
 
@@ -17,12 +20,13 @@ BURST_BYTES = 35_000
 class Session:
     """A file being read, or an upload to `path` that waits in memory."""
 
-    __slots__ = ("file", "path", "upload")
+    __slots__ = ("failed", "file", "path", "upload")
 
     def __init__(self, file: OpenFile | None, path: str = "") -> None:
         self.file = file
         self.path = path
         self.upload = bytearray()
+        self.failed = False  # a write was refused: what is here is not what was to be sent
 
 
 class Burst:
@@ -56,9 +60,9 @@ class Burst:
 
 
 class Guest:
-    """A client of the server, at `peer`."""
+    """A client of the server, at `peer`. What it asks while it is `busy` waits: requests are carried out in order."""
 
-    __slots__ = ("answer", "asked", "burst", "peer", "sessions", "source")
+    __slots__ = ("answer", "asked", "burst", "busy", "peer", "sessions", "source", "waiting")
 
     def __init__(self, peer: Hashable, source: Source) -> None:
         self.peer = peer
@@ -67,6 +71,8 @@ class Guest:
         self.burst: Burst | None = None
         self.asked: Packet | None = None
         self.answer: Packet | None = None
+        self.busy = False
+        self.waiting: deque[Packet] = deque()
 
     def open(self, session: Session, wanted: int, close: Callable[[OpenFile], None]) -> int | None:
         """Opens a session, with the number `wanted` if that is free; None if only uploads are open already."""
