@@ -36,12 +36,11 @@ def whole(value: float, default: int = 0) -> int:
 
 
 class Client:
-    """A peer that has spoken: since which tick, when last, and who has spoken over it."""
+    """A peer that has spoken, and the tick at which it did so last; `ours`: it knows twodof's own messages."""
 
-    __slots__ = ("heard", "peer", "since", "sources")
+    __slots__ = ("heard", "ours", "peer")
 
     def __init__(self, peer: Hashable, tick: int) -> None:
         self.peer = peer
-        self.since = tick
         self.heard = tick
-        self.sources: dict[Source, None] = {}
+        self.ours = False

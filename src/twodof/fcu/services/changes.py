@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from twodof.fcu.flight_code import Step
-from twodof.fcu.services.telemetry import LEASE, OPENLOOP, RIG, SAFETY, TOF
+from twodof.fcu.services.sensor_telemetry import TOF
+from twodof.fcu.services.telemetry import LEASE, OPENLOOP, RIG, SAFETY
 from twodof.fcu.services.vehicle import Commander, Controller
 
 FLAG_TICKS = 25

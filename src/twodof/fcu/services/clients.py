@@ -5,25 +5,28 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable
 
 from twodof.fcu.flight_code import Step
-from twodof.fcu.services.addressing import Client, source
+from twodof.fcu.services.addressing import Client
 from twodof.link.connection import Received
+from twodof.link.dialect import FIRST_OWN_ID, LAST_OWN_ID
 
 SILENT_TICKS = 15_000
 """60 s without a frame: a client is forgotten."""
 MOST_CLIENTS = 64
-MOST_SOURCES = 16
 _SWEEP_TICKS = 250
+_ABOUT_MESSAGES = (510, 511, 512)
 
 
 class Clients:
     """Who is there. First among the services: it sees every message and takes none.
 
-    `joined` and `left` are called with each client that comes and goes.
+    `joined` and `left` are called with each client that comes and goes, `recognised` with one that has sent a message
+    of twodof's own or asked for one: others would count them as lost, as they cannot read them.
     """
 
     def __init__(self) -> None:
         self.known: dict[Hashable, Client] = {}
         self.joined: list[Callable[[Client], None]] = []
+        self.recognised: list[Callable[[Client], None]] = []
         self.left: list[Callable[[Client], None]] = []
         self._tick = 0
 
@@ -33,8 +36,10 @@ class Clients:
         if client is None:
             client = self._welcome(received.peer)
         client.heard = self._tick
-        if len(client.sources) < MOST_SOURCES:
-            client.sources[source(received)] = None
+        if not client.ours and _knows(received):
+            client.ours = True
+            for recognise in self.recognised:
+                recognise(client)
         return False
 
     def after(self, step: Step) -> None:
@@ -56,7 +61,7 @@ class Clients:
         """Time begins anew at tick 0."""
         self._tick = 0
         for client in self.known.values():
-            client.heard = client.since = 0
+            client.heard = 0
 
     def _welcome(self, peer: Hashable) -> Client:
         if len(self.known) >= MOST_CLIENTS:
@@ -65,3 +70,12 @@ class Clients:
         for join in self.joined:
             join(client)
         return client
+
+
+def _knows(received: Received) -> bool:
+    """Whether a message shows that its sender knows twodof's own."""
+    if FIRST_OWN_ID <= received.frame.message_id <= LAST_OWN_ID:
+        return True
+    got = received.message
+    about = getattr(got, "command", 0) in _ABOUT_MESSAGES
+    return about and FIRST_OWN_ID <= got.param1 <= LAST_OWN_ID

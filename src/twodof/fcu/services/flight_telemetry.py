@@ -1,4 +1,4 @@
-"""What flies, as messages: attitude, position, sensors, set-points and motors, from one step of the flight code.
+"""What flies, as messages: attitude, position, set-points and motors, from one step of the flight code.
 
 Axes forward-right-down, north along the rail, so that heading is 0 and x north; what the rig cannot do (roll, yaw,
 sideways, up) is 0. The rest of the fields is as https://mavlink.io/en/messages/common.html says.
@@ -15,12 +15,6 @@ from twodof.signals import MODES
 
 TICK_MS, TICK_US = 4, 4000
 MASK_32 = 0xFFFFFFFF
-IMU_FIELDS = 0x3F
-"""HIGHRES_IMU_UPDATED_FLAGS of accelerometer and gyro; there is neither compass nor barometer."""
-RANGE_CM = (2, 120)
-"""Least and largest range that DISTANCE_SENSOR announces; the rail's are 10 to 90 cm."""
-BACKWARD = 4
-"""MAV_SENSOR_ROTATION_YAW_180: the range grows as the cart goes forward."""
 LOCAL_NED, BODY_FRD, ESTIMATOR_AUTOPILOT = 1, 12, 8
 PWM_OFF, PWM_LOW, PWM_SPAN = 900, 1000, 1000
 _OPEN, _RATE, _VELOCITY, _POSITION = (MODES.index(name) for name in ("open-loop", "rate", "velocity", "position"))
@@ -82,32 +76,6 @@ def odometry() -> Encoder:
             ESTIMATOR_AUTOPILOT,
             0,
         )
-
-    return encode
-
-
-def highres_imu() -> Encoder:
-    """HIGHRES_IMU: the last sample of accelerometer and gyro; the sensors that do not exist are NaN."""
-    pack = Packer("HIGHRES_IMU")
-    absent = (nan,) * 7
-
-    def encode(s: Step) -> Packed:
-        sample = s.sample
-        return pack(s.tick * TICK_US, *sample[:6], *absent, IMU_FIELDS, 0)
-
-    return encode
-
-
-def distance_sensor() -> Encoder:
-    """DISTANCE_SENSOR: the last range in whole centimetres, stamped with its own time."""
-    pack = Packer("DISTANCE_SENSOR")
-
-    def encode(s: Step) -> Packed:
-        sample = s.sample
-        centimetres = round(min(max(sample.dist, 0.0), 655.35) * 100.0) if isfinite(sample.dist) else 0xFFFF
-        age = round(sample.dist_age * 1000.0) if 0.0 <= sample.dist_age < 1e6 else 0
-        stamp = max(0, s.tick * TICK_MS - age) & MASK_32
-        return pack(stamp, *RANGE_CM, centimetres, 0, 0, BACKWARD, 0xFF, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
 
     return encode
 
@@ -186,8 +154,6 @@ ENCODERS: dict[int, Callable[[], Encoder]] = {
     74: vfr_hud,
     83: attitude_target,
     85: position_target,
-    105: highres_imu,
-    132: distance_sensor,
     140: actuator_controls,
     331: odometry,
 }

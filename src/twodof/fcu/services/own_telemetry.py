@@ -1,11 +1,10 @@
-"""twodof's own messages of state: range, failsafe, rig, timing, lease, truth."""
+"""twodof's own messages of state: failsafe, rig, timing, lease, truth."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import NamedTuple
 
-from twodof.fcu.flight_code import Step
 from twodof.fcu.services.flight_telemetry import MASK_32, TICK_MS, TICK_US, Encoder
 from twodof.fcu.services.vehicle import Commander, Controller
 from twodof.flight.causes import CAUSES
@@ -28,18 +27,6 @@ def deciding(reason: int) -> int:
     """Which cause of a mask decides: the place of the one that asks for the strongest action, -1 if there is none."""
     places = [place for place in range(len(CAUSES)) if reason >> place & 1]
     return max(places, key=lambda place: (CAUSES[place].action, -place), default=-1)
-
-
-def range_sample() -> Encoder:
-    """TWODOF_TOF: the last range, not rounded."""
-    pack = Packer("TWODOF_TOF")
-
-    def encode(s: Step) -> Packed:
-        sample = s.sample
-        age = round(sample.dist_age * 1e6) if 0.0 <= sample.dist_age < 1e6 else 0
-        return pack(max(0, s.tick * TICK_US - age), s.tick & MASK_32, sample.dist, int(sample.dist == sample.dist))
-
-    return encode
 
 
 def safety(since: Callable[[], int]) -> Encoder:

@@ -21,6 +21,7 @@ from twodof.fcu.services.commands import Command, Commands
 from twodof.fcu.services.profiles import ONBOARD
 from twodof.fcu.services.telemetry import HEARTBEAT, Telemetry
 from twodof.link.connection import Received
+from twodof.link.dialect import FIRST_OWN_ID
 from twodof.link.messages import message
 
 GET_INTERVAL, SET_INTERVAL = 510, 511
@@ -63,7 +64,8 @@ class Elsewhere(Protocol):
 class Streams:
     """All streams of all clients, and the commands 510 and 511 that read and change a client's own.
 
-    `profile` gives the rates of a client that says nothing (`profiles.PROFILES`). A sensor's message is left out where
+    `profile` gives the rates of a client that says nothing (`profiles.PROFILES`); twodof's own messages go to those
+    only that know them. A sensor's message is left out where
     the sensor has given nothing since the last one. Messages in `changes` come at each change, too.
     """
 
@@ -85,6 +87,7 @@ class Streams:
         self._calendar: dict[int, list[Stream]] = {}
         self._tick = -1
         clients.joined.append(self._join)
+        clients.recognised.append(self._recognise)
         clients.left.append(self._leave)
         commands.on(SET_INTERVAL, self._set)
         commands.on(GET_INTERVAL, self._get)
@@ -106,12 +109,14 @@ class Streams:
         if due is None and not changed:
             return
         packed: dict[int, Any] = {}
-        if changed:
+        for number in changed:
+            sensor = number in telemetry.news
             for streams in self._streams.values():
-                for number in changed:
-                    stream = streams.get(number)
-                    if stream is not None and stream.interval != STOPPED and stream.due != tick:
-                        self._send(stream, tick, packed)
+                stream = streams.get(number)
+                if stream is None or stream.interval == STOPPED or stream.due == tick:
+                    continue
+                if stream.interval == WITH_NEWS or not sensor:
+                    self._send(stream, tick, packed)
         for stream in due or ():
             if stream.due == tick:
                 self._send(stream, tick, packed)
@@ -143,10 +148,17 @@ class Streams:
         return STOPPED if rate is None else round(1e9 / rate) if rate > 0.0 else WITH_NEWS
 
     def _join(self, client: Client) -> None:
-        streams = self._streams[client.peer] = {}
-        for message_id in self._profile:
-            if message_id in self._telemetry.messages:
-                stream = streams[message_id] = Stream(client.peer, message_id, self._default(message_id))
+        self._streams[client.peer] = {}
+        self._begin(client, [number for number in self._profile if number < FIRST_OWN_ID])
+
+    def _recognise(self, client: Client) -> None:
+        self._begin(client, [number for number in self._profile if number >= FIRST_OWN_ID])
+
+    def _begin(self, client: Client, numbers: list[int]) -> None:
+        streams = self._streams[client.peer]
+        for number in numbers:
+            if number in self._telemetry.messages:
+                stream = streams[number] = Stream(client.peer, number, self._default(number))
                 self._plan(stream, self._tick)
 
     def _leave(self, client: Client) -> None:

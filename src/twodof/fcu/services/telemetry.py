@@ -9,10 +9,11 @@ from twodof.fcu.flight_code import Step
 from twodof.fcu.services import flight_telemetry, own_telemetry, system_telemetry
 from twodof.fcu.services.flight_telemetry import TICK_US, Encoder
 from twodof.fcu.services.own_telemetry import Flown
+from twodof.fcu.services.sensor_telemetry import Sensors
 from twodof.fcu.services.vehicle import Commander, Controller
 
-HEARTBEAT, HIGHRES_IMU, DISTANCE_SENSOR = 0, 105, 132
-OPENLOOP, TOF, TRUTH, RIG, LEASE, SAFETY, TIMING = 54200, 54204, 54205, 54206, 54209, 54210, 54211
+HEARTBEAT = 0
+OPENLOOP, TRUTH, RIG, LEASE, SAFETY, TIMING = 54200, 54205, 54206, 54209, 54210, 54211
 
 
 def _nobody() -> int:
@@ -38,7 +39,8 @@ class Telemetry:
     ) -> None:
         self.controller = controller
         self.step: Step | None = None
-        self.news: dict[int, int] = dict.fromkeys((HIGHRES_IMU, DISTANCE_SENSOR, TOF), -1)
+        self.sensors = Sensors()
+        self.news = self.sensors.news
         self.since = 0
         self._action = -1
         system, own = system_telemetry, own_telemetry
@@ -48,7 +50,6 @@ class Telemetry:
             147: system.battery_status(),
             230: system.estimator_status(),
             245: system.extended_sys_state(),
-            TOF: own.range_sample(),
             SAFETY: own.safety(lambda: self.since),
         }
         self.standing: dict[int, Callable[[], Any]] = {
@@ -58,6 +59,7 @@ class Telemetry:
             OPENLOOP: own.openloop(commander),
             RIG: own.rig(controller, flown),
             LEASE: own.lease(commander),
+            **self.sensors.messages,
             TIMING: own.timing(controller, lost),
         }
         if truth is not None:
@@ -74,7 +76,7 @@ class Telemetry:
         return self.controller.timing.step_mean / TICK_US
 
     def message(self, message_id: int) -> Any | None:
-        """A message of `messages` as of now; None if it tells of a step and there was none yet."""
+        """A message of `messages` as of now; None if nothing of the kind was measured yet."""
         standing = self.standing.get(message_id)
         if standing is not None:
             return standing()
@@ -83,17 +85,12 @@ class Telemetry:
     def observe(self, step: Step) -> None:
         """Takes a step over."""
         self.step = step
-        sample, tick = step.sample, step.tick
-        if sample.imu_new:
-            self.news[HIGHRES_IMU] = tick
-        if sample.dist_new:
-            self.news[DISTANCE_SENSOR] = self.news[TOF] = tick
+        self.sensors.observe(step)
         if step.action != self._action:
-            self._action, self.since = step.action, tick
+            self._action, self.since = step.action, step.tick
 
     def restart(self) -> None:
         """Time begins anew."""
         self.step = None
         self.since, self._action = 0, -1
-        for number in self.news:
-            self.news[number] = -1
+        self.sensors.restart()
