@@ -1,0 +1,273 @@
+"""The shell: links in and out, time as it is granted, what happens to peers, links and faults."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable, Coroutine, Hashable
+from typing import Any
+
+import pytest
+
+from tests.fcu.flights import Script, controller
+from twodof.fcu.flight_code import FlightCode, Step
+from twodof.fcu.server import Peer, Server
+from twodof.link.connection import Connection, Received
+from twodof.link.key import Key
+from twodof.link.messages import message
+from twodof.link.opening import open_transport
+from twodof.link.signing import Signing
+from twodof.link.stamps import Stamps
+
+PATIENCE_S = 20.0
+CLIENT = 250
+
+
+class Grants:
+    """Lockstep without a lease: TWODOF_GRANT grants, PARAM_SET asks for a pitch, PING is answered by a TWODOF_TICK."""
+
+    def __init__(self, server: Server, script: Script) -> None:
+        self.server, self.script = server, script
+        self.theta0 = 0.0
+        self.heard: list[tuple[str, int]] = []
+        self.left: list[Hashable] = []
+        self.idled = 0
+        script.change = lambda tick, asked: asked._replace(theta0=self.theta0)
+
+    def handle(self, received: Received) -> bool:
+        """Notes the message and the tick, and does what it says."""
+        got, name = received.message, received.message.get_type()
+        self.heard.append((name, self.server.controller.tick))
+        if name == "TWODOF_GRANT":
+            self.server.controller.grant(got.until)
+        elif name == "PARAM_SET":
+            self.theta0 = got.param_value
+        elif name == "STATUSTEXT":
+            raise ZeroDivisionError("a fault of a service")
+        elif name == "MISSION_COUNT":
+            return False
+        return True
+
+    def after(self, step: Step) -> None:
+        """Tells everybody of every tenth tick."""
+        if step.tick % 10 == 9:
+            self.server.send(message("TWODOF_TICK", tick=step.tick + 1, until=0, number=0))
+
+    def gone(self, peer: Hashable) -> None:
+        """Notes who left."""
+        self.left.append(peer)
+
+    def idle(self) -> None:
+        """Counts."""
+        self.idled += 1
+
+
+def grant(until: int) -> Any:
+    return message("TWODOF_GRANT", until=until, number=1)
+
+
+def pitch(value: float) -> Any:
+    return message("PARAM_SET", target_system=1, target_component=1, param_id="X", param_value=value, param_type=9)
+
+
+class World:
+    """A server in lockstep at mem://NAME, and its script and service."""
+
+    def __init__(self, signing: Signing | None = None, lockstep: bool = True) -> None:
+        self.script = Script()
+        self.server = Server(controller(FlightCode(), self.script, lockstep), 1, signing)
+        self.grants = Grants(self.server, self.script)
+        self.server.serve([self.grants])
+
+    async def client(self, url: str, signing: Signing | None = None) -> Connection:
+        """A client of it."""
+        return Connection(await open_transport(url), CLIENT, 1, signing)
+
+
+def run(work: Callable[[World], Coroutine[Any, Any, None]], **options: Any) -> World:
+    """Runs `work` beside the server, with a deadline."""
+
+    async def all_of_it() -> World:
+        world = World(**options)
+        async with asyncio.timeout(PATIENCE_S), world.server as server:
+            running = asyncio.create_task(server.run())
+            working = asyncio.create_task(work(world))
+            await asyncio.wait((running, working), return_when=asyncio.FIRST_COMPLETED)
+            if running.done():
+                working.cancel()
+                running.result()
+            running.cancel()
+            await working
+        return world
+
+    return asyncio.run(all_of_it())
+
+
+async def ticked(client: Connection, tick: int) -> None:
+    """Waits for the TWODOF_TICK of `tick`."""
+    while True:
+        received = await client.receive(PATIENCE_S)
+        assert received is not None
+        if received.message.get_type() == "TWODOF_TICK" and received.message.tick == tick:
+            return
+
+
+def test_what_comes_before_and_between_grants_acts_at_the_first_tick_of_the_next_one() -> None:
+    async def work(world: World) -> None:
+        await world.server.listen("memin://order")
+        client = await world.client("mem://order")
+        # All at once: nothing waits for an answer.
+        for sent in (pitch(0.1), grant(150), pitch(0.2), pitch(0.3), grant(160), grant(170), pitch(0.4), grant(180)):
+            client.send(sent)
+        await ticked(client, 180)
+        await client.close()
+
+    world = run(work)
+    asked = [step.asked.theta0 for step in world.script.steps]
+    assert asked == pytest.approx([0.1] * 150 + [0.3] * 20 + [0.4] * 10)  # float32 on the wire
+    assert [tick for name, tick in world.grants.heard if name == "TWODOF_GRANT"] == [0, 150, 160, 170]
+
+
+def test_another_client_is_heard_while_a_long_grant_runs() -> None:
+    async def work(world: World) -> None:
+        url = await world.server.listen("tcpin://127.0.0.1:0")
+        await world.server.listen("memin://long")
+        first, second = await world.client("mem://long"), await world.client(url.replace("tcpin", "tcp"))
+        first.send(grant(25_000))
+        await asyncio.sleep(0)
+        second.send(pitch(0.2))
+        await ticked(first, 25_000)
+        await first.close()
+        await second.close()
+
+    world = run(work)
+    heard = dict(world.grants.heard)
+    assert 0 < heard["PARAM_SET"] < 20_000
+
+
+def test_time_stands_still_without_grants_and_that_is_told() -> None:
+    async def work(world: World) -> None:
+        await world.server.listen("memin://still")
+        while world.grants.idled < 1:
+            await asyncio.sleep(0.01)
+
+    assert run(work).server.controller.tick == 0
+
+
+def test_a_fault_in_a_service_ends_it_with_the_motors_off() -> None:
+    worlds = []
+
+    async def work(world: World) -> None:
+        worlds.append(world)
+        await world.server.listen("memin://fault")
+        client = await world.client("mem://fault")
+        client.send(message("STATUSTEXT", severity=1, text="x"))
+        await asyncio.sleep(PATIENCE_S)
+
+    with pytest.raises(ZeroDivisionError, match="a fault of a service"):
+        run(work)
+    rig: Any = worlds[0].server.controller.hardware
+    for _ in range(25):
+        rig.drive(0.9, 0.1)  # without the stop it would tilt by half a radian
+    assert rig.truth[0] == pytest.approx(0.0, abs=0.01)
+
+
+def test_services_hear_of_peers_that_leave_and_messages_to_them_are_nothing() -> None:
+    async def work(world: World) -> None:
+        server = world.server
+        url = await server.listen("tcpin://127.0.0.1:0")
+        clients = [await world.client(url.replace("tcpin", "tcp")) for _ in range(2)]
+        for client in clients:
+            client.send(pitch(0.1))
+        while len(world.grants.heard) < 2:
+            await asyncio.sleep(0.001)
+        await clients[0].close()
+        while not world.grants.left:
+            clients[1].send(grant(server.controller.tick + 25))
+            await asyncio.sleep(0.001)
+        (peer,) = world.grants.left
+        assert isinstance(peer, Peer)
+        assert not server.alive(peer)
+        before = server.lost
+        server.send(message("TWODOF_TICK", tick=0, until=0, number=0), peer)
+        assert server.lost == before + 1
+        server.send(message("TWODOF_TICK", tick=2**40, until=0, number=0))
+        assert server.lost == before + 2, "what fits no field is dropped"
+        await clients[1].close()
+
+    assert len(run(work).grants.left) == 1
+
+
+def test_messages_that_nobody_takes_are_counted() -> None:
+    async def work(world: World) -> None:
+        await world.server.listen("memin://nobody")
+        client = await world.client("mem://nobody")
+        for _ in range(3):
+            client.send(message("MISSION_COUNT", target_system=1, target_component=1, count=1))
+        while world.server.ignored < 3:
+            await asyncio.sleep(0.001)
+        await client.close()
+
+    run(work)
+
+
+def test_a_link_that_was_cut_is_opened_again() -> None:
+    async def work(world: World) -> None:
+        for _ in range(2):
+            # The flight controller goes to the other side here, as it does to a serial line.
+            other = Connection(await open_transport("memin://cut"), CLIENT, 1)
+            if not world.server.connections:
+                await world.server.listen("mem://cut")
+            while not other.transport.peers:
+                await asyncio.sleep(0.01)
+            tick = world.server.controller.tick
+            other.send(grant(tick + 10))
+            await ticked(other, tick + 10)
+            await other.close()
+
+    assert run(work).server.controller.tick == 20
+
+
+def test_with_a_key_only_what_is_signed_by_it_is_heard_and_what_it_says_is_signed() -> None:
+    key = Key.fresh()
+
+    async def work(world: World) -> None:
+        await world.server.listen("memin://signed")
+        strangers = [
+            await world.client("mem://signed"),
+            await world.client("mem://signed", Signing(Key.fresh(), Stamps(None))),
+        ]
+        for stranger in strangers:
+            stranger.send(grant(100))
+        friend = await world.client("mem://signed", Signing(key, Stamps(None)))
+        friend.send(grant(10))
+        await ticked(friend, 10)
+        for connection in (*strangers, friend):
+            await connection.close()
+
+    world = run(work, signing=Signing(key, Stamps(None)))
+    assert world.grants.heard == [("TWODOF_GRANT", 0)]
+    assert world.server.controller.tick == 10
+
+
+def test_a_hanging_loop_stops_the_motors_in_real_time() -> None:
+    """Something blocks the event loop in flight: the watchdog's thread stops the motors, the failsafe says why."""
+
+    async def work(world: World) -> None:
+        made, steps = world.server.controller, world.script.steps
+
+        def armed() -> bool:
+            return bool(steps) and steps[-1].fore > 0.0
+
+        world.script.change = lambda tick, asked: asked._replace(arm=tick > 25, thrust=0.4 if tick > 40 else 0.0)
+        while not armed():
+            await asyncio.sleep(0.004)
+        while not made.remarks:  # on a crowded machine the thread may be as late as the loop
+            time.sleep(0.3)
+            await asyncio.sleep(0.1)
+        while steps[-1].armed:
+            await asyncio.sleep(0.004)
+        assert "hung" in made.remarks[0][1]
+        assert (steps[-1].fore, steps[-1].aft) == (0.0, 0.0)
+
+    run(work, lockstep=False)
