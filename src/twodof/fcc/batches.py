@@ -55,7 +55,6 @@ class _Packing:
 
     mask: int
     every: int
-    slot: int = -1
     tick: int = 0
     rows: list[bytes] = field(default_factory=list)
 
@@ -121,9 +120,8 @@ class Batches:
         full = max(1, min(BATCH_VALUES // chosen.bit_count(), LATEST_TICKS // every + 1))
         for place, row in enumerate(_columns(mask, chosen).iter_unpack(values)):
             now = (tick + place * step) & 0xFFFFFFFF
-            if now // every == packing.slot:
+            if now % every:  # the vehicle's rows are at multiples of `every`, and so are ours
                 continue
-            packing.slot = now // every
             if packing.rows and now != packing.tick + len(packing.rows) * every:  # one was lost: a gap stays a gap
                 self.flush(client)
             if not packing.rows:

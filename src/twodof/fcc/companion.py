@@ -28,6 +28,8 @@ SWEEP_S = 0.1
 BEAT_S = 1.0
 # What has begun on a stream and does not go on for this long is no frame.
 BROKEN_OFF_S = 0.1
+# Its heartbeat comes each second.
+VEHICLE_SILENT_S = 3.0
 OPEN_S = 2.0
 FIRST_BACK_OFF_S, LONGEST_BACK_OFF_S = 0.1, 2.0
 
@@ -107,13 +109,14 @@ class Companion:
         self.vehicle = vehicle
         self.serve = tuple(serve)
         self.line = Line(line_rate)
-        self.reopened = 0
+        self.lost = 0
         self._signing = signing
         self._system = system
         self._ports: list[_Port] = []
         self._tasks: list[asyncio.Task[None]] = []
         self._parser = Parser()
-        self._fed = 0.0
+        self._fed = self._last_frame = 0.0
+        self._there = False
         self._pumping: asyncio.TimerHandle | None = None
         self._bytes = [0, 0]
 
@@ -172,31 +175,39 @@ class Companion:
 
     async def _keep_line(self) -> None:
         """Open it, read it until it breaks, and so on for ever, at growing intervals while it does not come back."""
-        wait, before = FIRST_BACK_OFF_S, False
+        wait, said = FIRST_BACK_OFF_S, False
         while True:
             try:
                 transport = await open_transport(self.vehicle, OPEN_S)
             except LinkError as error:
-                if not before:
+                if not said:
                     self.component.link(False, f"flight controller not reached: {error.what}")
-                    before = True
+                    said = True
                 await asyncio.sleep(wait)
                 wait = min(2.0 * wait, LONGEST_BACK_OFF_S)
                 continue
-            wait, before = FIRST_BACK_OFF_S, True
             self._parser = Parser()
             self.line.connect(transport)
             self.router.started()
-            self.component.link(True, "flight controller connected")
+            opened = self._loop.time()
             try:
                 await self._read(transport, self._from_vehicle)
             except LinkLost as error:
                 self.line.cut()
-                self.reopened += 1
-                self.component.link(False, f"flight controller lost: {error.what}")
+                self.lost += 1
+                self._heard(False, f"flight controller lost: {error.what}")
             finally:
                 await transport.close()
+            if self._loop.time() - opened > LONGEST_BACK_OFF_S:  # it stood for a while
+                wait = FIRST_BACK_OFF_S
             await asyncio.sleep(wait)
+            wait = min(2.0 * wait, LONGEST_BACK_OFF_S)
+
+    def _heard(self, there: bool, why: str) -> None:
+        """The vehicle is heard, or is not any more: said when it changes."""
+        if there != self._there:
+            self._there = there
+            self.component.link(there, why)
 
     def _from_vehicle(self, packet: Packet) -> None:
         self._fed = self._loop.time()
@@ -204,8 +215,12 @@ class Companion:
         transport = self.line.transport
         whole = transport is not None and transport.whole
         for frame in self._parser.feed(packet.data, whole):
-            if transport is not None and frame.known:
-                transport.confirm(packet.peer)
+            if frame.known:
+                if transport is not None:
+                    transport.confirm(packet.peer)
+                self._last_frame = self._fed
+                if not self._there:
+                    self._heard(True, "flight controller heard")
             self.router.from_vehicle(frame)
         self._pump()
 
@@ -301,6 +316,9 @@ class Companion:
                 for frame in self._parser.feed(b"", whole=True):
                     self.router.from_vehicle(frame)
             if self.line.transport is not None:
+                if self._there and now - self._last_frame > VEHICLE_SILENT_S:
+                    self._heard(False, f"flight controller silent for {VEHICLE_SILENT_S:g} s")
+                    self.router.started()  # it may come back as one that was started anew
                 self.router.asking.poll(now)
             self._pump()
 

@@ -15,8 +15,8 @@ from twodof.fcc.asking import Asking
 from twodof.fcc.batches import TICK_US, Batches
 from twodof.fcc.client import Client, Identity, Wish
 from twodof.fcc.line import Line
-from twodof.fcc.rates import EVERY, OFF, group, profiles
-from twodof.fcc.streams import Streams, events
+from twodof.fcc.rates import EVERY, OFF, group
+from twodof.fcc.streams import Streams, events, settled
 from twodof.link.framing import Frame, encode
 from twodof.link.messages import BATCH_VALUES, message
 from twodof.link.signing import Signing, Verdict
@@ -229,8 +229,7 @@ class Router:
         self.streams.changed()
         now = self.clock()
         asked = {number for client in self.clients for number in client.wishes} | set(self.asking.granted)
-        timed = {number for rows in profiles().values() for number, one in rows.items() if one > EVERY}
-        for number in sorted(asked | timed):
+        for number in sorted(asked.union(settled())):
             self.asking.want(number, self.streams.wanted(number), now)
 
     def _intercepts(self, client: Client, frame: Frame, asked: wire.Command) -> bool:

@@ -33,13 +33,22 @@ _EVENTS = (
     *("TWODOF_GRANT", "TWODOF_LEASE", "TWODOF_PARAM_TRANSACTION"),
 )
 # Nobody gets these who has not asked.
-_ON_REQUEST = ("TWODOF_BATCH", "TWODOF_TRUTH")
+_ON_REQUEST = ("TWODOF_BATCH", "TWODOF_TRUTH", "TWODOF_TOF")
 
 
 @cache
 def events() -> frozenset[int]:
     """Ids of the messages that no rate can be asked for."""
     return frozenset(dialect.message_id(name) for name in _EVENTS)
+
+
+@cache
+def settled() -> tuple[int, ...]:
+    """Ids of the messages that the vehicle is told about without anybody having asked: the rates of some clients are
+    given, and what nobody gets unasked (but a batch or the truth, which it sends to nobody) need not cross the line.
+    """
+    timed = {number for rows in profiles().values() for number, one in rows.items() if one > EVERY}
+    return tuple(sorted(timed | {dialect.message_id("TWODOF_TOF")}))
 
 
 @cache
