@@ -2,8 +2,10 @@
 
 import asyncio
 import selectors
-from collections.abc import Coroutine
+from collections.abc import Callable, Coroutine
 from typing import Any
+
+from twodof.errors import TwodofError
 
 # What waits longer than this in virtual time with nothing else due hangs.
 HORIZON_S = 3600.0
@@ -37,6 +39,15 @@ class VirtualLoop(asyncio.SelectorEventLoop):
     def time(self) -> float:
         """Virtual time [s]."""
         return self._jumping.now
+
+    def run_in_executor(self, executor: Any, func: Callable[..., Any], *args: Any) -> Any:
+        """Call it here and now: in another thread real time would pass, and the clock here would run away from it."""
+        future = self.create_future()
+        try:
+            future.set_result(func(*args))
+        except (OSError, TwodofError) as error:
+            future.set_exception(error)
+        return future
 
 
 def run_virtual(work: Coroutine[Any, Any, Any]) -> Any:

@@ -13,7 +13,7 @@ from twodof.link.modes import MANUAL
 from twodof.link.opening import open_transport
 
 _names = itertools.count(1)
-PARAMETERS = {"ATT_KP": 11.0, "RATE_KP": 0.0854, "SYS_AUTOSTART": 4001}
+PARAMETERS = {"ATT_KP": 11.0, "RATE_KP": 0.0854, "THRUST_BAR": 0.4, "SYS_AUTOSTART": 4001}
 
 
 class Peer:
@@ -128,6 +128,10 @@ class Peer:
         """Say what it stands on."""
         flags = 4 | (8 if self.lockstep else 0)
         self.send("TWODOF_RIG", tick=self.tick, tick_us=4000, flags=flags, name="paper", controller="cascade")
+
+    def _twodof_rig_reset(self, *_: Any) -> None:
+        self.tick = 0
+        self.rig()
 
     def _twodof_lease(self, got: Any, frame: Any) -> None:
         who = (frame.system, frame.component)

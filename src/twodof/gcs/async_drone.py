@@ -9,7 +9,7 @@ from math import ceil
 from pathlib import Path
 from typing import Any, Self
 
-from twodof.errors import LinkLost, Rejected, Timeout, TwodofError
+from twodof.errors import LinkLost, ParameterError, Rejected, Timeout, TwodofError
 from twodof.excitation import Excitation
 from twodof.gcs import setpoints
 from twodof.gcs.batches import Batches, Rows
@@ -38,6 +38,7 @@ from twodof.link.statistics import LinkStatistics
 
 DEFAULT_URL = "udpin://127.0.0.1:14540"
 TIMEOUT_S = 5.0
+HOVER = "THRUST_BAR"
 LEAVING_S = 3.0
 # Offboard is refused until set-points have come for a while; they are sent meanwhile.
 _MODE_RETRY_S = 0.1
@@ -71,6 +72,7 @@ class AsyncDrone:
         self.recordings = Recordings(session, self.commands, self.batches, self.texts, self.clock)
         self.logs = Logs(session)
         self.commands.on_progress = self._one_tick
+        self._last_thrust: float | None = None
         self.ours = False  # one of ours, not somebody else's PX4
         self._closed = False
 
@@ -182,6 +184,7 @@ class AsyncDrone:
         """Disarm it, and see that it is; set-points are sent no more. Needs no lease."""
         deadline = self._deadline(timeout, "disarming")
         self.setpoints.stop()
+        self._last_thrust = None
         await self.commands.run("COMPONENT_ARM_DISARM", [0.0], timeout, "disarming")
         await self._see(lambda: not self.state.armed, deadline)
 
@@ -227,12 +230,12 @@ class AsyncDrone:
         await self._follow(setpoints.moment(M, thrust), timeout)
 
     async def set_pitch(self, theta: float, thrust: float | None = None, timeout: float = TIMEOUT_S) -> None:
-        """Follow a pitch [rad]; `thrust` 0 to 1, None: as it is."""
-        await self._follow(setpoints.pitch(theta, thrust), timeout)
+        """Follow a pitch [rad]; `thrust` 0 to 1, None: the last one given, at first the parameter THRUST_BAR."""
+        await self._follow(setpoints.pitch(theta, await self._thrust(thrust, timeout)), timeout)
 
     async def set_pitch_rate(self, q: float, thrust: float | None = None, timeout: float = TIMEOUT_S) -> None:
-        """Follow a pitch rate [rad/s]; `thrust` 0 to 1, None: as it is."""
-        await self._follow(setpoints.pitch_rate(q, thrust), timeout)
+        """Follow a pitch rate [rad/s]; `thrust` as in `set_pitch`."""
+        await self._follow(setpoints.pitch_rate(q, await self._thrust(thrust, timeout)), timeout)
 
     async def set_velocity(self, v: float, acceleration: float | None = None, timeout: float = TIMEOUT_S) -> None:
         """Follow a velocity along the rail [m/s], with an acceleration [m/s^2] fed forward."""
@@ -245,6 +248,17 @@ class AsyncDrone:
     def stop_setpoints(self) -> None:
         """Send no more set-points: after .5 s the drone levels itself."""
         self.setpoints.stop()
+
+    async def _thrust(self, thrust: float | None, timeout: float) -> float:
+        if thrust is not None:
+            self._last_thrust = thrust
+        elif self._last_thrust is None and self.ours:
+            return await self.parameters.read(HOVER, timeout)
+        elif self._last_thrust is None:
+            raise ParameterError("nothing says which thrust lets it hover", "set-point", "give thrust=")
+        else:
+            return self._last_thrust
+        return thrust
 
     async def _follow(self, setpoint: Setpoint, timeout: float) -> None:
         """Stream it, and switch to a mode in which it is followed; refusals are tried again while it streams."""

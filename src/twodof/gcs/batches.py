@@ -19,6 +19,7 @@ from twodof.link.messages import batch_rows, channel_mask
 
 MESSAGE = "TWODOF_BATCH"
 TIMEOUT_S = 5.0
+LEAVING_S = 1.0
 MOST_ROWS = 4_000_000
 """More than four hours; then the oldest half is let go and counted as lost."""
 
@@ -107,12 +108,12 @@ class Batches:
         self._wanted[key] = channel_mask(list(columns))
         self._takers[key] = taker
         try:
-            await self._subscribe()
+            await self._subscribe(TIMEOUT_S)
             yield
         finally:
             del self._wanted[key]
             with suppress(LinkLost, Rejected, Timeout):  # what is not wanted any more harms nobody
-                await self._subscribe()
+                await self._subscribe(LEAVING_S)
             del self._takers[key]
 
     @asynccontextmanager
@@ -122,7 +123,7 @@ class Batches:
         async with self.to(rows.columns, rows.take):
             yield rows
 
-    async def _subscribe(self) -> None:
+    async def _subscribe(self, timeout: float) -> None:
         mask = 0
         for one in self._wanted.values():
             mask |= one
@@ -130,7 +131,7 @@ class Batches:
             return
         period = round(TICK_S * 1e6) if mask else -1
         values = [dialect.message_id(MESSAGE), period, mask & 0xFFFF, mask >> 16]
-        await self._commands.run("SET_MESSAGE_INTERVAL", values, TIMEOUT_S, "subscribing to full-rate samples")
+        await self._commands.run("SET_MESSAGE_INTERVAL", values, timeout, "subscribing to full-rate samples")
         self._mask = mask
 
     def _take(self, got: Any) -> None:

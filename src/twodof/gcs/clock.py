@@ -15,8 +15,11 @@ _STAMPED_MS = ("ATTITUDE", "ATTITUDE_TARGET", "LOCAL_POSITION_NED", "ATTITUDE_QU
 _TICKED = ("TWODOF_SAFETY", "TWODOF_TIMING", "TWODOF_EXCITE_STATUS", "TWODOF_RIG")
 # Real time of the drone's silence over its own time, after which it stands still.
 STANDS_STILL_S = 3.0
-# Lockstep: real time that a slice may take, and how much of the drone's time goes by in one.
-SLICE_WALL_S = 10.0
+# A drone's clock that runs slower than this is none.
+SLOWEST = 1.5
+# Lockstep: real time that may go by, apart from and for each second of the drone's; its time that goes by in a slice.
+SLICE_WALL_S = 5.0
+SLOWEST_LOCKSTEP = 10.0
 SLICE_TICKS = 25
 SETPOINT_TICKS = 5
 
@@ -52,36 +55,41 @@ class Clock:
 
         Raises LinkLost; Timeout if its time stands still.
         """
-        if self.lockstep:
-            step = SETPOINT_TICKS if done is not None else SLICE_TICKS
-            while self.tick < tick and not (done is not None and done()):
-                await self._grant(min(tick, self.tick + step))
-        else:
+        if not self.lockstep:
             await self._pass(tick, done)
+            return
+        step = SETPOINT_TICKS if done is not None else SLICE_TICKS
+        wall = SLICE_WALL_S + SLOWEST_LOCKSTEP * max(0, tick - self.tick) * TICK_S
+        deadline = Deadline(wall, f"granting time up to tick {tick}", f"drone {self._session.system}")
+        for until in [*range(self.tick + step, tick, step), tick]:
+            if self.tick >= tick or (done is not None and done()):
+                return
+            await self._grant(until, deadline)
 
-    async def _grant(self, until: int) -> None:
+    async def _grant(self, until: int, deadline: Deadline) -> None:
         session, number = self._session, next(self._numbers)
         for prepare in self.before_slice:
             prepare(self.tick, until)
         place = {"target_system": session.system, "target_component": session.component}
-        deadline = Deadline(SLICE_WALL_S, f"granting time up to tick {until}", f"drone {session.system}")
         await session.ask(
             lambda _: message("TWODOF_GRANT", until=until, number=number, **place),
             ("TWODOF_TICK",),
-            lambda got: True if got.tick >= until else None,
+            lambda got: True if got.number == number and got.tick >= until else None,
             deadline,
         )
+        self.tick = until
 
     async def _pass(self, tick: int, done: Callable[[], bool] | None) -> None:
         session = self._session
         moved, seen = session.now, self.tick
+        end = moved + STANDS_STILL_S + SLOWEST * max(0, tick - seen) * TICK_S
         with session.listen(*_STAMPED_MS, *_TICKED) as heard:
             while self.tick < tick and not (done is not None and done()):
                 if self.tick != seen:
                     moved, seen = session.now, self.tick
-                if session.now - moved > STANDS_STILL_S:
+                if session.now - moved > STANDS_STILL_S or session.now > end:
                     raise Timeout(
-                        f"the drone's time stands still at tick {self.tick}",
+                        f"the drone's time does not pass as ours does: it is at tick {self.tick}",
                         f"drone {session.system}",
                         "nothing that carries its time comes: subscribe to ATTITUDE, or look at the link",
                     )

@@ -161,11 +161,11 @@ class Drone:
         self._runner.run(self.there.set_moment(M, thrust))
 
     def set_pitch(self, theta: float, thrust: float | None = None) -> None:
-        """Follow a pitch [rad]; `thrust` 0 to 1, None: as it is."""
+        """Follow a pitch [rad]; `thrust` 0 to 1, None: the last one given, at first the parameter THRUST_BAR."""
         self._runner.run(self.there.set_pitch(theta, thrust))
 
     def set_pitch_rate(self, q: float, thrust: float | None = None) -> None:
-        """Follow a pitch rate [rad/s]; `thrust` 0 to 1, None: as it is."""
+        """Follow a pitch rate [rad/s]; `thrust` as in `set_pitch`."""
         self._runner.run(self.there.set_pitch_rate(q, thrust))
 
     def set_velocity(self, v: float, acceleration: float | None = None) -> None:

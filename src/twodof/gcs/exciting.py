@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import count
-from math import nan
+from math import ceil, nan
 from typing import Any
 
 from twodof.errors import ExperimentError, Rejected, listed, shown
 from twodof.excitation import Excitation
-from twodof.gcs.clock import Clock
+from twodof.gcs.clock import TICK_S, Clock
 from twodof.gcs.deadline import Deadline
 from twodof.gcs.session import RETRY_S, Session
 from twodof.link.messages import excite, message
@@ -68,6 +68,9 @@ class Exciter:
         playback = await self._session.ask(
             lambda _: start, ("TWODOF_EXCITE_STATUS",), lambda got: _begun(got, transfer, at), deadline
         )
+        # The drone may not make us wait for longer than it plays.
+        longest = ceil(excitation.duration / TICK_S) + 1
+        playback.end_tick = min(playback.end_tick, max(playback.start_tick, self._clock.tick) + longest)
         self._playback = playback
         return playback
 
@@ -101,7 +104,7 @@ class Exciter:
         playback = self._playback
         if playback is not None and got.transfer == playback.transfer:
             if got.state == _PLAYING:
-                playback.state, playback.start_tick, playback.end_tick = "playing", got.start_tick, got.end_tick
+                playback.state = "playing"
             elif got.state in (_DONE, _STOPPED, _REFUSED):
                 playback.state = "done" if got.state == _DONE else "stopped"
                 playback.reason = str(got.reason)

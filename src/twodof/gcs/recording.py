@@ -32,6 +32,7 @@ SAFETY = Stream(
 )
 MOST_TEXTS = 1000
 TIMEOUT_S = 5.0
+LEAVING_S = 1.0
 # Batches that are written together: 64 of all channels are half a second.
 TOGETHER = 64
 _EVENTS = "openloop"
@@ -231,7 +232,7 @@ class Recordings:
                     stack.enter_context(session.handling(handler, name))
                 stack.enter_context(self._texts.listening(lambda line: recording.said(self._clock.tick, line)))
                 if truth:
-                    await self._interval(TICK_US)
+                    await self._interval(TICK_US, TIMEOUT_S)
                     stack.push_async_callback(self._quietly, -1)
                 if recording.columns:
                     await stack.enter_async_context(self._batches.to(recording.columns, recording.take))
@@ -242,8 +243,8 @@ class Recordings:
 
     async def _quietly(self, interval: int) -> None:
         with suppress(LinkLost, Rejected, Timeout):  # what is not wanted any more harms nobody
-            await self._interval(interval)
+            await self._interval(interval, LEAVING_S)
 
-    async def _interval(self, interval: int) -> None:
+    async def _interval(self, interval: int, timeout: float) -> None:
         values = [dialect.message_id("TWODOF_TRUTH"), interval]
-        await self._commands.run("SET_MESSAGE_INTERVAL", values, TIMEOUT_S, "subscribing to the rig's true state")
+        await self._commands.run("SET_MESSAGE_INTERVAL", values, timeout, "subscribing to the rig's true state")

@@ -15,7 +15,7 @@ from twodof.errors import LinkLost, ParameterError, shown
 from twodof.gcs.clock import SETPOINT_TICKS, TICK_MS, Clock
 from twodof.gcs.session import Session
 from twodof.link.messages import message
-from twodof.link.setpoints import NO_THRUST, attitude_target, position_target, rate_target, velocity_target
+from twodof.link.setpoints import attitude_target, position_target, rate_target, velocity_target
 
 PERIOD_S = 0.02
 
@@ -42,13 +42,13 @@ def moment(M: float, thrust: float | None) -> Setpoint:
     )
 
 
-def pitch(theta: float, thrust: float | None) -> Setpoint:
-    """Pitch [rad]; thrust None leaves the thrust as it is."""
+def pitch(theta: float, thrust: float) -> Setpoint:
+    """Pitch [rad]; thrust 0 to 1."""
     return _attitude(attitude_target, _number("theta", theta), thrust)
 
 
-def pitch_rate(q: float, thrust: float | None) -> Setpoint:
-    """Pitch rate [rad/s]; thrust None leaves the thrust as it is."""
+def pitch_rate(q: float, thrust: float) -> Setpoint:
+    """Pitch rate [rad/s]; thrust 0 to 1."""
     return _attitude(rate_target, _number("q", q), thrust)
 
 
@@ -62,16 +62,9 @@ def position(x: float, acceleration: float | None) -> Setpoint:
     return _along_rail(position_target, _number("x", x), acceleration)
 
 
-def _attitude(make: Callable[..., Any], value: float, thrust: float | None) -> Setpoint:
+def _attitude(make: Callable[..., Any], value: float, thrust: float) -> Setpoint:
     power = _thrust(thrust)
-
-    def made(tick: int, place: dict[str, int]) -> Any:
-        sent = make(value, power, time_boot_ms=tick * TICK_MS, **place)
-        if thrust is None:
-            sent.type_mask |= NO_THRUST
-        return sent
-
-    return Setpoint(("offboard",), made)
+    return Setpoint(("offboard",), lambda tick, place: make(value, power, time_boot_ms=tick * TICK_MS, **place))
 
 
 def _along_rail(make: Callable[..., Any], value: float, acceleration: float | None) -> Setpoint:

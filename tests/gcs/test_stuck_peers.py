@@ -1,0 +1,224 @@
+"""Stuck peers: silent, dying at every message, talking rubbish, answering wrongly. Each call ends in time, rightly."""
+
+import asyncio
+import random
+import socket
+import threading
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.faults.virtual_time import run_virtual
+from tests.gcs.peer import Peer
+from twodof.errors import LinkError, LinkLost, LogError, ParameterError, Rejected, Timeout
+from twodof.excitation import Doublet
+from twodof.gcs.async_drone import AsyncDrone
+from twodof.gcs.drone import Drone
+from twodof.gcs.log_download import LogEntry
+
+CALL_S = 6.0
+# A call may notice at its next look, which is at most a second later; words for a refusal take .3 s.
+LATE_S = 1.5
+# Two subscriptions of 5 s each, and a second each to end them.
+RECORD_S = 12.0
+# Where time is granted: 5 s, and ten times the .6 s that are waited.
+WAIT_S = 11.0
+EXCITATION = Doublet(0.1, 0.2, unit="rad")
+ENTRY = LogEntry(0, 1280, 0)
+Spoil = Callable[[int, Any], list[Any] | None]
+
+
+def calls(drone: AsyncDrone, folder: Path) -> dict[str, Callable[[], Awaitable[Any]]]:
+    """Every call that waits for the drone, with a deadline of CALL_S at most."""
+
+    async def batch() -> None:
+        async with drone.batch(["estimate.q"]):
+            pass
+
+    async def record() -> None:
+        async with drone.record(folder / f"{len(list(folder.iterdir()))}.mcap"):
+            pass
+
+    here = drone.tick
+    made = {
+        "read": lambda: drone.parameters.read("ATT_KP", CALL_S),
+        "list": lambda: drone.parameters.all(CALL_S),
+        "update": lambda: drone.parameters.update({"ATT_KP": 6.0, "RATE_KP": 0.05}, CALL_S),
+        "set": lambda: drone.parameters.set("ATT_KP", 7.0, CALL_S),
+        "undo": lambda: drone.parameters.undo(CALL_S),
+        "arm": lambda: drone.arm(CALL_S),
+        "level_hold": lambda: drone.level_hold(CALL_S),
+        "set_pitch": lambda: drone.set_pitch(0.1, timeout=CALL_S),
+        "set_moment": lambda: drone.set_moment(0.1, timeout=CALL_S),
+        "excite": lambda: drone.excite(EXCITATION, timeout=CALL_S, wait=False),
+        "run": lambda: drone.run(0.1),
+        "next": lambda: drone.telemetry("theta").next(timeout=CALL_S),
+        "wait": lambda: drone.wait_until(lambda: drone.tick > here + 125, timeout=0.6),
+        "batch": batch,
+        "record": record,
+        "stream": lambda: drone.stream("ATTITUDE", 50.0, CALL_S),
+        "logs": lambda: drone.logs.list(CALL_S),
+        "download": lambda: drone.logs.download(ENTRY, folder / "log.ulg", CALL_S),
+        "reset": lambda: drone.reset(timeout=CALL_S),
+        "disarm": lambda: drone.disarm(CALL_S),
+        "kill": lambda: drone.kill(CALL_S),
+    }
+    if drone.session.lockstep:
+        del made["next"]  # nothing comes while time stands still
+    return made
+
+
+class Conversation:
+    """Connects to a spoilt peer and makes every call: what each ended in, and how long it took."""
+
+    def __init__(self, folder: Path, spoil: Spoil | None = None, lockstep: bool = False) -> None:
+        self.folder = folder
+        self.peer = Peer(lockstep=lockstep, spoil=spoil)
+        self.ended: dict[str, BaseException | None] = {}
+        self.took: dict[str, float] = {}
+        run_virtual(self._talk())
+
+    async def _talk(self) -> None:
+        loop = asyncio.get_running_loop()
+        loop.set_exception_handler(lambda _, context: None)  # messages that are refused are counted, not printed
+        async with self.peer:
+            connected: list[AsyncDrone] = []
+
+            async def connect() -> None:
+                connected.append(await AsyncDrone.connect(self.peer.url, timeout=CALL_S))
+
+            await self._end("connect", connect)
+            if connected:
+                for name, call in calls(connected[0], self.folder).items():
+                    await self._end(name, call)
+                await self._end("close", connected[0].close)
+        left = asyncio.all_tasks() - {asyncio.current_task()}
+        assert left == set(), "something was left running"
+
+    async def _end(self, name: str, call: Callable[[], Awaitable[Any]]) -> None:
+        loop = asyncio.get_running_loop()
+        start = loop.time()
+        try:
+            await call()
+            self.ended[name] = None
+        except (LinkError, LogError, ParameterError, Rejected, Timeout) as error:
+            self.ended[name] = error
+        self.took[name] = loop.time() - start
+
+    def check(self) -> None:
+        """Every call ended in time."""
+        longest = {"record": RECORD_S, "wait": WAIT_S}
+        late = {name: took for name, took in self.took.items() if took > longest.get(name, CALL_S) + LATE_S}
+        assert late == {}
+
+    @property
+    def failed(self) -> dict[str, BaseException]:
+        """Calls that ended in an error."""
+        return {name: error for name, error in self.ended.items() if error is not None}
+
+
+@pytest.mark.parametrize("lockstep", [False, True])
+def test_with_a_sound_peer_every_call_succeeds(tmp_path: Path, lockstep: bool) -> None:
+    talk = Conversation(tmp_path, lockstep=lockstep)
+    assert talk.failed == {}
+    assert (tmp_path / "log.ulg").read_bytes() == talk.peer.log
+    assert len(talk.ended) == 23 - lockstep
+
+
+def test_one_that_says_nothing_is_no_drone(tmp_path: Path) -> None:
+    talk = Conversation(tmp_path, spoil=lambda *_: [])
+    talk.check()
+    assert isinstance(talk.ended["connect"], LinkLost)
+    assert talk.took["connect"] == pytest.approx(CALL_S, abs=0.1)
+
+
+@pytest.mark.parametrize("lockstep", [False, True])
+def test_one_that_dies_at_any_message(tmp_path: Path, lockstep: bool) -> None:
+    """The link ends instead of message i: the call that waits, and each one after it, ends in LinkLost at once."""
+    total = Conversation(tmp_path, lockstep=lockstep).peer.sent
+    # Most of a conversation in real time is telemetry: the first messages, then every seventh, meet every call.
+    for last in [*range(40), *range(40, total, 1 if lockstep else 7)]:
+        folder = tmp_path / str(last)
+        folder.mkdir()
+        talk = Conversation(folder, lambda count, sent, last=last: [sent] if count < last else None, lockstep)
+        talk.check()
+        names = list(talk.failed)
+        assert names or last == total - 1, last  # the last one is the end of the lease, which ends by itself too
+        assert all(type(error) is LinkLost for error in talk.failed.values()), (last, talk.failed)
+        late = {name: talk.took[name] for name in names if talk.took[name] > 0.0}
+        assert sum(late.values()) < LATE_S, (last, late)
+        everything = list(talk.ended)
+        assert not names or names == everything[everything.index(names[0]) : everything.index(names[0]) + len(names)], (
+            last
+        )
+
+
+@pytest.mark.parametrize("lockstep", [False, True])
+def test_one_that_falls_silent_at_any_message(tmp_path: Path, lockstep: bool) -> None:
+    """The link stays, nothing more comes: LinkLost 3 s later, or where time stands still at the call's own deadline."""
+    total = Conversation(tmp_path, lockstep=lockstep).peer.sent
+    for last in range(0, total, 5 if lockstep else 23):
+        folder = tmp_path / str(last)
+        folder.mkdir()
+        talk = Conversation(folder, lambda count, sent, last=last: [sent] if count < last else [], lockstep)
+        talk.check()
+        assert all(isinstance(error, LinkLost | Timeout) for error in talk.failed.values()), (last, talk.failed)
+        assert "connect" in talk.failed or "close" in talk.ended
+
+
+def test_one_that_talks_rubbish_is_no_drone(tmp_path: Path) -> None:
+    chance = random.Random(1)
+    talk = Conversation(tmp_path, spoil=lambda *_: [chance.randbytes(60)])
+    talk.check()
+    assert isinstance(talk.ended["connect"], LinkLost)
+
+
+def spoilt(sent: Any, chance: random.Random) -> Any:
+    """The message with one field after another set to what is wrong, now and then."""
+    for name, kind, length in zip(sent.fieldnames, sent.fieldtypes, _lengths(sent), strict=True):
+        if chance.random() > 0.3 or kind == "char":
+            continue
+        bits = {"8": 8, "1": 16, "3": 32, "6": 64}.get(kind.strip("uint_")[:1], 0)
+        if kind in ("float", "double"):
+            values: list[Any] = [0.0, -1.0, 1e30, float("nan"), float("inf")]
+        elif kind.startswith("uint"):
+            values = [0, 1, (1 << bits) - 1]
+        else:
+            values = [-(1 << bits - 1), -1, 0, (1 << bits - 1) - 1]
+        value = chance.choice(values)
+        setattr(sent, name, [value] * length if length else value)
+    return sent
+
+
+def _lengths(sent: Any) -> list[int]:
+    lengths = dict(zip(sent.ordered_fieldnames, sent.array_lengths, strict=True))
+    return [0 if kind == "char" else lengths[name] for name, kind in zip(sent.fieldnames, sent.fieldtypes, strict=True)]
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("lockstep", [False, True])
+def test_one_that_answers_wrongly_for_long(tmp_path: Path, lockstep: bool) -> None:
+    for seed in range(1000, 2000):
+        folder = tmp_path / str(seed)
+        folder.mkdir()
+        test_one_that_answers_wrongly(folder, lockstep, seed)
+
+
+@pytest.mark.parametrize("lockstep", [False, True])
+@pytest.mark.parametrize("seed", range(12))
+def test_one_that_answers_wrongly(tmp_path: Path, lockstep: bool, seed: int) -> None:
+    """Any field of any message after the first heartbeat may hold anything: every call still ends, in time."""
+    chance = random.Random(seed)
+    talk = Conversation(tmp_path, lambda count, sent: [spoilt(sent, chance) if count else sent], lockstep)
+    talk.check()
+
+
+def test_a_server_that_accepts_and_says_nothing_holds_nobody_up() -> None:
+    """The synchronous face, over TCP and in real time."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        before = threading.active_count()
+        with pytest.raises(LinkLost, match="no drone was heard"):
+            Drone.connect(f"tcp://127.0.0.1:{server.getsockname()[1]}", timeout=0.3)
+        assert threading.active_count() == before
