@@ -135,7 +135,7 @@ class Commander:
         if lease.holder is not None:
             if self.lockstep:
                 lease.hear(lease.holder, tick)
-            if lease.expire(tick, self._flying):
+            if lease.expire(self._now, self._flying):
                 self._remark(4 if lease.orphaned else 6, "nobody holds the lease any more")
         if helm.changed or link is not self._asked.link_new:
             self._asked = helm.asked(tick, self._arming.word, link)
@@ -353,7 +353,6 @@ class Commander:
         helm = self._helm
         while (due := helm.schedule.due(tick)) is not None:
             if self._lease.holder == due.source:
-                self._lease.command(due.source, tick)
                 helm.take(due.setpoint, due.kind, tick, self._arming.word)
             else:
                 self.refused["lease"] += 1
@@ -372,6 +371,6 @@ class Commander:
             self.player.finish(STOPPED, f"{ACTIONS[step.action]}: {', '.join(named_causes(step.reason))}")
         if self._armed and not step.armed:
             self._lease.orphaned = False
-            reasons = ", ".join(named_causes(step.reason))
-            self._helm.rest(f"the motors were stopped: {reasons}" if reasons else "disarmed")
+            if self._arming.word:  # else a command has disarmed it, and what came since is for the next flight
+                self._helm.rest(f"the motors were stopped: {', '.join(named_causes(step.reason))}")
         self._armed = step.armed

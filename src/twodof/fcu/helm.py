@@ -91,7 +91,7 @@ class Helm:
         """The motors stand: nothing is asked for any more, nothing waits, nothing plays."""
         if self.player.playing or self.player.waiting:
             self.player.finish(STOPPED, why)
-        self.values, self._offer = Values(), Values()
+        self.values = self._offer = self._latest = Values()
         self._live, self._on_board, self._fresh, self.changed = False, False, False, True
         self.schedule.clear()
 

@@ -1,0 +1,458 @@
+"""The commander: modes, set-points, arming, the kill, and what is asked of the flight code for each of them."""
+
+from math import inf, nan
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.fcu.cockpit import COMPANION, ME, OTHER, Cockpit, Rig, armed
+from twodof.fcu.asked import DENIED, FAILED, IN_PROGRESS, TEMPORARILY_REJECTED, UNSUPPORTED, Asked
+from twodof.fcu.helm import FRESH
+from twodof.fcu.schedule import CAPACITY, HORIZON
+from twodof.fcu.setpoints import ATTITUDE, OFF, OPEN_LOOP, OPENLOOP, POSITION, RATE, VELOCITY, SetPoint
+from twodof.fcu.sticks import PITCH_AT_FULL, RATE_AT_FULL, VELOCITY_AT_FULL
+from twodof.flight.causes import BIT
+from twodof.flight.failsafe_machine import DISARMED, LEVEL
+from twodof.flight.failsafe_machine import OFF as STOPPED_BY_FAILSAFE
+from twodof.link import modes
+
+LEVEL_FLIGHT = SetPoint(ATTITUDE, theta0=0.0, thrust=0.4)
+
+
+def offboard(setpoint: SetPoint = LEVEL_FLIGHT, **options: object) -> Cockpit:
+    """Armed, and flying a set-point."""
+    cockpit = armed(**options)
+    assert cockpit.commander.setpoint(ME, setpoint).accepted
+    assert cockpit.commander.set_mode(ME, modes.OFFBOARD).accepted
+    cockpit.run()
+    return cockpit
+
+
+# Arming.
+
+
+def test_arming_is_an_edge_that_the_failsafe_answers_in_its_tick() -> None:
+    cockpit = Cockpit()
+    cockpit.run(3)
+    assert cockpit.commander.arm(ME).result == IN_PROGRESS
+    assert not cockpit.commander.armed
+    assert cockpit.run().arm
+    assert cockpit.commander.arming.accepted
+    assert cockpit.commander.armed
+    assert cockpit.commander.arm(ME).accepted
+
+
+def test_armed_and_nothing_asked_the_motors_are_off() -> None:
+    cockpit = armed()
+    assert cockpit.run(10) == Asked(arm=True, link_new=True)
+
+
+@pytest.mark.parametrize("cause", sorted(BIT))
+def test_every_cause_that_the_failsafe_has_refuses_arming_by_its_name(cause: str) -> None:
+    cockpit = Cockpit()
+    cockpit.failsafe.causes = BIT[cause]
+    cockpit.run(3)
+    cured = cause == "link_lost"  # the command itself is heard over the link
+    if not cured:
+        verdict = cockpit.commander.arm(ME)
+        assert verdict.result == TEMPORARILY_REJECTED
+        assert cause in verdict.text
+    cockpit.failsafe.causes = 0
+    cockpit.run()
+    assert cockpit.commander.arm(ME).result == IN_PROGRESS
+    cockpit.failsafe.causes = BIT[cause]  # it comes in the very tick
+    cockpit.run()
+    assert cockpit.commander.arming.result == TEMPORARILY_REJECTED
+    assert cause in cockpit.commander.arming.text
+    assert not cockpit.run().arm
+    assert cockpit.failsafe.state == DISARMED
+
+
+def test_arming_is_refused_by_safety_switch_rings_and_before_any_sensor_was_heard() -> None:
+    cockpit = Cockpit()
+    assert "no sensor" in cockpit.commander.arm(ME).text
+    cockpit.run(2)
+    cockpit.rig.safety_off = False
+    assert "safety switch" in cockpit.commander.arm(ME).text
+    cockpit.rig.safety_off = True
+    cockpit.commander.set_mode(ME, modes.POSITION)
+    cockpit.rig.rings = True
+    assert "rings_wrong" in cockpit.commander.arm(ME).text
+    cockpit.rig.rings = False
+    assert cockpit.arm().accepted
+
+
+def test_a_forced_arming_skips_nothing() -> None:
+    cockpit = Cockpit()
+    cockpit.failsafe.causes = BIT["tilted"]
+    cockpit.run(2)
+    verdict = cockpit.commander.arm(ME, force=True)
+    assert verdict.result == TEMPORARILY_REJECTED
+    assert "tilted" in verdict.text
+
+
+def test_arming_is_refused_while_set_points_ask_for_thrust_in_the_mode() -> None:
+    cockpit = Cockpit()
+    cockpit.run(2)
+    commander = cockpit.commander
+    commander.setpoint(ME, LEVEL_FLIGHT)
+    assert commander.set_mode(ME, modes.OFFBOARD).accepted
+    assert "not_idle" in commander.arm(ME).text
+    commander.setpoint(ME, LEVEL_FLIGHT._replace(thrust=0.0))
+    assert cockpit.arm().accepted
+    # Streamed on without thrust it stays off; the thrust starts it.
+    commander.setpoint(ME, LEVEL_FLIGHT._replace(thrust=0.0))
+    assert cockpit.run().mode == OFF
+    commander.setpoint(ME, LEVEL_FLIGHT)
+    assert cockpit.run().mode == ATTITUDE
+
+
+def test_what_an_old_stream_asked_for_does_not_fly_after_arming() -> None:
+    cockpit = Cockpit()
+    cockpit.run(2)
+    cockpit.commander.setpoint(ME, LEVEL_FLIGHT)
+    cockpit.commander.set_mode(ME, modes.OFFBOARD)
+    cockpit.run(FRESH + 1)
+    assert cockpit.arm().accepted
+    assert cockpit.run(20).mode == OFF
+
+
+def test_a_failsafe_that_does_not_answer_ends_the_arming() -> None:
+    cockpit = Cockpit()
+    cockpit.run(2)
+    assert cockpit.commander.arm(ME).result == IN_PROGRESS
+    for tick in range(2, 60):
+        asked = cockpit.commander.asked(tick)
+        step = cockpit.failsafe.step(tick, Asked())  # deaf
+        cockpit.commander.seen(step)
+        if not asked.arm:
+            break
+    assert tick < 30
+    assert cockpit.commander.arming.result == FAILED
+
+
+# Disarming and the kill.
+
+
+@pytest.mark.parametrize("source", [ME, OTHER, COMPANION])
+def test_disarming_is_obeyed_whoever_asks_in_the_next_tick(source: tuple[int, int]) -> None:
+    cockpit = offboard()
+    assert cockpit.commander.disarm(source).accepted
+    assert cockpit.run() == Asked(link_new=True)
+    assert not cockpit.commander.armed
+
+
+@pytest.mark.parametrize("source", [ME, OTHER, COMPANION])
+def test_a_kill_is_obeyed_whoever_asks_and_holds_until_disarmed(source: tuple[int, int]) -> None:
+    cockpit = offboard()
+    assert cockpit.commander.kill(source).accepted
+    assert cockpit.run() == Asked(link_new=True)
+    assert "killed" in cockpit.commander.arm(ME).text
+    assert not cockpit.run(5).arm
+    assert cockpit.commander.system_status == modes.TERMINATED
+    assert cockpit.commander.disarm(ME, force=True).accepted  # a kill again
+    assert "killed" in cockpit.commander.arm(ME).text
+    assert cockpit.commander.disarm(ME).accepted
+    assert cockpit.arm().accepted
+    assert any("killed" in text for _, text in cockpit.commander.remarks)
+
+
+def test_after_the_failsafe_has_stopped_the_motors_it_wants_to_be_disarmed() -> None:
+    cockpit = offboard()
+    cockpit.failsafe.acts = STOPPED_BY_FAILSAFE
+    cockpit.run(2)
+    assert not cockpit.commander.armed
+    assert "disarm first" in cockpit.commander.arm(ME).text
+    cockpit.failsafe.acts = None
+    assert cockpit.commander.disarm(ME).accepted
+    assert cockpit.arm().accepted
+    assert cockpit.run().mode == OFF
+
+
+@pytest.mark.parametrize("lockstep", [False, True])
+def test_disarmed_and_armed_again_between_two_ticks_the_failsafe_sees_both(lockstep: bool) -> None:
+    cockpit = offboard(lockstep=lockstep)
+    assert cockpit.commander.disarm(ME).accepted
+    assert cockpit.commander.arm(ME).result == IN_PROGRESS
+    asked = [cockpit.run() for _ in range(2)]
+    assert [one.arm for one in asked] == [False, True]
+    assert cockpit.commander.arming.accepted
+    assert cockpit.run(5).mode == OFF  # nothing of before flies
+
+
+def test_disarming_before_it_was_armed_answers_the_arming() -> None:
+    cockpit = Cockpit()
+    cockpit.run(2)
+    cockpit.commander.arm(ME)
+    cockpit.commander.disarm(OTHER)
+    assert cockpit.commander.arming.result == FAILED
+    assert not cockpit.run(3).arm
+
+
+# Set-points and offboard.
+
+
+def test_offboard_flies_the_last_set_point_and_keeps_what_it_leaves_open() -> None:
+    cockpit = offboard()
+    assert cockpit.steps[-1].asked.setpoint_new
+    assert not cockpit.run().setpoint_new
+    for setpoint, mode in (
+        (SetPoint(RATE, q0=0.5), RATE),
+        (SetPoint(VELOCITY, v0=0.1, ax0=0.2), VELOCITY),
+        (SetPoint(POSITION, x0=-0.2), POSITION),
+        (SetPoint(ATTITUDE, theta0=0.1), ATTITUDE),
+        (SetPoint(None, thrust=0.5), ATTITUDE),
+    ):
+        cockpit.commander.setpoint(ME, setpoint)
+        asked = cockpit.run()
+        assert asked.mode == mode
+        assert asked.setpoint_new
+    assert asked == Asked(ATTITUDE, True, -0.2, 0.1, 0.2, 0.1, 0.5, 0.5, link_new=True, setpoint_new=True)
+
+
+@given(
+    name=st.sampled_from(["x0", "v0", "ax0", "theta0", "q0", "thrust", "M_open"]),
+    value=st.sampled_from([nan, inf, -inf]),
+)
+def test_a_number_that_is_none_changes_nothing_and_is_counted(name: str, value: float) -> None:
+    cockpit = offboard()
+    before = cockpit.run()
+    verdict = cockpit.commander.setpoint(ME, LEVEL_FLIGHT._replace(**{name: value}))
+    assert verdict.result == DENIED
+    assert cockpit.run() == before
+    assert cockpit.commander.refused == {"invalid": 1}
+
+
+def test_offboard_wants_a_stream_above_2_hz() -> None:
+    cockpit = armed()
+    commander = cockpit.commander
+    assert commander.set_mode(ME, modes.OFFBOARD).result == TEMPORARILY_REJECTED
+    commander.setpoint(ME, LEVEL_FLIGHT)
+    cockpit.run(FRESH + 1)
+    assert commander.set_mode(ME, modes.OFFBOARD).result == TEMPORARILY_REJECTED
+    commander.setpoint(ME, LEVEL_FLIGHT)
+    cockpit.run(FRESH)
+    assert commander.set_mode(ME, modes.OFFBOARD).accepted
+
+
+def test_a_stream_that_ends_leaves_the_mode_and_goes_on_when_it_comes_back() -> None:
+    cockpit = offboard()
+    quiet = cockpit.run(400)
+    assert quiet.mode == ATTITUDE
+    assert not quiet.setpoint_new  # the failsafe counts, and levels
+    assert cockpit.commander.custom_mode == modes.OFFBOARD
+    cockpit.commander.setpoint(ME, SetPoint(ATTITUDE, theta0=0.2))
+    assert cockpit.run().theta0 == 0.2
+
+
+@pytest.mark.parametrize("mode", [modes.MANUAL, modes.RATE, modes.ATTITUDE, modes.POSITION, modes.HOLD])
+def test_targets_act_in_offboard_only(mode: int) -> None:
+    cockpit = armed()
+    cockpit.commander.set_mode(ME, mode)
+    before = cockpit.run(2)
+    assert cockpit.commander.setpoint(ME, SetPoint(RATE, q0=1.0, thrust=0.7)).accepted
+    assert cockpit.run() == before
+
+
+def test_no_set_point_moves_a_locked_cart() -> None:
+    cockpit = offboard(rig=Rig(rings=True))
+    for setpoint in (SetPoint(VELOCITY, v0=0.1), SetPoint(POSITION, x0=0.1)):
+        verdict = cockpit.commander.setpoint(ME, setpoint)
+        assert verdict.result == DENIED
+        assert "rings" in verdict.text
+        assert cockpit.run().mode == ATTITUDE
+    assert cockpit.commander.set_mode(ME, modes.POSITION).result == DENIED
+    assert cockpit.commander.refused["rings"] == 2
+
+
+def test_set_points_act_at_their_tick_in_the_order_in_which_they_came() -> None:
+    cockpit = offboard()
+    base = cockpit.tick
+    for ahead, theta0 in ((30, 0.3), (10, 0.1), (30, 0.35), (20, 0.2)):
+        assert cockpit.commander.setpoint(ME, SetPoint(ATTITUDE, theta0=theta0), base + ahead).accepted
+    seen = [cockpit.run().theta0 for _ in range(40)]
+    assert seen == [0.0] * 10 + [0.1] * 10 + [0.2] * 10 + [0.35] * 10
+    assert sum(step.asked.setpoint_new for step in cockpit.steps[-40:]) == 3
+
+
+def test_what_waits_is_bounded_in_number_and_time() -> None:
+    cockpit = offboard()
+    for place in range(CAPACITY):
+        assert cockpit.commander.setpoint(ME, LEVEL_FLIGHT, cockpit.tick + 1 + place).accepted
+    assert not cockpit.commander.setpoint(ME, LEVEL_FLIGHT, cockpit.tick + 5).accepted
+    cockpit.run(10)
+    assert not cockpit.commander.setpoint(ME, LEVEL_FLIGHT, cockpit.tick + HORIZON + 1).accepted
+    assert cockpit.commander.refused["queue"] == 2
+    cockpit.commander.disarm(ME)
+    cockpit.run(CAPACITY)
+    assert cockpit.arm().accepted
+    assert cockpit.run(CAPACITY).mode == OFF
+
+
+def test_what_waits_of_one_who_lost_the_lease_does_not_act() -> None:
+    cockpit = offboard()
+    cockpit.commander.setpoint(ME, SetPoint(ATTITUDE, theta0=0.3), cockpit.tick + 10)
+    assert cockpit.commander.give_up_lease(ME).accepted
+    assert cockpit.commander.ask_lease(OTHER).accepted
+    assert cockpit.run(20).theta0 == 0.0
+    assert cockpit.commander.refused["lease"] == 1
+
+
+# Modes.
+
+
+def test_level_hold_flies_on_board_with_the_thrust_of_the_parameter() -> None:
+    cockpit = armed()
+    assert cockpit.commander.set_mode(ME, modes.HOLD).accepted
+    for _ in range(3):
+        asked = cockpit.run()
+        assert (asked.mode, asked.theta0, asked.thrust, asked.setpoint_new) == (ATTITUDE, 0.0, 0.375, True)
+    assert cockpit.commander.set_mode(ME, modes.MANUAL).accepted
+    assert not cockpit.run().setpoint_new
+
+
+def test_a_hold_chosen_before_arming_starts_nothing() -> None:
+    cockpit = Cockpit()
+    cockpit.run(2)
+    assert cockpit.commander.set_mode(ME, modes.HOLD).accepted
+    assert cockpit.arm().accepted
+    assert cockpit.run(5).mode == OFF
+    assert cockpit.commander.set_mode(ME, modes.HOLD).accepted
+    assert cockpit.run().mode == ATTITUDE
+
+
+@given(number=st.integers(0, 2**32 - 1).filter(lambda number: number not in modes.BY_NUMBER))
+def test_a_mode_that_is_none_is_refused(number: int) -> None:
+    cockpit = armed()
+    assert cockpit.commander.set_mode(ME, number).result == UNSUPPORTED
+    assert cockpit.commander.custom_mode == modes.MANUAL
+
+
+@pytest.mark.parametrize(
+    ("mode", "flown", "name", "value"),
+    [
+        (modes.MANUAL, OPEN_LOOP, "M_open", -0.5),
+        (modes.RATE, RATE, "q0", -0.5 * RATE_AT_FULL),
+        (modes.ATTITUDE, ATTITUDE, "theta0", -0.5 * PITCH_AT_FULL),
+        (modes.POSITION, VELOCITY, "v0", 0.5 * VELOCITY_AT_FULL),
+    ],
+)
+def test_a_stick_forward_lowers_the_nose_and_goes_to_plus_x(mode: int, flown: int, name: str, value: float) -> None:
+    cockpit = armed()
+    cockpit.commander.set_mode(ME, mode)
+    assert cockpit.commander.sticks(ME, 0.5, 0.4).accepted
+    asked = cockpit.run()
+    assert asked.mode == flown
+    assert getattr(asked, name) == value
+    assert not cockpit.commander.sticks(ME, 1.5, 0.4).accepted
+    assert not cockpit.commander.sticks(ME, nan, 0.4).accepted
+    assert not cockpit.commander.sticks(ME, 0.0, -0.1).accepted
+
+
+def test_a_centred_stick_holds_the_position_where_it_was_let_go() -> None:
+    cockpit = armed()
+    cockpit.commander.set_mode(ME, modes.POSITION)
+    cockpit.commander.sticks(ME, 1.0, 0.0)
+    cockpit.run()
+    cockpit.steps[-1].x = 0.12  # the estimate, in the step that the commander has seen
+    cockpit.commander.sticks(ME, 0.0, 0.0)
+    assert cockpit.run()[:2] == (POSITION, True)
+    assert cockpit.steps[-1].asked.x0 == 0.12
+    cockpit.commander.sticks(ME, 0.0, 0.0)
+    assert cockpit.run().x0 == 0.12
+
+
+def test_an_open_loop_message_flies_its_moment_about_the_trim() -> None:
+    cockpit = armed()
+    commander = cockpit.commander
+    assert commander.open_loop(ME, 0.1, 0.4, True, True, True).accepted
+    asked = cockpit.run()
+    assert (asked.mode, asked.M_open, asked.thrust, asked.use_trim) == (OPEN_LOOP, 0.1, 0.4, True)
+    assert commander.openloop[1:6] == (0.1, 0.4, True, True, True)
+    commander.open_loop(ME, 0.2, 0.9, True, False, False)  # the trim alone, the thrust stays
+    asked = cockpit.run()
+    assert (asked.M_open, asked.thrust) == (0.0, 0.4)
+    commander.open_loop(ME, 0.2, 0.0, True, True, True)
+    asked = cockpit.run()
+    assert (asked.M_open, asked.thrust, asked.use_trim) == (0.2, 0.0, False)
+
+
+def test_the_end_of_an_open_loop_is_a_level_attitude_but_in_manual_mode() -> None:
+    cockpit = armed()
+    cockpit.commander.open_loop(ME, 0.1, 0.4, True, True, True)
+    cockpit.commander.open_loop(ME, 0.1, 0.4, False, True, False)
+    asked = cockpit.run()
+    assert (asked.mode, asked.M_open, asked.thrust) == (OPEN_LOOP, 0.0, 0.4)
+    assert cockpit.commander.set_mode(ME, modes.OFFBOARD).accepted
+    cockpit.commander.open_loop(ME, 0.1, 0.4, True, True, True)
+    assert cockpit.run().mode == OPEN_LOOP
+    cockpit.commander.open_loop(ME, 0.1, 0.4, False, True, False)
+    asked = cockpit.run()
+    assert (asked.mode, asked.theta0, asked.thrust) == (ATTITUDE, 0.0, 0.4)
+
+
+def test_open_loop_messages_keep_to_their_tick() -> None:
+    cockpit = armed()
+    tick = cockpit.tick + 5
+    assert cockpit.commander.open_loop(ME, 0.1, 0.0, True, True, True, tick).accepted
+    assert cockpit.commander.openloop.tick == tick
+    assert [cockpit.run().M_open for _ in range(7)] == [0.0] * 5 + [0.1] * 2
+
+
+# What it says of itself.
+
+
+def test_heartbeats_numbers_follow_the_failsafe() -> None:
+    cockpit = Cockpit()
+    commander = cockpit.commander
+    assert commander.system_status == modes.UNREADY
+    cockpit.run()
+    assert (commander.system_status, commander.base_mode) == (modes.STANDBY, 65)
+    cockpit.failsafe.causes = BIT["tilted"]
+    cockpit.run()
+    assert commander.system_status == modes.UNREADY
+    cockpit.failsafe.causes = 0
+    cockpit.run()
+    cockpit.arm()
+    commander.setpoint(ME, LEVEL_FLIGHT)
+    commander.set_mode(ME, modes.OFFBOARD)
+    cockpit.run()
+    assert (commander.system_status, commander.base_mode) == (modes.ACTIVE, 128 + 16 + 1)
+    cockpit.failsafe.acts = LEVEL
+    cockpit.run()
+    assert commander.system_status == modes.CRITICAL
+
+
+def test_a_restart_forgets_all_but_the_lease() -> None:
+    cockpit = offboard(talking=())
+    commander = cockpit.commander
+    commander.ask_lease(ME, 20_000)
+    commander.disarm(ME)
+    cockpit.run()
+    left = commander.lease.left
+    commander.restart()
+    assert commander.lease.holder == ME
+    assert commander.lease.left == left
+    assert (commander.custom_mode, commander.armed, commander.step) == (modes.MANUAL, False, None)
+    assert commander.asked(0) == Asked()
+    assert commander.open_loop(OTHER, 0.1, 0.1, True, True, True).result == TEMPORARILY_REJECTED
+
+
+def test_the_same_tuple_is_given_while_nothing_changes() -> None:
+    """What lets 250 calls a second cost nothing: no new object is made."""
+    cockpit = offboard(talking=())
+    cockpit.run(2)
+    quiet = cockpit.commander.asked(cockpit.tick)
+    assert all(cockpit.commander.asked(cockpit.tick + 1 + later) is quiet for later in range(50))
+
+
+def test_an_open_loop_set_point_at_rest_does_not_keep_from_arming() -> None:
+    cockpit = Cockpit()
+    cockpit.run(2)
+    cockpit.commander.setpoint(ME, SetPoint(OPEN_LOOP, M_open=0.0, thrust=0.0), kind=OPENLOOP)
+    assert cockpit.arm().accepted
+    cockpit.commander.disarm(ME)
+    cockpit.run(2)
+    cockpit.commander.setpoint(ME, SetPoint(OPEN_LOOP, M_open=0.1, thrust=0.0), kind=OPENLOOP)
+    assert "not_idle" in cockpit.commander.arm(ME).text

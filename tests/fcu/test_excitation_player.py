@@ -1,0 +1,353 @@
+"""Excitations on board: the very bits of their definition at every tick, and every reason not to play."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.fcu.cockpit import ME, OTHER, Cockpit, Rig, armed
+from twodof.errors import ExperimentError
+from twodof.excitation import KINDS, Doublet, Excitation, Impulse, Multisine, Prbs, Steps, Sweep, ThreeTwoOneOne
+from twodof.experiment.protocol import EXPERIMENTS
+from twodof.experiment.script import script
+from twodof.fcu.excitation_player import (
+    DONE,
+    LOOPS,
+    MOST_EFFORT,
+    PLAYING,
+    READY,
+    REFUSED,
+    STOPPED,
+    prepare,
+    written_out,
+)
+from twodof.fcu.setpoints import ATTITUDE, OPEN_LOOP, POSITION, RATE, VELOCITY, SetPoint
+from twodof.flight.core import PERIOD
+from twodof.flight.failsafe_machine import BRAKE
+from twodof.link import modes
+
+M, Q, THETA, V, X = range(5)
+PULSE = Impulse(0.1, 0.02, lead=0.008, settle=0.02)  # 12 ticks
+VALUES = PULSE.at(np.arange(12) * PERIOD)
+ONE_OF_EACH = (
+    PULSE,
+    Doublet(0.03, 0.6, repeat=3, pause=0.1),
+    ThreeTwoOneOne(0.1, 0.3),
+    Steps((0.1, 0.0, -0.1), 0.25),
+    Sweep(0.15, 0.1, 1.0, 5.0, law="logarithmic"),
+    Prbs(0.05, 0.06, 7),
+    Multisine.schroeder(0.1, 4.0, range(1, 20)),
+)
+
+
+def ready(excitation: Excitation = PULSE, cockpit: Cockpit | None = None, transfer: int = 7) -> Cockpit:
+    cockpit = cockpit or armed()
+    assert cockpit.commander.define_excitation(ME, transfer, written_out(excitation)).accepted
+    return cockpit
+
+
+@pytest.mark.parametrize("excitation", ONE_OF_EACH, ids=lambda one: one.kind)
+def test_the_bits_at_a_tick_do_not_depend_on_how_many_are_written_out(excitation: Excitation) -> None:
+    """The script of an experiment computes the rest after it too, so in an array of another length."""
+    values = written_out(excitation).values
+    for longer in (1, 3, 250, 1001):
+        there = excitation.at(np.arange(len(values) + longer) * PERIOD)
+        np.testing.assert_array_equal(there[: len(values)], values)
+        assert not there[len(values) :].any()
+
+
+def test_all_kinds_are_among_those() -> None:
+    assert {one.kind for one in ONE_OF_EACH} == set(KINDS)
+
+
+@pytest.mark.parametrize("excitation", ONE_OF_EACH, ids=lambda one: one.kind)
+def test_over_the_wire_it_is_the_same(excitation: Excitation) -> None:
+    prepared = prepare(excitation.to_json().encode())
+    np.testing.assert_array_equal(prepared.values, written_out(excitation).values)
+    assert prepared.unit == excitation.unit
+
+
+@pytest.mark.parametrize("name", sorted(EXPERIMENTS))
+def test_what_is_asked_is_what_the_script_of_the_experiment_says(name: str) -> None:
+    """Every ready-made experiment, tick by tick: mode, set-point, thrust and trim, from arming to disarming."""
+    experiment = EXPERIMENTS[name]
+    plan = script(experiment, -0.0625)
+    commander_of = Cockpit(rig=Rig(rings=experiment.rings), lockstep=True)
+    commander = commander_of.commander
+    thrust, loop = float(np.float32(experiment.thrust)), (OPEN_LOOP, RATE, ATTITUDE, VELOCITY, POSITION).index
+    hold = SetPoint(ATTITUDE, theta0=0.0, thrust=thrust) if experiment.rings else SetPoint(POSITION, x0=-0.0625)
+    commander_of.run(plan.armed)
+    assert commander.arm(ME).result == 5
+    commander_of.run()
+    assert commander.arming.accepted
+    if thrust:
+        commander.setpoint(ME, SetPoint(ATTITUDE, theta0=0.0, thrust=0.0))
+        assert commander.set_mode(ME, modes.OFFBOARD).accepted
+        for tick in range(plan.hold, plan.begin, 100):
+            commander_of.run(max(0, tick - 1 - commander_of.tick))
+            assert commander.setpoint(ME, hold, tick).accepted
+    commander_of.run(max(0, plan.begin - 300 - commander_of.tick))
+    ready(experiment.excitation, commander_of)
+    where = loop(("off", "open-loop", "rate", "attitude", "velocity", "position").index(experiment.mode))
+    assert commander.start_excitation(ME, 7, where, thrust, plan.begin).accepted
+    commander_of.run(plan.end - commander_of.tick)
+    assert commander.disarm(ME).accepted
+    commander_of.run(plan.steps - plan.end)
+    asked = [step.asked for step in commander_of.steps]
+    mode = np.array([one.mode for one in asked])
+    np.testing.assert_array_equal(mode, plan.setpoints["mode"])
+    np.testing.assert_array_equal([one.arm for one in asked], plan.arm)
+    read = {"M_open": OPEN_LOOP, "q0": RATE, "theta0": ATTITUDE, "v0": VELOCITY, "x0": POSITION}
+    for name, reader in read.items():  # each where the mode reads it
+        given_ = np.array([getattr(one, name) for one in asked])
+        wanted = np.asarray(plan.setpoints.get(name, np.zeros(plan.steps)))
+        np.testing.assert_array_equal(given_[mode == reader], wanted[mode == reader])
+    used = (mode >= OPEN_LOOP) & (mode <= ATTITUDE)
+    np.testing.assert_array_equal(
+        np.array([one.thrust for one in asked])[used], np.asarray(plan.setpoints["thrust"])[used]
+    )
+    trimmed = np.array([one.use_trim for one in asked])
+    np.testing.assert_array_equal(trimmed[mode == OPEN_LOOP], np.asarray(plan.setpoints["use_trim"])[mode == OPEN_LOOP])
+    assert all(step.asked.setpoint_new for step in commander_of.steps[plan.begin : plan.end])
+
+
+@pytest.mark.parametrize("ahead", [0, 1, 7])
+def test_it_begins_at_its_tick_and_its_base_is_held_after_its_end(ahead: int) -> None:
+    cockpit = ready()
+    start = cockpit.tick + ahead
+    assert cockpit.commander.start_excitation(ME, 7, M, 0.4, start if ahead else 0).accepted
+    asked = [cockpit.run() for _ in range(ahead + 30)]
+    assert [one.mode for one in asked] == [0] * ahead + [OPEN_LOOP] * 30
+    assert [one.M_open for one in asked[ahead:]] == [*VALUES, *[0.0] * 18]
+    assert all(one.setpoint_new and one.use_trim and one.thrust == 0.4 for one in asked[ahead:])
+    player = cockpit.commander.player
+    assert (player.state, player.start, player.end) == (DONE, start, start + 12)
+    assert cockpit.commander.custom_mode == modes.OFFBOARD
+
+
+def test_it_is_added_to_the_set_point_in_use_of_its_loop_and_else_to_nothing() -> None:
+    cockpit = ready(Impulse(0.1, 0.02, unit="rad"))
+    cockpit.commander.setpoint(ME, SetPoint(ATTITUDE, theta0=0.25, thrust=0.5))
+    cockpit.commander.set_mode(ME, modes.OFFBOARD)
+    cockpit.run()
+    assert cockpit.commander.start_excitation(ME, 7, THETA).accepted
+    asked = cockpit.run()
+    assert (asked.theta0, asked.thrust) == (0.25 + 0.1, 0.5)  # the thrust in use
+    cockpit.run(20)
+    cockpit.commander.setpoint(ME, SetPoint(RATE, q0=0.1))
+    cockpit.run()
+    ready(Impulse(0.1, 0.02, unit="rad"), cockpit, transfer=8)
+    assert cockpit.commander.start_excitation(ME, 8, THETA).accepted
+    assert cockpit.run().theta0 == 0.1
+
+
+def test_without_any_thrust_in_use_it_flies_with_that_of_a_level_hold() -> None:
+    cockpit = ready()
+    assert cockpit.commander.start_excitation(ME, 7, M).accepted
+    assert cockpit.run().thrust == 0.375
+
+
+def test_an_impulse_at_no_thrust_is_flown_without_the_trim() -> None:
+    cockpit = ready(Impulse(0.1, 0.02))
+    assert cockpit.commander.start_excitation(ME, 7, M, 0.0).accepted
+    asked = cockpit.run()
+    assert (asked.mode, asked.thrust, asked.M_open, asked.use_trim) == (OPEN_LOOP, 0.0, 0.1, False)
+
+
+def test_set_points_do_not_act_while_it_plays_and_take_over_after_it() -> None:
+    cockpit = ready()
+    cockpit.commander.setpoint(ME, SetPoint(RATE, q0=0.0, thrust=0.4))
+    cockpit.commander.set_mode(ME, modes.OFFBOARD)
+    cockpit.commander.start_excitation(ME, 7, M, 0.4)
+    for value in VALUES:
+        assert cockpit.commander.setpoint(ME, SetPoint(RATE, q0=1.0)).accepted
+        assert (cockpit.run().mode, cockpit.steps[-1].asked.M_open) == (OPEN_LOOP, value)
+    assert cockpit.run().mode == OPEN_LOOP
+    cockpit.commander.setpoint(ME, SetPoint(RATE, q0=1.0))
+    assert cockpit.run().mode == RATE
+
+
+def test_a_start_that_comes_twice_is_done_once() -> None:
+    cockpit = ready()
+    for _ in range(2):
+        assert cockpit.commander.start_excitation(ME, 7, M, 0.4).accepted
+    asked = []
+    for _ in range(20):
+        asked.append(cockpit.run().M_open)
+        cockpit.commander.start_excitation(ME, 7, M, 0.4)
+    assert asked == [*VALUES, *[0.0] * 8]
+
+
+REFUSALS = {
+    "no definition": lambda c: c.commander.start_excitation(ME, 8, M, 0.4),
+    "no loop": lambda c: c.commander.start_excitation(ME, 7, 9, 0.4),
+    "it is in": lambda c: c.commander.start_excitation(ME, 7, Q, 0.4),
+    "within 0 to 1": lambda c: c.commander.start_excitation(ME, 7, M, 1.5),
+    "past": lambda c: c.commander.start_excitation(ME, 7, M, 0.4, 1),
+    "a minute ahead": lambda c: c.commander.start_excitation(ME, 7, M, 0.4, 2**32 - 1),
+    "holds the lease": lambda c: c.commander.start_excitation(OTHER, 7, M, 0.4),
+}
+
+
+@pytest.mark.parametrize("text", REFUSALS)
+def test_it_is_refused_with_the_reason(text: str) -> None:
+    cockpit = ready()
+    verdict = REFUSALS[text](cockpit)
+    assert not verdict.accepted
+    assert text in verdict.text
+    assert cockpit.run(3).mode == 0
+    assert cockpit.commander.player.state in (READY, REFUSED)
+
+
+@pytest.mark.parametrize(("unit", "loop"), [("m/s", V), ("m", X)])
+def test_the_rings_refuse_what_moves_the_cart(unit: str, loop: int) -> None:
+    cockpit = ready(Impulse(0.1, 0.02, unit=unit), armed(rig=Rig(rings=True)))
+    verdict = cockpit.commander.start_excitation(ME, 7, loop, 0.4)
+    assert "rings" in verdict.text
+    assert cockpit.commander.player.state == REFUSED
+    assert "rings" in cockpit.commander.player.reason
+
+
+def test_a_closed_loop_without_thrust_is_refused() -> None:
+    cockpit = ready(Impulse(0.1, 0.02, unit="rad"))
+    assert "without thrust" in cockpit.commander.start_excitation(ME, 7, THETA, 0.0).text
+
+
+def test_not_armed_nothing_plays() -> None:
+    cockpit = Cockpit()
+    cockpit.run(2)
+    ready(cockpit=cockpit)
+    assert "not armed" in cockpit.commander.start_excitation(ME, 7, M, 0.4).text
+    start = cockpit.tick + 5
+    assert cockpit.commander.start_excitation(ME, 7, M, 0.4, start).accepted  # armed by then, perhaps
+    assert cockpit.run(20).mode == 0
+    assert cockpit.commander.player.state == REFUSED
+    assert cockpit.commander.player.reason == "not armed"
+
+
+def stopped_by_mode(cockpit: Cockpit) -> None:
+    assert cockpit.commander.set_mode(ME, modes.HOLD).accepted
+
+
+def stopped_by_command(cockpit: Cockpit) -> None:
+    assert cockpit.commander.stop_excitation(ME).accepted
+
+
+def stopped_by_disarming(cockpit: Cockpit) -> None:
+    assert cockpit.commander.disarm(OTHER).accepted
+
+
+def stopped_by_kill(cockpit: Cockpit) -> None:
+    assert cockpit.commander.kill(OTHER).accepted
+
+
+def stopped_by_failsafe(cockpit: Cockpit) -> None:
+    cockpit.failsafe.acts = BRAKE
+    cockpit.run()
+
+
+@pytest.mark.parametrize(
+    ("stop", "reason"),
+    [
+        (stopped_by_mode, "mode hold"),
+        (stopped_by_command, "by command"),
+        (stopped_by_disarming, "disarmed"),
+        (stopped_by_kill, "killed"),
+        (stopped_by_failsafe, "brake"),
+    ],
+)
+def test_it_is_stopped_with_the_reason_and_does_not_come_back(stop: object, reason: str) -> None:
+    cockpit = ready()
+    cockpit.commander.start_excitation(ME, 7, M, 0.4)
+    cockpit.run(5)
+    assert cockpit.commander.player.state == PLAYING
+    stop(cockpit)
+    player = cockpit.commander.player
+    assert player.state == STOPPED
+    assert reason in player.reason
+    assert cockpit.run().M_open == 0.0
+    assert not cockpit.commander.start_excitation(ME, 7, M, 0.4).accepted
+
+
+def test_one_that_waits_is_forgotten_with_the_disarming() -> None:
+    cockpit = ready()
+    cockpit.commander.start_excitation(ME, 7, M, 0.4, cockpit.tick + 20)
+    cockpit.commander.disarm(ME)
+    cockpit.arm()
+    assert cockpit.run(40).mode == 0
+
+
+def test_no_other_is_taken_while_one_plays() -> None:
+    cockpit = ready(Impulse(0.1, 2.0))
+    cockpit.commander.start_excitation(ME, 7, M, 0.4)
+    cockpit.run()
+    verdict = cockpit.commander.define_excitation(ME, 8, written_out(PULSE))
+    assert "another plays" in verdict.text
+    assert cockpit.run().M_open == 0.1
+
+
+def test_loops_are_those_of_the_experiments() -> None:
+    assert [(one.name, one.unit) for one in LOOPS] == [
+        ("M_open", "-"),
+        ("q0", "rad/s"),
+        ("theta0", "rad"),
+        ("v0", "m/s"),
+        ("x0", "m"),
+    ]
+
+
+# Definitions from outside.
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers(-(10**400), 10**400) | st.floats() | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=5), inner, max_size=4),
+    max_leaves=8,
+)
+FIELDS = ("amplitude", "width", "period", "step", "levels", "hold", "clock", "order", "seed", "start_hz", "end_hz")
+MORE_FIELDS = ("length", "law", "harmonics", "amplitudes", "phases", "unit", "lead", "settle", "pause", "repeat")
+
+
+@given(
+    base=st.sampled_from(ONE_OF_EACH),
+    name=st.sampled_from((*FIELDS, *MORE_FIELDS, "kind", "version", "else")),
+    value=JSON,
+)
+def test_any_damage_to_a_definition_gives_a_definition_or_an_error_with_a_reason(
+    base: Excitation, name: str, value: object
+) -> None:
+    text = json.dumps(base.to_dict() | {name: value}).encode()
+    try:
+        prepared = prepare(text)
+    except ExperimentError as reason:
+        assert str(reason)
+    else:
+        assert np.isfinite(prepared.values).all()
+        assert len(prepared.values) <= 900_000
+
+
+@given(data=st.binary(max_size=300))
+def test_rubbish_is_refused(data: bytes) -> None:
+    with pytest.raises(ExperimentError):
+        prepare(data)
+
+
+def test_what_would_take_too_long_is_refused_at_once() -> None:
+    lines = list(range(9501, 10_001))
+    huge = {
+        "kind": "multisine",
+        "version": 1,
+        "period": 100.0,
+        "harmonics": lines,
+        "amplitudes": [1e-4] * 500,
+        "phases": [0.0] * 500,
+        "repeat": 36,
+    }
+    with pytest.raises(ExperimentError, match="too many"):
+        prepare(json.dumps(huge).encode())
+    usual = Multisine.schroeder(0.1, 100.0, range(1, 100, 2))
+    assert len(usual.harmonics) * (64 * 100 + usual.duration / PERIOD) < 0.1 * MOST_EFFORT
+    assert len(prepare(usual.to_json().encode()).values) == 25_000
