@@ -1,4 +1,4 @@
-"""What every test may ask for: the real flight logs; hypothesis runs that give the same examples twice."""
+"""What every test may ask for: the real flight logs; hypothesis runs that give the same examples twice; their order."""
 
 import os
 from pathlib import Path
@@ -11,6 +11,11 @@ PROJECT = Path(__file__).resolve().parents[1]
 # A shared, loaded machine must not turn a slow example into a failure; the same examples every run.
 settings.register_profile("twodof", deadline=None, derandomize=True, print_blob=True)
 settings.load_profile("twodof")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """What waits for real time to pass comes first, so that the others fill its time."""
+    items.sort(key=lambda item: item.get_closest_marker("waits") is None)
 
 
 @pytest.fixture(scope="session")
