@@ -220,6 +220,8 @@ class ParameterSet(Mapping[str, float]):
         # bool is a number to Python, and `True` for a gain is a mistake
         if isinstance(value, bool) or not isinstance(value, Real):
             return f"{value!r} is no number"
+        if isinstance(value, int) and abs(value) > 2**1000:  # beyond any float, which isfinite does not take
+            return f"is outside {row.low:g} to {row.high:g} {row.unit}"
         if not isfinite(value) or not row.low <= value <= row.high:
             return f"{float(value):g} is outside {row.low:g} to {row.high:g} {row.unit}"
         if row.kind == "int32" and not float(value).is_integer():

@@ -210,6 +210,6 @@ class Store(Mapping[str, float]):
 
 def _carried(value: float) -> float:
     """The shortest decimal among the numbers that float32 rounds as it does `value`; what is no number stays."""
-    if isinstance(value, bool) or not isinstance(value, Real) or not isfinite(value) or abs(value) > 3e38:
+    if isinstance(value, bool) or not isinstance(value, Real) or abs(value) > 3e38 or not isfinite(value):
         return value
     return float(str(np.float32(value)))
