@@ -13,6 +13,7 @@ SILENT_TICKS = 15_000
 """60 s without a frame: a client is forgotten."""
 MOST_CLIENTS = 64
 _SWEEP_TICKS = 250
+_COMMANDS = (75, 76)  # COMMAND_INT, COMMAND_LONG
 _ABOUT_MESSAGES = (510, 511, 512)
 
 
@@ -74,8 +75,7 @@ class Clients:
 
 def _knows(received: Received) -> bool:
     """Whether a message shows that its sender knows twodof's own."""
-    if FIRST_OWN_ID <= received.frame.message_id <= LAST_OWN_ID:
-        return True
-    got = received.message
-    about = getattr(got, "command", 0) in _ABOUT_MESSAGES
-    return about and FIRST_OWN_ID <= got.param1 <= LAST_OWN_ID
+    number, got = received.frame.message_id, received.message
+    if number in _COMMANDS:
+        return got.command in _ABOUT_MESSAGES and FIRST_OWN_ID <= got.param1 <= LAST_OWN_ID
+    return FIRST_OWN_ID <= number <= LAST_OWN_ID

@@ -48,16 +48,20 @@ class Commands:
         self._done: OrderedDict[Hashable, int] = OrderedDict()  # accepted: what came -> tick
         self._polls: dict[int, Callable[[], Verdict]] = {}
         self._pending: dict[Hashable, Command] = {}
+        self._slow: set[int] = set()
         self._tick = 0
         self.refused = 0
         self.carried_out: list[Callable[[], None]] = []
 
-    def on(self, number: int, handler: Handler, poll: Callable[[], Verdict] | None = None) -> None:
+    def on(self, number: int, handler: Handler, poll: Callable[[], Verdict] | None = None, slow: bool = False) -> None:
         """Registers who carries out the command `number` (a MAV_CMD).
 
         A handler may answer IN_PROGRESS; then `poll` tells what became of it, after each control period, until it
-        says something else. In lockstep the client is told IN_PROGRESS, so that it lets time run.
+        says something else. In lockstep the client is told IN_PROGRESS, so that it lets time run; of a `slow` command,
+        which may take seconds, it is told in real time too.
         """
+        if slow:
+            self._slow.add(number)
         self._handlers[number] = handler
         if poll is not None:
             self._polls[number] = poll
@@ -87,6 +91,11 @@ class Commands:
         """Answers what was still in progress."""
         self._tick = step.tick
         if self._pending:
+            self.poll()
+
+    def poll(self) -> None:
+        """Answers what was in progress and is done."""
+        if self._pending:
             for key, command in [*self._pending.items()]:
                 verdict = self._polls[command.number]()
                 if verdict.result != IN_PROGRESS:
@@ -109,6 +118,8 @@ class Commands:
         handler = self._handlers.get(command.number)
         if handler is None:
             return Verdict(UNSUPPORTED)
+        if (command.source, command.number) in self._pending:
+            return Verdict(IN_PROGRESS)
         # As text, since NaN equals nothing.
         what = (command.peer, command.source, command.number, str(command.params))
         repeats: Any = getattr(received.message, "confirmation", 0)
@@ -130,7 +141,7 @@ class Commands:
         pending = verdict.result == IN_PROGRESS and command.number in self._polls
         if pending:
             self._pending[command.source, command.number] = command
-        if pending and not self._lockstep:
+        if pending and not self._lockstep and command.number not in self._slow:
             return
         system, component = command.source
         there = {"target_system": system, "target_component": component}
