@@ -41,7 +41,8 @@ def test_what_a_client_says_to_the_vehicle_reaches_it_unchanged_and_no_other_cli
     fields = {"target_system": SYSTEM, "target_component": 1} if name not in ("HEARTBEAT", "TIMESYNC") else {}
     sent = frame(name, 250, 190, 77, **fields)
     ends.router.from_client(ends.clients[place], sent)
-    assert ends.up.sent == [sent.raw]
+    said = [raw for raw in ends.up.sent if raw[5] != SYSTEM]  # what the companion asks itself is not the client's
+    assert said == [sent.raw]
     assert [ends.heard(client) for client in ends.clients] == [[], [], []]
 
 
@@ -168,3 +169,16 @@ def test_the_companion_answers_for_itself(number: int) -> None:
     ends.says(ends.clients[0], "COMMAND_LONG", 250, command=512, param1=number, **to)
     assert taken == [("COMMAND_LONG", ends.clients[0])]
     assert ends.up.sent == []
+
+
+def test_twodofs_own_messages_go_to_those_who_know_them() -> None:
+    ends = Ends("onboard", "onboard", "onboard")
+    stranger, asking, speaking = ends.clients
+    own = ("TWODOF_RIG", "TWODOF_TOF", "TWODOF_OPENLOOP", "TWODOF_EXCITE_STATUS")
+    ends.says(asking, "COMMAND_LONG", 250, command=512, param1=54206, target_system=SYSTEM, target_component=1)
+    ends.says(speaking, "TWODOF_LEASE", 251, action=1, target_system=SYSTEM, target_component=1)
+    assert (54204, 0.0) in ends.answer()  # now somebody wants the rangefinder's samples
+    ends.settle()
+    for name in own:
+        ends.vehicle(name)
+    assert [tuple(names(ends.heard(client))) for client in (stranger, asking, speaking)] == [(), own, own]

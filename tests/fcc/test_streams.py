@@ -155,6 +155,8 @@ def test_the_interval_told_is_the_clients_own() -> None:
         assert (acknowledged.command, told.message_id, told.interval_us) == (510, ATTITUDE, expected)
     assert ends.up.sent == []
     ends.says(ends.clients[0], "COMMAND_LONG", 250, command=510, param1=54206, **TO)
+    ends.answer()
+    ends.says(ends.clients[0], "COMMAND_LONG", 250, command=510, param1=54206, **TO)
     assert len(ends.up.sent) == 1  # what passes as it comes the vehicle knows
     ends.vehicle("MESSAGE_INTERVAL", message_id=54206, interval_us=1_000_000)
     assert names(ends.heard(ends.clients[0])) == ["MESSAGE_INTERVAL"]

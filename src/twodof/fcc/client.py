@@ -4,8 +4,9 @@ from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field
 
 from twodof.errors import LinkLost
-from twodof.fcc.rates import EVERY, OFF
+from twodof.fcc.rates import OFF
 from twodof.fcc.wire import renumbered
+from twodof.link.dialect import FIRST_OWN_ID, LAST_OWN_ID
 from twodof.link.framing import Frame
 from twodof.link.transport import Transport
 
@@ -15,6 +16,11 @@ MOST_IDENTITIES = 16
 MOST_WISHES = 256
 # As long as a client is silent before it counts as gone: a ground station sends a heartbeat each second.
 SILENT_S = 30.0
+
+
+def is_ours(message_id: int) -> bool:
+    """Whether a message is one of twodof's own."""
+    return FIRST_OWN_ID <= message_id <= LAST_OWN_ID
 
 
 @dataclass(slots=True)
@@ -52,6 +58,7 @@ class Client:
     identities: dict[Identity, float] = field(default_factory=dict)
     wishes: dict[int, Wish] = field(default_factory=dict)
     due_once: dict[int, int] = field(default_factory=dict)  # message -> how many it has asked for by 512
+    knows_ours: bool = False  # twodof's own messages; to others they would be losses
     counts: ClientCounts = field(default_factory=ClientCounts)
     _sequences: dict[Identity, int] = field(default_factory=dict)
 
@@ -71,15 +78,18 @@ class Client:
         self.identities.clear()
         self.wishes.clear()
         self.due_once.clear()
+        self.knows_ours = False
 
     def wish(self, message_id: int) -> int:
         """The interval [us] at which it wants a message that it may have asked for, else its default, else OFF."""
         asked = self.wishes.get(message_id)
-        return asked.interval if asked is not None else self.defaults.get(message_id, OFF)
+        if asked is not None:
+            return asked.interval
+        return self.defaults.get(message_id, OFF) if self.understands(message_id) else OFF
 
-    def gets_all(self, message_id: int) -> bool:
-        """Whether it takes every one of a message."""
-        return self.wish(message_id) == EVERY
+    def understands(self, message_id: int) -> bool:
+        """Whether it may know the message: one of twodof's own only if it has shown that it knows any."""
+        return self.knows_ours or not is_ours(message_id)
 
     def deliver(self, frame: Frame, lost: int = 0) -> None:
         """Send it a frame, numbered so that it counts as lost only what was: `lost` of its sender on the way to us."""

@@ -13,8 +13,8 @@ from twodof.link import dialect
 
 EVERY = 0  # interval of a message that is passed on whenever it comes
 OFF = -1
-# What all get, and comes at each change too.
-_OWN = {"TWODOF_RIG": 0.0, "TWODOF_LEASE": 0.0, "TWODOF_SAFETY": 0.0, "TWODOF_TIMING": 0.0}
+# What all get who know our own messages, and comes at each change too.
+_OWN = {"TWODOF_TOF": 0.0, "TWODOF_RIG": 0.0, "TWODOF_LEASE": 0.0, "TWODOF_SAFETY": 0.0, "TWODOF_TIMING": 0.0}
 # Message -> rate [Hz]; 0: as it comes.
 _RATES = {
     "onboard": {

@@ -13,7 +13,7 @@ from twodof.fcc import wire
 from twodof.fcc.answers import Answers
 from twodof.fcc.asking import Asking
 from twodof.fcc.batches import TICK_US, Batches
-from twodof.fcc.client import Client, Identity, Wish
+from twodof.fcc.client import Client, Identity, Wish, is_ours
 from twodof.fcc.line import Line
 from twodof.fcc.rates import EVERY, OFF, group
 from twodof.fcc.streams import Streams, events, settled
@@ -22,6 +22,7 @@ from twodof.link.messages import BATCH_VALUES, message
 from twodof.link.signing import Signing, Verdict
 
 AUTOPILOT, COMPANION = 1, 191
+_ABOUT_MESSAGES = (wire.SET_MESSAGE_INTERVAL, wire.GET_MESSAGE_INTERVAL, wire.REQUEST_MESSAGE)
 DENIED, TEMPORARILY_REJECTED = 2, 1
 MOST_IDENTITIES = 32
 _NOW_AND_THEN = 15
@@ -116,6 +117,9 @@ class Router:
         system, component = wire.target(frame)
         urgent = None
         asked = wire.command(frame)
+        if not client.knows_ours and (is_ours(frame.message_id) or (asked is not None and _asks_ours(asked))):
+            client.knows_ours = True
+            self._refresh()
         if (system, component) == (self.system, COMPANION):
             self.own(frame, client)
             return
@@ -234,7 +238,7 @@ class Router:
 
     def _intercepts(self, client: Client, frame: Frame, asked: wire.Command) -> bool:
         """Whether a command is about what a client gets, which is our affair."""
-        if asked.command not in (wire.SET_MESSAGE_INTERVAL, wire.GET_MESSAGE_INTERVAL, wire.REQUEST_MESSAGE):
+        if asked.command not in _ABOUT_MESSAGES:
             return False
         number = _whole(asked.params[0])
         source = (frame.system, frame.component)
@@ -310,6 +314,11 @@ class Router:
                 self.asking.answered(result, self.clock())
             return
         self.own(frame, None)
+
+
+def _asks_ours(asked: wire.Command) -> bool:
+    """Whether a command is about one of twodof's own messages."""
+    return asked.command in _ABOUT_MESSAGES and is_ours(_whole(asked.params[0]))
 
 
 def _whole(value: float) -> int:

@@ -33,7 +33,7 @@ _EVENTS = (
     *("TWODOF_GRANT", "TWODOF_LEASE", "TWODOF_PARAM_TRANSACTION"),
 )
 # Nobody gets these who has not asked.
-_ON_REQUEST = ("TWODOF_BATCH", "TWODOF_TRUTH", "TWODOF_TOF")
+_ON_REQUEST = ("TWODOF_BATCH", "TWODOF_TRUTH")
 
 
 @cache
@@ -44,8 +44,8 @@ def events() -> frozenset[int]:
 
 @cache
 def settled() -> tuple[int, ...]:
-    """Ids of the messages that the vehicle is told about without anybody having asked: the rates of some clients are
-    given, and what nobody gets unasked (but a batch or the truth, which it sends to nobody) need not cross the line.
+    """Ids of the messages that the vehicle is told about without anybody having asked for them: those with a rate, and
+    the one of our own that comes so often that it should not cross the line for nobody.
     """
     timed = {number for rows in profiles().values() for number, one in rows.items() if one > EVERY}
     return tuple(sorted(timed | {dialect.message_id("TWODOF_TOF")}))
@@ -146,7 +146,8 @@ class Streams:
             choose = self.chosen(number)
             taps = []
             for client in self.clients:
-                interval = client.wish(number) if choose else EVERY
+                untouched = EVERY if client.understands(number) else OFF
+                interval = client.wish(number) if choose else untouched
                 old = before.get(client)
                 taps.append(old if old is not None and old.interval == interval else _Tap(client, interval))
             self._taps[number] = taps

@@ -86,7 +86,7 @@ class Supervisor:
                 return status
             crashes += 1
             if crashes > self._restarts.most:
-                self._log(f"app: {_ended(status)}, the {crashes}th time in a row: given up")
+                self._log(f"app: {_ended(status)}; it crashed {crashes} times in a row: given up")
                 return status
             self._log(f"app: {_ended(status)}; started again in {wait:g} s")
             await asyncio.sleep(wait)

@@ -1,0 +1,354 @@
+"""The companion as a whole: clients that vanish, flood and send rubbish; a line that is cut and comes back."""
+
+import asyncio
+import os
+import random
+import socket
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.faults.virtual_time import run_virtual
+from tests.fcc.scripted import Listener, Vehicle, until
+from twodof.errors import LinkError
+from twodof.fcc.client import SILENT_S
+from twodof.fcc.companion import VEHICLE_SILENT_S, Companion, Serve, px4_links
+from twodof.fcc.component import ACTIVE, CRITICAL
+from twodof.link.framing import Parser, encode
+from twodof.link.messages import message
+from twodof.link.opening import open_transport
+from twodof.link.transport import MOST_OUT_BYTES
+from twodof.link.url import parse
+
+CLIENTS = (Serve("memin://clients", "onboard"),)
+
+
+def texts(client: Listener) -> list[str]:
+    """What the companion has said."""
+    return [one.text for one in client.heard("STATUSTEXT", component=191)]
+
+
+def test_a_line_that_is_cut_is_told_and_opened_again() -> None:
+    async def work() -> None:
+        vehicle = Vehicle(await open_transport("memin://fcu"))
+        async with (
+            Companion("mem://fcu", CLIENTS) as companion,
+            Listener(await open_transport("mem://clients")) as client,
+        ):
+            await until(lambda: len(client.heard("ATTITUDE")) > 100)
+            assert client.heard("HEARTBEAT", component=191)[-1].system_status == ACTIVE
+            await vehicle.close()
+            await until(lambda: "flight controller lost: the other end was closed" in texts(client))
+            assert client.heard("HEARTBEAT", component=191)[-1].system_status == CRITICAL
+            client.command(400, 1.0)
+            await asyncio.sleep(7.0)
+            before = len(client.heard("ATTITUDE"))
+            async with Vehicle(await open_transport("memin://fcu")) as back:
+                await until(lambda: len(client.heard("ATTITUDE")) > before + 100)
+                assert back.asked[30] == 10_000.0  # a vehicle that forgot everything is told again
+                assert client.heard("HEARTBEAT", component=191)[-1].system_status == ACTIVE
+                assert texts(client)[-1] == "flight controller heard"
+                assert not [one for one in back.heard("COMMAND_LONG") if one.command == 400]
+                assert companion.lost == 1
+
+    run_virtual(work())
+
+
+def test_a_vehicle_that_falls_silent_is_told_of() -> None:
+    async def work() -> None:
+        async with (
+            Vehicle(await open_transport("memin://fcu")) as vehicle,
+            Companion("mem://fcu", CLIENTS),
+            Listener(await open_transport("mem://clients")) as client,
+        ):
+            await until(lambda: len(client.heard("ATTITUDE")) > 10)
+            vehicle.silent = True
+            began = asyncio.get_running_loop().time()
+            await until(lambda: client.heard("HEARTBEAT", component=191)[-1].system_status == CRITICAL)
+            assert asyncio.get_running_loop().time() - began == pytest.approx(VEHICLE_SILENT_S, abs=0.2)
+            vehicle.silent = False
+            await until(lambda: client.heard("HEARTBEAT", component=191)[-1].system_status == ACTIVE)
+
+    run_virtual(work())
+
+
+def test_the_companion_may_be_started_before_the_vehicle_and_again() -> None:
+    async def work() -> None:
+        async with Companion("mem://fcu", CLIENTS), Listener(await open_transport("mem://clients")) as client:
+            await asyncio.sleep(5.0)
+            assert texts(client)[0].startswith("flight controller not reached")
+            async with Vehicle(await open_transport("memin://fcu")):
+                await until(lambda: len(client.heard("ATTITUDE")) > 10)
+
+    for _ in range(2):
+        run_virtual(work())
+
+
+def test_nothing_speaks_for_a_client_that_fell_silent() -> None:
+    async def work() -> None:
+        async with (
+            Vehicle(await open_transport("memin://fcu")) as vehicle,
+            Companion("mem://fcu", CLIENTS) as companion,
+            Listener(await open_transport("mem://clients")) as client,
+        ):
+            await until(lambda: len(vehicle.heard("HEARTBEAT", system=250)) > 2)
+            client.beats = False
+            await asyncio.sleep(0.5)
+            vehicle.received.clear()
+            await asyncio.sleep(10.0)
+            assert {(one.frame.system, one.frame.component) for one in vehicle.received} == {(1, 191)}
+            assert len(companion.clients) == 1
+
+    run_virtual(work())
+
+
+def test_a_client_that_closes_is_forgotten_and_so_are_its_streams() -> None:
+    async def work() -> None:
+        async with (
+            Vehicle(await open_transport("memin://fcu")) as vehicle,
+            Companion("mem://fcu", CLIENTS) as companion,
+        ):
+            async with Listener(await open_transport("mem://clients")) as client:
+                client.command(511, 30.0, 4000.0)
+                await until(lambda: vehicle.asked.get(30) == 4000.0)
+            await until(lambda: vehicle.asked[30] == -1.0)
+            assert companion.clients == []
+
+    run_virtual(work())
+
+
+def test_a_client_on_udp_that_vanishes_is_forgotten_and_a_default_address_stays() -> None:
+    async def work() -> None:
+        with _port() as (there, default):
+            serve = [Serve(f"udp://127.0.0.1:{default}?bind=0", "ground")]
+            async with (
+                Vehicle(await open_transport("memin://fcu")) as vehicle,
+                Companion("mem://fcu", serve) as companion,
+            ):
+                await until(lambda: len(_datagrams(there)) > 0)  # PX4's way: sent to without having spoken
+                address = parse(companion.urls[0][0])
+                async with Listener(await open_transport(f"udp://127.0.0.1:{address.bind_port}")) as client:
+                    await until(lambda: len(client.heard("ATTITUDE")) > 20)
+                    client.command(511, 30.0, 4000.0)
+                    await until(lambda: vehicle.asked[30] == 4000.0)
+                    assert len(companion.clients) == 2
+                began = asyncio.get_running_loop().time()
+                await until(lambda: vehicle.asked[30] > 60_000.0, 2 * SILENT_S)
+                assert asyncio.get_running_loop().time() - began == pytest.approx(SILENT_S, abs=1.5)
+                assert [client.stays for client in companion.clients] == [True]
+                _datagrams(there)
+                await asyncio.sleep(1.0)
+                assert _datagrams(there)
+
+    run_virtual(work())
+
+
+@contextmanager
+def _port() -> Iterator[tuple[socket.socket, int]]:
+    """A UDP socket of this machine and its port."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as there:
+        there.bind(("127.0.0.1", 0))
+        there.setblocking(False)
+        yield there, there.getsockname()[1]
+
+
+def _datagrams(there: socket.socket) -> list[bytes]:
+    found = []
+    while True:
+        try:
+            found.append(there.recv(65536))
+        except BlockingIOError:
+            return found
+
+
+def test_rubbish_never_crosses_and_costs_its_sender_only() -> None:
+    chance = random.Random(7)
+
+    async def work() -> None:
+        async with (
+            Vehicle(await open_transport("memin://fcu")) as vehicle,
+            Companion("mem://fcu", CLIENTS),
+            Listener(await open_transport("mem://clients"), system=9) as good,
+        ):
+            mad = await open_transport("mem://clients")
+            whole = [encode(message("MANUAL_CONTROL", target=1, x=number), 8, 1, number) for number in range(100)]
+            for raw in whole:
+                broken = bytearray(raw)
+                broken[chance.randrange(10, len(broken))] ^= 1 << chance.randrange(8)
+                for data in (chance.randbytes(chance.randrange(300)), bytes(broken), raw, raw[: chance.randrange(9)]):
+                    mad.send(data)
+                good.connection.send(message("MANUAL_CONTROL", target=1, x=1))
+                await asyncio.sleep(0.001)
+            await until(lambda: len(vehicle.heard("MANUAL_CONTROL", system=9)) == 100)
+            assert [one.x for one in vehicle.heard("MANUAL_CONTROL", system=8)] == list(range(100))
+            assert vehicle.connection.framing["rubbish_bytes"] == 0
+            await mad.close()
+
+    run_virtual(work())
+
+
+def test_a_client_that_stops_reading_holds_nobody_up() -> None:
+    async def work() -> None:
+        serve = (*CLIENTS, Serve("tcpin://127.0.0.1:0"))
+        async with Vehicle(await open_transport("memin://fcu")) as vehicle, Companion("mem://fcu", serve) as companion:
+            reader, writer = await asyncio.open_connection("127.0.0.1", parse(companion.urls[1][0]).port, limit=1024)
+            async with Listener(await open_transport("mem://clients")) as client:
+                client.command(511, 30.0, 4000.0)
+                await until(lambda: len(companion.clients) == 2 and vehicle.asked.get(30) == 4000.0)
+                stuck = next(one for one in companion.clients if one.transport.url.startswith("tcpin"))
+                await until(lambda: len(client.heard("ATTITUDE")) > 10)
+                start = client.heard("ATTITUDE")[-1].time_boot_ms
+                padding = [message("STATUSTEXT", text="x" * 50) for _ in range(500)]
+                for _ in range(400):
+                    for one in padding:
+                        vehicle.connection.send(one)
+                    await asyncio.sleep(0.004)
+                    client.received[:] = [one for one in client.received if one.message.get_type() != "STATUSTEXT"]
+                    if stuck.transport.counts.dropped_out:
+                        break
+                assert stuck.transport.counts.dropped_out > 0
+                assert stuck.transport.backlog <= MOST_OUT_BYTES
+                await until(lambda: vehicle.tick * 4 - client.heard("ATTITUDE")[-1].time_boot_ms < 20)
+                times = [one.time_boot_ms for one in client.heard("ATTITUDE") if one.time_boot_ms >= start]
+                assert times == list(range(start, times[-1] + 1, 4))  # not one was lost, all in order
+            writer.close()
+            del reader
+
+    run_virtual(work())
+
+
+def test_lockstep_passes_without_a_moments_delay() -> None:
+    async def work() -> None:
+        async with (
+            Vehicle(await open_transport("memin://fcu"), lockstep=True),
+            Companion("mem://fcu", CLIENTS),
+            Listener(await open_transport("mem://clients")) as client,
+        ):
+            await asyncio.sleep(2.0)
+            loop = asyncio.get_running_loop()
+            began, client.beats = loop.time(), False
+            to = {"target_system": 1, "target_component": 1}
+            for number in range(1, 1001):
+                client.connection.send(message("TWODOF_GRANT", until=number, number=number, **to))
+                while not client.heard("TWODOF_TICK") or client.heard("TWODOF_TICK")[-1].number != number:
+                    await asyncio.sleep(0)
+                client.received.clear()
+            # Everything happened at once in virtual time: nothing on the way waited for a clock.
+            assert loop.time() - began < 0.1
+
+    run_virtual(work())
+
+
+def test_it_answers_for_itself() -> None:
+    async def work() -> None:
+        async with (
+            Vehicle(await open_transport("memin://fcu")) as vehicle,
+            Companion("mem://fcu", CLIENTS),
+            Listener(await open_transport("mem://clients")) as client,
+        ):
+            await asyncio.sleep(1.5)
+            for number, result in ((148, 0), (390, 0), (242, 3)):
+                client.command(512, float(number), component=191)
+                await until(lambda: bool(client.heard("COMMAND_ACK", component=191)))
+                assert client.heard("COMMAND_ACK", component=191)[-1].result == result
+                client.received.clear()
+                await asyncio.sleep(0.1)
+            client.command(400, 0.0, component=191)
+            await until(lambda: bool(client.heard("COMMAND_ACK", component=191)))
+            assert vehicle.heard("COMMAND_LONG", system=250) == []
+            await until(lambda: len(client.heard("ONBOARD_COMPUTER_STATUS")) > 2)
+            status = client.heard("ONBOARD_COMPUTER_STATUS")[-1]
+            assert 0 < status.ram_usage < status.ram_total
+            assert status.link_rx_rate[0] == round(250 * 40 / 1024)  # ATTITUDE has 40 bytes; in KiB/s
+            heartbeats = vehicle.heard("HEARTBEAT", system=1)
+            assert {(one.type, one.autopilot) for one in heartbeats} == {(18, 8)}
+
+    run_virtual(work())
+
+
+def test_px4s_addresses_are_those_of_the_instance() -> None:
+    assert [parse(one.url) for one in px4_links(3)] == [
+        parse("udp://127.0.0.1:14543?bind=127.0.0.1:14583"),
+        parse("udp://127.0.0.1:14550?bind=127.0.0.1:18573"),
+        parse("tcpin://127.0.0.1:5763"),
+    ]
+    assert all(parse(one.url).bind_name == "127.0.0.1" or parse(one.url).name == "127.0.0.1" for one in px4_links(0))
+
+
+def test_an_address_that_is_taken_is_an_error_and_leaves_nothing_open() -> None:
+    async def work() -> None:
+        async with await open_transport("memin://taken"):
+            with pytest.raises(LinkError, match="is taken"):
+                async with Companion("mem://fcu", [Serve("memin://free"), Serve("memin://taken")]):
+                    pass
+        async with await open_transport("memin://free"):
+            pass
+
+    run_virtual(work())
+
+
+class Serial:
+    """A serial line whose flight controller's end is ours: a pseudo-terminal behind a name that stays."""
+
+    def __init__(self, folder: Path) -> None:
+        self.name = folder / "ttyFCU"
+        self.frames: list[Any] = []
+        self._parser = Parser()
+        self.plug()
+
+    def plug(self) -> None:
+        """Plug it in."""
+        self.master, slave = os.openpty()
+        os.set_blocking(self.master, False)
+        self.name.unlink(missing_ok=True)
+        self.name.symlink_to(os.ttyname(slave))
+        self._slave = slave
+
+    def pull(self) -> None:
+        """Pull the cable."""
+        os.close(self._slave)
+        os.close(self.master)
+
+    def read(self) -> list[Any]:
+        """All frames that have come."""
+        with suppress(OSError):  # nothing there
+            self.frames += self._parser.feed(os.read(self.master, 65536))
+        return self.frames
+
+
+@pytest.mark.parametrize("baud", [57_600])
+def test_a_serial_line_is_shared_fairly_and_survives_its_cable(tmp_path: Path, baud: int) -> None:
+    async def work() -> None:
+        line = Serial(tmp_path)
+        async with Companion(f"serial://{line.name}?baud={baud}", CLIENTS) as companion:
+            flooder = await open_transport("mem://clients")
+            modest = await open_transport("mem://clients")
+            await until(lambda: len(line.read()) > 0)
+            loop = asyncio.get_running_loop()
+            began, sent = loop.time(), 0
+            while loop.time() - began < 1.0:
+                for number in range(20):
+                    flooder.send(encode(message("TUNNEL", target_system=1, payload=[1] * 128), 7, 1, number))
+                if loop.time() - began > 0.05 * sent:
+                    modest.send(encode(message("MANUAL_CONTROL", target=1, x=sent), 8, 1, sent))
+                    sent += 1
+                await asyncio.sleep(0.005)
+                line.read()
+            flooder.send(encode(message("COMMAND_LONG", target_system=1, command=400), 7, 1, 0))
+            await until(lambda: any(one.message_id == 76 and one.system == 7 for one in line.read()))
+            assert sum(len(one.raw) for one in line.frames) < baud / 10 * (loop.time() - began + 0.1) + 300
+            assert sum(one.system == 8 for one in line.frames) >= sent - 1  # the last may still be on its way
+            assert companion.line.counts.crowded_out > 0
+            line.pull()
+            await until(lambda: companion.lost == 1)
+            line.plug()
+            line.frames.clear()
+            await until(lambda: any(one.system == 1 and one.component == 191 for one in line.read()))
+            await flooder.close()
+            await modest.close()
+        line.pull()
+
+    asyncio.run(work())
