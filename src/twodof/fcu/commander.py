@@ -315,7 +315,7 @@ class Commander:
         if not why:
             player.wait(max(at_tick, self._now), LOOPS[loop], thrust)
             return DONE
-        if not player.playing and player.transfer == transfer:
+        if not player.playing and player.unit and player.transfer == transfer:
             player.finish(REFUSED, why)
         return Verdict(TEMPORARILY_REJECTED, f"excitation refused: {why}")
 
