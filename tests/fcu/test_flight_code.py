@@ -90,7 +90,7 @@ def test_in_real_time_a_sandbox_out_of_processor_time_is_replaced(monkeypatch: p
 
     def clock() -> int:
         nonlocal now
-        now += 1_500_000 if made.tick == FAIL_AT else 1_000
+        now += 2_500_000 if made.tick == FAIL_AT else 1_000
         return now
 
     monkeypatch.setattr(time, "thread_time_ns", clock)

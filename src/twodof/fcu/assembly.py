@@ -36,7 +36,7 @@ WARNING = 4
 class Assembly:
     """The program of a drone: MAVLink system `system` on `hardware`.
 
-    `state` is the folder of what it keeps: parameters.json, logs/, controllers/; None keeps nothing and logs nothing.
+    `state` is the folder of what it keeps: parameters.json, logs/, controllers/ (uploads); None keeps nothing.
     `signing` is asked of every client. `close` ends what stands outside the event loop; the server closes by itself.
     """
 
@@ -49,7 +49,7 @@ class Assembly:
         signing: Signing | None = None,
         state: Path | None = None,
     ) -> None:
-        code, damage = controllers.build_safely()
+        code, damage = controllers.build()
         self.store = Store(None if state is None else state / "parameters.json", system)
         self._what = (code, flown(code))
         self._flies = self.store.flying()

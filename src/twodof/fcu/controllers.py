@@ -3,25 +3,26 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from twodof.blocks import Diagram
 from twodof.blocks.schema import to_json
-from twodof.errors import DiagramError
+from twodof.errors import ControllerFault, DiagramError
 from twodof.fcu.flight_code import FlightCode
 from twodof.fcu.services.own_telemetry import Flown
 from twodof.flight.slot import STOCK, Slot
 from twodof.flight.starters import load_diagram, starter
-from twodof.flight.templates import by_kind
+from twodof.flight.templates import TEMPLATES, by_kind
 
 
 class Controllers:
     """Builds the flight code of the diagrams that are to fly.
 
-    `given` are diagrams, JSON files or names of starter diagrams. Those in the folder `uploads`, one a template, come
-    in their place; a stock controller's own diagram there means the stock controller. Uploaded ones are never
-    `trusted`, and then none is. Raises DiagramError as `load_diagram` and `by_kind`.
+    `given` are diagrams, JSON files or names of starter diagrams. In the folder `uploads` clients put others, one a
+    template, which come in their place once they were built; these are kept in the folder `kept`, where they are found
+    after a restart. The stock controller's own diagram means the stock controller. What was uploaded is never
+    `trusted`, and then nothing is. Raises DiagramError as `load_diagram` and `by_kind`.
     """
 
     def __init__(
@@ -29,38 +30,51 @@ class Controllers:
         given: Iterable[str | Path | Diagram] = (),
         trusted: bool = False,
         uploads: Path | None = None,
+        kept: Path | None = None,
         position_filter: str = "joint",
         precision: str = "float64",
         fuel: int | None = None,
     ) -> None:
-        self.slot = None if uploads is None else Slot(uploads)
+        self.uploads = None if uploads is None else Slot(uploads)
+        self._kept = None if kept is None else Slot(kept)
         self._given = by_kind(c if isinstance(c, Diagram) else load_diagram(c) for c in given)
         self._trusted = trusted
         self._position_filter = position_filter
         self._precision = precision
         self._fuel = fuel
 
-    def build(self) -> FlightCode:
-        """The flight code with what is to fly now; may take seconds, in any thread.
+    def build(self) -> tuple[FlightCode, str]:
+        """The flight code at the start: of what was given and kept; without the latter, and why, if that is damaged."""
+        damage = ""
+        if self._kept is not None:
+            try:
+                return self._built(self._kept.flashed()), ""
+            except (DiagramError, ControllerFault) as error:
+                damage = f"uploaded controllers left out: {error}"
+        return self._built({}), damage
 
-        Raises DiagramError for a file that is no controller any more, CompileError where a tool chain is missing.
+    def build_uploaded(self) -> FlightCode:
+        """The flight code of what was given and what now is among the uploads, which is kept; takes seconds.
+
+        In any thread. Raises DiagramError for a file that is no controller, ControllerFault for one that needs too much
+        for a single step, CompileError where a tool chain is missing, LogError where it cannot be kept.
         """
-        uploaded = {} if self.slot is None else self.slot.flashed()
-        chosen = self._given | uploaded
+        if self.uploads is None or self._kept is None:
+            raise DiagramError("nothing is uploaded here", "controllers", "start it with a folder for its state")
+        uploaded = self.uploads.flashed()
+        code = self._built(uploaded)
+        for kind in TEMPLATES:
+            if kind in uploaded:
+                self._kept.flash(uploaded[kind])
+            else:
+                self._kept.remove(kind)
+        return code
+
+    def _built(self, uploaded: Mapping[str, Diagram]) -> FlightCode:
         stock = {kind for kind, diagram in uploaded.items() if to_json(diagram) == to_json(starter(STOCK[kind]))}
-        flying = [diagram for kind, diagram in chosen.items() if kind not in stock]
-        return self._code(flying, self._trusted and not uploaded)
-
-    def build_safely(self) -> tuple[FlightCode, str]:
-        """As `build`; where what was uploaded is damaged or cannot be built, without it, and why."""
-        try:
-            return self.build(), ""
-        except DiagramError as error:
-            code = self._code(self._given.values(), self._trusted)
-            return code, f"uploaded controller left out: {error}"
-
-    def _code(self, diagrams: Iterable[Diagram], trusted: bool) -> FlightCode:
-        return FlightCode(diagrams, trusted, self._position_filter, self._precision, self._fuel)
+        flying = [diagram for kind, diagram in (self._given | dict(uploaded)).items() if kind not in stock]
+        trusted = self._trusted and not uploaded
+        return FlightCode(flying, trusted, self._position_filter, self._precision, self._fuel)
 
 
 def flown(code: FlightCode) -> Flown:

@@ -16,8 +16,8 @@ from twodof.fcu.hardware import Sample
 from twodof.flight.core import INPUTS as CORE_INPUTS
 from twodof.flight.core import PERIOD, core
 
-BUDGET_NS = 1_000_000
-"""Processor time [ns] that a step in the sandbox may take in real time: a quarter of the control period."""
+BUDGET_NS = 2_000_000
+"""Processor time [ns] that a step in the sandbox may take in real time: half of the control period."""
 
 INPUTS = tuple(name for name, _, _, _ in CORE_INPUTS)
 OUTPUTS = ("fore", "aft", "M", "T", "x0", "v0", "theta0", "q0")

@@ -17,6 +17,7 @@ from twodof.gcs.clock import TICK_S, Clock
 from twodof.gcs.commands import Commands, number_of
 from twodof.gcs.deadline import Deadline
 from twodof.gcs.exciting import Exciter, Playback
+from twodof.gcs.files import Files
 from twodof.gcs.lease import Lease
 from twodof.gcs.log_download import Logs
 from twodof.gcs.parameters import AsyncParameters
@@ -71,6 +72,7 @@ class AsyncDrone:
         self.batches = Batches(session, self.commands)
         self.recordings = Recordings(session, self.commands, self.batches, self.texts, self.clock)
         self.logs = Logs(session)
+        self.files = Files(session, self.texts)
         self.commands.on_progress = self._one_tick
         self._last_thrust: float | None = None
         self.ours = False  # one of ours, not somebody else's PX4
@@ -81,7 +83,7 @@ class AsyncDrone:
         cls,
         url: str = DEFAULT_URL,
         timeout: float = 10.0,
-        system: int = 250,
+        system: int | None = 250,
         key: Key | str | Path | None = None,
         take_lease: bool = True,
         drone: int | None = None,
@@ -89,7 +91,8 @@ class AsyncDrone:
     ) -> Self:
         """Find the drone at `url` and, with `take_lease`, become the one who commands it.
 
-        `system` and `component` are what we call ourselves: two clients need two. `drone` is the system id to look for
+        `system` and `component` are what we call ourselves: two clients need two; None is the drone's own system, for
+        a program on board. `drone` is the system id to look for
         if several may be heard. `key` (or its file) signs everything; what is not signed with it is ignored. Raises
         LinkError, LinkLost if no drone is heard within `timeout` [s], Rejected if somebody else has the lease.
         """
@@ -97,10 +100,12 @@ class AsyncDrone:
         transport = await open_transport(url, timeout)
         session: Session | None = None
         try:
-            connection = Connection(transport, system, component, _signing(key, system))
+            connection = Connection(transport, system or 0, component, _signing(key, system or 0))
             session = Session(connection, on_board=component != _GROUND_COMPONENT)
             made = cls(session, take_lease)
             await session.find(drone, deadline.left)
+            connection.system = system or session.system
+            session.beat()
             await made._greet(deadline, take_lease)
         except BaseException:
             await (transport.close() if session is None else session.close())
@@ -125,6 +130,8 @@ class AsyncDrone:
         self.parameters.transactions = self.ours
         if self.ours and take_lease:
             await self.lease.take(deadline.left)
+            if self.session.lockstep:
+                await self.clock.begin_granting(deadline.left)
 
     async def __aenter__(self) -> Self:
         return self
@@ -268,7 +275,7 @@ class AsyncDrone:
         if self.state.mode in setpoint.modes:
             return
         # Offboard wants to see that they keep coming.
-        if self.session.lockstep:
+        if self.clock.granting:
             self.setpoints.hold(setpoint)
         else:
             await asyncio.sleep(2.5 * setpoints.PERIOD_S)
@@ -300,7 +307,7 @@ class AsyncDrone:
         last = self.tick + _TICKS_FOR_AN_ANSWER
         with self.session.listen("HEARTBEAT") as heard:
             while not condition():
-                if self.session.lockstep and self.tick < last:
+                if self.clock.granting and self.tick < last:
                     await self.run_until(self.tick + 1)
                 elif await heard.next(deadline.end) is None:
                     raise deadline.error("it acknowledged, but its heartbeat says otherwise")
@@ -369,6 +376,20 @@ class AsyncDrone:
         self.clock.restart()
         self.telemetry.clear()
 
+    async def fly_controller(self, template: str, diagram: str | bytes, timeout: float = 120.0) -> None:
+        """Send a controller, a diagram's JSON, and have it fly in the place of the one of that template, in a sandbox.
+
+        A stock controller's own diagram brings the stock one back. Raises Rejected where the drone is armed or finds a
+        fault in it; then what flew before flies on.
+        """
+        path = f"/controllers/{template}.json"
+        content = diagram.encode() if isinstance(diagram, str) else diagram
+        deadline = self._deadline(timeout, "sending a controller")
+        if self.state.armed:
+            raise Rejected("it is armed", deadline.where, "disarm it first")
+        await self.files.write(path, content, deadline.left)
+        await self.commands.run("USER_1", [], deadline.left, "flying another controller")
+
     async def stream(self, name: str, rate: float, timeout: float = TIMEOUT_S) -> None:
         """Have a message (such as "ACTUATOR_CONTROL_TARGET") sent `rate` times a second; 0: as by default, < 0: not."""
         interval = 1e6 / rate if rate > 0.0 else -1.0 if rate < 0.0 else 0.0
@@ -376,7 +397,7 @@ class AsyncDrone:
         await self.commands.run("SET_MESSAGE_INTERVAL", values, timeout, f"setting the rate of {name}")
 
     async def _one_tick(self) -> None:
-        if self.session.lockstep:
+        if self.clock.granting:
             await self.run_until(self.tick + 1)
 
     @property

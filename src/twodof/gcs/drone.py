@@ -11,7 +11,7 @@ from twodof.errors import TwodofError
 from twodof.excitation import Excitation
 from twodof.gcs.async_drone import DEFAULT_URL, LEAVING_S, TIMEOUT_S, AsyncDrone
 from twodof.gcs.exciting import Playback
-from twodof.gcs.faces import DroneLogs, DroneRows, DroneSignal, Parameters
+from twodof.gcs.faces import DroneFiles, DroneLogs, DroneRows, DroneSignal, Parameters
 from twodof.gcs.recording import Recording
 from twodof.gcs.runner import Runner
 from twodof.gcs.state import Battery, State
@@ -34,6 +34,7 @@ class Drone:
         self._runner = runner
         self.parameters = Parameters(there.parameters, runner)
         self.logs = DroneLogs(there.logs, runner)
+        self.files = DroneFiles(there.files, runner)
 
     @classmethod
     def connect(
@@ -135,6 +136,13 @@ class Drone:
     def command(self, command: str, *values: float, timeout: float = TIMEOUT_S) -> Any:
         """Any MAV_CMD by its name, with up to seven values; returns its COMMAND_ACK."""
         return self._runner.run(self.there.command(command, *values, timeout=timeout))
+
+    def fly_controller(self, template: str, diagram: str | bytes, timeout: float = 120.0) -> None:
+        """Send a controller, a diagram's JSON, and have it fly in the place of the one of that template, in a sandbox.
+
+        Raises Rejected where the drone is armed or finds a fault in it; then what flew before flies on.
+        """
+        self._runner.run(self.there.fly_controller(template, diagram, timeout))
 
     def arm(self, timeout: float = TIMEOUT_S) -> None:
         """Arm it, and see that it is. Raises Rejected with what speaks against it."""

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twodof.gcs.batches import Rows
+from twodof.gcs.files import Files
 from twodof.gcs.log_download import LogEntry, Logs
 from twodof.gcs.parameters import AsyncParameters, Entry
 from twodof.gcs.runner import Runner
@@ -58,6 +59,25 @@ class Parameters(MutableMapping[str, float]):
     def undo(self) -> None:
         """Back to what was before the last change. Raises Rejected, LinkLost, Timeout."""
         self._runner.run(self._there.undo())
+
+
+class DroneFiles:
+    """Files on board: descriptions, logs, controllers. Calls raise Rejected, LinkLost and Timeout."""
+
+    def __init__(self, there: Files, runner: Runner) -> None:
+        self._there, self._runner = there, runner
+
+    def read(self, path: str, timeout: float = 60.0) -> bytes:
+        """What is in the file `path`."""
+        return self._runner.run(self._there.read(path, timeout))
+
+    def write(self, path: str, content: bytes, timeout: float = 60.0) -> None:
+        """Makes `content` the file `path`, whole or not at all."""
+        self._runner.run(self._there.write(path, content, timeout))
+
+    def remove(self, path: str, timeout: float = 5.0) -> None:
+        """Deletes the file `path`."""
+        self._runner.run(self._there.remove(path, timeout))
 
 
 class DroneSignal:

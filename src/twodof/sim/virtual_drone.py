@@ -49,8 +49,8 @@ class VirtualDrone:
         parameters = rig if isinstance(rig, ParameterSet) else load_rig(rig)
         name = "own" if isinstance(rig, ParameterSet) else Path(rig).stem
         self.rig = VirtualRig(parameters, conditions, precision, name, safety_off)
-        uploads = None if state is None else state / "controllers"
-        chosen = Controllers(controllers, trusted, uploads, position_filter, precision, fuel)
+        uploads, kept = (None, None) if state is None else (state / "controllers", state / "flying")
+        chosen = Controllers(controllers, trusted, uploads, kept, position_filter, precision, fuel)
         self.assembly = Assembly(self.rig, chosen, index + 1, lockstep, signing, state)
         self.rig.settle(self.controller.code)
         self.urls: list[str] = []

@@ -19,9 +19,9 @@ from twodof.fcu.services.addressing import Us, source
 from twodof.fcu.services.background import Background
 from twodof.fcu.services.file_tree import EXISTS, MAX_UPLOAD, FileFault, FileTree, OpenFile
 from twodof.fcu.services.ftp_guest import BURST_BYTES, MOST_WAITING, Burst, Guest, Session
-from twodof.fcu.services.ftp_packet import MOST_DATA, Fault, Op, Packet, packed, read_packet
 from twodof.fcu.services.pump import Pump
 from twodof.link.connection import Received
+from twodof.link.ftp import MOST_DATA, Fault, Op, Packet, packed, read_packet
 
 FTP_CAPABILITY = 32
 """MAV_PROTOCOL_CAPABILITY_FTP."""

@@ -7,7 +7,7 @@ from collections.abc import Callable, Hashable, Iterator
 
 from twodof.fcu.asked import Source
 from twodof.fcu.services.file_tree import OpenFile
-from twodof.fcu.services.ftp_packet import Fault, Packet
+from twodof.link.ftp import Fault, Packet
 
 MOST_SESSIONS = 4
 """Sessions of one client; a fifth closes the one that was opened first, but no upload."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 from typing import Protocol
 
 from twodof.errors import TwodofError
@@ -29,7 +30,7 @@ class Commander(Protocol):
 class Reload:
     """Carries out `RELOAD`, disarmed only; the answer comes when the controllers fly, or says why they do not.
 
-    In real time it is compiled in a thread; in lockstep time waits for it.
+    What it compiles, for seconds, it compiles in a thread beside the control loop.
     """
 
     def __init__(
@@ -40,35 +41,31 @@ class Reload:
         self._controllers = controllers
         self._task: asyncio.Task[None] | None = None
         self._verdict = Verdict(ACCEPTED)
-        commands.on(RELOAD, self._reload, lambda: self._verdict)
+        self._commands = commands
+        commands.on(RELOAD, self._reload, lambda: self._verdict, slow=True)
 
     def _reload(self, command: Command) -> Verdict:
-        if self._controllers.slot is None:
+        if self._controllers.uploads is None:
             return Verdict(UNSUPPORTED, "it keeps no uploads: start it with a folder for its state")
         if self._commander.armed:
             return Verdict(TEMPORARILY_REJECTED, "no other controller while armed: disarm first")
         verdict = self._commander.take(command.source, "reload")
         if not verdict.accepted:
             return verdict
-        if self._controller.lockstep:
-            return self._built()
         if self._task is None or self._task.done():
             self._verdict = Verdict(IN_PROGRESS)
             self._task = asyncio.get_running_loop().create_task(self._build(), name="reload")
         return self._verdict
 
-    def _built(self) -> Verdict:
-        try:
-            self._controller.replace(self._controllers.build())
-        except TwodofError as error:
-            return Verdict(FAILED, str(error))
-        return Verdict(ACCEPTED)
-
     async def _build(self) -> None:
+        made = Verdict(FAILED, "the program itself has a fault: report it")
         try:
-            code = await asyncio.to_thread(self._controllers.build)
-            self._controller.replace(code)
+            self._controller.replace(await asyncio.to_thread(self._controllers.build_uploaded))
+            made = Verdict(ACCEPTED)
+            gc.collect()
+            gc.freeze()  # see `Server`: not in flight
         except TwodofError as error:
-            self._verdict = Verdict(FAILED, str(error))
-        else:
-            self._verdict = Verdict(ACCEPTED)
+            made = Verdict(FAILED, str(error))
+        finally:
+            self._verdict = made
+            self._commands.poll()
