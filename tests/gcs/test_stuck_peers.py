@@ -145,14 +145,13 @@ def test_one_that_dies_at_any_message(tmp_path: Path, lockstep: bool) -> None:
         talk = Conversation(folder, lambda count, sent, last=last: [sent] if count < last else None, lockstep)
         talk.check()
         names = list(talk.failed)
-        assert names or last == total - 1, last  # the last one is the end of the lease, which ends by itself too
+        # The last ones are about the end of the lease, which ends by itself too.
+        assert names or last >= total - 2, last
         assert all(type(error) is LinkLost for error in talk.failed.values()), (last, talk.failed)
         late = {name: talk.took[name] for name in names if talk.took[name] > 0.0}
         assert sum(late.values()) < LATE_S, (last, late)
-        everything = list(talk.ended)
-        assert not names or names == everything[everything.index(names[0]) : everything.index(names[0]) + len(names)], (
-            last
-        )
+        first = list(talk.ended).index(names[0]) if names else 0
+        assert names == list(talk.ended)[first : first + len(names)], last
 
 
 @pytest.mark.parametrize("lockstep", [False, True])

@@ -31,6 +31,7 @@ COMMANDS = MappingProxyType(
         "log": ("log", "Look into flight logs and convert them."),
         "calibrate": ("calibrate", "Calibrate the virtual rig on the real drone's logs."),
         "companion": ("companion", "Route MAVLink between the flight controller and clients; run an app on board."),
+        "drones": ("drones", "List the drones that can be heard, and where to connect to them."),
         "px4": ("px4", "Make a module for PX4 of a diagram, and see whether a PX4 fits it."),
     }
 )

@@ -99,6 +99,7 @@ class AsyncDrone:
         deadline = Deadline(timeout, "connecting", url)
         transport = await open_transport(url, timeout)
         session: Session | None = None
+        made: Self | None = None
         try:
             connection = Connection(transport, system or 0, component, _signing(key, system or 0))
             session = Session(connection, on_board=component != _GROUND_COMPONENT)
@@ -108,6 +109,8 @@ class AsyncDrone:
             session.beat()
             await made._greet(deadline, take_lease)
         except BaseException:
+            if made is not None:
+                made.lease.stop()
             await (transport.close() if session is None else session.close())
             raise
         return made

@@ -12,7 +12,7 @@ from twodof.link.messages import message
 TICK_S = 0.004
 TICK_MS = 4
 _STAMPED_MS = ("ATTITUDE", "ATTITUDE_TARGET", "LOCAL_POSITION_NED", "ATTITUDE_QUATERNION")
-_TICKED = ("TWODOF_SAFETY", "TWODOF_TIMING", "TWODOF_EXCITE_STATUS", "TWODOF_RIG")
+_TICKED = ("TWODOF_SAFETY", "TWODOF_TIMING", "TWODOF_EXCITE_STATUS", "TWODOF_RIG", "TWODOF_TICK")
 # Real time of the drone's silence over its own time, after which it stands still.
 STANDS_STILL_S = 3.0
 # A drone's clock that runs slower than this is none.
@@ -30,21 +30,22 @@ class Clock:
     def __init__(self, session: Session) -> None:
         self._session = session
         self.tick = 0
+        self.granting = False  # time stands still, and is ours to grant
         self.before_slice: list[Callable[[int, int], None]] = []
         self._numbers = count(1)
         session.on(self._stamped, *_STAMPED_MS)
         session.on(self._ticked, *_TICKED)
-        session.on(self._told, "TWODOF_TICK")
 
     @property
     def seconds(self) -> float:
         """The drone's time since it started [s]."""
         return self.tick * TICK_S
 
-    @property
-    def lockstep(self) -> bool:
-        """Whether its time stands still until it is granted."""
-        return self._session.lockstep
+    async def begin_granting(self, timeout: float) -> None:
+        """From now on its time is ours to grant: learn how far it has come. Raises LinkLost, Timeout."""
+        self.granting = True
+        deadline = Deadline(timeout, "asking how far its time has come", f"drone {self._session.system}")
+        self.tick = await self._ask(0, deadline)
 
     def restart(self) -> None:
         """It began anew at tick 0."""
@@ -55,7 +56,7 @@ class Clock:
 
         Raises LinkLost; Timeout if its time stands still.
         """
-        if not self.lockstep:
+        if not self.granting:
             await self._pass(tick, done)
             return
         step = SETPOINT_TICKS if done is not None else SLICE_TICKS
@@ -67,17 +68,21 @@ class Clock:
             await self._grant(until, deadline)
 
     async def _grant(self, until: int, deadline: Deadline) -> None:
-        session, number = self._session, next(self._numbers)
         for prepare in self.before_slice:
             prepare(self.tick, until)
+        await self._ask(until, deadline)
+        self.tick = until
+
+    async def _ask(self, until: int, deadline: Deadline) -> int:
+        """Grant time up to a tick; returns how far it has come then."""
+        session, number = self._session, next(self._numbers)
         place = {"target_system": session.system, "target_component": session.component}
-        await session.ask(
+        return await session.ask(
             lambda _: message("TWODOF_GRANT", until=until, number=number, **place),
             ("TWODOF_TICK",),
-            lambda got: True if got.number == number and got.tick >= until else None,
+            lambda got: int(got.tick) if got.number == number and got.tick >= until else None,
             deadline,
         )
-        self.tick = until
 
     async def _pass(self, tick: int, done: Callable[[], bool] | None) -> None:
         session = self._session
@@ -96,15 +101,12 @@ class Clock:
                 await heard.next(session.now + SETPOINT_TICKS * TICK_S)
 
     def _stamped(self, got: Any) -> None:
-        if not self.lockstep:
+        if not self.granting:
             self._to(got.time_boot_ms // TICK_MS)
 
     def _ticked(self, got: Any) -> None:
-        if not self.lockstep:
+        if not self.granting:
             self._to(got.tick)
-
-    def _told(self, got: Any) -> None:
-        self._to(got.tick)
 
     def _to(self, tick: int) -> None:
         # What was overtaken on the way is up to a second old; what is older says that the drone began anew.

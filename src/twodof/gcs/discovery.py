@@ -18,6 +18,8 @@ GROUND_PORT, ONBOARD_PORT = 14550, 14540
 VEHICLE_PORTS = (14580, 18570, 5760, 5790)
 """Where they listen: UDP on the first two, TCP on the others, + i for drone i."""
 DRONES = 8
+SYSTEM = 241
+"""What we call ourselves meanwhile: none that other clients use."""
 _NO_AUTOPILOT = 8
 
 
@@ -29,6 +31,9 @@ class Found(NamedTuple):
     mode: str
     armed: bool
     autopilot: int
+
+
+LOOPBACK = "127.0.0.1"
 
 
 def urls(hosts: Iterable[str] = (), drones: int = DRONES) -> list[str]:
@@ -59,8 +64,8 @@ async def _look(url: str, timeout: float, heard: dict[tuple[int, str], Found]) -
     loop = asyncio.get_running_loop()
     end = loop.time() + timeout
     with suppress(LinkError):
-        async with Connection(await open_transport(url, timeout), system=255, component=190) as connection:
-            while (left := end - loop.time()) > 0.0:
+        async with Connection(await open_transport(url, timeout), system=SYSTEM, component=190) as connection:
+            while loop.time() < end:
                 with suppress(LinkLost):
                     connection.send(message("HEARTBEAT", type=6, autopilot=_NO_AUTOPILOT, system_status=4))
                 turn = min(end, loop.time() + 1.0)
@@ -73,5 +78,3 @@ async def _look(url: str, timeout: float, heard: dict[tuple[int, str], Found]) -
                         )
                     if loop.time() >= turn:
                         break
-                if left <= 0.0:
-                    break

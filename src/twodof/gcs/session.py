@@ -204,6 +204,8 @@ class Session:
 
     def beat(self) -> None:
         """Say that we are there."""
+        if not self.connection.system:
+            return  # we are the drone's own system, which is not known yet
         with suppress(LinkLost):  # whoever waits is told by `check`
             self.connection.send(message("HEARTBEAT", type=self._kind, autopilot=_NO_AUTOPILOT, system_status=4))
 

@@ -100,7 +100,7 @@ class Setpoints:
         """Send it now and keep sending it. Raises LinkLost."""
         self.current = setpoint
         self._next_tick = self._clock.tick
-        if self._clock.lockstep:
+        if self._clock.granting:
             self._send(self._clock.tick)
         elif self._streaming is None or self._streaming.done():
             self._send(0)

@@ -1,0 +1,35 @@
+"""`twodof drones`: which drones can be heard, and where to connect to them."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Annotated
+
+import typer
+from rich.table import Table
+
+from twodof.cli.output import Json, print_json, table_console
+from twodof.gcs.discovery import LOOPBACK, discover
+
+app = typer.Typer(add_completion=False)
+
+
+@app.callback(invoke_without_command=True)
+def drones(
+    host: Annotated[list[str] | None, typer.Argument(help="Machines to ask besides this one.")] = None,
+    timeout: Annotated[float, typer.Option(min=0.1, max=60.0, help="How long to listen [s].")] = 3.0,
+    json: Json = False,
+) -> None:
+    """List the drones that are heard on PX4's ports of this machine, or answer at those of HOST. Commands nothing."""
+    found = asyncio.run(discover(timeout, [LOOPBACK, *(host or ())]))
+    if json:
+        print_json([one._asdict() for one in found])
+        return
+    console = table_console()
+    if not found:
+        console.print(f"no drone was heard within {timeout:g} s")
+        return
+    table = Table("drone", "connect to", "mode", "", box=None, pad_edge=False)
+    for one in found:
+        table.add_row(str(one.system), one.url, one.mode, "armed" if one.armed else "")
+    console.print(table)

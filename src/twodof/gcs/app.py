@@ -1,0 +1,81 @@
+"""Runs a user's own program: `python -m twodof.gcs.app FILE --url URL`, FILE with `async def main(drone)`.
+
+On board the companion starts it (`twodof companion run FILE`) and it speaks as component 192 of the drone's own system.
+It has the lease while it runs; leaving it, however that comes about, disarms. Exit status: 0 it ended by itself or was
+told to (SIGTERM), 1 it raised, 2 FILE is no such program.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import inspect
+import runpy
+import signal
+import sys
+from collections.abc import Awaitable, Callable, Sequence
+from pathlib import Path
+from typing import cast
+
+from twodof.errors import TwodofError
+from twodof.gcs.async_drone import AsyncDrone
+
+FINE, RAISED, NO_APP = 0, 1, 2
+ON_BOARD = 192
+"""MAV_COMP_ID_ONBOARD_COMPUTER2; the companion itself is the first."""
+
+Main = Callable[[AsyncDrone], Awaitable[object]]
+
+
+def load(file: Path) -> Main:
+    """The coroutine function `main` of a program. Raises TwodofError where there is none."""
+    try:
+        found = runpy.run_path(str(file), run_name="twodof_app").get("main")
+    except OSError as error:
+        raise TwodofError(f"cannot be read: {error.strerror}", str(file), "name a file") from error
+    if not inspect.iscoroutinefunction(found):
+        raise TwodofError("has no `async def main(drone)`", str(file), "write one")
+    return cast(Main, found)
+
+
+async def fly(main: Main, url: str, timeout: float, system: int | None, key: Path | None) -> None:
+    """Connect, run `main`, leave; SIGTERM and SIGINT cancel it. `system` None: the drone's own."""
+    task = asyncio.current_task()
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        if task is not None:
+            loop.add_signal_handler(number, task.cancel)
+    component = ON_BOARD if system is None else 190
+    async with await AsyncDrone.connect(url, timeout, system, key, component=component) as drone:
+        await main(drone)
+
+
+def run(arguments: Sequence[str]) -> int:
+    """One command line; returns the exit status. What went wrong goes to stderr."""
+    parser = argparse.ArgumentParser(prog="python -m twodof.gcs.app", description="Run a program with a drone.")
+    parser.add_argument("file", type=Path, metavar="FILE", help="with `async def main(drone)`")
+    parser.add_argument("--url", required=True, help="where the drone is, or its companion")
+    parser.add_argument("--timeout", type=float, default=30.0, help="how long to look for the drone [s]")
+    parser.add_argument("--system", type=int, help="MAVLink system to be; the drone's own if it is left out")
+    parser.add_argument("--key", type=Path, help="file of a signing key")
+    given = parser.parse_args(list(arguments))
+    try:
+        main = load(given.file)
+    except TwodofError as error:
+        sys.stderr.write(f"error: {error}\n")
+        return NO_APP
+    except (SyntaxError, ImportError) as error:
+        sys.stderr.write(f"error: {given.file}: {error}\n")
+        return NO_APP
+    try:
+        asyncio.run(fly(main, given.url, given.timeout, given.system, given.key))
+    except asyncio.CancelledError:
+        return FINE
+    except TwodofError as error:
+        sys.stderr.write(f"error: {error}\n")
+        return RAISED
+    return FINE
+
+
+if __name__ == "__main__":
+    sys.exit(run(sys.argv[1:]))

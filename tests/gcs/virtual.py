@@ -1,0 +1,61 @@
+"""A virtual drone in a thread of its own, for the synchronous face; what it did on board, step by step."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from twodof.fcu.flight_code import Step
+from twodof.flightlog.log import Channel
+from twodof.flightlog.steps import step_channels
+from twodof.gcs.runner import Runner
+from twodof.sim.virtual_drone import VirtualDrone
+
+
+class OnBoard:
+    """A virtual drone at `url` and every step that it made."""
+
+    def __init__(self, drone: VirtualDrone, url: str) -> None:
+        self.drone = drone
+        self.url = url
+        self.steps: list[Step] = []
+        self.truth: list[tuple[float, float, float, float]] = []
+        drone.controller.listeners.append(self._seen)
+
+    def _seen(self, step: Step) -> None:
+        self.steps.append(step)
+
+    def channels(self) -> dict[str, Channel]:
+        """The drone's own log of these steps, by .mat names."""
+        sample = ("acc_x", "acc_y", "acc_z", "gyro_x", "gyro_y", "gyro_z", "dist", "dist_new", "voltage", "charge")
+        flown = ("theta", "q", "x", "v", "theta0", "q0", "x0", "v0", "M", "T")
+        out: dict[str, Any] = {name: np.array([getattr(step.sample, name) for step in self.steps]) for name in sample}
+        out |= {name: np.array([getattr(step, name) for step in self.steps]) for name in flown}
+        mode = np.array([step.asked.mode for step in self.steps], dtype=np.int32)
+        return step_channels(np.array([step.tick for step in self.steps], dtype=np.int64), out, mode)
+
+
+@contextmanager
+def on_board(listen: str = "tcpin://127.0.0.1:0", state: Path | None = None, **options: Any) -> Iterator[OnBoard]:
+    """A virtual drone that listens, meanwhile."""
+    runner = Runner("virtual drone")
+    try:
+
+        async def start() -> OnBoard:
+            drone = VirtualDrone(state=state, **options) if state is not None else VirtualDrone(**options)
+            await drone.__aenter__()
+            listening = await drone.listen(listen)
+            return OnBoard(drone, listening.replace("in://", "://"))
+
+        async def stop() -> None:
+            await there.drone.__aexit__(None, None, None)
+
+        there = runner.run(start())
+        try:
+            yield there
+        finally:
+            runner.run(stop())
+    finally:
+        runner.close()
