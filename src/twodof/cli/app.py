@@ -23,6 +23,8 @@ COMMANDS = MappingProxyType(
     {
         "demo": ("demo", "Fly, identify and compare with the paper; write the report."),
         "simulate": ("simulate", "Fly an experiment, or a log's set-points, on a virtual rig."),
+        "up": ("up", "Start virtual drones, and say where to connect."),
+        "fly": ("fly", "Fly an experiment over MAVLink, on a virtual drone or a real one."),
         "diagram": ("diagram", "Start, check, draw and linearize a diagram; see the C that it becomes."),
         "flash": ("flash", "Check and compile a controller, say what changes, and let it fly."),
         "identify": ("identify", "Identify a model from a flight log."),

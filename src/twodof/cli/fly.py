@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from twodof.cli.output import Json, print_json, progress, table_console
+from twodof.cli.own_drone import own_drone
+from twodof.errors import LinkLost
 from twodof.experiment.flight import Flight
 from twodof.experiment.fly import fly as fly_experiment
 from twodof.experiment.protocol import EXPERIMENTS
@@ -22,7 +26,10 @@ app = typer.Typer(add_completion=False)
 @app.command()
 def fly(
     experiment: Annotated[str, typer.Argument(help=f"One of {', '.join(EXPERIMENTS)}.")],
-    url: Annotated[str, typer.Option(help="Where the drone is, as `twodof up` says.")] = DEFAULT_URL,
+    url: Annotated[str | None, typer.Option(help=f"Where the drone is, as `twodof up` says [{DEFAULT_URL}].")] = None,
+    rig: Annotated[
+        str | None, typer.Option(help="lab, paper, or a JSON file: fly a virtual drone of our own on this rig.")
+    ] = None,
     drone: Annotated[int | None, typer.Option(min=1, max=255, help="Its system, where several are heard.")] = None,
     key: Annotated[Path | None, typer.Option(help="File of the key that signs everything.")] = None,
     seed: Annotated[int, typer.Option(min=0, max=2**32 - 1, help="Seed of a virtual drone's noise.")] = 1,
@@ -38,18 +45,22 @@ def fly(
     disarmed, and the log holds what there is. Exit status 1: it was broken off, or its data are not good.
     """
     asked = named_experiment(experiment)
-    with progress() as report, Drone.connect(url, key=key, drone=drone) as there:
+    if url is not None and rig is not None:
+        raise typer.BadParameter("--url and --rig name two drones: give one of them")
+    with ExitStack() as stack:
+        where = url or DEFAULT_URL if rig is None else stack.enter_context(own_drone(rig))
+        report = stack.enter_context(progress())
+        there = stack.enter_context(connected(where, key, drone))
         flight = fly_experiment(asked, there, seed=seed, x_start=start, progress=report)
-        rig = there.state.rig
-    if out is not None:
-        write_log(flight.log, out)
+        machine = there.state.rig
+        if out is not None:
+            write_log(flight.log, out)
     if json:
         print_json(
             {
                 "experiment": experiment,
-                "url": url,
-                "rig": rig.name,
-                "virtual": rig.virtual,
+                "rig": machine.name,
+                "virtual": machine.virtual,
                 "seed": flight.seed,
                 "x_start_m": flight.x_start,
                 "good": flight.good,
@@ -59,9 +70,20 @@ def fly(
             }
         )
     else:
-        _print(flight, rig.name, out)
+        _print(flight, machine.name, out)
     if not flight.good:
         raise typer.Exit(1)
+
+
+@contextmanager
+def connected(url: str, key: Path | None, system: int | None) -> Iterator[Drone]:
+    """The drone at `url`. That its link was lost is no news at the end: the flight has said so."""
+    drone = Drone.connect(url, key=key, drone=system)
+    try:
+        yield drone
+    finally:
+        with suppress(LinkLost):
+            drone.close()
 
 
 def _print(flight: Flight, rig: str, out: Path | None) -> None:

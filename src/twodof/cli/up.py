@@ -19,8 +19,8 @@ from twodof.link.opening import open_transport
 
 app = typer.Typer(add_completion=False)
 
-MOST_DRONES = 32
-"""As many as clients can tell apart by their ports."""
+MOST_DRONES = 10
+"""The eleventh's port for clients on board, 14540 + 10, is QGroundControl's."""
 
 ANSWER_S = 60.0
 """How long a program may take until it is heard [s]: the first one compiles the flight code and the rig."""
@@ -66,6 +66,9 @@ class Place:
 @app.command()
 def up(
     drones: Annotated[int, typer.Option(min=1, max=MOST_DRONES, help="How many.")] = 1,
+    first: Annotated[
+        int, typer.Option(min=0, max=9, help="Number of the first, 0 to 9: its ports and system come from it.")
+    ] = 0,
     rig: Annotated[str, typer.Option(help="lab, paper, or a JSON file of rig parameters.")] = "lab",
     rings: Annotated[bool, typer.Option("--rings/--free", help="The rings lock the cart: pitch only.")] = False,
     lockstep: Annotated[
@@ -79,7 +82,9 @@ def up(
     after that all end. With --json one line of JSON says where they are, once all answer. Exit status 1: a program did
     not start, or could not be kept running.
     """
-    places = [Place(index) for index in range(drones)]
+    if first + drones > MOST_DRONES:
+        raise typer.BadParameter(f"drones have the numbers 0 to {MOST_DRONES - 1}")
+    places = [Place(index) for index in range(first, first + drones)]
     options = ["--rig", rig, *(["--rings"] if rings else []), *(["--lockstep"] if lockstep else [])]
     raise typer.Exit(asyncio.run(_run(places, options, lockstep, json)))
 

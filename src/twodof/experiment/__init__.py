@@ -1,6 +1,8 @@
 """Experiments: protocols that excite a rig whose flight controller runs a diagram, and the flights they make."""
 
-from twodof.experiment.flight import Check, Flight, Laboratory, simulate
+from twodof.experiment.checks import Check
+from twodof.experiment.flight import Flight, Laboratory, simulate
+from twodof.experiment.fly import fly
 from twodof.experiment.protocol import EXPERIMENTS, IDENTIFICATION, Experiment, experiment
 
 __all__ = [
@@ -11,5 +13,6 @@ __all__ = [
     "Flight",
     "Laboratory",
     "experiment",
+    "fly",
     "simulate",
 ]

@@ -92,7 +92,7 @@ class Laboratory:
         if not (isinstance(noise, Real) and math.isfinite(noise) and noise >= 0.0):
             raise ParameterError(f"a noise of {noise!r:.80}", "noise", "give 0 (none) or more; 1 is the rig's own")
         self.rig_name = "own" if isinstance(rig, ParameterSet) else str(rig)
-        self.parameters = rig if isinstance(rig, ParameterSet) else load_rig(rig)
+        self.parameters: ParameterSet = rig if isinstance(rig, ParameterSet) else load_rig(rig)
         self.noise = noise
         self.controllers = by_kind(c if isinstance(c, Diagram) else load_diagram(c) for c in controllers)
         self.precision = precision
@@ -209,7 +209,7 @@ class Laboratory:
         machine = {"rail_stop": self.parameters["rail_stop"]} | self._conditions
         loop.configure(machine | {"rings": experiment.rings, "ring_place": x_start} | conditions)
         loop.start(Start(x=x_start))
-        return loop.fly(plan.steps, plan.setpoints | ({"arm": plan.arm} if loop.failsafe else {}))
+        return loop.fly(plan.steps, {**plan.setpoints, **({"arm": plan.arm} if loop.failsafe else {})})
 
 
 def _checked_seed(seed: int) -> int:

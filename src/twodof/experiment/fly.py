@@ -114,15 +114,16 @@ def fly(
         received(plan, have),
         *data_checks(experiment, plan, out, model.parameters),
     ]
-    provenance = {
+    flown_seed = seed if rig.virtual else 0
+    provenance: dict[str, object] = {
         "experiment": experiment.name,
         "excitation": experiment.excitation.to_dict(),
         "rig": rig.name,
-        "seed": seed if rig.virtual else 0,
+        "seed": flown_seed,
         "versions": versions(),
         "flown": {"url": drone.url, "virtual": rig.virtual, "controller": rig.controller, "reason": reason},
     }
-    return Flight(experiment, samples.log(provenance), x_start, provenance["seed"], tuple(checks), reason)
+    return Flight(experiment, samples.log(provenance), x_start, flown_seed, tuple(checks), reason)
 
 
 def _model(name: str) -> Laboratory:
@@ -214,6 +215,7 @@ class _Course:
             loop=LOOP[self.experiment.mode],
             thrust=on_wire(self.experiment.thrust),
             at=self.first + self.plan.begin,
+            wait=False,
         )
         return ""
 

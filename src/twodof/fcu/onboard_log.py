@@ -24,6 +24,8 @@ from twodof.flightlog.spool import DEADLINE_S
 LONGEST_QUEUE = 20_000
 """Rows that may wait for the disk, 6 MB: 80 s of real time."""
 LOCKSTEP_WAIT_S = 30.0
+LISTING_S = 10.0
+"""How long the disk may take until the logs are listed [s]."""
 _PAUSE_S = 0.2
 _AT_ONCE = 4096
 
@@ -115,7 +117,12 @@ class OnboardLog:
         self._put("requested", "", False)
 
     def logs(self) -> list[StoredLog]:
-        """The logs on board by rising number, that being written included. Raises LogError."""
+        """The logs on board by rising number, that being written included, with all that was handed over so far.
+
+        Raises LogError.
+        """
+        if self._thread.is_alive():
+            self._ask("flush", LISTING_S)
         return self.folder.logs()
 
     def erase(self) -> int:

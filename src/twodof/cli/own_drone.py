@@ -1,0 +1,80 @@
+"""A virtual drone of a command's own: `twodof fcu` as a child process in lockstep, for as long as it is needed."""
+
+from __future__ import annotations
+
+import re
+import selectors
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from tempfile import TemporaryDirectory
+
+from twodof.errors import LinkError
+
+START_S = 120.0
+"""How long it may take until it listens [s]: the first time it compiles flight code and rig."""
+
+END_S = 5.0
+"""How long it may take to end [s]; then it is killed."""
+
+_LISTENING = re.compile(rb"listening on tcpin(\S+)")
+_MOST_SAID = 4000
+
+
+@contextmanager
+def own_drone(rig: str, *options: str) -> Iterator[str]:
+    """The URL of a drone on the virtual rig `rig` whose time a client grants; it ends with the block.
+
+    It listens on this machine only, on a port that the system chooses, and keeps nothing. `options` are further ones of
+    `twodof fcu`. Raises LinkError if it does not come up.
+    """
+    with TemporaryDirectory(prefix="twodof-") as folder, _started(rig, folder, options) as process:
+        yield _listening(process, rig)
+
+
+@contextmanager
+def _started(rig: str, folder: str, options: Sequence[str]) -> Iterator[subprocess.Popen[bytes]]:
+    command = [sys.executable, "-m", "twodof.cli.child", "fcu", "--lockstep", "--rig", rig, "--state", folder]
+    process = subprocess.Popen(
+        [*command, "--listen", "tcpin://127.0.0.1:0", *options],
+        stdin=subprocess.PIPE,  # never written to: it ends with us
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        start_new_session=True,
+        bufsize=0,
+    )
+    try:
+        yield process
+    finally:
+        _end(process)
+
+
+def _listening(process: subprocess.Popen[bytes], rig: str) -> str:
+    """Where it listens, once it does."""
+    said, end = b"", time.monotonic() + START_S
+    with selectors.DefaultSelector() as selector:
+        if process.stdout is not None:
+            selector.register(process.stdout, selectors.EVENT_READ)
+        while process.stdout is not None and selector.select(max(0.0, end - time.monotonic())):
+            piece = process.stdout.read(4096)
+            if not piece:
+                break
+            said = (said + piece)[-_MOST_SAID:]
+            if found := _LISTENING.search(said):
+                return "tcp" + found[1].decode()
+    text = " ".join(said.decode(errors="replace").split()) or "it said nothing"
+    raise LinkError(f"the flight controller did not come up: {text}", f"rig {rig}", "see what it says")
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    process.terminate()
+    try:
+        process.wait(END_S)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+    for pipe in (process.stdin, process.stdout):
+        if pipe is not None:
+            pipe.close()

@@ -1,0 +1,294 @@
+"""An experiment over MAVLink in lockstep is the experiment in the compiled simulator: bit for bit on board, and rounded
+to the wire's float32 on the ground. And a flight that goes wrong says so.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+import signal
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tests.experiment.drones import drone_process, drone_thread
+from twodof.errors import ExperimentError, LinkLost
+from twodof.experiment.checks import received
+from twodof.experiment.flight import Flight, Laboratory
+from twodof.experiment.fly import fly
+from twodof.experiment.protocol import EXPERIMENTS, Experiment, experiment
+from twodof.experiment.received import COLUMNS, NAMES, Samples
+from twodof.experiment.script import Script, script
+from twodof.flightlog.log import FlightLog
+from twodof.flightlog.ulog_decoder import scan_ulog
+from twodof.gcs.drone import Drone
+from twodof.sim.virtual_drone import VirtualDrone
+
+SEED = 5
+EACH_KIND = ("impulse", "doublet", "velocity-doublets", "position-sweep", "attitude-steps")
+"""One in open loop with the motors off, one about the trim, one in each of three loops."""
+
+Signals = Mapping[str, NDArray[Any]]
+NOT_ON_BOARD = ("true_theta", "true_q", "true_x", "true_v", "load")
+ASKED = ("mode", "arm", "x0", "v0", "theta0", "q0", "thrust", "M_open", "use_trim")
+
+
+@dataclass(frozen=True)
+class Lab:
+    """A virtual drone in lockstep, the client that flies it, and the simulator of the same rig and precision."""
+
+    drone: Drone
+    laboratory: Laboratory
+    folder: Path
+
+    def fly(self, name: str) -> tuple[Flight, Signals]:
+        """Flies an experiment; returns it and the on-board log of every step."""
+        before = set(self.folder.rglob("*.ulg"))
+        flight = fly(name, self.drone, seed=SEED, laboratory=self.laboratory)
+        self.drone.logs.list()  # which waits for what is being written
+        (path,) = set(self.folder.rglob("*.ulg")) - before
+        rows = scan_ulog(path.read_bytes(), name).topic("twodof_step").rows
+        return flight, {field: rows[field] for field in rows.dtype.names}
+
+    def simulate(self, name: str, x_start: float) -> tuple[Script, Signals]:
+        """The same in the simulator."""
+        plan = script(EXPERIMENTS[name], x_start)
+        return plan, self.laboratory.signals(EXPERIMENTS[name], plan, x_start, SEED)
+
+
+@dataclass
+class Both:
+    """An experiment as it was flown over MAVLink and as it was simulated."""
+
+    name: str
+    flight: Flight
+    on_board: Signals
+    plan: Script
+    simulated: Signals
+    laboratory: Laboratory
+
+
+def make_lab(folder: Path, rig: str, precision: str) -> Iterator[Lab]:
+    laboratory = Laboratory(rig, precision=precision, failsafe=True)
+    with drone_process(folder, rig, "--precision", precision) as (_, url), Drone.connect(url) as drone:
+        drone.parameters["SDLOG_MODE"] = 2  # log from the first tick on
+        yield Lab(drone, laboratory, folder)
+
+
+@functools.cache
+def both(lab: Lab, name: str) -> Both:
+    flight, on_board = lab.fly(name)
+    return Both(name, flight, on_board, *lab.simulate(name, flight.x_start), lab.laboratory)
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Lab]:
+    yield from make_lab(tmp_path_factory.mktemp("drone"), "lab", "float64")
+
+
+@pytest.fixture(scope="module", params=EACH_KIND)
+def flown(request: pytest.FixtureRequest, lab: Lab) -> Both:
+    return both(lab, request.param)
+
+
+def differing(on_board: Signals, plan: Script, simulated: Signals) -> dict[str, int]:
+    """Steps in which a signal, or what was asked for, has not the very bits of the simulation; by name."""
+    wanted = {name: values for name, values in simulated.items() if name not in NOT_ON_BOARD}
+    asked = {**plan.setpoints, "arm": plan.arm}
+    wanted |= {f"asked_{name}": asked.get(name, np.zeros(plan.steps)) for name in ASKED}
+    count = {}
+    for name, values in wanted.items():
+        have = np.asarray(on_board[name], dtype=np.float64)[: plan.steps]
+        want = np.asarray(values, dtype=np.float64)
+        assert have.shape == want.shape, f"{name}: {len(have)} steps on board, {len(want)} simulated"
+        different = have.view(np.uint64) != want.view(np.uint64)
+        if different.any():
+            count[name] = int(different.sum())
+    return count
+
+
+def test_the_on_board_log_has_the_bits_of_the_simulation(flown: Both) -> None:
+    assert flown.flight.good, flown.flight.checks
+    np.testing.assert_array_equal(flown.on_board["tick"][: flown.plan.steps], np.arange(flown.plan.steps))
+    assert len(flown.simulated) > 25
+    assert differing(flown.on_board, flown.plan, flown.simulated) == {}
+
+
+def test_the_ground_log_is_the_simulators_rounded_to_the_wires_float32(flown: Both) -> None:
+    simulated = flown.laboratory.fly(flown.name, SEED).log
+    assert_rounded(flown.flight.log, simulated)
+
+
+def assert_rounded(ground: FlightLog, simulated: FlightLog) -> None:
+    """Every channel but the truth, stamps and all: no sample more, none less, each the simulator's float32."""
+    channels = [name for name in simulated if not name.endswith("_true")]
+    assert sorted(set(ground) & set(simulated)) == sorted(channels)
+    for name in channels:
+        np.testing.assert_array_equal(ground[name].time, simulated[name].time, name)
+        wire = simulated[name].value.astype(np.float32).astype(np.float64)
+        np.testing.assert_array_equal(ground[name].value, wire, name)
+
+
+def test_what_a_flight_is_judged_by_is_the_same(flown: Both) -> None:
+    simulated = {check.name: check.passed for check in flown.laboratory.fly(flown.name, SEED).checks}
+    judged = {check.name: check.passed for check in flown.flight.checks}
+    assert simulated.items() <= judged.items()
+    assert set(judged) - set(simulated) == {"flown to its end", "failsafe silent", "samples received"}
+
+
+@pytest.mark.parametrize("spoilt", ["place by one ulp", "arming one tick late", "excitation one tick late", "seed"])
+def test_a_difference_of_one_ulp_or_one_tick_is_seen(lab: Lab, spoilt: str) -> None:
+    """The comparison itself: each of these makes another flight, and it says so."""
+    name = "position-sweep"
+    flown = both(lab, name)
+    plan = flown.plan
+    assert differing(flown.on_board, plan, flown.simulated) == {}
+    seed, setpoints = SEED, dict(plan.setpoints)
+    if spoilt == "place by one ulp":
+        x0 = np.asarray(setpoints["x0"], dtype=np.float64).copy()
+        x0[plan.begin + 1000] = np.nextafter(x0[plan.begin + 1000], 1.0)
+        plan = replace(plan, setpoints=setpoints | {"x0": x0})
+    elif spoilt == "arming one tick late":
+        plan = replace(plan, armed=plan.armed + 1)
+    elif spoilt == "excitation one tick late":
+        x0 = np.asarray(setpoints["x0"]).copy()
+        x0[plan.begin + 1 : plan.end] = x0[plan.begin : plan.end - 1]
+        plan = replace(plan, setpoints=setpoints | {"x0": x0})
+    else:
+        seed += 1
+    other = lab.laboratory.signals(EXPERIMENTS[name], plan, flown.flight.x_start, seed)
+    # Not by what was asked for alone: the signals show it.
+    assert differing(flown.on_board, plan, other).keys() - {f"asked_{name}" for name in ASKED}
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+@pytest.mark.parametrize("rig", ["paper", "lab"])
+def test_every_experiment_on_both_rigs_in_both_precisions(tmp_path: Path, rig: str, precision: str) -> None:
+    for lab in make_lab(tmp_path, rig, precision):
+        for name in EXPERIMENTS:
+            found = both(lab, name)
+            assert found.flight.good, (name, found.flight.checks)
+            assert differing(found.on_board, found.plan, found.simulated) == {}, name
+            assert_rounded(found.flight.log, lab.laboratory.fly(name, SEED).log)
+
+
+# What goes wrong in flight is data: a result with a reason, and the drone is disarmed.
+
+
+def short(name: str, **changes: object) -> Experiment:
+    return experiment(name, hold=1.0, **changes)
+
+
+def assert_failed(flight: Flight, reason: str) -> None:
+    assert reason in flight.reason
+    assert not flight.good
+    assert not {check.name: check.passed for check in flight.checks}["flown to its end"]
+
+
+def test_a_drone_that_refuses_to_arm_is_named_with_its_reason() -> None:
+    with drone_thread(safety_off=False) as url, Drone.connect(url) as drone:
+        flight = fly(short("attitude-steps"), drone)
+        assert_failed(flight, "safety switch")
+        assert not drone.state.armed
+        assert not flight.log["T"].value.any()
+
+
+def test_a_flight_in_which_the_failsafe_acted_is_broken_off() -> None:
+    """The IMU freezes in the excitation: the failsafe stops the motors, and the flight says why."""
+
+    def freeze(drone: VirtualDrone) -> None:
+        seen: list[Any] = []
+
+        def distort(sample: Any) -> Any:
+            seen.append(sample)
+            late = seen[500] if len(seen) > 500 else sample
+            return sample._replace(acc_x=late.acc_x, acc_z=late.acc_z, gyro_y=late.gyro_y)
+
+        drone.rig.distort = distort
+
+    with drone_thread(freeze) as url, Drone.connect(url) as drone:
+        flight = fly(short("attitude-steps"), drone)
+        assert_failed(flight, "imu_lost")
+        assert not drone.state.armed
+        assert len(flight.log["theta"]) < script(flight.experiment).steps
+
+
+def test_a_start_from_which_the_rail_is_too_short_is_broken_off_before_its_end() -> None:
+    with drone_thread() as url, Drone.connect(url) as drone:
+        flight = fly(short("velocity-doublets"), drone, x_start=0.29)
+        assert not flight.good
+        assert flight.reason
+        assert not drone.state.armed
+
+
+def test_a_link_that_dies_in_the_middle_leaves_what_had_come(tmp_path: Path) -> None:
+    flights: list[Flight] = []
+    with pytest.raises(RuntimeError, match="status -9"):
+        fly_until_killed(tmp_path, flights)
+    (flight,) = flights
+    assert_failed(flight, "")
+    assert not {check.name: check.passed for check in flight.checks}["samples received"]
+    steps = script(flight.experiment).steps
+    assert 0.4 * steps < len(flight.log["theta"]) < 0.9 * steps
+
+
+def fly_until_killed(folder: Path, flights: list[Flight]) -> None:
+    with drone_process(folder, "lab") as (program, url):
+        drone = Drone.connect(url)
+
+        def pull(text: str, share: float) -> None:
+            if share > 0.5 and program.process.poll() is None:
+                os.kill(program.process.pid, signal.SIGKILL)
+                program.process.wait(20.0)
+
+        flights.append(fly(short("attitude-steps"), drone, progress=pull))
+        with pytest.raises(LinkLost):
+            drone.close()
+
+
+def test_lost_samples_are_gaps_in_the_log_and_fail_the_check_where_there_are_too_many() -> None:
+    plan = script(experiment("attitude-steps"))
+    values = np.zeros((plan.steps, len(COLUMNS)))
+    values[:, NAMES.index("dist")] = np.nan
+    ticks = np.arange(plan.steps)
+
+    def judged(kept: NDArray[np.bool_]) -> tuple[bool, int]:
+        samples = Samples.of(ticks[kept], values[kept], 0, plan.steps)
+        return received(plan, samples.on_grid(0, plan.steps)[1]).passed, len(samples.log({})["theta"])
+
+    def without(start: int, stop: int, every: int = 1) -> NDArray[np.bool_]:
+        lost = np.zeros(plan.steps, dtype=bool)
+        lost[start:stop:every] = True
+        return ~lost
+
+    assert judged(without(0, 0)) == (True, plan.steps)
+    assert judged(without(plan.begin, plan.begin + 10)) == (True, plan.steps - 10)  # 40 ms
+    assert judged(without(plan.begin, plan.begin + 11)) == (False, plan.steps - 11)
+    assert judged(without(0, plan.begin, 100))[0]
+    assert not judged(without(0, plan.steps, 50))[0]
+
+
+def test_rows_that_come_twice_in_disorder_or_from_before_are_put_right() -> None:
+    values = np.arange(4.0)[:, None] * np.ones(len(COLUMNS))
+    samples = Samples.of([12, 10, 12, 3], values, first=10, steps=3)
+    np.testing.assert_array_equal(samples.ticks, [10, 12])
+    out, have = samples.on_grid(10, 3)
+    np.testing.assert_array_equal(have, [True, False, True])
+    assert out["q"][0] == 1.0
+    assert np.isnan(out["q"][1])
+
+
+def test_what_cannot_be_flown_is_refused_before_anything_moves() -> None:
+    with drone_thread() as url, Drone.connect(url) as drone:
+        with pytest.raises(ExperimentError, match=r"still: the motors stand for 0\.1 s only"):
+            fly(experiment("doublet", still=0.1), drone)
+        with pytest.raises(ExperimentError, match="no experiment called 'doublt'"):
+            fly("doublt", drone)
+        assert drone.tick == 0
+        assert not drone.state.armed
