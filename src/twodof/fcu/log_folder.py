@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import stat
 from dataclasses import dataclass
@@ -69,10 +70,11 @@ class LogFolder:
         """Where the next log goes, after making room. Raises LogError."""
         logs = self.logs()
         self.make_room(logs)
-        number = logs[-1].number + 1 if logs else 1
-        if number > MAX_NUMBER:
-            raise LogError(f"{MAX_NUMBER} logs were written", str(self.path), "erase the logs")
-        return self.path / f"log_{number:05d}.ulg"
+        for number in range(logs[-1].number + 1 if logs else 1, MAX_NUMBER + 1):
+            path = self.path / f"log_{number:05d}.ulg"
+            if not os.path.lexists(path):  # something else may have the name
+                return path
+        raise LogError(f"{MAX_NUMBER} logs were written", str(self.path), "erase the logs")
 
     def make_room(self, logs: list[StoredLog]) -> None:
         """Deletes the oldest of `logs` until one more, of `most_of_one` bytes, is within the bounds."""

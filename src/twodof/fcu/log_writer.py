@@ -15,11 +15,14 @@ from twodof.fcu.log_folder import LogFolder
 from twodof.fcu.px4_parameters import LOG_ALWAYS, LOG_ARMED, LOG_BOOT, LOG_NEVER
 from twodof.fcu.px4_topics import PX4_TOPICS, Rows, records
 from twodof.fcu.step_row import FORMAT, STEP_TOPIC
+from twodof.flightlog.ulog_format import MESSAGE
 from twodof.flightlog.ulog_writer import ULogWriter
 
 MARGIN = 250
 """Steps that a log has before arming and after disarming."""
 LINES = 64
+HEAD_BYTES = 20_000
+"""Room for what stands before the steps, of which formats and parameters are 7 kB."""
 RETRY_S = 10.0
 """A disk that refused is tried again after so long, or when the next log is due."""
 
@@ -39,8 +42,10 @@ class LogWriter:
         self.missed = 0
         self._info, self._parameters = dict(info), dict(parameters)
         self._writer: ULogWriter | None = None
+        self._handed: deque[tuple[int, int]] = deque()  # records accepted so far, and the steps among the last of them
         self._before: Rows | None = None
         self._lines: deque[tuple[str, int, str]] = deque(maxlen=LINES)
+        self._steps, self._most_steps = 0, 1 << 62  # in this log
         self._since_armed = MARGIN
         self._was_armed = self._was_disarmed_again = False
         self._tick = -1
@@ -93,6 +98,10 @@ class LogWriter:
                 writer.close()
             except LogError as refusal:
                 self.failure = refusal
+            self._forget(writer)
+            self.missed += sum(steps for _, steps in self._handed)
+            self._handed.clear()
+            self._steps, self._most_steps = 0, 1 << 62
 
     def _restart(self) -> None:
         self.end()
@@ -120,14 +129,14 @@ class LogWriter:
         index = np.arange(len(armed))
         last = np.maximum.accumulate(np.where(armed, index, -1))
         since = np.where(last >= 0, index - last, index + 1 + self._since_armed)
-        ended = np.asarray((since == MARGIN) & (self._was_armed | (last >= 0)))
+        ended = np.asarray((since == MARGIN + 1) & (self._was_armed | (last >= 0)))
         self._since_armed = min(int(since[-1]), 1 << 30)
         self._was_armed |= bool(armed.any())
         if self.requested or self.mode == LOG_ALWAYS:
             return np.ones(len(armed), dtype=np.bool_)
         if self.mode == LOG_NEVER:
             return np.zeros(len(armed), dtype=np.bool_)
-        near = since < MARGIN
+        near = since <= MARGIN
         if self.mode == LOG_BOOT and not self._was_disarmed_again:
             near |= ~np.logical_or.accumulate(ended)
         self._was_disarmed_again |= bool(ended.any())
@@ -136,10 +145,13 @@ class LogWriter:
     def _log(self, rows: Rows) -> None:
         if self._writer is None and time.monotonic() >= self._retry:
             self._begin(rows)
-        if not self._append(rows):
-            self.missed += len(rows)
-        elif self._writer is not None and self._writer.acknowledged.position >= self.folder.most_of_one:
+        room = self._most_steps - self._steps
+        if len(rows) > room:  # it goes on in another file
+            self._log(rows[:room])
             self.end()
+            self._log(rows[room:])
+        elif not self._append(rows):
+            self.missed += len(rows)
 
     def _begin(self, rows: Rows) -> None:
         """Opens a log with what came shortly before `rows`."""
@@ -155,6 +167,9 @@ class LogWriter:
             self._failed(refusal)
             return
         self.failure = None
+        self._steps = 0
+        sizes = (self._writer.layout(name).itemsize + MESSAGE.size + 2 for name in FORMATS)
+        self._most_steps = max((self.folder.most_of_one - HEAD_BYTES) // sum(sizes), 2 * MARGIN)
         lines = [line for line in self._lines if line[1] >= start_us]
         self._lines.clear()
         if before is not None:
@@ -165,11 +180,20 @@ class LogWriter:
         self._stamp_us = int(rows["timestamp"][-1])
 
         def append(writer: ULogWriter) -> None:
-            writer.write_many(STEP_TOPIC, rows)
             for topic in PX4_TOPICS:
                 writer.write_many(topic.name, records(topic, writer.layout(topic.name), rows))
+            # Last, as what is said next stands at the time of the record before it.
+            writer.write_many(STEP_TOPIC, rows)
+            self._steps += len(rows)
+            self._handed.append((writer.accepted, len(rows)))
+            self._forget(writer)
 
         return self._guarded(append)
+
+    def _forget(self, writer: ULogWriter) -> None:
+        """Lets go of what is on the disk."""
+        while self._handed and self._handed[0][0] <= writer.acknowledged.samples:
+            self._handed.popleft()
 
     def _guarded(self, action: Callable[[ULogWriter], object]) -> bool:
         """Does something with the log being written; False if there is none, or it ended over it."""

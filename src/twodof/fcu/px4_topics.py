@@ -231,8 +231,8 @@ def records(topic: LoggedTopic, layout: np.dtype[np.void], rows: Rows) -> Rows:
     chosen = rows[topic.when(rows)]
     made = np.zeros(len(chosen), dtype=layout)
     if len(chosen):
-        columns: Mapping[str, Any] = {"timestamp": chosen["timestamp"], **topic.columns(chosen)}
-        with np.errstate(over="ignore", invalid="ignore"):  # beyond float32 is infinite there
+        with np.errstate(over="ignore", invalid="ignore"):  # the pitch of infinity is NaN, beyond float32 is infinite
+            columns: Mapping[str, Any] = {"timestamp": chosen["timestamp"], **topic.columns(chosen)}
             for name, values in columns.items():
                 made[name] = values
     return made
