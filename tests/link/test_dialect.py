@@ -12,6 +12,8 @@ from pymavlink.dialects.v20 import common
 
 from twodof.compile import toolchain
 from twodof.errors import LinkError
+from twodof.fcu import excitation_player
+from twodof.flight.causes import ACTIONS, BIT
 from twodof.link import dialect
 from twodof.link.messages import channel_bits
 from twodof.signals import TOPICS
@@ -149,6 +151,26 @@ def test_every_constant_of_common_has_common_s_value() -> None:
 def test_every_signal_on_board_has_a_channel() -> None:
     columns = {column.replace(".", "_").upper() for row in TOPICS if row.onboard for column in row.columns}
     assert channel_bits().keys() == columns
+
+
+def spelled(enum: str) -> dict[str, int]:
+    """An enumeration of ours: the names behind its own, in small letters, and their values."""
+    entries = dialect.load().enums[enum].items()
+    return {one.name.removeprefix(f"{enum}_").lower(): value for value, one in entries if "ENUM_END" not in one.name}
+
+
+def test_the_failsafes_words_are_in_the_dialect() -> None:
+    assert spelled("TWODOF_CAUSE") == dict(BIT)
+    assert spelled("TWODOF_ACTION") == {name: place for place, name in enumerate(ACTIONS)}
+
+
+def test_the_words_of_excitations_are_in_the_dialect() -> None:
+    names = ("IDLE", "RECEIVING", "READY", "PLAYING", "DONE", "STOPPED", "REFUSED")
+    assert spelled("TWODOF_EXCITE_STATE") == {name.lower(): getattr(excitation_player, name) for name in names}
+    assert spelled("TWODOF_LOOP") == {
+        one.name.removesuffix("_open").removesuffix("0").lower(): place
+        for place, one in enumerate(excitation_player.LOOPS)
+    }
 
 
 def test_topics_name_messages_that_there_are() -> None:
