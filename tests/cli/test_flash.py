@@ -9,14 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.fcu.program import twodof_fcu
 from tests.toolchains import need
 from twodof.blocks.schema import to_json
 from twodof.cli.app import run
 from twodof.compile.cortex_m7 import processor
-from twodof.errors import CompileError
+from twodof.errors import CompileError, Rejected
 from twodof.flight.slot import simulator_slot
 from twodof.flight.starters import load_diagram, new_diagram, save_diagram, starter
 from twodof.flightlog.files import read_log
+from twodof.gcs.drone import Drone
 
 
 @pytest.fixture(autouse=True)
@@ -135,10 +137,40 @@ def test_a_px4_that_it_does_not_fit_leaves_everything(folder: Path, capfd: pytes
     assert not (folder / "module").exists()
 
 
-def test_a_flight_controller_cannot_be_flashed_yet_and_that_is_said(capfd: pytest.CaptureFixture[str]) -> None:
-    found = answer(capfd, "flash", "pid-attitude", "--to", "fcu", status=2)
-    assert "no flight controller can be flashed yet" in found["error"]["what"]
-    assert not simulator_slot().folder.exists()
+def test_a_drone_flies_what_is_flashed_and_keeps_it_over_a_restart(
+    folder: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """A controller is sent to a running `twodof fcu`, flies there, and flies again after the program's restart."""
+    options = ("--lockstep", "--rings", "--state", str(folder / "drone"))
+    with twodof_fcu(*options) as url:
+        found = answer(capfd, "flash", "lqr-attitude", "--to", url)
+        assert found["flashed"]
+        assert found["against"].startswith("the stock controller")
+        assert "drone 1" in found["place"]
+        again = answer(capfd, "flash", "lqr-attitude", "--to", url)
+        assert again["changes"] == []
+        assert again["against"] == again["place"]
+        assert run(["flash", "stock-attitude", "--to", url, "--dry-run"]) == 0
+        assert "nothing was flashed" in capfd.readouterr().out
+    with twodof_fcu(*options) as url, Drone.connect(url) as drone:
+        assert drone.state.rig.controller == "lqr_attitude"
+        for _ in range(4):
+            drone.run(0.25)
+        drone.arm()
+        found = answer(capfd, "flash", "stock-attitude", "--to", url, status=2)
+        assert found["error"]["kind"] == "Rejected"
+        assert "lease" in found["error"]["what"]
+        assert drone.state.armed, "and it is not disarmed by that"
+        with pytest.raises(Rejected, match="armed"):
+            drone.fly_controller("attitude_control", to_json(starter("stock-attitude")))
+        drone.disarm()
+        with pytest.raises(Rejected, match="no JSON"):
+            drone.fly_controller("attitude_control", "{")
+        drone.fly_controller("attitude_control", to_json(starter("stock-attitude")))
+        drone.run(0.1)
+        drone.command("REQUEST_MESSAGE", 54206)
+        drone.run(0.1)
+        assert drone.state.rig.controller == "stock"
 
 
 def test_what_is_wrong_changes_nothing(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import tempfile
 from dataclasses import dataclass
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,29 +13,21 @@ from rich.console import Console
 from twodof.blocks import Diagram
 from twodof.blocks.difference import Difference, difference
 from twodof.cli.diagram_argument import DIAGRAM_HELP, read_diagram
+from twodof.cli.flash_place import FCU, PX4, SIM, open_place
 from twodof.cli.output import Json, print_json, table_console
 from twodof.compile import Program, build
 from twodof.compile.check import check as check_diagram
 from twodof.compile.cortex_m7.report import measure
 from twodof.compile.px4 import check, export
 from twodof.compile.px4.check import ERROR
-from twodof.errors import CompileError, DiagramError
-from twodof.flight.slot import STOCK, simulator_slot
-from twodof.flight.starters import load_diagram, starter
+from twodof.errors import CompileError
 from twodof.flight.templates import PERIOD, check_template
+from twodof.gcs.async_drone import DEFAULT_URL
 
 app = typer.Typer(add_completion=False)
 
 _LINES = 60  # of changes; a diagram that has little in common with the one before makes hundreds
 _STEPS = 250  # run on the emulated processor to count instructions: a second of flight
-
-
-class To(StrEnum):
-    """Where a controller is flashed to."""
-
-    SIM = "sim"
-    FCU = "fcu"
-    PX4 = "px4-dir"
 
 
 @dataclass(frozen=True)
@@ -82,10 +73,19 @@ def costs(diagram: Diagram, precision: str) -> Costs:
 @app.command()
 def flash(
     diagram: Annotated[str, typer.Argument(metavar="DIAGRAM", help=DIAGRAM_HELP)],
-    to: Annotated[To, typer.Option(help="sim: the simulator; px4-dir: a module for PX4; fcu: a flight controller.")],
+    to: Annotated[
+        str,
+        typer.Option(
+            metavar=f"{SIM}|{PX4}|{FCU}|URL",
+            help=f"sim: the simulator; px4-dir: a module for PX4; a drone's URL, or fcu for {DEFAULT_URL}.",
+        ),
+    ],
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="With px4-dir: the module's folder.")] = None,
     px4: Annotated[Path | None, typer.Option(metavar="DIR", help="With px4-dir: the PX4 that it is to fit.")] = None,
     precision: Annotated[str, typer.Option(help="float32 as flight controllers compute, or float64.")] = "float32",
+    key: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="With a drone: the key that signs everything.")
+    ] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Say everything and change nothing.")] = False,
     json: Json = False,
 ) -> None:
@@ -95,46 +95,42 @@ def flash(
     flies with `twodof simulate --controller flashed` and not otherwise; what was flashed of another template stays
     beside it. `twodof flash stock-attitude --to sim` brings the stock one back. What flies in the simulator is kept in
     the user's data folder (TWODOF_DATA, else XDG_DATA_HOME/twodof or ~/.local/share/twodof), in flashed/sim.
+
+    A drone must be disarmed. It builds the controller itself, for its sandbox, flies it from then on, and keeps it over
+    restarts; until it has built it, what flew before flies on.
     """
-    if to is To.FCU:
-        raise DiagramError(
-            "no flight controller can be flashed yet: this twodof has no link to one",
-            "--to fcu",
-            "use --to sim, or --to px4-dir and build PX4 with the module",
-        )
-    if out is None and to is To.PX4:
+    if out is None and to == PX4:
         raise typer.BadParameter("--to px4-dir needs --out DIR, the module's folder")
-    if out is not None and to is not To.PX4:
+    if out is not None and to != PX4:
         raise typer.BadParameter("--out goes with --to px4-dir")
-    if px4 is not None and to is not To.PX4:
+    if px4 is not None and to != PX4:
         raise typer.BadParameter("--px4 goes with --to px4-dir")
+    if key is not None and to in (SIM, PX4):
+        raise typer.BadParameter("--key goes with a drone")
     new = read_diagram(diagram)
     kind = check_template(new).name
     cost = costs(new, precision)
     remarks = [f"{r.where}: {r.what} ({r.remedy})" for r in check_diagram(new, PERIOD).remarks]
-    slot = simulator_slot()
-    before, origin = slot.flies(kind) if out is None else _in_module(out, kind)
-    changes = difference(before, new)
     warnings = [] if px4 is None else _checked(new, px4)
-    if not dry_run:
-        if out is None:
-            slot.flash(new)
-        else:
-            export(new, out)
-    place = slot.file(kind) if out is None else out
+    with open_place(to, out, key) as there:
+        before, origin = there.before(kind)
+        place = there.name(kind)
+        if not dry_run:
+            there.put(kind, new)
+    changes = difference(before, new)
     if json:
         print_json(
             {
                 "diagram": new.name,
                 "template": kind,
-                "to": to.value,
+                "to": to,
                 "precision": precision,
                 "costs": cost.to_json(),
                 "against": origin,
                 "changes": changes.to_json(),
                 "remarks": remarks,
                 "warnings": warnings,
-                "place": str(place),
+                "place": place,
                 "flashed": not dry_run,
             }
         )
@@ -149,23 +145,13 @@ def flash(
         console.print(f"warning: {warning}", markup=False)
     if dry_run:
         console.print("nothing was flashed (--dry-run)")
-    elif out is None:
+    elif to == SIM:
         console.print(f"flashed: {place}", markup=False)
         console.print("fly it: twodof simulate EXPERIMENT --controller flashed")
+    elif to != PX4:
+        console.print(f"flashed: {place}", markup=False)
     else:
         console.print(f"written: {place}, whose README.md says how to build it into PX4", markup=False)
-
-
-def _in_module(folder: Path, kind: str) -> tuple[Diagram, str]:
-    """The diagram that an earlier export left in a module's folder, or else the stock controller."""
-    stock = f"the stock controller ({STOCK[kind]})"
-    file = folder / "diagram.json"
-    if not file.exists():
-        return starter(STOCK[kind]), stock
-    try:
-        return load_diagram(file), str(file)
-    except DiagramError as damage:
-        return starter(STOCK[kind]), f"{stock}, as what is there is damaged: {damage}"
 
 
 def _checked(diagram: Diagram, px4: Path) -> list[str]:
