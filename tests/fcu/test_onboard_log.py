@@ -7,6 +7,7 @@ import threading
 import time
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -47,9 +48,9 @@ def logged(folder: Path, steps: list[Step], **values: float) -> list[Path]:
     return [one.path for one in log.logs()]
 
 
-def bits(value: object) -> bytes:
+def bits(value: Any) -> bytes:
     """Bits of a number as the log holds it; a NaN is any NaN."""
-    made = np.float64(value) if isinstance(value, float) else np.int64(value)  # type: ignore[call-overload]
+    made = np.float64(value) if isinstance(value, float) else np.int64(value)
     return b"nan" if isinstance(value, float) and np.isnan(made) else made.tobytes()
 
 

@@ -6,6 +6,7 @@ import struct
 import threading
 from collections import deque
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -122,7 +123,8 @@ class OnboardLog:
         Raises LogError.
         """
         if self._thread.is_alive():
-            self._ask("flush", LISTING_S)
+            with suppress(LogError):  # a disk that is silent: what is on it is listed
+                self._ask("flush", LISTING_S)
         return self.folder.logs()
 
     def erase(self) -> int:

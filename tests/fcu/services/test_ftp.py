@@ -1,0 +1,390 @@
+"""MAVLink FTP: pymavlink's own client, every operation and error by hand, no way out of the tree, any bytes at all."""
+
+import struct
+import zlib
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from pymavlink.mavftp import MAVFTP
+
+from tests.fcu.services.world import CLIENT, World
+from tests.fcu.steps import plain_step
+from twodof.fcu.asked import TEMPORARILY_REJECTED, Verdict
+from twodof.fcu.log_folder import LogFolder
+from twodof.fcu.onboard_log import OnboardLog
+from twodof.fcu.services.addressing import Us
+from twodof.fcu.services.file_tree import MAX_UPLOAD, MOST_UPLOADS, FileTree, mavlink_crc32
+from twodof.fcu.services.ftp import MOST_GUESTS, FileTransfer
+from twodof.fcu.services.ftp_guest import BURST_BYTES, MOST_SESSIONS
+from twodof.fcu.store import Store
+from twodof.link.ftp import Fault, Op, Packet, read_packet
+from twodof.link.messages import message
+
+ALL = bytes(range(256)) * 300
+MADE = {"all.bin": ALL, "empty.json": b"", "small.json": b"{}"}
+
+
+class Server(World):
+    """A vehicle with a file server, and a client that speaks in packets."""
+
+    def __init__(self, folder: Path, lockstep: bool = True) -> None:
+        super().__init__(lockstep=lockstep)
+        with OnboardLog(folder / "log", Store(), lockstep=True) as log:
+            for tick in range(50):
+                log.step(plain_step(tick, armed=True))
+        self.controllers = folder / "state" / "controllers"
+        tree = FileTree(MADE, LogFolder(folder / "log"), self.controllers)
+        self.ftp = FileTransfer(self, Us(1), tree, self.commander.take, self.px4.commands.explain, lockstep)
+        self.services.append(self.ftp)
+        self.sequence = 0
+
+    def ask(self, op: int, data: bytes = b"", session: int = 0, offset: int = 0, **options: Any) -> list[Packet]:
+        """A request; its answers."""
+        self.sequence += 1
+        size = options.pop("size", len(data))
+        head = struct.pack("<HBBBBBxI", self.sequence & 0xFFFF, session, op, size, 0, 0, offset)
+        return self.raw(head + data, **options)
+
+    def raw(self, payload: bytes, **options: Any) -> list[Packet]:
+        """A payload as it is; the answers."""
+        self.say(message("FILE_TRANSFER_PROTOCOL", target_system=1, target_component=1, payload=payload), **options)
+        return [read_packet(bytes(one.payload)) for one in self.taken("FILE_TRANSFER_PROTOCOL")]
+
+    def one(self, *arguments: Any, **options: Any) -> Packet:
+        """A request with one answer."""
+        (answer,) = self.ask(*arguments, **options)
+        assert answer.sequence == (self.sequence + 1) & 0xFFFF
+        return answer
+
+    def fault(self, *arguments: Any, **options: Any) -> int:
+        """The error with which a request is refused."""
+        answer = self.one(*arguments, **options)
+        assert answer.op == Op.NAK
+        return answer.data[0]
+
+    def opened(self, path: str) -> tuple[int, int]:
+        """Session and size of a file that was opened."""
+        answer = self.one(Op.OPEN_RO, path.encode())
+        assert answer.op == Op.ACK
+        return answer.session, struct.unpack_from("<I", answer.data)[0]
+
+
+class Master:
+    """What pymavlink's client sees of a connection, in front of a vehicle in memory."""
+
+    target_system, target_component = 1, 1
+    source_system, source_component = CLIENT
+
+    def __init__(self, server: Server) -> None:
+        self.server, self.mav = server, self
+        self.messages: list[Any] = []
+
+    def file_transfer_protocol_send(self, network: int, system: int, component: int, payload: Any) -> None:
+        fields = {"target_system": system, "target_component": component, "payload": bytes(payload)}
+        self.server.say(message("FILE_TRANSFER_PROTOCOL", target_network=network, **fields))
+
+    def recv_match(self, **_: Any) -> Any:
+        self.messages += self.server.taken("FILE_TRANSFER_PROTOCOL")
+        if not self.messages:
+            self.server.ftp._send_bursts()
+            self.messages += self.server.taken("FILE_TRANSFER_PROTOCOL")
+        return self.messages.pop(0) if self.messages else None
+
+
+@pytest.fixture
+def server(tmp_path: Path) -> Server:
+    return Server(tmp_path)
+
+
+def test_the_whole_tree_is_seen(server: Server) -> None:
+    def names(path: str) -> list[bytes]:
+        found, at = [], 0
+        while (answer := server.one(Op.LIST, path.encode(), offset=at)).op == Op.ACK:
+            lines = answer.data[: answer.size].rstrip(b"\0").split(b"\0")
+            found, at = found + lines, at + len(lines)
+        assert answer.data[0] == Fault.END
+        return found
+
+    assert names("/") == [b"Dcontrollers", b"Detc", b"Dlog"]
+    assert names("/etc") == names("etc/") == [b"Dextras"]
+    assert names("/etc/extras") == [b"Fall.bin\t76800", b"Fempty.json\t0", b"Fsmall.json\t2"]
+    (log,) = names("/log")
+    assert log.startswith(b"Flog_00001.ulg\t")
+    assert names("/fs/microsd/log") == [log]
+    assert names("/controllers") == []
+
+
+def test_a_long_list_comes_in_parts(server: Server) -> None:
+    server.ftp.tree.made |= {f"{k:03d}{'n' * 40}": b"" for k in range(100)}
+    found, at = b"", 0
+    while (answer := server.one(Op.LIST, b"/etc/extras", offset=at)).op == Op.ACK:
+        found, at = found + answer.data[: answer.size], at + answer.data[: answer.size].count(b"\0")
+    assert at == 100 + len(MADE) == found.count(b"\0")
+
+
+def test_reading_in_pieces_and_in_bursts_gives_the_file(server: Server) -> None:
+    session, size = server.opened("/etc/extras/all.bin")
+    assert size == len(ALL)
+    pieces = [server.one(Op.READ, session=session, offset=at, size=100) for at in range(0, size, 100)]
+    assert b"".join(piece.data[: piece.size] for piece in pieces) == ALL
+    assert server.fault(Op.READ, session=session, offset=size) == Fault.END
+
+
+def burst(server: Server, session: int, offset: int, chunk: int) -> list[Packet]:
+    """The answers to a burst request; in lockstep without an event loop each look sends a portion."""
+    answers = server.ask(Op.BURST, session=session, offset=offset, size=chunk)
+    while not (answers[-1].complete or answers[-1].op == Op.NAK):
+        server.ftp._send_bursts()
+        answers += [read_packet(bytes(one.payload)) for one in server.taken("FILE_TRANSFER_PROTOCOL")]
+    return answers
+
+
+@pytest.mark.parametrize("chunk", [0, 80, 239])
+def test_a_burst_is_bounded_numbered_and_ends(server: Server, chunk: int) -> None:
+    session, size = server.opened("/etc/extras/all.bin")
+    found, rounds = b"", 0
+    while len(found) < size:
+        answers = burst(server, session, len(found), chunk)
+        rounds += 1
+        assert [one.sequence for one in answers] == [server.sequence + 1 + k for k in range(len(answers))]
+        parts = [one for one in answers if one.op == Op.ACK]
+        assert [one.offset for one in parts] == [len(found) + k * (chunk or 239) for k in range(len(parts))]
+        assert sum(one.size for one in parts) <= BURST_BYTES
+        found += b"".join(one.data[: one.size] for one in parts)
+    assert found == ALL
+    assert answers[-1].op == Op.NAK
+    assert answers[-1].data[0] == Fault.END
+    assert rounds == -(-size // BURST_BYTES)
+    (end,) = burst(server, session, size, chunk)
+    assert (end.op, end.data[0]) == (Op.NAK, Fault.END)
+
+
+def test_pymavlinks_client_reads_checks_and_sends(server: Server, tmp_path: Path) -> None:
+    client = MAVFTP(Master(server), 1, 1)
+    # After an upload it listens for so long whether more comes; in memory all has come by then.
+    client.ftp_settings.read_retry_time, client.ftp_settings.idle_detection_time = 0.3, 0.4
+    assert client.cmd_list(["/log"]).error_code == 0
+    assert [(one.name, one.is_dir) for one in client.list_result] == [("log_00001.ulg", False)]
+    size = client.list_result[0].size_b
+    client.cmd_get(["/log/log_00001.ulg", str(tmp_path / "got.ulg")])
+    assert client.process_ftp_reply("OpenFileRO", timeout=20).error_code == 0
+    (log,) = (tmp_path / "log").iterdir()
+    assert (tmp_path / "got.ulg").read_bytes() == log.read_bytes()
+    assert size == len(log.read_bytes())
+    (tmp_path / "mine.json").write_bytes(ALL[:5000])
+    client.cmd_put([str(tmp_path / "mine.json"), "/controllers/mine.json"])
+    assert client.process_ftp_reply("CreateFile", timeout=5).error_code == 0
+    assert (server.controllers / "mine.json").read_bytes() == ALL[:5000]
+    assert client.cmd_crc(["/controllers/mine.json"]).error_code == 0
+    assert server.ftp.sessions == 0
+
+
+def test_the_checksum_is_the_one_that_clients_compute(server: Server) -> None:
+    answer = server.one(Op.CRC32, b"/etc/extras/all.bin")
+    crc = 0
+    for byte in ALL:  # bit by bit, begun with 0, not inverted: MAVLink guide
+        crc ^= byte
+        for _ in range(8):
+            crc = crc >> 1 ^ (0xEDB88320 if crc & 1 else 0)
+    assert struct.unpack_from("<I", answer.data)[0] == crc == mavlink_crc32(ALL)
+    assert crc != zlib.crc32(ALL)
+
+
+def upload(server: Server, path: str, content: bytes) -> Packet:
+    created = server.one(Op.CREATE, path.encode())
+    if created.op != Op.ACK:
+        return created
+    for at in range(0, len(content), 200):
+        assert server.one(Op.WRITE, content[at : at + 200], session=created.session, offset=at).op == Op.ACK
+    return server.one(Op.TERMINATE, session=created.session)
+
+
+def test_an_upload_is_there_whole_when_its_session_ends_and_not_before(server: Server) -> None:
+    created = server.one(Op.CREATE, b"/controllers/a.json")
+    server.one(Op.WRITE, b"half", session=created.session)
+    assert not server.controllers.exists()
+    server.one(Op.WRITE, b"HA", session=created.session)
+    server.one(Op.TERMINATE, session=created.session)
+    assert (server.controllers / "a.json").read_bytes() == b"HAlf"
+    upload(server, "/controllers/a.json", b"other")
+    assert [path.read_bytes() for path in server.controllers.iterdir()] == [b"other"]
+    server.one(Op.REMOVE, b"/controllers/a.json")
+    assert [*server.controllers.iterdir()] == []
+
+
+@pytest.mark.parametrize("ends", [Op.RESET, "gone"])
+def test_an_upload_that_is_given_up_leaves_nothing(server: Server, ends: Any) -> None:
+    created = server.one(Op.CREATE, b"/controllers/a.json")
+    server.one(Op.WRITE, b"half", session=created.session)
+    if ends == "gone":
+        server.ftp.gone("client")
+    else:
+        server.one(ends)
+    assert server.ftp.sessions == 0
+    assert not server.controllers.exists()
+
+
+def test_an_upload_with_a_hole_is_not_kept(server: Server) -> None:
+    session = server.one(Op.CREATE, b"/controllers/a.json").session
+    assert server.fault(Op.WRITE, b"x", session=session, offset=5) == Fault.FAIL
+    assert server.fault(Op.TERMINATE, session=session) == Fault.FAIL
+    assert not server.controllers.exists()
+
+
+def test_uploads_are_bounded(server: Server) -> None:
+    session = server.one(Op.CREATE, b"/controllers/a.json").session
+    assert server.fault(Op.WRITE, b"x", session=session, offset=MAX_UPLOAD) == Fault.FAIL
+    assert server.one(Op.CREATE, b"/controllers/b.json").op == Op.ACK
+    assert server.fault(Op.CREATE, b"/controllers/c.json") == Fault.NO_SESSIONS
+    server.one(Op.RESET)
+    for k in range(MOST_UPLOADS):
+        assert upload(server, f"/controllers/{k}.json", b"{}").op == Op.ACK
+    assert upload(server, "/controllers/more.json", b"{}").op == Op.NAK
+    assert upload(server, "/controllers/7.json", b"[]").op == Op.ACK
+
+
+def test_writing_needs_the_lease_and_reading_does_not(server: Server) -> None:
+    session = server.one(Op.CREATE, b"/controllers/a.json").session
+    server.commander.verdict = Verdict(TEMPORARILY_REJECTED, "another holds the lease")
+    assert server.fault(Op.CREATE, b"/controllers/b.json") == Fault.PROTECTED
+    assert server.fault(Op.REMOVE, b"/controllers/a.json") == Fault.PROTECTED
+    assert server.fault(Op.TERMINATE, session=session) == Fault.PROTECTED
+    assert "lease" in server.texts()
+    assert not server.controllers.exists()
+    server.opened("/etc/extras/small.json")
+
+
+OUTSIDE = [
+    "/etc/passwd",
+    "/etc/extras/../../etc/passwd",
+    "/log/../../../etc/passwd",
+    "../../etc/passwd",
+    "/controllers/../secret.json",
+    "/controllers/link.json",
+    "/controllers/.json",
+    "/controllers/a/b.json",
+    "/controllers/a.py",
+    "/controllers/" + "a" * 60 + ".json",
+    "/log/../state/secret.json",
+    "/log/.",
+    "/log",
+    "/",
+    "",
+    "/etc/extras/all.bin/",
+    "//etc//passwd",
+    "\\etc\\passwd",
+    "/controllers/a.json\n",
+    "/fs/microsd/../../etc/passwd",
+]
+
+
+@pytest.mark.parametrize("path", OUTSIDE)
+def test_there_is_no_way_out(server: Server, tmp_path: Path, path: str) -> None:
+    secret = tmp_path / "state" / "secret.json"
+    server.controllers.mkdir(parents=True)
+    secret.write_text("secret")
+    (server.controllers / "link.json").symlink_to(secret)
+    if path == "/etc/extras/all.bin/":  # the same file: a slash at the end says nothing
+        return
+    for op in (Op.OPEN_RO, Op.CRC32, Op.REMOVE):
+        assert server.fault(op, path.encode()) in (Fault.NOT_FOUND, Fault.PROTECTED), op
+    if upload(server, path, b"overwritten").op == Op.ACK:
+        pytest.fail(f"{path!r} was written")
+    assert secret.read_text() == "secret"
+    assert (server.controllers / "link.json").is_symlink()
+
+
+def test_what_does_not_exist_here_is_refused(server: Server) -> None:
+    for op in (Op.CREATE_FOLDER, Op.REMOVE_FOLDER, Op.OPEN_WO, Op.TRUNCATE, Op.RENAME):
+        assert server.fault(op, b"/controllers/x") == Fault.PROTECTED
+    assert server.fault(77) == Fault.UNKNOWN
+    assert server.fault(Op.READ, session=9) == Fault.SESSION
+    assert server.fault(Op.BURST, session=9) == Fault.SESSION
+    assert server.fault(Op.WRITE, b"x", session=9) == Fault.SESSION
+    assert server.fault(Op.TERMINATE, session=9) == Fault.SESSION
+    assert server.fault(Op.READ, size=240) == Fault.DATA_SIZE
+    assert server.one(Op.NONE).op == Op.ACK
+    assert server.ask(Op.ACK) == server.ask(Op.NAK) == []  # no answer to an answer, or two servers never stop
+
+
+def test_a_request_that_comes_again_is_not_carried_out_again(server: Server) -> None:
+    request = struct.pack("<HBBBBBxI", 9, 0, Op.OPEN_RO, 22, 0, 0, 0) + b"/etc/extras/small.json"
+    assert server.raw(request) == server.raw(request)
+    assert server.ftp.sessions == 1
+    ending = struct.pack("<HBBBBBxI", 10, 0, Op.TERMINATE, 0, 0, 0, 0)
+    assert server.raw(ending)[0].op == server.raw(ending)[0].op == Op.ACK
+
+
+def open_files() -> int:
+    return sum(1 for _ in Path("/proc/self/fd").iterdir())
+
+
+def test_sessions_and_clients_are_bounded_and_files_are_let_go(server: Server) -> None:
+    log = b"/log/log_00001.ulg"
+    before = open_files()
+    for _ in range(3 * MOST_SESSIONS):
+        assert server.one(Op.OPEN_RO, log).op == Op.ACK
+    assert server.ftp.sessions == MOST_SESSIONS
+    for client in range(3 * MOST_GUESTS):
+        server.ask(Op.OPEN_RO, log, peer=f"client {client}")
+    assert server.ftp.sessions <= MOST_GUESTS + MOST_SESSIONS
+    assert open_files() <= before + MOST_GUESTS + MOST_SESSIONS
+    for client in range(3 * MOST_GUESTS):
+        server.ftp.gone(f"client {client}")
+    server.ftp.gone("client")
+    assert (server.ftp.sessions, open_files()) == (0, before)
+
+
+@settings(max_examples=400, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    st.lists(
+        st.one_of(
+            st.binary(max_size=251),
+            st.tuples(
+                st.integers(0, 16),
+                st.integers(0, 5),
+                st.sampled_from([b"/log", b"/controllers/a.json", b"/etc/extras/all.bin", b"\xff/\0"]),
+                st.integers(0, 300),
+            ).map(lambda r: struct.pack("<HBBBBBxI", r[3], r[1], r[0], len(r[2]), 0, 0, r[3]) + r[2]),
+        ),
+        max_size=8,
+    )
+)
+def test_any_bytes_are_answered_once_and_break_nothing(server: Server, payloads: list[bytes]) -> None:
+    for payload in payloads:
+        answers = server.raw(payload, peer="stranger")
+        while server.ftp._send_bursts():
+            answers += [read_packet(bytes(one.payload)) for one in server.taken("FILE_TRANSFER_PROTOCOL")]
+        answers += [read_packet(bytes(one.payload)) for one in server.taken("FILE_TRANSFER_PROTOCOL")]
+        asked = read_packet(payload.ljust(251, b"\0"))
+        if asked.op in (Op.ACK, Op.NAK):
+            assert answers == []
+        elif asked.op == Op.BURST:
+            assert answers
+        else:
+            assert len(answers) == 1
+    server.ftp.gone("stranger")
+    assert {path.name for path in server.controllers.glob("*")} <= {"a.json"}
+    assert server.one(Op.NONE).op == Op.ACK
+
+
+def test_in_real_time_another_thread_reads_and_the_order_stays(tmp_path: Path) -> None:
+    server = Server(tmp_path, lockstep=False)
+    content = ALL[:2000]
+    # pymavlink's client does not wait for the answer to CREATE before it writes.
+    server.ask(Op.CREATE, b"/controllers/a.json", session=3)
+    for at in range(0, len(content), 200):
+        server.ask(Op.WRITE, content[at : at + 200], session=3, offset=at)
+    server.ask(Op.TERMINATE, session=3)
+    answers: list[Packet] = []
+    for _ in range(1_000_000):
+        server.run(1)
+        answers += [read_packet(bytes(one.payload)) for one in server.taken("FILE_TRANSFER_PROTOCOL")]
+        if len(answers) == 12:
+            break
+    assert [one.asked for one in answers] == [Op.CREATE, *[Op.WRITE] * 10, Op.TERMINATE]
+    assert all(one.op == Op.ACK for one in answers)
+    assert (server.controllers / "a.json").read_bytes() == content
