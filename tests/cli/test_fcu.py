@@ -1,0 +1,66 @@
+"""`twodof fcu`: it says where it listens, flies, and ends cleanly by a signal, armed or not."""
+
+from __future__ import annotations
+
+import signal
+from pathlib import Path
+
+import pytest
+
+from tests.fcu.program import twodof_fcu
+from twodof.cli.app import run
+from twodof.errors import LinkLost
+from twodof.flightlog.files import read_log
+from twodof.gcs.drone import Drone
+from twodof.link.key import Key, write_key
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_in_flight_ends_it_cleanly_with_its_log_whole(number: signal.Signals, tmp_path: Path) -> None:
+    drone = None
+    try:
+        with twodof_fcu("--lockstep", "--rings", "--state", str(tmp_path), ends_by=number) as url:
+            drone = Drone.connect(url)
+            drone.run(1.0)
+            drone.arm()
+            drone.set_pitch(0.1, thrust=0.4)
+            drone.run(2.0)
+            assert drone.state.armed
+    finally:
+        assert drone is not None
+        with pytest.raises(LinkLost):
+            drone.close()
+    (log,) = (tmp_path / "logs").iterdir()
+    theta = read_log(log)["theta"]
+    assert len(theta) >= 500
+    assert theta.value[-1] == pytest.approx(0.1, abs=0.03)
+
+
+def test_in_real_time_with_a_key_only_who_has_it_is_heard(tmp_path: Path) -> None:
+    write_key(tmp_path / "key", Key.fresh())
+    write_key(tmp_path / "other", Key.fresh())
+    with twodof_fcu("--key", str(tmp_path / "key"), "--state", str(tmp_path / "state"), "--index", "4") as url:
+        with pytest.raises(LinkLost, match="no drone"):
+            Drone.connect(url, timeout=1.5, key=tmp_path / "other")
+        with Drone.connect(url, key=tmp_path / "key") as drone:
+            assert drone.there.session.system == 5
+            tick = drone.tick
+            drone.run(0.2)
+            assert drone.tick > tick
+
+
+def test_what_cannot_be_is_said_and_nothing_is_started(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TWODOF_DATA", str(tmp_path))
+    for wrong, said in (
+        (["--rig", "nowhere.json"], "nowhere.json"),
+        (["--controller", "nothing"], "nothing"),
+        (["--listen", "http://x"], "no kind of link"),
+        (["--key", str(tmp_path / "none")], "the key cannot be read"),
+        (["--index", "250"], "249"),
+        (["--precision", "float16"], "float16"),
+        (["--noise", "nan"], "noise"),
+    ):
+        assert run(["fcu", *wrong]) == 2, wrong
+        assert said in capfd.readouterr().err
