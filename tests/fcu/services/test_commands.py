@@ -35,7 +35,7 @@ def test_every_command_is_acknowledged_once_to_who_sent_it(number: int, params: 
 
 def test_what_is_not_supported_is_said_so_and_nobody_is_asked() -> None:
     world = World()
-    for number in (0, 16, 20, 21, 22, 178, 192, 209, 241, 245, 310, 401, 420, 2500, 31010, 65535):
+    for number in (0, 16, 20, 21, 22, 178, 192, 209, 241, 245, 310, 420, 2500, 31010, 65535):
         assert world.command(number) == UNSUPPORTED
     assert world.commander.asked == []
     assert world.texts() == ""
@@ -49,13 +49,32 @@ def test_commands_for_others_are_none_of_ours() -> None:
     assert world.commander.asked == []
 
 
-def test_commands_to_all_are_for_us_but_not_those_that_claim_to_be_from_us() -> None:
+def test_of_commands_to_all_only_those_that_ask_or_stop_are_for_us() -> None:
     world = World()
-    world.say(message("COMMAND_LONG", command=400, param1=1.0))
-    assert len(world.taken("COMMAND_ACK")) == 1
+    for number, value in ((512, 148.0), (519, 1.0), (400, 0.0), (185, 1.0)):
+        world.say(message("COMMAND_LONG", command=number, param1=value))
+        assert [ack.command for ack in world.taken("COMMAND_ACK")] == [number]
+    assert [one[0] for one in world.commander.asked] == ["disarm", "kill"]
+    world.commander.asked.clear()
+    for number, value in ((400, 1.0), (400, math.nan), (176, 1.0), (246, 1.0), (511, 30.0), (262, 1.0)):
+        world.say(message("COMMAND_LONG", command=number, param1=value, param2=6.0))
+        world.say(message("COMMAND_INT", command=number, param1=value, param2=6.0))
+    assert world.taken("COMMAND_ACK") == []
+    assert world.commander.asked == []
+
+
+def test_a_command_that_claims_to_be_from_us_is_ignored() -> None:
+    world = World()
     world.say(message("COMMAND_LONG", command=400, param1=1.0, **US), source=(1, 1))
     assert world.taken("COMMAND_ACK") == []
-    assert len(world.commander.asked) == 1
+    assert world.commander.asked == []
+
+
+def test_checks_run_all_the_time() -> None:
+    world = World()
+    assert world.command(401) == ACCEPTED
+    world.commander.armed = True
+    assert world.command(401) == TEMPORARILY_REJECTED
 
 
 @pytest.mark.parametrize(
@@ -108,6 +127,29 @@ def test_arming_in_progress_is_answered_when_it_is_decided() -> None:
     assert world.texts() == "tilted"
     world.run(5)
     assert world.taken("COMMAND_ACK") == []
+
+
+def test_what_was_refused_in_the_end_is_not_accepted_when_it_is_repeated() -> None:
+    world = World()
+    world.commander.verdict = world.commander.arming = Verdict(IN_PROGRESS)
+    world.command(400, 1.0)
+    assert world.command(400, 1.0, confirmation=1) == -1  # the same is in progress still
+    world.commander.arming = Verdict(TEMPORARILY_REJECTED, "tilted")
+    world.run()
+    assert [ack.result for ack in world.taken("COMMAND_ACK")] == [TEMPORARILY_REJECTED]
+    world.commander.verdict = Verdict(DENIED)
+    assert world.command(400, 1.0, confirmation=2) == DENIED
+    assert [one[0] for one in world.commander.asked] == ["arm", "arm"]
+
+
+@pytest.mark.parametrize("lockstep", [False, True])
+def test_disarming_does_not_wait_for_an_arming_in_progress(lockstep: bool) -> None:
+    world = World(lockstep=lockstep)
+    world.commander.verdict = world.commander.arming = Verdict(IN_PROGRESS)
+    world.command(400, 1.0)
+    world.commander.verdict = Verdict(ACCEPTED)
+    assert world.command(400, 0.0) == ACCEPTED
+    assert [one[0] for one in world.commander.asked] == ["arm", "disarm"]
 
 
 def test_in_lockstep_the_client_is_told_that_time_must_run() -> None:
@@ -213,10 +255,12 @@ def test_modes_that_are_none_of_px4s() -> None:
     assert world.commander.asked == []
 
 
-def test_a_refused_set_mode_says_why() -> None:
+def test_set_mode_is_acknowledged_as_command_176() -> None:
     world = World()
-    world.commander.verdict = REFUSED
-    world.say(message("SET_MODE", target_system=1, base_mode=1, custom_mode=6 << 16))
+    for verdict in (Verdict(ACCEPTED), REFUSED):
+        world.commander.verdict = verdict
+        world.say(message("SET_MODE", target_system=1, base_mode=1, custom_mode=6 << 16), "asks")
+        assert [(ack.command, ack.result) for ack in world.taken("COMMAND_ACK", "asks")] == [(176, verdict.result)]
     assert world.texts() == REFUSED.text
 
 

@@ -1,4 +1,4 @@
-"""Arming, disarming, stopping, restarting: the commands 400, 185 and 246."""
+"""Arming, disarming, stopping, restarting: the commands 400, 401, 185 and 246."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from twodof.fcu.services.addressing import whole
 from twodof.fcu.services.commands import Command, Commands
 from twodof.fcu.services.vehicle import Commander
 
-ARM_DISARM, TERMINATE, REBOOT = 400, 185, 246
+ARM_DISARM, TERMINATE, REBOOT, RUN_CHECKS = 400, 185, 246, 401
 FORCE = 21196
 """Second parameter of command 400: disarm in flight, too."""
 MOST_CODE = 4
@@ -25,6 +25,7 @@ class Arming:
         commands.on(ARM_DISARM, self._arm_or_disarm, lambda: commander.arming)
         commands.on(TERMINATE, self._terminate)
         commands.on(REBOOT, self._reboot)
+        commands.on(RUN_CHECKS, self._check)
 
     def _arm_or_disarm(self, command: Command) -> Verdict:
         wanted, force = command.params[0], whole(command.params[1]) == FORCE
@@ -33,6 +34,10 @@ class Arming:
         if wanted == 0.0:
             return self._commander.disarm(command.source, force)
         return Verdict(DENIED, "arm is 1, disarm is 0")
+
+    def _check(self, _command: Command) -> Verdict:
+        """The failsafe checks at every tick; SYS_STATUS and TWODOF_SAFETY tell what it finds."""
+        return Verdict(TEMPORARILY_REJECTED, "it is armed") if self._commander.armed else Verdict(ACCEPTED)
 
     def _terminate(self, command: Command) -> Verdict:
         if not command.params[0] > 0.5:  # 0 asks to stop terminating, which nothing does

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from typing import Any, NamedTuple
 
@@ -10,13 +9,16 @@ from twodof.fcu.asked import ACCEPTED, IN_PROGRESS, UNSUPPORTED, Source, Verdict
 from twodof.fcu.flight_code import Step
 from twodof.fcu.service import Link
 from twodof.fcu.services.addressing import Us, source
+from twodof.fcu.services.repetitions import Repetitions
 from twodof.link.connection import Received
 from twodof.link.messages import message, statustext
 
 WARNING = 4
-REPEATED_TICKS = 125
-"""A frame that comes again within half a second is a copy made on the way, not a second command."""
-MOST_REMEMBERED = 64
+
+_ARM, _TERMINATE = 400, 185
+_QUESTIONS = frozenset({410, 510, 512, 519, 520})
+# They are answered as often as they come.
+_ANSWERED_AGAIN = _QUESTIONS | {511}
 
 
 class Command(NamedTuple):
@@ -27,6 +29,11 @@ class Command(NamedTuple):
     source: Source
     peer: Hashable
 
+    @property
+    def what(self) -> Hashable:
+        """All of it; the numbers as text, since NaN equals nothing."""
+        return self.peer, self.source, self.number, str(self.params)
+
 
 Handler = Callable[[Command], Verdict]
 
@@ -34,10 +41,8 @@ Handler = Callable[[Command], Verdict]
 class Commands:
     """Dispatches commands to those that registered for them, and acknowledges every one.
 
-    Repeated commands are idempotent: one that says itself that it is a repetition (`confirmation` above 0), or that
-    the network doubled, gets the answer of the first and is not carried out again once it was accepted. In lockstep,
-    where time may stand still between two real commands, only the former counts. Each of `carried_out` is called after
-    each command.
+    One that is repeated (`Repetitions`) gets the answer of the first and is not carried out again. Each of
+    `carried_out` is called after each command.
     """
 
     def __init__(self, link: Link, us: Us, lockstep: bool = False) -> None:
@@ -45,9 +50,9 @@ class Commands:
         self._us = us
         self._lockstep = lockstep
         self._handlers: dict[int, Handler] = {}
-        self._done: OrderedDict[Hashable, int] = OrderedDict()  # accepted: what came -> tick
+        self._repetitions = Repetitions(lockstep)
         self._polls: dict[int, Callable[[], Verdict]] = {}
-        self._pending: dict[Hashable, Command] = {}
+        self._pending: dict[Hashable, tuple[Command, int]] = {}
         self._slow: set[int] = set()
         self._tick = 0
         self.refused = 0
@@ -77,7 +82,7 @@ class Commands:
         if name not in ("COMMAND_LONG", "COMMAND_INT"):
             return False
         got, sender = received.message, source(received)
-        if self._us.addressed(got, everybody=True) and sender != tuple(self._us):
+        if self._us.addressed(got, everybody=_for_everybody(got)) and sender != tuple(self._us):
             last = (got.param5, got.param6) if name == "COMMAND_LONG" else (float(got.x), float(got.y))
             final = got.param7 if name == "COMMAND_LONG" else got.z
             params = (got.param1, got.param2, got.param3, got.param4, *last, final)
@@ -95,18 +100,23 @@ class Commands:
 
     def poll(self) -> None:
         """Answers what was in progress and is done."""
-        if self._pending:
-            for key, command in [*self._pending.items()]:
-                verdict = self._polls[command.number]()
-                if verdict.result != IN_PROGRESS:
-                    del self._pending[key]
-                    self._answer(command, verdict)
+        for what, (command, sequence) in [*self._pending.items()]:
+            verdict = self._polls[command.number]()
+            if verdict.result != IN_PROGRESS:
+                del self._pending[what]
+                if verdict.accepted:
+                    self._repetitions.accepted(what, sequence, self._tick)
+                self._answer(command, verdict)
 
     def restart(self) -> None:
         """Time begins anew."""
         self._tick = 0
-        self._done.clear()
+        self._repetitions.clear()
         self._pending.clear()
+
+    def acknowledge(self, command: Command, verdict: Verdict) -> None:
+        """Answers a command that was carried out already, whatever message brought it."""
+        self._answer(command, verdict)
 
     def explain(self, peer: Hashable, why: str) -> None:
         """Tells a peer in words why something was refused."""
@@ -118,30 +128,21 @@ class Commands:
         handler = self._handlers.get(command.number)
         if handler is None:
             return Verdict(UNSUPPORTED)
-        if (command.source, command.number) in self._pending:
+        what, sequence = command.what, received.frame.sequence
+        if what in self._pending:
             return Verdict(IN_PROGRESS)
-        # As text, since NaN equals nothing.
-        what = (command.peer, command.source, command.number, str(command.params))
-        repeats: Any = getattr(received.message, "confirmation", 0)
-        copy = (what, received.frame.sequence)
-        for key, counts in ((what, repeats), (copy, not self._lockstep)):
-            done = self._done.get(key)
-            if counts and done is not None and 0 <= self._tick - done <= REPEATED_TICKS:
-                return Verdict(ACCEPTED)
+        confirmation = getattr(received.message, "confirmation", 0)
+        if self._repetitions.known(what, confirmation, sequence, self._tick):
+            return Verdict(ACCEPTED)
         verdict = handler(command)
-        if verdict.result in (ACCEPTED, IN_PROGRESS) and command.number not in _ANSWERED_AGAIN:
-            for key in (what, copy):
-                self._done[key] = self._tick
-                self._done.move_to_end(key)
-            while len(self._done) > MOST_REMEMBERED:
-                self._done.popitem(last=False)
+        if verdict.result == IN_PROGRESS and command.number in self._polls:
+            self._pending[what] = command, sequence
+        elif verdict.accepted and command.number not in _ANSWERED_AGAIN:
+            self._repetitions.accepted(what, sequence, self._tick)
         return verdict
 
     def _answer(self, command: Command, verdict: Verdict) -> None:
-        pending = verdict.result == IN_PROGRESS and command.number in self._polls
-        if pending:
-            self._pending[command.source, command.number] = command
-        if pending and not self._lockstep and command.number not in self._slow:
+        if command.what in self._pending and not self._lockstep and command.number not in self._slow:
             return
         system, component = command.source
         there = {"target_system": system, "target_component": component}
@@ -150,5 +151,9 @@ class Commands:
             self.explain(command.peer, verdict.text)
 
 
-# Those that ask for something are answered as often as they come.
-_ANSWERED_AGAIN = frozenset({410, 510, 511, 512, 519, 520, 528})
+def _for_everybody(got: Any) -> bool:
+    """Whether all vehicles that hear a command to system 0 are to do it: those that ask, and those that stop motors.
+
+    As in PX4 nothing else: one careless client would arm a whole laboratory.
+    """
+    return got.command in _QUESTIONS or got.command == _TERMINATE or (got.command == _ARM and got.param1 == 0.0)

@@ -42,14 +42,15 @@ class Modes:
         telemetry.add(AVAILABLE_MODES_MONITOR, lambda: message("AVAILABLE_MODES_MONITOR", seq=0))
 
     def handle(self, received: Received) -> bool:
-        """Takes SET_MODE, which has no acknowledgement; a refusal is told in words."""
+        """Takes SET_MODE, which is acknowledged as command 176, as in PX4."""
         if received.message.get_type() != "SET_MODE":
             return False
         got = received.message
         if got.target_system == self._us.system and got.base_mode & _CUSTOM:
-            verdict = self._commander.set_mode(source(received), got.custom_mode)
-            if not verdict.accepted:
-                self._commands.explain(received.peer, verdict.text)
+            number = got.custom_mode
+            params = (float(got.base_mode), float(number >> 16 & 0xFF), float(number >> 24), *(0.0,) * 4)
+            command = Command(DO_SET_MODE, params, source(received), received.peer)
+            self._commands.acknowledge(command, self._commander.set_mode(command.source, number))
         return True
 
     def after(self, step: Step) -> None:
