@@ -1,4 +1,4 @@
-"""Writes the tables in docs (physics, flight, logs, safety) from the code: `python tools/tables.py`.
+"""Writes the tables in docs (PAGES) from the code: `python tools/tables.py`.
 
 A table stands between `<!-- made: NAME -->` and `<!-- end -->`; the text around it is written by hand. A test compares
 the pages with what this gives.
@@ -11,6 +11,10 @@ from math import sqrt
 from pathlib import Path
 
 from twodof.compile.lower import lower
+from twodof.fcu.parameter_row import Row
+from twodof.fcu.parameter_table import own_rows
+from twodof.fcu.px4_topics import PX4_TOPICS
+from twodof.fcu.step_row import COLUMNS
 from twodof.flight.causes import ACTIONS, CAUSES, NONE
 from twodof.flight.core import PERIOD
 from twodof.flight.failsafe import failsafe
@@ -26,7 +30,7 @@ from twodof.rig.rotors import HOVER
 from twodof.signals import TOPICS
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
-PAGES = (DOCS / "physics.md", DOCS / "flight.md", DOCS / "logs.md", DOCS / "safety.md")
+PAGES = tuple(DOCS / f"{name}.md" for name in ("physics", "flight", "logs", "safety", "parameters", "topics"))
 GRAVITY = 9.81
 UNITS = {
     "rate.kp": "s/rad",
@@ -52,6 +56,10 @@ def render(text: str) -> str:
         "channels": _channels,
         "causes": _causes,
         "safety": _safety,
+        "vehicle": _vehicle,
+        "wire": _wire,
+        "onboard": _onboard,
+        "steps": _steps,
     }
 
     def made(match: re.Match[str]) -> str:
@@ -136,13 +144,64 @@ def _causes() -> Iterator[str]:
 
 
 def _safety() -> Iterator[str]:
-    yield "| parameter | unit | default | from | to | is |"
-    yield "|---|---|---|---|---|---|"
+    yield "| parameter | over MAVLink | unit | default | from | to | is |"
+    yield "|---|---|---|---|---|---|---|"
+    names = {row.path: row.name for row in own_rows(1)}
     for path, parameter in lower(failsafe(), PERIOD).parameters.items():
         declared = parameter.declared
         bounds = "" if declared.kind == "bool" else f"{declared.low:g} | {declared.high:g}"
         value = declared.value if declared.kind == "bool" else f"{declared.value:g}"
-        yield f"| `{path}` | {declared.unit} | {value} | {bounds or ' | '} | {declared.text} |"
+        yield f"| `{path}` | `{names[path]}` | {declared.unit} | {value} | {bounds or ' | '} | {declared.text} |"
+
+
+def _vehicle() -> Iterator[str]:
+    rows = own_rows(1)
+    for group in dict.fromkeys(row.group for row in rows):
+        yield from ("", f"**{group}**", "")
+        yield "| name | the drone's name | type | unit | default | from | to | changed | is |"
+        yield "|---|---|---|---|---|---|---|---|---|"
+        for row in sorted((row for row in rows if row.group == group), key=lambda row: row.name):
+            other = f"`{row.drone}`" if row.drone else ""
+            bounds = f"{_number(row, row.low)} | {_number(row, row.high)}"
+            yield (
+                f"| `{row.name}` | {other} | {row.kind} | {row.unit} | {_number(row, row.default)} | {bounds} "
+                f"| {_changed(row)} | {row.text} |"
+            )
+    yield ""
+
+
+def _number(row: Row, value: float) -> str:
+    return str(int(value)) if row.kind == "int32" else f"{value:g}"
+
+
+def _changed(row: Row) -> str:
+    return "never" if row.fixed else "disarmed" if row.disarmed else "any time"
+
+
+def _wire() -> Iterator[str]:
+    yield "| topic | fields | unit | rate, Hz | MAVLink | ROS | `.mat` | is |"
+    yield "|---|---|---|---|---|---|---|---|"
+    for row in TOPICS:
+        rate = f"{row.rate_hz:g}" if row.rate_hz else "on events"
+        fields = ", ".join(row.fields)
+        places = f"`{row.mavlink}` | `{row.ros}` | `{row.mat}`"
+        yield f"| `{row.name}` | {fields} | {row.unit} | {rate} | {places} | {row.text} |"
+
+
+def _onboard() -> Iterator[str]:
+    yield "| topic | fields | is |"
+    yield "|---|---|---|"
+    for topic in PX4_TOPICS:
+        fields = ", ".join(f"`{field.strip()}`" for field in topic.description.split(";") if field)
+        yield f"| `{topic.name}` | {fields} | {topic.text} |"
+
+
+def _steps() -> Iterator[str]:
+    kinds = {float: "double", bool: "bool", int: "int32_t"}
+    yield "| field | type |"
+    yield "|---|---|"
+    for name, kind in COLUMNS:
+        yield f"| `{name}` | {kinds[kind]} |"
 
 
 def _parameters() -> Iterator[str]:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twodof.flight.causes import BIT
 from twodof.flightlog.steps import is_published
 from twodof.signals import MODES
 
@@ -30,9 +31,13 @@ _RANGE = (0.0, 1.3)
 
 @dataclass(frozen=True)
 class LoggedTopic:
-    """A topic of PX4: `description` as in ULog without the time stamp, `rows` in which it is written, its columns."""
+    """A topic of PX4: `text` says what it holds and when, `description` its fields but for the time stamp, as in ULog.
+
+    `when` chooses the steps in which it is written, `columns` gives its fields for those.
+    """
 
     name: str
+    text: str
     description: str
     when: Callable[[Rows], NDArray[np.bool_]]
     columns: Callable[[Rows], Columns]
@@ -113,12 +118,14 @@ def _distance(rows: Rows) -> Columns:
 
 
 def _battery(rows: Rows) -> Columns:
+    low, critical = (rows["causes"] & BIT[name] != 0 for name in ("battery_low", "battery_critical"))
     return {
         "connected": 1,
         "voltage_v": rows["voltage"],
         "current_a": -1.0,
         "remaining": rows["charge"],
         "cell_count": 3,
+        "warning": np.where(critical, 2, np.where(low, 1, 0)),
     }
 
 
@@ -137,6 +144,7 @@ def _status(rows: Rows) -> Columns:
 PX4_TOPICS: tuple[LoggedTopic, ...] = (
     LoggedTopic(
         "sensor_combined",
+        "accelerometer and gyro, each sample of the IMU",
         "float[3] gyro_rad;uint32_t gyro_integral_dt;int32_t accelerometer_timestamp_relative;"
         "float[3] accelerometer_m_s2;uint32_t accelerometer_integral_dt;",
         lambda rows: rows["imu_new"] != 0,
@@ -144,18 +152,21 @@ PX4_TOPICS: tuple[LoggedTopic, ...] = (
     ),
     LoggedTopic(
         "vehicle_angular_velocity",
+        "estimated pitch rate, each step",
         "uint64_t timestamp_sample;float[3] xyz;",
         _always,
         lambda rows: {"timestamp_sample": rows["timestamp"], "xyz": _xyz(0.0, rows["q"], 0.0)},
     ),
     LoggedTopic(
         "vehicle_attitude",
+        "estimated pitch as a quaternion, each step",
         "uint64_t timestamp_sample;float[4] q;float[4] delta_q_reset;uint8_t quat_reset_counter;",
         _always,
         lambda rows: {"timestamp_sample": rows["timestamp"], "q": _pitched(rows["theta"])},
     ),
     LoggedTopic(
         "vehicle_local_position",
+        "estimated place and speed on the rail, 100 Hz",
         "uint64_t timestamp_sample;bool xy_valid;bool z_valid;bool v_xy_valid;bool v_z_valid;float x;float y;float z;"
         "float vx;float vy;float vz;float ax;float ay;float az;float heading;float dist_bottom;",
         lambda rows: is_published(rows["tick"].astype(np.int64) - 1),
@@ -163,42 +174,49 @@ PX4_TOPICS: tuple[LoggedTopic, ...] = (
     ),
     LoggedTopic(
         "vehicle_attitude_setpoint",
+        "pitch set-point in use and thrust, each step",
         "float yaw_sp_move_rate;float[4] q_d;float[3] thrust_body;",
         _always,
         lambda rows: {"q_d": _pitched(rows["theta0"]), "thrust_body": _xyz(0.0, 0.0, -rows["T"])},
     ),
     LoggedTopic(
         "vehicle_rates_setpoint",
+        "pitch-rate set-point in use, each step",
         "float roll;float pitch;float yaw;float[3] thrust_body;",
         _always,
         lambda rows: {"pitch": rows["q0"], "thrust_body": _xyz(0.0, 0.0, -rows["T"])},
     ),
     LoggedTopic(
         "vehicle_local_position_setpoint",
+        "position and velocity set-point in use, each step",
         "float x;float y;float z;float vx;float vy;float vz;float yaw;float yawspeed;",
         _always,
         lambda rows: {"x": rows["x0"], "vx": rows["v0"]},
     ),
     LoggedTopic(
         "vehicle_torque_setpoint",
+        "moment M as it flies, each step",
         "uint64_t timestamp_sample;float[3] xyz;",
         _always,
         lambda rows: {"timestamp_sample": rows["timestamp"], "xyz": _xyz(0.0, rows["M"], 0.0)},
     ),
     LoggedTopic(
         "vehicle_thrust_setpoint",
+        "thrust T as it flies, each step",
         "uint64_t timestamp_sample;float[3] xyz;",
         _always,
         lambda rows: {"timestamp_sample": rows["timestamp"], "xyz": _xyz(0.0, 0.0, -rows["T"])},
     ),
     LoggedTopic(
         "actuator_motors",
+        "the four motors' commands, each step; motors 1 and 3 are the fore pair, 2 and 4 the aft pair",
         "uint64_t timestamp_sample;uint16_t reversible_flags;float[12] control;",
         _always,
         _motors,
     ),
     LoggedTopic(
         "distance_sensor",
+        "range, each sample, stamped when it was measured",
         "uint32_t device_id;float min_distance;float max_distance;float current_distance;float variance;"
         "int8_t signal_quality;uint8_t type;uint8_t orientation;",
         lambda rows: rows["dist_new"] != 0,
@@ -206,12 +224,14 @@ PX4_TOPICS: tuple[LoggedTopic, ...] = (
     ),
     LoggedTopic(
         "battery_status",
+        "voltage and charge, 2 Hz",
         "bool connected;float voltage_v;float current_a;float remaining;uint8_t cell_count;uint8_t warning;",
         _every(BATTERY_TICKS),
         _battery,
     ),
     LoggedTopic(
         "vehicle_status",
+        "armed or not, PX4's mode, whether the failsafe acts: each change, and 2 Hz",
         "uint64_t armed_time;uint8_t arming_state;uint8_t nav_state;uint8_t nav_state_user_intention;"
         "uint8_t vehicle_type;bool failsafe;",
         _changed,
@@ -219,6 +239,7 @@ PX4_TOPICS: tuple[LoggedTopic, ...] = (
     ),
     LoggedTopic(
         "actuator_armed",
+        "armed, and whether arming is possible: each change, and 2 Hz",
         "bool armed;bool prearmed;bool ready_to_arm;bool lockdown;",
         _changed,
         lambda rows: {"armed": rows["armed"], "ready_to_arm": rows["causes"] == 0},
