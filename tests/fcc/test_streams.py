@@ -48,7 +48,7 @@ def test_who_asks_for_nothing_gets_what_the_flight_controller_would_send(name: s
 
 def test_the_vehicle_is_asked_for_the_fastest_that_anybody_wants() -> None:
     ends = Ends("ground", "none")
-    at = {number: wish.interval for number, wish in ends.router.asking.granted.items()}
+    at = {number: wish.interval for number, wish in ends.router.subscriptions.asking.granted.items()}
     assert at[ATTITUDE] == round(1e6 / 15)
     assert at[105] == 500_000
     ends.join("onboard")
@@ -179,15 +179,15 @@ def test_a_vehicle_that_does_not_answer_is_asked_again_and_then_later() -> None:
     ask(ends, ends.clients[0], ATTITUDE, 4000)
     for _ in range(100):
         ends.now += 0.1
-        ends.router.asking.poll(ends.now)
+        ends.router.subscriptions.asking.poll(ends.now)
     asked = [decode(one) for one in ends.up.take()]
     assert 5 <= len(asked) <= 8  # four within 2 s, then again after 5 s
     assert ends.heard(ends.clients[0]) == []  # and nothing is said in its name
     for _ in range(50):
         ends.now += 0.1
-        ends.router.asking.poll(ends.now)
+        ends.router.subscriptions.asking.poll(ends.now)
         ends.answer()
-    assert ends.router.asking.granted[ATTITUDE].interval == 4000
+    assert ends.router.subscriptions.asking.granted[ATTITUDE].interval == 4000
 
 
 def test_a_vehicle_that_was_started_anew_is_told_again() -> None:

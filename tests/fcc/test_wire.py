@@ -2,13 +2,12 @@
 
 import random
 from dataclasses import replace
-from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.fcc.ends import frame
+from tests.fcc.ends import drawn, frame
 from twodof.fcc import wire
 from twodof.link import dialect
 from twodof.link.framing import Parser, decode, encode
@@ -16,28 +15,6 @@ from twodof.link.key import Key
 from twodof.link.messages import message
 from twodof.link.signing import Signing
 from twodof.link.stamps import Stamps
-
-RANGES = {
-    **{f"uint{bits}_t": (0, 2**bits - 1) for bits in (8, 16, 32, 64)},
-    **{f"int{bits}_t": (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) for bits in (8, 16, 32, 64)},
-}
-
-
-def drawn(name: str, chance: random.Random) -> Any:
-    """A message with random numbers in it, zeros often, so that its end is cut off at random."""
-    kind = dialect.classes()[name]
-    counts = dict(zip(kind.ordered_fieldnames, kind.array_lengths, strict=True))
-    fields: dict[str, Any] = {}
-    for field, type_name in zip(kind.fieldnames, kind.fieldtypes, strict=True):
-        if type_name == "char":
-            continue
-        bounds = RANGES.get(type_name)
-        values = [
-            0 if chance.random() < 0.3 else chance.randint(*bounds) if bounds else float(chance.randint(-100, 100))
-            for _ in range(counts[field] or 1)
-        ]
-        fields[field] = values if counts[field] else values[0]
-    return message(name, **fields)
 
 
 @pytest.mark.parametrize("name", sorted(dialect.classes()))

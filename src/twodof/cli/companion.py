@@ -22,6 +22,8 @@ from twodof.link.stamps import Stamps
 app = typer.Typer(add_completion=False)
 # Where the app comes to: this machine only, at a port that is free.
 APP_LINK = Serve("tcpin://127.0.0.1:0", "onboard")
+# Streams of signatures are told apart by it: what we answer in the vehicle's name is not its own.
+LINK_ID = 191
 MIB = 1 << 20
 
 
@@ -40,7 +42,7 @@ class _Asked:
         """The companion that they ask for. Raises LinkError."""
         signing = None
         if self.key is not None:
-            signing = Signing(read_key(self.key), Stamps(self.key.with_suffix(".stamps")))
+            signing = Signing(read_key(self.key), Stamps(self.key.with_suffix(".stamps")), LINK_ID)
         return Companion(self.vehicle, self.serve, self.system, signing, self.line_rate)
 
 
@@ -119,6 +121,7 @@ async def _fly(asked: _Asked, program: Path, restarts: Restarts, limits: Limits)
         _tell(asked, made)
         url = made.urls[-1][0].replace("tcpin:", "tcp:")
         command = [sys.executable, "-u", "-m", "twodof.gcs.app", str(program), "--url", url]
+        command += ["--key", str(asked.key)] if asked.key is not None else []
         supervised = asyncio.ensure_future(Supervisor(command, _log, limits, restarts).run())
         routing = asyncio.ensure_future(made.run())
         try:

@@ -319,7 +319,7 @@ class Companion:
                 if self._there and now - self._last_frame > VEHICLE_SILENT_S:
                     self._heard(False, f"flight controller silent for {VEHICLE_SILENT_S:g} s")
                     self.router.started()  # it may come back as one that was started anew
-                self.router.asking.poll(now)
+                self.router.subscriptions.asking.poll(now)
             self._pump()
 
     def _sweep_port(self, port: _Port, now: float) -> None:

@@ -6,24 +6,20 @@ Pure of sockets and of clocks but the one it is given. What arrives are whole fr
 import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from math import isfinite
 from typing import Any
 
 from twodof.fcc import wire
 from twodof.fcc.answers import Answers
-from twodof.fcc.asking import Asking
-from twodof.fcc.batches import TICK_US, Batches
-from twodof.fcc.client import Client, Identity, Wish, is_ours
+from twodof.fcc.batches import Batches
+from twodof.fcc.client import Client, Identity, Wish
 from twodof.fcc.line import Line
-from twodof.fcc.rates import EVERY, OFF, group
-from twodof.fcc.streams import Streams, events, settled
+from twodof.fcc.streams import Streams
+from twodof.fcc.subscriptions import Subscriptions
 from twodof.link.framing import Frame, encode
-from twodof.link.messages import BATCH_VALUES, message
-from twodof.link.signing import Signing, Verdict
+from twodof.link.messages import message
+from twodof.link.signing import Signing
 
 AUTOPILOT, COMPANION = 1, 191
-_ABOUT_MESSAGES = (wire.SET_MESSAGE_INTERVAL, wire.GET_MESSAGE_INTERVAL, wire.REQUEST_MESSAGE)
-DENIED, TEMPORARILY_REJECTED = 2, 1
 MOST_IDENTITIES = 32
 _NOW_AND_THEN = 15
 _HALF = 128  # of the range of a sequence number: what is further ahead is behind
@@ -51,9 +47,10 @@ class Router:
         self.system = system
         self.line = line
         self.streams = Streams()
-        self.asking = Asking(self._ask, self._settled)
         self.answers = Answers()
         self.batches = Batches(self._as_vehicle, self._deliver)
+        wires = (self._ask, self._as_vehicle, clock, signing)
+        self.subscriptions = Subscriptions(self.streams, self.batches, self.answers, *wires)
         self.counts = RouterCounts()
         self.own: Callable[[Frame, Client | None], None] = lambda frame, client: None
         self.clock = clock
@@ -72,26 +69,24 @@ class Router:
     def add(self, client: Client) -> None:
         """A client has come: from now on it gets what it wants."""
         self.clients.append(client)
-        self._refresh()
+        self.subscriptions.refresh()
 
     def remove(self, client: Client) -> None:
         """A client has gone: nobody asks the vehicle in its name any more."""
         self.clients.remove(client)
         self.answers.forget(client)
         self.batches.forget(client)
-        self._refresh()
+        self.subscriptions.refresh()
 
     def forget(self, client: Client) -> None:
         """A client whose place stays has fallen silent."""
         client.forget()
-        self._refresh()
+        self.subscriptions.refresh()
 
     def started(self) -> None:
         """The link to the vehicle stands anew: it is told again what to stream."""
-        self.asking.restart()
-        self.streams.at.clear()
         self._time = -1
-        self._refresh()
+        self.subscriptions.restart()
 
     def behind(self, system: int, component: int) -> list[Client]:
         """The clients behind which this system and component is, or, if that one is unknown, its system.
@@ -117,18 +112,18 @@ class Router:
         system, component = wire.target(frame)
         urgent = None
         asked = wire.command(frame)
-        if not client.knows_ours and (is_ours(frame.message_id) or (asked is not None and _asks_ours(asked))):
-            client.knows_ours = True
-            self._refresh()
+        if not client.knows_ours:
+            self.subscriptions.notice(client, frame, asked)
         if (system, component) == (self.system, COMPANION):
             self.own(frame, client)
             return
         if asked is not None:
             urgent = wire.stop(asked)
-            if system in (0, self.system) and component in (0, AUTOPILOT) and self._intercepts(client, frame, asked):
+            to_vehicle = system in (0, self.system) and component in (0, AUTOPILOT)
+            if to_vehicle and self.subscriptions.take(client, frame, asked):
                 return
         elif frame.message_id == wire.REQUEST_DATA_STREAM and system in (0, self.system):
-            self._stream_group(client, frame)
+            self.subscriptions.take_group(client, frame)
             return
         if system:
             others = [one for one in self.behind(system, component) if one is not client]
@@ -218,108 +213,20 @@ class Router:
         if self.line.offer(self, raw, self.clock()):
             self._sequence = (self._sequence + 1) & 0xFF
 
-    # Streams.
-
     def _ask(self, message_id: int, wish: Wish) -> None:
         fields = {"param1": message_id, "param2": wish.interval, "param3": wish.mask & 0xFFFF}
         fields |= {"param4": wish.mask >> 16, "command": wire.SET_MESSAGE_INTERVAL}
         self._to_vehicle(message("COMMAND_LONG", target_system=self.system, target_component=AUTOPILOT, **fields))
-
-    def _settled(self, message_id: int, wish: Wish) -> None:
-        self.streams.at[message_id] = wish.interval
-
-    def _refresh(self) -> None:
-        """Ask the vehicle anew for whatever the clients that are there want together."""
-        self.streams.changed()
-        now = self.clock()
-        asked = {number for client in self.clients for number in client.wishes} | set(self.asking.granted)
-        for number in sorted(asked.union(settled())):
-            self.asking.want(number, self.streams.wanted(number), now)
-
-    def _intercepts(self, client: Client, frame: Frame, asked: wire.Command) -> bool:
-        """Whether a command is about what a client gets, which is our affair."""
-        if asked.command not in _ABOUT_MESSAGES:
-            return False
-        number = _whole(asked.params[0])
-        source = (frame.system, frame.component)
-        if asked.command == wire.REQUEST_MESSAGE:
-            if number != wire.MESSAGE_INTERVAL:
-                if number in wire.places():
-                    client.due_once[number] = 1
-                return False
-            number = _whole(asked.params[1])
-        if not self._ours(frame):
-            return False
-        if asked.command != wire.SET_MESSAGE_INTERVAL:
-            if not self.streams.chosen(number) or client.wish(number) == EVERY:
-                self.answers.interval(client, self.clock())
-                return False
-            self._acknowledge(client, asked.command, source, 0)
-            self._as_vehicle(client, message("MESSAGE_INTERVAL", message_id=number, interval_us=client.wish(number)))
-            return True
-        if number in events() or not isfinite(asked.params[1]):
-            self._acknowledge(client, asked.command, source, DENIED)
-            return True
-        every = round(min(max(asked.params[1], -1.0), 1e9))
-        if number == wire.BATCH and every == 0:  # of samples: each tick
-            every = TICK_US
-        before = client.wishes.get(number)
-        mask = max(_whole(asked.params[2]), 0) & 0xFFFF | max(_whole(asked.params[3]), 0) << 16
-        wish = None if every == 0 else Wish(every, mask if number == wire.BATCH else 0)
-        if number == wire.BATCH:
-            self.batches.flush(client)
-            if wish is not None and wish.interval != OFF and not 1 <= wish.mask.bit_count() <= BATCH_VALUES:
-                self._acknowledge(client, asked.command, source, DENIED)
-                return True
-        if not self.streams.set(client, number, wish):
-            self._acknowledge(client, asked.command, source, TEMPORARILY_REJECTED)
-            return True
-
-        def then(result: int) -> None:
-            if result and client.wishes.get(number) == wish:
-                self.streams.set(client, number, before)
-            self._acknowledge(client, asked.command, source, result)
-
-        self.asking.want(number, self.streams.wanted(number), self.clock(), then)
-        return True
-
-    def _ours(self, frame: Frame) -> bool:
-        """Whether a command on streams is ours to answer: unsigned, or signed with our key."""
-        if self._signing is None:
-            return not frame.signed
-        return self._signing.check(frame) is Verdict.ACCEPTED
-
-    def _acknowledge(self, client: Client, number: int, to: Identity, result: int) -> None:
-        there = {"target_system": to[0], "target_component": to[1]}
-        self._as_vehicle(client, message("COMMAND_ACK", command=number, result=result, **there))
 
     def _as_vehicle(self, client: Client, sent: Any) -> None:
         """Answer in the vehicle's name: it is whom the client asked."""
         identity = (self.system, AUTOPILOT)
         client.write(self._encoded(sent, AUTOPILOT, client.number(identity, self.lost.get(identity, 0))))
 
-    def _stream_group(self, client: Client, frame: Frame) -> None:
-        rate, _, _, number, start = struct.unpack("<HBBBB", frame.payload.ljust(6, b"\0")[:6])
-        chosen = group(number)
-        for each, default in client.defaults.items():
-            if default > EVERY and each != wire.HEARTBEAT and (chosen is None or each in chosen):
-                if not start or rate:
-                    self.streams.set(client, each, Wish(round(1e6 / rate)) if start else Wish(OFF))
-                    self.asking.want(each, self.streams.wanted(each), self.clock())
-
     def _for_us(self, frame: Frame) -> None:
         if frame.message_id == wire.COMMAND_ACK:
             number, result = struct.unpack("<HB", frame.payload.ljust(3, b"\0")[:3])
             if number == wire.SET_MESSAGE_INTERVAL:
-                self.asking.answered(result, self.clock())
+                self.subscriptions.asking.answered(result, self.clock())
             return
         self.own(frame, None)
-
-
-def _asks_ours(asked: wire.Command) -> bool:
-    """Whether a command is about one of twodof's own messages."""
-    return asked.command in _ABOUT_MESSAGES and is_ours(_whole(asked.params[0]))
-
-
-def _whole(value: float) -> int:
-    return round(value) if isfinite(value) and abs(value) < 2**31 else -1
