@@ -249,6 +249,17 @@ def test_a_silent_client_is_forgotten_and_a_closed_one_at_once() -> None:
     assert len(world.taken("ATTITUDE", "silent")) == 100
 
 
+def test_in_lockstep_a_bystander_may_be_silent_for_as_long_as_time_runs_fast() -> None:
+    world = World(lockstep=True)
+    world.say(HELLO)
+    world.run(1)
+    world.controller.tick = 10 * SILENT_TICKS
+    world.run(250)
+    world.sent.clear()
+    world.run(250)
+    assert len(world.taken("ATTITUDE", "client")) == 100
+
+
 def test_time_that_begins_anew_keeps_the_streams() -> None:
     world = World()
     world.say(OURS)

@@ -21,10 +21,12 @@ class Clients:
     """Who is there. First among the services: it sees every message and takes none.
 
     `joined` and `left` are called with each client that comes and goes, `recognised` with one that has sent a message
-    of twodof's own or asked for one: others would count them as lost, as they cannot read them.
+    of twodof's own or asked for one: others would count them as lost, as they cannot read them. In `lockstep`, where a
+    minute may pass between two heartbeats of a bystander, nobody is forgotten for silence.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, lockstep: bool = False) -> None:
+        self._lockstep = lockstep
         self.known: dict[Hashable, Client] = {}
         self.joined: list[Callable[[Client], None]] = []
         self.recognised: list[Callable[[Client], None]] = []
@@ -46,7 +48,7 @@ class Clients:
     def after(self, step: Step) -> None:
         """Forgets who has been silent."""
         self._tick = step.tick
-        if step.tick % _SWEEP_TICKS == 0:
+        if step.tick % _SWEEP_TICKS == 0 and not self._lockstep:
             for client in [*self.known.values()]:
                 if step.tick - client.heard > SILENT_TICKS:
                     self.gone(client.peer)

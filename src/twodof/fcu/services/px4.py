@@ -52,7 +52,7 @@ class PX4:
         capabilities: int = 0,
     ) -> None:
         us = Us(system)
-        self.clients = Clients()
+        self.clients = Clients(controller.lockstep)
         self.commands = Commands(link, us, controller.lockstep)
         self.telemetry = Telemetry(controller, commander, flown, lost, truth)
         self.requests = Requests(link, self.commands, self.telemetry)
