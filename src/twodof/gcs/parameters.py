@@ -136,15 +136,13 @@ class AsyncParameters:
             done.append((entry, value))
 
     async def _set(self, entry: Entry, value: float, deadline: Deadline) -> None:
-        sent = _float32(value) if entry.kind == REAL32 else value
-
         def accept(got: Any) -> bool | None:
             if got.get_type() == "PARAM_ERROR":
                 self._refused(got, entry.name)
                 return None
             if got.param_id != entry.name:
                 return None
-            if _entry(got).value != sent:
+            if np.float32(_entry(got).value) != np.float32(value):
                 raise Rejected(
                     f"{entry.name} is {_entry(got).value:g} and not {value:g}", f"drone {self._session.system}"
                 )
@@ -233,7 +231,7 @@ class AsyncParameters:
 
 
 def _entry(got: Any) -> Entry:
-    value = float(int_of_float(got.param_value)) if got.param_type == INT32 else float(got.param_value)
+    value = float(int_of_float(got.param_value)) if got.param_type == INT32 else _decimal(got.param_value)
     return Entry(str(got.param_id), value, int(got.param_type), int(got.param_index))
 
 
@@ -257,5 +255,6 @@ def _error(number: int) -> str:
     return _ERRORS[number] if number < len(_ERRORS) else f"error {number}"
 
 
-def _float32(value: float) -> float:
-    return float(np.float32(value))
+def _decimal(value: float) -> float:
+    """The shortest decimal that is this float32: 0.07 was sent, 0.07 is read."""
+    return float(str(np.float32(value)))

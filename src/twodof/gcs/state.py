@@ -75,6 +75,7 @@ class Watcher:
         session.on(self._safety, "TWODOF_SAFETY")
         session.on(self._rig, "TWODOF_RIG")
         session.on(self._battery, "BATTERY_STATUS")
+        session.on(self._status, "SYS_STATUS")
         self._session = session
 
     def _change(self, **changes: Any) -> None:
@@ -105,6 +106,11 @@ class Watcher:
             bool(flags & SAFETY_OFF),
         )
         self._change(rig=rig)
+
+    def _status(self, got: Any) -> None:
+        if got.voltage_battery not in (0, 0xFFFF):
+            charge = got.battery_remaining / 100.0 if got.battery_remaining >= 0 else float("nan")
+            self._change(battery=Battery(got.voltage_battery / 1000.0, charge))
 
     def _battery(self, got: Any) -> None:
         cells = [one for one in got.voltages if one != 0xFFFF]
