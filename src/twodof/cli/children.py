@@ -17,8 +17,8 @@ WITHIN_S = 60.0
 AGAIN_S = 0.5
 """Before a program is started again [s]."""
 
-END_S = 3.0
-"""What a program has to end when it is asked to [s]; then it is killed."""
+END_S = 10.0
+"""What programs have to end when they are asked to [s], with logs to write; then they are killed."""
 
 _LAST_LINES = 8
 
@@ -91,9 +91,14 @@ class Children:
         self._answers = answers
 
     async def start(self) -> None:
-        """Starts all in their order, each once the one before answers. Raises LinkError."""
-        for child in self.children:
-            await self._begin(child)
+        """Starts all, and waits until all answer. Raises LinkError for the first that does not."""
+        starting = [asyncio.ensure_future(self._begin(child)) for child in self.children]
+        try:
+            await asyncio.gather(*starting)
+        finally:
+            for task in starting:
+                task.cancel()
+            await asyncio.gather(*starting, return_exceptions=True)
 
     async def _begin(self, child: Child) -> None:
         await child.start()
@@ -146,6 +151,5 @@ class Children:
                 self._tell(f"{child.name} answers again")
 
     async def end(self) -> None:
-        """Ends all, the last started first, within `END_S` each; a second time does nothing."""
-        for child in reversed(self.children):
-            await child.end()
+        """Ends all within `END_S`; a second time does nothing."""
+        await asyncio.gather(*(child.end() for child in reversed(self.children)))

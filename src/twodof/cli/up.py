@@ -128,13 +128,18 @@ async def _keep(children: Children, places: list[Place], lockstep: bool, json: b
 
 
 async def heard(url: str, system: int, timeout: float) -> None:
-    """Waits for a heartbeat of `system` at `url`. Raises LinkError if none comes within `timeout` [s]."""
+    """Waits for a heartbeat of the flight controller `system` at `url`.
+
+    Raises LinkError if none comes within `timeout` [s].
+    """
     try:
         async with asyncio.timeout(timeout):
             async with Connection(await open_transport(url, timeout), _PROBE, 1) as connection:
                 while True:
                     got = await connection.receive(1.0)
-                    if got is not None and got.message.get_type() == "HEARTBEAT" and got.frame.system == system:
+                    if got is None or got.message.get_type() != "HEARTBEAT":
+                        continue
+                    if (got.frame.system, got.frame.component) == (system, 1):
                         return
     except TimeoutError:
         raise LinkError(f"no heartbeat of system {system} within {timeout:g} s", url, "see what it says") from None

@@ -1,0 +1,148 @@
+"""`twodof up`: drones that answer where it says, programs that are kept running, and nothing left behind."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from twodof.cli.app import run
+from twodof.cli.children import MOST_RESTARTS
+from twodof.gcs.drone import Drone
+
+WAIT_S = 120.0
+FIRST = 7  # the numbers 0 and up are those of other tests and of who works on this machine
+
+
+class Up:
+    """`twodof up` as a process, and what it says."""
+
+    def __init__(self, folder: Path, *options: str) -> None:
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "twodof.cli", "up", "--json", "--lockstep", "--first", str(FIRST), *options],
+            cwd=folder,
+            env=os.environ | {"XDG_DATA_HOME": str(folder), "TWODOF_DATA": str(folder)},
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+        self.out: list[str] = []
+        self.said: list[str] = []
+        self._threads = [
+            threading.Thread(target=lambda: self.out.extend(iter(self.process.stdout.readline, ""))),
+            threading.Thread(target=lambda: self.said.extend(iter(self.process.stderr.readline, ""))),
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    def wait(self, condition: Callable[[], object], what: str) -> None:
+        end = time.monotonic() + WAIT_S
+        while not condition():
+            assert time.monotonic() < end, f"{what}: {self.out} {self.said}"
+            time.sleep(0.02)
+
+    def drones(self) -> list[dict[str, Any]]:
+        self.wait(lambda: self.out or self.process.poll() is not None, "no drone came up")
+        assert self.out, self.said
+        rows: list[dict[str, Any]] = json.loads(self.out[0])["drones"]
+        return rows
+
+    def children(self) -> dict[int, str]:
+        """Its child processes: process id -> command line."""
+        ids = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children").read_text().split()
+        return {int(one): Path(f"/proc/{one}/cmdline").read_text().replace("\0", " ") for one in ids}
+
+    def close(self) -> None:
+        self.process.kill()
+        self.process.wait(WAIT_S)
+        for thread in self._threads:
+            thread.join(WAIT_S)
+        self.process.stdout.close()
+        self.process.stderr.close()
+
+
+@contextmanager
+def up(folder: Path, *options: str) -> Iterator[Up]:
+    program = Up(folder, *options)
+    try:
+        yield program
+    finally:
+        program.close()
+
+
+def gone(processes: dict[int, str]) -> bool:
+    return not any(Path(f"/proc/{one}").exists() for one in processes)
+
+
+def test_two_drones_answer_where_it_says_and_all_ends_at_ctrl_c(tmp_path: Path) -> None:
+    with up(tmp_path, "--drones", "2", "--rings", "--rig", "paper") as program:
+        rows = program.drones()
+        assert [row["system"] for row in rows] == [FIRST + 1, FIRST + 2]
+        for row in rows:
+            with Drone.connect(row["drone"], drone=row["system"]) as drone:
+                rig = drone.state.rig
+                assert (rig.name, rig.rings_locked, rig.lockstep) == ("paper", True, True)
+        children = program.children()
+        assert len(children) == 4
+        program.process.send_signal(signal.SIGINT)
+        assert program.process.wait(WAIT_S) == 0
+        assert gone(children)
+        assert program.said == []
+
+
+def test_a_program_that_dies_is_started_again_and_none_outlives_its_parent(tmp_path: Path) -> None:
+    with up(tmp_path) as program:
+        (row,) = program.drones()
+        for name in ("fcu", "companion"):
+            (victim,) = [one for one, line in program.children().items() if f" {name} " in line]
+            count = len(program.said)
+            os.kill(victim, signal.SIGKILL)
+            program.wait(lambda count=count: len(program.said) >= count + 2, f"{name} did not come back")
+            assert "ended with status -9; it is started again" in program.said[-2]
+            assert "answers again" in program.said[-1]
+        with Drone.connect(row["fcu"]) as drone:
+            assert not drone.state.armed
+        children = program.children()
+        program.process.kill()
+        program.wait(lambda: gone(children), "children outlive it")
+
+
+@pytest.mark.soak
+def test_a_program_that_dies_again_and_again_ends_all(tmp_path: Path) -> None:
+    with up(tmp_path) as program:
+        program.drones()
+        children: dict[int, str] = {}
+        for number in range(MOST_RESTARTS + 1):
+            children |= program.children()
+            (victim,) = [one for one, line in program.children().items() if " companion " in line]
+            count = len(program.said)
+            os.kill(victim, signal.SIGKILL)
+            lines = 2 if number < MOST_RESTARTS else 1
+            program.wait(lambda count=count, lines=lines: len(program.said) >= count + lines, "it said nothing")
+        assert "too often, all end" in program.said[-1]
+        assert program.process.wait(WAIT_S) == 1
+        assert gone(children)
+
+
+def test_a_program_that_cannot_start_is_named_with_what_it_says(tmp_path: Path) -> None:
+    with up(tmp_path, "--rig", "no-such-rig.json") as program:
+        assert program.process.wait(WAIT_S) == 2
+        program.wait(lambda: any("no-such-rig.json" in line for line in program.said), "no word")
+        assert "error" in json.loads("".join(program.out))
+
+
+def test_drones_beyond_the_ports_that_clients_know_are_refused(capfd: pytest.CaptureFixture[str]) -> None:
+    assert run(["up", "--first", "9", "--drones", "2"]) == 2
+    assert "0 to 9" in capfd.readouterr().err
