@@ -2,6 +2,7 @@
 
 import asyncio
 import random
+from collections import Counter
 from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from tests.fcu.steps import plain_step
 from twodof.fcu.asked import TEMPORARILY_REJECTED, Verdict
 from twodof.fcu.onboard_log import OnboardLog
 from twodof.fcu.services.addressing import Us
-from twodof.fcu.services.log_download import PART, LogDownload
+from twodof.fcu.services.log_download import A_TICK_ARMED, MOST_READERS, PART, LogDownload
 from twodof.link.messages import message
 
 US = {"target_system": 1, "target_component": 1}
@@ -205,5 +206,25 @@ def test_in_real_time_the_disk_is_read_by_another_thread_and_sent_bit_by_bit(tmp
         if len(got) >= entries[0].size:
             break
     assert got == log.logs()[0].path.read_bytes()
-    assert 0 < most <= 4  # while armed
+    assert 0 < most <= A_TICK_ARMED
+    log.close()
+
+
+def test_however_many_ask_a_control_period_has_a_bounded_share_and_everybody_a_turn(tmp_path: Path) -> None:
+    log = written(tmp_path, (3,) * 30)
+    world = world_of(log, lockstep=False)
+    for client in range(MOST_READERS):
+        world.say(message("LOG_REQUEST_LIST", start=0, end=0xFFFF, **US), f"client {client}")
+    counts, sent = Counter[Any](), 0
+    for _ in range(1_000_000):
+        world.run(1, armed=True)
+        entries = [peer for one, peer in world.sent if one.get_type() == "LOG_ENTRY"]
+        sent = max(sent, len(entries))
+        counts.update(entries)
+        world.sent.clear()
+        if counts.total() == 30 * MOST_READERS:
+            break
+    assert 0 < sent <= A_TICK_ARMED
+    assert set(counts.values()) == {30}
+    assert len(counts) == MOST_READERS
     log.close()

@@ -19,7 +19,7 @@ from twodof.fcu.services.addressing import Us, source
 from twodof.fcu.services.background import Background
 from twodof.fcu.services.file_tree import EXISTS, MAX_UPLOAD, FileFault, FileTree, OpenFile
 from twodof.fcu.services.ftp_guest import BURST_BYTES, MOST_WAITING, Burst, Guest, Session
-from twodof.fcu.services.pump import Pump
+from twodof.fcu.services.pump import Pump, shares
 from twodof.link.connection import Received
 from twodof.link.ftp import MOST_DATA, Fault, Op, Packet, packed, read_packet
 
@@ -27,7 +27,7 @@ FTP_CAPABILITY = 32
 """MAV_PROTOCOL_CAPABILITY_FTP."""
 MOST_GUESTS = 32
 A_TICK, A_TICK_ARMED = 16, 2
-"""Packets of a burst that are sent in a control period: .9 MB/s, and little while it flies."""
+"""Packets of bursts that are sent in a control period, to all clients: .9 MB/s, and little while it flies."""
 
 _ONCE = (Op.OPEN_RO, Op.CREATE, Op.WRITE, Op.TERMINATE, Op.RESET, Op.REMOVE)
 """Not carried out again when they come again; what only reads is."""
@@ -51,6 +51,7 @@ class FileTransfer:
         self._pump = Pump(self._send_bursts, lockstep)
         self._guests: OrderedDict[Hashable, Guest] = OrderedDict()
         self._armed = False
+        self._turn = 0
         self._does: dict[int, Callable[[Guest, Packet], None]] = {
             Op.NONE: lambda guest, asked: self._answer(guest, asked, asked.ack()),
             Op.TERMINATE: self._terminate,
@@ -287,16 +288,16 @@ class FileTransfer:
 
     def _send_bursts(self) -> bool:
         most = A_TICK_ARMED if self._armed else A_TICK
-        busy = False
-        for guest in [*self._guests.values()]:
+        bursting = [guest for guest in self._guests.values() if guest.burst is not None]
+        self._turn += most
+        for guest, share in shares(most, bursting, self._turn):
             burst = guest.burst
             if burst is not None:
-                for packet in burst.next(most):
+                for packet in burst.next(share):
                     self._send(guest, packet)
                 if burst.done and guest.burst is burst:
                     guest.burst = None
-                busy = busy or guest.burst is not None
-        return busy
+        return any(guest.burst is not None for guest in bursting)
 
     def _dismiss(self, guest: Guest) -> None:
         guest.burst = None

@@ -7,7 +7,7 @@ is asked for again by the client; the file is read by another thread and sent in
 
 from __future__ import annotations
 
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from collections.abc import Callable, Hashable
 
 from twodof.errors import LogError
@@ -18,7 +18,7 @@ from twodof.fcu.onboard_log import OnboardLog
 from twodof.fcu.service import Link
 from twodof.fcu.services.addressing import Us, source
 from twodof.fcu.services.background import Background
-from twodof.fcu.services.pump import Pump
+from twodof.fcu.services.pump import Pump, shares
 from twodof.link.connection import Received
 from twodof.link.messages import message
 from twodof.link.packed import Packer
@@ -29,7 +29,7 @@ BLOCK = 512 * PART
 """Bytes that are read at once."""
 MOST_READERS = 16
 A_TICK, A_TICK_ARMED = 32, 4
-"""LOG_DATA that are sent in a control period: .7 MB/s, and little while it flies."""
+"""LOG_DATA and LOG_ENTRY that are sent in a control period, to all clients: .7 MB/s, and little while it flies."""
 
 Take = Callable[[Source, str], Verdict]
 Explain = Callable[[Hashable, str], None]
@@ -38,16 +38,22 @@ Explain = Callable[[Hashable, str], None]
 class Reader:
     """A client that reads: its list, and how far the piece of a log has come that it asked for."""
 
-    __slots__ = ("at", "block", "block_at", "end", "list", "log", "number", "peer", "tail", "wanted")
+    __slots__ = ("at", "block", "block_at", "end", "entries", "list", "log", "number", "peer", "tail", "wanted")
 
     def __init__(self, peer: Hashable) -> None:
         self.peer = peer
         self.list: list[StoredLog] = []
+        self.entries: deque[tuple[int, StoredLog | None]] = deque()  # of the list, still to be sent
         self.log: StoredLog | None = None
         self.number = self.at = self.end = 0
         self.tail = False  # whether an empty part is to say that the log ends
         self.block, self.block_at = b"", 0
         self.wanted = -1  # where the block begins that is being read
+
+    @property
+    def busy(self) -> bool:
+        """Whether there is something to send."""
+        return bool(self.entries) or self.log is not None
 
 
 class LogDownload:
@@ -63,6 +69,7 @@ class LogDownload:
         self._readers: OrderedDict[Hashable, Reader] = OrderedDict()
         self._pack = Packer("LOG_DATA")
         self._armed = False
+        self._turn = 0
         self._takes = {
             "LOG_REQUEST_LIST": self._list,
             "LOG_REQUEST_DATA": self._data,
@@ -111,16 +118,18 @@ class LogDownload:
         self._background.submit(self._log.logs, listed)
 
     def _send_list(self, reader: Reader, first: int, last: int) -> None:
-        count = len(reader.list)
-        if not count:
-            self._link.send(message("LOG_ENTRY"), reader.peer)
-        for number, log in enumerate(reader.list):
-            if first <= number <= last:
-                entry = {"id": number, "num_logs": count, "last_log_num": count - 1}
-                size = min(log.size, 0xFFFFFFFF)
-                self._link.send(
-                    message("LOG_ENTRY", **entry, time_utc=log.time_utc & 0xFFFFFFFF, size=size), reader.peer
-                )
+        entries = [(number, log) for number, log in enumerate(reader.list) if first <= number <= last]
+        reader.entries = deque(entries if reader.list else [(0, None)])
+        self._pump.start()
+
+    def _entry(self, reader: Reader) -> None:
+        number, log = reader.entries.popleft()
+        entry = {}
+        if log is not None:
+            count = len(reader.list)
+            entry = {"id": number, "num_logs": count, "last_log_num": count - 1, "size": min(log.size, 0xFFFFFFFF)}
+            entry |= {"time_utc": log.time_utc & 0xFFFFFFFF}
+        self._link.send(message("LOG_ENTRY", **entry), reader.peer)
 
     def _data(self, received: Received) -> None:
         got, reader = received.message, self._reader(received.peer)
@@ -150,6 +159,7 @@ class LogDownload:
         if reader is not None:
             reader.log = None
             reader.block = b""
+            reader.entries.clear()
 
     def _erase(self, received: Received) -> None:
         peer = received.peer
@@ -168,12 +178,14 @@ class LogDownload:
 
     def _send_parts(self) -> bool:
         most = A_TICK_ARMED if self._armed else A_TICK
-        busy = False
-        for reader in [*self._readers.values()]:
-            if reader.log is not None:
-                self._send_some(reader, most)
-                busy = busy or reader.log is not None
-        return busy
+        reading = [reader for reader in self._readers.values() if reader.busy]
+        self._turn += most
+        for reader, share in shares(most, reading, self._turn):
+            for _ in range(min(share, len(reader.entries))):
+                self._entry(reader)
+            if not reader.entries:
+                self._send_some(reader, share)
+        return any(reader.busy for reader in reading)
 
     def _send_some(self, reader: Reader, most: int) -> None:
         for _ in range(most):

@@ -3,10 +3,21 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
+from typing import TypeVar
 
 PORTION_S = 0.002
+
+T = TypeVar("T")
+
+
+def shares(most: int, wanting: Sequence[T], turn: int) -> list[tuple[T, int]]:
+    """Divides a portion of `most` messages among those that want to send; where they are more, they take turns."""
+    count = len(wanting)
+    if count <= most:
+        return [(one, most // count) for one in wanting]
+    return [(wanting[(turn + k) % count], 1) for k in range(most)]
 
 
 class Pump:
