@@ -18,8 +18,8 @@ _LETTERS = {"float64": "d", "float32": "f", "int32": "i", "uint32": "I", "bool":
 class Stepper:
     """Steps `machine`, whose memory it shares, with `inputs`, all that it has, and `outputs`, those that are wanted.
 
-    Both are names of scalars, and values come and go as tuples in their order. `Machine.step` by name costs some ten
-    times as much. Values are not checked: a real is a float, an int32 or uint32 an int within its range, a bool
+    Both are names of scalars, and values come and go as tuples in their order. `Machine.step` by name costs some
+    twenty times as much. Values are not checked: a real is a float, an int32 or uint32 an int within its range, a bool
     anything that is true or false. Raises DiagramError for a name that is not there or is an array, and for an input
     that is left out. Methods that compute raise ControllerFault where the target can fault.
     """

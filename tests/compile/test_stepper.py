@@ -1,0 +1,104 @@
+"""The stepper gives the bits of `Machine.step`, by position, on every target that flies."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from twodof.blocks import Diagram
+from twodof.blocks.library import Gain
+from twodof.compile import Program, build
+from twodof.compile.machine import Machine
+from twodof.compile.stepper import Stepper
+from twodof.errors import DiagramError
+from twodof.flight.core import INPUTS, OUTPUTS, PERIOD, core
+from twodof.flight.failsafe import INPUTS as SAFETY_INPUTS
+from twodof.flight.failsafe import OUTPUTS as SAFETY_OUTPUTS
+
+KINDS = {name: kind for name, kind, *_ in (*INPUTS, *SAFETY_INPUTS)}
+NAMES = [name for name, *_ in (*OUTPUTS, *SAFETY_OUTPUTS)]
+
+
+def machine(diagram: Diagram, precision: str = "float64", target: str = "native") -> Machine:
+    program = build(diagram, PERIOD, precision, target=target)
+    assert isinstance(program, Program)
+    return program.machine()
+
+
+def random_values(rng: np.random.Generator, names: list[str]) -> list[Any]:
+    def value(kind: str) -> Any:
+        if kind == "bool":
+            return bool(rng.random() < 0.8)
+        if kind == "int32":
+            return int(rng.integers(0, 6))
+        return float(rng.choice([np.nan, 0.0, -0.0, 1e-310, 1e300])) if rng.random() < 0.05 else rng.standard_normal()
+
+    return [value(KINDS[name]) for name in names]
+
+
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+@pytest.mark.parametrize("target", ["native", "wasm"])
+def test_the_flight_code_steps_as_by_name(target: str, precision: str) -> None:
+    rng = np.random.default_rng(1)
+    inputs, outputs = list(KINDS), list(NAMES)
+    rng.shuffle(inputs)
+    rng.shuffle(outputs)
+    by_name, by_place = (machine(core(failsafe=True), precision, target) for _ in range(2))
+    stepper = Stepper(by_place, inputs, outputs)
+    for _ in range(300):
+        values = random_values(rng, inputs)
+        with np.errstate(over="ignore"):
+            expected = by_name.step(dict(zip(inputs, values, strict=True)))
+        got = stepper.step(values)
+        assert repr(got) == repr(tuple(expected[name] for name in outputs))
+    for struct in "SUY":
+        assert by_place.instance.structs[struct].tobytes() == by_name.instance.structs[struct].tobytes()
+
+
+def test_a_peek_gives_the_next_outputs_and_advances_nothing() -> None:
+    rng = np.random.default_rng(2)
+    made = machine(core())
+    names = [name for name, *_ in INPUTS]
+    stepper = Stepper(made, names, ["theta", "M"])
+    for _ in range(50):
+        values = random_values(rng, names)
+        stepper.run(0, values)
+        before = made.instance.structs["S"].tobytes()
+        seen = [stepper.peek() for _ in range(2)]
+        assert made.instance.structs["S"].tobytes() == before
+        assert repr([stepper.step(values)] * 2) == repr(seen)
+
+
+def test_several_steps_are_that_many() -> None:
+    one, other = machine(core()), machine(core())
+    names = [name for name, *_ in INPUTS]
+    rng = np.random.default_rng(3)
+    steppers = [Stepper(made, names, ["theta"]) for made in (one, other)]
+    for count in (1, 4, 7):
+        values = random_values(rng, names)
+        steppers[0].run(count, values)
+        for _ in range(count):
+            steppers[1].step(values)
+    assert one.instance.structs["S"].tobytes() == other.instance.structs["S"].tobytes()
+
+
+def test_names_that_are_not_there_arrays_and_inputs_left_out_are_refused() -> None:
+    d = Diagram("d")
+    d.input("a")
+    d.input("b", width=2)
+    d.add("gain", Gain(2.0), u="a")
+    d.output("y", "gain")
+    d.output("wide", "b")
+    made = machine(d)
+    with pytest.raises(DiagramError, match="left out"):
+        Stepper(made, ["a"], ["y"])
+    with pytest.raises(DiagramError, match="no scalar called 'b'"):
+        Stepper(made, ["a", "b"], ["y"])
+    flight = machine(core())
+    names = [name for name, *_ in INPUTS]
+    with pytest.raises(DiagramError, match="no scalar called 'z'"):
+        Stepper(flight, names, ["z"])
+    with pytest.raises(DiagramError, match="no scalar called 'z'"):
+        Stepper(flight, [*names, "z"], ["theta"])

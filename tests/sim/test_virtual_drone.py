@@ -1,0 +1,94 @@
+"""A virtual drone as one thing: parameters that fly, uploads that are kept, what is damaged, the page of the docs."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+from pathlib import Path
+
+import pytest
+
+from twodof.errors import LinkError, LogError, ParameterError
+from twodof.fcu.controllers import Controllers, flown
+from twodof.flight.starters import starter
+from twodof.flight.templates import ATTITUDE
+from twodof.sim.virtual_drone import VirtualDrone
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "fcu.md"
+
+
+def test_parameters_of_the_store_fly_and_are_there_after_a_restart(tmp_path: Path) -> None:
+    async def change() -> None:
+        async with VirtualDrone(lockstep=True, state=tmp_path) as drone:
+            store, code = drone.assembly.store, drone.controller.code
+            store.update({"ATT_KP": 5.0, "RATE_KP": 0.05})
+            assert (code.parameter("ATT_KP"), code.parameter("RATE_KP")) == (5.0, 0.05)
+            with pytest.raises(ParameterError):
+                store.update({"ATT_KP": 6.0, "RATE_KP": 1e9})
+            assert code.parameter("ATT_KP") == 5.0
+            store.undo()
+            assert code.parameter("ATT_KP") == 11.0
+            store.redo()
+
+    async def look() -> None:
+        async with VirtualDrone(lockstep=True, state=tmp_path, controllers=["lqr-attitude"]) as drone:
+            assert drone.controller.code.parameter("ATT_KP") == 5.0, "of the stock controller in reserve"
+
+    asyncio.run(change())
+    asyncio.run(look())
+
+
+def test_what_was_kept_and_is_damaged_is_left_out_and_told(tmp_path: Path) -> None:
+    (tmp_path / "flying").mkdir()
+    (tmp_path / "flying" / f"{ATTITUDE.name}.json").write_text("{")
+    drone = VirtualDrone(lockstep=True, state=tmp_path, controllers=["pid-position"])
+    assert [diagram.name for diagram in drone.controller.code.controllers] == ["pid_position"]
+    assert any("left out" in text for _, text in drone.commander.remarks)
+    asyncio.run(drone.close())
+
+
+def test_only_what_was_given_is_trusted_and_only_while_nothing_was_uploaded(tmp_path: Path) -> None:
+    uploads, kept = tmp_path / "uploads", tmp_path / "kept"
+    made = Controllers(["pid-position"], True, uploads, kept)
+    code, damage = made.build()
+    assert (code.trusted, code.sandbox, damage) == (True, None, "")
+    assert made.uploads is not None
+    made.uploads.flash(starter("lqr-attitude"))
+    code, _ = made.build()
+    assert code.trusted, "an upload that was not built yet changes nothing, over restarts too"
+    for code in (made.build_uploaded(), made.build()[0]):
+        assert not code.trusted
+        assert code.sandbox is not None
+        assert sorted(diagram.name for diagram in code.controllers) == ["lqr_attitude", "pid_position"]
+    made.uploads.flash(starter("stock-attitude"))
+    made.uploads.flash(starter("stock-position"))
+    assert flown(made.build_uploaded()).controller == "stock"
+    made.uploads.remove("position_control")
+    made.uploads.remove("attitude_control")
+    assert flown(made.build_uploaded()).controller == "pid_position"
+    assert made.build()[0].trusted
+
+
+def test_a_link_that_cannot_be_opened_leaves_nothing_open(tmp_path: Path) -> None:
+    async def start() -> None:
+        async with VirtualDrone(lockstep=True, state=tmp_path) as drone:
+            await drone.listen("memin://taken")
+            await drone.listen("memin://taken")
+
+    for _ in range(2):
+        with pytest.raises(LinkError, match="taken"):
+            asyncio.run(start())
+
+
+def test_a_folder_that_cannot_be_is_said(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(LogError, match="no folder for logs"):
+        VirtualDrone(state=tmp_path / "file")
+
+
+def test_the_pages_example_flies(capsys: pytest.CaptureFixture[str]) -> None:
+    (code,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), flags=re.DOTALL)
+    exec(compile(code, str(PAGE), "exec"), {"__name__": "page"})
+    estimate, truth = map(float, capsys.readouterr().out.split())
+    assert truth == pytest.approx(0.17, abs=0.03)  # 2 s after the step, in turbulence
+    assert estimate == pytest.approx(truth, abs=0.01)
