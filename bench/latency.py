@@ -22,7 +22,7 @@ BETWEEN_S = (0.008, 0.016)  # at any phase of the control period, and never twic
 
 
 def latencies(drone: DroneProcess, url: str, count: int) -> list[float]:
-    """Microseconds of `count` set-points at random moments; one without an effect is infinitely late."""
+    """As `lateness`, of `count` set-points at random moments."""
     rng = random.Random(1)
     sent: dict[float, int] = {}
     with Drone.connect(url) as pilot:
@@ -36,10 +36,23 @@ def latencies(drone: DroneProcess, url: str, count: int) -> list[float]:
             pilot.set_moment(moment, THRUST)
             time.sleep(rng.uniform(*BETWEEN_S))
         time.sleep(0.1)
-        acted: dict[float, int] = {}
-        for when, moment in drone.report()["changes"]:
-            acted.setdefault(moment, when)
-    return sorted((acted[m] - when) * 1e-3 if m in acted else float("inf") for m, when in sent.items())
+        changes = drone.report()["changes"]
+    return lateness(sent, changes)
+
+
+def lateness(sent: dict[float, int], changes: list[tuple[int, float]]) -> list[float]:
+    """Microseconds from each of `sent` (moment, when) to the first of `changes` (when, moment) by it, in rising order.
+
+    One that a later one overtook before a control period began is late until that one acts; without either for ever.
+    """
+    acted: dict[float, int] = {}
+    for when, moment in changes:
+        acted.setdefault(moment, when)
+    found, next_at = [], float("inf")
+    for moment, when in reversed(sent.items()):
+        next_at = acted.get(moment, next_at)
+        found.append((next_at - when) * 1e-3)
+    return sorted(found)
 
 
 def run(quick: bool) -> list[Figure]:

@@ -58,7 +58,6 @@ async def until(stream: AsyncIterator[T], holds: Callable[[T], bool]) -> T:
 
 async def look_around(system: System, name: str, value: float) -> None:
     """What needs no right to command but for the parameter."""
-    say("discovered", system=await system.get_system_id(), autopilot=(await system.autopilot_type()).name)
     info = InfoAsync(system)
     version, product = await within(info.get_version()), await within(info.get_product())
     uid = (await within(info.get_identification())).hardware_uid
@@ -140,6 +139,8 @@ async def main(url: str, name: str, value: float, log: Path, first: str) -> None
         await look_around(system, name, value)
         seen = TelemetryAsync(system)
         await telemetry(seen)
+        # Only now: the type comes with the autopilot's heartbeat, which may be up to 1 s behind all else.
+        say("discovered", system=await system.get_system_id(), autopilot=(await system.autopilot_type()).name)
         await fly(system, seen, first == "arm")
         await fetch(system, log)
 
