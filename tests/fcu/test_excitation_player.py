@@ -307,19 +307,19 @@ JSON = st.recursive(
     lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=5), inner, max_size=4),
     max_leaves=8,
 )
+ODD = st.sampled_from([1e-9, 5e-324, 1e-3, 125, 3600.0, 16, True, [1, 2, 3], [0.1] * 3, [9999, 10_000], 1e308])
 FIELDS = ("amplitude", "width", "period", "step", "levels", "hold", "clock", "order", "seed", "start_hz", "end_hz")
 MORE_FIELDS = ("length", "law", "harmonics", "amplitudes", "phases", "unit", "lead", "settle", "pause", "repeat")
 
 
 @given(
     base=st.sampled_from(ONE_OF_EACH),
-    name=st.sampled_from((*FIELDS, *MORE_FIELDS, "kind", "version", "else")),
-    value=JSON,
+    damage=st.dictionaries(st.sampled_from((*FIELDS, *MORE_FIELDS, "kind", "version", "else")), JSON | ODD, max_size=4),
 )
 def test_any_damage_to_a_definition_gives_a_definition_or_an_error_with_a_reason(
-    base: Excitation, name: str, value: object
+    base: Excitation, damage: dict[str, object]
 ) -> None:
-    text = json.dumps(base.to_dict() | {name: value}).encode()
+    text = json.dumps(base.to_dict() | damage).encode()
     try:
         prepared = prepare(text)
     except ExperimentError:
@@ -332,6 +332,12 @@ def test_any_damage_to_a_definition_gives_a_definition_or_an_error_with_a_reason
 def test_rubbish_is_refused(data: bytes) -> None:
     with pytest.raises(ExperimentError):
         prepare(data)
+
+
+def test_values_that_are_not_finite_are_refused() -> None:
+    octaves = Sweep(0.1, 5e-324, 1.0, 5.0, law="logarithmic")
+    with pytest.raises(ExperimentError, match="not finite"):
+        prepare(octaves.to_json().encode())
 
 
 def test_what_would_take_too_long_is_refused_at_once() -> None:

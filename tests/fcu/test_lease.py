@@ -10,7 +10,9 @@ from tests.fcu.cockpit import COMPANION, ME, OTHER, Cockpit, armed
 from twodof.excitation import Impulse
 from twodof.fcu.asked import DENIED, TEMPORARILY_REJECTED, Source
 from twodof.fcu.excitation_player import PLAYING, written_out
+from twodof.fcu.helm import FRESH
 from twodof.fcu.lease import COMMANDING, HEARD, LONGEST
+from twodof.fcu.schedule import HORIZON
 from twodof.fcu.setpoints import ATTITUDE, SetPoint
 from twodof.link import modes
 
@@ -62,6 +64,40 @@ def test_armed_it_lasts_while_its_holder_is_heard_and_three_seconds_more() -> No
     cockpit.run()
     assert cockpit.commander.lease.holder is None
     assert cockpit.commander.ask_lease(OTHER).accepted
+
+
+def test_who_takes_it_by_arming_and_falls_silent_at_once_has_it_for_three_seconds_too() -> None:
+    cockpit = Cockpit(talking=())
+    cockpit.run(1000)
+    assert cockpit.arm().accepted
+    cockpit.run(HEARD - 2)
+    assert cockpit.commander.lease == (ME, 1, 1)
+    cockpit.run()
+    assert cockpit.commander.lease.holder is None
+
+
+def test_the_times_are_those_of_the_page() -> None:
+    """docs/protocol.md, in ticks of 4 ms: 2 s, 3 s, 30 s; set-points above 2 Hz; a minute ahead at most."""
+    assert (COMMANDING, HEARD, LONGEST, FRESH, HORIZON) == (500, 750, 7500, 125, 15_000)
+
+
+def test_every_change_of_holder_is_counted() -> None:
+    cockpit = Cockpit(talking=())
+    cockpit.commander.ask_lease(ME, 4)
+    assert cockpit.commander.lease.revision == 1
+    cockpit.commander.give_up_lease(ME)
+    assert cockpit.commander.lease.revision == 2
+    cockpit.commander.ask_lease(OTHER, 4)
+    cockpit.run(5)
+    assert cockpit.commander.lease == (None, 0, 4)
+    assert cockpit.commander.remarks == [(6, "nobody holds the lease any more")]
+
+
+def test_a_restart_without_any_lease_leaves_none() -> None:
+    cockpit = Cockpit(talking=())
+    cockpit.run(100)
+    cockpit.commander.restart()
+    assert cockpit.commander.lease == (None, 0, 0)
 
 
 def test_asked_for_it_lasts_its_time_and_half_a_minute_at_most() -> None:

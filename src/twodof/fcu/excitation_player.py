@@ -68,15 +68,20 @@ def prepare(definition: bytes) -> Prepared:
             "multisine",
             f"take fewer or lower harmonics, or less time: {MOST_EFFORT:.2g} can be",
         )
-    return written_out(from_dict(values))
+    try:
+        return written_out(from_dict(values))
+    except (ArithmeticError, LookupError, MemoryError, TypeError, ValueError) as reason:
+        # Nothing that comes over a link may end the control loop.
+        raise ExperimentError(f"cannot be written out: {reason}", "excitation", "write it with to_json") from reason
 
 
 def _effort(values: dict[str, Any]) -> float:
     """Cosines that a multisine with these values takes; 0 where `from_dict` refuses it at once."""
     lines = values.get("harmonics")
     times = [values.get(name, 0) for name in ("lead", "settle", "period", "pause", "repeat")]
-    numbers = [*lines, *times] if isinstance(lines, list) else ["none"]
-    if not lines or len(lines) > MAX_LINES or not all(_plain(number) for number in numbers):
+    if not isinstance(lines, list) or not 1 <= len(lines) <= MAX_LINES:
+        return 0.0
+    if not all(_plain(number) for number in (*lines, *times)):
         return 0.0
     lead, settle, period, pause, repeat = times
     duration = min(lead + settle + repeat * (period + pause), MAX_DURATION_S)
@@ -90,10 +95,15 @@ def _plain(value: Any) -> bool:
 def written_out(excitation: Excitation) -> Prepared:
     """An excitation at 250 Hz, from its start to the end of the rest after it.
 
-    The values are `excitation.at(arange(n) * PERIOD)`, bit for bit what `experiment.script` flies.
+    The values are `excitation.at(arange(n) * PERIOD)`, bit for bit what `experiment.script` flies. Raises
+    ExperimentError for one whose values are not all finite (a sweep over more octaves than a float has).
     """
     steps = int(np.ceil(excitation.duration / PERIOD - 1e-6))
-    return Prepared(excitation.unit, excitation.at(np.arange(steps) * PERIOD))
+    with np.errstate(all="ignore"):
+        values = excitation.at(np.arange(steps) * PERIOD)
+    if not np.isfinite(values).all():
+        raise ExperimentError("a value is not finite", excitation.kind, "choose other frequencies")
+    return Prepared(excitation.unit, values)
 
 
 class Player:
