@@ -9,11 +9,13 @@ import sys
 from collections.abc import Iterator, Mapping
 from math import sqrt
 from pathlib import Path
+from xml.etree import ElementTree
 
 from twodof.compile.lower import lower
 from twodof.fcu.parameter_row import Row
 from twodof.fcu.parameter_table import own_rows
 from twodof.fcu.px4_topics import PX4_TOPICS
+from twodof.fcu.services.profiles import GROUND, ONBOARD
 from twodof.fcu.step_row import COLUMNS
 from twodof.flight.causes import ACTIONS, CAUSES, NONE
 from twodof.flight.core import PERIOD
@@ -23,6 +25,8 @@ from twodof.flight.starters import STARTERS, starter
 from twodof.flight.templates import TEMPLATES, kind_of
 from twodof.flightlog.mcap_stream import stream_of
 from twodof.flightlog.ulog import PX4_SOURCES
+from twodof.link import dialect
+from twodof.link.dialect import FILES
 from twodof.rig.parameters import CONDITIONS, NAMES, Q_AGE, TABLE, load_rig, origins
 from twodof.rig.predict import moment_gain, rotor_moment, velocity_damping, velocity_gain
 from twodof.rig.rig import PARTS, rig_params
@@ -30,7 +34,9 @@ from twodof.rig.rotors import HOVER
 from twodof.signals import TOPICS
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
-PAGES = tuple(DOCS / f"{name}.md" for name in ("physics", "flight", "logs", "safety", "parameters", "topics"))
+PAGES = tuple(
+    DOCS / f"{name}.md" for name in ("physics", "flight", "logs", "safety", "parameters", "topics", "services")
+)
 GRAVITY = 9.81
 UNITS = {
     "rate.kp": "s/rad",
@@ -60,6 +66,7 @@ def render(text: str) -> str:
         "wire": _wire,
         "onboard": _onboard,
         "steps": _steps,
+        "streams": _streams,
     }
 
     def made(match: re.Match[str]) -> str:
@@ -202,6 +209,25 @@ def _steps() -> Iterator[str]:
     yield "|---|---|"
     for name, kind in COLUMNS:
         yield f"| `{name}` | {kinds[kind]} |"
+
+
+def _streams() -> Iterator[str]:
+    texts = {
+        int(row.attrib["id"]): (row.attrib["name"], row.findtext("description", ""))
+        for file in FILES
+        for row in ElementTree.parse(Path(dialect.__file__).with_name(file)).iter("message")
+    }
+    yield "| message | id | rate, Hz | `ground` | is |"
+    yield "|---|---|---|---|---|"
+    for number in sorted({*ONBOARD, *GROUND}):
+        name, text = texts[number]
+        rates = " | ".join(_rate(profile.get(number)) for profile in (ONBOARD, GROUND))
+        yield f"| `{name}` | {number} | {rates} | {text} |"
+
+
+def _rate(rate: float | None) -> str:
+    """As shown: none if it comes on request only, 0 if with each news."""
+    return "" if rate is None else f"{rate:g}" if rate > 0.0 else "with each news"
 
 
 def _parameters() -> Iterator[str]:
