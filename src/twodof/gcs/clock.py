@@ -4,7 +4,7 @@ from collections.abc import Callable
 from itertools import count
 from typing import Any
 
-from twodof.errors import Timeout
+from twodof.errors import Rejected, Timeout
 from twodof.gcs.deadline import Deadline
 from twodof.gcs.session import Session
 from twodof.link.messages import message
@@ -54,7 +54,7 @@ class Clock:
     async def run_until(self, tick: int, done: Callable[[], bool] | None = None) -> None:
         """Let the drone's time pass up to `tick` (not run yet), or until `done()`, asked each 20 ms of its time.
 
-        Raises LinkLost; Timeout if its time stands still.
+        Raises LinkLost, Rejected if it is not ours to grant; Timeout if it stands still.
         """
         if not self.granting:
             await self._pass(tick, done)
@@ -80,7 +80,7 @@ class Clock:
         return await session.ask(
             lambda _: message("TWODOF_GRANT", until=until, number=number, **place),
             ("TWODOF_TICK",),
-            lambda got: int(got.tick) if got.number == number and got.tick >= until else None,
+            lambda got: _come(got, number, until, deadline),
             deadline,
         )
 
@@ -112,3 +112,11 @@ class Clock:
         # What was overtaken on the way is up to a second old; what is older says that the drone began anew.
         if tick > self.tick or tick < self.tick - 250:
             self.tick = tick
+
+
+def _come(got: Any, number: int, until: int, deadline: Deadline) -> int | None:
+    if got.number != number:
+        return None
+    if got.tick < until:
+        raise Rejected("it does not let its time run", deadline.where, "see who has the lease")
+    return int(got.tick)
