@@ -8,8 +8,11 @@ from pathlib import Path
 
 import pytest
 
+from tests.fcu.flights import exhausting
 from twodof.errors import LinkError, LogError, ParameterError
+from twodof.fcu.asked import IN_PROGRESS
 from twodof.fcu.controllers import Controllers, flown
+from twodof.fcu.flight_code import FlightCode
 from twodof.flight.starters import starter
 from twodof.flight.templates import ATTITUDE
 from twodof.sim.virtual_drone import VirtualDrone
@@ -67,6 +70,19 @@ def test_only_what_was_given_is_trusted_and_only_while_nothing_was_uploaded(tmp_
     made.uploads.remove("attitude_control")
     assert flown(made.build_uploaded()).controller == "pid_position"
     assert made.build()[0].trusted
+
+
+def test_a_controller_that_cannot_fly_is_not_armed_with() -> None:
+    drone = VirtualDrone(lockstep=True, controllers=[exhausting(0)], fuel=15_000)
+    for _ in range(100):
+        drone.controller.step()
+    verdict = drone.commander.arm((250, 1))
+    assert not verdict.accepted
+    assert "fuel" in verdict.text
+    drone.controller.replace(FlightCode())
+    drone.controller.step()
+    assert drone.commander.arm((250, 1)).result == IN_PROGRESS
+    asyncio.run(drone.close())
 
 
 def test_a_link_that_cannot_be_opened_leaves_nothing_open(tmp_path: Path) -> None:

@@ -66,13 +66,14 @@ class _Members:
     """Scalar members of a struct, read and written together in the order of `names`."""
 
     def __init__(self, array: NDArray[Any], names: Sequence[str], members: Mapping[str, str], where: str) -> None:
-        self._buffer = memoryview(array.view(np.uint8))
+        self._buffer = array.view(np.uint8).data
+        fields: Mapping[str, Any] = array.dtype.fields or {}
         places: list[tuple[int, str, int]] = []
         for name in names:
             if name not in members:
                 known = ", ".join(members) or "none"
                 raise DiagramError(f"there is no scalar called {name!r:.80}", where, f"there are: {known}")
-            dtype, offset = (array.dtype.fields or {})[members[name]][:2]
+            dtype, offset = fields[members[name]][:2]
             places.append((offset, _LETTERS[dtype.name], dtype.itemsize))
         order = sorted(range(len(places)), key=lambda i: places[i])
         form, end = "=", 0

@@ -21,6 +21,7 @@ from twodof.fcu.services.keeping import Keeping
 from twodof.fcu.services.lease import Lease
 from twodof.fcu.services.lockstep import Lockstep
 from twodof.fcu.services.log_download import LogDownload
+from twodof.fcu.services.log_stream import LogStream
 from twodof.fcu.services.metadata import COMPONENT_METADATA, metadata_files, metadata_message
 from twodof.fcu.services.own_telemetry import Flown, rig
 from twodof.fcu.services.px4 import PX4
@@ -88,6 +89,7 @@ class Assembly:
         self.reload = Reload(self.px4.commands, controller, commander, controllers)
         server.serve(self._services(controller, commander))
         controller.remarks = commander.remarks
+        commander.unfit = self._unfit
         commander.remarks += [(WARNING, text) for text in (damage, *self.store.remarks) if text]
 
     def _services(self, controller: FlightController, commander: Commander) -> list[Service]:
@@ -116,6 +118,7 @@ class Assembly:
         ]
         if log is not None:
             files.append(LogDownload(server, us, log, commander.take, self.px4.commands.explain, lockstep))
+            files.append(LogStream(server, us, self.px4.commands, log, lockstep))
         return files
 
     def close(self) -> None:
@@ -133,6 +136,11 @@ class Assembly:
         if self._what[0] is not code:
             self._what = (code, flown(code))
         return self._what[1]
+
+    def _unfit(self) -> str:
+        """A controller that cannot fly: who arms is to know it before the failsafe levels without thrust."""
+        fault = self.controller.code.own_fault
+        return f"the controller has stopped: {fault}" if fault else ""
 
     def _restart(self) -> None:
         self.controller.reset()

@@ -48,13 +48,14 @@ class Commander:
 
     `rig` says whether rings and safety switch are set; `level_thrust` gives the thrust of a level hold (THRUST_BAR).
     With `lockstep` the time that passes was granted by a client, so the link counts as alive in every tick.
-    `remarks` are (MAV_SEVERITY, text) to be told to the clients, for whoever drains it; `refused` counts set-points
-    that did not act, by reason.
+    `unfit` says what else speaks against arming, "" if nothing. `remarks` are (MAV_SEVERITY, text) to be told to the
+    clients, for whoever drains it; `refused` counts set-points that did not act, by reason.
     """
 
     def __init__(self, rig: Rig, level_thrust: Callable[[], float] = lambda: 0.4, lockstep: bool = False) -> None:
         self.rig = rig
         self.lockstep = lockstep
+        self.unfit: Callable[[], str] = lambda: ""
         self.openloop = OpenLoop()
         self.remarks: list[tuple[int, str]] = []
         self.refused: Counter[str] = Counter()
@@ -207,7 +208,7 @@ class Commander:
             return DONE
         moves_cart, asks = self.custom_mode == modes.POSITION, self._helm.asks(self._now)
         missing = None if self.step is None else self._missing()
-        against = against_arming(self._arming, self.rig, self._state, missing, moves_cart, asks)
+        against = against_arming(self._arming, self.rig, self._state, missing, moves_cart, asks) or self.unfit()
         if against:
             return Verdict(TEMPORARILY_REJECTED, f"not armed: {against}")
         # The failsafe arms on an edge: where it has not seen the last disarming yet, a tick later.
