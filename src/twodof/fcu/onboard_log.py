@@ -117,6 +117,10 @@ class OnboardLog:
         """Ends what `start` began."""
         self._put("requested", "", False)
 
+    def begin_anew(self) -> None:
+        """Has what comes next logged into a new file; does not wait."""
+        self._put("anew", "", None)
+
     def logs(self) -> list[StoredLog]:
         """The logs on board by rising number, that being written included, with all that was handed over so far.
 
@@ -224,6 +228,8 @@ class OnboardLog:
             writer.mode = value
         elif kind == "requested":
             writer.requested = bool(value)
+        elif kind == "anew":
+            writer.end()
         elif kind == "dropout" and isinstance(value, tuple):
             writer.dropped(*value)
         elif isinstance(value, threading.Event):
