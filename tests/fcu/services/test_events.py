@@ -8,6 +8,8 @@ from hypothesis import strategies as st
 
 from tests.fcu.services.world import World
 from twodof.fcu.services.events import ACTION, ARMED, DISARMED, KEPT, MODE, MOST_AGAIN
+from twodof.flight import failsafe_machine
+from twodof.flight.failsafe_machine import OFF, REFUSED
 from twodof.link.messages import message
 
 US = {"target_system": 1, "target_component": 1}
@@ -24,8 +26,8 @@ def test_what_happens_is_told_in_order() -> None:
     world.run(3)
     world.run(1, armed=True)
     world.commander.custom_mode = 6 << 16
-    world.run(2, armed=True, action=4, reason=512)
-    world.run(1, armed=False, action=4, reason=512)
+    world.run(2, armed=True, action=4, reason=512, state=OFF)
+    world.run(1, armed=False, action=4, reason=512, state=OFF)
     events = world.taken("EVENT", None)
     assert [event.id for event in events] == [ARMED, ACTION, MODE, DISARMED]
     assert [event.sequence for event in events] == [1, 2, 3, 4]
@@ -34,6 +36,13 @@ def test_what_happens_is_told_in_order() -> None:
     assert bytes(events[2].arguments[:4]) == struct.pack("<I", 6 << 16)
     world.command(512, 411.0)
     assert world.taken("CURRENT_EVENT_SEQUENCE")[-1].sequence == 4
+
+
+def test_motors_that_stand_because_nobody_armed_them_are_no_event() -> None:
+    world = World()
+    world.run(3, action=4, state=failsafe_machine.DISARMED)
+    world.run(3, action=4, state=REFUSED)
+    assert world.taken("EVENT") == []
 
 
 def test_what_was_missed_is_sent_again() -> None:

@@ -276,6 +276,26 @@ def test_time_that_begins_anew_keeps_the_streams() -> None:
     assert stamps[0] < 20
 
 
+def test_after_a_restart_nothing_of_before_is_told() -> None:
+    world = World()
+    world.say(OURS)
+    world.run(100, dist_new=True)
+    for service in world.services:
+        if hasattr(service, "restart"):
+            service.restart()
+    assert world.command(512, 30.0) == world.command(512, 132.0) == 1  # nothing was measured yet
+
+
+def test_ticks_that_were_left_out_leave_the_streams_as_they_are() -> None:
+    world = World()
+    world.say(OURS)
+    world.run(100)
+    world.controller.tick += 57
+    world.sent.clear()
+    world.run(500)
+    assert len(world.taken("ATTITUDE")) == 200
+
+
 def test_time_stamps_wrap() -> None:
     world = World()
     world.say(OURS)

@@ -12,6 +12,7 @@ from twodof.fcu.services.addressing import Us, source
 from twodof.fcu.services.flight_telemetry import MASK_32, TICK_MS
 from twodof.fcu.services.telemetry import Telemetry
 from twodof.fcu.services.vehicle import Commander
+from twodof.flight import failsafe_machine
 from twodof.link.connection import Received
 from twodof.link.messages import message
 
@@ -24,6 +25,8 @@ MOST_AGAIN = 16
 ARMED, DISARMED, ACTION, MODE = (1 << 24 | number for number in range(1, 5))
 """Ids: component 1, and a number. Arguments: none; none; action (uint8) and mask of causes (uint32); custom_mode."""
 
+# Motors that stand because nobody armed them are no failure.
+_AT_REST = (failsafe_machine.DISARMED, failsafe_machine.REFUSED)
 # Levels of the log on board and of the display: the words for all this come as STATUSTEXT, so nothing is shown twice.
 INFO_FOR_MACHINES = 6 << 4 | 8
 WARNING_FOR_MACHINES = 4 << 4 | 8
@@ -56,10 +59,11 @@ class Events:
         if step.armed != self._armed:
             self._armed = step.armed
             self._tell(step.tick, ARMED if step.armed else DISARMED, INFO_FOR_MACHINES)
-        if step.action != self._action:
-            self._action = step.action
-            level = WARNING_FOR_MACHINES if step.action else INFO_FOR_MACHINES
-            self._tell(step.tick, ACTION, level, struct.pack("<BI", step.action & 0xFF, step.reason & MASK_32))
+        action = 0 if step.state in _AT_REST else step.action
+        if action != self._action:
+            self._action = action
+            level = WARNING_FOR_MACHINES if action else INFO_FOR_MACHINES
+            self._tell(step.tick, ACTION, level, struct.pack("<BI", action & 0xFF, step.reason & MASK_32))
         mode = self._commander.custom_mode
         if mode != self._mode:
             self._mode = mode

@@ -99,8 +99,10 @@ class Streams:
     def after(self, step: Step) -> None:
         """Sends what is due."""
         tick = step.tick
+        if tick <= self._tick:
+            self.restart()
         if tick != self._tick + 1:
-            self._begin_anew(tick)
+            self._plan_all(tick - 1)
         self._tick = tick
         telemetry = self._telemetry
         telemetry.observe(step)
@@ -121,6 +123,15 @@ class Streams:
             if stream.due == tick:
                 self._send(stream, tick, packed)
                 self._plan(stream, tick)
+
+    def restart(self) -> None:
+        """Time begins anew at tick 0."""
+        self._tick = -1
+        self._telemetry.restart()
+        for streams in self._streams.values():
+            for stream in streams.values():
+                stream.sent = -1
+        self._plan_all(-1)
 
     def set(self, peer: Hashable, message_id: int, interval: int | None) -> bool:
         """Sets a client's interval [ns] of a message, None: the profile's. False if there is no such stream."""
@@ -184,14 +195,12 @@ class Streams:
         stream.sent = tick
         self._link.send(message, stream.peer)
 
-    def _begin_anew(self, tick: int) -> None:
-        """Time has jumped, at the start or by a reset: all streams are planned again."""
-        self._telemetry.restart()
+    def _plan_all(self, tick: int) -> None:
+        """Plans all streams anew, after `tick`."""
         self._calendar.clear()
         for streams in self._streams.values():
             for stream in streams.values():
-                stream.sent = -1
-                self._plan(stream, tick - 1)
+                self._plan(stream, tick)
 
     def _set(self, command: Command) -> Verdict:
         message_id, interval = whole(command.params[0], -1), command.params[1]
