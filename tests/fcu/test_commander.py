@@ -391,7 +391,7 @@ def test_an_open_loop_message_flies_its_moment_about_the_trim() -> None:
     assert commander.open_loop(ME, 0.1, 0.4, True, True, True).accepted
     asked = cockpit.run()
     assert (asked.mode, asked.M_open, asked.thrust, asked.use_trim) == (OPEN_LOOP, 0.1, 0.4, True)
-    assert commander.openloop[1:6] == (0.1, 0.4, True, True, True)
+    assert commander.openloop == (cockpit.tick - 1, 0.1, 0.4, True, True, True, 1)
     commander.open_loop(ME, 0.2, 0.9, True, False, False)  # the trim alone, the thrust stays
     asked = cockpit.run()
     assert (asked.M_open, asked.thrust) == (0.0, 0.4)
@@ -418,8 +418,41 @@ def test_open_loop_messages_keep_to_their_tick() -> None:
     cockpit = armed()
     tick = cockpit.tick + 5
     assert cockpit.commander.open_loop(ME, 0.1, 0.0, True, True, True, tick).accepted
-    assert cockpit.commander.openloop.tick == tick
+    assert not cockpit.commander.openloop.openloop
     assert [cockpit.run().M_open for _ in range(7)] == [0.0] * 5 + [0.1] * 2
+    assert cockpit.commander.openloop == (tick, 0.1, 0.0, True, True, True, 1)
+
+
+def test_the_open_loop_message_in_use_is_told_until_something_else_flies() -> None:
+    cockpit = armed()
+    commander = cockpit.commander
+
+    def open_loop() -> None:
+        assert commander.open_loop(ME, 0.1, 0.4, True, True, True).accepted
+
+    open_loop()
+    revision = commander.openloop.revision
+    open_loop()  # the same again changes nothing
+    assert commander.open_loop(ME, nan, 0.4, True, False, True).accepted  # what does not count is not told
+    assert commander.openloop[1:6] == (0.0, 0.4, True, False, True)
+    open_loop()
+    revision += 2
+    assert commander.openloop.revision == revision
+    for number, close in enumerate(
+        (
+            lambda: commander.sticks(ME, 0.0, 0.1),
+            lambda: commander.open_loop(ME, 0.1, 0.4, False, True, True),
+            lambda: commander.set_mode(ME, modes.HOLD),
+            lambda: commander.disarm(ME),
+        )
+    ):
+        commander.set_mode(ME, modes.MANUAL)
+        open_loop()
+        assert commander.openloop.openloop
+        assert close().accepted
+        cockpit.run()
+        assert commander.openloop[1:6] == (0.0, 0.0, False, False, False)
+        assert commander.openloop.revision == revision + 2 * number + 1
 
 
 # What it says of itself.

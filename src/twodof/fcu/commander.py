@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 from math import isfinite
-from typing import NamedTuple
 
 from twodof.fcu.arming import Arming
 from twodof.fcu.asked import ACCEPTED, DENIED, TEMPORARILY_REJECTED, UNSUPPORTED, Asked, Source, Verdict
@@ -18,7 +17,7 @@ from twodof.fcu.flight_code import Step
 from twodof.fcu.helm import Helm
 from twodof.fcu.lease import COMMANDING, Lease, LeaseState
 from twodof.fcu.schedule import HORIZON
-from twodof.fcu.setpoints import ATTITUDE, OPEN_LOOP, OPENLOOP, STICKS, TARGET, VELOCITY, SetPoint
+from twodof.fcu.setpoints import ATTITUDE, OPEN_LOOP, OPENLOOP, STICKS, TARGET, VELOCITY, OpenLoop, SetPoint
 from twodof.fcu.sticks import stick_setpoint
 from twodof.flight.causes import ACTIONS, BIT, named_causes
 from twodof.flight.core import PERIOD
@@ -29,18 +28,6 @@ DONE = Verdict(ACCEPTED)
 
 MOST_REMARKS = 64
 """Remarks that are kept if nobody drains them."""
-
-
-class OpenLoop(NamedTuple):
-    """The open-loop message in use, as TWODOF_OPENLOOP has it; `revision` counts its changes."""
-
-    tick: int = 0
-    M: float = 0.0
-    T: float = 0.0
-    openloop: bool = False
-    enableM: bool = False
-    enableT: bool = False
-    revision: int = 0
 
 
 class Commander:
@@ -56,7 +43,6 @@ class Commander:
         self.rig = rig
         self.lockstep = lockstep
         self.unfit: Callable[[], str] = lambda: ""
-        self.openloop = OpenLoop()
         self.remarks: list[tuple[int, str]] = []
         self.refused: Counter[str] = Counter()
         self.step: Step | None = None
@@ -96,6 +82,11 @@ class Commander:
         return self._helm.player
 
     @property
+    def openloop(self) -> OpenLoop:
+        """The open-loop message in use."""
+        return self._helm.openloop
+
+    @property
     def modes(self) -> tuple[modes.Mode, ...]:
         """What `set_mode` knows."""
         return modes.MODES
@@ -131,7 +122,7 @@ class Commander:
         if helm.schedule.next <= tick:
             self._act_due(tick)
         if helm.player.begins <= tick:
-            self._begin_play()
+            self._begin_play(tick)
         link = self._link or self.lockstep
         if lease.holder is not None:
             if self.lockstep:
@@ -155,8 +146,9 @@ class Commander:
     def restart(self) -> None:
         """Rig and flight code start again at tick 0: disarmed, manual, nothing asked for. The lease stays as it is."""
         self._lease.moved(-self._now)
+        revision = self.openloop.revision + 1
         self._helm, self._arming = Helm(), Arming()
-        self.openloop = OpenLoop(revision=self.openloop.revision + 1)
+        self._helm.openloop = OpenLoop(revision=revision)
         self._now, self._link, self._state, self._armed, self.step = 0, False, DISARMED, False, None
 
     def heard(self, source: Source, is_client: bool) -> None:
@@ -221,13 +213,13 @@ class Commander:
         if self._lease.holder == source:
             self._lease.command(source, self._now)
         self._arming.release()
-        self._helm.rest("disarmed")
+        self._helm.rest("disarmed", self._now)
         return DONE
 
     def kill(self, source: Source) -> Verdict:
         """Stops the motors in the next tick, whoever asks, and holds the drone disarmed until it is disarmed."""
         self._arming.release(killed=True)
-        self._helm.rest("killed")
+        self._helm.rest("killed", self._now)
         self._remark(2, f"killed by system {source[0]}, component {source[1]}")
         return DONE
 
@@ -242,14 +234,18 @@ class Commander:
             return Verdict(DENIED, "mode position moves the cart, and the rings lock it")
         if custom_mode == modes.OFFBOARD and not self._helm.streamed(self._now):
             return Verdict(TEMPORARILY_REJECTED, "mode offboard wants set-points above 2 Hz first")
-        self._helm.enter(custom_mode, self._level_thrust(), self._arming.word)
+        self._helm.enter(custom_mode, self._level_thrust(), self._now, self._arming.word)
         return DONE
 
-    def setpoint(self, source: Source, setpoint: SetPoint, at_tick: int = 0, kind: str = TARGET) -> Verdict:
+    def setpoint(
+        self, source: Source, setpoint: SetPoint, at_tick: int = 0, kind: str = TARGET, said: OpenLoop | None = None
+    ) -> Verdict:
         """A set-point, which acts in the next tick or, if that is later, at `at_tick`.
 
         It is refused, and counted, where it holds a number that is not finite, moves a locked cart, comes from who may
         not command, or too many wait. In a mode that does not fly it, it is kept for when offboard is entered.
+
+        `said` is the open-loop message that it came of.
         """
         if not setpoint.sound:
             return self._refuse("invalid", "a number is not finite")
@@ -259,8 +255,8 @@ class Commander:
         if not verdict.accepted:
             self.refused["lease"] += 1
         elif at_tick <= self._now:
-            self._helm.take(setpoint, kind, self._now, self._arming.word)
-        elif at_tick > self._now + HORIZON or not self._helm.schedule.add(at_tick, source, setpoint, kind):
+            self._helm.take(setpoint, kind, self._now, self._arming.word, said)
+        elif at_tick > self._now + HORIZON or not self._helm.schedule.add(at_tick, source, setpoint, kind, said):
             return self._refuse("queue", "too many wait, or it is more than a minute ahead")
         return verdict
 
@@ -276,11 +272,9 @@ class Commander:
             setpoint = SetPoint(OPEN_LOOP, M_open=M if openloop and enableM else 0.0, thrust=thrust)
         else:
             setpoint = SetPoint(ATTITUDE, theta0=0.0, thrust=thrust)
-        verdict = self.setpoint(source, setpoint, at_tick, OPENLOOP)
-        if verdict.accepted:
-            begin, revision = max(at_tick, self._now), self.openloop.revision + 1
-            self.openloop = OpenLoop(begin, M, T, openloop, enableM, enableT, revision)
-        return verdict
+        used = M if enableM else 0.0, T if enableT else 0.0
+        said = OpenLoop(0, *used, openloop, enableM, enableT) if openloop else None
+        return self.setpoint(source, setpoint, at_tick, OPENLOOP, said)
 
     def sticks(self, source: Source, pitch: float, thrust: float) -> Verdict:
         """MANUAL_CONTROL: pitch stick, forward 1 and back -1, and thrust 0 to 1; the mode decides what they give."""
@@ -354,13 +348,13 @@ class Commander:
         helm = self._helm
         while (due := helm.schedule.due(tick)) is not None:
             if self._lease.holder == due.source:
-                helm.take(due.setpoint, due.kind, tick, self._arming.word)
+                helm.take(due.setpoint, due.kind, tick, self._arming.word, due.said)
             else:
                 self.refused["lease"] += 1
 
-    def _begin_play(self) -> None:
+    def _begin_play(self, tick: int) -> None:
         if self._armed and self._arming.word:
-            self._helm.begin_play(self._level_thrust())
+            self._helm.begin_play(self._level_thrust(), tick)
         else:
             self.player.finish(REFUSED, "not armed")
 
@@ -373,7 +367,7 @@ class Commander:
         if self._armed and not step.armed:
             self._lease.orphaned = False
             if self._arming.word:  # else a command has disarmed it, and what came since is for the next flight
-                self._helm.rest(f"the motors were stopped: {', '.join(named_causes(step.reason))}")
+                self._helm.rest(f"the motors were stopped: {', '.join(named_causes(step.reason))}", self._now)
         elif step.armed and not self._armed:
             self._helm.armed(self._now)
         self._armed = step.armed

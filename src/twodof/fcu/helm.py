@@ -5,7 +5,7 @@ from __future__ import annotations
 from twodof.fcu.asked import Asked
 from twodof.fcu.excitation_player import STOPPED, Player
 from twodof.fcu.schedule import Schedule
-from twodof.fcu.setpoints import ATTITUDE, OFF, OPEN_LOOP, OPENLOOP, STICKS, TARGET, SetPoint, Values
+from twodof.fcu.setpoints import ATTITUDE, OFF, OPEN_LOOP, OPENLOOP, STICKS, TARGET, OpenLoop, SetPoint, Values
 from twodof.flight.core import PERIOD
 from twodof.link import modes
 
@@ -36,12 +36,14 @@ class Helm:
         self.player = Player()
         self.schedule = Schedule()
         self.values = Values()
+        self.openloop = OpenLoop()
         self.changed = True
         self._live = False  # something was asked for since it was armed
         self._on_board = False  # level hold or an excitation gives set-points, at every tick
         self._fresh = False  # one came for the next tick
         self._offer = Values()  # the latest messages for offboard, whether it is the mode or not
         self._offered = _LONG_AGO
+        self._said: OpenLoop | None = None  # the open-loop message that the offer came of
         self._latest = Values()  # what would fly in this mode, were the drone armed
         self._latest_at = _LONG_AGO
 
@@ -60,20 +62,20 @@ class Helm:
     def armed(self, tick: int) -> None:
         """The drone has armed: in offboard what is streamed flies from the next tick on."""
         if self.custom_mode == modes.OFFBOARD and self.streamed(tick):
-            self._use(self._offer)
+            self._use(self._offer, tick, self._said)
 
-    def take(self, setpoint: SetPoint, kind: str, tick: int, armed: bool) -> None:
-        """A set-point's tick has come: it acts, or is kept for when offboard is entered."""
+    def take(self, setpoint: SetPoint, kind: str, tick: int, armed: bool, said: OpenLoop | None = None) -> None:
+        """A set-point's tick has come: it acts, or is kept for when offboard is entered. `said`: what it came of."""
         if kind != STICKS:
-            self._offered = tick
+            self._offered, self._said = tick, said
             self._offer = setpoint.over(self._offer)
         if kind not in HEARD_IN[self.custom_mode]:
             return
         self._latest, self._latest_at = setpoint.over(self._latest), tick
         if armed and not self.player.playing:
-            self._use(setpoint.over(self.values))
+            self._use(setpoint.over(self.values), tick, said)
 
-    def enter(self, custom_mode: int, level_thrust: float, armed: bool) -> None:
+    def enter(self, custom_mode: int, level_thrust: float, tick: int, armed: bool) -> None:
         """Changes the mode. If armed, level hold flies from the next tick on, and offboard what is on offer."""
         if self.player.playing:
             self.player.finish(STOPPED, f"mode {modes.mode_name(custom_mode)} was chosen")
@@ -82,27 +84,29 @@ class Helm:
         self._on_board, self.changed = False, True
         self._latest, self._latest_at = Values(), _LONG_AGO
         if armed and custom_mode == modes.HOLD:
-            self._use(self.values._replace(loop=ATTITUDE, theta0=0.0, thrust=level_thrust), on_board=True)
+            self._use(self.values._replace(loop=ATTITUDE, theta0=0.0, thrust=level_thrust), tick, on_board=True)
         elif armed and offboard:
-            self._use(self._offer)
+            self._use(self._offer, tick, self._said)
 
-    def begin_play(self, level_thrust: float) -> None:
+    def begin_play(self, level_thrust: float, tick: int) -> None:
         """The excitation that waits begins: about the set-point in use if its loop flies, else about 0."""
         player, values = self.player, self.values
         name = player.loop.name
         base = getattr(values, name) if self._live and values.flown == player.loop.loop else 0.0
         thrust = player.thrust if player.thrust is not None else values.thrust or level_thrust
         self.custom_mode = modes.OFFBOARD
-        self._use(values._replace(loop=player.loop.loop, thrust=thrust).with_number(name, base), on_board=True)
+        flown = values._replace(loop=player.loop.loop, thrust=thrust).with_number(name, base)
+        self._use(flown, tick, on_board=True)
         player.begin()
 
-    def rest(self, why: str) -> None:
+    def rest(self, why: str, tick: int) -> None:
         """The motors stand: nothing is asked for any more, nothing waits, nothing plays."""
         if self.player.playing or self.player.waiting:
             self.player.finish(STOPPED, why)
         self.values = self._offer = self._latest = Values()
         self._live, self._on_board, self._fresh, self.changed = False, False, False, True
         self.schedule.clear()
+        self._say(None, tick)
 
     def asked(self, tick: int, arm: bool, link_new: bool) -> Asked:
         """What the flight code is asked at `tick`."""
@@ -118,6 +122,14 @@ class Helm:
         self.changed, self._fresh = self._fresh or self.player.playing, False
         return Asked(mode, arm, x0, v0, ax0, theta0, q0, thrust, M_open, use_trim, False, new, link_new)
 
-    def _use(self, values: Values, on_board: bool = False) -> None:
+    def _use(self, values: Values, tick: int, said: OpenLoop | None = None, on_board: bool = False) -> None:
         self.values, self._on_board = values, on_board
         self._live = self._fresh = self.changed = True
+        self._say(said, tick)
+
+    def _say(self, said: OpenLoop | None, tick: int) -> None:
+        """The open-loop message in use is this one, or none is."""
+        before = self.openloop
+        now = (said or OpenLoop())._replace(tick=before.tick, revision=before.revision)
+        if now != before:
+            self.openloop = now._replace(tick=tick, revision=before.revision + 1)

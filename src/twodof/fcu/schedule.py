@@ -7,7 +7,7 @@ from itertools import count
 from typing import NamedTuple
 
 from twodof.fcu.asked import Source
-from twodof.fcu.setpoints import SetPoint
+from twodof.fcu.setpoints import OpenLoop, SetPoint
 from twodof.flight.core import PERIOD
 
 CAPACITY = 256
@@ -28,6 +28,7 @@ class Waiting(NamedTuple):
     source: Source
     setpoint: SetPoint
     kind: str
+    said: OpenLoop | None
 
 
 class Schedule:
@@ -41,11 +42,11 @@ class Schedule:
     def __len__(self) -> int:
         return len(self._waiting)
 
-    def add(self, tick: int, source: Source, setpoint: SetPoint, kind: str) -> bool:
-        """Keeps it until `tick`; False if too many wait."""
+    def add(self, tick: int, source: Source, setpoint: SetPoint, kind: str, said: OpenLoop | None = None) -> bool:
+        """Keeps it until `tick`, with the open-loop message that it came of; False if too many wait."""
         if len(self._waiting) >= CAPACITY:
             return False
-        heapq.heappush(self._waiting, Waiting(tick, next(self._number), source, setpoint, kind))
+        heapq.heappush(self._waiting, Waiting(tick, next(self._number), source, setpoint, kind, said))
         self.next = self._waiting[0].tick
         return True
 

@@ -42,6 +42,18 @@ class Values(NamedTuple):
         return loop == OFF or (loop == OPEN_LOOP and not self.thrust and not self.M_open)
 
 
+class OpenLoop(NamedTuple):
+    """The open-loop message in use, as TWODOF_OPENLOOP has it; `tick` is when it began to act, `revision` a count."""
+
+    tick: int = 0
+    M: float = 0.0
+    T: float = 0.0
+    openloop: bool = False
+    enableM: bool = False
+    enableT: bool = False
+    revision: int = 0
+
+
 class SetPoint(NamedTuple):
     """What one message asks for: the loop (an index into `signals.MODES`; None: thrust alone) and its numbers.
 
