@@ -14,8 +14,7 @@ from bench.measure import Figure
 from bench.programs import running
 from twodof.gcs.drone import Drone
 
-# DESIGN section 6: one and a half control periods.
-LATENCY_US = 6_000.0
+LATENCY_US = 6_000.0  # one and a half control periods
 THRUST = 0.4
 MOMENT = 0.004  # around the trim, so that the drone stays near level however long it takes
 BETWEEN_S = (0.008, 0.016)  # at any phase of the control period, and never twice in one
