@@ -150,6 +150,17 @@ def test_a_pilot_that_fell_silent_in_flight_is_not_replaced_by_who_only_listens(
     assert cockpit.run().link_new
 
 
+def test_once_somebody_has_taken_over_and_given_up_any_client_keeps_the_link_again() -> None:
+    cockpit = armed(talking=(ME,))
+    cockpit.talking = ()
+    cockpit.run(HEARD)
+    cockpit.commander.ask_lease(OTHER, 10_000)
+    cockpit.commander.give_up_lease(OTHER)
+    cockpit.run()
+    cockpit.commander.heard(COMPANION, True)
+    assert cockpit.run().link_new
+
+
 class TwoClients(RuleBasedStateMachine):
     """Anybody says anything at any time; a model of two lines says who may command."""
 

@@ -1,6 +1,6 @@
 """Set-points as messages of `common`, and back: masks as PX4 reads them, the pitch as a quaternion.
 
-What is ignored in a message is NaN in what is read from it. Of an attitude the pitch counts; north is the rail's x.
+What is ignored in a message is None in what is read from it. Of an attitude the pitch counts; north is the rail's x.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ LOCAL_NED, BODY_NED = 1, 8
 
 
 class Target(NamedTuple):
-    """What a message asks for, NaN where it says nothing; `loop` is one of signals.MODES, "" for thrust alone."""
+    """What a message asks for, None where it says nothing; `loop` is one of signals.MODES, "" for thrust alone."""
 
     loop: str
-    value: float = NAN
-    thrust: float = NAN
-    feed_forward: float = NAN
+    value: float = 0.0
+    thrust: float | None = None
+    feed_forward: float | None = None
 
 
 def quaternion(theta: float) -> list[float]:
@@ -100,7 +100,7 @@ def read_attitude(received: Any) -> Target | None:
     As PX4: an attitude goes before rates; `thrust_body` before `thrust`, of which its z counts.
     """
     mask = received.type_mask
-    thrust = NAN
+    thrust = None
     if mask & THRUST_BODY:
         thrust = -received.thrust_body[2]
     elif not mask & NO_THRUST:
@@ -110,7 +110,7 @@ def read_attitude(received: Any) -> Target | None:
     if not mask & (ROLL_RATE | PITCH_RATE):
         return Target("rate", received.body_pitch_rate, thrust)
     if mask & PITCH_RATE and not mask & NO_THRUST | mask & THRUST_BODY:
-        return Target("", NAN, thrust)
+        return Target("", thrust=thrust)
     return None
 
 
@@ -121,13 +121,13 @@ def read_position(received: Any) -> Target | None:
     BODY_NED, forces are refused. An acceleration alone is not flown here; with the others it is a feed-forward.
     """
     mask, frame = received.type_mask, received.coordinate_frame
-    acceleration = NAN if mask & NO_AX else received.afx
-    if frame not in (LOCAL_NED, BODY_NED) or (mask & FORCE and not math.isnan(acceleration)):
+    acceleration = None if mask & NO_AX or math.isnan(received.afx) else received.afx
+    if frame not in (LOCAL_NED, BODY_NED) or (mask & FORCE and acceleration is not None):
         return None
     x = NAN if mask & NO_X or frame == BODY_NED else received.x
     if not math.isnan(x):
-        return Target("position", x, NAN, acceleration)
+        return Target("position", x, None, acceleration)
     v = NAN if mask & NO_VX else received.vx
     if not math.isnan(v):
-        return Target("velocity", v, NAN, acceleration)
+        return Target("velocity", v, None, acceleration)
     return None

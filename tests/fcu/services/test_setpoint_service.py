@@ -131,6 +131,41 @@ def test_nan_is_as_good_as_ignored_in_a_position_target() -> None:
     assert desk.run().mode == VELOCITY
 
 
+@pytest.mark.parametrize("number", [math.nan, math.inf])
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"type_mask": 7, "q": [1, 0, 0, 0], "thrust": 0.0},
+        {"type_mask": 7 | 32, "q": [1, 0, 0, 0], "thrust_body": [0, 0, 0]},
+        {"type_mask": 7, "q": [1, 0, 0, 0], "thrust": 0.4},
+        {"type_mask": 128, "q": [1, 0, 0, 0], "thrust": 0.4, "body_pitch_rate": 0.0},
+    ],
+)
+def test_an_attitude_target_with_what_is_no_number_is_refused(fields: dict[str, Any], number: float) -> None:
+    desk = flying()
+    before = desk.run()
+    if fields["type_mask"] == 128:
+        fields = fields | {"body_pitch_rate": number}
+    elif fields["type_mask"] & 32:
+        fields = fields | {"thrust_body": [0, 0, number]}
+    elif fields["thrust"]:
+        fields = fields | {"q": [1, 0, number, 0]}
+    else:
+        fields = fields | {"thrust": number}
+    desk.say(message("SET_ATTITUDE_TARGET", **fields, **TARGET))
+    assert desk.run()._replace(link_new=False) == before
+    assert desk.commander.refused == {"invalid": 1}
+
+
+@pytest.mark.parametrize("q", [[0, 0, 0, 0], [math.nan, 0, 0, 0], [1e30, 0, 0, 0]])
+def test_a_quaternion_that_is_none_is_refused(q: list[float]) -> None:
+    desk = flying()
+    before = desk.run()
+    desk.say(message("SET_ATTITUDE_TARGET", type_mask=7, q=q, thrust=0.5, **TARGET))
+    assert desk.run()._replace(link_new=False) == before
+    assert desk.commander.refused == {"invalid": 1}
+
+
 def test_a_velocity_in_the_bodys_frame_is_one_along_the_rail() -> None:
     desk = flying()
     desk.say(message("SET_POSITION_TARGET_LOCAL_NED", coordinate_frame=8, type_mask=7 | 448, vx=0.1, **TARGET))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable
-from math import isnan
 from typing import Any
 
 from twodof.fcu.asked import DENIED, Source, Verdict
@@ -76,9 +75,8 @@ class SetPoints:
         if target is None:
             self._commander.refused["nothing"] += 1
             return _NOTHING
-        # What is ignored in the message is None; of what it is about a NaN stays, and is refused.
-        thrust = None if isnan(target.thrust) else target.thrust
-        forward = 0.0 if isnan(target.feed_forward) else target.feed_forward
+        thrust = target.thrust
+        forward = 0.0 if target.feed_forward is None else target.feed_forward
         setpoint = SetPoint(None, thrust=thrust)
         if target.loop == "attitude":
             setpoint = SetPoint(ATTITUDE, theta0=target.value, thrust=thrust)
