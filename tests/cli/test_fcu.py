@@ -61,6 +61,7 @@ def test_what_cannot_be_is_said_and_nothing_is_started(
         (["--index", "250"], "249"),
         (["--precision", "float16"], "float16"),
         (["--noise", "nan"], "noise"),
+        (["--rate", "fast"], "onboard"),
     ):
         assert run(["fcu", *wrong]) == 2, wrong
         assert said in capfd.readouterr().err

@@ -63,6 +63,9 @@ def fcu(
         bool, typer.Option("--trust", help="Compile those controllers into the flight code: no sandbox.")
     ] = False,
     precision: Annotated[str, typer.Option(help="float64, or float32 as a flight controller computes.")] = "float64",
+    rate: Annotated[
+        str, typer.Option(help="Streams that every client gets: onboard, or ground as a ground station wants them.")
+    ] = "onboard",
     state: Annotated[
         Path | None,
         typer.Option(
@@ -95,6 +98,7 @@ def fcu(
         safety_switch,
         folder,
         signing,
+        rate=rate,
     )
     asyncio.run(_run(drone, listen or [f"tcpin://127.0.0.1:{FIRST_PORT + index}"]))
 

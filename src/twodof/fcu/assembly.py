@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import cast
@@ -24,6 +25,7 @@ from twodof.fcu.services.log_download import LogDownload
 from twodof.fcu.services.log_stream import LogStream
 from twodof.fcu.services.metadata import COMPONENT_METADATA, metadata_files, metadata_message
 from twodof.fcu.services.own_telemetry import Flown, rig
+from twodof.fcu.services.profiles import ONBOARD
 from twodof.fcu.services.px4 import PX4
 from twodof.fcu.services.reload import Reload
 from twodof.fcu.services.setpoints import SetPoints
@@ -38,7 +40,8 @@ class Assembly:
     """The program of a drone: MAVLink system `system` on `hardware`.
 
     `state` is the folder of what it keeps: parameters.json, logs/, controllers/ (uploads); None keeps nothing.
-    `signing` is asked of every client. `close` ends what stands outside the event loop; the server closes by itself.
+    `rates` are those of the streams that every client gets (fcu/services/profiles.py). `signing` is asked of every
+    client. `close` ends what stands outside the event loop; the server closes by itself.
     """
 
     def __init__(
@@ -49,6 +52,7 @@ class Assembly:
         lockstep: bool = False,
         signing: Signing | None = None,
         state: Path | None = None,
+        rates: Mapping[int, float] = ONBOARD,
     ) -> None:
         code, damage = controllers.build()
         self.store = Store(None if state is None else state / "parameters.json", system)
@@ -82,6 +86,7 @@ class Assembly:
             flown=self._flown,
             lost=lambda: server.lost,
             truth=(lambda: cast(VirtualHardware, hardware).truth) if hardware.virtual else None,
+            profile=rates,
             capabilities=FTP_CAPABILITY,
         )
         if self.log is not None:

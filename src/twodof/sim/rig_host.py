@@ -24,6 +24,11 @@ TICKS = SAMPLE[0]
 SEEDS = 2**32
 """Seeds of the noise are integers from 0 up to this, it excluded."""
 
+MOST_SETTLED = 16
+"""Rigs and estimators whose covariances are kept."""
+
+_settled: dict[str, Mapping[str, Any]] = {}  # what was run once need not be run again in this process
+
 _OUTPUTS = (*MEASUREMENTS, "voltage", "charge", *TRUTH)
 
 
@@ -57,7 +62,7 @@ class VirtualRig:
         self._stepper = Stepper(self.machine, ("fore", "aft"), _OUTPUTS)
         self._position_filter = ""
         self._flight_states: frozenset[str] = frozenset()
-        self._settled: dict[str, Any] = {}
+        self._settled: Mapping[str, Any] = {}
         self._stopped = False
         self._take_conditions()
         self.machine.reset()
@@ -81,10 +86,29 @@ class VirtualRig:
     def settle(self, code: FlightCode) -> None:
         """Finds the covariances to which the estimator of `code` settles on this rig at rest; then both begin at rest.
 
-        It runs 100 s of the rig with the motors off, in some tenths of a second; `reset` then starts from there.
+        It runs 100 s of the rig with the motors off, in some tenths of a second, the first time in a process for this
+        rig and estimator; `reset` then starts from there.
         """
         states = code.machine.program.states
         self._position_filter, self._flight_states = code.position_filter, frozenset(states)
+        estimator = [path for path in code.machine.parameters if path.startswith("estimator.")]
+        key = repr(
+            (
+                code.precision,
+                code.position_filter,
+                [(path, self.machine.get(path)) for path in self.machine.parameters],
+                [(path, code.machine.get(path)) for path in estimator],
+            )
+        )
+        found = _settled.get(key)
+        if found is None:
+            found = _settled[key] = self._at_rest(code, covariances(states))
+            while len(_settled) > MOST_SETTLED:
+                _settled.pop(next(iter(_settled)))
+        self._settled = found
+        code.reset(self._begin(Start()))
+
+    def _at_rest(self, code: FlightCode, paths: list[str]) -> Mapping[str, Any]:
         self.machine.reset()
         self._look()
         code.reset()
@@ -92,8 +116,7 @@ class VirtualRig:
         for tick in range(SETTLE_STEPS):
             code.step(tick, self.read(), asked)
             self.drive(0.0, 0.0)
-        self._settled = {path: code.machine.state(path) for path in covariances(states)}
-        code.reset(self._begin(Start()))
+        return {path: code.machine.state(path) for path in paths}
 
     def reset(
         self, seed: int | None = None, x: float = 0.0, noise: float | None = None, rings: bool | None = None
@@ -157,7 +180,7 @@ class VirtualRig:
         self._look()
         if not self._flight_states:
             return {}
-        return start.flight_states(self._position_filter, self._flight_states) | self._settled
+        return start.flight_states(self._position_filter, self._flight_states) | dict(self._settled)
 
     def _take_conditions(self) -> None:
         self._seed, self._rings = int(self.machine.get("seed")), bool(self.machine.get("rings"))

@@ -9,11 +9,13 @@ from pathlib import Path
 from typing import Any, Self
 
 from twodof.blocks import Diagram
+from twodof.errors import ParameterError
 from twodof.fcu.assembly import Assembly
 from twodof.fcu.commander import Commander
 from twodof.fcu.controllers import Controllers
 from twodof.fcu.loop import FlightController
 from twodof.fcu.server import Server
+from twodof.fcu.services.profiles import PROFILES
 from twodof.link.signing import Signing
 from twodof.parameters import ParameterSet
 from twodof.rig.parameters import load_rig
@@ -26,6 +28,7 @@ class VirtualDrone:
     `rig` is "paper", "lab", a file or a set of parameters; `conditions` further parameters of it (`seed`, `noise`,
     `rings`, ...). `controllers` are diagrams, their JSON files, or names of starter diagrams, which fly in a sandbox
     unless `trusted`. `precision` is that of everything. `state` is the folder of what it keeps, None for nothing.
+    `rate` names the streams that every client gets, "onboard" or "ground".
 
     Use it as an asynchronous context manager: within, it runs; `listen` opens links. Raises ParameterError,
     DiagramError, CompileError and LinkError for what cannot be.
@@ -45,13 +48,16 @@ class VirtualDrone:
         signing: Signing | None = None,
         position_filter: str = "joint",
         fuel: int | None = None,
+        rate: str = "onboard",
     ) -> None:
         parameters = rig if isinstance(rig, ParameterSet) else load_rig(rig)
         name = "own" if isinstance(rig, ParameterSet) else Path(rig).stem
         self.rig = VirtualRig(parameters, conditions, precision, name, safety_off)
         uploads, kept = (None, None) if state is None else (state / "controllers", state / "flying")
         chosen = Controllers(controllers, trusted, uploads, kept, position_filter, precision, fuel)
-        self.assembly = Assembly(self.rig, chosen, index + 1, lockstep, signing, state)
+        if rate not in PROFILES:
+            raise ParameterError(f"no rates called {rate!r:.40}", "rate", f"there are: {', '.join(PROFILES)}")
+        self.assembly = Assembly(self.rig, chosen, index + 1, lockstep, signing, state, PROFILES[rate])
         self.rig.settle(self.controller.code)
         self.urls: list[str] = []
         self._running: asyncio.Task[None] | None = None
