@@ -1,0 +1,109 @@
+"""A client made with MAVSDK alone, for what the vehicle keeps: `python mavsdk_files_client.py URL FOLDER`; prints JSON.
+
+It lists, fetches (in bursts and not), compares, sends and removes files, asks for the component's metadata, and has the
+log streamed. Like mavsdk_client.py it runs in a process of its own.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import json
+import sys
+from collections.abc import Awaitable
+from pathlib import Path
+from typing import Any, TypeVar
+
+from mavsdk.asyncio import Configuration, Mavsdk, System
+from mavsdk.asyncio.plugins.component_metadata import ComponentMetadataAsync
+from mavsdk.asyncio.plugins.ftp import FtpAsync
+from mavsdk.asyncio.plugins.log_streaming import LogStreamingAsync
+from mavsdk.plugins.ftp import FtpError
+
+DEADLINE_S = 20.0
+# Two parts of a log: the second before it began, and what came in the next quarter of one.
+STREAMED_BYTES = 300_000
+
+T = TypeVar("T")
+
+
+def say(step: str, **saw: Any) -> None:
+    sys.stdout.write(json.dumps({"step": step} | saw) + "\n")
+    sys.stdout.flush()
+
+
+async def within(what: Awaitable[T]) -> T:
+    return await asyncio.wait_for(what, DEADLINE_S)
+
+
+async def files(ftp: FtpAsync, folder: Path) -> None:
+    """Down and up again."""
+    for path in ("/", "/etc/extras", "/log"):
+        listed = await within(ftp.list_directory(path))
+        say(
+            "list",
+            path=path,
+            entries=[[entry.entry_type.name, entry.name, entry.size_bytes] for entry in listed.entries],
+        )
+    for burst in (False, True):
+        target = folder / str(burst)
+        target.mkdir()
+        async for _ in ftp.download("/etc/extras/parameters.json", str(target), burst):
+            pass
+        say("fetched", burst=burst, text=(target / "parameters.json").read_text())
+    same = await within(
+        ftp.are_files_identical(str(folder / "True" / "parameters.json"), "/etc/extras/parameters.json")
+    )
+    say("identical", same=bool(same))
+    (folder / "attitude_control.json").write_text("x" * 5000)
+    async for _ in ftp.upload(str(folder / "attitude_control.json"), "/controllers"):
+        pass
+    listed = await within(ftp.list_directory("/controllers"))
+    say("sent", entries=[[entry.name, entry.size_bytes] for entry in listed.entries])
+    await within(ftp.remove_file("/controllers/attitude_control.json"))
+    for path in ("/controllers/attitude_control.json", "/../etc/passwd"):
+        try:
+            await within(ftp.remove_file(path))
+        except FtpError as refused:
+            say("refused", path=path, why=str(refused))
+
+
+async def metadata(system: System) -> None:
+    """What describes the parameters."""
+    plugin = ComponentMetadataAsync(system)
+    updates = plugin.subscribe_metadata_available()
+    asked = asyncio.create_task(within(anext(updates)))
+    await asyncio.sleep(0.1)
+    await plugin.request_autopilot_component()
+    update = await asked
+    say("metadata", type=update.type.name, text=update.json_metadata)
+
+
+async def stream(system: System, target: Path) -> None:
+    """The beginning of a log while it is written."""
+    plugin = LogStreamingAsync(system)
+    pieces = plugin.subscribe_log_streaming_raw()
+    first = asyncio.create_task(within(anext(pieces)))
+    await asyncio.sleep(0.1)
+    await within(plugin.start_log_streaming())
+    data = base64.b64decode((await first).data_base64)
+    while len(data) < STREAMED_BYTES:
+        data += base64.b64decode((await within(anext(pieces))).data_base64)
+    target.write_bytes(data)
+    await within(plugin.stop_log_streaming())
+    say("streamed", size=len(data))
+
+
+async def main(url: str, folder: Path) -> None:
+    async with Mavsdk(Configuration.create_manual(245, 190, True)) as mavsdk:
+        await within(mavsdk.add_any_connection(url))
+        system = await mavsdk.first_autopilot(timeout_s=DEADLINE_S)
+        if system is None:
+            raise TimeoutError(f"nothing is found at {url}")
+        await files(FtpAsync(system), folder)
+        await metadata(system)
+        await stream(system, folder / "streamed.ulg")
+
+
+if __name__ == "__main__":
+    asyncio.run(main(sys.argv[1], Path(sys.argv[2])))

@@ -1,0 +1,69 @@
+"""MAVSDK, which knows nothing of us, takes what the vehicle keeps: files, descriptions, a log while it is written."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bench.programs import port
+from twodof.fcu.services.metadata import metadata_files
+from twodof.fcu.step_row import STEP_TOPIC
+from twodof.fcu.store import Store
+from twodof.flightlog.ulog_decoder import scan_ulog
+
+CLIENT = Path(__file__).with_name("mavsdk_files_client.py")
+DEADLINE_S = 120.0
+
+
+@pytest.fixture(scope="module")
+def saw(fcu_url: str, tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Any]]:
+    """What the client saw, by step, and where it put what it got."""
+    folder = tmp_path_factory.mktemp("mavsdk")
+    command = [sys.executable, "-W", "error", str(CLIENT), f"tcpout://127.0.0.1:{port(fcu_url)}", str(folder)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=DEADLINE_S, check=False)
+    assert done.returncode == 0, f"{done.stdout}\n{done.stderr}"
+    found: dict[str, list[Any]] = {"folder": [folder]}
+    for line in done.stdout.splitlines():
+        if line.startswith("{"):
+            step = json.loads(line)
+            found.setdefault(step.pop("step"), []).append(step)
+    return found
+
+
+def test_it_lists_the_tree(saw: dict[str, list[Any]]) -> None:
+    files = metadata_files(Store().rows)
+    root, extras, _ = saw["list"]
+    assert root["entries"] == [["DIRECTORY", name, 0] for name in ("controllers", "etc", "log")]
+    assert extras["entries"] == [["FILE", name, len(content)] for name, content in sorted(files.items())]
+
+
+def test_it_fetches_in_bursts_and_without_and_finds_the_same_checksum(saw: dict[str, list[Any]]) -> None:
+    text = metadata_files(Store().rows)["parameters.json"].decode()
+    assert saw["fetched"] == [{"burst": burst, "text": text} for burst in (False, True)]
+    assert saw["identical"] == [{"same": True}]
+
+
+def test_it_sends_a_diagram_and_removes_it(saw: dict[str, list[Any]]) -> None:
+    assert saw["sent"] == [{"entries": [["attitude_control.json", 5000]]}]
+    assert ["FILE_DOES_NOT_EXIST" in one["why"] for one in saw["refused"]] == [True, True]
+
+
+def test_it_finds_the_descriptions_by_component_metadata(saw: dict[str, list[Any]]) -> None:
+    (update,) = saw["metadata"]
+    assert update["type"] == "PARAMETER"
+    assert update["text"].encode() == metadata_files(Store().rows)["parameters.json"]
+
+
+def test_the_log_that_is_streamed_to_it_is_a_log(saw: dict[str, list[Any]]) -> None:
+    data = (saw["folder"][0] / "streamed.ulg").read_bytes()
+    # MAVSDK hands on what came, in order; on loopback nothing is lost.
+    steps = scan_ulog(data, "streamed", salvage=True).topic(STEP_TOPIC)
+    assert steps is not None
+    assert len(steps.rows) > 0
+    assert set(np.diff(steps.rows["tick"].astype(np.int64)).tolist()) <= {1}
