@@ -58,7 +58,6 @@ class VirtualRig:
         self.distort: Callable[[Sample], Sample] | None = None
         self.machine = program.machine()
         self.machine.set_many(dict((lab() if parameters is None else parameters).snapshot()) | dict(conditions or {}))
-        self._conditions = dict(conditions or {})
         self._stepper = Stepper(self.machine, ("fore", "aft"), _OUTPUTS)
         self._position_filter = ""
         self._flight_states: frozenset[str] = frozenset()
@@ -102,7 +101,11 @@ class VirtualRig:
         )
         found = _settled.get(key)
         if found is None:
-            found = _settled[key] = self._at_rest(code, covariances(states))
+            plain = code
+            if code.sandbox is not None:  # whoever flies, the estimator is the same
+                plain = FlightCode(position_filter=code.position_filter, precision=code.precision)
+                plain.machine.set_many({path: code.machine.get(path) for path in estimator})
+            found = _settled[key] = self._at_rest(plain, covariances(states))
             while len(_settled) > MOST_SETTLED:
                 _settled.pop(next(iter(_settled)))
         self._settled = found
