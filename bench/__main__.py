@@ -14,12 +14,13 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from bench import closed_loop, cortex_m7, flight_stack, greybox, lanes, link, start_up, targets
+from bench import closed_loop, companion, cortex_m7, flight_stack, greybox, lanes, link, start_up, targets
 from bench.measure import Figure, machine
 from twodof.flightlog.atomic import atomic_write
 
 BENCHMARKS: Mapping[str, Callable[[bool], list[Figure]]] = {
     "closed_loop": closed_loop.run,
+    "companion": companion.run,
     "cortex_m7": cortex_m7.run,
     "flight_stack": flight_stack.run,
     "greybox": greybox.run,

@@ -20,6 +20,7 @@ from twodof.fcc.component import ACTIVE, CRITICAL
 from twodof.link.framing import Parser, encode
 from twodof.link.messages import message
 from twodof.link.opening import open_transport
+from twodof.link.tcp import TcpTransport
 from twodof.link.transport import MOST_OUT_BYTES
 from twodof.link.url import parse
 
@@ -201,12 +202,12 @@ def test_a_client_that_stops_reading_holds_nobody_up() -> None:
                 stuck = next(one for one in companion.clients if one.transport.url.startswith("tcpin"))
                 await until(lambda: len(client.heard("ATTITUDE")) > 10)
                 start = client.heard("ATTITUDE")[-1].time_boot_ms
-                padding = [message("STATUSTEXT", text="x" * 50) for _ in range(500)]
+                padding = [message("FILE_TRANSFER_PROTOCOL", payload=[1] * 251) for _ in range(100)]
                 for _ in range(400):
                     for one in padding:
                         vehicle.connection.send(one)
                     await asyncio.sleep(0.004)
-                    client.received[:] = [one for one in client.received if one.message.get_type() != "STATUSTEXT"]
+                    client.received[:] = [one for one in client.received if one.message.get_type() == "ATTITUDE"]
                     if stuck.transport.counts.dropped_out:
                         break
                 assert stuck.transport.counts.dropped_out > 0
@@ -265,6 +266,22 @@ def test_it_answers_for_itself() -> None:
             assert status.link_rx_rate[0] == round(250 * 40 / 1024)  # ATTITUDE has 40 bytes; in KiB/s
             heartbeats = vehicle.heard("HEARTBEAT", system=1)
             assert {(one.type, one.autopilot) for one in heartbeats} == {(18, 8)}
+
+    run_virtual(work())
+
+
+def test_a_fault_of_ours_ends_it_instead_of_being_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def work() -> None:
+        asyncio.get_running_loop().set_exception_handler(lambda loop, context: None)
+        transport = await open_transport("tcpin://127.0.0.1:0")
+        assert isinstance(transport, TcpTransport)
+        async with Vehicle(transport):
+            companion = await Companion(f"tcp://127.0.0.1:{transport.port}", CLIENTS).__aenter__()
+            monkeypatch.delattr(companion.router, "answers")
+            with pytest.raises(LinkError, match="a frame was not passed on"):
+                await asyncio.wait_for(companion.run(), 20.0)
+            with pytest.raises(LinkError, match="a frame was not passed on"):
+                await companion.close()
 
     run_virtual(work())
 

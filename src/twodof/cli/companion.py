@@ -42,7 +42,7 @@ class _Asked:
         """The companion that they ask for. Raises LinkError."""
         signing = None
         if self.key is not None:
-            signing = Signing(read_key(self.key), Stamps(self.key.with_suffix(".stamps")), LINK_ID)
+            signing = Signing(read_key(self.key), Stamps(f"{self.key}.{self.system}.companion.stamps"), LINK_ID)
         return Companion(self.vehicle, self.serve, self.system, signing, self.line_rate)
 
 

@@ -22,8 +22,6 @@ from twodof.link.udp import UdpTransport
 from twodof.link.url import parse
 
 MOST_CLIENTS = 64
-# Packets of one link before the others get their turn.
-TURN = 64
 SWEEP_S = 0.1
 BEAT_S = 1.0
 # What has begun on a stream and does not go on for this long is no frame.
@@ -132,6 +130,7 @@ class Companion:
             raise
         for port in self._ports:
             self._sweep_port(port, self._loop.time())
+        self._fault = self._loop.create_future()
         works = [self._keep_line(), self._sweep(), self._beat(), *(self._serve(port) for port in self._ports)]
         self._tasks = [self._loop.create_task(work) for work in works]
         return self
@@ -144,6 +143,8 @@ class Companion:
         for task in self._tasks:
             task.cancel()
         ended = await asyncio.gather(*self._tasks, return_exceptions=True)
+        if self._tasks and self._fault.done() and not self._fault.cancelled():
+            ended.append(self._fault.exception())
         self._tasks = []
         if self._pumping is not None:
             self._pumping.cancel()
@@ -159,7 +160,7 @@ class Companion:
 
     async def run(self) -> None:
         """Until a part of it fails, which it raises, or it is cancelled."""
-        await asyncio.gather(*self._tasks)
+        await asyncio.gather(self._fault, *self._tasks)
 
     @property
     def urls(self) -> list[tuple[str, str]]:
@@ -190,14 +191,10 @@ class Companion:
             self.line.connect(transport)
             self.router.started()
             opened = self._loop.time()
-            try:
-                await self._read(transport, self._from_vehicle)
-            except LinkLost as error:
-                self.line.cut()
-                self.lost += 1
-                self._heard(False, f"flight controller lost: {error.what}")
-            finally:
-                await transport.close()
+            reason = await self._until_lost(transport, self._from_vehicle)
+            self.line.cut()
+            self.lost += 1
+            self._heard(False, f"flight controller lost: {reason.what}")
             if self._loop.time() - opened > LONGEST_BACK_OFF_S:  # it stood for a while
                 wait = FIRST_BACK_OFF_S
             await asyncio.sleep(wait)
@@ -245,10 +242,8 @@ class Companion:
 
         wait = FIRST_BACK_OFF_S
         while True:
-            try:
-                await self._read(port.transport, take)
-            except LinkLost:
-                self._sweep_port(port, self._loop.time())
+            await self._until_lost(port.transport, take)
+            self._sweep_port(port, self._loop.time())
             await asyncio.sleep(wait)
             wait = min(2.0 * wait, LONGEST_BACK_OFF_S)
             with suppress(LinkError):
@@ -289,19 +284,25 @@ class Companion:
                 port.parsers.pop(client.peer, None)
         self.router.remove(client)
 
-    async def _read(self, transport: Transport, take: Callable[[Packet], None]) -> None:
-        """Hand on what comes, a limited number of packets in a row."""
-        while True:
-            packet = await transport.receive(BEAT_S)
-            for _ in range(TURN):
-                if packet is None:
-                    break
+    async def _until_lost(self, transport: Transport, take: Callable[[Packet], None]) -> LinkLost:
+        """Hand on what comes until the link is lost; why it was."""
+        lost: asyncio.Future[LinkLost] = self._loop.create_future()
+
+        def taken(packet: Packet) -> None:
+            fine = False
+            try:
                 take(packet)
-                packet = transport.receive_now()
-            else:
-                if packet is not None:
-                    take(packet)
-                await asyncio.sleep(0)
+                fine = True
+            finally:  # a fault of ours goes to the loop, which shows it; `run` must end too
+                if not fine and not self._fault.done():
+                    self._fault.set_exception(LinkError("a frame was not passed on", transport.url, "report the fault"))
+
+        def ended(reason: LinkLost) -> None:
+            if not lost.done():
+                lost.set_result(reason)
+
+        transport.hand_to(taken, ended)
+        return await lost
 
     # What is done by the clock.
 

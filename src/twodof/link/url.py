@@ -55,8 +55,8 @@ def parse(url: str) -> Address:
 
     A listening form without a host listens on this machine only; `udpin://0.0.0.0:14550` listens on every interface.
     MAVProxy's short forms `udpin:HOST:PORT`, `udp:HOST:PORT` (listens, as there), `udpout:HOST:PORT`, `tcp:HOST:PORT`
-    and `/dev/NAME,BAUD` are taken too. `udp://HOST:PORT?bind=[HOST:]PORT` sends to the first, always, and listens at the
-    second. Raises LinkError for anything else.
+    and `/dev/NAME,BAUD` are taken too. `udp://HOST:PORT?bind=[HOST:]PORT` sends to the first, always, and listens at
+    the second. Raises LinkError for anything else.
     """
     if not isinstance(url, str) or len(url) > LONGEST_URL or not url.isprintable():
         raise LinkError(f"{shown(url)} is no URL", "", f"use {FORMS}")
