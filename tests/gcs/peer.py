@@ -11,6 +11,7 @@ from twodof.link.connection import Connection, Received
 from twodof.link.messages import ExcitationReceiver, float_of_int, int_of_float, message
 from twodof.link.modes import MANUAL
 from twodof.link.opening import open_transport
+from twodof.link.transport import Transport
 
 _names = itertools.count(1)
 PARAMETERS = {"ATT_KP": 11.0, "RATE_KP": 0.0854, "THRUST_BAR": 0.4, "SYS_AUTOSTART": 4001}
@@ -20,9 +21,15 @@ class Peer:
     """Drone 1 at `url`. `spoil` sees each message before it is sent and says what is sent instead: a list, or None
     for the end of the link."""
 
-    def __init__(self, lockstep: bool = False, spoil: Callable[[int, Any], list[Any] | None] | None = None) -> None:
+    def __init__(
+        self,
+        lockstep: bool = False,
+        spoil: Callable[[int, Any], list[Any] | None] | None = None,
+        wrap: Callable[[Transport], Transport] = lambda transport: transport,
+    ) -> None:
         self.url = f"mem://peer-{next(_names)}"
         self.lockstep = lockstep
+        self.wrap = wrap
         self.spoil = spoil or (lambda _, sent: [sent])
         self.armed = False
         self.mode = MANUAL
@@ -35,6 +42,7 @@ class Peer:
         self.before: dict[str, float] = {}
         self.log = bytes(range(256)) * 5
         self.beating = True
+        self._done: dict[tuple[int, int], int] = {}
         self._pending: dict[int, dict[str, float]] = {}
         self._open = -1
         self._excitations = ExcitationReceiver()
@@ -43,7 +51,7 @@ class Peer:
 
     async def __aenter__(self) -> Self:
         transport = await open_transport(self.url.replace("mem:", "memin:"))
-        self._connection = Connection(transport, system=1, component=1)
+        self._connection = Connection(self.wrap(transport), system=1, component=1)
         loop = asyncio.get_running_loop()
         self._tasks = [loop.create_task(work) for work in (self._serve(), self._beat(), self._stream())]
         return self
@@ -177,29 +185,37 @@ class Peer:
         if self._open >= 0:
             self._pending.setdefault(self._open, {})[got.param_id] = value
             return
-        self.before = dict(self.parameters)
+        if self.parameters[got.param_id] != value:
+            self.before = dict(self.parameters)
         self.parameters[got.param_id] = value
         self._value(got.param_id)
 
     def _twodof_param_transaction(self, got: Any, _: Any) -> None:
+        self.send("TWODOF_PARAM_TRANSACTION", **self._transacted(got))
+
+    def _transacted(self, got: Any) -> dict[str, Any]:
         answer = {"transaction": got.transaction, "action": got.action, "count": got.count}
+        key = (got.action, got.transaction)
         if got.action == 0:
-            self._open = got.transaction
-            return
+            if (1, got.transaction) not in self._done:
+                self._open = got.transaction
+            return answer
+        if key in self._done:
+            return {**answer, "result": self._done[key]}
         if got.action == 3:
             self.parameters = dict(self.before)
-        else:
-            changes = self._pending.pop(got.transaction, {})
-            self._open = -1
-            if changes.get("ATT_KP") == 13.0:
-                self.send("TWODOF_PARAM_TRANSACTION", result=2, param_id="ATT_KP", **answer)
-                return
-            if len(changes) != got.count:
-                self.send("TWODOF_PARAM_TRANSACTION", result=8, **answer)
-                return
-            self.before = dict(self.parameters)
-            self.parameters.update(changes)
-        self.send("TWODOF_PARAM_TRANSACTION", **answer)
+            self._done[key] = 0
+            return answer
+        changes = self._pending.get(got.transaction, {})
+        if len(changes) != got.count:
+            return {**answer, "result": 8}  # it stays open: what was overtaken may still come
+        self._open = -1
+        self._done[key] = 2 if changes.get("ATT_KP") == 13.0 else 0
+        if self._done[key]:
+            return {**answer, "result": 2, "param_id": "ATT_KP"}
+        self.before = dict(self.parameters)
+        self.parameters.update(changes)
+        return answer
 
     def _twodof_excite(self, got: Any, _: Any) -> None:
         status = {"tick": self.tick, "transfer": got.transfer, "received": got.total}

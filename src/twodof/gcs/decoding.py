@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from functools import lru_cache
 from math import asin, isfinite
 from types import MappingProxyType
 from typing import Any
 
-import numpy as np
-
 from twodof.gcs.clock import TICK_S
-from twodof.link.messages import batch_rows, channel_bits
+from twodof.link.messages import BATCH_VALUES, channel_bits
 from twodof.signals import TOPICS
 
 Decoded = Iterator[tuple[str, float, float | tuple[float, ...]]]
@@ -72,25 +71,35 @@ def _truth(got: Any) -> Decoded:
 
 def _batch(got: Any) -> Decoded:
     """The newest row in which a topic has a sample; recordings take all of them."""
-    ticks, values = batch_rows(got)
-    columns = columns_of(got.channels)
-    for row in TOPICS:
-        places = [columns[column] for column in row.columns if column in columns]
-        if len(places) != row.width or not len(ticks):
-            continue
-        found = np.flatnonzero(np.isfinite(values[:, places]).all(axis=1))
-        if found.size:
-            last = values[found[-1], places].tolist()
-            yield row.name, float(ticks[found[-1]]) * TICK_S, tuple(last) if row.fields else last[0]
+    width = int(got.channels).bit_count()
+    rows = min(got.rows, BATCH_VALUES // width) if width else 0
+    values, ticks = got.values, [(got.tick + got.every * k) & 0xFFFFFFFF for k in range(rows)]
+    for name, places, several in _layout(got.channels):
+        for k in range(rows - 1, -1, -1):
+            sample = [values[k * width + place] for place in places]
+            if all(map(isfinite, sample)):
+                yield name, ticks[k] * TICK_S, tuple(sample) if several else sample[0]
+                break
 
 
-def columns_of(mask: int) -> dict[str, int]:
+@lru_cache(maxsize=64)
+def columns_of(mask: int) -> Mapping[str, int]:
     """Column of TOPICS -> its place in the rows of a batch with these channels."""
     bits = channel_bits()
     named = {column: bits.get(column.replace(".", "_").upper(), 0) for row in TOPICS for column in row.columns}
-    present = sorted((bit, column) for column, bit in named.items() if bit & mask)
     places = {bit: place for place, bit in enumerate(1 << k for k in range(64) if mask >> k & 1)}
-    return {column: places[bit] for bit, column in present}
+    return MappingProxyType({column: places[bit] for column, bit in named.items() if bit & mask})
+
+
+@lru_cache(maxsize=64)
+def _layout(mask: int) -> tuple[tuple[str, tuple[int, ...], bool], ...]:
+    """Topics that are whole in a batch: name, places of its numbers in a row, whether it has fields."""
+    columns = columns_of(mask)
+    return tuple(
+        (row.name, tuple(columns[column] for column in row.columns), bool(row.fields))
+        for row in TOPICS
+        if all(column in columns for column in row.columns)
+    )
 
 
 def _battery(got: Any) -> Decoded:

@@ -9,7 +9,8 @@ from typing import Any, Self, TypeVar
 
 from twodof.errors import TwodofError
 from twodof.excitation import Excitation
-from twodof.gcs.async_drone import DEFAULT_URL, LEAVING_S, TIMEOUT_S, AsyncDrone
+from twodof.gcs.async_drone import AsyncDrone
+from twodof.gcs.connected import DEFAULT_URL, LEAVING_S, TIMEOUT_S
 from twodof.gcs.exciting import Playback
 from twodof.gcs.faces import DroneFiles, DroneLogs, DroneRows, DroneSignal, Parameters
 from twodof.gcs.recording import Recording

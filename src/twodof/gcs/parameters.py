@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import count
 from math import isfinite
 from typing import Any, NamedTuple
@@ -90,7 +90,9 @@ class AsyncParameters:
     async def undo(self, timeout: float | None = None) -> None:
         """Back to what was before the last change. Raises Rejected, LinkLost, Timeout."""
         deadline = self._deadline(timeout, "undoing the last change of parameters")
-        await self._transaction(UNDO, 0, deadline, ())
+        if not self.transactions:
+            raise Rejected("it keeps no changes to undo: it is not one of ours", deadline.where, "set them back")
+        await self._transaction(UNDO, next(self._numbers) & 0xFFFF, deadline)
         self.known.clear()
 
     async def all(self, timeout: float = 30.0) -> dict[str, Entry]:
@@ -153,37 +155,37 @@ class AsyncParameters:
         )
 
     async def _together(self, wanted: list[tuple[Entry, float]], deadline: Deadline) -> None:
-        await self._transaction(COMMIT, len(wanted), deadline, wanted)
+        """All at once. What is overtaken on the way is said again; the same number is done once only."""
+        while True:
+            number = next(self._numbers) & 0xFFFF
+            # Not before it has begun: a PARAM_SET that comes too early acts alone.
+            await self._transaction(BEGIN, number, deadline)
+            if await self._transaction(COMMIT, number, deadline, wanted):
+                return
 
     async def _transaction(
-        self, action: int, size: int, deadline: Deadline, wanted: list[tuple[Entry, float]] | tuple[()]
-    ) -> None:
-        # The same number again is done once only; what came in parts gets a new one.
-        number = next(self._numbers) & 0xFFFF
+        self, action: int, number: int, deadline: Deadline, wanted: Sequence[tuple[Entry, float]] = ()
+    ) -> bool:
+        """Whether it was done; not, where some of `wanted` did not come. Raises Rejected, LinkLost, Timeout."""
 
         def question(_: int) -> Any:
-            if wanted:
-                self._session.send(self._transaction_message(BEGIN, number, size))
-                for entry, value in wanted:
-                    self._session.send(self._set_message(entry, value))
-            return self._transaction_message(action, number, size)
+            for entry, value in wanted:
+                self._session.send(self._set_message(entry, value))
+            place = self._place()
+            return message("TWODOF_PARAM_TRANSACTION", transaction=number, count=len(wanted), action=action, **place)
 
         def accept(got: Any) -> bool | None:
-            nonlocal number
             if got.transaction != number or got.action != action:
                 return None
-            if wanted and got.result == _INCOMPLETE:
-                number = next(self._numbers) & 0xFFFF
-                return None
-            if got.result:
+            if got.result and not (wanted and got.result == _INCOMPLETE):
                 raise Rejected(
                     f"{got.param_id or 'the change'}: {_error(got.result)}",
                     f"drone {self._session.system}, {deadline.doing}",
                     "nothing was changed",
                 )
-            return True
+            return not got.result
 
-        await self._session.ask(question, ("TWODOF_PARAM_TRANSACTION",), accept, deadline)
+        return await self._session.ask(question, ("TWODOF_PARAM_TRANSACTION",), accept, deadline)
 
     async def _entry(self, name: str, deadline: Deadline) -> Entry:
         return self.known.get(self.name_on_board(name)) or await self._ask(self.name_on_board(name), deadline)
@@ -219,9 +221,6 @@ class AsyncParameters:
     def _set_message(self, entry: Entry, value: float) -> Any:
         carried = float_of_int(int(value)) if entry.kind == INT32 else float(value)
         return message("PARAM_SET", param_id=entry.name, param_value=carried, param_type=entry.kind, **self._place())
-
-    def _transaction_message(self, action: int, number: int, size: int) -> Any:
-        return message("TWODOF_PARAM_TRANSACTION", transaction=number, count=size, action=action, **self._place())
 
     def _place(self) -> dict[str, int]:
         return {"target_system": self._session.system, "target_component": self._session.component}

@@ -1,0 +1,261 @@
+"""A drone that was found: all that talks to it, how it is connected to, and how it is left, disarmed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Self
+
+from twodof.errors import LinkLost, Rejected, Timeout, TwodofError
+from twodof.gcs.batches import Batches
+from twodof.gcs.clock import Clock
+from twodof.gcs.commands import ACCEPTED, IN_PROGRESS, Commands, number_of
+from twodof.gcs.deadline import Deadline
+from twodof.gcs.exciting import Exciter
+from twodof.gcs.files import Files
+from twodof.gcs.lease import Lease
+from twodof.gcs.log_download import Logs
+from twodof.gcs.parameters import AsyncParameters
+from twodof.gcs.recording import Recordings
+from twodof.gcs.session import Session
+from twodof.gcs.setpoints import Setpoints
+from twodof.gcs.state import Battery, State, Watcher
+from twodof.gcs.telemetry import Telemetry
+from twodof.gcs.texts import Text, Texts
+from twodof.link import dialect
+from twodof.link.connection import Connection
+from twodof.link.key import Key, read_key
+from twodof.link.opening import open_transport
+from twodof.link.signing import Signing
+from twodof.link.stamps import Stamps
+from twodof.link.statistics import LinkStatistics
+from twodof.link.transport import Transport
+
+DEFAULT_URL = "udpin://127.0.0.1:14540"
+TIMEOUT_S = 5.0
+LEAVING_S = 3.0
+GROUND_COMPONENT = 190
+_GREETING_S, _GREETING_RETRY_S = 4.0, 0.3
+_KILL_RETRY_S = 0.05
+_FORCE = 21196
+_TICKS_FOR_AN_ANSWER = 250
+
+
+class Connected:
+    """A drone over one link; made by `connect` or `over`, for `async with`: leaving disarms it."""
+
+    def __init__(self, session: Session, commanding: bool) -> None:
+        self.session = session
+        self.commanding = commanding
+        self.texts = Texts(session)
+        self.watcher = Watcher(session)
+        self.clock = Clock(session)
+        self.lease = Lease(session)
+        self.commands = Commands(session, self.texts)
+        self.parameters = AsyncParameters(session)
+        self.telemetry = Telemetry(session)
+        self.setpoints = Setpoints(session, self.clock)
+        self.exciter = Exciter(session, self.clock)
+        self.batches = Batches(session, self.commands)
+        self.recordings = Recordings(session, self.commands, self.batches, self.texts, self.clock)
+        self.logs = Logs(session)
+        self.files = Files(session, self.texts)
+        self.commands.on_progress = self._one_tick
+        self._last_thrust: float | None = None
+        self.ours = False  # one of ours, not somebody else's PX4
+        self._closed = False
+
+    @classmethod
+    async def connect(
+        cls,
+        url: str = DEFAULT_URL,
+        timeout: float = 10.0,
+        system: int | None = 250,
+        key: Key | str | Path | None = None,
+        take_lease: bool = True,
+        drone: int | None = None,
+        component: int = GROUND_COMPONENT,
+    ) -> Self:
+        """Find the drone at `url` and, with `take_lease`, become the one who commands it.
+
+        `system` and `component` are what we call ourselves: two clients need two; None is the drone's own system, for
+        a program on board. `drone` is the system id to look for if several may be heard. `key` (or its file) signs
+        everything; what is not signed with it is ignored. Raises LinkError, LinkLost if no drone is heard within
+        `timeout` [s], Rejected if somebody else has the lease.
+        """
+        deadline = Deadline(timeout, "connecting", url)
+        if key is not None and not isinstance(key, Key):
+            read_key(key)  # a key that is none is said before anything is opened
+        transport = await open_transport(url, timeout)
+        return await cls.over(transport, deadline.left, system, key, take_lease, drone, component)
+
+    @classmethod
+    async def over(
+        cls,
+        transport: Transport,
+        timeout: float = 10.0,
+        system: int | None = 250,
+        key: Key | str | Path | None = None,
+        take_lease: bool = True,
+        drone: int | None = None,
+        component: int = GROUND_COMPONENT,
+    ) -> Self:
+        """As `connect`, over a transport that is open; it is closed with the drone, or where connecting fails."""
+        deadline = Deadline(timeout, "connecting", transport.url)
+        session: Session | None = None
+        made: Self | None = None
+        try:
+            connection = Connection(transport, system or 0, component, _signing(key, system or 0))
+            session = Session(connection, on_board=component != GROUND_COMPONENT)
+            made = cls(session, take_lease)
+            await session.find(drone, deadline.left)
+            connection.system = system or session.system
+            session.beat()
+            await made._greet(deadline, take_lease)
+        except BaseException:  # cancelled too: nothing is left open
+            if made is not None:
+                made.lease.stop()
+            await (transport.close() if session is None else session.close())
+            raise
+        return made
+
+    async def _greet(self, deadline: Deadline, take_lease: bool) -> None:
+        """Learn whether it is one of ours, and if so how its time passes; take the lease."""
+        number, request = dialect.message_id("TWODOF_RIG"), number_of("REQUEST_MESSAGE")
+
+        def accept(got: Any) -> bool | None:
+            if got.get_type() == "TWODOF_RIG":
+                return True
+            refused = got.command == request and got.result not in (ACCEPTED, IN_PROGRESS)
+            return False if refused else None
+
+        asking = Deadline(min(_GREETING_S, deadline.left), "asking what it is", f"drone {self.session.system}")
+        with suppress(Timeout):  # it is somebody else's, which does not know the question
+            self.ours = await self.session.ask(
+                lambda attempt: self.commands.long(request, [number], attempt),
+                ("TWODOF_RIG", "COMMAND_ACK"),
+                accept,
+                asking,
+                _GREETING_RETRY_S,
+            )
+        self.parameters.transactions = self.ours
+        if self.ours and take_lease:
+            await self.lease.take(deadline.left)
+            if self.session.lockstep:
+                await self.clock.begin_granting(deadline.left)
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        try:
+            await self.close()
+        except TwodofError:
+            if kind is None:  # what went wrong in the block says more
+                raise
+
+    async def close(self, timeout: float = LEAVING_S) -> None:
+        """Disarm it if we commanded, give the lease up, close the link. Raises if it cannot be seen to be disarmed."""
+        if self._closed:
+            return
+        self._closed = True
+        self.setpoints.stop()
+        try:
+            if self.commanding and self.state.armed:
+                try:
+                    await self.disarm(timeout=timeout / 3)
+                except (Rejected, Timeout):
+                    await self.kill(timeout=timeout / 3)
+            if self.lease.wanted:
+                with suppress(Timeout, LinkLost):  # it ends by itself
+                    await self.lease.give_up(timeout / 3)
+        finally:
+            self.lease.stop()
+            await self.session.close()
+
+    @property
+    def state(self) -> State:
+        """How it stands, as last heard."""
+        return self.watcher.state
+
+    @property
+    def tick(self) -> int:
+        """Its control period, 4 ms each; in lockstep the first that has not been run."""
+        return self.clock.tick
+
+    @property
+    def messages(self) -> list[Text]:
+        """What it said in words, the last 1000 lines."""
+        return list(self.texts.lines)
+
+    @property
+    def battery(self) -> Battery:
+        """Voltage [V] and charge, 0 to 1; NaN while unknown."""
+        return self.state.battery
+
+    @property
+    def statistics(self) -> LinkStatistics:
+        """What the link is worth: loss, round trips, rates."""
+        return self.session.connection.statistics
+
+    async def disarm(self, timeout: float = TIMEOUT_S) -> None:
+        """Disarm it, and see that it is; set-points are sent no more. Needs no lease."""
+        deadline = self._deadline(timeout, "disarming")
+        self.setpoints.stop()
+        self._last_thrust = None
+        await self.commands.run("COMPONENT_ARM_DISARM", [0.0], timeout, "disarming")
+        await self._see(lambda: not self.state.armed, deadline)
+
+    async def kill(self, timeout: float = TIMEOUT_S) -> None:
+        """Motors off, now, whoever has the lease and whatever it does; said again until it is seen.
+
+        Raises Timeout, LinkLost if it is not seen: the drone's own failsafe then acts on the lost link.
+        """
+        deadline = self._deadline(timeout, "killing")
+        self.setpoints.stop()
+        number = number_of("COMPONENT_ARM_DISARM")
+        beats, attempt = self.watcher.heartbeats, 0
+        with self.session.listen("HEARTBEAT", "COMMAND_ACK") as heard:
+            while True:
+                self.session.send_anyway(self.commands.long(number, [0.0, _FORCE], attempt))
+                attempt += 1
+                until = min(deadline.end, self.session.now + _KILL_RETRY_S)
+                while (got := await heard.next(until, though_lost=True)) is not None:
+                    accepted = got.get_type() == "COMMAND_ACK" and (got.command, got.result) == (number, 0)
+                    if accepted or (self.watcher.heartbeats > beats and not self.state.armed):
+                        return
+                    deadline.check()
+                if deadline.left <= 0.0:
+                    self.session.check(deadline.end)
+                    raise deadline.error()
+
+    async def _see(self, condition: Callable[[], bool], deadline: Deadline) -> None:
+        """Wait until the drone's heartbeat says so; in lockstep its time passes meanwhile, tick by tick."""
+        last = self.tick + _TICKS_FOR_AN_ANSWER
+        with self.session.listen("HEARTBEAT") as heard:
+            while not condition():
+                if self.clock.granting and self.tick < last:
+                    await self.clock.run_until(self.tick + 1)
+                elif await heard.next(deadline.end) is None:
+                    raise deadline.error("it acknowledged, but its heartbeat says otherwise")
+
+    async def _one_tick(self) -> None:
+        if self.clock.granting:
+            await self.clock.run_until(self.tick + 1)
+
+    def _needs_ours(self, what: str) -> None:
+        if not self.ours:
+            raise Rejected(f"{what}: it is not one of ours", f"drone {self.session.system}", "see docs/gcs.md")
+
+    def _deadline(self, timeout: float, doing: str) -> Deadline:
+        return Deadline(timeout, doing, f"drone {self.session.system}")
+
+
+def _signing(key: Key | str | Path | None, system: int) -> Signing | None:
+    """Signing with a key; a key's file has its time stamps beside it, for each system id its own."""
+    if key is None:
+        return None
+    if isinstance(key, Key):
+        return Signing(key, Stamps(None))
+    return Signing(read_key(key), Stamps(f"{key}.{system}.stamps"))

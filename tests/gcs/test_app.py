@@ -1,0 +1,78 @@
+"""A user's program beside the drone: it flies, it ends, it is told to end; what is no program is said."""
+
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.gcs.virtual import OnBoard, on_board
+from twodof.gcs.app import FINE, NO_APP, RAISED, run
+
+HOLDS = """
+async def main(drone):
+    await drone.run(0.3)
+    await drone.arm()
+    await drone.level_hold()
+    print(drone.session.connection.system, drone.session.connection.component, flush=True)
+    await drone.run({seconds})
+"""
+
+
+@pytest.fixture
+def there() -> Iterator[OnBoard]:
+    """A virtual drone in real time, rings locked, with another system id than the first one's."""
+    with on_board(conditions={"rings": True}, index=2) as made:
+        yield made
+
+
+def start(there: OnBoard, file: Path) -> "subprocess.Popen[str]":
+    command = [sys.executable, "-m", "twodof.gcs.app", str(file), "--url", there.url]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def test_it_flies_as_a_part_of_the_drone_and_disarms_when_it_is_told_to_end(there: OnBoard, tmp_path: Path) -> None:
+    file = tmp_path / "holds.py"
+    file.write_text(HOLDS.format(seconds=60.0))
+    child = start(there, file)
+    try:
+        assert child.stdout is not None
+        assert child.stdout.readline() == "3 192\n"
+        assert there.drone.commander.armed
+        assert there.drone.commander.lease.holder == (3, 192)
+        child.send_signal(signal.SIGTERM)
+        _, errors = child.communicate(timeout=20.0)
+        assert (child.returncode, errors) == (FINE, "")
+    finally:
+        child.kill()
+        child.wait(timeout=10.0)
+    assert not there.drone.commander.armed
+    assert there.drone.commander.lease.holder is None
+
+
+def test_what_it_raises_disarms_and_is_its_end(there: OnBoard, tmp_path: Path) -> None:
+    file = tmp_path / "falls.py"
+    file.write_text(HOLDS.format(seconds=0.1) + "    raise RuntimeError('fell over')\n")
+    child = start(there, file)
+    _, errors = child.communicate(timeout=60.0)
+    assert child.returncode == 1
+    assert "RuntimeError: fell over" in errors
+    assert not there.drone.commander.armed
+
+
+def test_no_program_is_a_mistake_that_is_not_tried_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for text, said in (
+        ("x = 1", "async def main"),
+        ("def main(drone): ...", "async def main"),
+        ("1 +", "invalid syntax"),
+    ):
+        file = tmp_path / "none.py"
+        file.write_text(text)
+        assert run([str(file), "--url", "mem://nowhere"]) == NO_APP
+        assert said in capsys.readouterr().err
+    assert run([str(tmp_path / "missing.py"), "--url", "mem://nowhere"]) == NO_APP
+    file.write_text(HOLDS.format(seconds=1.0))
+    assert run([str(file), "--url", "mem://nowhere", "--timeout", "0.1"]) == RAISED
+    assert "nobody answered" in capsys.readouterr().err
