@@ -9,10 +9,12 @@ from pathlib import Path
 import pytest
 
 from tests.fcu.flights import exhausting
-from twodof.errors import LinkError, LogError, ParameterError
+from twodof.errors import CompileError, LinkError, LogError, ParameterError
+from twodof.fcu import flight_code
 from twodof.fcu.asked import IN_PROGRESS
 from twodof.fcu.controllers import Controllers, flown
 from twodof.fcu.flight_code import FlightCode
+from twodof.flight.slot import Slot
 from twodof.flight.starters import starter
 from twodof.flight.templates import ATTITUDE
 from twodof.sim.virtual_drone import VirtualDrone
@@ -48,6 +50,21 @@ def test_what_was_kept_and_is_damaged_is_left_out_and_told(tmp_path: Path) -> No
     assert [diagram.name for diagram in drone.controller.code.controllers] == ["pid_position"]
     assert any("left out" in text for _, text in drone.commander.remarks)
     asyncio.run(drone.close())
+
+
+def test_where_no_sandbox_can_be_built_what_was_kept_is_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def missing(*_: object, **__: object) -> None:
+        raise CompileError("the package wasmtime is not there", "target wasm", "install it")
+
+    Slot(tmp_path).flash(starter("lqr-attitude"))
+    monkeypatch.setattr(flight_code, "Sandbox", missing)
+    code, damage = Controllers(kept=tmp_path).build()
+    assert code.controllers == ()
+    assert "wasmtime" in damage
+    with pytest.raises(CompileError):
+        Controllers(["lqr-attitude"]).build()
 
 
 def test_only_what_was_given_is_trusted_and_only_while_nothing_was_uploaded(tmp_path: Path) -> None:

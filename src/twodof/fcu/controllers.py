@@ -8,7 +8,7 @@ from pathlib import Path
 
 from twodof.blocks import Diagram
 from twodof.blocks.schema import to_json
-from twodof.errors import ControllerFault, DiagramError
+from twodof.errors import CompileError, ControllerFault, DiagramError
 from twodof.fcu.flight_code import FlightCode
 from twodof.fcu.services.own_telemetry import Flown
 from twodof.flight.slot import STOCK, Slot
@@ -44,12 +44,15 @@ class Controllers:
         self._fuel = fuel
 
     def build(self) -> tuple[FlightCode, str]:
-        """The flight code at the start: of what was given and kept; without the latter, and why, if that is damaged."""
+        """The flight code at the start: of what was given and kept; without the latter, and why, if that cannot be.
+
+        Raises ControllerFault for one given that needs too much for a step, CompileError where a tool chain is missing.
+        """
         damage = ""
         if self._kept is not None:
             try:
                 return self._built(self._kept.flashed()), ""
-            except (DiagramError, ControllerFault) as error:
+            except (DiagramError, ControllerFault, CompileError) as error:
                 damage = f"uploaded controllers left out: {error}"
         return self._built({}), damage
 
