@@ -21,7 +21,7 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], str]
         patch.setenv("XDG_CACHE_HOME", str(folder))
         written: list[str] = []
         patch.setattr("sys.stdout", Collector(written))
-        assert run(["demo", "--json", "--out", str(report)]) == 0
+        assert run(["demo", "--json", "--repetitions", "3", "--out", str(report)]) == 0
     return json.loads("".join(written)), report.read_text()
 
 

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
+from itertools import count
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from rich.table import Table
 
+from twodof.cli.fly_series import fly_series
 from twodof.cli.output import Json, print_json, progress, table_console
 from twodof.errors import LogError
+from twodof.experiment.flight import Flight, Laboratory
+from twodof.experiment.protocol import IDENTIFICATION, Experiment
 from twodof.flightlog.atomic import atomic_write
 from twodof.flightlog.provenance import versions
 from twodof.flightlog.public_data import VARIABLE, available
@@ -23,38 +28,41 @@ from twodof.report.walk import REPETITIONS, comparisons, planned, real, virtual
 app = typer.Typer(add_completion=False)
 
 _REPORT = Path("out/demo/report.html")
-# What the progress bar counts: three steps and more for each rig, the real drone's logs, the report.
-_EXPECTED = 19
+_RIGS = ("paper", "lab")
+# What the progress bar counts besides flights: some for each rig, the real drone's logs, the report.
+_OTHER_STEPS = 21
 
 
 @app.command()
 def demo(
     out: Annotated[Path, typer.Option(help="The report to write.")] = _REPORT,
+    repetitions: Annotated[
+        int, typer.Option(min=3, max=100, help="Flights of each experiment on each rig; their spread is a result.")
+    ] = REPETITIONS,
     json: Json = False,
 ) -> None:
-    """Fly the paper's experiments on the virtual rigs, identify, compare with its Table 1, write the report.
+    """Fly the paper's experiments over MAVLink on virtual drones, identify, compare with its Table 1, write the report.
 
-    The real drone's logs are identified too where they are at hand. Exit status 1: a parameter of the virtual rigs
-    could not be identified, or a flight was not good.
+    Each drone is a process of its own and flies faster than real time. The real drone's logs are identified too where
+    they are at hand. Exit status 1: a parameter of the virtual rigs could not be identified, or a flight was not good.
     """
     began = time.monotonic()
     _make_folder(out)
     with progress() as report:
-        begun = 0
+        steps = count()
+        expected = _OTHER_STEPS + len(_RIGS) * len(IDENTIFICATION) * repetitions
 
         def step(text: str) -> None:
-            nonlocal begun
-            report(text, min(1.0, begun / _EXPECTED))
-            begun += 1
+            report(text, min(1.0, next(steps) / expected))
 
-        flown = {name: virtual(name, step) for name in ("paper", "lab")}
+        flown = _fly(repetitions, step)
         rigs = list(flown.values())
         logs = available()
         drone = real(logs, step)
         tables = [planned(flown), *comparisons(logs, step)]
         step("write the report")
         machines = [*rigs, *([drone] if drone is not None else [])]
-        page = to_html(content(machines, _provenance(list(logs)), tables))
+        page = to_html(content(machines, _provenance(list(logs), repetitions), tables))
         with atomic_write(out, "w") as file:
             file.write(page)
     seconds = time.monotonic() - began
@@ -73,10 +81,27 @@ def demo(
         raise typer.Exit(1)
 
 
-def _provenance(logs: list[str]) -> dict[str, str]:
+def _fly(repetitions: int, step: Callable[[str], None]) -> dict[str, Machine]:
+    """The paper's experiments on a drone of each rig, side by side, and what is identified from them."""
+    step("compile the flight code and the rigs")
+    flights = {}
+    for rig, name, seed, flight in fly_series(_RIGS, list(IDENTIFICATION), range(1, repetitions + 1)):
+        step(f"{rig}: {name}, flight {seed} of {repetitions}")
+        flights[rig, name, seed] = flight
+
+    def identified(rig: str) -> Machine:
+        def flown(experiment: Experiment, seed: int) -> Flight:
+            return flights[rig, experiment.name, seed]
+
+        return virtual(Laboratory(rig), flown, step, repetitions)
+
+    return {rig: identified(rig) for rig in _RIGS}
+
+
+def _provenance(logs: list[str], repetitions: int) -> dict[str, str]:
     return {
         **versions(),
-        "virtual flights": f"seeds 1 to {REPETITIONS} of each experiment on each rig",
+        "virtual flights": f"seeds 1 to {repetitions} of each experiment on each rig, flown over MAVLink in lockstep",
         "real flights": ", ".join(logs) or "none at hand",
     }
 

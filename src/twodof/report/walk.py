@@ -6,8 +6,8 @@ import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from twodof.experiment.flight import Laboratory
-from twodof.experiment.protocol import IDENTIFICATION
+from twodof.experiment.flight import Flight, Laboratory
+from twodof.experiment.protocol import IDENTIFICATION, Experiment
 from twodof.flight.gains import NAMED
 from twodof.flightlog.files import read_log
 from twodof.flightlog.log import FlightLog
@@ -31,7 +31,7 @@ Progress = Callable[[str], None]
 """Called with what is begun."""
 
 REPETITIONS = 10
-"""Flights of each experiment on a virtual rig, seeds 1 to 10: their spread is the one sigma of a reading by hand."""
+"""Flights of each experiment on a virtual rig, seeds from 1: their spread is the one sigma of a reading by hand."""
 
 _PAPER_EXPERIMENT = {"impulse": "impulse", "doublet": "doublet", "velocity": "velocity-doublet"}
 
@@ -48,20 +48,24 @@ _TEXT = {
 }
 
 
-def virtual(rig: str, progress: Progress) -> Machine:
-    """Fly the paper's experiments on the virtual rig `rig` ("paper" or "lab") and identify.
+Fly = Callable[[Experiment, int], Flight]
+"""Flies an experiment with the noise of a seed."""
 
-    Raises ExperimentError or IdentificationError where the rig cannot be flown or the models be found at all.
+
+def virtual(laboratory: Laboratory, fly: Fly, progress: Progress, repetitions: int = REPETITIONS) -> Machine:
+    """Fly the paper's experiments by `fly` on the rig of `laboratory` ("paper" or "lab") and identify.
+
+    `fly` is `laboratory.fly`, or flies over MAVLink on a drone of that rig. Raises ExperimentError or
+    IdentificationError where the rig cannot be flown or the models be found at all.
     """
-    progress(f"{rig}: compile the closed loop")
-    laboratory = Laboratory(rig)
+    rig = laboratory.rig_name
     records: dict[str, list[Record]] = {}
     remarks = []
     for kind, name in _PAPER_EXPERIMENT.items():
-        progress(f"{rig}: fly {name}, {REPETITIONS} times")
+        progress(f"{rig}: look at {name}, {repetitions} flights")
         records[kind] = []
-        for seed in range(1, REPETITIONS + 1):
-            flight = laboratory.fly(IDENTIFICATION[name], seed)
+        for seed in range(1, repetitions + 1):
+            flight = fly(IDENTIFICATION[name], seed)
             records[kind].append(cut(flight.log, KINDS[kind], name=f"{name} {seed}"))
             remarks += [f"{name} {seed}: {check.name}, {check.seen}." for check in flight.checks if not check.passed]
     progress(f"{rig}: identify")
