@@ -258,6 +258,26 @@ def test_offboard_wants_a_stream_above_2_hz() -> None:
     assert commander.set_mode(ME, modes.OFFBOARD).accepted
 
 
+def test_from_a_hold_into_offboard_what_is_left_open_stays_as_it_flies() -> None:
+    cockpit = offboard(LEVEL_FLIGHT._replace(thrust=0.5))
+    commander = cockpit.commander
+    commander.set_mode(ME, modes.HOLD)
+    assert cockpit.run().thrust == 0.375
+    commander.open_loop(ME, 0.1, 0.0, True, True, False)  # "the thrust stays"
+    assert commander.set_mode(ME, modes.OFFBOARD).accepted
+    asked = cockpit.run()
+    assert (asked.mode, asked.M_open, asked.thrust) == (OPEN_LOOP, 0.1, 0.375)
+
+
+def test_offboard_entered_again_before_a_new_set_point_flies_on_what_flew() -> None:
+    cockpit = offboard(LEVEL_FLIGHT._replace(theta0=0.3))
+    cockpit.commander.set_mode(ME, modes.HOLD)
+    cockpit.run()
+    assert cockpit.commander.set_mode(ME, modes.OFFBOARD).accepted
+    asked = cockpit.run(2)
+    assert (asked.mode, asked.theta0, asked.thrust, asked.setpoint_new) == (ATTITUDE, 0.0, 0.375, False)
+
+
 def test_a_stream_that_ends_leaves_the_mode_and_goes_on_when_it_comes_back() -> None:
     cockpit = offboard()
     quiet = cockpit.run(400)

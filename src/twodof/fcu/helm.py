@@ -5,7 +5,7 @@ from __future__ import annotations
 from twodof.fcu.asked import Asked
 from twodof.fcu.excitation_player import STOPPED, Player
 from twodof.fcu.schedule import Schedule
-from twodof.fcu.setpoints import ATTITUDE, OFF, OPEN_LOOP, OPENLOOP, STICKS, TARGET, OpenLoop, SetPoint, Values
+from twodof.fcu.setpoints import ATTITUDE, NOTHING, OFF, OPEN_LOOP, OPENLOOP, STICKS, TARGET, OpenLoop, SetPoint, Values
 from twodof.flight.core import PERIOD
 from twodof.link import modes
 
@@ -41,7 +41,7 @@ class Helm:
         self._live = False  # something was asked for since it was armed
         self._on_board = False  # level hold or an excitation gives set-points, at every tick
         self._fresh = False  # one came for the next tick
-        self._offer = Values()  # the latest messages for offboard, whether it is the mode or not
+        self._offer = NOTHING  # what messages have asked for since the mode was entered, for offboard
         self._offered = _LONG_AGO
         self._said: OpenLoop | None = None  # the open-loop message that the offer came of
         self._latest = Values()  # what would fly in this mode, were the drone armed
@@ -62,13 +62,13 @@ class Helm:
     def armed(self, tick: int) -> None:
         """The drone has armed: in offboard what is streamed flies from the next tick on."""
         if self.custom_mode == modes.OFFBOARD and self.streamed(tick):
-            self._use(self._offer, tick, self._said)
+            self._use(self._offer.over(self.values), tick, self._said)
 
     def take(self, setpoint: SetPoint, kind: str, tick: int, armed: bool, said: OpenLoop | None = None) -> None:
         """A set-point's tick has come: it acts, or is kept for when offboard is entered. `said`: what it came of."""
         if kind != STICKS:
             self._offered, self._said = tick, said
-            self._offer = setpoint.over(self._offer)
+            self._offer = setpoint.after(self._offer)
         if kind not in HEARD_IN[self.custom_mode]:
             return
         self._latest, self._latest_at = setpoint.over(self._latest), tick
@@ -86,7 +86,9 @@ class Helm:
         if armed and custom_mode == modes.HOLD:
             self._use(self.values._replace(loop=ATTITUDE, theta0=0.0, thrust=level_thrust), tick, on_board=True)
         elif armed and offboard:
-            self._use(self._offer, tick, self._said)
+            self._use(self._offer.over(self.values), tick, self._said)
+        if not offboard:
+            self._offer = NOTHING  # what was asked for in an offboard of before is not what is flown now
 
     def begin_play(self, level_thrust: float, tick: int) -> None:
         """The excitation that waits begins: about the set-point in use if its loop flies, else about 0."""
@@ -103,7 +105,8 @@ class Helm:
         """The motors stand: nothing is asked for any more, nothing waits, nothing plays."""
         if self.player.playing or self.player.waiting:
             self.player.finish(STOPPED, why)
-        self.values = self._offer = self._latest = Values()
+        self.values = self._latest = Values()
+        self._offer = NOTHING
         self._live, self._on_board, self._fresh, self.changed = False, False, False, True
         self.schedule.clear()
         self._say(None, tick)

@@ -75,6 +75,14 @@ class SetPoint(NamedTuple):
         loop = self.loop is None or OPEN_LOOP <= self.loop <= POSITION
         return loop and all(value is None or isfinite(value) for value in self[1:])
 
+    def after(self, before: SetPoint) -> SetPoint:
+        """Both in one: what this one leaves open is what the one before asks for."""
+        return SetPoint._make(old if new is None else new for new, old in zip(self, before, strict=True))
+
     def over(self, before: Values) -> Values:
         """The values before it, with what it asks for."""
         return Values._make(old if new is None else new for new, old in zip(self, before, strict=True))
+
+
+NOTHING = SetPoint(None)
+"""It asks for nothing and leaves all as it is."""
