@@ -166,7 +166,7 @@ class Connected:
                 try:
                     await self.disarm(timeout=timeout / 3)
                 except (Rejected, Timeout):
-                    await self.kill(timeout=timeout / 3)
+                    await self.kill(timeout=timeout / 2)
             if self.lease.wanted:
                 with suppress(Timeout, LinkLost):  # it ends by itself
                     await self.lease.give_up(timeout / 3)
@@ -215,17 +215,21 @@ class Connected:
         deadline = self._deadline(timeout, "killing")
         self.setpoints.stop()
         number = number_of("COMPONENT_ARM_DISARM")
-        beats, attempt = self.watcher.heartbeats, 0
+        beats, attempt, acknowledged = self.watcher.heartbeats, 0, False
         with self.session.listen("HEARTBEAT", "COMMAND_ACK") as heard:
             while True:
                 self.session.send_anyway(self.commands.long(number, [0.0, _FORCE], attempt))
                 attempt += 1
                 until = min(deadline.end, self.session.now + _KILL_RETRY_S)
                 while (got := await heard.next(until, though_lost=True)) is not None:
-                    accepted = got.get_type() == "COMMAND_ACK" and (got.command, got.result) == (number, 0)
-                    if accepted or (self.watcher.heartbeats > beats and not self.state.armed):
+                    acknowledged |= got.get_type() == "COMMAND_ACK" and (got.command, got.result) == (number, ACCEPTED)
+                    seen = self.watcher.heartbeats > beats and not self.state.armed
+                    if seen or (acknowledged and self.session.lockstep):  # there nothing turns while time stands
                         return
-                    deadline.check()
+                    if deadline.left <= 0.0:
+                        break
+                if acknowledged and deadline.left <= 0.0:
+                    return
                 if deadline.left <= 0.0:
                     self.session.check(deadline.end)
                     raise deadline.error()
