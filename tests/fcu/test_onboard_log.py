@@ -144,6 +144,25 @@ def test_time_that_begins_anew_begins_a_new_log(tmp_path: Path) -> None:
     assert ticks_of(logged(tmp_path, steps)) == [(0, 699), (0, 299)]
 
 
+def test_each_run_has_its_own_seed_however_late_it_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    late, take = threading.Event(), LogWriter.rows
+
+    def held(writer: LogWriter, rows: np.ndarray) -> None:
+        late.wait(30.0)
+        take(writer, rows)
+
+    monkeypatch.setattr(LogWriter, "rows", held)
+    run = {"seed": 0}
+    with OnboardLog(tmp_path, Store(values=ALWAYS), lockstep=True, info=lambda: dict(run)) as log:
+        for run["seed"] in range(3):
+            for tick in range(20):
+                log.step(plain_step(tick))
+        late.set()
+    found = [scan_ulog(one.path.read_bytes(), "log").info for one in log.logs()]
+    assert [info["seed"] for info in found] == [0, 1, 2]
+    assert {info["ver_hw"] for info in found} == {"TWODOF"}
+
+
 def test_on_request_it_logs_whatever_the_mode(tmp_path: Path) -> None:
     with OnboardLog(tmp_path, Store(values={"SDLOG_MODE": -1}), lockstep=True) as log:
         for tick in range(1000):
@@ -157,7 +176,7 @@ def test_on_request_it_logs_whatever_the_mode(tmp_path: Path) -> None:
 
 def test_changes_and_words_are_in_it_where_they_belong(tmp_path: Path) -> None:
     store = Store()
-    with OnboardLog(tmp_path, store, lockstep=True, info={"rig": "lab", "seed": 5}) as log:
+    with OnboardLog(tmp_path, store, lockstep=True, info=lambda: {"rig": "lab", "seed": 5}) as log:
         for tick in range(600):
             if tick == 50:
                 log.note("warning", "long before arming: gone")

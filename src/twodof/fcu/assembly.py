@@ -68,12 +68,7 @@ class Assembly:
         self._closing = ExitStack()
         self._closing.callback(self.store.close)
         if state is not None:
-            info: dict[str, str | int] = {
-                "rig": hardware.name,
-                "seed": hardware.seed,
-                "controller": self._what[1].controller,
-            }
-            self.log = OnboardLog(state / "logs", self.store, lockstep, info)
+            self.log = OnboardLog(state / "logs", self.store, lockstep, self._about)
             self._closing.callback(self.log.close)
             controller.listeners.append(self.log.step)
         self.px4 = PX4(
@@ -135,6 +130,12 @@ class Assembly:
         self._flies = values
         if changed:
             self.controller.set_parameters(changed)
+
+    def _about(self) -> dict[str, str | int]:
+        """What a log says of the flight."""
+        hardware = self.controller.hardware
+        about: dict[str, str | int] = {"rig": hardware.name, "seed": hardware.seed, "rings": int(hardware.rings)}
+        return about | {"controller": self._flown().controller}
 
     def _flown(self) -> Flown:
         code = self.controller.code

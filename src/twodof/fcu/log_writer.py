@@ -33,14 +33,15 @@ class LogWriter:
     """Writes rows of steps into the logs of `folder`, as `mode` (SDLOG_MODE) says; called from one thread.
 
     `info` and `parameters` stand at the beginning of each log. `failure` is why the last log ended or did not begin,
-    `missed` counts rows that were to be logged and are not.
+    `missed` counts rows that were to be logged and are in none.
     """
 
-    def __init__(self, folder: LogFolder, info: Mapping[str, str | int], parameters: Mapping[str, float]) -> None:
+    def __init__(self, folder: LogFolder, parameters: Mapping[str, float]) -> None:
         self.folder, self.mode, self.requested = folder, LOG_ARMED, False
         self.failure: TwodofError | None = None
         self.missed = 0
-        self._info, self._parameters = dict(info), dict(parameters)
+        self.info: Mapping[str, str | int] = {}
+        self._parameters = dict(parameters)
         self._writer: ULogWriter | None = None
         self._handed: deque[tuple[int, int]] = deque()  # records accepted so far, and the steps among the last of them
         self._before: Rows | None = None
@@ -158,7 +159,7 @@ class LogWriter:
         before, self._before = self._before, None
         first = rows if before is None else before
         start_us = int(first["timestamp"][0])
-        info: dict[str, str | int] = {**self._info, "time_ref_utc": 0, "start_utc": int(time.time())}
+        info: dict[str, str | int] = {**self.info, "time_ref_utc": 0, "start_utc": int(time.time())}
         try:
             self._writer = ULogWriter(
                 self.folder.next_path(), FORMATS, info, self._parameters, start_us=start_us, full="wait"

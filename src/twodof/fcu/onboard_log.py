@@ -5,10 +5,10 @@ from __future__ import annotations
 import struct
 import threading
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
-from types import TracebackType
+from types import MappingProxyType, TracebackType
 from typing import Self
 
 import numpy as np
@@ -30,6 +30,8 @@ LISTING_S = 10.0
 _PAUSE_S = 0.2
 _AT_ONCE = 4096
 
+ABOUT = MappingProxyType({"ver_hw": "TWODOF", "ver_sw": __version__, "sys_os_name": "Linux"})
+
 Note = tuple[str, str, object]
 """What stands between rows: kind, detail, value."""
 
@@ -39,7 +41,8 @@ class OnboardLog:
 
     `step` never waits in real time: while the disk is too slow rows are dropped and counted in `dropped`, with a mark
     in the log. In `lockstep` it waits for the disk instead, so that nothing is missing. Whatever the disk does, the
-    flight goes on: `failure` says why a log ended or did not begin. `info` stands in each log: rig, seed, diagram.
+    flight goes on: `failure` says why a log ended or did not begin. `info` gives what stands in a log besides (rig,
+    seed, controller); it is asked when time begins and at each arming.
     """
 
     def __init__(
@@ -47,19 +50,18 @@ class OnboardLog:
         folder: str | Path,
         store: Store,
         lockstep: bool = False,
-        info: Mapping[str, str | int] | None = None,
+        info: Callable[[], Mapping[str, str | int]] = dict,
         max_bytes: int = MAX_BYTES,
     ) -> None:
         """Raises LogError where there can be no folder."""
         self.folder = LogFolder(folder, max_bytes, int(store["SDLOG_DIRS_MAX"]))
         self.lockstep = lockstep
         self.dropped = 0
-        about: dict[str, str | int] = {"ver_hw": "TWODOF", "ver_sw": __version__, "sys_os_name": "Linux"}
-        self._writer = LogWriter(
-            self.folder, {**about, **(info or {})}, {row.name: store[row.name] for row in store.rows}
-        )
+        self._info = info
+        self._writer = LogWriter(self.folder, {row.name: store[row.name] for row in store.rows})
         self._writer.mode = int(store["SDLOG_MODE"])
         self._queue: deque[bytes | Note] = deque()
+        self._tick, self._armed = -1, False
         self._gap = (0, 0)  # rows dropped since the last one taken, tick of the first
         self._wake, self._room = threading.Event(), threading.Event()
         self._closed = False
@@ -87,6 +89,9 @@ class OnboardLog:
     def step(self, step: Step) -> None:
         """Takes a step; costs about a microsecond."""
         queue = self._queue
+        if step.tick <= self._tick or (step.armed and not self._armed) or self._tick < 0:
+            queue.append(("info", "", {**ABOUT, **self._info()}))
+        self._tick, self._armed = step.tick, step.armed
         if len(queue) >= LONGEST_QUEUE and not self._waited():
             self._drop(step.tick)
             return
@@ -224,6 +229,8 @@ class OnboardLog:
             writer.text(detail, str(value))
         elif kind == "parameters" and isinstance(value, dict):
             writer.parameters(value)
+        elif kind == "info" and isinstance(value, dict):
+            writer.info = value
         elif kind == "mode" and isinstance(value, int):
             writer.mode = value
         elif kind == "requested":
