@@ -78,7 +78,9 @@ def test_position(x: float, v: float) -> None:
 @given(theta=st.floats(-0.9, 0.9), v=st.floats(-2.0, 2.0), x=SANE, q=SANE)
 def test_odometrys_velocity_is_the_bodys(theta: float, v: float, x: float, q: float) -> None:
     got = told(331, theta=theta, v=v, x=x, q=q)
-    assert (got.frame_id, got.child_frame_id) == (1, 12)
+    assert (got.frame_id, got.child_frame_id, got.estimator_type) == (1, 12, 8)
+    assert (got.reset_counter, got.quality, got.y, got.z, got.vy) == (0, 0, 0.0, 0.0, 0.0)
+    assert got.time_usec == 4_000_000
     # Turned back into north-east-down it is v along north alone.
     assert got.vx * math.cos(theta) + got.vz * math.sin(theta) == pytest.approx(v, abs=1e-6)
     assert -got.vx * math.sin(theta) + got.vz * math.cos(theta) == pytest.approx(0.0, abs=1e-6)
@@ -134,7 +136,8 @@ def test_set_points_in_use(theta0: float, q0: float, T: float, mode: int) -> Non
     assert 2.0 * math.atan2(got.q[2], got.q[0]) == pytest.approx(theta0, abs=1e-6)
     assert equal(got.body_pitch_rate, q0)
     assert equal(got.thrust, abs(T))
-    assert bool(got.type_mask & 128) == (MODES[mode] in ("off", "open-loop", "rate"))
+    # ATTITUDE_TARGET_TYPEMASK: attitude, pitch rate.
+    assert got.type_mask == {"off": 128 | 2, "open-loop": 128 | 2, "rate": 128}.get(MODES[mode], 0)
 
 
 @given(x0=SANE, v0=SANE, ax0=SANE, mode=st.integers(0, len(MODES) - 1))
@@ -142,8 +145,10 @@ def test_positions_in_use(x0: float, v0: float, ax0: float, mode: int) -> None:
     got = told(85, x0=x0, v0=v0, ax0=ax0, mode=mode)
     assert (equal(got.x, x0), equal(got.vx, v0), equal(got.afx, ax0)) == (True, True, True)
     assert got.coordinate_frame == 1
-    flown = {"x": not got.type_mask & 1, "v": not got.type_mask & 8, "y": not got.type_mask & 2}
-    assert flown == {"x": MODES[mode] == "position", "v": MODES[mode] in ("velocity", "position"), "y": False}
+    # POSITION_TARGET_TYPEMASK: all that is ignored but for x, vx and ax.
+    ignored = 0b110111111111 & ~(0b001001001 if MODES[mode] == "position" else 8 if MODES[mode] == "velocity" else 0)
+    assert got.type_mask == ignored
+    assert (got.y, got.z, got.vy, got.vz, got.afy, got.afz, got.yaw, got.yaw_rate) == (0.0,) * 8
 
 
 @given(fore=NUMBERS, aft=NUMBERS, armed=st.booleans(), tick=st.integers(0, 2**32))
@@ -203,6 +208,14 @@ def test_health(causes: int) -> None:
     assert bool(got.onboard_control_sensors_health & 256) == (not causes & BIT["range_lost"])
 
 
+def test_the_heartbeat_is_a_quadrotors() -> None:
+    world = World()
+    world.commander.base_mode, world.commander.custom_mode, world.commander.system_status = 193, 6 << 16, 4
+    got = told(0, world)
+    assert (got.type, got.autopilot, got.mavlink_version) == (2, 12, 3)
+    assert (got.base_mode, got.custom_mode, got.system_status) == (193, 6 << 16, 4)
+
+
 def test_load_is_the_part_of_a_period_that_a_step_takes() -> None:
     world = World()
     world.controller.timing.step_mean = 1000.0
@@ -240,6 +253,18 @@ def test_timing_is_the_controllers() -> None:
 def test_nobody_holds_the_lease_at_first() -> None:
     got = told(54209)
     assert (got.holder_system, got.holder_component, got.duration_ms, got.action) == (0, 0, 0, 0)
+    assert (got.target_system, got.target_component) == (0, 0)
+
+
+@pytest.mark.parametrize("number", [54204, 54205, 54206, 54210, 54211, 2])
+def test_ticks_beyond_the_wires_range_wrap(number: int) -> None:
+    world = World(truth=lambda: (0.0, 0.0, 0.0, 0.0))
+    world.controller.tick = 2**32 + 5
+    got = told(number, world, tick=2**32 + 5, dist_new=True)
+    if number == 2:
+        assert got.time_boot_ms == 20
+    else:
+        assert (got.step if number == 54205 else got.tick) == 5
 
 
 def test_the_cause_that_decides_asks_for_the_strongest_action() -> None:

@@ -102,6 +102,19 @@ def test_one_that_is_missing_refuses_all_and_may_be_tried_anew() -> None:
     assert transact(world, COMMIT, number=2, count=3).result == NO_ERROR
 
 
+def test_a_commit_may_overtake_what_belongs_to_it() -> None:
+    world = World()
+    before = dict(world.store)
+    transact(world, BEGIN)
+    put(world, "RATE_KP", 0.0625)
+    put(world, "RATE_KI", 0.25)
+    assert transact(world, COMMIT, count=3).result == READ_FAIL
+    put(world, "ATT_KP", 8.0)  # comes late, and does not act alone
+    assert dict(world.store) == before
+    assert transact(world, COMMIT, count=3).result == NO_ERROR
+    assert {name: world.store[name] for name in GOOD} == GOOD
+
+
 def test_a_commit_that_comes_again_is_answered_again_and_not_done_again() -> None:
     world = World()
     transact(world, BEGIN)

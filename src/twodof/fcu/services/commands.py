@@ -42,7 +42,7 @@ class Commands:
     """Dispatches commands to those that registered for them, and acknowledges every one.
 
     One that is repeated (`Repetitions`) gets the answer of the first and is not carried out again. Each of
-    `carried_out` is called after each command.
+    `carried_out` is called after each command, `explained` with MAV_SEVERITY and text of each refusal in words.
     """
 
     def __init__(self, link: Link, us: Us, lockstep: bool = False) -> None:
@@ -57,6 +57,7 @@ class Commands:
         self._tick = 0
         self.refused = 0
         self.carried_out: list[Callable[[], None]] = []
+        self.explained: list[Callable[[int, str], None]] = []
 
     def on(self, number: int, handler: Handler, poll: Callable[[], Verdict] | None = None, slow: bool = False) -> None:
         """Registers who carries out the command `number` (a MAV_CMD).
@@ -121,6 +122,8 @@ class Commands:
     def explain(self, peer: Hashable, why: str) -> None:
         """Tells a peer in words why something was refused."""
         self.refused += 1
+        for call in self.explained if why else ():
+            call(WARNING, why)
         for piece in statustext(why, WARNING, self.refused % 0xFFFF + 1) if why else ():
             self._link.send(piece, peer)
 

@@ -53,7 +53,8 @@ class Transactions:
     """Stands before `parameters` and keeps back what belongs to a transaction.
 
     Each sender has at most one open. A message that comes again, with the number of what was done already, gets the
-    same answer and does nothing.
+    same answer and does nothing. A COMMIT that overtakes some of its PARAM_SETs leaves the transaction open for them,
+    and is to be said again.
     """
 
     def __init__(
@@ -124,9 +125,11 @@ class Transactions:
         elif key in self._answered:
             answer = self._answered[key]
         else:
-            answer = self._answered[key] = self._end(received, sender)
-            if len(self._answered) > MOST_ANSWERS:
-                self._answered.popitem(last=False)
+            answer = self._end(received, sender)
+            if answer.result != READ_FAIL:  # what is still under way may come yet
+                self._answered[key] = answer
+                if len(self._answered) > MOST_ANSWERS:
+                    self._answered.popitem(last=False)
             self._commands.explain(received.peer, answer.why)
         name = answer.name.encode()[:16]
         self._link.send(self._pack(got.transaction, answer.have, 0, 0, got.action, answer.result, name), received.peer)
@@ -138,18 +141,19 @@ class Transactions:
         transaction = self._open.get(sender)
         if transaction is None or transaction.number != got.transaction:
             return Answer(READ_FAIL, why=f"there is no open transaction {got.transaction}")
-        del self._open[sender]
         if got.action == ROLL_BACK:
+            del self._open[sender]
             return Answer(NO_ERROR, transaction.count)
         return self._commit(transaction, sender, got.count)
 
     def _commit(self, transaction: Transaction, sender: Source, count: int) -> Answer:
         have = transaction.count
+        if transaction.fault is None and have != count:
+            return Answer(READ_FAIL, have, why=f"{have} of {count} parameters have come; nothing was changed yet")
+        del self._open[sender]
         if transaction.fault is not None:
             error, name = transaction.fault
             return Answer(error, have, name, f"{name}: no such parameter, or of another type; nothing was changed")
-        if have != count:
-            return Answer(READ_FAIL, have, why=f"{have} of {count} parameters have come; nothing was changed")
         error, name, why = self._parameters.change(transaction.values, sender)
         return Answer(error, have, name, why)
 
