@@ -86,6 +86,7 @@ class Assembly:
         )
         if self.log is not None:
             self.px4.remarks.listeners.append(self.log.remark)
+            self.px4.commands.explained.append(self.log.remark)
         self.reload = Reload(self.px4.commands, controller, commander, controllers)
         server.serve(self._services(controller, commander))
         controller.remarks = commander.remarks
