@@ -8,7 +8,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.fcc.ends import Sink
-from twodof.fcc.line import AHEAD_S, MOST_BACKLOG_BYTES, MOST_QUEUED_BYTES, QUANTUM, STALE_S, Line
+from twodof.fcc.line import (
+    AHEAD_S,
+    MOST_BACKLOG_BYTES,
+    MOST_QUEUED_BYTES,
+    NETWORK_FRAME,
+    NETWORK_RATE,
+    QUANTUM,
+    STALE_S,
+    Line,
+)
 from twodof.link.framing import LONGEST_FRAME
 from twodof.link.transport import Transport
 
@@ -69,6 +78,19 @@ def test_a_line_is_given_no_more_than_it_carries() -> None:
         carried = sum(map(len, sink.sent))
         assert carried <= RATE * (end - 10.0 + AHEAD_S) + LONGEST_FRAME
         assert carried >= RATE * (end - 10.0) * 0.95  # and no less: the rest is a timer's rounding
+
+
+def test_a_flood_of_small_frames_leaves_the_flight_controller_time_to_fly() -> None:
+    sink = Sink()
+    line = Line(NETWORK_RATE, NETWORK_FRAME)
+    line.connect(cast(Transport, sink))
+    now = 10.0
+    while now < 11.0:
+        for _ in range(100):  # 100 000 a second
+            line.offer("flooder", b"f" * 21, now)
+        run(line, now, now + 0.001)
+        now += 0.001
+    assert len(sink.sent) == pytest.approx(NETWORK_RATE / (21 + NETWORK_FRAME), rel=0.02)  # the first 10 ms go ahead
 
 
 @pytest.mark.parametrize("flooders", [1, 3])

@@ -10,7 +10,7 @@ from twodof.errors import LinkError, LinkLost
 from twodof.fcc.client import SILENT_S, Client
 from twodof.fcc.component import Component
 from twodof.fcc.computer import Computer, Traffic
-from twodof.fcc.line import BITS_A_BYTE, Line
+from twodof.fcc.line import BITS_A_BYTE, NETWORK_FRAME, NETWORK_RATE, Line
 from twodof.fcc.rates import profile
 from twodof.fcc.router import Router
 from twodof.link.framing import Frame, Parser
@@ -89,7 +89,8 @@ class Companion:
     """Routes between the flight controller at `vehicle` (a URL) and clients at `serve`; a context manager.
 
     `system` is the vehicle's system id (1 to 255), `signing` what its own messages are signed with. `line_rate`
-    [byte/s] bounds what is sent to the flight controller; for a serial line it is what its baud rate carries.
+    [byte/s] bounds what is sent to the flight controller: unless said, what a serial line's baud rate carries, and
+    1 Mbyte/s over a network. In memory nothing is bounded.
     Raises LinkError where a client's link cannot be opened; the flight controller may come later.
     """
 
@@ -102,11 +103,12 @@ class Companion:
         line_rate: float | None = None,
     ) -> None:
         address = parse(vehicle)
-        if address.kind == "serial" and line_rate is None:
-            line_rate = address.baud / BITS_A_BYTE
+        overhead = 0 if address.kind == "serial" else NETWORK_FRAME
+        if line_rate is None and address.kind not in ("mem", "memin"):
+            line_rate = address.baud / BITS_A_BYTE if address.kind == "serial" else NETWORK_RATE
         self.vehicle = vehicle
         self.serve = tuple(serve)
-        self.line = Line(line_rate)
+        self.line = Line(line_rate, overhead)
         self.lost = 0
         self._signing = signing
         self._system = system

@@ -22,6 +22,10 @@ AHEAD_S = 0.01
 MOST_BACKLOG_BYTES = 32 << 10
 POLL_S = 0.002
 BITS_A_BYTE = 10  # start, eight, stop
+# A network carries more than the flight controller can read beside flying, so that a flood of small frames is bounded
+# too: each counts as in TCP over IP. Lockstep at a hundred times real time stays below it.
+NETWORK_RATE = 1e6
+NETWORK_FRAME = 40
 
 
 @dataclass(slots=True)
@@ -44,12 +48,16 @@ class _Queue:
 
 
 class Line:
-    """Toward the flight controller. `rate` is what it carries [byte/s], None for as much as the system takes."""
+    """Toward the flight controller. `rate` is what it carries [byte/s], None for as much as the system takes.
 
-    def __init__(self, rate: float | None = None) -> None:
+    `overhead` is what a frame takes of it besides its own bytes.
+    """
+
+    def __init__(self, rate: float | None = None, overhead: int = 0) -> None:
         self.counts = LineCounts()
         self.transport: Transport | None = None
         self.rate = rate
+        self.overhead = overhead
         self._free_at = 0.0  # when the line will have sent what it was given
         self._urgent: dict[tuple[Hashable, Hashable], bytes] = {}
         self._queues: dict[Hashable, _Queue] = {}  # those that have something, in the order of their turns
@@ -138,7 +146,7 @@ class Line:
             self.counts.cut += 1
             return False
         if self.rate is not None:
-            self._free_at = max(self._free_at, now) + len(raw) / self.rate
+            self._free_at = max(self._free_at, now) + (len(raw) + self.overhead) / self.rate
         self.counts.sent += 1
         self.counts.bytes += len(raw)
         return True
