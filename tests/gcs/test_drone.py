@@ -1,5 +1,6 @@
 """Drone, the synchronous face, with a virtual drone over TCP: verbs, recordings, leaving, whatever ends a script."""
 
+import errno
 import os
 import signal
 import subprocess
@@ -14,9 +15,9 @@ import numpy as np
 import pytest
 
 from tests.gcs.virtual import OnBoard, on_board
-from twodof.errors import LinkLost, LogError, ParameterError, Rejected
+from twodof.errors import LinkLost, LogError, ParameterError, RecordingError, Rejected
 from twodof.excitation import Doublet, Impulse
-from twodof.flightlog import read_log, write_log
+from twodof.flightlog import read_log, recover, write_log
 from twodof.gcs.drone import Drone
 from twodof.signals import TOPICS
 
@@ -129,6 +130,32 @@ def test_a_recording_never_replaces_a_file_and_names_what_there_is_not(there: On
         with pytest.raises(LogError, match="no such signal"), drone.record(tmp_path / "b.mcap", ["nothing"]):
             pass
     assert (tmp_path / "a.mcap").read_text() == "mine"
+
+
+def test_a_disk_that_is_full_ends_the_recording_and_not_the_flight(
+    there: OnBoard, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> int:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    def record(drone: Drone) -> None:
+        with drone.record(tmp_path / "flight.mcap") as recording:
+            drone.run(1.0)
+            recording.recorder.flush()
+            monkeypatch.setattr("twodof.flightlog.spool.os.write", full)
+            drone.run(2.0)
+            with pytest.raises(RecordingError):
+                recording.recorder.flush()
+            drone.run(1.0)
+            assert recording.failure is not None
+            assert drone.tick == 1000
+
+    with Drone.connect(there.url) as drone:
+        with pytest.raises(RecordingError, match="No space left"):
+            record(drone)
+        monkeypatch.undo()
+        drone.arm()
+    assert recover(tmp_path / "flight.mcap").samples > 200 * 15  # what was acknowledged, of the first second's topics
 
 
 def test_rows_come_at_every_tick(there: OnBoard) -> None:

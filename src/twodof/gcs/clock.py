@@ -20,7 +20,7 @@ SLOWEST = 1.5
 # Lockstep: real time that may go by, apart from and for each second of the drone's; its time that goes by in a slice.
 SLICE_WALL_S = 5.0
 SLOWEST_LOCKSTEP = 10.0
-SLICE_TICKS = 25
+SLICE_TICKS = 125
 SETPOINT_TICKS = 5
 
 

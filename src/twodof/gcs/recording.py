@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.errors import LinkLost, LogError, Rejected, Timeout
+from twodof.errors import LinkLost, LogError, RecordingError, Rejected, Timeout
 from twodof.flightlog.mcap_stream import Stream
 from twodof.flightlog.recorder import Recorder
 from twodof.flightlog.spool import Acknowledged
@@ -36,6 +36,7 @@ LEAVING_S = 1.0
 # Batches that are written together: 64 of all channels are half a second.
 TOGETHER = 64
 _EVENTS = "openloop"
+_LATEST_US = 1 << 52
 TICK_US = 4000
 BATTERY_TICKS = 125
 """The battery's topics come at 2 Hz."""
@@ -75,6 +76,11 @@ class Recording:
         return self.recorder.dropped
 
     @property
+    def failure(self) -> RecordingError | None:
+        """Why nothing more is recorded, None while all is well; raised at the end too."""
+        return self.recorder.failure
+
+    @property
     def lost(self) -> int:
         """Rows that are missing between the first tick and the last that came."""
         return self._last - self._first + 1 - self._rows if self._rows else 0
@@ -85,7 +91,7 @@ class Recording:
         return [column for row in self.onboard for column in row.columns]
 
     def take(self, got: Any) -> None:
-        """A TWODOF_BATCH. Raises RecordingError once the disk has refused."""
+        """A TWODOF_BATCH."""
         self._waiting.append(got)
         if len(self._waiting) >= TOGETHER:
             self.write()
@@ -126,23 +132,29 @@ class Recording:
             if row.name.startswith("battery."):
                 there &= ticks % BATTERY_TICKS == 0
             if there.any():
-                self.recorder.write_many(row.name, stamps(row.mat, ticks[there]), some[there])
+                self._put(row.name, stamps(row.mat, ticks[there]), some[there])
         if self._with_events and all(name in columns for name in _Open.COLUMNS):
             at, rows = self._open.messages(ticks, *(values[:, columns[name]] for name in _Open.COLUMNS))
             if len(at):
-                self.recorder.write_many(_EVENTS, stamps("lmnf", at), rows)
+                self._put(_EVENTS, stamps("lmnf", at), rows)
 
     def safety(self, got: Any) -> None:
         """A TWODOF_SAFETY."""
-        values = (float(got.action), float(got.reason), float(got.flags))
-        self.recorder.write(SAFETY.topic, int(stamps("", np.array([got.tick]))[0]), values)
+        values = np.array([[got.action, got.reason, got.flags]], dtype=np.float64)
+        self._put(SAFETY.topic, stamps("", np.array([got.tick], dtype=np.int64)), values)
 
     def truth(self, got: Any) -> None:
         """A TWODOF_TRUTH."""
-        time = round(BOOT * 1e9) + got.time_usec * 1000
+        time = np.array([round(BOOT * 1e9) + min(got.time_usec, _LATEST_US) * 1000], dtype=np.int64)
         for row in self.topics:
             if not row.onboard:
-                self.recorder.write(row.name, time, getattr(got, row.name.split(".")[1]))
+                self._put(row.name, time, np.array([getattr(got, row.name.split(".")[1])]))
+
+    def _put(self, topic: str, times: NDArray[np.int64], values: NDArray[np.float64]) -> None:
+        """Hand samples on; once the disk has refused they are left out, and `finish` says so. The flight goes on."""
+        if self.recorder.failure is None:
+            with suppress(RecordingError):
+                self.recorder.write_many(topic, times, values)
 
     def said(self, tick: int, line: Text) -> None:
         """A line in words."""

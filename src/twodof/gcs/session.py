@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 from itertools import count
 from typing import Any, TypeVar
 
-from twodof.errors import LinkLost
+from twodof.errors import LinkLost, TwodofError
 from twodof.gcs.deadline import Deadline
 from twodof.link.connection import Connection, Received
 from twodof.link.messages import message
@@ -244,7 +244,7 @@ class Session:
         for handler in self._handlers.get(name, ()):
             try:
                 handler(got)
-            except (ArithmeticError, LookupError, TypeError, ValueError) as fault:
+            except (ArithmeticError, LookupError, TypeError, ValueError, TwodofError) as fault:
                 # A peer may put anything into a field: its message is not taken, and the session goes on.
                 self.faults += 1
                 self._loop.call_exception_handler({"message": f"a {name} was not taken", "exception": fault})

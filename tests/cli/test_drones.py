@@ -1,0 +1,38 @@
+"""`twodof drones`: what is heard is listed, for people and for machines; that nobody is there is no error."""
+
+import json
+
+import pytest
+
+from tests.gcs.virtual import on_board
+from twodof.cli import drones
+from twodof.cli.app import run
+from twodof.gcs.discovery import Found, discover
+
+
+@pytest.fixture
+def only(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Places that are looked at, instead of the ports that somebody else may use while this test runs."""
+    places: list[str] = []
+
+    async def look(timeout: float, hosts: list[str]) -> list[Found]:
+        return await discover(timeout, hosts, places=places)
+
+    monkeypatch.setattr(drones, "discover", look)
+    return places
+
+
+def test_a_drone_is_listed(only: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with on_board(index=8) as there:
+        only.append(there.url)
+        assert run(["drones", "--timeout", "0.5", "--json"]) == 0
+        (row,) = json.loads(capsys.readouterr().out)
+        assert (row["system"], row["url"], row["mode"], row["armed"]) == (9, there.url, "manual", False)
+        assert run(["drones", "--timeout", "0.5"]) == 0
+        assert there.url in capsys.readouterr().out
+
+
+def test_nobody_is_there(only: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    only.append("mem://nobody")
+    assert run(["drones", "--timeout", "0.1"]) == 0
+    assert "no drone was heard within 0.1 s" in capsys.readouterr().out
