@@ -104,6 +104,15 @@ def test_arming_is_refused_while_sticks_ask_for_something(mode: int) -> None:
     assert cockpit.arm().accepted == (mode != modes.POSITION)  # which holds it even with the stick centred
 
 
+def test_what_sticks_asked_for_in_another_mode_does_not_keep_from_arming() -> None:
+    cockpit = Cockpit()
+    cockpit.run(2)
+    cockpit.commander.set_mode(ME, modes.ATTITUDE)
+    cockpit.commander.sticks(ME, 0.1, 0.4)
+    cockpit.commander.set_mode(ME, modes.MANUAL)
+    assert cockpit.arm().accepted
+
+
 def test_in_offboard_what_is_streamed_flies_from_the_tick_after_it_has_armed() -> None:
     """The order that PX4 documents: stream, offboard, arm. In the tick in which it arms nothing is asked for yet."""
     cockpit = Cockpit()
@@ -512,6 +521,15 @@ def test_a_restart_forgets_all_but_the_lease() -> None:
     assert (commander.custom_mode, commander.armed, commander.step) == (modes.MANUAL, False, None)
     assert commander.asked(0) == Asked()
     assert commander.open_loop(OTHER, 0.1, 0.1, True, True, True).result == TEMPORARILY_REJECTED
+
+
+def test_a_restart_is_a_change_of_the_open_loop_in_use() -> None:
+    cockpit = armed()
+    cockpit.commander.open_loop(ME, 0.1, 0.1, True, True, True)
+    seen = {cockpit.commander.openloop.revision}
+    cockpit.commander.restart()
+    assert cockpit.commander.openloop.revision not in seen
+    assert not cockpit.commander.openloop.openloop
 
 
 def test_the_same_tuple_is_given_while_nothing_changes() -> None:
