@@ -20,8 +20,8 @@ END_S = 20.0
 
 @contextmanager
 def drone_process(folder: Path, rig: str, *options: str) -> Iterator[tuple[Running, str]]:
-    """`twodof fcu --lockstep` that keeps its state in `folder`, and its URL."""
-    arguments = ("fcu", "--lockstep", "--rig", rig, "--listen", "tcpin://127.0.0.1:0", "--state", str(folder), *options)
+    """`twodof fcu` with `options` that keeps its state in `folder`, and its URL."""
+    arguments = ("fcu", "--rig", rig, "--listen", "tcpin://127.0.0.1:0", "--state", str(folder), *options)
     with running(*arguments, urls=1, folder=folder) as program:
         yield program, program.urls[0].replace("tcpin", "tcp")
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 import functools
 import os
 import signal
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,7 @@ from twodof.experiment.fly import fly
 from twodof.experiment.protocol import EXPERIMENTS, Experiment, experiment
 from twodof.experiment.received import COLUMNS, NAMES, Samples
 from twodof.experiment.script import Script, script
+from twodof.flight.core import PERIOD
 from twodof.flightlog.log import FlightLog
 from twodof.flightlog.ulog_decoder import scan_ulog
 from twodof.gcs.drone import Drone
@@ -73,9 +74,14 @@ class Both:
     laboratory: Laboratory
 
 
-def make_lab(folder: Path, rig: str, precision: str) -> Iterator[Lab]:
-    laboratory = Laboratory(rig, precision=precision, failsafe=True)
-    with drone_process(folder, rig, "--precision", precision) as (_, url), Drone.connect(url) as drone:
+def make_lab(
+    folder: Path, rig: str, precision: str, controllers: Sequence[str] = (), options: Sequence[str] = ()
+) -> Iterator[Lab]:
+    laboratory = Laboratory(rig, precision=precision, controllers=controllers, failsafe=True)
+    with (
+        drone_process(folder, rig, "--lockstep", "--precision", precision, *options) as (_, url),
+        Drone.connect(url) as drone,
+    ):
         drone.parameters["SDLOG_MODE"] = 2  # log from the first tick on
         yield Lab(drone, laboratory, folder)
 
@@ -178,6 +184,71 @@ def test_every_experiment_on_both_rigs_in_both_precisions(tmp_path: Path, rig: s
             assert_rounded(found.flight.log, lab.laboratory.fly(name, SEED).log)
 
 
+@pytest.mark.soak
+@pytest.mark.parametrize("starters", [("lqr-attitude",), ("pid-attitude", "pid-position"), ("direct-motor",)])
+@pytest.mark.parametrize("trusted", [True, False])
+def test_so_do_controllers_of_ones_own(tmp_path: Path, starters: tuple[str, ...], trusted: bool) -> None:
+    """In a sandbox too, but for the rate set-point that is shown before and after the flight: it is the stock one's."""
+    options = [option for name in starters for option in ("--controller", name)] + (["--trust"] if trusted else [])
+    for lab in make_lab(tmp_path, "lab", "float64", starters, options):
+        for name in ("velocity-doublet", "attitude-steps"):
+            found = both(lab, name)
+            assert found.flight.good, (name, found.flight.checks)
+            different = differing(found.on_board, found.plan, found.simulated)
+            standing = found.plan.steps - int(found.plan.arm.sum())
+            assert different == {} or (not trusted and different.keys() == {"q0"} and different["q0"] <= standing)
+
+
+@pytest.mark.soak
+def test_in_real_time_the_same_experiments_give_good_data(tmp_path: Path) -> None:
+    with drone_process(tmp_path, "lab") as (_, url), Drone.connect(url) as drone:
+        for name in ("attitude-steps", "velocity-doublet"):
+            flight = fly(name, drone, seed=SEED)
+            assert flight.good, flight.checks
+            plan = script(flight.experiment, flight.x_start)
+            # The excitation begins at its tick; what is commanded from the ground before is late by the way there.
+            played = flight.experiment.excitation.at(np.arange(plan.end - plan.begin) * PERIOD)
+            theta0 = flight.log["theta0"].value[plan.begin : plan.end]
+            np.testing.assert_array_equal(theta0, played.astype(np.float32))
+
+
+# A real drone has no reset and no seed, and its rings are set by hand.
+
+
+def real(drone: VirtualDrone) -> None:
+    """From now on it says that it is none of the virtual ones."""
+    drone.rig.virtual = False
+
+
+def test_a_real_drone_flies_to_its_start_during_the_hold() -> None:
+    with drone_thread(real) as url, Drone.connect(url) as drone:
+        drone.run(1.0)  # its time began before we came
+        flight = fly("velocity-doublets", drone, seed=7)
+        assert flight.good, flight.checks
+        assert flight.seed == 0
+        assert flight.x_start < -0.1
+        x = flight.log["x"].value
+        begin = script(flight.experiment).begin
+        assert abs(x[0]) < 0.01
+        assert abs(x[round(0.4 * begin)] - flight.x_start) < 0.05  # x comes at 100 Hz
+        assert flight.log.provenance["flown"]["virtual"] is False
+
+
+def test_a_real_drone_that_is_not_where_it_is_to_begin_is_not_excited() -> None:
+    with drone_thread(real) as url, Drone.connect(url) as drone:
+        flight = fly(experiment("velocity-doublets", hold=0.3), drone)
+        assert_failed(flight, "it does not hold its place: the cart is at")
+        assert not np.any(flight.log["v0"].value[-1:])
+        assert not drone.state.armed
+
+
+def test_rings_that_are_set_wrongly_are_found_before_anything_moves() -> None:
+    with drone_thread(real) as url, Drone.connect(url) as drone:
+        with pytest.raises(ExperimentError, match="the cart is free"):
+            fly("doublet", drone)
+        assert drone.tick == 0
+
+
 # What goes wrong in flight is data: a result with a reason, and the drone is disarmed.
 
 
@@ -239,7 +310,7 @@ def test_a_link_that_dies_in_the_middle_leaves_what_had_come(tmp_path: Path) -> 
 
 
 def fly_until_killed(folder: Path, flights: list[Flight]) -> None:
-    with drone_process(folder, "lab") as (program, url):
+    with drone_process(folder, "lab", "--lockstep") as (program, url):
         drone = Drone.connect(url)
 
         def pull(text: str, share: float) -> None:

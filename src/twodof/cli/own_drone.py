@@ -6,10 +6,12 @@ import re
 import selectors
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from tempfile import TemporaryDirectory
+from typing import IO
 
 from twodof.errors import LinkError
 
@@ -53,19 +55,26 @@ def _started(rig: str, folder: str, options: Sequence[str]) -> Iterator[subproce
 
 def _listening(process: subprocess.Popen[bytes], rig: str) -> str:
     """Where it listens, once it does."""
-    said, end = b"", time.monotonic() + START_S
+    pipe, said, end = process.stdout, b"", time.monotonic() + START_S
+    if pipe is None:
+        raise LinkError("the flight controller has no output", f"rig {rig}", "report this")
     with selectors.DefaultSelector() as selector:
-        if process.stdout is not None:
-            selector.register(process.stdout, selectors.EVENT_READ)
-        while process.stdout is not None and selector.select(max(0.0, end - time.monotonic())):
-            piece = process.stdout.read(4096)
-            if not piece:
-                break
+        selector.register(pipe, selectors.EVENT_READ)
+        while selector.select(max(0.0, end - time.monotonic())) and (piece := pipe.read(4096)):
             said = (said + piece)[-_MOST_SAID:]
             if found := _LISTENING.search(said):
+                # A pipe that nobody reads holds up who writes.
+                threading.Thread(target=_drain, args=(pipe,), daemon=True).start()
                 return "tcp" + found[1].decode()
+    pipe.close()
     text = " ".join(said.decode(errors="replace").split()) or "it said nothing"
     raise LinkError(f"the flight controller did not come up: {text}", f"rig {rig}", "see what it says")
+
+
+def _drain(pipe: IO[bytes]) -> None:
+    with pipe:
+        while pipe.read(4096):
+            pass
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
@@ -75,6 +84,5 @@ def _end(process: subprocess.Popen[bytes]) -> None:
     except subprocess.TimeoutExpired:
         process.kill()
         process.wait()
-    for pipe in (process.stdin, process.stdout):
-        if pipe is not None:
-            pipe.close()
+    if process.stdin is not None:
+        process.stdin.close()

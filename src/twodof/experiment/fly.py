@@ -153,8 +153,7 @@ class _Course:
 
     def fly(self) -> str:
         """Flies the script; returns why it ended before its end, "" if it did not."""
-        if not self.drone.state.rig.lockstep:
-            self.first = self.drone.tick + START
+        self.first = self.drone.tick if self.drone.state.rig.lockstep else self.drone.tick + START
         try:
             reason = self._follow()
         except (Rejected, Timeout, LinkLost) as error:
