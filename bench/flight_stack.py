@@ -138,10 +138,10 @@ def lockstep(seconds: float) -> list[Figure]:
 
 
 def run(quick: bool) -> list[Figure]:
-    """All figures of the flight stack; `quick` takes short times and two drones."""
+    """All figures of the flight stack; `quick` takes short times and one drone."""
     return [
         *latency.run(quick),
         *recording(1.0 if quick else 60.0),
-        *many(3.0 if quick else 20.0, 2 if quick else DRONES),
+        *many(2.5 if quick else 20.0, 1 if quick else DRONES),
         *lockstep(2.0 if quick else 60.0),
     ]
