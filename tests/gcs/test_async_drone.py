@@ -162,3 +162,31 @@ def test_waiting_for_a_condition_ends_with_it_or_at_the_timeout() -> None:
 
     fly(flight)
     fly(flight, Peer(lockstep=True))
+
+
+def test_leaving_disarms_what_was_armed_unseen() -> None:
+    """A script that is interrupted while it arms: the drone is armed, and its heartbeat has not come."""
+
+    async def flight(peer: Peer, drone: AsyncDrone) -> None:
+        peer.spoil = lambda _, sent: [] if sent.get_type() in ("HEARTBEAT", "COMMAND_ACK") else [sent]
+        arming = asyncio.ensure_future(drone.arm(timeout=5.0))
+        await asyncio.sleep(0.1)
+        assert peer.armed
+        assert not drone.state.armed
+        arming.cancel()
+        peer.spoil = lambda _, sent: [sent]
+
+    peer = fly(flight)
+    assert not peer.armed
+
+
+def test_leaving_stops_a_drone_that_hears_but_is_not_heard() -> None:
+    async def flight(peer: Peer, drone: AsyncDrone) -> None:
+        await drone.arm()
+        peer.spoil = lambda *_: []
+        await drone.run(10.0)
+
+    peer = Peer()
+    with pytest.raises(LinkLost):
+        fly(flight, peer)
+    assert not peer.armed

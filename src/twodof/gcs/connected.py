@@ -64,6 +64,7 @@ class Connected:
         self.commands.on_progress = self._one_tick
         self._last_thrust: float | None = None
         self.ours = False  # one of ours, not somebody else's PX4
+        self._may_be_armed = False  # by us: asked for, seen or not
         self._closed = False
 
     @classmethod
@@ -162,10 +163,10 @@ class Connected:
         self._closed = True
         self.setpoints.stop()
         try:
-            if self.commanding and self.state.armed:
+            if self.commanding and (self.state.armed or self._may_be_armed):
                 try:
                     await self.disarm(timeout=timeout / 3)
-                except (Rejected, Timeout):
+                except (Rejected, Timeout, LinkLost):  # what is silent may still hear
                     await self.kill(timeout=timeout / 2)
             if self.lease.wanted:
                 with suppress(Timeout, LinkLost):  # it ends by itself
@@ -206,6 +207,7 @@ class Connected:
         self._last_thrust = None
         await self.commands.run("COMPONENT_ARM_DISARM", [0.0], timeout, "disarming")
         await self._see(lambda: not self.state.armed, deadline)
+        self._may_be_armed = False
 
     async def kill(self, timeout: float = TIMEOUT_S) -> None:
         """Motors off, now, whoever has the lease and whatever it does; said again until it is seen.

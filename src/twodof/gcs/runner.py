@@ -40,13 +40,23 @@ class Runner:
             if self.alive:
                 raise RuntimeError("a callback cannot wait for the drone: set something that the script sees")
             raise LinkLost("the drone was closed", self._where, "connect again")
-        future = asyncio.run_coroutine_threadsafe(work, self._loop)
+        ended = threading.Event()
+
+        async def watched() -> T:
+            try:
+                return await work
+            finally:
+                ended.set()
+
+        future = asyncio.run_coroutine_threadsafe(watched(), self._loop)
         try:
             return future.result()
         except CancelledError:
             raise LinkLost("the drone was closed meanwhile", self._where, "connect again") from None
         except BaseException:
+            # Ctrl-C: what was under way puts its things in order before anything else is asked.
             future.cancel()
+            ended.wait(CLOSING_S)
             raise
 
     def call(self, work: Callable[[], T]) -> T:
