@@ -104,6 +104,24 @@ def test_arming_is_refused_while_sticks_ask_for_something(mode: int) -> None:
     assert cockpit.arm().accepted == (mode != modes.POSITION)  # which holds it even with the stick centred
 
 
+@pytest.mark.parametrize(("ago", "arms"), [(FRESH, False), (FRESH + 1, True)])
+def test_sticks_count_for_half_a_second(ago: int, arms: bool) -> None:
+    cockpit = Cockpit()
+    cockpit.run(2)
+    cockpit.commander.sticks(ME, 0.1, 0.4)
+    cockpit.run(ago)
+    assert cockpit.arm().accepted == arms
+
+
+def test_a_stream_with_thrust_that_goes_on_in_offboard_does_not_keep_from_arming() -> None:
+    cockpit = Cockpit()
+    cockpit.run(2)
+    cockpit.commander.setpoint(ME, LEVEL_FLIGHT)
+    cockpit.commander.set_mode(ME, modes.OFFBOARD)
+    cockpit.commander.setpoint(ME, LEVEL_FLIGHT)
+    assert cockpit.arm().accepted
+
+
 def test_what_sticks_asked_for_in_another_mode_does_not_keep_from_arming() -> None:
     cockpit = Cockpit()
     cockpit.run(2)

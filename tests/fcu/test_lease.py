@@ -146,7 +146,11 @@ def test_a_pilot_that_fell_silent_in_flight_is_not_replaced_by_who_only_listens(
     cockpit.talking = (OTHER,)
     linked = [cockpit.run().link_new for _ in range(2 * HEARD)]
     assert not any(linked[1:])  # the failsafe's timer runs out
+    cockpit.talking = ()
     cockpit.commander.ask_lease(OTHER, 10_000)
+    assert cockpit.run().link_new
+    assert not cockpit.run().link_new
+    cockpit.commander.set_mode(OTHER, modes.HOLD)
     assert cockpit.run().link_new
 
 

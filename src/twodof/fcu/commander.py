@@ -361,7 +361,6 @@ class Commander:
     def _changed(self, step: Step) -> None:
         """The failsafe's state is another one."""
         self._state = step.state
-        self._helm.changed = True
         if step.armed and step.action and self.player.playing:
             self.player.finish(STOPPED, f"{ACTIONS[step.action]}: {', '.join(named_causes(step.reason))}")
         if self._armed and not step.armed:
