@@ -22,7 +22,7 @@ class Deadline:
 
     def error(self, remedy: str = "ask again, or give it more time") -> Timeout:
         """What to raise once it has passed."""
-        return Timeout(f"{self.doing}: no answer within {self.seconds:g} s", self.where, remedy)
+        return Timeout(f"{self.doing}: no answer within {self.seconds:.3g} s", self.where, remedy)
 
     def check(self) -> None:
         """Raises Timeout once it has passed."""

@@ -120,7 +120,7 @@ class Session:
                     return
         which = "no drone" if system is None else f"no drone {system}"
         raise LinkLost(
-            f"{which} was heard within {timeout:g} s", self.url, "start it, correct the address, or try discover()"
+            f"{which} was heard within {timeout:.3g} s", self.url, "start it, correct the address, or try discover()"
         )
 
     def on(self, handler: Handler, *names: str) -> None:
