@@ -231,6 +231,23 @@ def test_rig_lease_and_open_loop_are_told_at_each_change() -> None:
     assert "TWODOF_OPENLOOP" not in {one.get_type() for one, _ in world.sent}
 
 
+@pytest.mark.parametrize("which", ["rig", "lease", "open loop"])
+def test_one_change_is_told_by_one_message(which: str) -> None:
+    world = World()
+    world.say(OURS)
+    world.run(2)
+    world.sent.clear()
+    if which == "rig":
+        world.controller.hardware.safety_off = False
+    elif which == "lease":
+        world.commander.lease = world.commander.lease._replace(holder=(250, 1))
+    else:
+        world.commander.openloop = world.commander.openloop._replace(revision=1)
+    world.run()
+    told = {one.get_type() for one, _ in world.sent if one.get_type().startswith("TWODOF")}
+    assert told == {"rig": {"TWODOF_RIG"}, "lease": {"TWODOF_LEASE"}, "open loop": {"TWODOF_OPENLOOP"}}[which]
+
+
 def test_a_silent_client_is_forgotten_and_a_closed_one_at_once() -> None:
     world = World()
     world.say(HELLO, "silent")

@@ -194,6 +194,12 @@ def test_battery(voltage: float, charge: float, causes: int) -> None:
     else:
         assert got.battery_remaining == -1
     assert (got.temperature, got.current_battery, got.current_consumed, got.energy_consumed) == (0x7FFF, -1, -1, -1)
+    assert (got.id, got.battery_function, got.type, got.mode, got.fault_bitmask) == (0, 1, 1, 0, 0)
+    assert (got.time_remaining, got.voltages_ext) == (0, [0] * 4)
+    assert (status.current_battery, status.drop_rate_comm, status.errors_comm) == (-1, 0, 0)
+    counts = (status.errors_count1, status.errors_count2, status.errors_count3, status.errors_count4)
+    more = (status.onboard_control_sensors_present_extended, status.onboard_control_sensors_enabled_extended)
+    assert (*counts, *more, status.onboard_control_sensors_health_extended) == (0,) * 7
     worse = 3 if causes & BIT["battery_critical"] else 2 if causes & BIT["battery_low"] else 1
     assert got.charge_state == worse
 
