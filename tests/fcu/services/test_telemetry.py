@@ -57,6 +57,7 @@ def test_the_quaternion_turns_level_into_the_pitch(theta: float, q: float) -> No
     # Pitch of a rotation matrix, Diebel 2006, eq. 290; single precision.
     assert math.asin(2.0 * (w * y - z * x)) == pytest.approx(theta, abs=1e-6)
     assert w * w + x * x + y * y + z * z == pytest.approx(1.0, abs=1e-6)
+    assert (x, z, got.rollspeed, got.yawspeed, got.repr_offset_q) == (0.0, 0.0, 0.0, 0.0, [0.0] * 4)
     assert equal(got.pitchspeed, q)
 
 
