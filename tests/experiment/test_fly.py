@@ -323,6 +323,35 @@ def fly_until_killed(folder: Path, flights: list[Flight]) -> None:
             drone.close()
 
 
+def test_a_kill_by_somebody_else_ends_the_flight() -> None:
+    with drone_thread() as url, Drone.connect(url) as drone, Drone.connect(url, system=251, take_lease=False) as other:
+        killed: list[float] = []
+
+        def kill(text: str, share: float) -> None:
+            if share > 0.5 and not killed:
+                killed.append(share)
+                other.kill()
+
+        flight = fly(short("attitude-steps"), drone, progress=kill)
+        assert killed
+        assert_failed(flight, "it was disarmed; it last said 'killed by system 251")
+        thrust = flight.log["T"].value
+        assert thrust[len(thrust) // 2] > 0.0
+        assert thrust[-1] == 0.0
+
+
+def test_ctrl_c_disarms() -> None:
+    def interrupt(text: str, share: float) -> None:
+        if share > 0.5:
+            raise KeyboardInterrupt
+
+    with drone_thread() as url, Drone.connect(url) as drone:
+        with pytest.raises(KeyboardInterrupt):
+            fly(short("attitude-steps"), drone, progress=interrupt)
+        assert not drone.state.armed
+        assert 0 < drone.tick < script(short("attitude-steps")).steps
+
+
 def test_lost_samples_are_gaps_in_the_log_and_fail_the_check_where_there_are_too_many() -> None:
     plan = script(experiment("attitude-steps"))
     values = np.zeros((plan.steps, len(COLUMNS)))

@@ -12,7 +12,7 @@ import typer
 from twodof.cli.output import Json, print_json, progress, table_console
 from twodof.cli.own_drone import own_drone
 from twodof.errors import LinkLost
-from twodof.experiment.flight import Flight
+from twodof.experiment.flight import Flight, Laboratory
 from twodof.experiment.fly import fly as fly_experiment
 from twodof.experiment.protocol import EXPERIMENTS
 from twodof.experiment.protocol import experiment as named_experiment
@@ -29,6 +29,10 @@ def fly(
     url: Annotated[str | None, typer.Option(help=f"Where the drone is, as `twodof up` says [{DEFAULT_URL}].")] = None,
     rig: Annotated[
         str | None, typer.Option(help="lab, paper, or a JSON file: fly a virtual drone of our own on this rig.")
+    ] = None,
+    controller: Annotated[
+        list[str] | None,
+        typer.Option(metavar="DIAGRAM", help="With --rig: fly this controller, in a sandbox; may be repeated."),
     ] = None,
     drone: Annotated[int | None, typer.Option(min=1, max=255, help="Its system, where several are heard.")] = None,
     key: Annotated[Path | None, typer.Option(help="File of the key that signs everything.")] = None,
@@ -47,11 +51,15 @@ def fly(
     asked = named_experiment(experiment)
     if url is not None and rig is not None:
         raise typer.BadParameter("--url and --rig name two drones: give one of them")
+    if controller and rig is None:
+        raise typer.BadParameter("--controller goes with --rig: another drone flies what it was given")
+    own = [option for name in controller or [] for option in ("--controller", name)]
     with ExitStack() as stack:
-        where = url or DEFAULT_URL if rig is None else stack.enter_context(own_drone(rig))
+        where = url or DEFAULT_URL if rig is None else stack.enter_context(own_drone(rig, *own))
         report = stack.enter_context(progress())
         there = stack.enter_context(connected(where, key, drone))
-        flight = fly_experiment(asked, there, seed=seed, x_start=start, progress=report)
+        laboratory = Laboratory(rig, controllers=controller) if rig is not None and controller else None
+        flight = fly_experiment(asked, there, seed=seed, x_start=start, laboratory=laboratory, progress=report)
         machine = there.state.rig
         if out is not None:
             write_log(flight.log, out)

@@ -71,6 +71,10 @@ def up(
     ] = 0,
     rig: Annotated[str, typer.Option(help="lab, paper, or a JSON file of rig parameters.")] = "lab",
     rings: Annotated[bool, typer.Option("--rings/--free", help="The rings lock the cart: pitch only.")] = False,
+    controller: Annotated[
+        list[str] | None,
+        typer.Option(metavar="DIAGRAM", help="Fly this controller, in a sandbox; may be repeated. See `twodof fcu`."),
+    ] = None,
     lockstep: Annotated[
         bool, typer.Option("--lockstep", help="Time stands still until a client grants it; else it runs as ours.")
     ] = False,
@@ -86,6 +90,7 @@ def up(
         raise typer.BadParameter(f"drones have the numbers 0 to {MOST_DRONES - 1}")
     places = [Place(index) for index in range(first, first + drones)]
     options = ["--rig", rig, *(["--rings"] if rings else []), *(["--lockstep"] if lockstep else [])]
+    options += [option for name in controller or [] for option in ("--controller", name)]
     raise typer.Exit(asyncio.run(_run(places, options, lockstep, json)))
 
 

@@ -250,13 +250,15 @@ class _Course:
         return ""
 
     def _wrong(self) -> str:
-        safety = self.drone.state.safety
-        if safety.action != "none":
-            self.acted = f"{safety.action} because of {safety.reason or 'nothing that it names'}"
+        state = self.drone.state
+        if state.safety.action != "none" and state.safety.reason:
+            self.acted = f"{state.safety.action} because of {state.safety.reason}"
             return f"the failsafe acts: {self.acted}"
-        if not self.drone.state.armed:
+        if not state.armed:
+            # Disarmed by a command: the failsafe then stops the motors without a reason of its own.
             self._flying = False
-            return "the drone was disarmed"
+            said = self.drone.messages
+            return f"it was disarmed; it last said {said[-1].text!r}" if said else "it was disarmed"
         new = np.asarray(self.rows.values[self._seen :], dtype=np.float64)
         self._seen += len(new)
         limits = [("estimate.theta", self.stops["pitch_stop"] - PITCH_MARGIN, "pitch", "rad")]
