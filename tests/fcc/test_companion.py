@@ -58,6 +58,28 @@ def test_a_line_that_is_cut_is_told_and_opened_again() -> None:
     run_virtual(work())
 
 
+def test_what_waited_when_the_line_was_cut_is_not_sent_after_it() -> None:
+    async def work() -> None:
+        vehicle = Vehicle(await open_transport("memin://fcu"))
+        async with (
+            Companion("mem://fcu", CLIENTS, line_rate=1000.0) as companion,
+            Listener(await open_transport("mem://clients"), system=9, beats=False) as client,
+        ):
+            await asyncio.sleep(3.0)
+            for number in range(30):
+                client.connection.send(message("MANUAL_CONTROL", target=1, x=number))
+            await until(lambda: len(vehicle.heard("MANUAL_CONTROL")) > 3)
+            await vehicle.close()
+            async with Vehicle(await open_transport("memin://fcu")) as back:
+                await until(lambda: len(back.received) > 5)
+                await asyncio.sleep(3.0)
+                assert back.heard("MANUAL_CONTROL") == []
+                assert companion.line.counts.cut > 0
+                assert companion.line.counts.stale == 0  # thrown away by the cut, not because it grew old
+
+    run_virtual(work())
+
+
 def test_a_vehicle_that_falls_silent_is_told_of() -> None:
     async def work() -> None:
         async with (
@@ -70,7 +92,9 @@ def test_a_vehicle_that_falls_silent_is_told_of() -> None:
             began = asyncio.get_running_loop().time()
             await until(lambda: client.heard("HEARTBEAT", component=191)[-1].system_status == CRITICAL)
             assert asyncio.get_running_loop().time() - began == pytest.approx(VEHICLE_SILENT_S, abs=0.2)
+            vehicle.asked.clear()
             vehicle.silent = False
+            await until(lambda: vehicle.asked.get(30) == 10_000.0)  # it may have started anew meanwhile
             await until(lambda: client.heard("HEARTBEAT", component=191)[-1].system_status == ACTIVE)
 
     run_virtual(work())

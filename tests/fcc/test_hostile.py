@@ -81,6 +81,16 @@ def test_without_a_key_a_signed_command_reaches_the_vehicle_as_it_is_and_thins_n
     assert len(ends.heard(ends.clients[0])) == 25
 
 
+def test_without_a_key_each_client_is_still_thinned_to_what_it_asked_for() -> None:
+    ends, signing = Ends("none", "none"), Signing(Key.fresh(), Stamps(None))
+    for client, interval in zip(ends.clients, (40_000, 4000), strict=True):
+        ends.router.from_client(client, signed(signing, 0, param1=30, param2=interval))
+    ends.settle()
+    for tick in range(100):
+        ends.vehicle("ATTITUDE", time_boot_ms=4 * tick)
+    assert [len(ends.heard(client)) for client in ends.clients] == [10, 100]
+
+
 def test_with_the_key_signed_commands_are_answered_signed_and_others_left_to_the_vehicle() -> None:
     key = Key.fresh()
     ends = Ends()

@@ -90,6 +90,37 @@ def test_clients_speak_to_each_other_only_by_name() -> None:
     assert ends.up.sent == []  # it was not for the vehicle
 
 
+def test_what_a_client_sends_to_itself_does_not_come_back() -> None:
+    ends = Ends("none")
+    ends.says(ends.clients[0], "HEARTBEAT", 250)
+    ends.settle()
+    ends.says(ends.clients[0], "PING", 250, target_system=250, target_component=190)
+    assert ends.heard(ends.clients[0]) == []
+
+
+def test_a_component_of_the_drone_that_is_not_there_is_not_taken_for_another() -> None:
+    ends = Ends("none")
+    ends.says(ends.clients[0], "HEARTBEAT", SYSTEM, 192)
+    ends.settle()
+    ends.vehicle("COMMAND_ACK", command=400, target_system=SYSTEM, target_component=195)
+    assert ends.heard(ends.clients[0]) == []
+    ends.vehicle("COMMAND_ACK", command=400, target_system=SYSTEM, target_component=192)
+    assert names(ends.heard(ends.clients[0])) == ["COMMAND_ACK"]
+
+
+@pytest.mark.parametrize(("command", "first"), [(400, 0.0), (185, 1.0)])
+def test_a_kill_overtakes_a_flood_of_its_own_sender(command: int, first: float) -> None:
+    ends = Ends("none", line_rate=5760.0)
+    for _ in range(100):
+        ends.says(ends.clients[0], "MANUAL_CONTROL", 250, target=SYSTEM, x=1)
+    ends.up.sent = []
+    ends.says(ends.clients[0], "COMMAND_LONG", 250, command=command, param1=first, target_system=SYSTEM)
+    for _ in range(50):
+        ends.now += 0.01
+        ends.line.pump(ends.now)
+    assert names([one for one in ends.up.take() if one.system == 250])[:2] == ["COMMAND_LONG", "MANUAL_CONTROL"]
+
+
 def test_a_program_on_board_speaks_to_everybody() -> None:
     ends = Ends("none", "none")
     ends.settle()

@@ -93,8 +93,9 @@ def test_thinning_goes_by_the_messages_time_whenever_the_client_came() -> None:
 
 
 def test_who_wants_what_comes_anyway_gets_every_one() -> None:
-    ends = Ends("none")
+    ends = Ends("none", "none")
     ask(ends, ends.clients[0], ATTITUDE, 10_000)
+    ask(ends, ends.clients[1], ATTITUDE, 100_000)
     ends.settle()
     # 100 Hz in ticks of 4 ms: 8 and 12 ms in turn, which no grid of ours must thin again.
     times = [4 * (tick * 5 // 2) for tick in range(100)]
