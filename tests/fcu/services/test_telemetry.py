@@ -169,7 +169,8 @@ def test_motors(fore: float, aft: float, armed: bool, tick: int) -> None:
 def test_moments(M: float, T: float) -> None:
     got = told(140, M=M, T=T)
     assert (equal(got.controls[1], M), equal(got.controls[3], T)) == (True, True)
-    assert got.group_mlx == 0
+    assert (got.group_mlx, got.time_usec) == (0, 4_000_000)
+    assert [got.controls[place] for place in (0, 2, 4, 5, 6, 7)] == [0.0] * 6
 
 
 @given(v=SANE, T=NUMBERS)
@@ -227,6 +228,8 @@ def test_load_is_the_part_of_a_period_that_a_step_takes() -> None:
     world = World()
     world.controller.timing.step_mean = 1000.0
     assert told(1, world).load == 250  # in tenths of a percent
+    world.controller.timing.step_mean = 9000.0
+    assert told(1, world).load == 1000
 
 
 def test_in_the_air_while_the_motors_turn() -> None:
