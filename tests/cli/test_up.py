@@ -94,6 +94,9 @@ def test_two_drones_answer_where_it_says_and_all_ends_at_ctrl_c(tmp_path: Path) 
             with Drone.connect(row["drone"], drone=row["system"]) as drone:
                 rig = drone.state.rig
                 assert (rig.name, rig.rings_locked, rig.lockstep) == ("paper", True, True)
+        with up(tmp_path, "--rig", "paper") as second:
+            assert second.process.wait(WAIT_S) == 2
+            second.wait(lambda: any("in use" in line for line in second.said), "no word of the port")
         children = program.children()
         assert len(children) == 4
         program.process.send_signal(signal.SIGINT)

@@ -25,13 +25,17 @@ _LAST_LINES = 8
 
 @dataclass
 class Child:
-    """One program: its name, and its command line (`twodof ...` by this very Python)."""
+    """One program: its name, and its command line (`twodof ...` by this very Python).
+
+    `listening` is set once it has said that it does, and `said` is what it last said since.
+    """
 
     name: str
     arguments: Sequence[str]
     process: asyncio.subprocess.Process | None = None
     ended: deque[float] = field(default_factory=lambda: deque(maxlen=MOST_RESTARTS + 1))
     said: deque[str] = field(default_factory=lambda: deque(maxlen=_LAST_LINES))
+    listening: asyncio.Event = field(default_factory=asyncio.Event)
 
     @property
     def running(self) -> bool:
@@ -39,24 +43,32 @@ class Child:
         return self.process is not None and self.process.returncode is None
 
     async def start(self) -> None:
-        """Starts it. Its standard input is a pipe from here, its messages are kept for `said`."""
+        """Starts it. Its standard input is a pipe from here, what it says is kept in `said`."""
+        self.said.clear()
+        self.listening.clear()
         self.process = await asyncio.create_subprocess_exec(
             sys.executable,
             "-m",
             "twodof.cli.child",
             *self.arguments,
             stdin=asyncio.subprocess.PIPE,
-            stdout=asyncio.subprocess.DEVNULL,
-            stderr=asyncio.subprocess.PIPE,
+            stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.STDOUT,
+            limit=1 << 20,
             start_new_session=True,  # Ctrl-C in the terminal is for us, who end them in order
         )
 
     async def wait(self) -> int:
-        """Its exit status, once it has ended; what it said on its standard error is in `said`."""
-        if self.process is None or self.process.stderr is None:
+        """Its exit status, once it has ended; meanwhile takes in what it says."""
+        if self.process is None or self.process.stdout is None:
             return 0
-        while line := await self.process.stderr.readline():
-            self.said.append(line.decode(errors="replace").rstrip()[:500])
+        while line := await self.process.stdout.readline():
+            text = line.decode(errors="replace").strip()[:500]
+            if text.startswith("listening on"):
+                self.listening.set()
+                self.said.clear()
+            else:
+                self.said.append(text)
         return await self.process.wait()
 
     async def end(self) -> None:
@@ -110,7 +122,7 @@ class Children:
                 waiting.result()
             else:
                 why = " ".join(child.said) or "it said nothing"
-                raise LinkError(f"ended with status {ending.result()}: {why}", child.name, "see what it says")
+                raise LinkError(f"ended with status {ending.result()}: {why}", child.name, "put right what it says")
         finally:
             waiting.cancel()
             ending.cancel()
@@ -134,13 +146,12 @@ class Children:
         while True:
             status = await child.wait()
             child.ended.append(clock.time())
-            reason = f": {child.said[-1]}" if child.said else ""
+            reason = f": {' '.join(child.said)}" if child.said else ""
             often = len(child.ended) > MOST_RESTARTS and child.ended[-1] - child.ended[0] < WITHIN_S
             if often:
                 self._tell(f"{child.name} ended with status {status}{reason}; too often, all end")
                 return
             self._tell(f"{child.name} ended with status {status}{reason}; it is started again")
-            child.said.clear()
             await asyncio.sleep(AGAIN_S)
             try:
                 await self._begin(child)

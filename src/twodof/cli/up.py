@@ -110,6 +110,7 @@ async def _run(places: list[Place], options: list[str], lockstep: bool, json: bo
             programs.append(Child(name, arguments))
 
     async def answers(child: Child) -> None:
+        await child.listening.wait()  # else it might be another one at the same port that is heard
         await heard(*urls[child.name], ANSWER_S)
 
     children = Children(programs, _tell, answers)
