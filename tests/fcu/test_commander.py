@@ -567,3 +567,26 @@ def test_an_open_loop_set_point_at_rest_does_not_keep_from_arming() -> None:
     cockpit.run(2)
     cockpit.commander.setpoint(ME, SetPoint(OPEN_LOOP, M_open=0.1, thrust=0.0), kind=OPENLOOP)
     assert "not_idle" in cockpit.commander.arm(ME).text
+
+
+def test_what_the_failsafe_does_is_said_in_words() -> None:
+    cockpit = offboard()
+    said = cockpit.commander.remarks
+    said.clear()
+    cockpit.failsafe.acts, cockpit.failsafe.causes = LEVEL, BIT["setpoint_lost"]
+    cockpit.run(3)
+    assert said == [(4, "failsafe: level (setpoint_lost)")]
+    cockpit.failsafe.acts, cockpit.failsafe.causes = None, 0
+    cockpit.run(3)
+    assert said[1:] == [(6, "failsafe: over, it flies what is asked again")]
+    cockpit.failsafe.acts, cockpit.failsafe.causes = STOPPED_BY_FAILSAFE, BIT["imu_lost"]
+    cockpit.run(3)
+    assert said[2:] == [(2, "failsafe: motors off (imu_lost)")]
+
+
+def test_a_flight_that_was_asked_to_end_says_nothing_of_the_failsafe() -> None:
+    cockpit = offboard()
+    cockpit.commander.remarks.clear()
+    cockpit.commander.disarm(ME)
+    cockpit.run(3)
+    assert not cockpit.commander.remarks

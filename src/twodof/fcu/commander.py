@@ -21,10 +21,13 @@ from twodof.fcu.setpoints import ATTITUDE, OPEN_LOOP, OPENLOOP, STICKS, TARGET, 
 from twodof.fcu.sticks import stick_setpoint
 from twodof.flight.causes import ACTIONS, BIT, named_causes
 from twodof.flight.core import PERIOD
-from twodof.flight.failsafe_machine import DISARMED
+from twodof.flight.failsafe_machine import BRAKE, DESCEND, DISARMED, FLYING, LEVEL
 from twodof.link import modes
 
 DONE = Verdict(ACCEPTED)
+
+ACTING = (LEVEL, BRAKE, DESCEND)
+"""States in which the failsafe flies."""
 
 MOST_REMARKS = 64
 """Remarks that are kept if nobody drains them."""
@@ -360,13 +363,19 @@ class Commander:
 
     def _changed(self, step: Step) -> None:
         """The failsafe's state is another one."""
-        self._state = step.state
+        acted, self._state = self._state in ACTING, step.state
+        reasons = ", ".join(named_causes(step.reason))
+        if step.state in ACTING:
+            self._remark(4, f"failsafe: {ACTIONS[step.action]} ({reasons})")
+        elif acted and step.state == FLYING:
+            self._remark(6, "failsafe: over, it flies what is asked again")
         if step.armed and step.action and self.player.playing:
-            self.player.finish(STOPPED, f"{ACTIONS[step.action]}: {', '.join(named_causes(step.reason))}")
+            self.player.finish(STOPPED, f"{ACTIONS[step.action]}: {reasons}")
         if self._armed and not step.armed:
             self._lease.orphaned = False
             if self._arming.word:  # else a command has disarmed it, and what came since is for the next flight
-                self._helm.rest(f"the motors were stopped: {', '.join(named_causes(step.reason))}", self._now)
+                self._helm.rest(f"the motors were stopped: {reasons}", self._now)
+                self._remark(2, f"failsafe: motors off ({reasons})")
         elif step.armed and not self._armed:
             self._helm.armed(self._now)
         self._armed = step.armed
