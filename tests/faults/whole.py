@@ -18,9 +18,11 @@ from unittest.mock import patch
 
 from tests.faults.transport import Faults, FaultyTransport
 from tests.faults.virtual_time import run_virtual
+from twodof.errors import TwodofError
 from twodof.fcc.companion import Companion, Serve
 from twodof.fcu import server
 from twodof.fcu.flight_code import Step
+from twodof.fcu.services.background import Background
 from twodof.fcu.watchdog import Watchdog
 from twodof.flight.causes import ACTIONS
 from twodof.gcs.async_drone import AsyncDrone
@@ -100,6 +102,8 @@ class Whole:
         stack.enter_context(patch.object(server, "Watchdog", lambda stop: Watchdog(stop, HANGS_S)))
         stack.enter_context(patch.object(server, "open_transport", self._open))
         stack.enter_context(patch("twodof.fcc.companion.open_transport", self._open))
+        # Another thread's work would take virtual time by chance.
+        stack.enter_context(patch.object(Background, "submit", _at_once))
         await self.drone.__aenter__()
         await self.drone.listen(self.fcu.replace("mem:", "memin:"))
         await self.companion.__aenter__()
@@ -171,6 +175,15 @@ class Whole:
         faulty = FaultyTransport(made, faults, next(self._seeds))
         self.faulty.append(faulty)
         return faulty
+
+
+def _at_once(background: Background, work: Callable[[], object], done: Callable[[object], None]) -> bool:
+    try:
+        result: object = work()
+    except (OSError, TwodofError) as fault:
+        result = fault
+    done(result)
+    return True
 
 
 def run(work: Coroutine[Any, Any, Any]) -> Any:

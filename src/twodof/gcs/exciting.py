@@ -55,7 +55,8 @@ class Exciter:
         number = loop_number(excitation, loop)
         transfer = next(self._transfers) & 0xFFFF
         deadline = Deadline(timeout, "sending an excitation", f"drone {self._session.system}")
-        await self._send(excitation, number, transfer, deadline)
+        while not await self._send(excitation, number, transfer, deadline):
+            transfer = next(self._transfers) & 0xFFFF
         start = message(
             "TWODOF_EXCITE",
             action=_START,
@@ -85,7 +86,8 @@ class Exciter:
         """Stop it now; its base is held."""
         self._session.send(message("TWODOF_EXCITE", action=_STOP, **self._place()))
 
-    async def _send(self, excitation: Excitation, loop: int, transfer: int, deadline: Deadline) -> None:
+    async def _send(self, excitation: Excitation, loop: int, transfer: int, deadline: Deadline) -> bool:
+        """Have the definition on board; False where another session has played it under this number."""
         session = self._session
         with session.listen("TWODOF_EXCITE_STATUS") as heard:
             while True:
@@ -95,8 +97,8 @@ class Exciter:
                 while (got := await heard.next(until)) is not None:
                     if got.transfer == transfer and got.state == _REFUSED:
                         raise _refusal(got, deadline.where)
-                    if got.transfer == transfer and got.state == _READY:
-                        return
+                    if got.transfer == transfer and got.state in (_READY, _DONE, _STOPPED):
+                        return got.state == _READY
                     deadline.check()
                 deadline.check()
 

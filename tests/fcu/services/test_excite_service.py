@@ -208,3 +208,16 @@ def test_nothing_that_is_sent_plays_what_was_not_defined_or_arms(sent: list[Any]
         asked = desk.run()
         assert asked.M_open in (0.0, *VALUES)
         assert 0.0 <= asked.thrust <= 1.0
+
+
+def test_a_start_whose_answer_was_lost_is_answered_after_the_end_and_not_played_again() -> None:
+    desk = ready()
+    desk.say(start())
+    for _ in range(300):
+        desk.run()
+    ended = desk.taken("TWODOF_EXCITE_STATUS")[-1]
+    assert ended.state == DONE
+    desk.say(start())
+    (again,) = desk.taken("TWODOF_EXCITE_STATUS")
+    assert (again.state, again.start_tick, again.end_tick) == (DONE, ended.start_tick, ended.end_tick)
+    assert [desk.run().M_open for _ in range(50)] == [0.0] * 50

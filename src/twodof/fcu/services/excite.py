@@ -6,9 +6,9 @@ from collections.abc import Callable, Hashable
 from math import isnan
 from typing import Any, NamedTuple
 
-from twodof.fcu.asked import DENIED, Source, Verdict
+from twodof.fcu.asked import ACCEPTED, DENIED, Source, Verdict
 from twodof.fcu.commander import Commander
-from twodof.fcu.excitation_player import RECEIVING, REFUSED, Prepared, prepare
+from twodof.fcu.excitation_player import DONE, RECEIVING, REFUSED, Prepared, prepare
 from twodof.fcu.flight_code import Step
 from twodof.fcu.service import Link
 from twodof.fcu.services.addressing import Us, source
@@ -82,6 +82,11 @@ class Excite:
         if got.action == PIECE:
             return self._piece(got, sender, peer)
         if got.action == START:
+            player = self._commander.player
+            if player.transfer == got.transfer and player.state == DONE:
+                # A start that comes once more, since its answer was lost: it was played, and is not played twice.
+                self._tell_player(peer)
+                return Verdict(ACCEPTED)
             thrust = None if isnan(got.thrust) else got.thrust
             return self._commander.start_excitation(sender, got.transfer, got.loop, thrust, got.tick)
         if got.action == STOP:
