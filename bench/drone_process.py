@@ -66,11 +66,13 @@ class DroneProcess:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
         assert self.process.stdin is not None
+        assert self.process.stdout is not None
         self.process.stdin.close()
         try:
             self.process.wait(START_S)
         finally:
             self.process.kill()
+            self.process.stdout.close()
 
     def report(self) -> dict[str, Any]:
         """What it has noted since the last time."""

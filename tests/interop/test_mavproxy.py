@@ -11,13 +11,15 @@ from bench.programs import port
 from tests.interop.mavproxy import DEADLINE_S, MavProxy
 from twodof.fcu.store import Store
 
+NUMBER = r"-?\d+\.\d+"  # a prompt may follow in the same line
+
 
 def test_mavproxy_sees_sets_and_arms(fcu_url: str, tmp_path: Path) -> None:
     with MavProxy(f"tcp:127.0.0.1:{port(fcu_url)}", tmp_path) as proxy:
         proxy.expect(r"Detected vehicle 1:1 on link 0")
         assert int(proxy.expect(r"Received (\d+) parameters")[1]) == len(Store().rows)
         proxy.type("param show RATE_KI")
-        assert float(proxy.expect(r"RATE_KI +(\S+)")[1]) == pytest.approx(Store()["RATE_KI"], rel=1e-6)
+        assert float(proxy.expect(rf"RATE_KI +({NUMBER})")[1]) == pytest.approx(Store()["RATE_KI"], rel=1e-6)
         proxy.type("param set RATE_KI 0.3")  # says nothing when it has succeeded
         end = time.monotonic() + DEADLINE_S
         while fetched(proxy, "RATE_KI") != pytest.approx(0.3, rel=1e-6):
@@ -37,4 +39,4 @@ def test_mavproxy_sees_sets_and_arms(fcu_url: str, tmp_path: Path) -> None:
 def fetched(proxy: MavProxy, name: str) -> float:
     """A parameter as the drone sends it when it is asked for it."""
     proxy.type(f"param fetch {name}")
-    return float(proxy.expect(rf"{name} = (\S+)")[1])
+    return float(proxy.expect(rf"{name} = ({NUMBER})")[1])
