@@ -28,7 +28,8 @@ from twodof.flightlog.log import FlightLog
 from twodof.flightlog.provenance import versions
 from twodof.parameters import ParameterSet
 from twodof.rig.parameters import load_rig
-from twodof.sim.closed_loop import ClosedLoop, Start
+from twodof.sim.closed_loop import ClosedLoop
+from twodof.sim.start import Start
 
 MARGIN = 0.02
 """Rail kept free at each end [m]."""
@@ -91,12 +92,12 @@ class Laboratory:
     ) -> None:
         if not (isinstance(noise, Real) and math.isfinite(noise) and noise >= 0.0):
             raise ParameterError(f"a noise of {noise!r:.80}", "noise", "give 0 (none) or more; 1 is the rig's own")
-        self.rig_name = "own" if isinstance(rig, ParameterSet) else str(rig)
+        self.rig_name: str = "own" if isinstance(rig, ParameterSet) else str(rig)
         self.parameters: ParameterSet = rig if isinstance(rig, ParameterSet) else load_rig(rig)
-        self.noise = noise
-        self.controllers = by_kind(c if isinstance(c, Diagram) else load_diagram(c) for c in controllers)
-        self.precision = precision
-        self._conditions = dict(conditions or {})
+        self.noise: float = noise
+        self.controllers: dict[str, Diagram] = by_kind(c if isinstance(c, Diagram) else load_diagram(c) for c in controllers)
+        self.precision: str = precision
+        self._conditions: dict[str, Any] = dict(conditions or {})
 
         def loop(failsafe: bool) -> ClosedLoop:
             made = ClosedLoop(
@@ -111,9 +112,9 @@ class Laboratory:
             made.tune_controllers(tuning or {})
             return made
 
-        self.loop = loop(failsafe)
+        self.loop: ClosedLoop = loop(failsafe)
         # Where a flight is to start is seen on a rail that is too long for the failsafe, which would brake.
-        self._planning = loop(False) if failsafe else self.loop
+        self._planning: ClosedLoop = loop(False) if failsafe else self.loop
 
     def fly(self, experiment: str | Experiment, seed: int = 1) -> Flight:
         """Flies `experiment` (or the ready-made one of that name) with the noise of `seed`, from a start that fits.

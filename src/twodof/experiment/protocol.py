@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import radians
 from types import MappingProxyType
+from typing import Any
 
 from twodof.errors import ExperimentError
 from twodof.excitation import Doublet, Excitation, Impulse, Prbs, Steps, Sweep
@@ -143,7 +144,7 @@ EXPERIMENTS: Mapping[str, Experiment] = MappingProxyType({one.name: one for one 
 """All ready-made experiments, by name."""
 
 
-def experiment(name: str, **changes: object) -> Experiment:
+def experiment(name: str, **changes: Any) -> Experiment:
     """The ready-made experiment `name`, with fields changed. Raises ExperimentError for a name that is not there."""
     if name not in EXPERIMENTS:
         raise ExperimentError(f"no experiment called {name!r:.80}", "", f"there are: {', '.join(EXPERIMENTS)}")
