@@ -95,7 +95,8 @@ class Laboratory:
         self.rig_name: str = "own" if isinstance(rig, ParameterSet) else str(rig)
         self.parameters: ParameterSet = rig if isinstance(rig, ParameterSet) else load_rig(rig)
         self.noise: float = noise
-        self.controllers: dict[str, Diagram] = by_kind(c if isinstance(c, Diagram) else load_diagram(c) for c in controllers)
+        diagrams = (c if isinstance(c, Diagram) else load_diagram(c) for c in controllers)
+        self.controllers: dict[str, Diagram] = by_kind(diagrams)
         self.precision: str = precision
         self._conditions: dict[str, Any] = dict(conditions or {})
 
