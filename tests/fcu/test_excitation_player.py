@@ -281,6 +281,19 @@ def test_one_that_waits_is_forgotten_with_the_disarming() -> None:
     assert cockpit.run(40).mode == 0
 
 
+def test_one_that_waits_does_not_begin_in_the_flight_of_another() -> None:
+    cockpit = Cockpit(talking=(ME, OTHER))
+    cockpit.run(3)
+    ready(cockpit=cockpit)
+    assert cockpit.commander.start_excitation(ME, 7, M, 0.4, cockpit.tick + 100).accepted
+    assert cockpit.commander.give_up_lease(ME).accepted
+    assert cockpit.arm(OTHER).accepted
+    asked = [cockpit.run() for _ in range(200)]
+    assert {(one.mode, one.thrust, one.M_open) for one in asked} == {(0, 0.0, 0.0)}
+    assert (cockpit.commander.player.state, cockpit.commander.custom_mode) == (REFUSED, modes.MANUAL)
+    assert "lost the lease" in cockpit.commander.player.reason
+
+
 def test_no_other_is_taken_while_one_plays() -> None:
     cockpit = ready(Impulse(0.1, 2.0))
     cockpit.commander.start_excitation(ME, 7, M, 0.4)

@@ -154,12 +154,22 @@ def test_a_pilot_that_fell_silent_in_flight_is_not_replaced_by_who_only_listens(
     assert cockpit.run().link_new
 
 
-def test_once_somebody_has_taken_over_and_given_up_any_client_keeps_the_link_again() -> None:
+def test_a_pilot_that_gave_up_in_flight_is_not_replaced_by_who_only_listens_either() -> None:
     cockpit = armed(talking=(ME,))
-    cockpit.talking = ()
-    cockpit.run(HEARD)
+    assert cockpit.commander.give_up_lease(ME).accepted
+    cockpit.talking = (ME, OTHER)
+    cockpit.run()
+    assert not any(cockpit.run().link_new for _ in range(2 * HEARD))
     cockpit.commander.ask_lease(OTHER, 10_000)
-    cockpit.commander.give_up_lease(OTHER)
+    assert cockpit.run().link_new
+
+
+def test_disarmed_any_client_keeps_the_link_again() -> None:
+    cockpit = armed(talking=(ME,))
+    cockpit.commander.give_up_lease(ME)
+    cockpit.commander.disarm(OTHER)
+    cockpit.run(2)
+    cockpit.talking = ()
     cockpit.run()
     cockpit.commander.heard(COMPANION, True)
     assert cockpit.run().link_new

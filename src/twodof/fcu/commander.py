@@ -185,7 +185,7 @@ class Commander:
 
     def give_up_lease(self, source: Source) -> Verdict:
         """Frees the lease; refused to all but its holder."""
-        if self._lease.give_up(source):
+        if self._lease.give_up(source, self._flying):
             return DONE
         return Verdict(TEMPORARILY_REJECTED, f"lease not given up: {self._holder()} holds it")
 
@@ -311,7 +311,7 @@ class Commander:
         if not (why or at_tick or self._armed):
             why = "not armed"
         if not why:
-            player.wait(max(at_tick, self._now), LOOPS[loop], thrust)
+            player.wait(max(at_tick, self._now), LOOPS[loop], thrust, source)
             return DONE
         if not player.playing and player.unit and player.transfer == transfer:
             player.finish(REFUSED, why)
@@ -356,7 +356,9 @@ class Commander:
                 self.refused["lease"] += 1
 
     def _begin_play(self, tick: int) -> None:
-        if self._armed and self._arming.word:
+        if self._lease.holder != self.player.starter:
+            self.player.finish(REFUSED, "who started it has lost the lease")
+        elif self._armed and self._arming.word:
             self._helm.begin_play(self._level_thrust(), tick)
         else:
             self.player.finish(REFUSED, "not armed")

@@ -28,7 +28,7 @@ class LeaseState(NamedTuple):
 class Lease:
     """Who holds the lease, and until when; time is a tick that only `moved` sets back.
 
-    `orphaned`: the holder fell silent while armed and nobody took the lease since. Then no other's frames keep the link
+    `orphaned`: the holder fell silent or gave it up while armed, and nobody took the lease since. Then no other's frames keep the link
     alive: the drone is without its pilot, whoever else may be there.
     """
 
@@ -62,11 +62,12 @@ class Lease:
         self._until = max(self._until, tick + COMMANDING)
         return True
 
-    def give_up(self, source: Source) -> bool:
+    def give_up(self, source: Source, armed: bool) -> bool:
         """Frees it; False if `source` does not hold it."""
         if self.holder != source:
             return False
         self._free()
+        self.orphaned = armed
         return True
 
     def hear(self, source: Source, tick: int) -> bool:
