@@ -132,7 +132,11 @@ class Whole:
 
     async def client(self, system: int = 250, timeout: float = 30.0, **options: Any) -> AsyncDrone:
         """A client behind the companion."""
-        return await AsyncDrone.over(await self.open(), timeout=timeout, system=system, **options)
+        return await self.client_over(await self.open(), timeout=timeout, system=system, **options)
+
+    async def client_over(self, link: Transport, **options: Any) -> AsyncDrone:
+        """A client on a link of ours."""
+        return await AsyncDrone.over(link, **options)
 
     async def airborne(self, theta: float | None = 0.1, **options: Any) -> AsyncDrone:
         """A client that has armed, and streams this pitch [rad] (None: its position); a second later it flies there."""

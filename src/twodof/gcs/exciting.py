@@ -98,7 +98,7 @@ class Exciter:
                     if got.transfer == transfer and got.state == _REFUSED:
                         raise _refusal(got, deadline.where)
                     if got.transfer == transfer and got.state in (_READY, _DONE, _STOPPED):
-                        return got.state == _READY
+                        return bool(got.state == _READY)
                     deadline.check()
                 deadline.check()
 

@@ -1,0 +1,199 @@
+"""The programs as they run: a cable that is pulled, a companion and a user's program that are killed with -9."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bench.programs import Running, running
+from tests.faults.cable import Cable
+from tests.faults.whole import DESCEND, LEVEL, OFF, tell
+from twodof.errors import LinkLost
+from twodof.flightlog.recovery import recover
+from twodof.flightlog.ulog_decoder import scan_ulog
+from twodof.gcs.drone import Drone
+
+PROJECT = Path(__file__).resolve().parents[2]
+PATIENCE_S = 60.0  # for a loaded machine; what is stated is measured on board, in control periods
+BAUD = 921_600
+PERIOD_MS = 4.0
+LEVEL_RAD = 0.06
+pytestmark = pytest.mark.waits
+
+
+@dataclass
+class Stack:
+    """A flight controller that the companion reaches by a serial cable."""
+
+    folder: Path
+    cable: Cable
+    fcu: Running
+    direct: str
+
+    def companion(self) -> Any:
+        """One more companion, for `with`."""
+        line = f"serial://{self.cable.other}?baud={BAUD}"
+        return running(*("companion", "--fcu", line, "--onboard", "tcpin://127.0.0.1:0"), urls=1, folder=self.folder)
+
+    def logs(self) -> list[Path]:
+        """On board, the newest last."""
+        return sorted((self.folder / "state" / "logs").glob("*.ulg"))
+
+
+@pytest.fixture(scope="module")
+def stack(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
+    folder = tmp_path_factory.mktemp("stack")
+    cable = Cable(folder)
+    options = ("--listen", f"serial://{cable.one}?baud={BAUD}", "--listen", "tcpin://127.0.0.1:0")
+    with running("fcu", "--rings", "--state", "state", *options, urls=2, folder=folder) as fcu:
+        yield Stack(folder, cable, fcu, tcp(fcu.urls[1]))
+    cable.pull()
+
+
+def tcp(url: str) -> str:
+    return url.replace("tcpin", "tcp")
+
+
+def airborne(url: str) -> Drone:
+    """A client whose drone flies at a pitch of .1 rad."""
+    drone = Drone.connect(url, timeout=PATIENCE_S)
+    drone.run(0.5)
+    drone.disarm()  # whatever stopped it before is over
+    drone.arm()
+    drone.set_pitch(0.1, thrust=0.4)
+    drone.run(1.0)
+    assert drone.state.safety.action == "none"
+    return drone
+
+
+def until(true: Callable[[], bool]) -> None:
+    end = time.monotonic() + PATIENCE_S
+    while not true():
+        assert time.monotonic() < end, "it did not come"
+        time.sleep(0.02)
+
+
+def made_safe(url: str, folder: Path) -> tuple[np.ndarray, bytes]:
+    """By another client, who reads the state, waits for the motors to be off, and fetches the log: its steps."""
+    with Drone.connect(url, timeout=PATIENCE_S, system=251, take_lease=False) as other:
+        until(lambda: other.state.rig.virtual and other.state.safety.action == "off")
+        assert not other.state.armed
+        other.disarm()
+        other.run(1.5)  # the log ends a second after the motors were stopped for good
+        entry = other.logs.list(PATIENCE_S)[-1]
+        raw = other.logs.download(entry, folder / f"fetched-{entry.number}.ulg", PATIENCE_S).read_bytes()
+    rows = scan_ulog(raw, "log").topic("twodof_step").rows
+    ticks = rows["tick"].tolist()
+    assert ticks == [*range(ticks[0], ticks[-1] + 1)]  # whole
+    return rows, raw
+
+
+def first(rows: np.ndarray, true: np.ndarray, after: int) -> float:
+    """How long after row `after` something is true first, that period included [ms]."""
+    later = np.flatnonzero(true[after + 1 :])
+    assert len(later)
+    return PERIOD_MS * (later[0] + 1)
+
+
+def last(values: np.ndarray) -> int:
+    return int(np.flatnonzero(values)[-1])
+
+
+def check_silence(name: str, rows: np.ndarray) -> None:
+    """Level within a second of the last set-point, down 3 s after the last word, the motors off a second later."""
+    silent = last((rows["asked_setpoint_new"] != 0) & (rows["armed"] != 0) & (rows["action"] == 0))
+    stands = (rows["fore"] == 0.0) & (rows["aft"] == 0.0)
+    tell(name, "level after the last set-point", first(rows, rows["action"] == LEVEL, silent), 1000)
+    word = last((rows["asked_link_new"] != 0) & (np.arange(len(rows)) <= silent + 250))
+    tell(name, "down after the last word", first(rows, rows["action"] == DESCEND, word), 3004)
+    tell(name, "motors off after the last word", first(rows, stands, word), 4008)
+    level = rows["theta"][silent + 250 : silent + 700]
+    assert np.abs(level).max() < LEVEL_RAD
+    assert rows["action"][rows["armed"] == 0][-1] == OFF
+
+
+def test_a_serial_cable_that_is_pulled_in_flight(stack: Stack) -> None:
+    with stack.companion() as companion:
+        url = tcp(companion.urls[0])
+        drone = airborne(url)
+        stack.cable.pull()
+        with pytest.raises(LinkLost):
+            drone.run(PATIENCE_S)
+        rows, _ = made_safe(stack.direct, stack.folder)
+        check_silence("cable pulled", rows)
+        stack.cable.plug()
+        with suppress(LinkLost):
+            drone.close()
+        with airborne(url) as again:  # both have opened it again, and everything works
+            assert again.state.armed
+        assert stack.fcu.process.poll() is None
+
+
+def test_a_companion_that_is_killed_in_flight(stack: Stack) -> None:
+    with pytest.raises(RuntimeError, match="status -9"), stack.companion() as companion:
+        drone = airborne(tcp(companion.urls[0]))
+        companion.process.kill()
+        with pytest.raises(LinkLost):
+            drone.run(PATIENCE_S)
+        with suppress(LinkLost):
+            drone.close()
+        rows, _ = made_safe(stack.direct, stack.folder)
+        check_silence("companion killed", rows)
+    with stack.companion() as companion, airborne(tcp(companion.urls[0])) as again:
+        assert again.state.armed
+
+
+def test_a_users_program_that_is_killed_in_mid_experiment(stack: Stack) -> None:
+    """What plays on board plays on, and is no link: 3 s after the last word it descends. Both logs are whole."""
+    recorded = stack.folder / "killed.mcap"
+    with stack.companion() as companion:
+        url = tcp(companion.urls[0])
+        with subprocess.Popen(
+            [sys.executable, "-m", "tests.faults.pilot_child", url, str(recorded), "attitude-steps"],
+            stdout=subprocess.PIPE,
+            text=True,
+            cwd=PROJECT,
+            env=os.environ | {"PYTHONPATH": str(PROJECT)},
+        ) as child:
+            try:
+                assert child.stdout is not None
+                lines = iter(child.stdout.readline, "")
+                said = [line for line in _until_excited(lines)]
+            finally:
+                child.kill()
+                child.wait(PATIENCE_S)
+            said += [*lines]
+        acknowledged = max(int(line.split()[-1]) for line in said if line.split()[-1].isdecimal())
+        rows, raw = made_safe(url, stack.folder)
+        word = last(rows["asked_link_new"][: last(rows["armed"] != 0)] != 0)
+        stands = (rows["fore"] == 0.0) & (rows["aft"] == 0.0)
+        tell("user's program killed", "down after the last word", first(rows, rows["action"] == DESCEND, word), 3004)
+        tell("user's program killed", "motors off after the last word", first(rows, stands, word), 4008)
+        assert raw == stack.logs()[-1].read_bytes()
+        rescued = recover(recorded)
+        kept = sum(len(rescued.log[name]) for name in rescued.log)
+        assert kept >= acknowledged > 1000
+        assert len(rescued.log["theta"]) > 250
+        with airborne(url) as again:
+            assert again.state.armed
+
+
+def _until_excited(lines: Iterator[str]) -> Iterator[str]:
+    """What it says until a second after the excitation was sent."""
+    looks = 0
+    for line in lines:
+        yield line
+        looks += line.startswith("excite")
+        if looks > 15:
+            return
+    raise AssertionError("it ended before it was excited")
