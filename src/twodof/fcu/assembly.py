@@ -119,7 +119,7 @@ class Assembly:
         ]
         if log is not None:
             files.append(LogDownload(server, us, log, commander.take, self.px4.commands.explain, lockstep))
-            files.append(LogStream(server, us, self.px4.commands, log, lockstep))
+            files.append(LogStream(server, us, self.px4.commands, log, commander.take, lockstep))
         return files
 
     def close(self) -> None:

@@ -11,6 +11,7 @@ from tests.faults.virtual_time import run_virtual
 from tests.fcu.services.test_log_download import US, settled
 from tests.fcu.services.world import World
 from tests.fcu.steps import plain_step
+from twodof.fcu.asked import Verdict
 from twodof.fcu.onboard_log import OnboardLog
 from twodof.fcu.services.addressing import Us
 from twodof.fcu.services.log_stream import START, STOP, LogStream
@@ -26,7 +27,7 @@ ACKED = "LOGGING_DATA_ACKED"
 def world_of(folder: Path) -> tuple[World, OnboardLog]:
     world = World(lockstep=True)
     log = OnboardLog(folder, world.store, lockstep=True)
-    world.services.append(LogStream(world, Us(1), world.px4.commands, log, lockstep=True))
+    world.services.append(LogStream(world, Us(1), world.px4.commands, log, world.commander.take, lockstep=True))
     return world, log
 
 
@@ -121,6 +122,23 @@ def test_a_client_that_does_not_answer_is_given_up(tmp_path: Path) -> None:
         assert len(sent) == 51  # once, and again 50 times
         assert "no LOGGING_ACK" in world.texts()
         assert world.command(START, 0.0) == ACCEPTED
+
+    run_virtual(work())
+    log.close()
+
+
+def test_who_may_not_command_ends_nobodys_log(tmp_path: Path) -> None:
+    world, log = world_of(tmp_path)
+
+    async def work() -> None:
+        for tick in range(100):
+            log.step(plain_step(tick, armed=True))
+        log.flush()
+        world.commander.verdict = Verdict(TEMPORARILY_REJECTED, "log stream refused: another holds the lease")
+        assert world.command(START, 0.0) == TEMPORARILY_REJECTED
+        for tick in range(100, 150):
+            log.step(plain_step(tick, armed=True))
+        assert len(log.logs()) == 1
 
     run_virtual(work())
     log.close()

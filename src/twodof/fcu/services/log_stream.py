@@ -17,6 +17,7 @@ from twodof.fcu.service import Link
 from twodof.fcu.services.addressing import Us, source, whole
 from twodof.fcu.services.background import Background
 from twodof.fcu.services.commands import Command, Commands
+from twodof.fcu.services.log_download import Take
 from twodof.fcu.services.pump import Pump
 from twodof.flightlog.ulog_pieces import MOST, Piece, Pieces
 from twodof.link.connection import Received
@@ -48,10 +49,15 @@ class Stream:
 
 
 class LogStream:
-    """Streams the log of `log` to the client that asked for it."""
+    """Streams the log of `log` to the client that asked for it; `take` says whether a source may command.
 
-    def __init__(self, link: Link, us: Us, commands: Commands, log: OnboardLog, lockstep: bool = False) -> None:
-        self._link, self._us, self._commands, self._log = link, us, commands, log
+    To begin needs the lease: it ends the log that is being written, and a new one may push out the oldest.
+    """
+
+    def __init__(
+        self, link: Link, us: Us, commands: Commands, log: OnboardLog, take: Take, lockstep: bool = False
+    ) -> None:
+        self._link, self._us, self._commands, self._log, self._take = link, us, commands, log, take
         self._background = Background(inline=lockstep)
         self._pump = Pump(self._send, lockstep)
         self._stream: Stream | None = None
@@ -88,6 +94,9 @@ class LogStream:
             return Verdict(
                 TEMPORARILY_REJECTED, f"the log is streamed to {stream.client[0]}/{stream.client[1]} already"
             )
+        verdict = self._take(command.source, "log stream")
+        if not verdict.accepted:
+            return verdict
         self._stream = Stream(command.peer, command.source, self._log.path)
         self._log.begin_anew()
         self._log.start()
