@@ -250,6 +250,35 @@ def test_with_a_key_only_what_is_signed_by_it_is_heard_and_what_it_says_is_signe
     assert world.server.controller.tick == 10
 
 
+def test_a_flooded_link_leaves_the_control_loop_its_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each message of a flood costs a millisecond; the motors are driven meanwhile, not after it."""
+    flood = 400
+
+    async def work(world: World) -> None:
+        spent = world.grants.handle
+
+        def slowly(received: Received) -> bool:
+            end = time.monotonic() + 0.001
+            while time.monotonic() < end:
+                pass
+            return spent(received)
+
+        monkeypatch.setattr(world.grants, "handle", slowly)
+        await world.server.listen("memin://flood")
+        client = await world.client("mem://flood")
+        while world.server.controller.tick < 10:
+            await asyncio.sleep(0.004)
+        for _ in range(flood):
+            client.send(message("MISSION_ACK", target_system=1))
+        while len(world.grants.heard) < flood:
+            await asyncio.sleep(0.004)
+
+    world = run(work, lockstep=False)
+    ticks = [tick for _, tick in world.grants.heard]
+    # 100 control periods are due within it at least; after each stall 25 of them are made up for at once.
+    assert len(set(ticks)) >= 15
+
+
 def test_a_hanging_loop_stops_the_motors_in_real_time() -> None:
     """Something blocks the event loop in flight: the watchdog's thread stops the motors, the failsafe says why."""
 
