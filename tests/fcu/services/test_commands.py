@@ -186,6 +186,19 @@ def test_a_frame_that_the_network_doubled_does_not_arm_again() -> None:
     assert [one[0] for one in world.commander.asked] == ["arm", "disarm", "arm", "arm", "arm"]
 
 
+@pytest.mark.parametrize(("number", "params"), [(400, (0.0,)), (400, (0.0, 21196.0)), (185, (1.0,))])
+def test_what_stops_motors_is_carried_out_as_often_as_it_comes(number: int, params: tuple[float, ...]) -> None:
+    """Another client may have armed between a kill and the same kill said again."""
+    world = World()
+    for confirmation in (0, 1, 2):
+        assert world.command(number, *params, confirmation=confirmation) == ACCEPTED
+    assert len(world.commander.asked) == 3
+    stop = message("COMMAND_LONG", command=number, **{f"param{n}": p for n, p in enumerate(params, 1)}, **US)
+    world.say(stop, sequence=7)
+    world.say(stop, sequence=7)
+    assert len(world.commander.asked) == 5
+
+
 def test_in_lockstep_where_time_stands_equal_frames_of_two_sessions_are_two_commands() -> None:
     world = World(lockstep=True)
     arm = message("COMMAND_LONG", command=400, param1=1.0, **US)

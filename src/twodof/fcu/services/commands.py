@@ -41,7 +41,8 @@ Handler = Callable[[Command], Verdict]
 class Commands:
     """Dispatches commands to those that registered for them, and acknowledges every one.
 
-    One that is repeated (`Repetitions`) gets the answer of the first and is not carried out again. Each of
+    One that is repeated (`Repetitions`) gets the answer of the first and is not carried out again, unless it stops
+    motors. Each of
     `carried_out` is called after each command, `explained` with MAV_SEVERITY and text of each refusal in words.
     """
 
@@ -135,7 +136,10 @@ class Commands:
         if what in self._pending:
             return Verdict(IN_PROGRESS)
         confirmation = getattr(received.message, "confirmation", 0)
-        if self._repetitions.known(what, confirmation, sequence, self._tick):
+        # What stops motors is carried out as often as it comes: somebody may have armed in between.
+        if not _stops(command.number, command.params[0]) and self._repetitions.known(
+            what, confirmation, sequence, self._tick
+        ):
             return Verdict(ACCEPTED)
         verdict = handler(command)
         if verdict.result == IN_PROGRESS and command.number in self._polls:
@@ -159,4 +163,9 @@ def _for_everybody(got: Any) -> bool:
 
     As in PX4 nothing else: one careless client would arm a whole laboratory.
     """
-    return got.command in _QUESTIONS or got.command == _TERMINATE or (got.command == _ARM and got.param1 == 0.0)
+    return got.command in _QUESTIONS or _stops(got.command, got.param1)
+
+
+def _stops(number: int, first: float) -> bool:
+    """Whether a command stops motors: a kill, or a disarming."""
+    return number == _TERMINATE or (number == _ARM and first == 0.0)
