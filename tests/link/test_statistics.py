@@ -33,6 +33,15 @@ def test_gaps_copies_and_disorder(sequences: list[int], lost: int, duplicated: i
     assert (counts.lost, counts.duplicated, counts.reordered, counts.restarts) == (lost, duplicated, reordered, 0)
 
 
+def test_it_shows_what_the_link_is_worth() -> None:
+    statistics = LinkStatistics()
+    assert repr(statistics) == "<0 frames of 0 senders, 0 % lost>"
+    statistics.senders[1, 1] = counted([0, 1, 3])
+    statistics.round_trips.asked(1, 0.0)
+    statistics.round_trips.answered(1, 0.0125)
+    assert repr(statistics) == "<3 frames of 1 senders, 25 % lost, round trip 12.5 ms>"
+
+
 def test_a_sender_that_begins_anew_is_no_loss() -> None:
     counts = counted([*range(100), *range(10)])
     assert (counts.lost, counts.restarts, counts.received) == (0, 1, 110)

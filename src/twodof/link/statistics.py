@@ -124,6 +124,11 @@ class LinkStatistics:
         self.messages: dict[int, Rate] = {}
         self.round_trips = RoundTrips()
 
+    def __repr__(self) -> str:
+        received = sum(one.received for one in self.senders.values())
+        trip = f", round trip {1e3 * self.round_trips.last:.3g} ms" if self.round_trips.count else ""
+        return f"<{received} frames of {len(self.senders)} senders, {100.0 * self.loss:.2g} % lost{trip}>"
+
     def count(self, frame: Frame, now: float) -> None:
         """One frame that was taken, at `now` [s]. Beyond MOST_SENDERS senders only rates are counted."""
         sender = self.senders.get((frame.system, frame.component))
