@@ -74,6 +74,41 @@ def test_setpoints_are_streamed_at_50_hz_until_stopped() -> None:
     fly(flight)
 
 
+def test_a_setpoint_whose_mode_is_refused_is_not_sent_any_more() -> None:
+    """Else it would fly in the next offboard, long after the call has failed."""
+
+    async def flight(peer: Peer, drone: AsyncDrone) -> None:
+        peer.refuse[176] = (1, "not now")
+        with pytest.raises(Rejected, match="not now"):
+            await drone.set_pitch(0.1, thrust=0.4, timeout=1.0)
+        sent = drone.setpoints.sent
+        assert sent > 10
+        await drone.run(1.0)
+        assert drone.setpoints.sent == sent
+
+    fly(flight)
+
+
+def test_a_setpoint_that_the_drone_does_not_take_is_refused_at_once_with_its_reason() -> None:
+    async def flight(peer: Peer, drone: AsyncDrone) -> None:
+        peer.refuse[176] = (1, "set-point refused: it moves the cart")
+        began = asyncio.get_running_loop().time()
+        with pytest.raises(Rejected, match="moves the cart"):
+            await drone.set_position(0.1, timeout=5.0)
+        assert asyncio.get_running_loop().time() - began < 2.0
+
+    fly(flight)
+
+
+def test_it_shows_which_drone_it_is_and_how_it_stands() -> None:
+    async def flight(peer: Peer, drone: AsyncDrone) -> None:
+        assert repr(drone) == f"<drone 1 at {peer.url}: manual, disarmed>"
+        await drone.arm()
+        assert repr(drone).endswith("manual, armed>")
+
+    fly(flight)
+
+
 def test_in_lockstep_setpoints_follow_the_drones_time() -> None:
     async def flight(peer: Peer, drone: AsyncDrone) -> None:
         await drone.set_velocity(0.2)

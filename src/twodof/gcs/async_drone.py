@@ -27,6 +27,8 @@ from twodof.link.modes import custom_mode
 HOVER = "THRUST_BAR"
 # Offboard is refused until set-points have come for a while; they are sent meanwhile.
 _MODE_RETRY_S = 0.1
+# How the drone begins to say that a set-point is not taken: then no waiting lets offboard be entered.
+_NOT_TAKEN = "set-point refused"
 _REFUSED = 16
 
 
@@ -103,8 +105,19 @@ class AsyncDrone(Connected):
         """Stream it, and switch to a mode in which it is followed; refusals are tried again while it streams."""
         mode = setpoint.modes[0]
         deadline = self._deadline(timeout, f"changing to the mode {mode}")
+        before, spoken = self.setpoints.current, self.texts.count
         self.setpoints.hold(setpoint)
+        try:
+            await self._enter(setpoint, deadline, spoken)
+        except BaseException:
+            self.setpoints.back_to(before)  # what a call that failed has asked for is not to fly later
+            raise
+
+    async def _enter(self, setpoint: Setpoint, deadline: Deadline, spoken: int) -> None:
+        """Switch to the first mode of a set-point that is streamed, unless one in which it is followed flies."""
+        mode = setpoint.modes[0]
         if self.state.mode in setpoint.modes:
+            self._must_command(deadline)
             return
         # Offboard wants to see that they keep coming.
         if self.clock.granting:
@@ -116,9 +129,23 @@ class AsyncDrone(Connected):
                 await self._switch(custom_mode(mode), deadline)
                 await self._see(lambda: self.state.mode in setpoint.modes, deadline)
             except Rejected:
+                for line in self.texts.since(spoken):
+                    if line.text.startswith(_NOT_TAKEN):
+                        raise Rejected(line.text, deadline.where, "put right what it says and try again") from None
                 if deadline.left < _MODE_RETRY_S:
                     raise
                 await self.run(_MODE_RETRY_S)
+
+    def _must_command(self, deadline: Deadline) -> None:
+        """Set-points have no answer: raise Rejected where the drone is known to listen to somebody else."""
+        holder = self.lease.holder
+        if holder is not None and not self.lease.ours:
+            self.setpoints.stop()
+            raise Rejected(
+                f"system {holder[0]}, component {holder[1]} holds the lease",
+                deadline.where,
+                "wait until it is given up",
+            )
 
     async def run(self, seconds: float) -> None:
         """Let the drone's time pass. Raises LinkLost; Timeout if it stands still."""

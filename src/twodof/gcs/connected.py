@@ -67,6 +67,11 @@ class Connected:
         self._may_be_armed = False  # by us: asked for, seen or not
         self._closed = False
 
+    def __repr__(self) -> str:
+        state = self.state
+        stands = f"{state.mode}, {'armed' if state.armed else 'disarmed'}"
+        return f"<drone {self.session.system} at {self.session.url}: {'closed' if self._closed else stands}>"
+
     @classmethod
     async def connect(
         cls,

@@ -58,6 +58,9 @@ class Drone:
         runner.at_exit(made.close)
         return made
 
+    def __repr__(self) -> str:
+        return repr(self.there)
+
     def __enter__(self) -> Self:
         return self
 

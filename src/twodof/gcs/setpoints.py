@@ -108,6 +108,13 @@ class Setpoints:
         else:
             self._send(0)
 
+    def back_to(self, setpoint: Setpoint | None) -> None:
+        """Keep this one alive instead of the latest, or none."""
+        if setpoint is None:
+            self.stop()
+        else:
+            self.current = setpoint
+
     def stop(self) -> None:
         """Send no more."""
         self.current = None
