@@ -63,16 +63,16 @@ class Hostile:
         if draw < 0.05:
             return chance.randbytes(chance.randrange(1, 300))
         raw = bytearray(chance.choice(self.recorded) if draw < 0.5 else chance.choice(self.pool))
-        if draw < 0.15:
-            return self._damaged(raw)
-        self._addressed(raw)
-        if chance.random() < 0.9:
-            self._fields(raw)
         raw[5], raw[6] = self.source(chance)
-        raw[4] = chance.randrange(256)
         if raw[2] & 1:  # a signature that fits no more
             raw[2] = 0
             del raw[HEADER + raw[1] + CHECKSUM :]
+        if draw < 0.15:
+            return self._damaged(bytearray(repaired(bytes(raw))))
+        self._addressed(raw)
+        if chance.random() < 0.9:
+            self._fields(raw)
+        raw[4] = chance.randrange(256)
         return repaired(bytes(raw))
 
     def _damaged(self, raw: bytearray) -> bytes:

@@ -1,18 +1,20 @@
 """A user's program: flies an experiment and records it, saying what is on the disk, until it is killed.
 
-python -m tests.faults.pilot_child URL FILE EXPERIMENT
+python -m tests.faults.pilot_child URL FILE
 """
 
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 from twodof.experiment import fly
+from twodof.experiment.protocol import EXPERIMENTS
 from twodof.gcs.drone import Drone
 
 
-def main(url: str, file: str, experiment: str) -> None:
+def main(url: str, file: str) -> None:
     """Prints a line for each look at the flight: what it does last, and how many samples are acknowledged."""
     doing = ""
 
@@ -24,7 +26,7 @@ def main(url: str, file: str, experiment: str) -> None:
             sys.stdout.write(f"{doing} {recording.acknowledged.samples}\n")
             sys.stdout.flush()
 
-        flight = fly(experiment, drone, progress=tell)
+        flight = fly(replace(EXPERIMENTS["attitude-steps"], hold=2.0), drone, progress=tell)
         sys.stdout.write(f"end {flight.reason}\n")
 
 

@@ -145,12 +145,13 @@ def bounded(early: Held, end: Held) -> None:
 
 def under_a_pilot(count: int, seed: int, folder: Path) -> None:
     """Whatever others send, behind the companion, while somebody holds the lease."""
+    sound = recorded()
 
     async def work() -> None:
         async with Whole(state=folder) as whole:
             pilot = await whole.client()
             before, revision = dict(whole.drone.assembly.store), whole.drone.assembly.store.revision
-            hostile = Hostile(seed, recorded(), strangers)
+            hostile = Hostile(seed, sound, strangers)
             bounded(*await attack(whole, hostile, whole.clients, count))
             store = whole.drone.assembly.store
             assert (dict(store), store.revision) == (before, revision)
@@ -169,6 +170,7 @@ def under_a_pilot(count: int, seed: int, folder: Path) -> None:
 
 def with_nobody(count: int, seed: int, folder: Path) -> None:
     """Whatever anybody sends, on the flight controller's own link, while nobody holds the lease."""
+    sound = recorded()
 
     async def work() -> None:
         async with Whole(state=folder, safety_off=False) as whole:
@@ -176,7 +178,7 @@ def with_nobody(count: int, seed: int, folder: Path) -> None:
             before, revision = dict(store), store.revision
             avoid = frozenset(dialect.message_id(name) for name in CHANGES_PARAMETERS)
             commands = tuple(number for number in COMMANDS if number != PREFLIGHT_STORAGE)
-            hostile = Hostile(seed, recorded(), anybody, avoid, commands)
+            hostile = Hostile(seed, sound, anybody, avoid, commands)
             bounded(*await attack(whole, hostile, whole.fcu, count))
             assert (dict(store), store.revision) == (before, revision)
             await whole.passes(3.0)

@@ -140,15 +140,16 @@ def test_a_serial_cable_that_is_pulled_in_flight(stack: Stack) -> None:
 
 
 def test_a_companion_that_is_killed_in_flight(stack: Stack) -> None:
-    with pytest.raises(RuntimeError, match="status -9"), stack.companion() as companion:
+    with suppress(RuntimeError), stack.companion() as companion:  # which says that it did not end by itself
         drone = airborne(tcp(companion.urls[0]))
         companion.process.kill()
         with pytest.raises(LinkLost):
             drone.run(PATIENCE_S)
         with suppress(LinkLost):
             drone.close()
-        rows, _ = made_safe(stack.direct, stack.folder)
-        check_silence("companion killed", rows)
+    assert companion.process.returncode == -9
+    rows, _ = made_safe(stack.direct, stack.folder)
+    check_silence("companion killed", rows)
     with stack.companion() as companion, airborne(tcp(companion.urls[0])) as again:
         assert again.state.armed
 
@@ -159,7 +160,7 @@ def test_a_users_program_that_is_killed_in_mid_experiment(stack: Stack) -> None:
     with stack.companion() as companion:
         url = tcp(companion.urls[0])
         with subprocess.Popen(
-            [sys.executable, "-m", "tests.faults.pilot_child", url, str(recorded), "attitude-steps"],
+            [sys.executable, "-m", "tests.faults.pilot_child", url, str(recorded)],
             stdout=subprocess.PIPE,
             text=True,
             cwd=PROJECT,
@@ -168,7 +169,7 @@ def test_a_users_program_that_is_killed_in_mid_experiment(stack: Stack) -> None:
             try:
                 assert child.stdout is not None
                 lines = iter(child.stdout.readline, "")
-                said = [line for line in _until_excited(lines)]
+                said = [*_until_excited(lines)]
             finally:
                 child.kill()
                 child.wait(PATIENCE_S)
@@ -184,8 +185,6 @@ def test_a_users_program_that_is_killed_in_mid_experiment(stack: Stack) -> None:
         kept = sum(len(rescued.log[name]) for name in rescued.log)
         assert kept >= acknowledged > 1000
         assert len(rescued.log["theta"]) > 250
-        with airborne(url) as again:
-            assert again.state.armed
 
 
 def _until_excited(lines: Iterator[str]) -> Iterator[str]:
