@@ -279,6 +279,43 @@ def test_a_flooded_link_leaves_the_control_loop_its_time(monkeypatch: pytest.Mon
     assert len(set(ticks)) >= 15
 
 
+@pytest.mark.parametrize("virtual", [True, False])
+def test_a_real_drone_whose_program_stood_still_stops_its_motors(
+    virtual: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As after SIGSTOP: the watchdog saw nothing either. A virtual rig's time stood still too, and it flies on."""
+    monkeypatch.setattr("twodof.fcu.server.Watchdog", Blind)
+
+    async def work(world: World) -> None:
+        made, steps = world.server.controller, world.script.steps
+        monkeypatch.setattr(made.hardware, "virtual", virtual)
+        world.script.change = lambda tick, asked: asked._replace(arm=tick > 25, thrust=0.4 if tick > 40 else 0.0)
+        while not (steps and steps[-1].fore > 0.0):
+            await asyncio.sleep(0.004)
+        time.sleep(0.5)
+        missed_at = len(steps)
+        while len(steps) < missed_at + 50:
+            await asyncio.sleep(0.004)
+        assert made.timing.missed > 0
+        assert steps[-1].armed == virtual
+        assert bool(steps[-1].fore) == virtual
+
+    run(work, lockstep=False)
+
+
+class Blind:
+    """A watchdog that stood still with the program."""
+
+    def __init__(self, stop: Callable[[], None]) -> None:
+        self.stop = stop
+
+    def beat(self) -> None:
+        """Nothing."""
+
+    def close(self) -> None:
+        """Nothing."""
+
+
 def test_a_hanging_loop_stops_the_motors_in_real_time() -> None:
     """Something blocks the event loop in flight: the watchdog's thread stops the motors, the failsafe says why."""
 

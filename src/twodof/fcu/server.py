@@ -158,6 +158,10 @@ class Server:
             while True:
                 due = await pacer.wait()
                 controller.timing.began(pacer.late_ns)
+                if pacer.missed > controller.timing.missed and not controller.hardware.virtual:
+                    # The program stood still, its watchdog too, while the motors ran on and no timer of the flight
+                    # code counted. A virtual rig stood still with it.
+                    controller.stop()
                 controller.timing.missed = pacer.missed
                 for number in range(due):
                     if number:
