@@ -17,7 +17,7 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.experiment.drones import drone_process, drone_thread
-from twodof.errors import ExperimentError, LinkLost
+from twodof.errors import ExperimentError, LinkLost, Timeout
 from twodof.experiment.checks import received
 from twodof.experiment.flight import Flight, Laboratory
 from twodof.experiment.fly import fly
@@ -268,6 +268,19 @@ def test_a_drone_that_refuses_to_arm_is_named_with_its_reason() -> None:
         assert_failed(flight, "safety switch")
         assert not drone.state.armed
         assert not flight.log["T"].value.any()
+
+
+def test_a_drone_that_armed_without_being_heard_to_is_disarmed(monkeypatch: pytest.MonkeyPatch) -> None:
+    with drone_thread() as url, Drone.connect(url) as drone:
+        arm = drone.arm
+
+        def unheard() -> None:
+            arm()
+            raise Timeout("arming: no answer within 5 s", "drone 1", "")
+
+        monkeypatch.setattr(drone, "arm", unheard)
+        assert_failed(fly(short("attitude-steps"), drone), "no answer")
+        assert not drone.state.armed
 
 
 def test_a_flight_in_which_the_failsafe_acted_is_broken_off() -> None:

@@ -184,8 +184,12 @@ class _Course:
         return ""
 
     def _arm(self) -> str:
-        self.drone.arm()
-        self._flying = True
+        self._flying = True  # also where no answer comes: then it is disarmed all the same
+        try:
+            self.drone.arm()
+        except Rejected:
+            self._flying = False
+            raise
         return ""
 
     def _offer(self) -> str:
