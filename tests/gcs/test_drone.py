@@ -90,6 +90,16 @@ def test_parameters_by_both_names_together_and_back(there: OnBoard) -> None:
         assert len(rows) > 50
 
 
+def test_parameters_are_a_mapping_also_for_names_that_there_are_not(there: OnBoard) -> None:
+    with Drone.connect(there.url) as drone:
+        assert "ATT_KP" in drone.parameters
+        assert drone.parameters.get("ATT_KP") == drone.parameters["ATT_KP"]
+        assert "NOPE" not in drone.parameters
+        assert 7 not in drone.parameters
+        assert drone.parameters.get("NOPE", 1.5) == 1.5
+        assert "drone 1" in repr(drone.parameters)
+
+
 def test_a_recording_is_the_drones_own_log(there: OnBoard, tmp_path: Path) -> None:
     """Channel for channel: the stamps of the on-board log, its values rounded to float32, no sample missing."""
     file = tmp_path / "flight.mcap"
@@ -291,7 +301,7 @@ def test_a_drone_that_goes_is_a_lost_link() -> None:
 
 
 def test_the_same_excitation_in_another_session_is_played_again() -> None:
-    """In real time, where nothing is reset between: the drone must not take the second for a repetition of the first."""
+    """In real time nothing is reset between: the second must not be taken for a repetition of the first."""
     impulse = Impulse(0.1, 0.05, unit="-")
     with on_board(conditions={"rings": True}) as there:
         for _ in range(2):

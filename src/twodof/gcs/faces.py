@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from twodof.errors import ParameterError
 from twodof.gcs.batches import Rows
 from twodof.gcs.files import Files
 from twodof.gcs.log_download import LogEntry, Logs
@@ -26,6 +27,20 @@ class Parameters(MutableMapping[str, float]):
 
     def __init__(self, there: AsyncParameters, runner: Runner) -> None:
         self._there, self._runner = there, runner
+
+    def __repr__(self) -> str:
+        return f"<parameters of drone {self._there.system}: [name] asks for one, all() for all>"
+
+    def __contains__(self, name: object) -> bool:
+        """Whether the drone has it. Raises LinkLost, Timeout."""
+        try:
+            return isinstance(name, str) and isinstance(self[name], float)
+        except ParameterError:
+            return False
+
+    def get(self, name: str, default: Any = None) -> Any:
+        """The value, `default` for one that the drone has not. Raises LinkLost, Timeout."""
+        return self[name] if name in self else default
 
     def __getitem__(self, name: str) -> float:
         """Raises ParameterError for one that it has not, LinkLost, Timeout."""

@@ -59,6 +59,11 @@ class AsyncParameters:
         self._numbers = count(1)
         session.on(self._told, "PARAM_VALUE")
 
+    @property
+    def system(self) -> int:
+        """The drone's system id."""
+        return self._session.system
+
     async def read(self, name: str, timeout: float | None = None) -> float:
         """The value of one. Raises ParameterError for one that the drone says it has not, LinkLost, Timeout."""
         return (await self._entry(name, self._deadline(timeout, f"reading {name}"))).value
