@@ -8,6 +8,7 @@ from typing import Any, Self
 
 from twodof.errors import LinkLost
 from twodof.link.connection import Connection, Received
+from twodof.link.ftp import Op, packed, read_packet
 from twodof.link.messages import ExcitationReceiver, float_of_int, int_of_float, message
 from twodof.link.modes import MANUAL
 from twodof.link.opening import open_transport
@@ -41,6 +42,8 @@ class Peer:
         self.parameters: dict[str, float] = dict(PARAMETERS)
         self.before: dict[str, float] = {}
         self.log = bytes(range(256)) * 5
+        self.files: dict[str, bytes] = {}
+        self._file = ""
         self.beating = True
         self._done: dict[tuple[int, int], int] = {}
         self._pending: dict[int, dict[str, float]] = {}
@@ -234,3 +237,20 @@ class Peer:
         for at in range(got.ofs, min(got.ofs + got.count, len(self.log)), 90):
             piece = self.log[at : at + 90]
             self.send("LOG_DATA", id=got.id, ofs=at, count=len(piece), data=piece)
+
+    def _file_transfer_protocol(self, got: Any, frame: Any) -> None:
+        asked, data = read_packet(bytes(got.payload)), b""
+        if asked.op in (Op.CREATE, Op.OPEN_RO):
+            self._file = asked.text
+        content = self.files.get(self._file, b"")
+        if asked.op == Op.CREATE:
+            self.files[self._file] = b""
+        elif asked.op == Op.OPEN_RO:
+            data = len(content).to_bytes(4, "little")
+        elif asked.op == Op.WRITE:
+            self.files[self._file] = content[: asked.offset] + asked.data[: asked.size]
+        elif asked.op == Op.READ:
+            data = content[asked.offset :][: asked.size]
+        elif asked.op == Op.REMOVE:
+            self.files.pop(asked.text, None)
+        self.send("FILE_TRANSFER_PROTOCOL", payload=packed(asked.ack(data), frame.system, frame.component).payload)

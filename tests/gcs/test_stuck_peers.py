@@ -1,6 +1,7 @@
 """Stuck peers: silent, dying at every message, talking rubbish, answering wrongly. Each call ends in time, rightly."""
 
 import asyncio
+import inspect
 import random
 import socket
 import threading
@@ -16,7 +17,10 @@ from twodof.errors import LinkError, LinkLost, LogError, ParameterError, Rejecte
 from twodof.excitation import Doublet
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.gcs.drone import Drone
-from twodof.gcs.log_download import LogEntry
+from twodof.gcs.files import Files
+from twodof.gcs.log_download import LogEntry, Logs
+from twodof.gcs.parameters import AsyncParameters
+from twodof.gcs.telemetry import Signal
 
 CALL_S = 6.0
 # A call may notice at its next look, which is at most a second later; words for a refusal take .3 s.
@@ -27,6 +31,14 @@ RECORD_S = 12.0
 WAIT_S = 11.0
 EXCITATION = Doublet(0.1, 0.2, unit="rad")
 ENTRY = LogEntry(0, 1280, 0)
+PARTS = {"": AsyncDrone, "parameters.": AsyncParameters, "logs.": Logs, "files.": Files, "telemetry.": Signal}
+# Every public call that waits for the drone; `over` is `connect` on a link that is open.
+PUBLIC = {
+    part + name
+    for part, kind in PARTS.items()
+    for name, _ in inspect.getmembers(kind, inspect.iscoroutinefunction)
+    if not name.startswith("_") and name != "over"
+} | {"batch", "record"}
 Spoil = Callable[[int, Any], list[Any] | None]
 
 
@@ -43,30 +55,40 @@ def calls(drone: AsyncDrone, folder: Path) -> dict[str, Callable[[], Awaitable[A
 
     here = drone.tick
     made = {
-        "read": lambda: drone.parameters.read("ATT_KP", CALL_S),
-        "list": lambda: drone.parameters.all(CALL_S),
-        "update": lambda: drone.parameters.update({"ATT_KP": 6.0, "RATE_KP": 0.05}, CALL_S),
-        "set": lambda: drone.parameters.set("ATT_KP", 7.0, CALL_S),
-        "undo": lambda: drone.parameters.undo(CALL_S),
+        "parameters.read": lambda: drone.parameters.read("ATT_KP", CALL_S),
+        "parameters.all": lambda: drone.parameters.all(CALL_S),
+        "parameters.update": lambda: drone.parameters.update({"ATT_KP": 6.0, "RATE_KP": 0.05}, CALL_S),
+        "parameters.set": lambda: drone.parameters.set("ATT_KP", 7.0, CALL_S),
+        "parameters.undo": lambda: drone.parameters.undo(CALL_S),
+        "files.write": lambda: drone.files.write("/controllers/x.json", b"{}" * 200, CALL_S),
+        "files.read": lambda: drone.files.read("/controllers/x.json", CALL_S),
+        "files.remove": lambda: drone.files.remove("/controllers/x.json", CALL_S),
+        "fly_controller": lambda: drone.fly_controller("attitude_control", b"{}", CALL_S),
         "arm": lambda: drone.arm(CALL_S),
         "level_hold": lambda: drone.level_hold(CALL_S),
         "set_pitch": lambda: drone.set_pitch(0.1, timeout=CALL_S),
+        "set_mode": lambda: drone.set_mode("attitude", CALL_S),
+        "set_pitch_rate": lambda: drone.set_pitch_rate(0.1, timeout=CALL_S),
+        "set_velocity": lambda: drone.set_velocity(0.1, timeout=CALL_S),
+        "set_position": lambda: drone.set_position(0.1, timeout=CALL_S),
         "set_moment": lambda: drone.set_moment(0.1, timeout=CALL_S),
         "excite": lambda: drone.excite(EXCITATION, timeout=CALL_S, wait=False),
         "run": lambda: drone.run(0.1),
-        "next": lambda: drone.telemetry("theta").next(timeout=CALL_S),
-        "wait": lambda: drone.wait_until(lambda: drone.tick > here + 125, timeout=0.6),
+        "run_until": lambda: drone.run_until(drone.tick + 25),
+        "telemetry.next": lambda: drone.telemetry("theta").next(timeout=CALL_S),
+        "wait_until": lambda: drone.wait_until(lambda: drone.tick > here + 125, timeout=0.6),
         "batch": batch,
         "record": record,
+        "command": lambda: drone.command("REQUEST_AUTOPILOT_CAPABILITIES", 1.0, timeout=CALL_S),
         "stream": lambda: drone.stream("ATTITUDE", 50.0, CALL_S),
-        "logs": lambda: drone.logs.list(CALL_S),
-        "download": lambda: drone.logs.download(ENTRY, folder / "log.ulg", CALL_S),
+        "logs.list": lambda: drone.logs.list(CALL_S),
+        "logs.download": lambda: drone.logs.download(ENTRY, folder / "log.ulg", CALL_S),
         "reset": lambda: drone.reset(timeout=CALL_S),
         "disarm": lambda: drone.disarm(CALL_S),
         "kill": lambda: drone.kill(CALL_S),
     }
     if drone.session.lockstep:
-        del made["next"]  # nothing comes while time stands still
+        del made["telemetry.next"]  # nothing comes while time stands still
     return made
 
 
@@ -109,7 +131,7 @@ class Conversation:
 
     def check(self) -> None:
         """Every call ended in time."""
-        longest = {"record": RECORD_S, "wait": WAIT_S}
+        longest = {"record": RECORD_S, "wait_until": WAIT_S}
         late = {name: took for name, took in self.took.items() if took > longest.get(name, CALL_S) + LATE_S}
         assert late == {}
 
@@ -124,7 +146,8 @@ def test_with_a_sound_peer_every_call_succeeds(tmp_path: Path, lockstep: bool) -
     talk = Conversation(tmp_path, lockstep=lockstep)
     assert talk.failed == {}
     assert (tmp_path / "log.ulg").read_bytes() == talk.peer.log
-    assert len(talk.ended) == 23 - lockstep
+    assert talk.peer.files == {"/controllers/attitude_control.json": b"{}"}
+    assert set(talk.ended) == PUBLIC - ({"telemetry.next"} if lockstep else set())
 
 
 def test_one_that_says_nothing_is_no_drone(tmp_path: Path) -> None:

@@ -239,6 +239,7 @@ class AsyncDrone(Connected):
         path = f"/controllers/{template}.json"
         content = diagram.encode() if isinstance(diagram, str) else diagram
         deadline = self._deadline(timeout, "sending a controller")
+        self.session.check(self.session.now)  # what is known of a drone that is lost says nothing
         if self.state.armed:
             raise Rejected("it is armed", deadline.where, "disarm it first")
         await self.files.write(path, content, deadline.left)
