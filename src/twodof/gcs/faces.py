@@ -33,14 +33,14 @@ class Parameters(MutableMapping[str, float]):
 
     def __contains__(self, name: object) -> bool:
         """Whether the drone has it. Raises LinkLost, Timeout."""
-        try:
-            return isinstance(name, str) and isinstance(self[name], float)
-        except ParameterError:
-            return False
+        return isinstance(name, str) and self.get(name) is not None
 
     def get(self, name: str, default: Any = None) -> Any:
         """The value, `default` for one that the drone has not. Raises LinkLost, Timeout."""
-        return self[name] if name in self else default
+        try:
+            return self[name]
+        except ParameterError:
+            return default
 
     def __getitem__(self, name: str) -> float:
         """Raises ParameterError for one that it has not, LinkLost, Timeout."""
