@@ -7,7 +7,7 @@ import termios
 import threading
 import time
 from collections.abc import AsyncIterator, Callable, Coroutine
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -342,6 +342,30 @@ def test_a_slow_tcp_reader_slows_its_sender_and_loses_nothing(monkeypatch: pytes
             assert await gather(there, size) == data
             pouring.join(SOON)
             assert there.counts.dropped_in == 0
+
+    run(work())
+
+
+def test_a_tcp_client_that_floods_keeps_no_other_waiting() -> None:
+    """Behind a reader that is busy elsewhere at most two windows of the flood are ahead of another's few bytes."""
+
+    async def work() -> None:
+        async with await open_transport("tcpin://:0") as there:
+            assert isinstance(there, TcpTransport)
+            flooder = socket.create_connection(("127.0.0.1", there.port), timeout=SOON)
+            other = socket.create_connection(("127.0.0.1", there.port), timeout=SOON)
+            with flooder, other:
+                flooder.setblocking(False)
+                for _ in range(200):
+                    with suppress(BlockingIOError):
+                        flooder.send(b"x" * 100_000)
+                    await asyncio.sleep(0)
+                other.sendall(b"kill")
+                ahead = 0
+                while (packet := await there.receive(SOON)) is not None and packet.data != b"kill":
+                    ahead += len(packet.data)
+                assert packet is not None
+                assert 0 < ahead <= 2 * tcp.WINDOW_BYTES
 
     run(work())
 

@@ -10,15 +10,19 @@ from twodof.link.transport import MOST_OUT_BYTES, Packet, Transport
 from twodof.link.url import Address
 
 MOST_CLIENTS = 32
+# What may wait of one stream; then its sender is stopped, and it alone: another's kill must not wait behind a flood.
+WINDOW_BYTES = 16 << 10
 
 
-class _Stream(asyncio.Protocol):
+class _Stream(asyncio.BufferedProtocol):
     """One connection, of a client or to a server; itself the peer."""
 
     def __init__(self, owner: "TcpTransport") -> None:
         self._owner = owner
+        self._buffer = bytearray(WINDOW_BYTES)
         self.socket: asyncio.Transport | None = None
         self.name = ""
+        self.paused = False
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """A connection stands."""
@@ -29,9 +33,13 @@ class _Stream(asyncio.Protocol):
         self.name = f"{peer[0]}:{peer[1]}" if peer else "?"
         self._owner._connected(self)
 
-    def data_received(self, data: bytes) -> None:
+    def get_buffer(self, sizehint: int) -> bytearray:
+        """Where the next bytes of the stream go."""
+        return self._buffer
+
+    def buffer_updated(self, nbytes: int) -> None:
         """Some bytes of the stream."""
-        self._owner._arrived(data, self)
+        self._owner._arrived(bytes(memoryview(self._buffer)[:nbytes]), self)
 
     def connection_lost(self, exc: Exception | None) -> None:
         """The connection is gone."""
@@ -49,8 +57,7 @@ class TcpTransport(Transport):
         self._listens = address.listens
         self._server: asyncio.Server | None = None
         self._streams: dict[_Stream, None] = {}
-        self._inbox.on_room = self._resume
-        self._paused = False
+        self._inbox.on_taken = self._resume
 
     @property
     def peers(self) -> tuple[Hashable, ...]:
@@ -84,22 +91,20 @@ class TcpTransport(Transport):
         if stream not in self._streams:
             return
         self._inbox.put(Packet(data, stream))
-        if self._inbox.full and not self._paused:
-            self._paused = True
-            for one in self._streams:
-                if one.socket is not None:
-                    one.socket.pause_reading()
+        if self._inbox.waits_of(stream) >= WINDOW_BYTES and not stream.paused and stream.socket is not None:
+            stream.paused = True
+            stream.socket.pause_reading()
 
-    def _resume(self) -> None:
-        if self._paused:
-            self._paused = False
-            for one in self._streams:
-                if one.socket is not None and not one.socket.is_closing():
-                    one.socket.resume_reading()
+    def _resume(self, peer: Hashable) -> None:
+        stream = cast(_Stream, peer)
+        if stream.paused and self._inbox.waits_of(stream) < WINDOW_BYTES // 2:
+            stream.paused = False
+            if stream.socket is not None and not stream.socket.is_closing():
+                stream.socket.resume_reading()
 
     def _send(self, data: bytes, peer: Hashable) -> bool:
         stream = cast(_Stream, peer)
-        if stream not in self._streams or stream.socket is None:
+        if stream not in self._streams or stream.socket is None or stream.socket.is_closing():
             return False
         if stream.socket.get_write_buffer_size() + len(data) > MOST_OUT_BYTES:
             return False

@@ -50,9 +50,11 @@ class Inbox:
         self._counts = counts
         self._packets: deque[Packet] = deque()
         self._bytes = 0
+        self._of: dict[Hashable, int] = {}  # bytes that wait, by peer
         self._waiter: asyncio.Future[None] | None = None
         self._end: LinkLost | None = None
         self.on_room: Callable[[], None] | None = None
+        self.on_taken: Callable[[Hashable], None] | None = None
         self.taker: Callable[[Packet], None] | None = None
         self.on_end: Callable[[LinkLost], None] | None = None
 
@@ -70,10 +72,25 @@ class Inbox:
             return
         self._packets.append(packet)
         self._bytes += len(packet.data)
+        self._of[packet.peer] = self._of.get(packet.peer, 0) + len(packet.data)
         while len(self._packets) > 1 and (self._bytes > MOST_BYTES or len(self._packets) > MOST_PACKETS):
-            self._bytes -= len(self._packets.popleft().data)
+            self._oldest()
             self._counts.dropped_in += 1
         self._wake()
+
+    def waits_of(self, peer: Hashable) -> int:
+        """Bytes of `peer` that wait."""
+        return self._of.get(peer, 0)
+
+    def _oldest(self) -> Packet:
+        packet = self._packets.popleft()
+        self._bytes -= len(packet.data)
+        left = self._of.get(packet.peer, 0) - len(packet.data)
+        if left:
+            self._of[packet.peer] = left
+        else:
+            self._of.pop(packet.peer, None)
+        return packet
 
     def put_from_anywhere(self, packet: Packet) -> None:
         """Add a packet from whatever thread or loop; silently nothing once the loop is gone."""
@@ -109,8 +126,9 @@ class Inbox:
     def take(self) -> Packet | None:
         """The oldest packet, None if there is none now. Raises LinkLost if none will come."""
         if self._packets:
-            packet = self._packets.popleft()
-            self._bytes -= len(packet.data)
+            packet = self._oldest()
+            if self.on_taken is not None:
+                self.on_taken(packet.peer)
             if self.on_room is not None and not self._packets:
                 self.on_room()
             return packet
