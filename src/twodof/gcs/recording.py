@@ -94,7 +94,7 @@ class Recording:
     def take(self, got: Any) -> None:
         """A TWODOF_BATCH."""
         self._waiting.append(got)
-        self._waiting_rows += got.rows
+        self._waiting_rows += max(1, got.rows)  # one that carries none takes room too
         if self._waiting_rows >= TOGETHER:
             self.write()
 
