@@ -28,8 +28,8 @@ class LeaseState(NamedTuple):
 class Lease:
     """Who holds the lease, and until when; time is a tick that only `moved` sets back.
 
-    `orphaned`: the holder fell silent or gave it up while armed, and nobody took the lease since. Then no other's frames
-    keep the link alive: the drone is without its pilot, whoever else may be there.
+    `orphaned`: the holder fell silent or gave it up while armed, and nobody took the lease since. Then no other
+    client keeps the link alive: the drone is without its pilot, whoever else may be there.
     """
 
     def __init__(self) -> None:
