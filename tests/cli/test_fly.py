@@ -33,3 +33,31 @@ def test_what_cannot_be_flown_is_said(capfd: pytest.CaptureFixture[str]) -> None
     assert "two drones" in capfd.readouterr().err
     assert run(["fly", "doublet", "--rig", "no-such-rig.json"]) == 2
     assert "no-such-rig.json" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("command", [["fly", "doublet", "--rig", "paper"], ["simulate", "doublet"]])
+@pytest.mark.parametrize(
+    ("name", "word"),
+    [
+        ("flight.h5", "no log format has the suffix '.h5'"),
+        ("flight.ulg", "read, not written"),
+        ("nowhere/flight.mat", "mkdir -p"),
+        ("folder.mat", "is a directory"),
+    ],
+)
+def test_a_log_that_cannot_be_written_is_refused_before_anything_flies(
+    command: list[str],
+    name: str,
+    word: str,
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def moved(*_: object, **__: object) -> None:
+        raise AssertionError("it flew")
+
+    monkeypatch.setattr("twodof.cli.fly.own_drone", moved)
+    monkeypatch.setattr("twodof.cli.simulate.Laboratory", moved)
+    (tmp_path / "folder.mat").mkdir()
+    assert run([*command, "--out", str(tmp_path / name)]) == 2
+    assert word in capfd.readouterr().err

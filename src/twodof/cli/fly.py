@@ -16,7 +16,7 @@ from twodof.experiment.flight import Flight, Laboratory
 from twodof.experiment.fly import fly as fly_experiment
 from twodof.experiment.protocol import EXPERIMENTS
 from twodof.experiment.protocol import experiment as named_experiment
-from twodof.flightlog.files import write_log
+from twodof.flightlog.files import check_place, write_log
 from twodof.gcs.async_drone import DEFAULT_URL
 from twodof.gcs.drone import Drone
 
@@ -53,6 +53,8 @@ def fly(
         raise typer.BadParameter("--url and --rig name two drones: give one of them")
     if controller and rig is None:
         raise typer.BadParameter("--controller goes with --rig: another drone flies what it was given")
+    if out is not None:
+        check_place(out)  # before anything moves: a flight is not flown for nothing
     own = [option for name in controller or [] for option in ("--controller", name)]
     with ExitStack() as stack:
         where = url or DEFAULT_URL if rig is None else stack.enter_context(own_drone(rig, *own))

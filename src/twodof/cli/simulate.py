@@ -19,7 +19,7 @@ from twodof.experiment.protocol import EXPERIMENTS
 from twodof.experiment.protocol import experiment as named_experiment
 from twodof.flight.gains import load_gains
 from twodof.flight.slot import simulator_slot
-from twodof.flightlog.files import read_log, write_log
+from twodof.flightlog.files import check_place, read_log, write_log
 from twodof.flightlog.log import FlightLog
 from twodof.flightlog.public_data import PUBLIC_LOGS, PublicLog
 from twodof.rig.parameters import load_rig
@@ -59,7 +59,7 @@ def simulate(
     seed: Annotated[
         int, typer.Option(min=0, max=2**32 - 1, help="Seed of the noise; the same seed gives the same flight.")
     ] = 1,
-    out: Annotated[Path | None, typer.Option(help="Write the flight's log (.mat, .parquet, .csv).")] = None,
+    out: Annotated[Path | None, typer.Option(help="Write the flight's log (.mat, .mcap, .parquet, .csv).")] = None,
     json: Json = False,
 ) -> None:
     """Fly an experiment on a virtual rig, or, with --like, a log's set-points without noise and compare.
@@ -75,6 +75,8 @@ def simulate(
     elif window is not None:
         raise typer.BadParameter("--window goes with --like")
     elif experiment is not None:
+        if out is not None:
+            check_place(out)
         diagrams = _controllers(controller or [])
         laboratory = Laboratory(
             rig, load_gains(gains or "default"), controllers=diagrams, tuning=_tuning(tune or []), precision=precision

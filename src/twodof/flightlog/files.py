@@ -1,5 +1,6 @@
 """One door for every file format: the suffix of the name decides."""
 
+import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -29,6 +30,21 @@ def write_log(log: FlightLog, path: str | Path) -> None:
     """Writes a log to a .mat, .mcap, .parquet or .csv file, atomically. Raises LogError."""
     _check(path, _WRITERS)
     _WRITERS[Path(path).suffix.lower()](log, path)
+
+
+def check_place(path: str | Path) -> None:
+    """Whether `write_log` can write there, before what it is to hold is made: a known suffix, a folder that lets us in.
+
+    Raises LogError.
+    """
+    _check(path, _WRITERS)
+    target = Path(path).resolve()
+    if target.is_dir():
+        raise LogError("is a directory", str(path), "name a file")
+    if not target.parent.is_dir():
+        raise LogError("its folder is not there", str(path), f"make it: mkdir -p {target.parent}")
+    if not os.access(target.parent, os.W_OK | os.X_OK):
+        raise LogError("its folder may not be written", str(path), "choose another one")
 
 
 def convert(src: str | Path, dst: str | Path) -> FlightLog:
