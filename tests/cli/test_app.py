@@ -1,17 +1,21 @@
 """The command line as a person or a script meets it: exit statuses, errors, JSON, Ctrl-C, quick start."""
 
 import json
+import re
 import resource
 import signal
 import subprocess
 import sys
 import textwrap
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import typer
 
-from twodof.cli.app import COMMANDS, run, status_of
+from twodof.cli.app import COMMANDS, app, run, status_of
 from twodof.errors import CompileError, ExperimentError, IdentificationError, LogError
 from twodof.flightlog.files import read_log, write_log
 from twodof.flightlog.log import Channel, FlightLog
@@ -164,3 +168,28 @@ def test_the_package_itself_is_light() -> None:
     code = "import time; t = time.process_time(); import twodof; print(time.process_time() - t)"
     done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
     assert float(done.stdout) < 0.3
+
+
+def commands(group: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """Every command below `group`, with what is typed for it."""
+    for name in group.list_commands(None) if hasattr(group, "list_commands") else []:
+        command = group.get_command(None, name)
+        yield (*path, name), command
+        yield from commands(command, (*path, name))
+
+
+EVERY_COMMAND = list(commands(typer.main.get_command(app)))
+
+
+@pytest.mark.parametrize(("typed", "command"), EVERY_COMMAND, ids=[" ".join(typed) for typed, _ in EVERY_COMMAND])
+def test_help_says_every_option_to_the_letter(
+    typed: tuple[str, ...], command: Any, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Brackets above all, such as those around units, which a markup language takes for its own."""
+    assert run([*typed, "--help"]) == 0
+    text = " ".join(capfd.readouterr().out.split())
+    letters = text.replace(" ", "")  # lines are broken at hyphens too
+    assert not re.search(r" [.,;:)](?!\w)", text.replace(" ...", ""))
+    said = [command.help or "", *(getattr(parameter, "help", None) or "" for parameter in command.params)]
+    for one in said:
+        assert "".join(one.split()) in letters

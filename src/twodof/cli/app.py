@@ -85,7 +85,9 @@ def status_of(error: TwodofError) -> int:
     return WENT_WRONG if isinstance(error, IdentificationError | CompileError | DownloadError) else CALLERS_MISTAKE
 
 
-app = typer.Typer(cls=LazyGroup, add_completion=False, pretty_exceptions_enable=False, no_args_is_help=True)
+app = typer.Typer(
+    cls=LazyGroup, add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False, no_args_is_help=True
+)
 
 
 def _version(asked: bool) -> None:

@@ -15,7 +15,7 @@ from twodof.errors import LogError
 from twodof.flightlog.public_data import find
 from twodof.rig.parameters import save_rig
 
-app = typer.Typer(add_completion=False)
+app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
 
 @app.command()

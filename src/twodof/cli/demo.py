@@ -25,7 +25,7 @@ from twodof.report.numbers import plain, with_sigma
 from twodof.report.page import to_html
 from twodof.report.walk import REPETITIONS, comparisons, planned, real, virtual
 
-app = typer.Typer(add_completion=False)
+app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
 _REPORT = Path("out/demo/report.html")
 _RIGS = ("paper", "lab")

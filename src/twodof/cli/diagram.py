@@ -27,7 +27,12 @@ from twodof.flightlog.atomic import atomic_write
 from twodof.report.code_page import code_page
 from twodof.report.diagram_svg import find, to_svg
 
-app = typer.Typer(add_completion=False, no_args_is_help=True, help="Start, check, draw, read and linearize diagrams.")
+app = typer.Typer(
+    add_completion=False,
+    rich_markup_mode=None,
+    no_args_is_help=True,
+    help="Start, check, draw, read and linearize diagrams.",
+)
 
 MAX_AT_BYTES = 2**20
 

@@ -11,7 +11,7 @@ from rich.table import Table
 from twodof.cli.output import Json, print_json, table_console
 from twodof.gcs.discovery import LOOPBACK, discover
 
-app = typer.Typer(add_completion=False)
+app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
 
 @app.callback(invoke_without_command=True)

@@ -19,13 +19,13 @@ from twodof.link.stamps import Stamps
 from twodof.sim.rig_host import SEEDS
 from twodof.sim.virtual_drone import VirtualDrone
 
-app = typer.Typer(add_completion=False)
+app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
 FIRST_PORT = 5790
 """Drone 0 listens there for its companion, drone 1 on the next one, and so on."""
 
-MOST_DRONES = 250
-"""A client may be system 250 and above."""
+MOST_DRONES = 199
+"""A client may be system 200 and above."""
 
 
 @app.command()

@@ -24,7 +24,7 @@ from twodof.errors import CompileError
 from twodof.flight.templates import PERIOD, check_template
 from twodof.gcs.async_drone import DEFAULT_URL
 
-app = typer.Typer(add_completion=False)
+app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
 _LINES = 60  # of changes; a diagram that has little in common with the one before makes hundreds
 _STEPS = 250  # run on the emulated processor to count instructions: a second of flight

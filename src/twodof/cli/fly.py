@@ -20,7 +20,7 @@ from twodof.flightlog.files import check_place, write_log
 from twodof.gcs.async_drone import DEFAULT_URL
 from twodof.gcs.drone import Drone
 
-app = typer.Typer(add_completion=False)
+app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
 
 @app.command()

@@ -27,7 +27,7 @@ from twodof.models.structure import Structure
 from twodof.models.structures import free_response, pitch_rate, rail, velocity
 from twodof.report.characterise import TRAVEL
 
-app = typer.Typer(add_completion=False)
+app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
 
 class Experiment(StrEnum):

@@ -16,7 +16,9 @@ from twodof.flightlog.files import read_log
 from twodof.flightlog.public_data import PUBLIC_LOGS, find
 from twodof.flightlog.recovery import recover as recover_log
 
-app = typer.Typer(help="Look into flight logs and convert them.", no_args_is_help=True, add_completion=False)
+app = typer.Typer(
+    help="Look into flight logs and convert them.", no_args_is_help=True, add_completion=False, rich_markup_mode=None
+)
 # More rows than this say nothing more to a reader; --json has all.
 _ROWS = 20
 

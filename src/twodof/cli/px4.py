@@ -18,6 +18,7 @@ app = typer.Typer(
     help="Make a module for PX4 of a diagram, and see whether a PX4 fits it.",
     no_args_is_help=True,
     add_completion=False,
+    rich_markup_mode=None,
 )
 
 

@@ -15,7 +15,7 @@ from twodof.flight.gains import load_gains
 from twodof.flightlog.files import read_log
 from twodof.sim.replay import replay as replay_log
 
-app = typer.Typer(add_completion=False)
+app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
 
 # The right gains leave less than 1e-5, in float32 too; a gain that is 1 % off leaves some 1e-2 of its loop's output.

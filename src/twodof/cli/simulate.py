@@ -25,7 +25,7 @@ from twodof.flightlog.public_data import PUBLIC_LOGS, PublicLog
 from twodof.rig.parameters import load_rig
 from twodof.sim.like import simulate_like
 
-app = typer.Typer(add_completion=False)
+app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
 
 @app.command()

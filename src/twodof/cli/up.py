@@ -17,7 +17,7 @@ from twodof.errors import LinkError
 from twodof.link.connection import Connection
 from twodof.link.opening import open_transport
 
-app = typer.Typer(add_completion=False)
+app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
 MOST_DRONES = 10
 """The eleventh's port for clients on board, 14540 + 10, is QGroundControl's."""
