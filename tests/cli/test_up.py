@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -18,6 +19,8 @@ import pytest
 
 from twodof.cli.app import run
 from twodof.cli.children import MOST_RESTARTS
+from twodof.cli.said import error_of
+from twodof.cli.up import Place, say
 from twodof.gcs.drone import Drone
 
 WAIT_S = 120.0
@@ -96,7 +99,12 @@ def test_two_drones_answer_where_it_says_and_all_ends_at_ctrl_c(tmp_path: Path) 
                 assert (rig.name, rig.rings_locked, rig.lockstep) == ("paper", True, True)
         with up(tmp_path, "--rig", "paper") as second:
             assert second.process.wait(WAIT_S) == 2
-            second.wait(lambda: any("in use" in line for line in second.said), "no word of the port")
+            second.wait(lambda: any("remedy" in line for line in second.said), "no word of the port")
+            said = "".join(second.said)
+            assert (
+                f"TCP port {5790 + FIRST}, where the flight controller of drone {FIRST + 1} listens, is in use" in said
+            )
+            assert re.search(r"--first [0-9]\b", said)
         children = program.children()
         assert len(children) == 4
         program.process.send_signal(signal.SIGINT)
@@ -122,6 +130,27 @@ def test_a_program_that_dies_is_started_again_and_none_outlives_its_parent(tmp_p
         program.wait(lambda: gone(children), "children outlive it")
 
 
+@pytest.mark.parametrize("lockstep", [False, True])
+def test_people_are_told_who_can_connect(lockstep: bool, capfd: pytest.CaptureFixture[str]) -> None:
+    say([Place(2)], lockstep, json=False)
+    out = capfd.readouterr().out
+    assert f'Drone.connect("{"tcp://127.0.0.1:5792" if lockstep else "udp://127.0.0.1:14582"}")' in out
+    assert ("udpin://127.0.0.1:14542" in out) is not lockstep
+    assert ("--master=tcp:127.0.0.1:5762" in out) is not lockstep
+    assert ("stand still" in out) is lockstep
+
+
+def test_what_a_program_last_said_is_shown_line_by_line() -> None:
+    error = error_of(["Traceback", "  where it was", "ValueError: 3"], "companion 1", 1)
+    assert error.what.splitlines() == [
+        "it ended with status 1; it last said:",
+        "    Traceback",
+        "      where it was",
+        "    ValueError: 3",
+    ]
+    assert error_of([], "companion 1", -9).what.splitlines()[1:] == ["    it said nothing"]
+
+
 @pytest.mark.soak
 def test_a_program_that_dies_again_and_again_ends_all(tmp_path: Path) -> None:
     with up(tmp_path) as program:
@@ -143,7 +172,11 @@ def test_a_program_that_cannot_start_is_named_with_what_it_says(tmp_path: Path) 
     with up(tmp_path, "--rig", "no-such-rig.json") as program:
         assert program.process.wait(WAIT_S) == 2
         program.wait(lambda: any("no-such-rig.json" in line for line in program.said), "no word")
-        assert "error" in json.loads("".join(program.out))
+        error = json.loads("".join(program.out))["error"]
+        assert error["what"] == "cannot be read: No such file or directory"
+        assert error["where"] == f"flight controller {FIRST + 1}, no-such-rig.json"
+        assert error["remedy"].startswith("name a JSON file")
+        assert "".join(program.said).count("remedy:") == 1
 
 
 def test_drones_beyond_the_ports_that_clients_know_are_refused(capfd: pytest.CaptureFixture[str]) -> None:

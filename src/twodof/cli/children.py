@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass, field
 
+from twodof.cli.said import error_of, lines_of
 from twodof.errors import LinkError
 
 MOST_RESTARTS = 3
@@ -63,7 +64,7 @@ class Child:
         if self.process is None or self.process.stdout is None:
             return 0
         while line := await self.process.stdout.readline():
-            text = line.decode(errors="replace").strip()[:500]
+            text = line.decode(errors="replace").rstrip()[:500]
             if text.startswith("listening on"):
                 self.listening.set()
                 self.said.clear()
@@ -121,8 +122,7 @@ class Children:
             if waiting.done():
                 waiting.result()
             else:
-                why = " ".join(child.said) or "it said nothing"
-                raise LinkError(f"ended with status {ending.result()}: {why}", child.name, "put right what it says")
+                raise error_of(list(child.said), child.name, ending.result())
         finally:
             waiting.cancel()
             ending.cancel()
@@ -146,12 +146,12 @@ class Children:
         while True:
             status = await child.wait()
             child.ended.append(clock.time())
-            reason = f": {' '.join(child.said)}" if child.said else ""
+            last = f"; it last said:{lines_of(child.said)}" if child.said else ""
             often = len(child.ended) > MOST_RESTARTS and child.ended[-1] - child.ended[0] < WITHIN_S
             if often:
-                self._tell(f"{child.name} ended with status {status}{reason}; too often, all end")
+                self._tell(f"{child.name} ended with status {status}; too often, all end{last}")
                 return
-            self._tell(f"{child.name} ended with status {status}{reason}; it is started again")
+            self._tell(f"{child.name} ended with status {status}; it is started again{last}")
             await asyncio.sleep(AGAIN_S)
             try:
                 await self._begin(child)

@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from tempfile import TemporaryDirectory
 from typing import IO
 
+from twodof.cli.said import error_of
 from twodof.errors import LinkError
 
 START_S = 120.0
@@ -67,8 +68,7 @@ def _listening(process: subprocess.Popen[bytes], rig: str) -> str:
                 threading.Thread(target=_drain, args=(pipe,), daemon=True).start()
                 return "tcp" + found[1].decode()
     pipe.close()
-    text = " ".join(said.decode(errors="replace").split()) or "it said nothing"
-    raise LinkError(f"the flight controller did not come up: {text}", f"rig {rig}", "see what it says")
+    raise error_of(said.decode(errors="replace").splitlines(), f"virtual drone on the rig {rig}")
 
 
 def _drain(pipe: IO[bytes]) -> None:

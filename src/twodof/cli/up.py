@@ -13,14 +13,12 @@ import typer
 
 from twodof.cli.children import MOST_RESTARTS, WITHIN_S, Child, Children
 from twodof.cli.output import Json
+from twodof.cli.ports import MOST_DRONES, check_free
 from twodof.errors import LinkError
 from twodof.link.connection import Connection
 from twodof.link.opening import open_transport
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
-
-MOST_DRONES = 10
-"""The eleventh's port for clients on board, 14540 + 10, is QGroundControl's."""
 
 ANSWER_S = 60.0
 """How long a program may take until it is heard [s]: the first one compiles the flight code and the rig."""
@@ -88,6 +86,7 @@ def up(
     """
     if first + drones > MOST_DRONES:
         raise typer.BadParameter(f"drones have the numbers 0 to {MOST_DRONES - 1}")
+    check_free(first, drones)
     places = [Place(index) for index in range(first, first + drones)]
     options = ["--rig", rig, *(["--rings"] if rings else []), *(["--lockstep"] if lockstep else [])]
     options += [option for name in controller or [] for option in ("--controller", name)]
@@ -118,17 +117,22 @@ async def _run(places: list[Place], options: list[str], lockstep: bool, json: bo
     running = asyncio.ensure_future(_keep(children, places, lockstep, json))
     try:
         await asyncio.wait((ending, running), return_when=asyncio.FIRST_COMPLETED)
+        if not running.done() and not json:
+            sys.stdout.write("ending all\n")
+            sys.stdout.flush()
         return running.result() if running.done() else 0
     finally:
         for task in (ending, running):
             task.cancel()
         await asyncio.gather(ending, running, return_exceptions=True)
         await children.end()
+        if stopped.is_set() and not json:
+            sys.stdout.write("all have ended\n")
 
 
 async def _keep(children: Children, places: list[Place], lockstep: bool, json: bool) -> int:
     await children.start()
-    _say(places, lockstep, json)
+    say(places, lockstep, json)
     await children.run()
     return 1
 
@@ -155,21 +159,26 @@ def _tell(line: str) -> None:
     sys.stderr.write(f"{line}\n")
 
 
-def _say(places: list[Place], lockstep: bool, json: bool) -> None:
+def say(places: list[Place], lockstep: bool, json: bool) -> None:
+    """Say where the drones are: to people, or as one line of JSON."""
     rows = [place.described(lockstep) for place in places]
     if json:
         sys.stdout.write(json_text.dumps({"drones": rows, "lockstep": lockstep}) + "\n")
         sys.stdout.flush()
         return
     for row in rows:
-        sys.stdout.write(
-            f"drone {row['system']} is up\n"
-            f'  Python          Drone.connect("{row["drone"]}")\n'
-            f"  MAVSDK          {row['mavsdk']}\n"
-            f"  MAVProxy        mavproxy.py --master={row['mavproxy']}\n"
-        )
+        sys.stdout.write(f'drone {row["system"]} is up\n  Python          Drone.connect("{row["drone"]}")\n')
+        if not lockstep:
+            sys.stdout.write(
+                f"  MAVSDK          {row['mavsdk']}\n  MAVProxy        mavproxy.py --master={row['mavproxy']}\n"
+            )
     sys.stdout.write(
-        "QGroundControl finds them by itself (UDP 14550).\n"
+        "Time stands still but when a client of ours lets it pass (`drone.run`). MAVSDK, MAVProxy and QGroundControl\n"
+        "grant none and see it stand still: leave --lockstep out for them.\n"
+        if lockstep
+        else "QGroundControl finds them by itself (UDP 14550).\n"
+    )
+    sys.stdout.write(
         f"A program that ends is started again, up to {MOST_RESTARTS} times in {WITHIN_S:g} s. Ctrl-C ends all.\n"
     )
     sys.stdout.flush()

@@ -1,0 +1,54 @@
+"""Whether the ports of a virtual drone are free on this machine, asked before any program is started."""
+
+from __future__ import annotations
+
+import errno
+import socket
+from contextlib import closing
+
+from twodof.errors import LinkError
+
+MOST_DRONES = 10
+"""The eleventh's port for clients on board, 14540 + 10, is QGroundControl's."""
+
+_LOOPBACK = "127.0.0.1"
+# What is listened at, with drone 0's port (docs/protocol.md).
+_LISTENED = (
+    ("TCP", 5790, "the flight controller"),
+    ("TCP", 5760, "the companion"),
+    ("UDP", 14580, "the companion"),
+    ("UDP", 18570, "the companion, for ground stations"),
+)
+
+
+def taken(index: int) -> str:
+    """The first port of the drone `index` that somebody has, in words; "" if all are free."""
+    for kind, first, whose in _LISTENED:
+        port = first + index
+        with closing(socket.socket(type=socket.SOCK_STREAM if kind == "TCP" else socket.SOCK_DGRAM)) as probe:
+            if kind == "TCP":
+                # As who listens there will set it: connections that were closed lately do not hold the port.
+                probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind((_LOOPBACK, port))
+                if kind == "TCP":
+                    probe.listen(1)
+            except OSError as refusal:
+                if refusal.errno != errno.EADDRINUSE:
+                    raise LinkError(f"cannot be opened: {refusal.strerror}", f"{kind} port {port}") from refusal
+                return f"{kind} port {port}, where {whose} of drone {index + 1} listens, is in use"
+    return ""
+
+
+def check_free(first: int, drones: int) -> None:
+    """That `drones` from number `first` on find their ports free. Raises LinkError, which names one that is not."""
+    for index in range(first, first + drones):
+        if found := taken(index):
+            free = (number for number in range(MOST_DRONES - drones + 1) if _all_free(number, drones))
+            other = next(free, None)
+            rest = "" if other is None else f", or take other numbers: --first {other}"
+            raise LinkError(found, "this machine", f"end the program that has it (another `twodof up`?){rest}")
+
+
+def _all_free(first: int, drones: int) -> bool:
+    return not any(map(taken, range(first, first + drones)))
