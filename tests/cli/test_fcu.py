@@ -58,7 +58,7 @@ def test_what_cannot_be_is_said_and_nothing_is_started(
         (["--controller", "nothing"], "nothing"),
         (["--listen", "http://x"], "no kind of link"),
         (["--key", str(tmp_path / "none")], "the key cannot be read"),
-        (["--index", "250"], "249"),
+        (["--index", "199"], "198"),
         (["--precision", "float16"], "float16"),
         (["--noise", "nan"], "noise"),
         (["--rate", "fast"], "onboard"),

@@ -134,6 +134,8 @@ class Peer:
             self.heartbeat()
         elif got.command == 512 and got.param1 == 54206:
             self.rig()
+        elif got.command == 512 and got.param1 == 54209:
+            self._lease()
 
     def rig(self) -> None:
         """Say what it stands on."""
@@ -150,6 +152,9 @@ class Peer:
             self.holder = who
         elif got.action == 2 and self.holder == who:
             self.holder = (0, 0)
+        self._lease()
+
+    def _lease(self) -> None:
         self.send("TWODOF_LEASE", holder_system=self.holder[0], holder_component=self.holder[1], duration_ms=3000)
 
     def _twodof_grant(self, got: Any, _: Any) -> None:

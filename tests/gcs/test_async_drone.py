@@ -10,6 +10,7 @@ from tests.faults.virtual_time import run_virtual
 from tests.gcs.peer import Peer
 from twodof.errors import LinkLost, ParameterError, Rejected, Timeout
 from twodof.gcs.async_drone import AsyncDrone
+from twodof.gcs.identity import OWN_SYSTEMS
 
 Flight = Callable[[Peer, AsyncDrone], Coroutine[Any, Any, None]]
 
@@ -29,7 +30,8 @@ def fly(flight: Flight, peer: Peer | None = None, **options: Any) -> Peer:
 def test_connecting_takes_the_lease_and_leaving_disarms_and_gives_it_up() -> None:
     async def flight(peer: Peer, drone: AsyncDrone) -> None:
         assert drone.ours
-        assert peer.holder == (250, 190)
+        assert peer.holder == (drone.session.connection.system, 190)
+        assert peer.holder[0] in OWN_SYSTEMS
         await drone.arm()
         assert peer.armed
         assert drone.state.armed

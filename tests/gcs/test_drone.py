@@ -2,6 +2,7 @@
 
 import errno
 import os
+import secrets
 import signal
 import subprocess
 import sys
@@ -18,6 +19,7 @@ from tests.gcs.virtual import OnBoard, on_board
 from twodof.errors import LinkLost, LogError, ParameterError, RecordingError, Rejected
 from twodof.excitation import Doublet, Impulse
 from twodof.flightlog import read_log, recover, write_log
+from twodof.gcs import identity
 from twodof.gcs.drone import Drone
 from twodof.gcs.recording import TOGETHER
 from twodof.signals import TOPICS
@@ -201,7 +203,7 @@ def test_a_loop_in_another_unit_is_refused(there: OnBoard) -> None:
 
 
 def test_two_clients_of_which_one_commands(there: OnBoard) -> None:
-    with Drone.connect(there.url) as first:
+    with Drone.connect(there.url, system=250) as first:
         with pytest.raises(Rejected, match="250/190 holds the lease"):
             Drone.connect(there.url, system=251)
         with Drone.connect(there.url, system=251, take_lease=False) as second:
@@ -215,6 +217,27 @@ def test_two_clients_of_which_one_commands(there: OnBoard) -> None:
         assert not first.state.armed
     with Drone.connect(there.url, system=251):
         pass
+
+
+@pytest.mark.parametrize("same", [False, True], ids=["any draw", "the same draw"])
+def test_two_clients_that_choose_no_id_are_two(there: OnBoard, monkeypatch: pytest.MonkeyPatch, same: bool) -> None:
+    """The second is refused, and that it was there and goes disarms nothing, even if both draw the same at first."""
+    with Drone.connect(there.url) as first:
+        first.run(0.5)
+        first.arm()
+        mine = first.there.session.connection.system
+        if same:
+            monkeypatch.setattr(identity, "OWN_SYSTEMS", (mine, mine + 1))
+            monkeypatch.setattr(secrets, "choice", lambda rows: rows[0])
+        with pytest.raises(Rejected, match=f"{mine}/190 holds the lease"):
+            Drone.connect(there.url, timeout=3.0)
+        with Drone.connect(there.url, take_lease=False) as other:
+            assert other.there.session.connection.system != mine
+            with pytest.raises(Rejected, match="holds the lease"):
+                other.set_mode("hold", timeout=2.0)
+        first.run(0.2)
+        assert first.state.armed
+        assert there.drone.commander.lease.holder == (mine, 190)
 
 
 def test_leaving_disarms_whatever_ends_it(there: OnBoard) -> None:
@@ -244,6 +267,7 @@ def test_a_callback_that_asks_the_drone_is_told_so(there: OnBoard) -> None:
 
 SCRIPT = """
 import sys
+from twodof.gcs import identity
 from twodof.gcs.drone import Drone
 drone = Drone.connect(sys.argv[1])
 drone.run(0.3)

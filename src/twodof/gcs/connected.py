@@ -14,6 +14,7 @@ from twodof.gcs.commands import ACCEPTED, IN_PROGRESS, Commands, number_of
 from twodof.gcs.deadline import Deadline
 from twodof.gcs.exciting import Exciter
 from twodof.gcs.files import Files
+from twodof.gcs.identity import drawn, identity
 from twodof.gcs.lease import Lease
 from twodof.gcs.log_download import Logs
 from twodof.gcs.parameters import AsyncParameters
@@ -27,8 +28,6 @@ from twodof.link import dialect
 from twodof.link.connection import Connection
 from twodof.link.key import Key, read_key
 from twodof.link.opening import open_transport
-from twodof.link.signing import Signing
-from twodof.link.stamps import Stamps
 from twodof.link.statistics import LinkStatistics
 from twodof.link.transport import Transport
 
@@ -77,7 +76,7 @@ class Connected:
         cls,
         url: str = DEFAULT_URL,
         timeout: float = 10.0,
-        system: int | None = 250,
+        system: int | None = None,
         key: Key | str | Path | None = None,
         take_lease: bool = True,
         drone: int | None = None,
@@ -85,10 +84,11 @@ class Connected:
     ) -> Self:
         """Find the drone at `url` and, with `take_lease`, become the one who commands it.
 
-        `system` and `component` are what we call ourselves: two clients need two; None is the drone's own system, for
-        a program on board. `drone` is the system id to look for if several may be heard. `key` (or its file) signs
-        everything; what is not signed with it is ignored. Raises LinkError, LinkLost if no drone is heard within
-        `timeout` [s], Rejected if somebody else has the lease.
+        `system` and `component` are what we call ourselves: two clients need two. `system` None draws one (200 to 244,
+        see gcs.identity); for a program on board, of another `component`, it is the drone's own. `drone` is the system
+        id to look for if several may be heard. `key` (or its file) signs everything; what is not signed with it is
+        ignored. Raises LinkError, LinkLost if no drone is heard within `timeout` [s], Rejected if somebody else has
+        the lease.
         """
         deadline = Deadline(timeout, "connecting", url)
         if key is not None and not isinstance(key, Key):
@@ -101,7 +101,7 @@ class Connected:
         cls,
         transport: Transport,
         timeout: float = 10.0,
-        system: int | None = 250,
+        system: int | None = None,
         key: Key | str | Path | None = None,
         take_lease: bool = True,
         drone: int | None = None,
@@ -112,13 +112,15 @@ class Connected:
         session: Session | None = None
         made: Self | None = None
         try:
-            connection = Connection(transport, system or 0, component, _signing(key, system or 0))
-            session = Session(connection, on_board=component != GROUND_COMPONENT)
+            on_board = component != GROUND_COMPONENT
+            number, signing = identity(system, on_board, key)
+            connection = Connection(transport, number, component, signing)
+            session = Session(connection, on_board)
             made = cls(session, take_lease)
             await session.find(drone, deadline.left)
-            connection.system = system or session.system
+            connection.system = number or session.system
             session.beat()
-            await made._greet(deadline, take_lease)
+            await made._greet(deadline, take_lease, system is None and not on_board)
         except BaseException:  # cancelled too: nothing is left open
             if made is not None:
                 made.lease.stop()
@@ -126,30 +128,46 @@ class Connected:
             raise
         return made
 
-    async def _greet(self, deadline: Deadline, take_lease: bool) -> None:
+    async def _greet(self, deadline: Deadline, take_lease: bool, drawn_id: bool) -> None:
         """Learn whether it is one of ours, and if so how its time passes; take the lease."""
-        number, request = dialect.message_id("TWODOF_RIG"), number_of("REQUEST_MESSAGE")
-
-        def accept(got: Any) -> bool | None:
-            if got.get_type() == "TWODOF_RIG":
-                return True
-            refused = got.command == request and got.result not in (ACCEPTED, IN_PROGRESS)
-            return False if refused else None
-
         asking = Deadline(min(_GREETING_S, deadline.left), "asking what it is", f"drone {self.session.system}")
         with suppress(Timeout):  # it is somebody else's, which does not know the question
-            self.ours = await self.session.ask(
-                lambda attempt: self.commands.long(request, [number], attempt),
-                ("TWODOF_RIG", "COMMAND_ACK"),
-                accept,
-                asking,
-                _GREETING_RETRY_S,
-            )
+            self.ours = await self._request("TWODOF_RIG", asking)
         self.parameters.transactions = self.ours
+        if self.ours and drawn_id:
+            await self._differ(deadline)
         if self.ours and take_lease:
             await self.lease.take(deadline.left)
             if self.session.lockstep:
                 await self.clock.begin_granting(deadline.left)
+
+    async def _differ(self, deadline: Deadline) -> None:
+        """Draw another id where somebody who has the lease drew the same: else we would have their lease."""
+        asking = Deadline(min(_GREETING_S, deadline.left), "asking who has the lease", f"drone {self.session.system}")
+        with suppress(Timeout):
+            await self._request("TWODOF_LEASE", asking)
+        connection, holder = self.session.connection, self.lease.holder
+        if holder is not None and holder[0] == connection.system:
+            connection.system = drawn(besides=(connection.system,))
+            self.session.beat()
+
+    async def _request(self, name: str, asking: Deadline) -> bool:
+        """Ask for a message once; whether it came. Raises Timeout, LinkLost."""
+        number, request = dialect.message_id(name), number_of("REQUEST_MESSAGE")
+
+        def accept(got: Any) -> bool | None:
+            if got.get_type() == name:
+                return True
+            refused = got.command == request and got.result not in (ACCEPTED, IN_PROGRESS)
+            return False if refused else None
+
+        return await self.session.ask(
+            lambda attempt: self.commands.long(request, [number], attempt),
+            (name, "COMMAND_ACK"),
+            accept,
+            asking,
+            _GREETING_RETRY_S,
+        )
 
     async def __aenter__(self) -> Self:
         return self
@@ -168,7 +186,8 @@ class Connected:
         self._closed = True
         self.setpoints.stop()
         try:
-            if self.commanding and (self.state.armed or self._may_be_armed):
+            others = self.lease.holder is not None and not self.lease.ours  # it is theirs to disarm
+            if self.commanding and not others and (self.state.armed or self._may_be_armed):
                 try:
                     await self.disarm(timeout=timeout / 3)
                 except (Rejected, Timeout, LinkLost):  # what is silent may still hear
@@ -261,12 +280,3 @@ class Connected:
 
     def _deadline(self, timeout: float, doing: str) -> Deadline:
         return Deadline(timeout, doing, f"drone {self.session.system}")
-
-
-def _signing(key: Key | str | Path | None, system: int) -> Signing | None:
-    """Signing with a key; a key's file has its time stamps beside it, for each system id its own."""
-    if key is None:
-        return None
-    if isinstance(key, Key):
-        return Signing(key, Stamps(None))
-    return Signing(read_key(key), Stamps(f"{key}.{system}.stamps"))

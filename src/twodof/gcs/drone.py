@@ -42,7 +42,7 @@ class Drone:
         cls,
         url: str = DEFAULT_URL,
         timeout: float = 10.0,
-        system: int = 250,
+        system: int | None = None,
         key: Key | str | Path | None = None,
         take_lease: bool = True,
         drone: int | None = None,
