@@ -227,3 +227,39 @@ def test_leaving_stops_a_drone_that_hears_but_is_not_heard() -> None:
     with pytest.raises(LinkLost):
         fly(flight, peer)
     assert not peer.armed
+
+
+@pytest.mark.parametrize("lockstep", [False, True])
+def test_a_drone_that_restarts_is_a_lost_link(lockstep: bool) -> None:
+    """The call that waits says so, and every one after it; a stamp or two that were long on the way do not."""
+
+    async def flight(peer: Peer, drone: AsyncDrone) -> None:
+        await drone.run(2.0)
+        await drone.arm()
+        for _ in range(3):
+            peer.send("ATTITUDE", time_boot_ms=100)
+        await drone.run(0.5)
+        peer.tick, peer.armed, peer.holder = 0, False, (0, 0)
+        with pytest.raises(LinkLost, match="the drone has restarted"):
+            await drone.run(5.0)
+        for call in (drone.arm(), drone.run(0.1), drone.set_pitch(0.1, 0.4), drone.wait_until(lambda: False, 1.0)):
+            with pytest.raises(LinkLost, match="the drone has restarted"):
+                await call
+        assert "the drone has restarted" in drone.messages[-1].text
+
+    fly(flight, Peer(lockstep=lockstep))
+
+
+def test_a_reset_of_ours_and_one_that_is_watched_are_no_restart() -> None:
+    async def flight(peer: Peer, drone: AsyncDrone) -> None:
+        async with await AsyncDrone.connect(peer.url, take_lease=False) as other:
+            for _ in range(2):
+                await drone.run(2.0)
+                await drone.reset()
+                await drone.run(1.0)
+            assert drone.messages == []
+            await other.run(0.1)
+            assert other.tick < 500
+            assert "the drone has restarted" in other.messages[-1].text
+
+    fly(flight)

@@ -13,7 +13,6 @@ from twodof.errors import ParameterError, Rejected, Timeout
 from twodof.excitation import Excitation
 from twodof.gcs import setpoints
 from twodof.gcs.batches import Rows
-from twodof.gcs.clock import TICK_S
 from twodof.gcs.connected import DEFAULT_URL as DEFAULT_URL
 from twodof.gcs.connected import TIMEOUT_S, Connected
 from twodof.gcs.deadline import Deadline
@@ -23,6 +22,7 @@ from twodof.gcs.setpoints import Setpoint
 from twodof.link import dialect
 from twodof.link.messages import message
 from twodof.link.modes import custom_mode
+from twodof.link.tick import TICK_S
 
 HOVER = "THRUST_BAR"
 # Offboard is refused until set-points have come for a while; they are sent meanwhile.
@@ -222,11 +222,13 @@ class AsyncDrone(Connected):
             target_system=self.session.system,
             target_component=self.session.component,
         )
-        got = await self.session.ask(lambda _: asked, ("TWODOF_RIG",), _reset_answer, deadline)
-        if got.flags & _REFUSED:
-            said = await self.commands.words(spoken, deadline)
-            raise Rejected(said or "the rig is not reset", deadline.where, "disarm it first; a real rig has no reset")
-        self.clock.restart()
+        with self.clock.resetting():
+            got = await self.session.ask(lambda _: asked, ("TWODOF_RIG",), _reset_answer, deadline)
+            if got.flags & _REFUSED:
+                said = await self.commands.words(spoken, deadline)
+                remedy = "disarm it first; a real rig has no reset"
+                raise Rejected(said or "the rig is not reset", deadline.where, remedy)
+            self.clock.restart()
         self.telemetry.clear()
 
     async def fly_controller(self, template: str, diagram: str | bytes, timeout: float = 120.0) -> None:

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twodof.errors import LinkLost, Rejected, Timeout
-from twodof.gcs.clock import TICK_S
 from twodof.gcs.commands import Commands
 from twodof.gcs.decoding import columns_of
 from twodof.gcs.session import Session
 from twodof.link import dialect
 from twodof.link.messages import batch_rows, channel_mask
+from twodof.link.tick import TICK_S
 
 MESSAGE = "TWODOF_BATCH"
 TIMEOUT_S = 5.0

@@ -1,16 +1,17 @@
 """The drone's time: which control period it is in, how it passes, and how it is let pass in lockstep."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from itertools import count
+from math import inf
 from typing import Any
 
 from twodof.errors import Rejected, Timeout
 from twodof.gcs.deadline import Deadline
 from twodof.gcs.session import Session
 from twodof.link.messages import message
+from twodof.link.tick import TICK_MS, TICK_S
 
-TICK_S = 0.004
-TICK_MS = 4
 _STAMPED_MS = ("ATTITUDE", "ATTITUDE_TARGET", "LOCAL_POSITION_NED", "ATTITUDE_QUATERNION")
 _TICKED = ("TWODOF_SAFETY", "TWODOF_TIMING", "TWODOF_EXCITE_STATUS", "TWODOF_RIG", "TWODOF_TICK")
 # Real time of the drone's silence over its own time, after which it stands still.
@@ -22,6 +23,11 @@ SLICE_WALL_S = 5.0
 SLOWEST_LOCKSTEP = 10.0
 SLICE_TICKS = 125
 SETPOINT_TICKS = 5
+# What was overtaken on the way is up to a second old; this many stamps in a row that are older are no stragglers.
+OLDEST_TICKS = 250
+STAMPS_OF_A_RESTART = 5
+# After a reset of ours what was sent before it may still come.
+RESET_SETTLES_S = 3.0
 
 
 class Clock:
@@ -32,6 +38,10 @@ class Clock:
         self.tick = 0
         self.granting = False  # time stands still, and is ours to grant
         self.before_slice: list[Callable[[int, int], None]] = []
+        self.on_restart: Callable[[], None] = self.restart
+        """What is done when its time has gone back although nobody here has asked for that."""
+        self._older = 0  # stamps in a row
+        self._resets_until = 0.0
         self._numbers = count(1)
         session.on(self._stamped, *_STAMPED_MS)
         session.on(self._ticked, *_TICKED)
@@ -49,7 +59,16 @@ class Clock:
 
     def restart(self) -> None:
         """It began anew at tick 0."""
-        self.tick = 0
+        self.tick = self._older = 0
+
+    @contextmanager
+    def resetting(self) -> Iterator[None]:
+        """Meanwhile, and a moment longer, its time may begin anew."""
+        self._resets_until = inf
+        try:
+            yield
+        finally:
+            self._resets_until = self._session.now + RESET_SETTLES_S
 
     async def run_until(self, tick: int, done: Callable[[], bool] | None = None) -> None:
         """Let the drone's time pass up to `tick` (not run yet), or until `done()`, asked each 20 ms of its time.
@@ -101,16 +120,22 @@ class Clock:
                 await heard.next(session.now + SETPOINT_TICKS * TICK_S)
 
     def _stamped(self, got: Any) -> None:
-        if not self.granting:
-            self._to(got.time_boot_ms // TICK_MS)
+        self._to(got.time_boot_ms // TICK_MS)
 
     def _ticked(self, got: Any) -> None:
-        if not self.granting:
-            self._to(got.tick)
+        self._to(got.tick)
 
     def _to(self, tick: int) -> None:
-        # What was overtaken on the way is up to a second old; what is older says that the drone began anew.
-        if tick > self.tick or tick < self.tick - 250:
+        expected = self._session.now < self._resets_until
+        if tick >= self.tick - OLDEST_TICKS:
+            self._older = 0
+            if not self.granting:
+                self.tick = max(self.tick, tick)
+        elif not expected:
+            self._older += 1
+            if self._older == STAMPS_OF_A_RESTART:
+                self.on_restart()
+        elif not self.granting:
             self.tick = tick
 
 

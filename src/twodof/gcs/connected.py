@@ -61,6 +61,7 @@ class Connected:
         self.logs = Logs(session)
         self.files = Files(session, self.texts)
         self.commands.on_progress = self._one_tick
+        self.clock.on_restart = self._restarted
         self._last_thrust: float | None = None
         self.ours = False  # one of ours, not somebody else's PX4
         self._may_be_armed = False  # by us: asked for, seen or not
@@ -259,6 +260,17 @@ class Connected:
                 if deadline.left <= 0.0:
                     self.session.check(deadline.end)
                     raise deadline.error()
+
+    def _restarted(self) -> None:
+        """Its time went back, and not by a reset of ours: what was agreed is gone, for all but those who only watch."""
+        self.texts.note("critical", f"the drone has restarted: its time went back from tick {self.tick}")
+        if not self.commanding:
+            self.clock.restart()
+            return
+        self._may_be_armed = False
+        self.session.end(
+            LinkLost(f"the drone has restarted, after tick {self.tick}", self.session.url, "connect again")
+        )
 
     async def _see(self, condition: Callable[[], bool], deadline: Deadline) -> None:
         """Wait until the drone's heartbeat says so; in lockstep its time passes meanwhile, tick by tick."""

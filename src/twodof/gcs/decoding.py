@@ -8,8 +8,8 @@ from math import asin, isfinite
 from types import MappingProxyType
 from typing import Any
 
-from twodof.gcs.clock import TICK_S
 from twodof.link.messages import BATCH_VALUES, channel_bits
+from twodof.link.tick import TICK_S
 from twodof.signals import TOPICS
 
 Decoded = Iterator[tuple[str, float, float | tuple[float, ...]]]

@@ -9,10 +9,11 @@ from typing import Any
 
 from twodof.errors import ExperimentError, Rejected, listed, shown
 from twodof.excitation import Excitation
-from twodof.gcs.clock import TICK_S, Clock
+from twodof.gcs.clock import Clock
 from twodof.gcs.deadline import Deadline
 from twodof.gcs.session import RETRY_S, Session
 from twodof.link.messages import excite, message
+from twodof.link.tick import TICK_S
 
 LOOPS = ("M", "q", "theta", "v", "x")
 """By TWODOF_LOOP: what is excited; the loops below it are closed."""

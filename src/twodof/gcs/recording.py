@@ -17,7 +17,7 @@ from twodof.flightlog.recorder import Recorder
 from twodof.flightlog.spool import Acknowledged
 from twodof.flightlog.steps import BOOT, MESSAGE_PERIOD, shift
 from twodof.gcs.batches import Batches
-from twodof.gcs.clock import TICK_S, Clock
+from twodof.gcs.clock import Clock
 from twodof.gcs.commands import Commands
 from twodof.gcs.decoding import columns_of
 from twodof.gcs.session import Session
@@ -25,6 +25,7 @@ from twodof.gcs.state import State
 from twodof.gcs.texts import Text, Texts
 from twodof.link import dialect
 from twodof.link.messages import batch_rows
+from twodof.link.tick import TICK_S, TICK_US
 from twodof.signals import MODES, TOPICS, Topic, topic
 
 SAFETY = Stream(
@@ -37,7 +38,6 @@ TOGETHER = 32
 """Rows that are handed to the writer together: an eighth of a second, which a crash would cost besides."""
 _EVENTS = "openloop"
 _LATEST_US = 1 << 52
-TICK_US = 4000
 BATTERY_TICKS = 125
 """The battery's topics come at 2 Hz."""
 # Position and velocity are first read in the step after the one in which they were published.

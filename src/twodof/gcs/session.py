@@ -189,7 +189,7 @@ class Session:
         if self._lost is None and self.system:
             heard = max(self._last_heard, since) if self.lockstep else self._last_heard
             if self.now - heard > SILENT_S:
-                self._end(
+                self.end(
                     LinkLost(f"nothing was heard of drone {self.system} for {SILENT_S:g} s", self.url, "connect again")
                 )
         if self._lost is not None:
@@ -200,7 +200,7 @@ class Session:
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
-        self._end(LinkLost("the session was closed", self.url, "connect again"))
+        self.end(LinkLost("the session was closed", self.url, "connect again"))
         await self.connection.close()
 
     def beat(self) -> None:
@@ -231,7 +231,7 @@ class Session:
                     self._take(received)
                     await asyncio.sleep(0)
         except LinkLost as gone:
-            self._end(gone)
+            self.end(gone)
 
     def _take(self, received: Received) -> None:
         got, frame = received.message, received.frame
@@ -252,7 +252,8 @@ class Session:
             if name in heard.names:
                 heard.take(got)
 
-    def _end(self, reason: LinkLost) -> None:
+    def end(self, reason: LinkLost) -> None:
+        """The vehicle is lost: whoever waits and every call from now on says `reason`; the first one stays."""
         if self._lost is None:
             self._lost = reason
         for heard in self._listeners:

@@ -12,10 +12,11 @@ from math import isfinite, nan
 from typing import Any
 
 from twodof.errors import LinkLost, ParameterError, shown
-from twodof.gcs.clock import SETPOINT_TICKS, TICK_MS, Clock
+from twodof.gcs.clock import SETPOINT_TICKS, Clock
 from twodof.gcs.session import Session
 from twodof.link.messages import message
 from twodof.link.setpoints import attitude_target, position_target, rate_target, velocity_target
+from twodof.link.tick import TICK_MS
 
 PERIOD_S = 0.02
 

@@ -48,6 +48,14 @@ class Texts:
         """Lines that came after the first `count`."""
         return [line for line in self.lines if line.number >= count]
 
+    def note(self, severity: str, text: str) -> None:
+        """A line of our own about the drone, among its own."""
+        line = Text(self.count, severity, text)
+        self.lines.append(line)
+        self.count += 1
+        for listener in [*self.listeners]:
+            listener(line)
+
     def _take(self, got: Any) -> None:
         text = got.text if isinstance(got.text, str) else bytes(got.text).decode("utf-8", "replace")
         if got.id:
@@ -59,8 +67,4 @@ class Texts:
                 return
             text, self._pieces = "".join(self._pieces[at] for at in sorted(self._pieces)), {}
         severity = SEVERITIES[got.severity] if got.severity < len(SEVERITIES) else "info"
-        line = Text(self.count, severity, "".join(c if c.isprintable() else " " for c in text).strip())
-        self.lines.append(line)
-        self.count += 1
-        for listener in [*self.listeners]:
-            listener(line)
+        self.note(severity, "".join(c if c.isprintable() else " " for c in text).strip())
