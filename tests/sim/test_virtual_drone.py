@@ -76,16 +76,20 @@ def test_only_what_was_given_is_trusted_and_only_while_nothing_was_uploaded(tmp_
     made.uploads.flash(starter("lqr-attitude"))
     code, _ = made.build()
     assert code.trusted, "an upload that was not built yet changes nothing, over restarts too"
-    for code in (made.build_uploaded(), made.build()[0]):
+    built, uploaded = made.build_uploaded()
+    assert made.build()[0].trusted, "what was built but does not fly yet changes nothing either"
+    made.keep(uploaded)
+    for code in (built, made.build()[0]):
         assert not code.trusted
         assert code.sandbox is not None
         assert sorted(diagram.name for diagram in code.controllers) == ["lqr_attitude", "pid_position"]
     made.uploads.flash(starter("stock-attitude"))
     made.uploads.flash(starter("stock-position"))
-    assert flown(made.build_uploaded()).controller == "stock"
+    assert flown(made.build_uploaded()[0]).controller == "stock"
     made.uploads.remove("position_control")
     made.uploads.remove("attitude_control")
-    assert flown(made.build_uploaded()).controller == "pid_position"
+    assert flown(made.build_uploaded()[0]).controller == "pid_position"
+    made.keep({})
     assert made.build()[0].trusted
 
 

@@ -145,7 +145,9 @@ class Assembly:
         return self._what[1]
 
     def _unfit(self) -> str:
-        """A controller that cannot fly: who arms is to know it before the failsafe levels without thrust."""
+        """A controller that cannot fly, or is in the making: who arms is to know it before."""
+        if self.reload.building:
+            return "a controller is being built"
         fault = self.controller.code.own_fault
         return f"the controller has stopped: {fault}" if fault else ""
 

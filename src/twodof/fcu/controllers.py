@@ -20,8 +20,8 @@ class Controllers:
     """Builds the flight code of the diagrams that are to fly.
 
     `given` are diagrams, JSON files or names of starter diagrams. In the folder `uploads` clients put others, one a
-    template, which come in their place once they were built; these are kept in the folder `kept`, where they are found
-    after a restart. The stock controller's own diagram means the stock controller. What was uploaded is never
+    template, which come in their place once they were built; those that fly are kept in the folder `kept`, where they
+    are found after a restart. The stock controller's own diagram means the stock controller. What was uploaded is never
     `trusted`, and then nothing is. Raises DiagramError as `load_diagram` and `by_kind`.
     """
 
@@ -56,22 +56,26 @@ class Controllers:
                 damage = f"uploaded controllers left out: {error}"
         return self._built({}), damage
 
-    def build_uploaded(self) -> FlightCode:
-        """The flight code of what was given and what now is among the uploads, which is kept; takes seconds.
+    def build_uploaded(self) -> tuple[FlightCode, dict[str, Diagram]]:
+        """The flight code of what was given and what now is among the uploads, and the latter by kind; takes seconds.
 
-        In any thread. Raises DiagramError for a file that is no controller, ControllerFault for one that needs too much
-        for a single step, CompileError where a tool chain is missing, LogError where it cannot be kept.
+        In any thread; nothing is kept yet. Raises DiagramError for a file that is no controller, ControllerFault for
+        one that needs too much for a single step, CompileError where a tool chain is missing.
         """
         if self.uploads is None or self._kept is None:
             raise DiagramError("nothing is uploaded here", "controllers", "start it with a folder for its state")
         uploaded = self.uploads.flashed()
-        code = self._built(uploaded)
+        return self._built(uploaded), uploaded
+
+    def keep(self, uploaded: Mapping[str, Diagram]) -> None:
+        """Has `uploaded`, which fly by now, fly after a restart too, and no others. Raises LogError where it cannot."""
+        if self._kept is None:
+            return
         for kind in TEMPLATES:
             if kind in uploaded:
                 self._kept.flash(uploaded[kind])
             else:
                 self._kept.remove(kind)
-        return code
 
     def _built(self, uploaded: Mapping[str, Diagram]) -> FlightCode:
         stock = {kind for kind, diagram in uploaded.items() if to_json(diagram) == to_json(starter(STOCK[kind]))}

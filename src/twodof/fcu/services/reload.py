@@ -23,6 +23,10 @@ class Commander(Protocol):
     def armed(self) -> bool:
         """Whether motors may turn."""
 
+    @property
+    def arming(self) -> Verdict:
+        """What became of the last request to arm."""
+
     def take(self, source: Source, what: str = "") -> Verdict:
         """Whether `source` may command."""
 
@@ -30,7 +34,8 @@ class Commander(Protocol):
 class Reload:
     """Carries out `RELOAD`, disarmed only; the answer comes when the controllers fly, or says why they do not.
 
-    What it compiles, for seconds, it compiles in a thread beside the control loop.
+    What it compiles, for seconds, it compiles in a thread beside the control loop, which is why nobody may arm
+    meanwhile (`building`): both want the interpreter.
     """
 
     def __init__(
@@ -44,15 +49,20 @@ class Reload:
         self._commands = commands
         commands.on(RELOAD, self._reload, lambda: self._verdict, slow=True)
 
+    @property
+    def building(self) -> bool:
+        """Whether a controller is being built."""
+        return self._verdict.result == IN_PROGRESS
+
     def _reload(self, command: Command) -> Verdict:
         if self._controllers.uploads is None:
             return Verdict(UNSUPPORTED, "it keeps no uploads: start it with a folder for its state")
-        if self._commander.armed:
+        if self._commander.armed or self._commander.arming.result == IN_PROGRESS:
             return Verdict(TEMPORARILY_REJECTED, "no other controller while armed: disarm first")
         verdict = self._commander.take(command.source, "reload")
         if not verdict.accepted:
             return verdict
-        if self._task is None or self._task.done():
+        if not self.building:
             self._verdict = Verdict(IN_PROGRESS)
             self._task = asyncio.get_running_loop().create_task(self._build(), name="reload")
         return self._verdict
@@ -60,7 +70,10 @@ class Reload:
     async def _build(self) -> None:
         made = Verdict(FAILED, "the program itself has a fault: report it")
         try:
-            self._controller.replace(await asyncio.to_thread(self._controllers.build_uploaded))
+            code, uploaded = await asyncio.to_thread(self._controllers.build_uploaded)
+            self._controller.replace(code)
+            # Only what flies is kept: else a restart would bring what this command refused.
+            await asyncio.to_thread(self._controllers.keep, uploaded)
             made = Verdict(ACCEPTED)
             gc.collect()
             gc.freeze()  # see `Server`: not in flight

@@ -1,0 +1,113 @@
+"""Controllers that are uploaded: nobody arms while they are built, and only what flies is found after a restart."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from tests.fcu.services.test_on_board import DEADLINE_S, Client
+from twodof.fcu.asked import ACCEPTED, FAILED, IN_PROGRESS, TEMPORARILY_REJECTED
+from twodof.fcu.controllers import Controllers
+from twodof.fcu.flight_code import FlightCode
+from twodof.fcu.services.reload import RELOAD
+from twodof.flight.slot import Slot
+from twodof.flight.starters import starter
+from twodof.link.connection import Connection
+from twodof.link.opening import open_transport
+from twodof.sim.virtual_drone import VirtualDrone
+
+ARM = 400
+BUILT = "lqr_attitude"
+
+
+class Gate:
+    """Holds the building of uploads up until it is opened."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.open = threading.Event()
+        build = Controllers.build_uploaded
+
+        def gated(controllers: Controllers) -> object:
+            assert self.open.wait(DEADLINE_S)
+            return build(controllers)
+
+        monkeypatch.setattr(Controllers, "build_uploaded", gated)
+
+
+@asynccontextmanager
+async def being_built(state: Path, gate: Gate) -> AsyncIterator[tuple[VirtualDrone, Client]]:
+    """A drone whose reload waits at the gate."""
+    Slot(state / "controllers").flash(starter("lqr-attitude"))
+    async with VirtualDrone(lockstep=True, conditions={"rings": True}, state=state) as drone:
+        await drone.listen(f"memin://{state.name}")
+        async with Connection(await open_transport(f"mem://{state.name}"), 250, 1) as link:
+            client = Client(link)
+            try:
+                client.say("TWODOF_LEASE", action=1, duration_ms=30_000)
+                await client.run(50)
+                assert await client.command(RELOAD) == IN_PROGRESS
+                yield drone, client
+            finally:
+                gate.open.set()
+
+
+async def answer(client: Client) -> int:
+    """The second answer to the reload."""
+    return int((await client.wait("COMMAND_ACK", lambda ack: ack.command == RELOAD)).result)
+
+
+def after_restart(state: Path) -> list[str]:
+    """The controllers that a program started now would fly."""
+    made: FlightCode = Controllers(uploads=state / "controllers", kept=state / "flying").build()[0]
+    return [diagram.name for diagram in made.controllers]
+
+
+def test_nobody_arms_while_a_controller_is_built(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def session() -> None:
+        gate = Gate(monkeypatch)
+        async with being_built(tmp_path, gate) as (_, client):
+            client.came.clear()
+            assert await client.command(ARM, 1.0) == TEMPORARILY_REJECTED
+            await client.run(60)
+            assert after_restart(tmp_path) == []
+            gate.open.set()
+            assert await answer(client) == ACCEPTED
+            assert after_restart(tmp_path) == [BUILT]
+            assert await client.command(ARM, 1.0) == IN_PROGRESS
+            assert await client.command(RELOAD) == TEMPORARILY_REJECTED, "nobody builds while it arms"
+
+    asyncio.run(session())
+
+
+def test_the_reason_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def session() -> None:
+        gate = Gate(monkeypatch)
+        async with being_built(tmp_path, gate) as (drone, client):
+            assert drone.commander.arm((250, 1)).text == "not armed: a controller is being built"
+            gate.open.set()
+            assert await answer(client) == ACCEPTED
+
+    asyncio.run(session())
+
+
+def test_a_controller_that_could_not_replace_the_other_is_not_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def session() -> None:
+        gate = Gate(monkeypatch)
+        async with being_built(tmp_path, gate) as (drone, client):
+            latest = drone.controller.latest
+            assert latest is not None
+            drone.controller.latest = replace(latest, armed=True)
+            gate.open.set()
+            assert await answer(client) == FAILED
+            assert drone.controller.code.controllers == ()
+        assert after_restart(tmp_path) == []
+
+    asyncio.run(session())
