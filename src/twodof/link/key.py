@@ -66,7 +66,7 @@ def read_key(path: str | Path) -> Key:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     except OSError as error:
         raise LinkError(
-            f"the key cannot be read: {error.strerror}", str(path), "make one with twodof.link.key.write_key"
+            f"the key cannot be read: {error.strerror}", str(path), f"make one: twodof key {path}"
         ) from error
     with os.fdopen(descriptor, "rb") as file:
         found = os.fstat(descriptor)
@@ -81,7 +81,7 @@ def read_key(path: str | Path) -> Key:
             )
         data = file.read(200)
     if not _HEX.fullmatch(data):
-        raise LinkError("holds no key of 64 hexadecimal digits", str(path), "make one with twodof.link.key.write_key")
+        raise LinkError("holds no key of 64 hexadecimal digits", str(path), f"make one: twodof key {path}")
     return Key(bytes.fromhex(data.decode("ascii").strip()))
 
 

@@ -1,0 +1,43 @@
+"""`twodof kill` and `twodof key`: a drone left armed by somebody else is stopped from the shell, signed or not."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.fcu.program import twodof_fcu
+from twodof.cli.app import run
+from twodof.gcs.drone import Drone
+from twodof.link.key import read_key
+
+
+def test_a_drone_that_another_one_flies_is_stopped_with_the_key_alone(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "drone.key"
+    assert run(["key", str(file), "--json"]) == 0
+    made = read_key(file)
+    assert json.loads(capfd.readouterr().out) == {"file": str(file), "fingerprint": made.fingerprint}
+    with twodof_fcu("--rings", "--state", str(tmp_path / "state"), "--key", str(file)) as url:
+        with Drone.connect(url, key=made) as pilot:
+            pilot.arm()
+            pilot.set_pitch(0.0, thrust=0.4)
+            capfd.readouterr()
+            assert run(["kill", "--url", url, "--key", str(file), "--json"]) == 0
+            said = json.loads(capfd.readouterr().out)
+            assert (said["was_armed"], said["killed"]) == (True, True)
+            pilot.wait_until(lambda: not pilot.there.state.armed, 5.0)
+        assert run(["kill", "--url", url, "--key", str(file)]) == 0
+        assert "it was not armed" in capfd.readouterr().out
+
+
+def test_a_key_is_never_written_over(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "drone.key"
+    assert run(["key", str(file)]) == 0
+    before = file.read_bytes()
+    said = capfd.readouterr().out
+    assert read_key(file).fingerprint in said
+    assert before.strip().decode() not in said
+    assert run(["key", str(file)]) == 2
+    assert "is there already" in capfd.readouterr().err
+    assert file.read_bytes() == before
