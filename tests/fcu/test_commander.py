@@ -207,6 +207,23 @@ def test_a_kill_is_obeyed_whoever_asks_and_holds_until_disarmed(source: tuple[in
     assert any("killed" in text for _, text in cockpit.commander.remarks)
 
 
+def test_a_kill_holds_over_a_reset_until_disarmed() -> None:
+    cockpit = offboard()
+    assert cockpit.commander.kill(OTHER).accepted
+    cockpit.run()
+    cockpit.commander.restart()
+    cockpit.failsafe.state = DISARMED
+    assert cockpit.commander.killed
+    cockpit.tick = 0
+    cockpit.run()
+    assert "killed" in cockpit.commander.arm(ME).text
+    assert cockpit.commander.system_status == modes.TERMINATED
+    assert cockpit.commander.disarm(ME).accepted
+    assert cockpit.arm().accepted
+    cockpit.commander.restart()
+    assert not cockpit.commander.killed, "nor does a reset kill"
+
+
 def test_after_the_failsafe_has_stopped_the_motors_it_wants_to_be_disarmed() -> None:
     cockpit = offboard()
     cockpit.failsafe.acts = STOPPED_BY_FAILSAFE

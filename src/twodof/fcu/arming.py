@@ -14,12 +14,12 @@ PATIENCE = 25
 class Arming:
     """`word` is what the flight code is told, `answer` what became of the last request to arm.
 
-    `killed` holds the drone disarmed until it was disarmed once in the ordinary way.
+    `killed` holds the drone disarmed until it was disarmed once in the ordinary way, over a restart too.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, killed: bool = False) -> None:
         self.word = False
-        self.killed = False
+        self.killed = killed
         self.answer = Verdict(ACCEPTED)
         self._from = 0
 

@@ -147,10 +147,13 @@ class Commander:
             self._changed(step)
 
     def restart(self) -> None:
-        """Rig and flight code start again at tick 0: disarmed, manual, nothing asked for. The lease stays as it is."""
+        """Rig and flight code start again at tick 0: disarmed, manual, nothing asked for.
+
+        The lease stays as it is, and so does a kill: who resets need not know of it.
+        """
         self._lease.moved(-self._now)
         revision = self.openloop.revision + 1
-        self._helm, self._arming = Helm(), Arming()
+        self._helm, self._arming = Helm(), Arming(self._arming.killed)
         self._helm.openloop = OpenLoop(revision=revision)
         self._now, self._link, self._state, self._armed, self.step = 0, False, DISARMED, False, None
 

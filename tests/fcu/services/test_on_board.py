@@ -131,3 +131,23 @@ def test_a_restart_by_command_begins_at_tick_0() -> None:
         assert drone.controller.tick == 50
 
     flown("restart", what)
+
+
+def test_no_reset_ends_a_kill() -> None:
+    async def what(drone: VirtualDrone, client: Client) -> None:
+        client.say("TWODOF_LEASE", action=1, duration_ms=30_000)
+        await client.run(50)
+        assert await client.command(185, 1.0) == 0
+        client.say("TWODOF_RIG_RESET", seed=1, x=0.0, noise=1.0, rings=1)
+        await client.wait("TWODOF_RIG")
+        await client.run(50)
+        assert await client.command(400, 1.0) == 1
+        assert await client.command(246, 1.0) == 0
+        await client.run(50)
+        assert await client.command(400, 1.0) == 1
+        assert await client.command(400, 0.0) == 0
+        assert await client.command(400, 1.0) == 5
+        client.say("TWODOF_GRANT", until=52, number=1)
+        assert (await client.wait("COMMAND_ACK")).result == 0
+
+    flown("kill", what)
