@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import Callable, Coroutine
+from math import pi
 from typing import Any
 
 import pytest
@@ -227,6 +228,27 @@ def test_leaving_stops_a_drone_that_hears_but_is_not_heard() -> None:
     with pytest.raises(LinkLost):
         fly(flight, peer)
     assert not peer.armed
+
+
+def test_degrees_and_millimetres_are_refused_before_anything_is_sent() -> None:
+    """Bounds themselves are flown."""
+
+    async def flight(peer: Peer, drone: AsyncDrone) -> None:
+        before = len(peer.heard)
+        for call, said in (
+            (drone.set_pitch(10.0, 0.4), "angles are in radians: theta = 10 rad is 573 deg"),
+            (drone.set_pitch(-1.6, 0.4), "radians"),
+            (drone.set_pitch_rate(90.0, 0.4), "angles are in radians: q = 90 rad/s is 5157 deg/s"),
+            (drone.set_position(-100.0), "x = -100 m is beyond 1 m"),
+            (drone.set_velocity(5.1), "v = 5.1 m/s is beyond 5 m/s"),
+        ):
+            with pytest.raises(ParameterError, match=said):
+                await call
+        assert not [got for got in peer.heard[before:] if got.get_type().startswith(("SET_", "COMMAND"))]
+        for fine in (drone.set_pitch(pi / 2, 0.4), drone.set_pitch_rate(60.0, 0.4), drone.set_position(-1.0)):
+            await fine
+
+    fly(flight)
 
 
 @pytest.mark.parametrize("lockstep", [False, True])

@@ -219,6 +219,26 @@ def test_two_clients_of_which_one_commands(there: OnBoard) -> None:
         pass
 
 
+def test_a_cart_that_the_rings_lock_is_said_to_be(there: OnBoard) -> None:
+    """Every time, in offboard too, where set-points have no answer; what flew before flies on, and `state` says it."""
+    with Drone.connect(there.url) as drone:
+        drone.run(0.5)
+        drone.arm()
+        assert "rings locked" in str(drone.state)
+        for fly in (drone.set_position, drone.set_velocity, drone.set_position):
+            with pytest.raises(Rejected, match=r"it moves the cart, and the rings lock it \(.*reset\(rings=False\)"):
+                fly(0.1)
+            drone.set_pitch(0.0)
+        drone.run(1.0)
+        assert (drone.state.mode, drone.state.safety.action) == ("offboard", "none")
+        drone.disarm()
+        drone.reset(rings=False)
+        assert "rings" not in str(drone.state)
+        drone.run(0.5)
+        drone.arm()
+        drone.set_position(0.1)
+
+
 @pytest.mark.parametrize("same", [False, True], ids=["any draw", "the same draw"])
 def test_two_clients_that_choose_no_id_are_two(there: OnBoard, monkeypatch: pytest.MonkeyPatch, same: bool) -> None:
     """The second is refused, and that it was there and goes disarms nothing, even if both draw the same at first."""

@@ -29,6 +29,7 @@ HOVER = "THRUST_BAR"
 _MODE_RETRY_S = 0.1
 # How the drone begins to say that a set-point is not taken: then no waiting lets offboard be entered.
 _NOT_TAKEN = "set-point refused"
+_RINGS = "set-point refused: it moves the cart, and the rings lock it"
 _REFUSED = 16
 
 
@@ -105,6 +106,9 @@ class AsyncDrone(Connected):
         """Stream it, and switch to a mode in which it is followed; refusals are tried again while it streams."""
         mode = setpoint.modes[0]
         deadline = self._deadline(timeout, f"changing to the mode {mode}")
+        if setpoint.moves_cart and self.ours and self.state.rig.rings_locked:
+            # In words the drone says so once a second at most, and where offboard flies already there is no answer.
+            raise self._not_taken(_RINGS, deadline)
         before, spoken = self.setpoints.current, self.texts.count
         self.setpoints.hold(setpoint)
         try:
@@ -131,10 +135,17 @@ class AsyncDrone(Connected):
             except Rejected:
                 for line in self.texts.since(spoken):
                     if line.text.startswith(_NOT_TAKEN):
-                        raise Rejected(line.text, deadline.where, "put right what it says and try again") from None
+                        raise self._not_taken(line.text, deadline) from None
                 if deadline.left < _MODE_RETRY_S:
                     raise
                 await self.run(_MODE_RETRY_S)
+
+    def _not_taken(self, text: str, deadline: Deadline) -> Rejected:
+        remedy = "put right what it says and try again"
+        if text == _RINGS:
+            virtual = self.state.rig.virtual
+            remedy = "disarm and drone.reset(rings=False)" if virtual else "take the rings off"
+        return Rejected(text, deadline.where, remedy)
 
     def _must_command(self, deadline: Deadline) -> None:
         """Set-points have no answer: raise Rejected where the drone is known to listen to somebody else."""

@@ -8,7 +8,7 @@ import asyncio
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from math import isfinite, nan
+from math import degrees, isfinite, nan, pi
 from typing import Any
 
 from twodof.errors import LinkLost, ParameterError, shown
@@ -19,6 +19,10 @@ from twodof.link.setpoints import attitude_target, position_target, rate_target,
 from twodof.link.tick import TICK_MS
 
 PERIOD_S = 0.02
+MOST_PITCH, MOST_RATE = pi / 2, 60.0
+"""[rad], [rad/s]: beyond them degrees were meant; 60 rad/s is more than the gyro measures."""
+MOST_WAY, MOST_SPEED = 1.0, 5.0
+"""[m], [m/s]: beyond them millimetres were meant; the rail is shorter."""
 
 
 @dataclass(frozen=True)
@@ -27,6 +31,7 @@ class Setpoint:
 
     modes: tuple[str, ...]
     make: Callable[[int, dict[str, int]], Any]
+    moves_cart: bool = False
 
 
 def moment(M: float, thrust: float | None) -> Setpoint:
@@ -45,22 +50,22 @@ def moment(M: float, thrust: float | None) -> Setpoint:
 
 def pitch(theta: float, thrust: float) -> Setpoint:
     """Pitch [rad]; thrust 0 to 1."""
-    return _attitude(attitude_target, _number("theta", theta), thrust)
+    return _attitude(attitude_target, _angle("theta", theta, MOST_PITCH, "rad", "deg"), thrust)
 
 
 def pitch_rate(q: float, thrust: float) -> Setpoint:
     """Pitch rate [rad/s]; thrust 0 to 1."""
-    return _attitude(rate_target, _number("q", q), thrust)
+    return _attitude(rate_target, _angle("q", q, MOST_RATE, "rad/s", "deg/s"), thrust)
 
 
 def velocity(v: float, acceleration: float | None) -> Setpoint:
     """Velocity along the rail [m/s], with an acceleration [m/s^2] fed forward if it is given."""
-    return _along_rail(velocity_target, _number("v", v), acceleration)
+    return _along_rail(velocity_target, _length("v", v, MOST_SPEED, "m/s"), acceleration)
 
 
 def position(x: float, acceleration: float | None) -> Setpoint:
     """Position along the rail [m], with an acceleration [m/s^2] fed forward if it is given."""
-    return _along_rail(position_target, _number("x", x), acceleration)
+    return _along_rail(position_target, _length("x", x, MOST_WAY, "m"), acceleration)
 
 
 def _attitude(make: Callable[..., Any], value: float, thrust: float) -> Setpoint:
@@ -70,7 +75,7 @@ def _attitude(make: Callable[..., Any], value: float, thrust: float) -> Setpoint
 
 def _along_rail(make: Callable[..., Any], value: float, acceleration: float | None) -> Setpoint:
     forward = nan if acceleration is None else _number("acceleration", acceleration)
-    return Setpoint(("offboard",), lambda tick, place: make(value, forward, time_boot_ms=tick * TICK_MS, **place))
+    return Setpoint(("offboard",), lambda tick, place: make(value, forward, time_boot_ms=tick * TICK_MS, **place), True)
 
 
 def _thrust(thrust: float | None) -> float:
@@ -78,6 +83,27 @@ def _thrust(thrust: float | None) -> float:
     if not 0.0 <= value <= 1.0:
         raise ParameterError(f"thrust {value:g} is outside 0 to 1", "set-point", "nothing was sent")
     return value
+
+
+def _angle(name: str, value: float, most: float, unit: str, degrees_unit: str) -> float:
+    found = _number(name, value)
+    if abs(found) > most:
+        raise ParameterError(
+            f"angles are in radians: {name} = {found:g} {unit} is {degrees(found):.0f} {degrees_unit}, "
+            f"beyond {degrees(most):.0f}",
+            "set-point",
+            f"write radians({found:g}) if that was meant; nothing was sent",
+        )
+    return found
+
+
+def _length(name: str, value: float, most: float, unit: str) -> float:
+    found = _number(name, value)
+    if abs(found) > most:
+        raise ParameterError(
+            f"{name} = {found:g} {unit} is beyond {most:g} {unit}", "set-point", f"it is in {unit}; nothing was sent"
+        )
+    return found
 
 
 def _number(name: str, value: float) -> float:

@@ -57,6 +57,8 @@ class State:
 
     def __str__(self) -> str:
         text = f"{'armed' if self.armed else 'disarmed'}, {self.mode}"
+        if self.rig.rings_locked:
+            text += ", rings locked"
         if self.safety.action != "none" and (self.armed or self.safety.reason):
             text += f", failsafe: {self.safety.action} because of {self.safety.reason or 'nothing that it names'}"
         return text
