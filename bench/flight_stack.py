@@ -44,6 +44,7 @@ def recording(seconds: float) -> list[Figure]:
         folder = Path(name)
         fcu, companion, url = start_pair(stack, folder, 0)
         drone = stack.enter_context(Drone.connect(url))
+        drone.run(0.5)  # until all its sensors were heard
         drone.arm()
         drone.level_hold()
         begun = (time.process_time(), fcu.cpu_seconds(), companion.cpu_seconds())
@@ -69,6 +70,7 @@ async def fly_all(urls: list[str], seconds: float) -> tuple[list[float], int]:
 
     async def fly(number: int, url: str) -> None:
         async with await AsyncDrone.connect(url, timeout=30.0, drone=number + 1) as drone:
+            await drone.run(0.5)
             await drone.arm()
             theta, before, end = 0.05, None, time.monotonic() + seconds
             with drone.session.listen("TWODOF_TIMING") as timings:  # one a second

@@ -25,6 +25,7 @@ def latencies(drone: DroneProcess, url: str, count: int) -> list[float]:
     rng = random.Random(1)
     sent: dict[float, int] = {}
     with Drone.connect(url) as pilot:
+        pilot.run(0.5)  # a drone that has just been started arms when all its sensors were heard
         pilot.arm()
         pilot.set_moment(0.0, THRUST)
         time.sleep(0.5)
