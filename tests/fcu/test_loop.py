@@ -9,9 +9,10 @@ import pytest
 from tests.fcu.flights import FLYING, OFF, Script, controller, fly
 from twodof.errors import ParameterError
 from twodof.fcu.flight_code import FlightCode
-from twodof.fcu.loop import MOST_GRANTED, PERIOD_NS, FlightController
+from twodof.fcu.loop import MOST_GRANTED, FlightController
 from twodof.flight.causes import BIT
 from twodof.flight.failsafe_machine import DISARMED
+from twodof.link.tick import TICK_NS
 from twodof.rig.parameters import lab
 from twodof.sim.rig_host import VirtualRig
 
@@ -27,7 +28,7 @@ class Clock:
 
     def read(self) -> int:
         """Now; each step reads it twice."""
-        self.now += PERIOD_NS + 1 if self.tick // 2 in self.late else 10_000
+        self.now += TICK_NS + 1 if self.tick // 2 in self.late else 10_000
         self.tick += 1
         return self.now
 

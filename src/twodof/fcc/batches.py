@@ -16,8 +16,8 @@ from twodof.fcc.rates import OFF
 from twodof.fcc.wire import BATCH
 from twodof.link.framing import Frame
 from twodof.link.messages import BATCH_VALUES, message
+from twodof.link.tick import TICK_US
 
-TICK_US = 4000  # a control period; TWODOF_BATCH counts in them
 # The vehicle lets no row wait longer than .1 s for a message to be full.
 LATEST_TICKS = 25
 MOST_EVERY = 255

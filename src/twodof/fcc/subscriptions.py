@@ -8,13 +8,14 @@ from typing import Any
 from twodof.fcc import wire
 from twodof.fcc.answers import Answers
 from twodof.fcc.asking import Asking
-from twodof.fcc.batches import TICK_US, Batches
+from twodof.fcc.batches import Batches
 from twodof.fcc.client import Client, Identity, Wish, is_ours
 from twodof.fcc.rates import EVERY, OFF, group
 from twodof.fcc.streams import Streams, events, settled
 from twodof.link.framing import Frame
 from twodof.link.messages import BATCH_VALUES, message
 from twodof.link.signing import Signing, Verdict
+from twodof.link.tick import TICK_US
 
 ACCEPTED, TEMPORARILY_REJECTED, DENIED = 0, 1, 2
 _ABOUT_MESSAGES = (wire.SET_MESSAGE_INTERVAL, wire.GET_MESSAGE_INTERVAL, wire.REQUEST_MESSAGE)

@@ -11,9 +11,7 @@ from twodof.fcu.asked import Asked
 from twodof.fcu.flight_code import FlightCode, Step
 from twodof.fcu.hardware import Hardware, VirtualHardware
 from twodof.fcu.timing import Timing
-
-PERIOD_NS = 4_000_000
-"""The control period."""
+from twodof.link.tick import TICK_NS
 
 CRITICAL = 2
 """MAV_SEVERITY."""
@@ -70,7 +68,7 @@ class FlightController:
         asked = self.commander.asked(self.tick)
         step = self.code.step(self.tick, sample, asked, hardware.rings, self._late or self._stopped)
         if began:
-            self._late = self.timing.stepped(time.thread_time_ns() - began, PERIOD_NS)
+            self._late = self.timing.stepped(time.thread_time_ns() - began, TICK_NS)
         hardware.drive(step.fore, step.aft)
         self.tick += 1
         self.latest = step

@@ -11,13 +11,14 @@ from dataclasses import dataclass, replace
 from typing import Any, Self
 
 from twodof.errors import LinkError, LinkLost
-from twodof.fcu.loop import PERIOD_NS, FlightController
+from twodof.fcu.loop import FlightController
 from twodof.fcu.pacing import Pacer
 from twodof.fcu.service import Service
 from twodof.fcu.watchdog import Watchdog
 from twodof.link.connection import Connection, Received
 from twodof.link.opening import open_transport
 from twodof.link.signing import Signing
+from twodof.link.tick import TICK_NS
 from twodof.link.url import parse
 
 AUTOPILOT = 1
@@ -150,7 +151,7 @@ class Server:
             self.signing.close()
 
     async def _run_real_time(self) -> None:
-        controller, pacer = self.controller, Pacer(PERIOD_NS)
+        controller, pacer = self.controller, Pacer(TICK_NS)
         # What stands now is never garbage, and looking through it takes the collector half a control period.
         gc.freeze()
         watchdog = Watchdog(controller.stop)

@@ -13,11 +13,9 @@ from twodof.fcu.asked import Asked
 from twodof.fcu.flight_code import Step
 from twodof.fcu.hardware import Sample
 from twodof.flightlog.steps import ASKED, STEP_TOPIC
+from twodof.link.tick import TICK_US
 
 __all__ = ["FORMAT", "ROW", "STEP_TOPIC", "pack", "row_names"]
-
-TICK_US = 4000
-"""Microseconds of a tick; the stamp of a row is the time since the start, as in `time_boot_ms`."""
 
 _CODES = {float: ("d", "double", "<f8"), bool: ("?", "bool", "u1"), int: ("i", "int32_t", "<i4")}
 _PARTS = ("tick", "sample", "asked")

@@ -15,9 +15,9 @@ from twodof.fcu.services.vehicle import Commander
 from twodof.link.connection import Received
 from twodof.link.messages import BATCH_VALUES, channel_bits
 from twodof.link.packed import Packer
+from twodof.link.tick import TICK_US
 
 BATCH = 54203
-TICK_US = 4000
 LATEST_TICKS = 25
 """A batch waits at most .1 s for its last row."""
 LARGEST_HALF = 0xFFFF

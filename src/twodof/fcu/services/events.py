@@ -9,12 +9,13 @@ from typing import Any
 from twodof.fcu.flight_code import Step
 from twodof.fcu.service import Link
 from twodof.fcu.services.addressing import Us, source
-from twodof.fcu.services.flight_telemetry import MASK_32, TICK_MS
+from twodof.fcu.services.flight_telemetry import MASK_32
 from twodof.fcu.services.telemetry import Telemetry
 from twodof.fcu.services.vehicle import Commander
 from twodof.flight import failsafe_machine
 from twodof.link.connection import Received
 from twodof.link.messages import message
+from twodof.link.tick import TICK_MS
 
 CURRENT_EVENT_SEQUENCE = 411
 KEPT = 64

@@ -11,9 +11,9 @@ from math import cos, isfinite, nan, sin
 
 from twodof.fcu.flight_code import Step
 from twodof.link.packed import Packed, Packer
+from twodof.link.tick import TICK_MS, TICK_US
 from twodof.signals import MODES
 
-TICK_MS, TICK_US = 4, 4000
 MASK_32 = 0xFFFFFFFF
 LOCAL_NED, BODY_FRD, ESTIMATOR_AUTOPILOT = 1, 12, 8
 PWM_OFF, PWM_LOW, PWM_SPAN = 900, 1000, 1000

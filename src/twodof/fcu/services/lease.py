@@ -12,6 +12,7 @@ from twodof.fcu.service import Link
 from twodof.fcu.services.addressing import Us, source
 from twodof.link.connection import Received
 from twodof.link.messages import message
+from twodof.link.tick import TICK_MS
 
 ASK, GIVE_UP = 1, 2
 """TWODOF_LEASE_ACTION."""
@@ -19,7 +20,6 @@ ASK, GIVE_UP = 1, 2
 NO_AUTOPILOT = 8
 """MAV_AUTOPILOT_INVALID: what a ground station or companion says it is."""
 
-TICK_MS = 4
 MOST_VEHICLES = 64
 
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
-from twodof.fcu.services.flight_telemetry import MASK_32, TICK_MS, TICK_US, Encoder
+from twodof.fcu.services.flight_telemetry import MASK_32, Encoder
 from twodof.fcu.services.vehicle import Commander, Controller
 from twodof.flight.causes import CAUSES
 from twodof.link.packed import Packed, Packer
+from twodof.link.tick import TICK_MS, TICK_US
 
 RINGS, SAFETY_OFF, VIRTUAL, LOCKSTEP = 1, 2, 4, 8
 """TWODOF_RIG_FLAG."""

@@ -12,11 +12,11 @@ from twodof.fcu.services.addressing import Us, source
 from twodof.fcu.setpoints import ATTITUDE, POSITION, RATE, VELOCITY, SetPoint
 from twodof.link.connection import Received
 from twodof.link.setpoints import Target, read_attitude, read_position
+from twodof.link.tick import TICK_MS
 
 TOLD_TICKS = 250
 """A refusal is told in words once a second at most; all are counted."""
 
-TICK_MS = 4
 FULL_STICK = 1000
 """MANUAL_CONTROL's largest value."""
 

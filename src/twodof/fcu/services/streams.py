@@ -23,9 +23,9 @@ from twodof.fcu.services.telemetry import HEARTBEAT, Telemetry
 from twodof.link.connection import Received
 from twodof.link.dialect import FIRST_OWN_ID
 from twodof.link.messages import message
+from twodof.link.tick import TICK_NS
 
 GET_INTERVAL, SET_INTERVAL = 510, 511
-TICK_NS = 4_000_000
 STOPPED, WITH_NEWS = -1, 0
 """Intervals that are none: not sent; sent with each news and at no other time."""
 LONGEST_NS = 2**31 * 1000

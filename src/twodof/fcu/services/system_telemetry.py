@@ -7,10 +7,11 @@ from collections.abc import Callable
 from math import isfinite
 
 from twodof.fcu.flight_code import Step
-from twodof.fcu.services.flight_telemetry import MASK_32, TICK_MS, TICK_US, Encoder, flying
+from twodof.fcu.services.flight_telemetry import MASK_32, Encoder, flying
 from twodof.fcu.services.vehicle import Commander, Controller
 from twodof.flight.causes import BIT
 from twodof.link.packed import Packed, Packer
+from twodof.link.tick import TICK_MS, TICK_US
 
 QUADROTOR, PX4, VERSION = 2, 12, 3
 """HEARTBEAT: MAV_TYPE_QUADROTOR, MAV_AUTOPILOT_PX4 and MAVLink's version."""

@@ -1,0 +1,13 @@
+"""The control period: the drone's ticks as they stand on the wire, in stamps and intervals.
+
+It is `flight.core.PERIOD`, in whole numbers. Who knows the drone by the wire alone takes it from here.
+"""
+
+TICK_US = 4000
+"""Microseconds of a tick; what `time_usec` and the intervals of command 511 count in."""
+TICK_MS = TICK_US // 1000
+"""Milliseconds; what `time_boot_ms` counts in."""
+TICK_NS = TICK_US * 1000
+"""Nanoseconds; what the clocks of this machine count in."""
+TICK_S = TICK_US / 1e6
+"""Seconds."""
