@@ -17,7 +17,7 @@ from twodof.fcu.log_folder import LogFolder
 from twodof.fcu.onboard_log import OnboardLog
 from twodof.fcu.services.addressing import Us
 from twodof.fcu.services.file_tree import MAX_UPLOAD, MOST_UPLOADS, FileTree, mavlink_crc32
-from twodof.fcu.services.ftp import MOST_GUESTS, FileTransfer
+from twodof.fcu.services.ftp import MOST_GUESTS, UPLOAD_S, FileTransfer
 from twodof.fcu.services.ftp_guest import BURST_BYTES, MOST_SESSIONS
 from twodof.fcu.store import Store
 from twodof.link.ftp import Fault, Op, Packet, read_packet
@@ -37,7 +37,9 @@ class Server(World):
                 log.step(plain_step(tick, armed=True))
         self.controllers = folder / "state" / "controllers"
         tree = FileTree(MADE, LogFolder(folder / "log"), self.controllers)
-        self.ftp = FileTransfer(self, Us(1), tree, self.commander.take, self.px4.commands.explain, lockstep)
+        self.now = 100.0
+        given = self, Us(1), tree, self.commander.take, self.px4.commands.explain, lockstep
+        self.ftp = FileTransfer(*given, clock=lambda: self.now)
         self.services.append(self.ftp)
         self.sequence = 0
 
@@ -244,6 +246,25 @@ def test_uploads_are_bounded(server: Server) -> None:
         assert upload(server, f"/controllers/{k}.json", b"{}").op == Op.ACK
     assert upload(server, "/controllers/more.json", b"{}").op == Op.NAK
     assert upload(server, "/controllers/7.json", b"[]").op == Op.ACK
+
+
+def test_uploads_that_nobody_goes_on_with_make_room(server: Server) -> None:
+    """Over UDP a client that is gone says nothing: two of them stopped everybody's uploads for good."""
+    for name in (b"a", b"b"):
+        server.one(Op.CREATE, b"/controllers/%s.json" % name, source=(251, 190), peer="gone")
+    server.now += UPLOAD_S / 2
+    assert server.one(Op.WRITE, b"x", session=1, source=(251, 190), peer="gone").op == Op.ACK
+    server.now += UPLOAD_S / 2
+    assert server.fault(Op.CREATE, b"/controllers/c.json") == Fault.NO_SESSIONS, "none is abandoned yet"
+    server.now += 1.0
+    session = server.one(Op.CREATE, b"/controllers/c.json").session
+    assert server.fault(Op.CREATE, b"/controllers/d.json") == Fault.NO_SESSIONS, "one was gone on with"
+    server.now += UPLOAD_S - 1.0
+    assert server.one(Op.WRITE, b"{}", session=session).op == Op.ACK
+    server.now += UPLOAD_S - 1.0
+    assert server.one(Op.TERMINATE, session=session).op == Op.ACK
+    assert (server.controllers / "c.json").read_bytes() == b"{}"
+    assert server.fault(Op.WRITE, b"x", session=0, source=(251, 190), peer="gone") == Fault.SESSION
 
 
 def test_writing_needs_the_lease_and_reading_does_not(server: Server) -> None:

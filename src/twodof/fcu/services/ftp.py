@@ -1,12 +1,14 @@
 """MAVLink FTP: clients read descriptions and on-board logs, and send diagrams; each has sessions of its own.
 
 What is not in `file_tree` does not exist. Uploads need the lease, wait in memory and are written whole when their
-session ends. A request that comes again gets the answer that it got. Source: MAVLink guide, "File Transfer Protocol".
+session ends; those that nobody goes on with make room for others. A request that comes again gets the answer that it
+got. Source: MAVLink guide, "File Transfer Protocol".
 """
 
 from __future__ import annotations
 
 import struct
+import time
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from contextlib import suppress
@@ -35,6 +37,9 @@ _ONCE = (Op.OPEN_RO, Op.CREATE, Op.WRITE, Op.TERMINATE, Op.RESET, Op.REMOVE)
 MOST_UPLOADING = 2
 """Uploads that wait in memory at once, of all clients."""
 
+UPLOAD_S = 30.0
+"""An upload of which nothing came for so long makes room for another: who sent it may be gone without a word."""
+
 Take = Callable[[Source, str], Verdict]
 Explain = Callable[[Hashable, str], None]
 
@@ -43,9 +48,17 @@ class FileTransfer:
     """The server of MAVLink FTP over `tree`; `take` says whether a source may command, `explain` tells why not."""
 
     def __init__(
-        self, link: Link, us: Us, tree: FileTree, take: Take, explain: Explain, lockstep: bool = False
+        self,
+        link: Link,
+        us: Us,
+        tree: FileTree,
+        take: Take,
+        explain: Explain,
+        lockstep: bool = False,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.tree = tree
+        self._clock = clock
         self._link, self._us, self._take, self._explain = link, us, take, explain
         self._background = Background(inline=lockstep)
         self._pump = Pump(self._send_bursts, lockstep)
@@ -187,9 +200,10 @@ class FileTransfer:
         def created(found: object) -> Packet:
             if isinstance(found, Exception):
                 return self._refused(asked, found)
+            self._forget_abandoned()
             if self._uploads >= MOST_UPLOADING:
                 return asked.nak(Fault.NO_SESSIONS)
-            number = guest.open(Session(None, asked.text), asked.session, self._close)
+            number = guest.open(Session(None, asked.text, self._clock()), asked.session, self._close)
             return asked.nak(Fault.NO_SESSIONS) if number is None else asked.ack(session=number)
 
         self._work(guest, asked, lambda: self.tree.check_upload(asked.text), created)
@@ -202,6 +216,7 @@ class FileTransfer:
             answer = asked.nak(Fault.FAIL)
             session.failed = True
         else:
+            session.used = self._clock()
             session.upload[asked.offset : asked.offset + asked.size] = asked.data[: asked.size]
             answer = asked.ack()
         self._answer(guest, asked, answer)
@@ -298,6 +313,13 @@ class FileTransfer:
                 if burst.done and guest.burst is burst:
                     guest.burst = None
         return any(guest.burst is not None for guest in bursting)
+
+    def _forget_abandoned(self) -> None:
+        """Ends the uploads that are not gone on with; only who uploads waits for room, so this is looked at then."""
+        since = self._clock() - UPLOAD_S
+        for guest in self._guests.values():
+            for number in [n for n, one in guest.sessions.items() if one.file is None and one.used < since]:
+                del guest.sessions[number]
 
     def _dismiss(self, guest: Guest) -> None:
         guest.burst = None

@@ -18,13 +18,14 @@ BURST_BYTES = 35_000
 
 
 class Session:
-    """A file being read, or an upload to `path` that waits in memory."""
+    """A file being read, or an upload to `path` that waits in memory; `used`, by the clock, when it last was."""
 
-    __slots__ = ("failed", "file", "path", "upload")
+    __slots__ = ("failed", "file", "path", "upload", "used")
 
-    def __init__(self, file: OpenFile | None, path: str = "") -> None:
+    def __init__(self, file: OpenFile | None, path: str = "", used: float = 0.0) -> None:
         self.file = file
         self.path = path
+        self.used = used
         self.upload = bytearray()
         self.failed = False  # a write was refused: what is here is not what was to be sent
 
