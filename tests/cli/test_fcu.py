@@ -40,7 +40,7 @@ def test_in_real_time_with_a_key_only_who_has_it_is_heard(tmp_path: Path) -> Non
     write_key(tmp_path / "key", Key.fresh())
     write_key(tmp_path / "other", Key.fresh())
     with twodof_fcu("--key", str(tmp_path / "key"), "--state", str(tmp_path / "state"), "--index", "4") as url:
-        with pytest.raises(LinkLost, match="no drone"):
+        with pytest.raises(LinkLost, match="signed with another key"):
             Drone.connect(url, timeout=1.5, key=tmp_path / "other")
         with Drone.connect(url, key=tmp_path / "key") as drone:
             assert drone.there.session.system == 5

@@ -173,6 +173,17 @@ def test_a_drone_flies_what_is_flashed_and_keeps_it_over_a_restart(
         assert drone.state.rig.controller == "stock"
 
 
+def test_a_drone_that_is_flown_refuses_in_words_for_the_shell(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with twodof_fcu("--rings", "--state", str(tmp_path)) as url, Drone.connect(url):
+        assert run(["flash", "pid-attitude", "--to", url]) == 2
+    said = capfd.readouterr().err
+    assert "holds the lease" in said
+    assert f"twodof kill --url {url}" in said
+    assert "take_lease" not in said
+
+
 def test_what_is_wrong_changes_nothing(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
     answer(capfd, "flash", "lqr-attitude", "--to", "sim")
     before = (folder / "data/flashed/sim/attitude_control.json").read_bytes()
@@ -183,6 +194,8 @@ def test_what_is_wrong_changes_nothing(folder: Path, capfd: pytest.CaptureFixtur
     assert "the input wind is not of the template" in found["error"]["what"]
     found = answer(capfd, "flash", "lqr", "--to", "sim", status=2)
     assert "lqr-attitude" in found["error"]["remedy"]
+    found = answer(capfd, "flash", "pid-attitude", "--to", "fc", status=2)
+    assert found["error"]["what"] == "'fc' is neither sim, px4-dir, fcu nor a URL"
     for arguments in (["--to", "px4-dir"], ["--to", "sim", "--out", "x"], ["--to", "sim", "--px4", "x"], ["--to", "x"]):
         assert run(["flash", "pid-attitude", *arguments]) == 2
     assert (folder / "data/flashed/sim/attitude_control.json").read_bytes() == before

@@ -9,6 +9,7 @@ import pytest
 
 from twodof.cli import identify
 from twodof.cli.app import run
+from twodof.experiment.flight import Laboratory
 from twodof.flightlog.files import write_log
 from twodof.flightlog.log import Channel, FlightLog
 from twodof.identify.greybox import fit
@@ -86,6 +87,19 @@ def test_a_velocity_doublet_tells_gain_and_pole(tmp_path: Path, capfd: pytest.Ca
     assert by_hand["k_v"] == pytest.approx(4.748 * 0.848, rel=0.02)
 
 
+def test_a_flight_is_known_by_the_name_that_it_was_flown_under(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    flight, log = Laboratory("paper").fly("velocity-doublet", 1), str(tmp_path / "flight.mcap")
+    write_log(flight.log, log)
+    found = [
+        answer(["identify", log, *more], capfd)
+        for more in ([], ["--experiment", "velocity-doublet"], ["--experiment", "velocity"])
+    ]
+    assert found[0]["experiment"] == "velocity"
+    assert found[0] == found[1] == found[2]
+
+
 @pytest.mark.parametrize(
     ("arguments", "status", "says"),
     [
@@ -101,6 +115,8 @@ def test_a_velocity_doublet_tells_gain_and_pole(tmp_path: Path, capfd: pytest.Ca
         (["--experiment", "impulse", "--window", "0", "18", "--value", "mu"], 2, "NAME=NUMBER"),
         (["--experiment", "impulse", "--window", "0", "18", "--method", "simple"], 2, "only the poles"),
         (["--experiment", "doublet", "--window", "0", "2", "--method", "simple"], 2, "--impulse"),
+        ([], 2, "does not say which experiment"),
+        (["--experiment", "attitude-steps"], 2, "nothing is identified from 'attitude-steps'"),
     ],
 )
 def test_what_cannot_be_identified_is_said(

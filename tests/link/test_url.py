@@ -41,6 +41,9 @@ def test_forms(url: str, address: Address) -> None:
     ("url", "complaint"),
     [
         ("", "is no kind of link"),
+        ("127.0.0.1:14580", "did you mean udp://127.0.0.1:14580"),
+        ("rig.local:5760", "did you mean udp://rig.local:5760"),
+        ("[::1]:5790", r"did you mean udp://\[::1\]:5790"),
         ("http://host:80", "'http' is no kind of link"),
         ("udp://host", "has no port"),
         ("udp://host:0", "has no port"),

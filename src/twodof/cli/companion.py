@@ -15,7 +15,9 @@ import typer
 from twodof.cli.output import Json, print_json
 from twodof.fcc.companion import Companion, Serve, px4_links
 from twodof.fcc.supervisor import MISTAKE, Limits, Restarts, Supervisor
+from twodof.link.components import COMPANION
 from twodof.link.key import read_key
+from twodof.link.ports import FLIGHT_CONTROLLER
 from twodof.link.signing import Signing
 from twodof.link.stamps import Stamps
 
@@ -23,7 +25,7 @@ app = typer.Typer(add_completion=False, rich_markup_mode=None)
 # Where the app comes to: this machine only, at a port that is free.
 APP_LINK = Serve("tcpin://127.0.0.1:0", "onboard")
 # Streams of signatures are told apart by it: what we answer in the vehicle's name is not its own.
-LINK_ID = 191
+LINK_ID = COMPANION
 MIB = 1 << 20
 
 
@@ -50,7 +52,8 @@ class _Asked:
 def companion(
     context: typer.Context,
     fcu: Annotated[
-        str | None, typer.Option(help="URL of the flight controller [tcp://127.0.0.1:5790, plus the index].")
+        str | None,
+        typer.Option(help=f"URL of the flight controller [tcp://127.0.0.1:{FLIGHT_CONTROLLER}, plus the index]."),
     ] = None,
     index: Annotated[int, typer.Option(min=0, max=99, help="Which drone: its ports and its system id.")] = 0,
     onboard: Annotated[list[str] | None, typer.Option(help="Serve clients at this URL with onboard rates.")] = None,
@@ -69,7 +72,7 @@ def companion(
     """
     chosen = [*(Serve(url, "onboard") for url in onboard or ()), *(Serve(url, "ground") for url in ground or ())]
     serve = tuple(chosen) or px4_links(index, open_)
-    asked = _Asked(fcu or f"tcp://127.0.0.1:{5790 + index}", serve, index + 1, key, line_rate, json)
+    asked = _Asked(fcu or f"tcp://127.0.0.1:{FLIGHT_CONTROLLER + index}", serve, index + 1, key, line_rate, json)
     context.obj = asked
     if context.invoked_subcommand is None:
         raise typer.Exit(asyncio.run(_until_told(_route(asked))))

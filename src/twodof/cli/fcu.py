@@ -14,15 +14,13 @@ import typer
 from twodof.cli.diagram_argument import DIAGRAM_HELP
 from twodof.flight.slot import data_folder
 from twodof.link.key import read_key
+from twodof.link.ports import FLIGHT_CONTROLLER
 from twodof.link.signing import Signing
 from twodof.link.stamps import Stamps
 from twodof.sim.rig_host import SEEDS
 from twodof.sim.virtual_drone import VirtualDrone
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
-
-FIRST_PORT = 5790
-"""Drone 0 listens there for its companion, drone 1 on the next one, and so on."""
 
 MOST_DRONES = 199
 """A client may be system 200 and above."""
@@ -34,7 +32,7 @@ def fcu(
         list[str] | None,
         typer.Option(
             metavar="URL",
-            help=f"Where to listen, may be repeated; left out: tcpin://127.0.0.1:{FIRST_PORT} + index. "
+            help=f"Where to listen, may be repeated; left out: tcpin://127.0.0.1:{FLIGHT_CONTROLLER} + index. "
             "Port 0: one that is free.",
         ),
     ] = None,
@@ -100,7 +98,7 @@ def fcu(
         signing,
         rate=rate,
     )
-    asyncio.run(_run(drone, listen or [f"tcpin://127.0.0.1:{FIRST_PORT + index}"]))
+    asyncio.run(_run(drone, listen or [f"tcpin://127.0.0.1:{FLIGHT_CONTROLLER + index}"]))
 
 
 async def _run(drone: VirtualDrone, urls: list[str]) -> None:

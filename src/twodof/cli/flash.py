@@ -13,7 +13,7 @@ from rich.console import Console
 from twodof.blocks import Diagram
 from twodof.blocks.difference import Difference, difference
 from twodof.cli.diagram_argument import DIAGRAM_HELP, read_diagram
-from twodof.cli.flash_place import FCU, PX4, SIM, open_place
+from twodof.cli.flash_place import FCU, PX4, SIM, check_name, open_place
 from twodof.cli.output import Json, print_json, table_console
 from twodof.compile import Program, build
 from twodof.compile.check import check as check_diagram
@@ -107,6 +107,7 @@ def flash(
         raise typer.BadParameter("--px4 goes with --to px4-dir")
     if key is not None and to in (SIM, PX4):
         raise typer.BadParameter("--key goes with a drone")
+    check_name(to)
     new = read_diagram(diagram)
     kind = check_template(new).name
     cost = costs(new, precision)

@@ -9,8 +9,9 @@ from typing import Protocol
 
 from twodof.blocks import Diagram
 from twodof.blocks.schema import from_json, to_json
+from twodof.cli.connect import connect
 from twodof.compile.px4 import export
-from twodof.errors import DiagramError, Rejected
+from twodof.errors import DiagramError, LinkError, Rejected, shown
 from twodof.flight.slot import STOCK, simulator_slot
 from twodof.flight.starters import load_diagram, starter
 from twodof.gcs.async_drone import DEFAULT_URL
@@ -106,6 +107,14 @@ class Vehicle:
         return f"drone {self._drone.there.session.system} at {self._drone.url}, {_path(kind)}"
 
 
+def check_name(to: str) -> None:
+    """That `to` names a place or looks like a URL, asked before a controller is compiled. Raises LinkError."""
+    if to not in (SIM, FCU, PX4) and "/" not in to and ":" not in to:
+        raise LinkError(
+            f"{shown(to)} is neither {SIM}, {PX4}, {FCU} nor a URL", "--to", f"a drone's URL is such as {DEFAULT_URL}"
+        )
+
+
 @contextmanager
 def open_place(to: str, out: Path | None, key: Path | None) -> Iterator[Place]:
     """The place that `to` names: `SIM`, `PX4` with the folder `out`, `FCU` or a drone's URL, reached with `key`.
@@ -117,7 +126,7 @@ def open_place(to: str, out: Path | None, key: Path | None) -> Iterator[Place]:
     elif out is not None:
         yield Module(out)
     else:
-        with Drone.connect(DEFAULT_URL if to == FCU else to, system=SYSTEM, key=key) as drone:
+        with connect(DEFAULT_URL if to == FCU else to, system=SYSTEM, key=key) as drone:
             yield Vehicle(drone)
 
 

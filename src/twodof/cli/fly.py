@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from twodof.cli.connect import connect
 from twodof.cli.output import Json, print_json, progress, table_console
 from twodof.cli.own_drone import own_drone
 from twodof.errors import LinkLost
@@ -88,7 +89,7 @@ def fly(
 @contextmanager
 def connected(url: str, key: Path | None, system: int | None) -> Iterator[Drone]:
     """The drone at `url`. That its link was lost is no news at the end: the flight has said so."""
-    drone = Drone.connect(url, key=key, drone=system)
+    drone = connect(url, key=key, drone=system)
     try:
         yield drone
     finally:

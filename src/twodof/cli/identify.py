@@ -38,6 +38,11 @@ class Experiment(StrEnum):
     velocity = "velocity"
 
 
+# What the ready-made experiments of those kinds are called when they are flown.
+_FLOWN_AS = {"velocity-doublet": Experiment.velocity}
+_KNOWN = (*(one.value for one in Experiment), *_FLOWN_AS)
+
+
 class Method(StrEnum):
     """How to identify."""
 
@@ -59,7 +64,12 @@ class Model(StrEnum):
 @app.command()
 def identify(
     file: Annotated[Path, typer.Argument(metavar="LOG", help="The flight log to identify from.")],
-    experiment: Annotated[Experiment, typer.Option(help="Which experiment the log holds.")],
+    experiment: Annotated[
+        str | None,
+        typer.Option(
+            metavar="|".join(_KNOWN), help="Which experiment the log holds; left out: what the log itself says it is."
+        ),
+    ] = None,
     method: Annotated[Method, typer.Option(help="Output error, or by hand as the paper does.")] = Method.greybox,
     model: Annotated[Model, typer.Option(help="Structure for the grey-box method; auto: the paper's.")] = Model.auto,
     window: Annotated[
@@ -80,27 +90,44 @@ def identify(
 
     Exit status 1: the data do not allow the estimate, or the search did not converge.
     """
-    kind = KINDS[experiment.value]
     log = read_log(file)
+    asked = _experiment(experiment, log)
+    kind = KINDS[asked.value]
     if window is not None:
         _check_window(log, window)
     record = cut(log, kind, window)
     others = [cut(read_log(path), kind) for path in validate or []]
     if method is Method.simple:
-        result = _by_hand(experiment, record, others, impulse)
+        result = _by_hand(asked, record, others, impulse)
         text, document = result.table(), json_text.loads(result.to_json())
         converged = True
     else:
-        found = _by_output_error(experiment, model, record, others, estimate, _numbers(value or []))
+        found = _by_output_error(asked, model, record, others, estimate, _numbers(value or []))
         text, document = found.table(), json_text.loads(found.to_json())
         converged = found.converged
     if json:
-        print_json({"experiment": experiment.value, "method": method.value, **document})
+        print_json({"experiment": asked.value, "method": method.value, **document})
     else:
         table_console().print(text, markup=False)
     if not converged:
         sys.stderr.write("note: the search did not converge; try other first guesses with --value\n")
         raise typer.Exit(1)
+
+
+def _experiment(name: str | None, log: FlightLog) -> Experiment:
+    """The experiment that is asked for, or else that the log says it holds. Raises ParameterError for none of ours."""
+    said = log.provenance.get("experiment") if name is None else name
+    if not isinstance(said, str):
+        raise ParameterError(
+            "the log does not say which experiment it holds", log.source, f"name it: --experiment {'|'.join(_KNOWN)}"
+        )
+    if said not in _KNOWN:
+        raise ParameterError(
+            f"nothing is identified from {said!r:.80}",
+            log.source if name is None else "--experiment",
+            f"{'say what it is' if name is None else 'there are'}: --experiment {'|'.join(_KNOWN)}",
+        )
+    return _FLOWN_AS.get(said) or Experiment(said)
 
 
 def _check_window(log: FlightLog, window: tuple[float, float]) -> None:

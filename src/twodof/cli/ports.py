@@ -7,17 +7,18 @@ import socket
 from contextlib import closing
 
 from twodof.errors import LinkError
+from twodof.link import ports
 
-MOST_DRONES = 10
-"""The eleventh's port for clients on board, 14540 + 10, is QGroundControl's."""
+MOST_DRONES = ports.GROUND_STATION - ports.ONBOARD
+"""The next one's port for clients on board is QGroundControl's."""
 
 _LOOPBACK = "127.0.0.1"
 # What is listened at, with drone 0's port (docs/protocol.md).
 _LISTENED = (
-    ("TCP", 5790, "the flight controller"),
-    ("TCP", 5760, "the companion"),
-    ("UDP", 14580, "the companion"),
-    ("UDP", 18570, "the companion, for ground stations"),
+    ("TCP", ports.FLIGHT_CONTROLLER, "the flight controller"),
+    ("TCP", ports.COMPANION_TCP, "the companion"),
+    ("UDP", ports.COMPANION_ONBOARD, "the companion"),
+    ("UDP", ports.COMPANION_GROUND, "the companion, for ground stations"),
 )
 
 

@@ -15,6 +15,7 @@ from twodof.cli.children import MOST_RESTARTS, WITHIN_S, Child, Children
 from twodof.cli.output import Json
 from twodof.cli.ports import MOST_DRONES, check_free
 from twodof.errors import LinkError
+from twodof.link import ports
 from twodof.link.connection import Connection
 from twodof.link.opening import open_transport
 
@@ -40,12 +41,12 @@ class Place:
     @property
     def fcu(self) -> str:
         """The flight controller itself."""
-        return f"tcp://127.0.0.1:{5790 + self.index}"
+        return f"tcp://127.0.0.1:{ports.FLIGHT_CONTROLLER + self.index}"
 
     @property
     def companion(self) -> str:
         """The companion, for who opens a connection."""
-        return f"tcp://127.0.0.1:{5760 + self.index}"
+        return f"tcp://127.0.0.1:{ports.COMPANION_TCP + self.index}"
 
     def described(self, lockstep: bool) -> dict[str, Any]:
         """Where to connect with what."""
@@ -54,10 +55,10 @@ class Place:
             "system": self.system,
             "fcu": self.fcu,
             # Time that is granted by one client: straight to the flight controller, as nobody else is to be there.
-            "drone": self.fcu if lockstep else f"udp://127.0.0.1:{14580 + self.index}",
-            "mavsdk": f"udpin://127.0.0.1:{14540 + self.index}",
-            "mavproxy": f"tcp:127.0.0.1:{5760 + self.index}",
-            "qgroundcontrol": "14550",
+            "drone": self.fcu if lockstep else f"udp://127.0.0.1:{ports.COMPANION_ONBOARD + self.index}",
+            "mavsdk": f"udpin://127.0.0.1:{ports.ONBOARD + self.index}",
+            "mavproxy": f"tcp:127.0.0.1:{ports.COMPANION_TCP + self.index}",
+            "qgroundcontrol": str(ports.GROUND_STATION),
         }
 
 

@@ -100,6 +100,13 @@ def fly(
     model = laboratory if laboratory is not None else _model(rig.name)
     if x_start is None:
         x_start = 0.0 if experiment.rings else model.start(experiment)
+    room = model.parameters["rail_stop"] - MARGIN
+    if not abs(x_start) <= room:
+        raise ExperimentError(
+            f"x = {x_start:g} m is no place to start at",
+            experiment.name,
+            f"start within {room:.2f} m of the rail's middle",
+        )
     plan = script(experiment, x_start)
     if rig.virtual:
         drone.reset(seed=seed, x=x_start, noise=noise, rings=experiment.rings)

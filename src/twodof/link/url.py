@@ -19,6 +19,9 @@ LONGEST_URL = 1000
 _ALIASES = {"udpout": "udp", "tcpout": "tcp"}
 _NETWORK = ("udp", "udpin", "udpbcast", "tcp", "tcpin")
 _SHORT = re.compile(r"(udp|udpin|udpout|udpbcast|tcp|tcpin):([^/].*)?")
+_BARE = re.compile(
+    r"(?!(?:udp|udpin|udpout|udpbcast|tcp|tcpin|mem|memin|serial):)([A-Za-z0-9_.-]+|\[[0-9A-Fa-f:]+\]):\d{1,5}"
+)
 _MEMORY_NAME = re.compile(r"[A-Za-z0-9_.-]{1,100}")
 BAUDS = {int(name[1:]): int(getattr(termios, name)) for name in dir(termios) if re.fullmatch(r"B[1-9]\d*", name)}
 
@@ -60,6 +63,8 @@ def parse(url: str) -> Address:
     """
     if not isinstance(url, str) or len(url) > LONGEST_URL or not url.isprintable():
         raise LinkError(f"{shown(url)} is no URL", "", f"use {FORMS}")
+    if _BARE.fullmatch(url):
+        raise LinkError("has no kind of link before its host", url, f"did you mean udp://{url}, or tcp://{url}?")
     short = _SHORT.fullmatch(url)
     if short:
         url = f"{'udpin' if short[1] == 'udp' else short[1]}://{short[2] or ''}"
