@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from tests.fcc.ends import SYSTEM, Ends, frame, names
 from twodof.fcc.client import MOST_IDENTITIES
-from twodof.fcc.router import COMPANION
+from twodof.link.components import COMPANION
 from twodof.link.framing import Parser, decode, encode
 from twodof.link.messages import message
 

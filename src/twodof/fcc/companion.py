@@ -13,6 +13,7 @@ from twodof.fcc.computer import Computer, Traffic
 from twodof.fcc.line import BITS_A_BYTE, NETWORK_FRAME, NETWORK_RATE, Line
 from twodof.fcc.rates import profile
 from twodof.fcc.router import Router
+from twodof.link import ports
 from twodof.link.framing import Frame, Parser
 from twodof.link.opening import open_transport
 from twodof.link.signing import Signing
@@ -47,9 +48,9 @@ def px4_links(index: int = 0, open_to_all: bool = False) -> tuple[Serve, ...]:
     """
     host = "0.0.0.0" if open_to_all else "127.0.0.1"
     return (
-        Serve(f"udp://127.0.0.1:{14540 + index}?bind={host}:{14580 + index}", "onboard"),
-        Serve(f"udp://127.0.0.1:14550?bind={host}:{18570 + index}", "ground"),
-        Serve(f"tcpin://{host}:{5760 + index}", "onboard"),
+        Serve(f"udp://127.0.0.1:{ports.ONBOARD + index}?bind={host}:{ports.COMPANION_ONBOARD + index}", "onboard"),
+        Serve(f"udp://127.0.0.1:{ports.GROUND_STATION}?bind={host}:{ports.COMPANION_GROUND + index}", "ground"),
+        Serve(f"tcpin://{host}:{ports.COMPANION_TCP + index}", "onboard"),
     )
 
 

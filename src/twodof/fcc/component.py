@@ -7,7 +7,8 @@ from typing import Any
 from twodof.fcc import wire
 from twodof.fcc.client import Client
 from twodof.fcc.computer import Computer
-from twodof.fcc.router import COMPANION, Router
+from twodof.fcc.router import Router
+from twodof.link.components import COMPANION
 from twodof.link.framing import Frame
 from twodof.link.messages import message, statustext
 

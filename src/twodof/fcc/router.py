@@ -15,11 +15,11 @@ from twodof.fcc.client import Client, Identity, Wish
 from twodof.fcc.line import Line
 from twodof.fcc.streams import Streams
 from twodof.fcc.subscriptions import Subscriptions
+from twodof.link.components import AUTOPILOT, COMPANION
 from twodof.link.framing import Frame, encode
 from twodof.link.messages import message
 from twodof.link.signing import Signing
 
-AUTOPILOT, COMPANION = 1, 191
 MOST_IDENTITIES = 32
 _NOW_AND_THEN = 15
 _HALF = 128  # of the range of a sequence number: what is further ahead is behind

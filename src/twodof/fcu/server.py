@@ -15,14 +15,12 @@ from twodof.fcu.loop import FlightController
 from twodof.fcu.pacing import Pacer
 from twodof.fcu.service import Service
 from twodof.fcu.watchdog import Watchdog
+from twodof.link.components import AUTOPILOT
 from twodof.link.connection import Connection, Received
 from twodof.link.opening import open_transport
 from twodof.link.signing import Signing
 from twodof.link.tick import TICK_NS
 from twodof.link.url import parse
-
-AUTOPILOT = 1
-"""MAVLink component of the flight controller."""
 
 RESPONSIVE_S = 0.004
 """In lockstep the loop lets others run after so much work [s]."""

@@ -8,15 +8,20 @@ from contextlib import suppress
 from typing import NamedTuple
 
 from twodof.errors import LinkError, LinkLost
+from twodof.link import ports
+from twodof.link.components import AUTOPILOT, GROUND_STATION
 from twodof.link.connection import Connection
 from twodof.link.messages import message
 from twodof.link.modes import mode_name
 from twodof.link.opening import open_transport
 
-GROUND_PORT, ONBOARD_PORT = 14550, 14540
-"""Where PX4 and the companion send to: all to the first, drone i to the second + i."""
-VEHICLE_PORTS = (14580, 18570, 5760, 5790)
-"""Where they listen: UDP on the first two, TCP on the others, + i for drone i."""
+LISTENED = (
+    ("udp", ports.COMPANION_ONBOARD),
+    ("udp", ports.COMPANION_GROUND),
+    ("tcp", ports.COMPANION_TCP),
+    ("tcp", ports.FLIGHT_CONTROLLER),
+)
+"""Where PX4, the companion and the flight controller listen, + i for drone i."""
 DRONES = 8
 SYSTEM = 241
 """What we call ourselves meanwhile: none that other clients use."""
@@ -38,10 +43,13 @@ LOOPBACK = "127.0.0.1"
 
 def urls(hosts: Iterable[str] = (), drones: int = DRONES) -> list[str]:
     """Where `discover` looks: ports of this machine to which drones send, and those of `hosts` at which they listen."""
-    places = [f"udpin://127.0.0.1:{GROUND_PORT}", *(f"udpin://127.0.0.1:{ONBOARD_PORT + i}" for i in range(drones))]
+    places = [
+        f"udpin://127.0.0.1:{ports.GROUND_STATION}",
+        *(f"udpin://127.0.0.1:{ports.ONBOARD + i}" for i in range(drones)),
+    ]
     for host in hosts:
         for i in range(drones):
-            places += [f"{'udp' if port > 10_000 else 'tcp'}://{host}:{port + i}" for port in VEHICLE_PORTS]
+            places += [f"{kind}://{host}:{port + i}" for kind, port in LISTENED]
     return places
 
 
@@ -64,14 +72,20 @@ async def _look(url: str, timeout: float, heard: dict[tuple[int, str], Found]) -
     loop = asyncio.get_running_loop()
     end = loop.time() + timeout
     with suppress(LinkError):
-        async with Connection(await open_transport(url, timeout), system=SYSTEM, component=190) as connection:
+        async with Connection(
+            await open_transport(url, timeout), system=SYSTEM, component=GROUND_STATION
+        ) as connection:
             while loop.time() < end:
                 with suppress(LinkLost):
                     connection.send(message("HEARTBEAT", type=6, autopilot=_NO_AUTOPILOT, system_status=4))
                 turn = min(end, loop.time() + 1.0)
                 while (received := await connection.receive(max(0.0, turn - loop.time()))) is not None:
                     got, frame = received.message, received.frame
-                    if got.get_type() == "HEARTBEAT" and got.autopilot != _NO_AUTOPILOT and frame.component == 1:
+                    if (
+                        got.get_type() == "HEARTBEAT"
+                        and got.autopilot != _NO_AUTOPILOT
+                        and frame.component == AUTOPILOT
+                    ):
                         armed = bool(got.base_mode & 128)
                         heard[frame.system, url] = Found(
                             frame.system, url, mode_name(got.custom_mode), armed, got.autopilot

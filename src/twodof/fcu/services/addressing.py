@@ -7,10 +7,8 @@ from math import isfinite
 from typing import Any, NamedTuple
 
 from twodof.fcu.asked import Source
+from twodof.link.components import AUTOPILOT
 from twodof.link.connection import Received
-
-AUTOPILOT = 1
-"""MAV_COMP_ID_AUTOPILOT1, our component."""
 
 
 class Us(NamedTuple):
