@@ -24,17 +24,17 @@ from twodof.gcs.setpoints import Setpoints
 from twodof.gcs.state import Battery, State, Watcher
 from twodof.gcs.telemetry import Telemetry
 from twodof.gcs.texts import Text, Texts
-from twodof.link import dialect
+from twodof.link import dialect, ports
+from twodof.link.components import GROUND_STATION
 from twodof.link.connection import Connection
 from twodof.link.key import Key, read_key
 from twodof.link.opening import open_transport
 from twodof.link.statistics import LinkStatistics
 from twodof.link.transport import Transport
 
-DEFAULT_URL = "udpin://127.0.0.1:14540"
+DEFAULT_URL = f"udpin://127.0.0.1:{ports.ONBOARD}"
 TIMEOUT_S = 5.0
 LEAVING_S = 3.0
-GROUND_COMPONENT = 190
 _GREETING_S, _GREETING_RETRY_S = 4.0, 0.3
 _KILL_RETRY_S = 0.05
 _FORCE = 21196
@@ -81,7 +81,7 @@ class Connected:
         key: Key | str | Path | None = None,
         take_lease: bool = True,
         drone: int | None = None,
-        component: int = GROUND_COMPONENT,
+        component: int = GROUND_STATION,
     ) -> Self:
         """Find the drone at `url` and, with `take_lease`, become the one who commands it.
 
@@ -106,14 +106,14 @@ class Connected:
         key: Key | str | Path | None = None,
         take_lease: bool = True,
         drone: int | None = None,
-        component: int = GROUND_COMPONENT,
+        component: int = GROUND_STATION,
     ) -> Self:
         """As `connect`, over a transport that is open; it is closed with the drone, or where connecting fails."""
         deadline = Deadline(timeout, "connecting", transport.url)
         session: Session | None = None
         made: Self | None = None
         try:
-            on_board = component != GROUND_COMPONENT
+            on_board = component != GROUND_STATION
             number, signing = identity(system, on_board, key)
             connection = Connection(transport, number, component, signing)
             session = Session(connection, on_board)
@@ -132,8 +132,13 @@ class Connected:
     async def _greet(self, deadline: Deadline, take_lease: bool, drawn_id: bool) -> None:
         """Learn whether it is one of ours, and if so how its time passes; take the lease."""
         asking = Deadline(min(_GREETING_S, deadline.left), "asking what it is", f"drone {self.session.system}")
-        with suppress(Timeout):  # it is somebody else's, which does not know the question
+        try:
             self.ours = await self._request("TWODOF_RIG", asking)
+        except Timeout:  # it is somebody else's, which does not know the question, or does not let us in
+            signed = self.session.signed_frames
+            if signed and self.session.connection.signing is None:
+                what = f"drone {self.session.system} answers nothing: {signed} frames came signed, and we have no key"
+                raise LinkLost(what, self.session.url, "connect with its key: key=FILE") from None
         self.parameters.transactions = self.ours
         if self.ours and drawn_id:
             await self._differ(deadline)

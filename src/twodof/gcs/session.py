@@ -14,13 +14,14 @@ from typing import Any, TypeVar
 
 from twodof.errors import LinkLost, TwodofError
 from twodof.gcs.deadline import Deadline
+from twodof.link.components import AUTOPILOT
 from twodof.link.connection import Connection, Received
 from twodof.link.messages import message
+from twodof.link.signing import Verdict
 
 SILENT_S = 3.0
 HEARTBEAT_S = 1.0
 RETRY_S = 0.5
-AUTOPILOT = 1
 # Messages handed on before anybody else gets a turn, and answers that may wait for one call.
 BURST = 64
 MOST_WAITING = 20_000
@@ -81,6 +82,7 @@ class Session:
         self.component = AUTOPILOT
         self.lockstep = False
         self.faults = 0  # handlers that raised
+        self.signed_frames = 0  # of the vehicle's; before it was found, of everybody's
         self._kind = _ON_BOARD if on_board else _GROUND
         self._loop = asyncio.get_running_loop()
         self._peer: Hashable | None = None
@@ -119,9 +121,27 @@ class Session:
                     self._last_heard = self.now
                     return
         which = "no drone" if system is None else f"no drone {system}"
-        raise LinkLost(
-            f"{which} was heard within {timeout:.3g} s", self.url, "start it, correct the address, or try discover()"
-        )
+        refused, remedy = self._refused()
+        raise LinkLost(f"{which} was heard within {timeout:.3g} s{refused}", self.url, remedy)
+
+    def _refused(self) -> tuple[str, str]:
+        """What came and was not let in, since it was not signed with our key, in words; and what to do."""
+        signing = self.connection.signing
+        if signing is not None:
+            counts, old = signing.counts, self.connection.framing["mavlink1_refused"]
+            if counts.forged:
+                return f": {counts.forged} frames came, signed with another key", "connect with the drone's own key"
+            if counts.unsigned or old:
+                words = f": {counts.unsigned + old} frames came, unsigned, and key= lets in none such"
+                return words, "give it the key (twodof fcu --key), or connect without key="
+            for number, verdict in (
+                (counts.repeated, Verdict.REPEATED),
+                (counts.stale, Verdict.STALE),
+                (counts.ahead, Verdict.AHEAD),
+            ):
+                if number:
+                    return f": {number} frames came, of the first {verdict.value}", "set both clocks"
+        return "", "start it, correct the address or the key, or try discover()"
 
     def on(self, handler: Handler, *names: str) -> None:
         """Hand each message of these kinds from the vehicle to `handler`, which must be quick."""
@@ -240,6 +260,7 @@ class Session:
                 return
             self._last_heard = self.now
             self._peer = received.peer
+        self.signed_frames += frame.signed
         name = got.get_type()
         for handler in self._handlers.get(name, ()):
             try:
