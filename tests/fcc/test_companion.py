@@ -15,7 +15,15 @@ from tests.faults.virtual_time import run_virtual
 from tests.fcc.scripted import Listener, Vehicle, until
 from twodof.errors import LinkError
 from twodof.fcc.client import SILENT_S
-from twodof.fcc.companion import VEHICLE_SILENT_S, Companion, Serve, px4_links
+from twodof.fcc.companion import (
+    LONGEST_BACK_OFF_S,
+    OPEN_S,
+    REMIND_S,
+    VEHICLE_SILENT_S,
+    Companion,
+    Serve,
+    px4_links,
+)
 from twodof.fcc.component import ACTIVE, CRITICAL
 from twodof.link.framing import Parser, encode
 from twodof.link.messages import message
@@ -110,6 +118,28 @@ def test_the_companion_may_be_started_before_the_vehicle_and_again() -> None:
 
     for _ in range(2):
         run_virtual(work())
+
+
+def test_that_the_vehicle_is_not_there_is_said_at_once_and_then_seldom() -> None:
+    said: list[str] = []
+
+    async def work() -> None:
+        async with Companion("mem://fcu", CLIENTS, tell=said.append):
+            await asyncio.sleep(2.0 * OPEN_S)
+            assert len(said) == 1
+            assert said[0].startswith("flight controller not reached yet: mem://fcu: ")
+            await asyncio.sleep(REMIND_S)
+            assert said[1:] == said[:1]
+            async with Vehicle(await open_transport("memin://fcu")) as vehicle:
+                vehicle.silent = True
+                await asyncio.sleep(LONGEST_BACK_OFF_S + 2.0 * VEHICLE_SILENT_S)
+                assert "no heartbeat comes" in said[2]
+                vehicle.silent = False
+                await until(lambda: len(said) > 3)
+                await asyncio.sleep(2.0 * REMIND_S)
+        assert said[3:] == ["flight controller heard"]
+
+    run_virtual(work())
 
 
 def test_nothing_speaks_for_a_client_that_fell_silent() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import signal
 import sys
 from collections import deque
 from collections.abc import Awaitable, Callable, Sequence
@@ -146,7 +147,8 @@ class Children:
         while True:
             status = await child.wait()
             child.ended.append(clock.time())
-            last = f"; it last said:{lines_of(child.said)}" if child.said else ""
+            # Who was killed from outside said nothing of it.
+            last = f"; it last said:{lines_of(child.said)}" if child.said and status != -signal.SIGKILL else ""
             often = len(child.ended) > MOST_RESTARTS and child.ended[-1] - child.ended[0] < WITHIN_S
             if often:
                 self._tell(f"{child.name} ended with status {status}; too often, all end{last}")

@@ -45,7 +45,7 @@ class _Asked:
         signing = None
         if self.key is not None:
             signing = Signing(read_key(self.key), Stamps(f"{self.key}.{self.system}.companion.stamps"), LINK_ID)
-        return Companion(self.vehicle, self.serve, self.system, signing, self.line_rate)
+        return Companion(self.vehicle, self.serve, self.system, signing, self.line_rate, _log)
 
 
 @app.callback(invoke_without_command=True)

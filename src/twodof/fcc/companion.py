@@ -30,6 +30,8 @@ BROKEN_OFF_S = 0.1
 # Its heartbeat comes each second.
 VEHICLE_SILENT_S = 3.0
 OPEN_S = 2.0
+# How often it is repeated that the flight controller is not there.
+REMIND_S = 60.0
 FIRST_BACK_OFF_S, LONGEST_BACK_OFF_S = 0.1, 2.0
 
 
@@ -91,7 +93,8 @@ class Companion:
 
     `system` is the vehicle's system id (1 to 255), `signing` what its own messages are signed with. `line_rate`
     [byte/s] bounds what is sent to the flight controller: unless said, what a serial line's baud rate carries, and
-    1 Mbyte/s over a network. In memory nothing is bounded.
+    1 Mbyte/s over a network. In memory nothing is bounded. `tell` is called with a line for people when the flight
+    controller is not reached, each minute as long as it is not, and when it is heard then.
     Raises LinkError where a client's link cannot be opened; the flight controller may come later.
     """
 
@@ -102,6 +105,7 @@ class Companion:
         system: int = 1,
         signing: Signing | None = None,
         line_rate: float | None = None,
+        tell: Callable[[str], None] | None = None,
     ) -> None:
         address = parse(vehicle)
         overhead = 0 if address.kind == "serial" else NETWORK_FRAME
@@ -118,6 +122,9 @@ class Companion:
         self._parser = Parser()
         self._fed = self._last_frame = 0.0
         self._there = False
+        self._tell = tell
+        self._opened = 0.0
+        self._complaint, self._complained = "", 0.0
         self._pumping: asyncio.TimerHandle | None = None
         self._bytes = [0, 0]
 
@@ -187,13 +194,14 @@ class Companion:
                 if not said:
                     self.component.link(False, f"flight controller not reached: {error.what}")
                     said = True
+                self._complain(error)
                 await asyncio.sleep(wait)
                 wait = min(2.0 * wait, LONGEST_BACK_OFF_S)
                 continue
             self._parser = Parser()
             self.line.connect(transport)
             self.router.started()
-            opened = self._loop.time()
+            opened = self._opened = self._loop.time()
             reason = await self._until_lost(transport, self._from_vehicle)
             self.line.cut()
             self.lost += 1
@@ -208,6 +216,20 @@ class Companion:
         if there != self._there:
             self._there = there
             self.component.link(there, why)
+        if there and self._complaint:
+            self._complaint = ""
+            self._say(why)
+
+    def _complain(self, error: LinkError) -> None:
+        """Why the flight controller is not there: said when it becomes known, and seldom after that."""
+        now, text = self._loop.time(), f"flight controller not reached yet: {error}"
+        if text != self._complaint or now - self._complained >= REMIND_S:
+            self._complaint, self._complained = text, now
+            self._say(text)
+
+    def _say(self, text: str) -> None:
+        if self._tell is not None:
+            self._tell(text)
 
     def _from_vehicle(self, packet: Packet) -> None:
         self._fed = self._loop.time()
@@ -323,6 +345,9 @@ class Companion:
                 if self._there and now - self._last_frame > VEHICLE_SILENT_S:
                     self._heard(False, f"flight controller silent for {VEHICLE_SILENT_S:g} s")
                     self.router.started()  # it may come back as one that was started anew
+                if not self._there and now - max(self._opened, self._last_frame) > VEHICLE_SILENT_S:
+                    what = "the link stands, and no heartbeat comes"
+                    self._complain(LinkError(what, self.vehicle, "see that it runs, and at this baud rate or address"))
                 self.router.subscriptions.asking.poll(now)
             self._pump()
 
