@@ -15,7 +15,6 @@ from twodof.compile.lower import lower
 from twodof.fcu.parameter_row import Row
 from twodof.fcu.parameter_table import own_rows
 from twodof.fcu.px4_topics import PX4_TOPICS
-from twodof.fcu.services.profiles import GROUND, ONBOARD
 from twodof.fcu.step_row import COLUMNS
 from twodof.flight.causes import ACTIONS, CAUSES, NONE
 from twodof.flight.core import PERIOD
@@ -27,6 +26,7 @@ from twodof.flightlog.mcap_stream import stream_of
 from twodof.flightlog.ulog import PX4_SOURCES
 from twodof.link import dialect
 from twodof.link.dialect import FILES
+from twodof.link.rates import GROUND, ONBOARD
 from twodof.rig.parameters import CONDITIONS, NAMES, Q_AGE, TABLE, load_rig, origins
 from twodof.rig.predict import moment_gain, rotor_moment, velocity_damping, velocity_gain
 from twodof.rig.rig import PARTS, rig_params

@@ -10,9 +10,9 @@ from tests.fcc.ends import SYSTEM, Ends, names
 from twodof.fcc import rates
 from twodof.fcc.client import Client
 from twodof.fcc.rates import PROFILES, profile
-from twodof.fcu.services import profiles as vehicle_profiles
 from twodof.link import dialect
 from twodof.link.framing import decode
+from twodof.link.rates import PROFILES as vehicle_profiles
 
 TO = {"target_system": SYSTEM, "target_component": 1}
 ATTITUDE = 30
@@ -37,13 +37,20 @@ def fly(ends: Ends, seconds: float, every_ms: int = 4, name: str = "ATTITUDE") -
 
 @pytest.mark.parametrize("name", ["onboard", "ground"])
 def test_who_asks_for_nothing_gets_what_the_flight_controller_would_send(name: str) -> None:
-    theirs = {number: rate for number, rate in vehicle_profiles.PROFILES[name].items() if rate > 0.0}
-    ours = {number: 1e6 / every for number, every in profile(name).items() if every > 0}
-    assert ours == pytest.approx({number: theirs[number] for number in ours}, rel=1e-4)
-    # The rest comes at once with each change too, which thinning would hold back: it passes as it comes.
-    passed = {"TWODOF_RIG", "TWODOF_LEASE", "TWODOF_SAFETY", "TWODOF_TIMING", "CURRENT_MODE"}
-    passed |= {"AVAILABLE_MODES_MONITOR", "CURRENT_EVENT_SEQUENCE"}
-    assert {dialect.load().mavlink_map[number].msgname for number in theirs.keys() - ours.keys()} == passed
+    """Of each message but for those that come at each change too, which thinning would hold back."""
+    theirs, ours = vehicle_profiles[name], profile(name)
+    known = dialect.load().mavlink_map
+    passed = {known[number].msgname for number in theirs.keys() - ours.keys()}
+    assert passed == {"TWODOF_OPENLOOP", "CURRENT_MODE", "AVAILABLE_MODES_MONITOR", "CURRENT_EVENT_SEQUENCE"}
+    assert ours.keys() <= theirs.keys()
+    as_they_come = {
+        dialect.load().mavlink_map[number].msgname for number, every in ours.items() if every == rates.EVERY
+    }
+    state = {"TWODOF_RIG", "TWODOF_LEASE", "TWODOF_SAFETY", "TWODOF_TIMING"}
+    assert as_they_come == state | ({"TWODOF_TOF"} if name == "onboard" else set())
+    for number, every in ours.items():
+        if every > rates.EVERY:
+            assert 1e6 / every == pytest.approx(theirs[number], rel=1e-4)  # whole microseconds
 
 
 def test_the_vehicle_is_asked_for_the_fastest_that_anybody_wants() -> None:

@@ -25,11 +25,11 @@ from twodof.fcu.services.log_download import LogDownload
 from twodof.fcu.services.log_stream import LogStream
 from twodof.fcu.services.metadata import COMPONENT_METADATA, metadata_files, metadata_message
 from twodof.fcu.services.own_telemetry import Flown, rig
-from twodof.fcu.services.profiles import ONBOARD
 from twodof.fcu.services.px4 import PX4
 from twodof.fcu.services.reload import Reload
 from twodof.fcu.services.setpoints import SetPoints
 from twodof.fcu.store import Store
+from twodof.link.rates import ONBOARD
 from twodof.link.signing import Signing
 
 WARNING = 4
@@ -40,7 +40,7 @@ class Assembly:
     """The program of a drone: MAVLink system `system` on `hardware`.
 
     `state` is the folder of what it keeps: parameters.json, logs/, controllers/ (uploads); None keeps nothing.
-    `rates` are those of the streams that every client gets (fcu/services/profiles.py). `signing` is asked of every
+    `rates` are those of the streams that every client gets (link/rates.py). `signing` is asked of every
     client. `close` ends what stands outside the event loop; the server closes by itself.
     """
 

@@ -15,7 +15,7 @@ from twodof.fcu.commander import Commander
 from twodof.fcu.controllers import Controllers
 from twodof.fcu.loop import FlightController
 from twodof.fcu.server import Server
-from twodof.fcu.services.profiles import PROFILES
+from twodof.link.rates import PROFILES
 from twodof.link.signing import Signing
 from twodof.parameters import ParameterSet
 from twodof.rig.parameters import load_rig

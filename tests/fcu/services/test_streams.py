@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 
 from tests.fcu.services.world import World, step
 from twodof.fcu.services.clients import SILENT_TICKS
-from twodof.fcu.services.profiles import GROUND, ONBOARD, PROFILES
 from twodof.fcu.services.streams import next_due
 from twodof.link import dialect
 from twodof.link.messages import message
+from twodof.link.rates import GROUND, ONBOARD, PROFILES
 from twodof.link.tick import TICK_NS
 
 HELLO = message("HEARTBEAT", type=6, autopilot=8)

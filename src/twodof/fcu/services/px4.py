@@ -17,7 +17,6 @@ from twodof.fcu.services.missions import Missions
 from twodof.fcu.services.modes import Modes
 from twodof.fcu.services.own_telemetry import Flown
 from twodof.fcu.services.parameters import Parameters
-from twodof.fcu.services.profiles import ONBOARD
 from twodof.fcu.services.remarks import Remarks
 from twodof.fcu.services.requests import Requests
 from twodof.fcu.services.streams import Streams
@@ -26,6 +25,7 @@ from twodof.fcu.services.transactions import Transactions
 from twodof.fcu.services.vehicle import Commander, Controller
 from twodof.fcu.services.version import Versions
 from twodof.fcu.store import Store
+from twodof.link.rates import ONBOARD
 
 
 class PX4:
