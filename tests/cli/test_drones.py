@@ -27,7 +27,13 @@ def test_a_drone_is_listed(only: list[str], capsys: pytest.CaptureFixture[str]) 
         only.append(there.url)
         assert run(["drones", "--timeout", "0.5", "--json"]) == 0
         (row,) = json.loads(capsys.readouterr().out)
-        assert (row["system"], row["url"], row["mode"], row["armed"]) == (9, there.url, "manual", False)
+        assert (row["system"], row["url"], row["mode"], row["armed"], row["autopilot"]) == (
+            9,
+            there.url,
+            "manual",
+            False,
+            "px4",
+        )
         assert run(["drones", "--timeout", "0.5"]) == 0
         assert there.url in capsys.readouterr().out
 

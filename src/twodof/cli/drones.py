@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections import Counter
 from typing import Annotated
 
 import typer
@@ -29,7 +30,10 @@ def drones(
     if not found:
         console.print(f"no drone was heard within {timeout:g} s")
         return
-    table = Table("drone", "connect to", "mode", "", box=None, pad_edge=False)
+    table = Table("drone", "connect to", "mode", "", "autopilot", box=None, pad_edge=False)
+    drones = Counter(one.url for one in found)
     for one in found:
-        table.add_row(str(one.system), one.url, one.mode, "armed" if one.armed else "")
+        # Where several are heard, `Drone.connect` must be told which.
+        place = f"{one.url}, drone={one.system}" if drones[one.url] > 1 else one.url
+        table.add_row(str(one.system), place, one.mode, "armed" if one.armed else "", one.autopilot)
     console.print(table)

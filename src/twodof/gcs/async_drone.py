@@ -237,7 +237,8 @@ class AsyncDrone(Connected):
             got = await self.session.ask(lambda _: asked, ("TWODOF_RIG",), _reset_answer, deadline)
             if got.flags & _REFUSED:
                 said = await self.commands.words(spoken, deadline)
-                remedy = "disarm it first; a real rig has no reset"
+                armed = self.state.armed or "armed" in said
+                remedy = "disarm it first" if armed else "put right what it says; a real rig has no reset"
                 raise Rejected(said or "the rig is not reset", deadline.where, remedy)
             self.clock.restart()
         self.telemetry.clear()

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+from collections import Counter
 from collections.abc import Iterable
 from contextlib import suppress
 from typing import NamedTuple
 
-from twodof.errors import LinkError, LinkLost
+from twodof.errors import LinkError, LinkLost, shown
+from twodof.gcs.state import word_of
 from twodof.link import ports
 from twodof.link.components import AUTOPILOT, GROUND_STATION
 from twodof.link.connection import Connection
@@ -29,13 +31,13 @@ _NO_AUTOPILOT = 8
 
 
 class Found(NamedTuple):
-    """A drone that was heard: its system id, the URL to connect to, how it stands; PX4's autopilot number is 12."""
+    """A drone that was heard: its system id, the URL to connect to, how it stands, its autopilot in words."""
 
     system: int
     url: str
     mode: str
     armed: bool
-    autopilot: int
+    autopilot: str
 
 
 LOOPBACK = "127.0.0.1"
@@ -43,29 +45,38 @@ LOOPBACK = "127.0.0.1"
 
 def urls(hosts: Iterable[str] = (), drones: int = DRONES) -> list[str]:
     """Where `discover` looks: ports of this machine to which drones send, and those of `hosts` at which they listen."""
-    places = [
-        f"udpin://127.0.0.1:{ports.GROUND_STATION}",
-        *(f"udpin://127.0.0.1:{ports.ONBOARD + i}" for i in range(drones)),
-    ]
+    places = [f"udpin://127.0.0.1:{ports.ONBOARD + i}" for i in range(drones)]
     for host in hosts:
         for i in range(drones):
             places += [f"{kind}://{host}:{port + i}" for kind, port in LISTENED]
-    return places
+    return [*places, f"udpin://127.0.0.1:{ports.GROUND_STATION}"]
 
 
 async def discover(timeout: float = 3.0, hosts: Iterable[str] = (), places: Iterable[str] | None = None) -> list[Found]:
-    """The drones that are heard within `timeout` [s], by system id.
+    """The drones that are heard within `timeout` [s], by system id, each with a URL of its own where it has one.
 
     Listens at the ports of this machine at which drones send; of `hosts` the ports are asked at which they listen.
     `places` are URLs to look at instead. A place that cannot be opened, since somebody else has it, is passed over.
+    Raises LinkError for a host that is unknown.
     """
+    hosts = list(hosts)
+    for host in hosts:
+        await _known(host)
     looked = list(urls(hosts) if places is None else places)
     heard: dict[tuple[int, str], Found] = {}
     await asyncio.gather(*(_look(url, timeout, heard) for url in looked))
     best: dict[int, Found] = {}
-    for found in sorted(heard.values(), key=lambda found: looked.index(found.url), reverse=True):
+    drones = Counter(url for _, url in heard)  # where several are heard, connecting finds any of them
+    for found in sorted(heard.values(), key=lambda one: (drones[one.url] > 1, looked.index(one.url)), reverse=True):
         best[found.system] = found
     return [best[system] for system in sorted(best)]
+
+
+async def _known(host: str) -> None:
+    try:
+        await asyncio.get_running_loop().getaddrinfo(host, None)
+    except (OSError, UnicodeError) as error:
+        raise LinkError("is no host that is known here", shown(host), "correct its name, or give its number") from error
 
 
 async def _look(url: str, timeout: float, heard: dict[tuple[int, str], Found]) -> None:
@@ -88,7 +99,11 @@ async def _look(url: str, timeout: float, heard: dict[tuple[int, str], Found]) -
                     ):
                         armed = bool(got.base_mode & 128)
                         heard[frame.system, url] = Found(
-                            frame.system, url, mode_name(got.custom_mode), armed, got.autopilot
+                            frame.system,
+                            url,
+                            mode_name(got.custom_mode),
+                            armed,
+                            word_of("MAV_AUTOPILOT", got.autopilot),
                         )
                     if loop.time() >= turn:
                         break
