@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -199,6 +202,19 @@ def test_what_is_wrong_changes_nothing(folder: Path, capfd: pytest.CaptureFixtur
     for arguments in (["--to", "px4-dir"], ["--to", "sim", "--out", "x"], ["--to", "sim", "--px4", "x"], ["--to", "x"]):
         assert run(["flash", "pid-attitude", *arguments]) == 2
     assert (folder / "data/flashed/sim/attitude_control.json").read_bytes() == before
+
+
+@pytest.mark.parametrize("more", [[], ["--json"]], ids=["people", "json"])
+def test_a_reader_that_leaves_does_not_make_a_failure_of_it(more: list[str], folder: Path) -> None:
+    """As `twodof flash ... | head` does: nobody reads the pipe from the start."""
+    ours, theirs = os.pipe()
+    os.close(ours)
+    command = [sys.executable, "-m", "twodof.cli", "flash", "stock-attitude", "--to", "sim", *more]
+    try:
+        done = subprocess.run(command, stdout=theirs, stderr=subprocess.PIPE, timeout=120, check=False)
+    finally:
+        os.close(theirs)
+    assert (done.returncode, done.stderr) == (0, b"")
 
 
 @pytest.mark.parametrize("name", ["empty-attitude", "stock-attitude"])

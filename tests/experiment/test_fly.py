@@ -353,16 +353,24 @@ def test_a_kill_by_somebody_else_ends_the_flight() -> None:
         assert thrust[-1] == 0.0
 
 
-def test_ctrl_c_disarms() -> None:
+def test_ctrl_c_disarms_and_hands_over_what_was_flown() -> None:
+    kept: list[Flight] = []
+
     def interrupt(text: str, share: float) -> None:
         if share > 0.5:
             raise KeyboardInterrupt
 
     with drone_thread() as url, Drone.connect(url) as drone:
         with pytest.raises(KeyboardInterrupt):
-            fly(short("attitude-steps"), drone, progress=interrupt)
+            fly(short("attitude-steps"), drone, progress=interrupt, interrupted=kept.append)
         assert not drone.state.armed
         assert 0 < drone.tick < script(short("attitude-steps")).steps
+    (flight,) = kept
+    assert (flight.reason, flight.good) == ("interrupted", False)
+    flown = int(np.isfinite(flight.log["theta"].value).sum())
+    assert (
+        0.45 < flown / script(short("attitude-steps")).steps < 0.65
+    )  # it was stopped past the half, in tenths of a second
 
 
 def test_lost_samples_are_gaps_in_the_log_and_fail_the_check_where_there_are_too_many() -> None:

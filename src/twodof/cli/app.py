@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import os
 import sys
 import warnings
 from collections.abc import Sequence
@@ -13,7 +12,7 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
-from twodof.cli.output import print_error, print_json
+from twodof.cli.output import print_error, print_json, reader_has_left
 from twodof.errors import CompileError, DownloadError, IdentificationError, TwodofError
 
 FINE, WENT_WRONG, CALLERS_MISTAKE, INTERRUPTED = 0, 1, 2, 130
@@ -77,8 +76,7 @@ class LazyGroup(TyperGroup):
             sys.stderr.write("interrupted; no file was left half written\n")
             raise SystemExit(INTERRUPTED) from None
         except BrokenPipeError:
-            # Whoever read our output has left (`twodof ... | head`); Python would complain again at exit.
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            reader_has_left()  # Python would complain again at exit
             raise SystemExit(WENT_WRONG) from None
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
@@ -47,7 +48,8 @@ def fly(
     """Arm, hold, excite on board, disarm, and check that the data are good enough.
 
     A virtual drone is put to its start first. What went wrong in flight breaks it off: the drone is levelled and
-    disarmed, and the log holds what there is. Exit status 1: it was broken off, or its data are not good.
+    disarmed, and the log holds what there is; so does Ctrl-C, which disarms at once, with exit status 130. Exit status
+    1: it was broken off, or its data are not good.
     """
     asked = named_experiment(experiment)
     if url is not None and rig is not None:
@@ -62,7 +64,21 @@ def fly(
         report = stack.enter_context(progress())
         there = stack.enter_context(connected(where, key, drone))
         laboratory = Laboratory(rig, controllers=controller) if rig is not None and controller else None
-        flight = fly_experiment(asked, there, seed=seed, x_start=start, laboratory=laboratory, progress=report)
+
+        def interrupted(flight: Flight) -> None:
+            if out is not None:
+                write_log(flight.log, out)
+                sys.stderr.write(f"written: {out}, up to the interruption\n")
+
+        flight = fly_experiment(
+            asked,
+            there,
+            seed=seed,
+            x_start=start,
+            laboratory=laboratory,
+            progress=report,
+            interrupted=interrupted,
+        )
         machine = there.state.rig
         if out is not None:
             write_log(flight.log, out)

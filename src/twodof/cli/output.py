@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -20,7 +21,24 @@ Json = Annotated[bool, typer.Option("--json", help="Print one JSON document and 
 
 def print_json(document: Any) -> None:
     """One JSON document on stdout; a number that JSON lacks (NaN, infinity) becomes null."""
-    sys.stdout.write(json.dumps(_plain(document), indent=2, allow_nan=False) + "\n")
+    try:
+        sys.stdout.write(json.dumps(_plain(document), indent=2, allow_nan=False) + "\n")
+        sys.stdout.flush()
+    except BrokenPipeError:
+        reader_has_left()
+
+
+def reader_has_left() -> None:
+    """Whoever read stdout has left (`twodof ... | head`): what else is printed goes nowhere."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+class _TableConsole(Console):
+    """A console whose command ends with its own status when the reader leaves before the end."""
+
+    def on_broken_pipe(self) -> None:
+        self.quiet = True
+        reader_has_left()
 
 
 def _plain(value: Any) -> Any:
@@ -47,7 +65,7 @@ def print_error(error: TwodofError) -> None:
 def table_console() -> Console:
     """The console for tables: as wide as the terminal, or wide enough for any table where there is none."""
     width = None if sys.stdout.isatty() else 120
-    return Console(highlight=False, soft_wrap=True, width=width)
+    return _TableConsole(highlight=False, soft_wrap=True, width=width)
 
 
 @contextmanager

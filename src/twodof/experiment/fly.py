@@ -68,6 +68,7 @@ def fly(
     x_start: float | None = None,
     laboratory: Laboratory | None = None,
     progress: Progress | None = None,
+    interrupted: Callable[[Flight], None] | None = None,
 ) -> Flight:
     """Flies `experiment` (or the ready-made one of that name) with `drone`: arm, hold, excite on board, disarm.
 
@@ -81,8 +82,9 @@ def fly(
 
     From the ground pitch and place are watched ten times a second. A flight that met a limit, on which the failsafe
     acted, that was refused or whose link was lost is broken off (level, then disarmed) and returned with its `reason`,
-    its samples so far and failed checks. Raises ExperimentError for what cannot be flown at all, before anything
-    moves, and what `Drone` raises while the drone is put to its start.
+    its samples so far and failed checks. Ctrl-C disarms, hands what there is to `interrupted`, and goes on as what it
+    is. Raises ExperimentError for what cannot be flown at all, before anything moves, and what `Drone` raises while the
+    drone is put to its start.
     """
     experiment = ready(experiment)
     rig = drone.state.rig
@@ -110,27 +112,36 @@ def fly(
     plan = script(experiment, x_start)
     if rig.virtual:
         drone.reset(seed=seed, x=x_start, noise=noise, rings=experiment.rings)
+    flown_seed = seed if rig.virtual else 0
     with drone.batch(COLUMNS) as rows:
         course = _Course(experiment, plan, x_start, drone, rows, model.parameters, progress or _silent)
-        reason = course.fly()
-    samples = Samples.of(rows.ticks, rows.values, course.first, plan.steps)
-    out, have = samples.on_grid(course.first, plan.steps)
-    checks = [
-        Check("flown to its end", not reason, reason or "yes"),
-        Check("failsafe silent", not course.acted, course.acted or "yes"),
-        received(plan, have),
-        *data_checks(experiment, plan, out, model.parameters),
-    ]
-    flown_seed = seed if rig.virtual else 0
-    provenance: dict[str, object] = {
-        "experiment": experiment.name,
-        "excitation": experiment.excitation.to_dict(),
-        "rig": rig.name,
-        "seed": flown_seed,
-        "versions": versions(),
-        "flown": {"url": drone.url, "virtual": rig.virtual, "controller": rig.controller, "reason": reason},
-    }
-    return Flight(experiment, samples.log(provenance), x_start, flown_seed, tuple(checks), reason)
+
+        def flight(reason: str) -> Flight:
+            samples = Samples.of(rows.ticks, rows.values, course.first, plan.steps)
+            out, have = samples.on_grid(course.first, plan.steps)
+            checks = [
+                Check("flown to its end", not reason, reason or "yes"),
+                Check("failsafe silent", not course.acted, course.acted or "yes"),
+                received(plan, have),
+                *data_checks(experiment, plan, out, model.parameters),
+            ]
+            provenance: dict[str, object] = {
+                "experiment": experiment.name,
+                "excitation": experiment.excitation.to_dict(),
+                "rig": rig.name,
+                "seed": flown_seed,
+                "versions": versions(),
+                "flown": {"url": drone.url, "virtual": rig.virtual, "controller": rig.controller, "reason": reason},
+            }
+            return Flight(experiment, samples.log(provenance), x_start, flown_seed, tuple(checks), reason)
+
+        try:
+            reason = course.fly()
+        except KeyboardInterrupt:
+            if interrupted is not None and len(rows.ticks):
+                interrupted(flight("interrupted"))
+            raise
+    return flight(reason)
 
 
 def _model(name: str) -> Laboratory:
