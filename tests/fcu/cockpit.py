@@ -9,12 +9,15 @@ from twodof.fcu.asked import Asked, Source, Verdict
 from twodof.fcu.commander import Commander
 from twodof.fcu.flight_code import Step
 from twodof.fcu.hardware import Sample
+from twodof.fcu.setpoints import ATTITUDE, SetPoint
 from twodof.flight.causes import ACTIONS, BIT
 from twodof.flight.failsafe_machine import DISARMED, FLYING, LEVEL, MAY_TURN, OFF, REFUSED
+from twodof.link import modes
 
 ME: Source = (250, 190)
 OTHER: Source = (245, 190)
 COMPANION: Source = (1, 191)
+LEVEL_FLIGHT = SetPoint(ATTITUDE, theta0=0.0, thrust=0.4)
 
 _SAMPLE = Sample(0.0, 0.0, -9.81, 0.0, 0.0, 0.0, True, 0.5, False, 0.0, 12.3, 0.8)
 _NUMBERS = (
@@ -108,4 +111,13 @@ def armed(rig: Rig | None = None, lockstep: bool = False, talking: Iterable[Sour
     cockpit = Cockpit(rig or Rig(), lockstep, talking)
     cockpit.run(3)
     assert cockpit.arm().accepted
+    return cockpit
+
+
+def offboard(setpoint: SetPoint = LEVEL_FLIGHT, **options: object) -> Cockpit:
+    """Armed, and flying a set-point."""
+    cockpit = armed(**options)
+    assert cockpit.commander.setpoint(ME, setpoint).accepted
+    assert cockpit.commander.set_mode(ME, modes.OFFBOARD).accepted
+    cockpit.run()
     return cockpit

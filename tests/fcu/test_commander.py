@@ -1,4 +1,4 @@
-"""The commander: modes, set-points, arming, the kill, and what is asked of the flight code for each of them."""
+"""The commander: modes, set-points, and what is asked of the flight code for each of them."""
 
 from math import inf, nan
 
@@ -6,255 +6,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.fcu.cockpit import COMPANION, ME, OTHER, Cockpit, Rig, armed
-from twodof.fcu.asked import DENIED, FAILED, IN_PROGRESS, TEMPORARILY_REJECTED, UNSUPPORTED, Asked
+from tests.fcu.cockpit import LEVEL_FLIGHT, ME, OTHER, Cockpit, Rig, armed, offboard
+from twodof.fcu.asked import DENIED, TEMPORARILY_REJECTED, UNSUPPORTED, Asked
 from twodof.fcu.helm import FRESH
 from twodof.fcu.schedule import CAPACITY, HORIZON
-from twodof.fcu.setpoints import ATTITUDE, OFF, OPEN_LOOP, OPENLOOP, POSITION, RATE, VELOCITY, SetPoint
+from twodof.fcu.setpoints import ATTITUDE, OFF, OPEN_LOOP, POSITION, RATE, VELOCITY, SetPoint
 from twodof.fcu.sticks import PITCH_AT_FULL, RATE_AT_FULL, VELOCITY_AT_FULL
 from twodof.flight.causes import BIT
-from twodof.flight.failsafe_machine import DISARMED, LEVEL
+from twodof.flight.failsafe_machine import LEVEL
 from twodof.flight.failsafe_machine import OFF as STOPPED_BY_FAILSAFE
 from twodof.link import modes
-
-LEVEL_FLIGHT = SetPoint(ATTITUDE, theta0=0.0, thrust=0.4)
-
-
-def offboard(setpoint: SetPoint = LEVEL_FLIGHT, **options: object) -> Cockpit:
-    """Armed, and flying a set-point."""
-    cockpit = armed(**options)
-    assert cockpit.commander.setpoint(ME, setpoint).accepted
-    assert cockpit.commander.set_mode(ME, modes.OFFBOARD).accepted
-    cockpit.run()
-    return cockpit
-
-
-# Arming.
-
-
-def test_arming_is_an_edge_that_the_failsafe_answers_in_its_tick() -> None:
-    cockpit = Cockpit()
-    cockpit.run(3)
-    assert cockpit.commander.arm(ME).result == IN_PROGRESS
-    assert not cockpit.commander.armed
-    assert cockpit.run().arm
-    assert cockpit.commander.arming.accepted
-    assert cockpit.commander.armed
-    assert cockpit.commander.arm(ME).accepted
-
-
-def test_armed_and_nothing_asked_the_motors_are_off() -> None:
-    cockpit = armed()
-    assert cockpit.run(10) == Asked(arm=True, link_new=True)
-
-
-@pytest.mark.parametrize("cause", sorted(BIT))
-def test_every_cause_that_the_failsafe_has_refuses_arming_by_its_name(cause: str) -> None:
-    cockpit = Cockpit()
-    cockpit.failsafe.causes = BIT[cause]
-    cockpit.run(3)
-    cured = cause == "link_lost"  # the command itself is heard over the link
-    if not cured:
-        verdict = cockpit.commander.arm(ME)
-        assert verdict.result == TEMPORARILY_REJECTED
-        assert cause in verdict.text
-    cockpit.failsafe.causes = 0
-    cockpit.run()
-    assert cockpit.commander.arm(ME).result == IN_PROGRESS
-    cockpit.failsafe.causes = BIT[cause]  # it comes in the very tick
-    cockpit.run()
-    assert cockpit.commander.arming.result == TEMPORARILY_REJECTED
-    assert cause in cockpit.commander.arming.text
-    assert not cockpit.run().arm
-    assert cockpit.failsafe.state == DISARMED
-
-
-def test_arming_is_refused_by_safety_switch_rings_and_before_any_sensor_was_heard() -> None:
-    cockpit = Cockpit()
-    assert "no sensor" in cockpit.commander.arm(ME).text
-    cockpit.run(2)
-    cockpit.rig.safety_off = False
-    assert "safety switch" in cockpit.commander.arm(ME).text
-    cockpit.rig.safety_off = True
-    cockpit.commander.set_mode(ME, modes.POSITION)
-    cockpit.rig.rings = True
-    assert "rings_wrong" in cockpit.commander.arm(ME).text
-    cockpit.rig.rings = False
-    assert cockpit.arm().accepted
-
-
-def test_a_forced_arming_skips_nothing() -> None:
-    cockpit = Cockpit()
-    cockpit.failsafe.causes = BIT["tilted"]
-    cockpit.run(2)
-    verdict = cockpit.commander.arm(ME, force=True)
-    assert verdict.result == TEMPORARILY_REJECTED
-    assert "tilted" in verdict.text
-
-
-@pytest.mark.parametrize("mode", [modes.MANUAL, modes.RATE, modes.ATTITUDE, modes.POSITION])
-def test_arming_is_refused_while_sticks_ask_for_something(mode: int) -> None:
-    cockpit = Cockpit()
-    cockpit.run(2)
-    commander = cockpit.commander
-    commander.set_mode(ME, mode)
-    commander.sticks(ME, 0.1, 0.4)
-    assert "not_idle" in commander.arm(ME).text
-    commander.sticks(ME, 0.0, 0.0)
-    assert cockpit.arm().accepted == (mode != modes.POSITION)  # which holds it even with the stick centred
-
-
-@pytest.mark.parametrize(("ago", "arms"), [(FRESH, False), (FRESH + 1, True)])
-def test_sticks_count_for_half_a_second(ago: int, arms: bool) -> None:
-    cockpit = Cockpit()
-    cockpit.run(2)
-    cockpit.commander.sticks(ME, 0.1, 0.4)
-    cockpit.run(ago)
-    assert cockpit.arm().accepted == arms
-
-
-def test_a_stream_with_thrust_that_goes_on_in_offboard_does_not_keep_from_arming() -> None:
-    cockpit = Cockpit()
-    cockpit.run(2)
-    cockpit.commander.setpoint(ME, LEVEL_FLIGHT)
-    cockpit.commander.set_mode(ME, modes.OFFBOARD)
-    cockpit.commander.setpoint(ME, LEVEL_FLIGHT)
-    assert cockpit.arm().accepted
-
-
-def test_what_sticks_asked_for_in_another_mode_does_not_keep_from_arming() -> None:
-    cockpit = Cockpit()
-    cockpit.run(2)
-    cockpit.commander.set_mode(ME, modes.ATTITUDE)
-    cockpit.commander.sticks(ME, 0.1, 0.4)
-    cockpit.commander.set_mode(ME, modes.MANUAL)
-    assert cockpit.arm().accepted
-
-
-def test_in_offboard_what_is_streamed_flies_from_the_tick_after_it_has_armed() -> None:
-    """The order that PX4 documents: stream, offboard, arm. In the tick in which it arms nothing is asked for yet."""
-    cockpit = Cockpit()
-    cockpit.run(2)
-    cockpit.commander.setpoint(ME, LEVEL_FLIGHT)
-    assert cockpit.commander.set_mode(ME, modes.OFFBOARD).accepted
-    assert cockpit.commander.arm(ME).result == IN_PROGRESS
-    assert cockpit.run().mode == OFF
-    assert cockpit.commander.arming.accepted
-    asked = cockpit.run()
-    assert (asked.mode, asked.thrust, asked.setpoint_new) == (ATTITUDE, 0.4, True)
-
-
-def test_in_offboard_a_stream_without_thrust_arms_and_stands() -> None:
-    cockpit = Cockpit()
-    cockpit.run(2)
-    commander = cockpit.commander
-    commander.setpoint(ME, LEVEL_FLIGHT._replace(thrust=0.0))
-    commander.set_mode(ME, modes.OFFBOARD)
-    assert cockpit.arm().accepted
-    commander.setpoint(ME, LEVEL_FLIGHT._replace(thrust=0.0))
-    assert cockpit.run().mode == OFF
-    commander.setpoint(ME, LEVEL_FLIGHT)
-    assert cockpit.run().mode == ATTITUDE
-
-
-def test_what_an_old_stream_asked_for_does_not_fly_after_arming() -> None:
-    cockpit = Cockpit()
-    cockpit.run(2)
-    cockpit.commander.setpoint(ME, LEVEL_FLIGHT)
-    cockpit.commander.set_mode(ME, modes.OFFBOARD)
-    cockpit.run(FRESH + 1)
-    assert cockpit.arm().accepted
-    assert cockpit.run(20).mode == OFF
-
-
-def test_a_failsafe_that_does_not_answer_ends_the_arming() -> None:
-    cockpit = Cockpit()
-    cockpit.run(2)
-    assert cockpit.commander.arm(ME).result == IN_PROGRESS
-    for tick in range(2, 60):
-        asked = cockpit.commander.asked(tick)
-        step = cockpit.failsafe.step(tick, Asked())  # deaf
-        cockpit.commander.seen(step)
-        if not asked.arm:
-            break
-    assert tick < 30
-    assert cockpit.commander.arming.result == FAILED
-
-
-# Disarming and the kill.
-
-
-@pytest.mark.parametrize("source", [ME, OTHER, COMPANION])
-def test_disarming_is_obeyed_whoever_asks_in_the_next_tick(source: tuple[int, int]) -> None:
-    cockpit = offboard()
-    assert cockpit.commander.disarm(source).accepted
-    assert cockpit.run() == Asked(link_new=True)
-    assert not cockpit.commander.armed
-
-
-@pytest.mark.parametrize("source", [ME, OTHER, COMPANION])
-def test_a_kill_is_obeyed_whoever_asks_and_holds_until_disarmed(source: tuple[int, int]) -> None:
-    cockpit = offboard()
-    assert cockpit.commander.kill(source).accepted
-    assert cockpit.run() == Asked(link_new=True)
-    assert "killed" in cockpit.commander.arm(ME).text
-    assert not cockpit.run(5).arm
-    assert cockpit.commander.system_status == modes.TERMINATED
-    assert cockpit.commander.disarm(ME, force=True).accepted  # a kill again
-    assert "killed" in cockpit.commander.arm(ME).text
-    assert cockpit.commander.disarm(ME).accepted
-    assert cockpit.arm().accepted
-    assert any("killed" in text for _, text in cockpit.commander.remarks)
-
-
-def test_a_kill_holds_over_a_reset_until_disarmed() -> None:
-    cockpit = offboard()
-    assert cockpit.commander.kill(OTHER).accepted
-    cockpit.run()
-    cockpit.commander.restart()
-    cockpit.failsafe.state = DISARMED
-    assert cockpit.commander.killed
-    cockpit.tick = 0
-    cockpit.run()
-    assert "killed" in cockpit.commander.arm(ME).text
-    assert cockpit.commander.system_status == modes.TERMINATED
-    assert cockpit.commander.disarm(ME).accepted
-    assert cockpit.arm().accepted
-    cockpit.commander.restart()
-    assert not cockpit.commander.killed, "nor does a reset kill"
-
-
-def test_after_the_failsafe_has_stopped_the_motors_it_wants_to_be_disarmed() -> None:
-    cockpit = offboard()
-    cockpit.failsafe.acts = STOPPED_BY_FAILSAFE
-    cockpit.run(2)
-    assert not cockpit.commander.armed
-    assert "disarm first" in cockpit.commander.arm(ME).text
-    cockpit.failsafe.acts = None
-    assert cockpit.commander.disarm(ME).accepted
-    assert cockpit.arm().accepted
-    assert cockpit.run().mode == OFF
-
-
-@pytest.mark.parametrize("lockstep", [False, True])
-def test_disarmed_and_armed_again_between_two_ticks_the_failsafe_sees_both(lockstep: bool) -> None:
-    cockpit = offboard(lockstep=lockstep)
-    assert cockpit.commander.disarm(ME).accepted
-    assert cockpit.commander.arm(ME).result == IN_PROGRESS
-    asked = [cockpit.run() for _ in range(2)]
-    assert [one.arm for one in asked] == [False, True]
-    assert cockpit.commander.arming.accepted
-    assert cockpit.run(5).mode == OFF  # nothing of before flies
-
-
-def test_disarming_before_it_was_armed_answers_the_arming() -> None:
-    cockpit = Cockpit()
-    cockpit.run(2)
-    cockpit.commander.arm(ME)
-    cockpit.commander.disarm(OTHER)
-    assert cockpit.commander.arming.result == FAILED
-    assert not cockpit.run(3).arm
-
 
 # Set-points and offboard.
 
@@ -573,17 +334,6 @@ def test_the_same_tuple_is_given_while_nothing_changes() -> None:
     cockpit.run(2)
     quiet = cockpit.commander.asked(cockpit.tick)
     assert all(cockpit.commander.asked(cockpit.tick + 1 + later) is quiet for later in range(50))
-
-
-def test_an_open_loop_set_point_at_rest_does_not_keep_from_arming() -> None:
-    cockpit = Cockpit()
-    cockpit.run(2)
-    cockpit.commander.setpoint(ME, SetPoint(OPEN_LOOP, M_open=0.0, thrust=0.0), kind=OPENLOOP)
-    assert cockpit.arm().accepted
-    cockpit.commander.disarm(ME)
-    cockpit.run(2)
-    cockpit.commander.setpoint(ME, SetPoint(OPEN_LOOP, M_open=0.1, thrust=0.0), kind=OPENLOOP)
-    assert "not_idle" in cockpit.commander.arm(ME).text
 
 
 def test_what_the_failsafe_does_is_said_in_words() -> None:

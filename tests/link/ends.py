@@ -1,0 +1,25 @@
+"""An event loop for a test, and all that comes to one end of a transport."""
+
+import asyncio
+from collections.abc import Coroutine
+from typing import Any
+
+from twodof.link.transport import Transport
+
+# What a packet on loopback needs is under a millisecond; a loaded machine is given this.
+SOON = 5.0
+
+
+def run(work: Coroutine[Any, Any, Any]) -> Any:
+    """In a fresh loop, with a deadline for the whole."""
+    return asyncio.run(asyncio.wait_for(work, 20.0))
+
+
+async def gather(end: Transport, size: int) -> bytes:
+    """`size` bytes, however they are cut."""
+    data = b""
+    while len(data) < size:
+        packet = await end.receive(SOON)
+        assert packet is not None, f"{len(data)} of {size} bytes came"
+        data += packet.data
+    return data

@@ -1,0 +1,151 @@
+"""TCP: several clients on one server, each bounded in what it may keep and how long it may keep the others waiting."""
+
+import asyncio
+import os
+import socket
+import threading
+import time
+from contextlib import suppress
+
+import pytest
+
+from tests.link.ends import SOON, gather, run
+from twodof.errors import LinkLost
+from twodof.link import tcp
+from twodof.link import transport as bounds
+from twodof.link.opening import open_transport
+from twodof.link.tcp import TcpTransport
+
+
+def test_a_tcp_peer_that_does_not_read_costs_bounded_memory() -> None:
+    async def work() -> None:
+        async with await open_transport("tcpin://:0") as there:
+            assert isinstance(there, TcpTransport)
+            deaf = socket.create_connection(("127.0.0.1", there.port), timeout=SOON)
+            with deaf:
+                while not there.peers:
+                    await asyncio.sleep(0.01)
+                start = time.monotonic()
+                for _ in range(2000):
+                    there.send(b"x" * 10_000)
+                assert time.monotonic() - start < 5.0  # it never waits
+                assert there.counts.dropped_out > 0
+                (stream,) = there._streams
+                assert stream.socket is not None
+                assert stream.socket.get_write_buffer_size() <= bounds.MOST_OUT_BYTES
+            # The deaf one is gone with a reset; the server goes on.
+            async with await open_transport(f"tcp://127.0.0.1:{there.port}") as here:
+                here.send(b"hello")
+                assert await gather(there, 5) == b"hello"
+
+    run(work())
+
+
+def test_a_slow_tcp_reader_slows_its_sender_and_loses_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bounds, "MOST_BYTES", 200_000)
+    size = 3_000_000
+
+    async def work() -> None:
+        async with await open_transport("tcpin://:0") as there:
+            assert isinstance(there, TcpTransport)
+            data = os.urandom(size)
+
+            def pour() -> None:
+                with socket.create_connection(("127.0.0.1", there.port), timeout=SOON) as out:
+                    out.sendall(data)
+
+            pouring = threading.Thread(target=pour)
+            pouring.start()
+            await asyncio.sleep(0.2)  # it meets the bound meanwhile
+            assert await gather(there, size) == data
+            pouring.join(SOON)
+            assert there.counts.dropped_in == 0
+
+    run(work())
+
+
+def test_a_tcp_client_that_floods_keeps_no_other_waiting() -> None:
+    """Behind a reader that is busy elsewhere at most two windows of the flood are ahead of another's few bytes."""
+
+    async def work() -> None:
+        async with await open_transport("tcpin://:0") as there:
+            assert isinstance(there, TcpTransport)
+            flooder = socket.create_connection(("127.0.0.1", there.port), timeout=SOON)
+            other = socket.create_connection(("127.0.0.1", there.port), timeout=SOON)
+            with flooder, other:
+                flooder.setblocking(False)
+                for _ in range(200):
+                    with suppress(BlockingIOError):
+                        flooder.send(b"x" * 100_000)
+                    await asyncio.sleep(0)
+                other.sendall(b"kill")
+                ahead = 0
+                while (packet := await there.receive(SOON)) is not None and packet.data != b"kill":
+                    ahead += len(packet.data)
+                assert packet is not None
+                assert 0 < ahead <= 2 * tcp.WINDOW_BYTES
+
+    run(work())
+
+
+def test_tcp_clients_are_several_and_one_that_goes_harms_nobody() -> None:
+    async def work() -> None:
+        async with await open_transport("tcpin://:0") as there:
+            assert isinstance(there, TcpTransport)
+            url = f"tcp://127.0.0.1:{there.port}"
+            async with await open_transport(url) as one, await open_transport(url) as two:
+                one.send(b"1")
+                two.send(b"2")
+                packets = [await there.receive(SOON), await there.receive(SOON)]
+                assert {p.data for p in packets if p} == {b"1", b"2"}
+                await one.close()
+                while len(there.peers) > 1:
+                    await asyncio.sleep(0.01)
+                there.send(b"still here")
+                assert await gather(two, 10) == b"still here"
+                gone = next(p.peer for p in packets if p and p.data == b"1")
+                there.send(b"x", to=gone)  # no error, nothing sent
+                assert there.counts.dropped_out == 1
+
+    run(work())
+
+
+def test_tcp_clients_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tcp, "MOST_CLIENTS", 2)
+
+    async def work() -> None:
+        async with await open_transport("tcpin://:0") as there:
+            assert isinstance(there, TcpTransport)
+            url = f"tcp://127.0.0.1:{there.port}"
+            async with (
+                await open_transport(url) as one,
+                await open_transport(url) as two,
+                await open_transport(url) as late,
+            ):
+                with pytest.raises(LinkLost):
+                    await late.receive(SOON)
+                for end in (one, two):
+                    end.send(b"x")
+                    assert await there.receive(SOON) is not None
+                assert len(there.peers) == 2
+                assert there.counts.errors == 1
+
+    run(work())
+
+
+def test_a_server_that_closes_is_seen_by_its_clients_after_what_it_said() -> None:
+    async def work() -> None:
+        there = await open_transport("tcpin://:0")
+        assert isinstance(there, TcpTransport)
+        async with await open_transport(f"tcp://127.0.0.1:{there.port}") as here:
+            while not there.peers:
+                await asyncio.sleep(0.01)
+            there.send(b"goodbye")
+            await there.close()
+            assert await gather(here, 7) == b"goodbye"
+            with pytest.raises(LinkLost, match="the other side closed the connection"):
+                await here.receive(SOON)
+        with pytest.raises(LinkLost, match="nobody answered"):
+            await open_transport(here.url, timeout=0.1)  # the port is free
+
+    run(work())
