@@ -100,6 +100,7 @@ class Assembly:
         return [
             px4.services[0],
             Lease(server, us, commander, explain),
+            *self._streamed(us, controller.lockstep),
             *px4.services[1:],
             SetPoints(us, commander, explain),
             Excite(server, us, commander, explain),
@@ -119,8 +120,13 @@ class Assembly:
         ]
         if log is not None:
             files.append(LogDownload(server, us, log, commander.take, self.px4.commands.explain, lockstep))
-            files.append(LogStream(server, us, self.px4.commands, log, commander.take, lockstep))
         return files
+
+    def _streamed(self, us: Us, lockstep: bool) -> list[Service]:
+        """The log as it is written; it hears every frame, so as to know whether its client is there."""
+        if self.log is None:
+            return []
+        return [LogStream(self.server, us, self.px4.commands, self.log, self.commander.take, lockstep)]
 
     def close(self) -> None:
         """Writes what is not written yet. Raises ParameterError or LogError where the disk refuses; twice is once."""

@@ -27,7 +27,8 @@ ACKED = "LOGGING_DATA_ACKED"
 def world_of(folder: Path) -> tuple[World, OnboardLog]:
     world = World(lockstep=True)
     log = OnboardLog(folder, world.store, lockstep=True)
-    world.services.append(LogStream(world, Us(1), world.px4.commands, log, world.commander.take, lockstep=True))
+    # Before those that take what they know: it is to hear every frame.
+    world.services.insert(1, LogStream(world, Us(1), world.px4.commands, log, world.commander.take, lockstep=True))
     return world, log
 
 
@@ -122,6 +123,30 @@ def test_a_client_that_does_not_answer_is_given_up(tmp_path: Path) -> None:
         assert len(sent) == 51  # once, and again 50 times
         assert "no LOGGING_ACK" in world.texts()
         assert world.command(START, 0.0) == ACCEPTED
+
+    run_virtual(work())
+    log.close()
+
+
+def test_a_stream_to_a_client_that_is_gone_ends(tmp_path: Path) -> None:
+    world, log = world_of(tmp_path)
+
+    def texts() -> str:
+        return "".join(one.text for one, _ in world.sent if one.get_type() == "STATUSTEXT")
+
+    async def work() -> None:
+        assert world.command(START, 0.0) == ACCEPTED
+        await received(world, log, 100)  # all that is to be answered was
+        for _ in range(3):  # a heartbeat each 4 s keeps it, whatever others say
+            await asyncio.sleep(4.0)
+            world.say(message("HEARTBEAT", type=6, autopilot=8))
+        assert world.command(START, 0.0, source=(245, 190)) == TEMPORARILY_REJECTED, "it is streamed still"
+        begin = asyncio.get_running_loop().time()
+        while "is silent" not in texts():
+            await asyncio.sleep(0.1)
+            world.say(message("HEARTBEAT", type=6, autopilot=8), source=(245, 190))
+        assert asyncio.get_running_loop().time() - begin == pytest.approx(5.0, abs=0.2)
+        assert world.command(START, 0.0, source=(245, 190)) == ACCEPTED
 
     run_virtual(work())
     log.close()

@@ -2,7 +2,8 @@
 
 What describes the log comes in LOGGING_DATA_ACKED, one at a time and again until LOGGING_ACK came; the records come in
 LOGGING_DATA, once. Each says where the first message begins in it, so that a client that lost one finds its way again.
-One client at a time, from a log that begins with it. Sources: the dialect of these messages; PX4, mavlink_ulog.cpp.
+One client at a time, for as long as it is heard of, from a log that begins with it. Sources: the dialect of these
+messages; PX4, mavlink_ulog.cpp.
 """
 
 from __future__ import annotations
@@ -30,6 +31,8 @@ A_TICK = 8
 AGAIN_PORTIONS, MOST_AGAIN = 25, 50
 """An answer is waited for 100 ms, 50 times."""
 BLOCK = 1 << 15
+SILENT_PORTIONS = 2500
+"""10 s (5 s in lockstep) without any frame of the client: over UDP a client that is gone says nothing."""
 LOOK_PORTIONS = 12
 """Portions between looks for more of the file, 50 ms."""
 
@@ -46,6 +49,7 @@ class Stream:
         self.sequence = 0
         self.unanswered: Piece | None = None
         self.waited = self.again = 0
+        self.silent = 0  # portions since it was heard
 
 
 class LogStream:
@@ -66,7 +70,9 @@ class LogStream:
         commands.on(STOP, self._stop)
 
     def handle(self, received: Received) -> bool:
-        """Takes an answer."""
+        """Takes an answer, and notes that the client is there."""
+        if self._stream is not None and source(received) == self._stream.client:
+            self._stream.silent = 0
         if received.message.get_type() != "LOGGING_ACK":
             return False
         stream = self._stream
@@ -108,15 +114,21 @@ class LogStream:
             self._end()
         return Verdict(ACCEPTED)
 
-    def _end(self) -> None:
-        self._stream = None
+    def _end(self, why: str = "") -> None:
+        stream, self._stream = self._stream, None
         self._log.stop()
+        if why and stream is not None:
+            self._commands.explain(stream.peer, why)
 
     def _send(self) -> bool:
         stream = self._stream
         if stream is None:
             return False
         self._portions += 1
+        stream.silent += 1
+        if stream.silent > SILENT_PORTIONS:
+            self._end("the log is not streamed any more: who asked for it is silent")
+            return False
         if stream.path is None:
             found = self._log.path
             if found is not None and found != stream.before:
@@ -142,8 +154,7 @@ class LogStream:
         if stream.waited >= AGAIN_PORTIONS and stream.unanswered is not None:
             stream.waited, stream.again = 0, stream.again + 1
             if stream.again > MOST_AGAIN:
-                self._end()
-                self._commands.explain(stream.peer, "the log is not streamed any more: no LOGGING_ACK came")
+                self._end("the log is not streamed any more: no LOGGING_ACK came")
             else:
                 self._tell(stream, stream.unanswered)
 
@@ -177,8 +188,7 @@ class LogStream:
                 stream.read += len(found)
                 stream.pieces.feed(found)
             if over and not found and stream is self._stream and stream.pieces.waiting < MOST:
-                self._end()
-                self._commands.explain(stream.peer, "the log that was streamed has ended")
+                self._end("the log that was streamed has ended")
 
         if not self._background.submit(lambda: _block(path, stream.read), ready):
             stream.reading = False
