@@ -6,6 +6,7 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from queue import SimpleQueue
+from typing import NamedTuple, Self
 
 from twodof.errors import TwodofError
 
@@ -15,11 +16,33 @@ Work = Callable[[], object]
 Done = Callable[[object], None]
 
 
+class _Tried:
+    """Keeps what was raised inside, so that it can be raised in another thread; but not what ends a program."""
+
+    def __init__(self) -> None:
+        self.fault: Exception | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, _kind: object, raised: object, _trace: object) -> bool:
+        self.fault = raised if isinstance(raised, Exception) else None
+        return self.fault is not None
+
+
+class _Fault(NamedTuple):
+    """What work raised that it must not."""
+
+    exception: Exception
+
+
 class Background:
     """Does work in order and hands each result to `done` in `poll`, in the thread that polls.
 
-    A result that is an OSError or a TwodofError is one that the work raised. With `inline` the work is done at once: in
-    lockstep nobody waits for the clock, and ticks may stand still.
+    A result that is an OSError or a TwodofError is one that the work raised; any other exception is a fault of this
+    program: `done` is told OSError, so that its client is answered, and then `poll` (with `inline`, `submit`) raises
+    it, which ends the program with the motors off like a fault of any service. With `inline` the work is done at once:
+    in lockstep nobody waits for the clock, and ticks may stand still.
     """
 
     def __init__(self, inline: bool = False) -> None:
@@ -32,7 +55,7 @@ class Background:
     def submit(self, work: Work, done: Done) -> bool:
         """Has `work` done; False, and nothing is done, where too much waits already."""
         if self._inline:
-            done(_result(work))
+            _hand_over(done, _result(work))
             return True
         if self._waiting >= MOST_WAITING:
             return False
@@ -48,7 +71,7 @@ class Background:
         while self._finished:
             done, result = self._finished.popleft()
             self._waiting -= 1
-            done(result)
+            _hand_over(done, result)
 
     def _run(self) -> None:
         while True:
@@ -57,7 +80,17 @@ class Background:
 
 
 def _result(work: Work) -> object:
-    try:
-        return work()
-    except (OSError, TwodofError) as fault:
-        return fault
+    result: object = None
+    with _Tried() as tried:
+        result = work()
+    if tried.fault is None or isinstance(tried.fault, (OSError, TwodofError)):
+        return result if tried.fault is None else tried.fault
+    return _Fault(tried.fault)
+
+
+def _hand_over(done: Done, result: object) -> None:
+    if not isinstance(result, _Fault):
+        done(result)
+        return
+    done(OSError(f"the program itself has a fault: {result.exception!r}"))
+    raise result.exception
