@@ -18,6 +18,7 @@ from twodof.fcc.client import Client
 from twodof.fcc.line import Line
 from twodof.fcc.rates import profile
 from twodof.fcc.router import Router
+from twodof.link.components import COMPANION
 from twodof.link.framing import Parser, encode
 from twodof.link.messages import message
 from twodof.link.opening import open_transport
@@ -112,7 +113,7 @@ class Ends:
 
     async def read_vehicle(self) -> None:
         """What comes up; requests for streams are granted."""
-        parser, to = Parser(), {"target_system": 1, "target_component": 191}
+        parser, to = Parser(), {"target_system": 1, "target_component": COMPANION}
         while True:
             packet = await self.vehicle.receive(1.0)
             for frame in parser.feed(packet.data) if packet is not None else ():

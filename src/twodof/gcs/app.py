@@ -19,6 +19,7 @@ from typing import cast
 
 from twodof.errors import TwodofError
 from twodof.gcs.async_drone import AsyncDrone
+from twodof.link.components import GROUND_STATION
 
 FINE, RAISED, NO_APP = 0, 1, 2
 ON_BOARD = 192
@@ -45,7 +46,7 @@ async def fly(main: Main, url: str, timeout: float, system: int | None, key: Pat
     for number in (signal.SIGTERM, signal.SIGINT):
         if task is not None:
             loop.add_signal_handler(number, task.cancel)
-    component = ON_BOARD if system is None else 190
+    component = ON_BOARD if system is None else GROUND_STATION
     async with await AsyncDrone.connect(url, timeout, system, key, component=component) as drone:
         await main(drone)
 
