@@ -167,6 +167,10 @@ def test_what_flies_by_default_is_what_the_flight_code_has() -> None:
     flying = store.flying()
     assert flying["failsafe.sensors.watch_bits"] is False
     assert flying["failsafe.safe.x0_limit"] == flying["X0_MAX"] == 0.2
+    with pytest.raises(ParameterError, match="X0_MAX"):
+        store.update({"X0_MAX": 0.3}, armed=True)
+    store.update({"X0_MAX": 0.3})
+    assert store["X0_MAX"] == 0.3
     assert len(store.failsafe()) == sum(bool(row.path) and not row.of for row in store.rows)
 
 

@@ -12,13 +12,13 @@ from twodof.fcu.px4_parameters import px4_rows
 from twodof.parameters import PARAMETERS
 
 _SAME = MappingProxyType({"X0_MAX": "safe.x0_limit"})
-"""Those of PARAMETERS that are the failsafe's, which are not there twice."""
+"""Those of PARAMETERS that are the failsafe's: not there twice, and changed only while disarmed, as all of those are."""
 
 
 @cache
 def own_rows(system: int) -> tuple[Row, ...]:
     """Every parameter of the vehicle `system` once, by its main name."""
-    tuned = (Row(**vars(row), path=_SAME.get(row.name, "")) for row in PARAMETERS)
+    tuned = (Row(**vars(row), disarmed=row.name in _SAME, path=_SAME.get(row.name, "")) for row in PARAMETERS)
     safe = (row for row in failsafe_rows() if row.path not in _SAME.values())
     return (*tuned, *safe, *px4_rows(system))
 
