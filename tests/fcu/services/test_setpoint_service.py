@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from tests.fcu.cockpit import ME, OTHER
 from tests.fcu.services.desk import SYSTEM, TARGET, Desk
+from twodof.fcu.services.setpoints import MOST_TOLD
 from twodof.fcu.setpoints import ATTITUDE, OPEN_LOOP, POSITION, RATE, VELOCITY
 from twodof.link import modes, setpoints
 from twodof.link.messages import message
@@ -208,6 +209,17 @@ def test_one_refusal_a_second_is_told_and_all_are_counted() -> None:
     desk.run(250)
     desk.say(LEVEL, OTHER, "other")
     assert len(desk.told) == 2
+
+
+def test_a_flood_of_refused_setpoints_mutes_nobody_else() -> None:
+    desk = flying()
+    for _ in range(50):
+        desk.say(LEVEL, OTHER, "other")
+        desk.say(LEVEL, (251, 190), "third")
+    assert len(desk.told) == 2
+    for system in range(1, 101):  # one that takes ever new numbers
+        desk.say(LEVEL, (system, 77), "other")
+    assert len(desk.told) == MOST_TOLD
 
 
 @pytest.mark.parametrize(("system", "component", "acts"), [(1, 1, True), (0, 0, True), (1, 0, True), (2, 1, False)])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from typing import Any
 
@@ -15,7 +16,9 @@ from twodof.link.setpoints import Target, read_attitude, read_position
 from twodof.link.tick import TICK_MS
 
 TOLD_TICKS = 250
-"""A refusal is told in words once a second at most; all are counted."""
+"""A refusal is told in words once a second at most to each source; all are counted."""
+MOST_TOLD = 16
+"""Sources that are told in a second; a flood under ever new numbers costs no more words."""
 
 FULL_STICK = 1000
 """MANUAL_CONTROL's largest value."""
@@ -35,7 +38,7 @@ class SetPoints:
         self._commander = commander
         self._tell = tell
         self._tick = 0
-        self._told = -TOLD_TICKS
+        self._told: OrderedDict[Source, int] = OrderedDict()  # when each was told last, the oldest first
         self._readers: dict[str, Callable[[Any, Source], Verdict]] = {
             "SET_ATTITUDE_TARGET": self._attitude,
             "SET_POSITION_TARGET_LOCAL_NED": self._position,
@@ -52,8 +55,7 @@ class SetPoints:
         ours = got.target in (self._us.system, 0) if read == self._sticks else self._us.addressed(got, everybody=True)
         if ours and sender != tuple(self._us):
             verdict = read(got, sender)
-            if not verdict.accepted and self._tick - self._told >= TOLD_TICKS:
-                self._told = self._tick
+            if not verdict.accepted and self._may_tell(sender):
                 self._tell(received.peer, verdict.text)
         return True
 
@@ -63,7 +65,17 @@ class SetPoints:
 
     def restart(self) -> None:
         """Time begins anew at tick 0."""
-        self._tick, self._told = 0, -TOLD_TICKS
+        self._tick = 0
+        self._told.clear()
+
+    def _may_tell(self, sender: Source) -> bool:
+        """Whether it was not told just now, and not too many others were."""
+        while self._told and self._tick - next(iter(self._told.values())) >= TOLD_TICKS:
+            self._told.popitem(last=False)
+        if sender in self._told or len(self._told) >= MOST_TOLD:
+            return False
+        self._told[sender] = self._tick
+        return True
 
     def _attitude(self, got: Any, sender: Source) -> Verdict:
         return self._target(read_attitude(got), got, sender)
