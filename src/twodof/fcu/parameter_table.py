@@ -12,7 +12,7 @@ from twodof.fcu.px4_parameters import px4_rows
 from twodof.parameters import PARAMETERS
 
 _SAME = MappingProxyType({"X0_MAX": "safe.x0_limit"})
-"""Those of PARAMETERS that are the failsafe's: not there twice, and changed only while disarmed, as all of those are."""
+"""Those of PARAMETERS that are the failsafe's: not there twice, and changed only while disarmed like the others."""
 
 
 @cache
