@@ -146,7 +146,7 @@ def test_set_points_at_both_limits_in_turn_meet_no_stop(conditions: dict[str, An
                 if conditions["rings"]:
                     await drone.set_pitch(sign * 1.5, thrust=1.0)
                 else:
-                    await drone.set_position(sign * 5.0, acceleration=sign * 50.0)
+                    await drone.set_position(sign * 1.0, acceleration=sign * 50.0)
                 await drone.run(0.3)
             flown = [seen for seen in whole.steps if seen.step.tick >= first]
             assert {round(seen.step.theta0, 2) for seen in flown} >= {-0.6, 0.6} or not conditions["rings"]

@@ -23,9 +23,11 @@ SLICE_WALL_S = 5.0
 SLOWEST_LOCKSTEP = 10.0
 SLICE_TICKS = 125
 SETPOINT_TICKS = 5
-# What was overtaken on the way is up to a second old; this many stamps in a row that are older are no stragglers.
+# What was overtaken on the way is up to a second old. What waited longer in some buffer comes between newer ones; so
+# many stamps in a row that are older, in real time for so long, are no stragglers: ATTITUDE comes 100 times a second.
 OLDEST_TICKS = 250
 STAMPS_OF_A_RESTART = 5
+RESTART_SEEN_S = 0.5
 # After a reset of ours what was sent before it may still come.
 RESET_SETTLES_S = 3.0
 
@@ -40,7 +42,8 @@ class Clock:
         self.before_slice: list[Callable[[int, int], None]] = []
         self.on_restart: Callable[[], None] = self.restart
         """What is done when its time has gone back although nobody here has asked for that."""
-        self._older = 0  # stamps in a row
+        self._older = 0  # stamps in a row, the first one at
+        self._older_since = 0.0
         self._resets_until = 0.0
         self._numbers = count(1)
         session.on(self._stamped, *_STAMPED_MS)
@@ -132,8 +135,11 @@ class Clock:
             if not self.granting:
                 self.tick = max(self.tick, tick)
         elif not expected:
+            now = self._session.now
+            self._older_since = self._older_since if self._older else now
             self._older += 1
-            if self._older == STAMPS_OF_A_RESTART:
+            long = self.granting or now - self._older_since >= RESTART_SEEN_S
+            if self._older >= STAMPS_OF_A_RESTART and long and self._session.lost is None:
                 self.on_restart()
         elif not self.granting:
             self.tick = tick
