@@ -36,6 +36,9 @@ class Cable:
         self._stop.set()
         if self._thread is not None:
             self._thread.join(5.0)
+        # The names first: the system gives the number of a terminal that is gone to the next one who asks.
+        for name in (self.one, self.other):
+            name.unlink(missing_ok=True)
         for master, slave in self._ends:
             os.close(master)
             os.close(slave)

@@ -18,7 +18,7 @@ def main(url: str, file: str) -> None:
     """Prints a line for each look at the flight: what it does last, and how many samples are acknowledged."""
     doing = ""
 
-    with Drone.connect(url) as drone, drone.record(Path(file)) as recording:
+    with Drone.connect(url, system=250) as drone, drone.record(Path(file)) as recording:
 
         def tell(text: str, share: float) -> None:
             nonlocal doing

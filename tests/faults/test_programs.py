@@ -66,7 +66,7 @@ def tcp(url: str) -> str:
 
 def airborne(url: str) -> Drone:
     """A client whose drone flies at a pitch of .1 rad."""
-    drone = Drone.connect(url, timeout=PATIENCE_S)
+    drone = Drone.connect(url, timeout=PATIENCE_S, system=250)
     drone.run(0.5)
     drone.disarm()  # whatever stopped it before is over
     drone.arm()
