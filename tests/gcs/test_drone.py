@@ -335,6 +335,22 @@ def test_a_script_that_is_killed_leaves_the_drone_to_its_failsafe() -> None:
         assert there.steps[-1].action > 0
 
 
+def test_a_reset_in_a_recording_loses_nothing_of_what_came_before(there: OnBoard, tmp_path: Path) -> None:
+    """The drone's time begins again, that of the recording does not: each row has a stamp of its own."""
+    with Drone.connect(there.url) as drone:
+        drone.run(0.1)
+        with drone.record(tmp_path / "twice.mcap") as recording:
+            drone.run(2.0)
+            drone.reset(seed=7)
+            drone.run(1.0)
+    assert recording.lost == 0
+    log = read_log(tmp_path / "twice.mcap")
+    assert sum(len(log[name]) for name in log) == recording.samples
+    for name in ("q", "q_true"):
+        assert len(log[name]) == 750
+        np.testing.assert_allclose(np.diff(log[name].time), 0.004, atol=1e-8)  # stamps are whole nanoseconds
+
+
 def test_a_drone_that_goes_is_a_lost_link() -> None:
     with on_board(lockstep=True) as there:
         drone = Drone.connect(there.url)

@@ -17,7 +17,7 @@ from twodof.flightlog.recorder import Recorder
 from twodof.flightlog.spool import Acknowledged
 from twodof.flightlog.steps import BOOT, MESSAGE_PERIOD, shift
 from twodof.gcs.batches import Batches
-from twodof.gcs.clock import Clock
+from twodof.gcs.clock import OLDEST_TICKS, Clock
 from twodof.gcs.commands import Commands
 from twodof.gcs.decoding import columns_of
 from twodof.gcs.session import Session
@@ -60,6 +60,8 @@ class Recording:
         self._first = self._last = -1
         self._rows = 0
         self._open = _Open()
+        self._newest = 0  # tick of the drone
+        self._shift = 0  # from the drone's ticks to those of the recording, which never begin again
 
     @property
     def samples(self) -> int:
@@ -93,10 +95,17 @@ class Recording:
 
     def take(self, got: Any) -> None:
         """A TWODOF_BATCH."""
+        self._newest = max(self._newest, got.tick + got.rows * got.every)
         self._waiting.append(got)
         self._waiting_rows += max(1, got.rows)  # one that carries none takes room too
         if self._waiting_rows >= TOGETHER:
             self.write()
+
+    def rig(self, got: Any) -> None:
+        """A TWODOF_RIG: where the drone's time began again, what follows is stamped behind what was recorded before."""
+        if got.tick + OLDEST_TICKS <= self._newest:
+            self.write()
+            self._shift, self._newest, self._open = self._last + 1, got.tick, _Open()
 
     def write(self) -> None:
         """Hands on what waits."""
@@ -112,7 +121,7 @@ class Recording:
 
     def _new(self, ticks: NDArray[np.int64], values: NDArray[np.float64]) -> tuple[Any, Any]:
         """Those that did not come before, by another message or a second copy of this one."""
-        ticks, first = np.unique(ticks, return_index=True)
+        ticks, first = np.unique(ticks + self._shift, return_index=True)
         fresh = np.array([tick not in self._seen for tick in ticks.tolist()], dtype=bool)
         ticks, values = ticks[fresh], values[first][fresh]
         if len(ticks):
@@ -143,11 +152,12 @@ class Recording:
     def safety(self, got: Any) -> None:
         """A TWODOF_SAFETY."""
         values = np.array([[got.action, got.reason, got.flags]], dtype=np.float64)
-        self._put(SAFETY.topic, stamps("", np.array([got.tick], dtype=np.int64)), values)
+        self._put(SAFETY.topic, stamps("", np.array([got.tick + self._shift], dtype=np.int64)), values)
 
     def truth(self, got: Any) -> None:
         """A TWODOF_TRUTH."""
-        time = np.array([round(BOOT * 1e9) + min(got.time_usec, _LATEST_US) * 1000], dtype=np.int64)
+        since = min(got.time_usec, _LATEST_US) + self._shift * TICK_US
+        time = np.array([round(BOOT * 1e9) + since * 1000], dtype=np.int64)
         for row in self.topics:
             if not row.onboard:
                 self._put(row.name, time, np.array([getattr(got, row.name.split(".")[1])]))
@@ -161,7 +171,7 @@ class Recording:
     def said(self, tick: int, line: Text) -> None:
         """A line in words."""
         if len(self.texts) < MOST_TEXTS:
-            self.texts.append((tick, line.severity, line.text))
+            self.texts.append((tick + self._shift, line.severity, line.text))
 
     def finish(self) -> None:
         """Write what waits, what was lost and what was said, and end the file. Raises RecordingError."""
@@ -236,6 +246,7 @@ class Recordings:
         session, rows = self._session, chosen(topics, state.rig.virtual)
         recording = Recording(path, rows, provenance, wait=session.lockstep)
         handlers = {
+            "TWODOF_RIG": recording.rig,
             "TWODOF_SAFETY": recording.safety,
             "TWODOF_TRUTH": recording.truth,
         }
