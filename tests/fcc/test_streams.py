@@ -1,6 +1,7 @@
 """Streams: each client its own rates, the vehicle asked for the fastest, answers as the vehicle would give them."""
 
 from collections import Counter
+from math import isfinite
 
 import pytest
 from hypothesis import given, settings
@@ -238,6 +239,8 @@ def test_no_numbers_in_a_command_do_harm(asked: list[tuple[int, float, float]]) 
         ends.answer(2)
     ends.settle()
     fly(ends, 0.1)
+    for client in ends.clients:
+        assert all(isfinite(wish.interval) for wish in client.wishes.values())
 
 
 def test_wishes_are_bounded() -> None:

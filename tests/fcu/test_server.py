@@ -208,7 +208,7 @@ def test_messages_that_nobody_takes_are_counted() -> None:
             await asyncio.sleep(0.001)
         await client.close()
 
-    run(work)
+    assert run(work).server.ignored == 3
 
 
 def test_a_link_that_was_cut_is_opened_again() -> None:
