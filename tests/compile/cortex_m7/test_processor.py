@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import os
 import re
@@ -125,6 +126,25 @@ def test_a_machine_that_faulted_stays_so_and_a_new_one_runs() -> None:
         machine.set("k", 1.0)
     assert machine.get("k") == 2.0
     assert len(program.machine().run(3, {"r": 1.0})["y"]) == 3
+
+
+def test_what_the_emulator_said_before_its_end_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A fault that is told, and the emulator gone, while the host was between its last write and its next look."""
+    with Processor(image(STEP + "{ __builtin_trap(); }")) as processor:
+        processor.call(0, DEFAULTS, pair(), pair())
+        process = processor._board._process
+        write = os.write
+
+        def slow(descriptor: int, data: bytes) -> int:
+            sent = write(descriptor, data)
+            with contextlib.suppress(subprocess.TimeoutExpired):  # not yet the last of the parts
+                process.wait(0.5)
+            return sent
+
+        monkeypatch.setattr(os, "write", slow)
+        with pytest.raises(ControllerFault, match="undefined instruction"):
+            steps(processor)
+        assert process.returncode is not None
 
 
 def test_an_endless_step_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -80,21 +80,22 @@ class Board:
         data = bytearray()
         heard = time.monotonic()
         while True:
+            ended = self._process.poll() is not None  # asked first: what it said before its end is then there to read
             left = SILENCE - (time.monotonic() - heard)
-            if left <= 0:
+            if left <= 0 and not ended:
                 raise ControllerFault(
                     f"the emulated processor said nothing for {SILENCE:g} s", name, "is the machine overloaded?"
                 )
             waiting = [self._out] if pending else []
-            readable, writable, _ = select.select([self._in], waiting, [], min(left, 1.0))
-            if writable:
+            readable, writable, _ = select.select([self._in], waiting, [], 0.0 if ended else min(left, 1.0))
+            if writable and not ended:
                 with suppress(BlockingIOError):
                     sent = os.write(self._out, pending[0][:_PIPE])
                     pending[0] = pending[0][sent:]
                     if not pending[0]:
                         pending.pop(0)
             if not readable:
-                if self._process.poll() is not None:
+                if ended:
                     raise self._ended(name)
                 continue
             try:
