@@ -4,15 +4,16 @@ import asyncio
 from collections.abc import Coroutine
 from typing import Any
 
+from tests.patience import PATIENCE_S
 from twodof.link.transport import Transport
 
-# What a packet on loopback needs is under a millisecond; a loaded machine is given this.
-SOON = 5.0
+# What a packet on loopback needs is under a millisecond; it is waited for until it must have been lost.
+SOON = PATIENCE_S / 4
 
 
 def run(work: Coroutine[Any, Any, Any]) -> Any:
     """In a fresh loop, with a deadline for the whole."""
-    return asyncio.run(asyncio.wait_for(work, 20.0))
+    return asyncio.run(asyncio.wait_for(work, PATIENCE_S))
 
 
 async def gather(end: Transport, size: int) -> bytes:

@@ -13,7 +13,7 @@ def main(url: str, key: str = "") -> None:
     for _ in range(5):
         link.mav.heartbeat_send(6, 8, 0, 0, 0)
     link.mav.command_long_send(1, 1, 400, 0, 1, 0, 0, 0, 0, 0, 0)
-    answer = link.recv_match(type="COMMAND_ACK", blocking=True, timeout=10)
+    answer = link.recv_match(type="COMMAND_ACK", blocking=True, timeout=100)
     sys.stdout.write(f"{answer.get_type()} {answer.command} {answer.result} {answer.get_signed()} {link.mav_loss}\n")
     link.close()
 

@@ -2,14 +2,13 @@
 
 import asyncio
 import random
-from collections.abc import Coroutine
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from tests.faults.transport import Faults, FaultyTransport
 from tests.faults.virtual_time import run_virtual
+from tests.link.ends import SOON, run
 from twodof.errors import LinkError, LinkLost
 from twodof.link import dialect
 from twodof.link.connection import Connection
@@ -22,13 +21,6 @@ from twodof.link.signing import Signing
 from twodof.link.stamps import Stamps
 from twodof.link.tcp import TcpTransport
 from twodof.link.udp import UdpTransport
-
-SOON = 5.0
-
-
-def run(work: Coroutine[Any, Any, Any]) -> Any:
-    """In a fresh loop, with a deadline for the whole."""
-    return asyncio.run(asyncio.wait_for(work, 20.0))
 
 
 @pytest.mark.parametrize("kind", ["udp", "tcp", "mem"])

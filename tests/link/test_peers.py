@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.patience import PATIENCE_S
 from twodof.link.connection import Connection
 from twodof.link.key import Key
 from twodof.link.messages import message
@@ -39,12 +40,12 @@ def test_mavutil_commands_and_is_answered(scheme: str, theirs: str, signed: bool
             )
             try:
                 while True:
-                    got = await drone.receive(20.0)
+                    got = await drone.receive(PATIENCE_S)
                     assert got is not None, "no command came"
                     if got.message.get_type() == "COMMAND_LONG":
                         drone.send(message("COMMAND_ACK", command=got.message.command), to=got.peer)
                         break
-                said, _ = await asyncio.wait_for(client.communicate(), 20.0)
+                said, _ = await asyncio.wait_for(client.communicate(), PATIENCE_S)
             finally:
                 if client.returncode is None:
                     client.kill()

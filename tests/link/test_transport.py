@@ -113,7 +113,7 @@ def test_a_deadline_is_a_deadline(kind: str) -> None:
             assert await here.receive(0.0) is None
             start = time.monotonic()
             assert await here.receive(0.05) is None
-            assert 0.04 < time.monotonic() - start < 2.0
+            assert 0.04 < time.monotonic() - start < SOON
 
     run(work())
 
@@ -125,18 +125,16 @@ def test_closing_wakes_who_waits_and_frees_everything(kind: str) -> None:
         async with pair(kind) as (here, _):
             waiting = asyncio.create_task(here.receive(SOON))
             await asyncio.sleep(0)
-            start = time.monotonic()
             await here.close()
             with pytest.raises(LinkLost, match="the link was closed"):
-                await waiting
-            assert time.monotonic() - start < 1.0
+                await waiting  # at its deadline it would be None
             with pytest.raises(LinkLost):
                 here.send(b"late")
             with pytest.raises(LinkLost):
                 await here.receive(SOON)
             await here.close()
-        await asyncio.sleep(0.01)
-        assert len([*Path("/proc/self/fd").iterdir()]) == before
+        while len([*Path("/proc/self/fd").iterdir()]) > before:
+            await asyncio.sleep(0.01)
 
     run(work())
 
@@ -155,10 +153,8 @@ def test_a_peer_that_goes_is_seen_after_what_it_said(kind: str) -> None:
             await there.close()
             if kind != "serial":
                 assert await gather(here, 10) == b"last words"
-            start = time.monotonic()
             with pytest.raises(LinkLost):
-                await here.receive(SOON)
-            assert time.monotonic() - start < 1.0
+                await here.receive(SOON)  # at its deadline it would be None
             assert here.closed
 
     run(work())
@@ -172,7 +168,7 @@ def test_nobody_there_ends_at_the_deadline() -> None:
                 start = time.monotonic()
                 with pytest.raises(LinkLost, match=r"nobody answered within 0\.2 s"):
                     await open_transport(url, timeout=0.2)
-                assert time.monotonic() - start < 2.0
+                assert time.monotonic() - start < SOON
 
     run(work())
 
@@ -373,7 +369,7 @@ def test_faults_are_the_same_for_the_same_seed_and_as_many_as_asked() -> None:
         for number in range(1000):
             faulty.send(number.to_bytes(2, "little"))
             await asyncio.sleep(0.004)
-        await asyncio.sleep(1.0)
+        await asyncio.sleep(1000.0)
         got = []
         while packet := there.receive_now():
             got.append(int.from_bytes(packet.data, "little"))
@@ -382,7 +378,7 @@ def test_faults_are_the_same_for_the_same_seed_and_as_many_as_asked() -> None:
 
     start = time.monotonic()
     first = run_virtual(work(1))
-    assert time.monotonic() - start < 4.0  # five seconds of virtual time
+    assert time.monotonic() - start < 500.0  # a quarter of an hour of virtual time
     assert first == run_virtual(work(1))
     assert first != run_virtual(work(2))
     # 1000 packets at 30 % loss: 700 with a standard deviation of 14.5, of which five
