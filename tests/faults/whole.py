@@ -9,8 +9,8 @@ from __future__ import annotations
 import asyncio
 import gc
 import sys
-from collections.abc import Callable, Coroutine
-from contextlib import ExitStack
+from collections.abc import Callable, Coroutine, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from itertools import count
 from typing import Any, Self
@@ -57,6 +57,17 @@ class LoopPacer:
         """Nothing to give back."""
 
 
+@contextmanager
+def paced_by_the_loop() -> Iterator[None]:
+    """A virtual drone that is begun within runs on the event loop's clock, which may jump."""
+    with ExitStack() as stack:
+        stack.enter_context(patch.object(server, "Pacer", LoopPacer))
+        stack.enter_context(patch.object(server, "Watchdog", lambda stop: Watchdog(stop, HANGS_S)))
+        # Another thread's work would take virtual time by chance.
+        stack.enter_context(patch.object(Background, "submit", _at_once))
+        yield
+
+
 @dataclass
 class Seen:
     """A step, and the rig's true pitch [rad] and place [m] after it."""
@@ -98,12 +109,9 @@ class Whole:
 
     async def __aenter__(self) -> Self:
         stack = self._stack
-        stack.enter_context(patch.object(server, "Pacer", LoopPacer))
-        stack.enter_context(patch.object(server, "Watchdog", lambda stop: Watchdog(stop, HANGS_S)))
+        stack.enter_context(paced_by_the_loop())
         stack.enter_context(patch.object(server, "open_transport", self._open))
         stack.enter_context(patch("twodof.fcc.companion.open_transport", self._open))
-        # Another thread's work would take virtual time by chance.
-        stack.enter_context(patch.object(Background, "submit", _at_once))
         await self.drone.__aenter__()
         await self.drone.listen(self.fcu.replace("mem:", "memin:"))
         await self.companion.__aenter__()

@@ -1,20 +1,24 @@
 """A drone that asks for signatures: with the key everything works, without it nothing; and who is there at all."""
 
 import asyncio
-import socket
 from pathlib import Path
 
 import pytest
 
+from tests.faults.virtual_time import run_virtual
+from tests.faults.whole import paced_by_the_loop
 from tests.gcs.virtual import on_board
+from tests.patience import PATIENCE_S
 from twodof.errors import LinkError, LinkLost
 from twodof.gcs import Drone, discover
+from twodof.gcs.async_drone import AsyncDrone
 from twodof.link.connection import Connection
 from twodof.link.key import Key, write_key
 from twodof.link.messages import message
 from twodof.link.opening import open_transport
 from twodof.link.signing import Signing
 from twodof.link.stamps import Stamps
+from twodof.sim.virtual_drone import VirtualDrone
 
 
 def test_a_signed_drone_is_flown_with_its_key_only(tmp_path: Path) -> None:
@@ -27,20 +31,37 @@ def test_a_signed_drone_is_flown_with_its_key_only(tmp_path: Path) -> None:
                 drone.run(0.3)
                 drone.arm()
             assert not there.drone.commander.armed
-        accepted = signing.counts.accepted
-        with pytest.raises(LinkLost, match=r"no drone was heard.*: \d+ frames came, signed with another key"):
-            Drone.connect(there.url, timeout=2.5, key=Key.fresh())
-        assert signing.counts.forged > 0
-        with pytest.raises(LinkLost, match=r"\d+ frames came signed.*key="):
-            Drone.connect(there.url, timeout=1.5)
-        assert signing.counts.unsigned > 0
-        assert signing.counts.accepted == accepted
-        assert there.drone.commander.lease.holder is None
+
+
+@pytest.mark.parametrize("lockstep", [False, True])
+def test_without_its_key_a_signed_drone_is_not_there_and_why_is_said(lockstep: bool) -> None:
+    signing = Signing(Key.fresh(), Stamps(None))
+
+    async def work() -> None:
+        with paced_by_the_loop():
+            async with VirtualDrone(lockstep=lockstep, signing=signing) as drone:
+                await drone.listen("memin://signed")
+                with pytest.raises(LinkLost, match=r"no drone was heard.*: \d+ frames came, signed with another key"):
+                    await AsyncDrone.connect("mem://signed", timeout=2.5, key=Key.fresh())
+                assert signing.counts.forged > 0
+                with pytest.raises(LinkLost, match=r"\d+ frames came signed.*key="):
+                    await AsyncDrone.connect("mem://signed", timeout=2.5)
+                assert signing.counts.unsigned > 0
+                assert signing.counts.accepted == 0
+                assert drone.commander.lease.holder is None
+
+    run_virtual(work())
 
 
 def test_a_key_for_a_drone_without_one_is_said_to_be_none_of_its() -> None:
-    with on_board() as there, pytest.raises(LinkLost, match=r"\d+ frames came, unsigned.*without key="):
-        Drone.connect(there.url, timeout=2.5, key=Key.fresh())
+    async def work() -> None:
+        with paced_by_the_loop():
+            async with VirtualDrone() as drone:
+                await drone.listen("memin://unsigned")
+                with pytest.raises(LinkLost, match=r"\d+ frames came, unsigned.*without key="):
+                    await AsyncDrone.connect("mem://unsigned", timeout=2.5, key=Key.fresh())
+
+    run_virtual(work())
 
 
 def test_a_key_that_others_may_read_is_refused(tmp_path: Path) -> None:
@@ -70,32 +91,41 @@ def test_each_drone_is_found_where_only_it_is_heard() -> None:
                 await connection.close()
 
     async def look() -> None:
-        free = []
-        for _ in range(3):
-            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
-                one.bind(("127.0.0.1", 0))
-                free.append(one.getsockname()[1])
-        both, first, second = (f"127.0.0.1:{port}" for port in free)
-        beats = [
-            asyncio.create_task(beat(f"udp://{place}", *systems))
-            for place, systems in ((both, (1, 2)), (first, (1,)), (second, (2,)))
-        ]
-        found = await discover(0.6, places=[f"udpin://{place}" for place in (both, first, second)])
+        places = {"memin://both": (1, 2), "memin://first": (1,), "memin://second": (2,)}
+        beats = [asyncio.create_task(beat(url.replace("in:", ":"), *systems)) for url, systems in places.items()]
+        found = await discover(0.6, places=places)
         for task in beats:
             task.cancel()
         await asyncio.gather(*beats, return_exceptions=True)
-        assert [(one.system, one.url) for one in found] == [(1, f"udpin://{first}"), (2, f"udpin://{second}")]
+        assert [(one.system, one.url) for one in found] == [(1, "memin://first"), (2, "memin://second")]
 
-    asyncio.run(look())
+    run_virtual(look())
 
 
 def test_drones_are_found_with_their_url_and_state() -> None:
-    with on_board(index=4) as one, on_board(index=6, lockstep=True) as two:
-        silent = "tcp://127.0.0.1:9"  # nobody listens at discard's port
-        found = asyncio.run(discover(1.2, places=[silent, one.url, two.url]))
-        assert [(each.system, each.url, each.mode, each.armed) for each in found] == [
-            (5, one.url, "manual", False),
-            (7, two.url, "manual", False),
-        ]
-        with Drone.connect(found[0].url) as drone:
-            assert drone.state.rig.virtual
+    async def work() -> None:
+        with paced_by_the_loop():
+            async with VirtualDrone(index=4) as one, VirtualDrone(index=6, lockstep=True) as two:
+                await one.listen("memin://one")
+                await two.listen("memin://two")
+                found = await discover(1.2, places=["mem://nobody", "mem://one", "mem://two"])
+                assert [(each.system, each.url, each.mode, each.armed) for each in found] == [
+                    (5, "mem://one", "manual", False),
+                    (7, "mem://two", "manual", False),
+                ]
+                async with await AsyncDrone.connect(found[0].url) as drone:
+                    assert drone.state.rig.virtual
+
+    run_virtual(work())
+
+
+def test_a_drone_is_found_over_a_network() -> None:
+    """In real time, and as long as it takes: what says itself once a second, behind one that nobody listens at."""
+    with on_board(index=4) as there:
+
+        async def work() -> None:
+            while not (found := await discover(1.0, places=["tcp://127.0.0.1:9", there.url])):  # discard's port
+                pass
+            assert [(each.system, each.url) for each in found] == [(5, there.url)]
+
+        asyncio.run(asyncio.wait_for(work(), PATIENCE_S))
