@@ -5,4 +5,16 @@ It ends what would wait for ever, and no machine, however loaded, takes so long 
 something else that runs beside it.
 """
 
+import time
+from collections.abc import Iterator
+
 PATIENCE_S = 120.0
+
+
+def patiently() -> Iterator[None]:
+    """A turn each millisecond or so, for what another thread or process brings about; AssertionError at the end."""
+    end = time.monotonic() + PATIENCE_S
+    while time.monotonic() < end:
+        yield
+        time.sleep(0.001)
+    raise AssertionError(f"it did not come within {PATIENCE_S:g} s")

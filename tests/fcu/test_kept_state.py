@@ -6,13 +6,13 @@ import asyncio
 import struct
 from pathlib import Path
 
+from tests.patience import PATIENCE_S
 from twodof.flightlog.ulog_decoder import scan_ulog
 from twodof.link.connection import Connection
 from twodof.link.messages import message
 from twodof.link.opening import open_transport
 from twodof.sim.virtual_drone import VirtualDrone
 
-DEADLINE_S = 60.0
 ARM, REAL32, INT32 = 400, 9, 6
 US = {"target_system": 1, "target_component": 1}
 
@@ -30,7 +30,7 @@ async def session(state: Path, name: str) -> list[str]:
             client.send(message("COMMAND_LONG", command=ARM, param1=1.0, **US))
             client.send(message("TWODOF_GRANT", until=500, **US))
             while True:
-                received = await client.receive(DEADLINE_S)
+                received = await client.receive(PATIENCE_S)
                 assert received is not None
                 got = received.message
                 if got.get_type() == "STATUSTEXT":
@@ -42,7 +42,7 @@ async def session(state: Path, name: str) -> list[str]:
 
 
 def test_a_session_is_in_the_log_and_its_parameters_in_the_next_one(tmp_path: Path) -> None:
-    said = asyncio.run(asyncio.wait_for(session(tmp_path, "kept"), DEADLINE_S))
+    said = asyncio.run(asyncio.wait_for(session(tmp_path, "kept"), PATIENCE_S))
     assert any("safety switch" in text for text in said)
     (path,) = (tmp_path / "logs").iterdir()
     found = scan_ulog(path.read_bytes(), str(path))

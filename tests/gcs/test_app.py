@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.gcs.virtual import OnBoard, on_board
+from tests.patience import PATIENCE_S
 from twodof.gcs.app import FINE, NO_APP, RAISED, run
 
 HOLDS = """
@@ -43,11 +44,11 @@ def test_it_flies_as_a_part_of_the_drone_and_disarms_when_it_is_told_to_end(ther
         assert there.drone.commander.armed
         assert there.drone.commander.lease.holder == (3, 192)
         child.send_signal(signal.SIGTERM)
-        _, errors = child.communicate(timeout=20.0)
+        _, errors = child.communicate(timeout=PATIENCE_S)
         assert (child.returncode, errors) == (FINE, "")
     finally:
         child.kill()
-        child.wait(timeout=10.0)
+        child.wait(timeout=PATIENCE_S)
     assert not there.drone.commander.armed
     assert there.drone.commander.lease.holder is None
 
@@ -56,7 +57,7 @@ def test_what_it_raises_disarms_and_is_its_end(there: OnBoard, tmp_path: Path) -
     file = tmp_path / "falls.py"
     file.write_text(HOLDS.format(seconds=0.1) + "    raise RuntimeError('fell over')\n")
     child = start(there, file)
-    _, errors = child.communicate(timeout=60.0)
+    _, errors = child.communicate(timeout=PATIENCE_S)
     assert child.returncode == 1
     assert "RuntimeError: fell over" in errors
     assert not there.drone.commander.armed

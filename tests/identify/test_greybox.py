@@ -60,10 +60,10 @@ def test_one_fit_of_1500_samples_takes_milliseconds() -> None:
     program_of(structure, record.dt)
     took = []
     for _ in range(20):
-        start = time.perf_counter()
+        start = time.process_time()
         fit(structure, record)
-        took.append(time.perf_counter() - start)
-    # The promise is 20 ms; the best of twenty leaves out what else the machine does.
+        took.append(time.process_time() - start)
+    # The promise is 20 ms; processor time, and the best of twenty, leave out what else the machine does.
     assert min(took) < 0.020
 
 

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import time
-
 import pytest
 
+from tests.patience import patiently
 from twodof.fcu.services.background import Background
-
-DEADLINE_S = 30.0
 
 
 def poll_until(background: Background, results: list[object], count: int) -> None:
     """Polls until `count` results were handed over."""
-    end = time.monotonic() + DEADLINE_S
-    while len(results) < count:
-        assert time.monotonic() < end
-        time.sleep(0.001)
+    for _ in patiently():
         background.poll()
+        if len(results) >= count:
+            break
 
 
 def refuse() -> None:

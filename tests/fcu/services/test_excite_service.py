@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import random
-import time
 import zlib
 from typing import Any
 
@@ -15,6 +14,7 @@ from hypothesis import strategies as st
 
 from tests.fcu.cockpit import ME, OTHER
 from tests.fcu.services.desk import TARGET, Desk
+from tests.patience import patiently
 from twodof.excitation import Impulse, Multisine
 from twodof.fcu.excitation_player import DONE, PLAYING, READY, RECEIVING, REFUSED, STOPPED
 from twodof.flight.core import PERIOD
@@ -93,10 +93,9 @@ def test_in_real_time_it_is_written_out_beside_the_loop() -> None:
     for piece in pieces():
         desk.say(piece)
 
-    end = time.monotonic() + 60.0  # it takes a millisecond
-    while READY not in states(desk):
-        assert time.monotonic() < end
-        time.sleep(0.001)
+    for _ in patiently():  # it takes a millisecond
+        if READY in states(desk):
+            break
         desk.commander.heard(ME, True)
         desk.run()
     desk.say(start())

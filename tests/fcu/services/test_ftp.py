@@ -12,6 +12,7 @@ from pymavlink.mavftp import MAVFTP
 
 from tests.fcu.services.world import CLIENT, World
 from tests.fcu.steps import plain_step
+from tests.patience import patiently
 from twodof.fcu.asked import TEMPORARILY_REJECTED, Verdict
 from twodof.fcu.log_folder import LogFolder
 from twodof.fcu.onboard_log import OnboardLog
@@ -401,7 +402,7 @@ def test_in_real_time_another_thread_reads_and_the_order_stays(tmp_path: Path) -
         server.ask(Op.WRITE, content[at : at + 200], session=3, offset=at)
     server.ask(Op.TERMINATE, session=3)
     answers: list[Packet] = []
-    for _ in range(1_000_000):
+    for _ in patiently():
         server.run(1)
         answers += [read_packet(bytes(one.payload)) for one in server.taken("FILE_TRANSFER_PROTOCOL")]
         if len(answers) == 12:

@@ -12,6 +12,7 @@ import pytest
 from tests.faults.virtual_time import run_virtual
 from tests.fcu.services.world import CLIENT, World
 from tests.fcu.steps import plain_step
+from tests.patience import patiently
 from twodof.fcu.asked import TEMPORARILY_REJECTED, Verdict
 from twodof.fcu.onboard_log import OnboardLog
 from twodof.fcu.services.addressing import Us
@@ -191,14 +192,14 @@ def test_in_real_time_the_disk_is_read_by_another_thread_and_sent_bit_by_bit(tmp
     world.say(message("LOG_REQUEST_LIST", start=0, end=0xFFFF, **US))
     assert world.taken("LOG_ENTRY") == []
     entries: list[Any] = []
-    for _ in range(100_000):
+    for _ in patiently():
         world.run(1)
         entries = entries or world.taken("LOG_ENTRY")
         if entries:
             break
     world.say(message("LOG_REQUEST_DATA", id=0, ofs=0, count=0xFFFFFFFF, **US))
     got, most = b"", 0
-    for _ in range(1_000_000):
+    for _ in patiently():
         world.run(1, armed=True)
         parts = world.taken("LOG_DATA")
         most = max(most, len(parts))
@@ -216,7 +217,7 @@ def test_however_many_ask_a_control_period_has_a_bounded_share_and_everybody_a_t
     for client in range(MOST_READERS):
         world.say(message("LOG_REQUEST_LIST", start=0, end=0xFFFF, **US), f"client {client}")
     counts, sent = Counter[Any](), 0
-    for _ in range(1_000_000):
+    for _ in patiently():
         world.run(1, armed=True)
         entries = [peer for one, peer in world.sent if one.get_type() == "LOG_ENTRY"]
         sent = max(sent, len(entries))

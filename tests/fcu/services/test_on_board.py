@@ -8,14 +8,13 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from typing import Any
 
+from tests.patience import PATIENCE_S
 from twodof.link.connection import Connection
 from twodof.link.messages import message
 from twodof.link.opening import open_transport
 from twodof.sim.virtual_drone import VirtualDrone
 
 US = {"target_system": 1, "target_component": 1}
-DEADLINE_S = 60.0
-"""For everything that a test waits for; the machine may be loaded."""
 
 
 class Client:
@@ -30,7 +29,7 @@ class Client:
 
     async def wait(self, name: str, wanted: Callable[[Any], bool] = lambda _: True) -> Any:
         """The next message of that name; all before it are in `came`."""
-        async with asyncio.timeout(DEADLINE_S):
+        async with asyncio.timeout(PATIENCE_S):
             while True:
                 received = await self.link.receive(1.0)
                 if received is None:
