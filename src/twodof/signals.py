@@ -83,10 +83,10 @@ TOPICS: tuple[Topic, ...] = (
     Topic("state.mode", "mode", (), "-", 250.0, "HEARTBEAT", "/mavros/state", "index into MODES"),
     Topic("battery.voltage", "voltage", (), "V", 2.0, "BATTERY_STATUS", "/mavros/battery", "terminal voltage"),
     Topic("battery.charge", "charge", (), "-", 2.0, "BATTERY_STATUS", "/mavros/battery", "0 empty, 1 full"),
-    Topic("truth.theta", "theta_true", (), "rad", 1000.0, *_TRUTH, "pitch of the virtual rig", onboard=False),
-    Topic("truth.q", "q_true", (), "rad/s", 1000.0, *_TRUTH, "pitch rate of the virtual rig", onboard=False),
-    Topic("truth.x", "x_true", (), "m", 1000.0, *_TRUTH, "position of the virtual rig", onboard=False),
-    Topic("truth.v", "v_true", (), "m/s", 1000.0, *_TRUTH, "velocity of the virtual rig", onboard=False),
+    Topic("truth.theta", "theta_true", (), "rad", 250.0, *_TRUTH, "pitch of the virtual rig", onboard=False),
+    Topic("truth.q", "q_true", (), "rad/s", 250.0, *_TRUTH, "pitch rate of the virtual rig", onboard=False),
+    Topic("truth.x", "x_true", (), "m", 250.0, *_TRUTH, "position of the virtual rig", onboard=False),
+    Topic("truth.v", "v_true", (), "m/s", 250.0, *_TRUTH, "velocity of the virtual rig", onboard=False),
 )
 
 BY_NAME = MappingProxyType({row.name: row for row in TOPICS})

@@ -17,8 +17,8 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.experiment.drones import drone_process, drone_thread
-from twodof.errors import ExperimentError, LinkLost, Timeout
-from twodof.experiment.checks import received
+from twodof.errors import ExperimentError, LinkLost, Rejected, Timeout
+from twodof.experiment.checks import data_checks, received
 from twodof.experiment.flight import Flight, Laboratory
 from twodof.experiment.fly import fly
 from twodof.experiment.protocol import EXPERIMENTS, Experiment, experiment
@@ -28,6 +28,7 @@ from twodof.flight.core import PERIOD
 from twodof.flightlog.log import FlightLog
 from twodof.flightlog.ulog_decoder import scan_ulog
 from twodof.gcs.drone import Drone
+from twodof.rig.parameters import load_rig
 from twodof.sim.virtual_drone import VirtualDrone
 
 SEED = 5
@@ -35,6 +36,7 @@ EACH_KIND = ("impulse", "doublet", "velocity-doublets", "position-sweep", "attit
 """One in open loop with the motors off, one about the trim, one in each of three loops."""
 
 Signals = Mapping[str, NDArray[Any]]
+TRUE = ("theta_true", "q_true", "x_true", "v_true")
 NOT_ON_BOARD = ("true_theta", "true_q", "true_x", "true_v", "load")
 ASKED = ("mode", "arm", "x0", "v0", "theta0", "q0", "thrust", "M_open", "use_trim")
 
@@ -131,12 +133,15 @@ def test_the_ground_log_is_the_simulators_rounded_to_the_wires_float32(flown: Bo
 
 
 def assert_rounded(ground: FlightLog, simulated: FlightLog) -> None:
-    """Every channel but the truth, stamps and all: no sample more, none less, each the simulator's float32."""
-    channels = [name for name in simulated if not name.endswith("_true")]
-    assert sorted(set(ground) & set(simulated)) == sorted(channels)
-    for name in channels:
+    """Every channel, stamps and all: no sample more, none less, each the simulator's in the wire's type.
+
+    That is float32, and float64 for the truth, which comes past what flies.
+    """
+    assert sorted(ground) == sorted(simulated)
+    assert set(TRUE) <= set(ground)
+    for name in simulated:
         np.testing.assert_array_equal(ground[name].time, simulated[name].time, name)
-        wire = simulated[name].value.astype(np.float32).astype(np.float64)
+        wire = simulated[name].value if name in TRUE else simulated[name].value.astype(np.float32).astype(np.float64)
         np.testing.assert_array_equal(ground[name].value, wire, name)
 
 
@@ -145,6 +150,18 @@ def test_what_a_flight_is_judged_by_is_the_same(flown: Both) -> None:
     judged = {check.name: check.passed for check in flown.flight.checks}
     assert simulated.items() <= judged.items()
     assert set(judged) - set(simulated) == {"flown to its end", "failsafe silent", "samples received"}
+    # By the truth, which has all its bits on the ground too, so in the same words.
+    for flight in (flown.flight, flown.laboratory.fly(flown.name, SEED)):
+        seen = {check.name: check.seen for check in flight.checks if check.name in ("pitch free", "rail free")}
+        assert all(text.endswith(", true") for text in seen.values())
+        assert seen == by_truth(flight.log, flown.plan, flight.experiment.rings)
+
+
+def by_truth(log: FlightLog, plan: Script, rings: bool) -> dict[str, str]:
+    """What is seen of pitch and place, from the true channels."""
+    theta, x = (np.abs(log[f"{name}_true"].value[plan.begin : plan.end]).max() for name in ("theta", "x"))
+    seen = {"pitch free": f"{np.degrees(theta):.1f} deg, true"}
+    return seen if rings else seen | {"rail free": f"{x:.3f} m, true"}
 
 
 @pytest.mark.parametrize("spoilt", ["place by one ulp", "arming one tick late", "excitation one tick late", "seed"])
@@ -232,6 +249,11 @@ def test_a_real_drone_flies_to_its_start_during_the_hold() -> None:
         assert abs(x[0]) < 0.01
         assert abs(x[round(0.4 * begin)] - flight.x_start) < 0.05  # x comes at 100 Hz
         assert flight.log.provenance["flown"]["virtual"] is False
+        # Nobody knows its truth, and nobody asked: it is judged by what it estimates.
+        assert not set(TRUE) & set(flight.log)
+        assert {check.name: check.seen.rpartition(", ")[2] for check in flight.checks}["rail free"] == "estimated"
+        with pytest.raises(Rejected), drone.truth():
+            pass
 
 
 def test_a_real_drone_that_is_not_where_it_is_to_begin_is_not_excited() -> None:
@@ -393,6 +415,24 @@ def test_lost_samples_are_gaps_in_the_log_and_fail_the_check_where_there_are_too
     assert judged(without(plan.begin, plan.begin + 11)) == (False, plan.steps - 11)
     assert judged(without(0, plan.begin, 100))[0]
     assert not judged(without(0, plan.steps, 50))[0]
+
+
+def test_truth_that_was_lost_is_a_gap_and_its_steps_are_judged_by_the_estimates() -> None:
+    plan = script(experiment("attitude-steps"))
+    values = np.zeros((plan.steps, len(COLUMNS)))
+    values[:, NAMES.index("theta")] = 0.2
+    ticks, true = np.arange(plan.steps), np.full((plan.steps, 4), 0.1)
+    known = (ticks < plan.begin) | (ticks >= plan.begin + 3)
+    samples = Samples.of(ticks, values, 0, plan.steps, ticks[known], true[known])
+    assert len(samples.log({})["theta_true"]) == plan.steps - 3
+    out, _ = samples.on_grid(0, plan.steps)
+    (pitch,) = (
+        check
+        for check in data_checks(experiment("attitude-steps"), plan, out, load_rig("lab"))
+        if check.name == "pitch free"
+    )
+    flown = plan.end - plan.begin
+    assert pitch.seen == f"{np.degrees(0.2):.1f} deg, true but for 3 of {flown} steps, estimated"
 
 
 def test_rows_that_come_twice_in_disorder_or_from_before_are_put_right() -> None:

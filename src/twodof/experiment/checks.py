@@ -40,19 +40,30 @@ class Check:
 def data_checks(experiment: Experiment, plan: Script, out: Signals, stops: Mapping[str, float]) -> list[Check]:
     """No stop was touched, and the response stands out of what the signal did before (five standard deviations).
 
-    `stops` are `pitch_stop` [rad] and `rail_stop` [m]. Pitch and place are the true ones where `out` has them.
+    `stops` are `pitch_stop` [rad] and `rail_stop` [m]. Pitch and place are the true ones in the steps in which `out`
+    has them, and `seen` says so; the response is looked for in the estimates, from which models are identified.
     """
     flown = slice(plan.begin, plan.end)
-    theta, x = (out.get(f"true_{name}", out[name])[flown] for name in ("theta", "x"))
-    steepest = _largest(theta)
+    steepest, by = _farthest(out, "theta", flown)
     checks = [
-        Check("pitch free", steepest < stops["pitch_stop"] - STOP_MARGIN, f"{np.degrees(steepest):.1f} deg"),
+        Check("pitch free", steepest < stops["pitch_stop"] - STOP_MARGIN, f"{np.degrees(steepest):.1f} deg, {by}"),
         _excited(experiment, plan, out),
     ]
     if not experiment.rings:
-        farthest = _largest(x)
-        checks.append(Check("rail free", farthest < stops["rail_stop"] - STOP_MARGIN, f"{farthest:.3f} m"))
+        farthest, by = _farthest(out, "x", flown)
+        checks.append(Check("rail free", farthest < stops["rail_stop"] - STOP_MARGIN, f"{farthest:.3f} m, {by}"))
     return checks
+
+
+def _farthest(out: Signals, name: str, flown: slice) -> tuple[float, str]:
+    """The largest magnitude of a signal, of the true one where it is known, and which of the two it is."""
+    estimate, true = out[name][flown], out.get(f"true_{name}")
+    if true is None:
+        return _largest(estimate), "estimated"
+    known = np.isfinite(true[flown])
+    unknown = int((~known).sum())
+    by = f"true but for {unknown} of {len(known)} steps, estimated" if unknown else "true"
+    return _largest(np.where(known, true[flown], estimate)), by
 
 
 def _largest(values: NDArray[Any]) -> float:

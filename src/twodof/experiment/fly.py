@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from twodof.errors import ExperimentError, LinkLost, Rejected, Timeout
 from twodof.experiment.checks import Check, data_checks, received
@@ -18,6 +17,7 @@ from twodof.experiment.script import Script, on_wire, script
 from twodof.flight.core import PERIOD
 from twodof.flightlog.provenance import versions
 from twodof.gcs.drone import Drone
+from twodof.gcs.faces import DroneRows
 from twodof.rig.parameters import NAMES
 
 Progress = Callable[[str, float], None]
@@ -46,18 +46,6 @@ OUT_OF_PLACE = 0.08
 
 TILTED = 0.2
 """Largest pitch [rad] at which it is begun; a level hold stays within .05."""
-
-
-class Rows(Protocol):
-    """What `Drone.batch` collects."""
-
-    @property
-    def ticks(self) -> NDArray[np.uint32]:
-        """Tick of each row, (n,)."""
-
-    @property
-    def values(self) -> NDArray[np.float32]:
-        """Its samples, (n, columns)."""
 
 
 def fly(
@@ -113,11 +101,12 @@ def fly(
     if rig.virtual:
         drone.reset(seed=seed, x=x_start, noise=noise, rings=experiment.rings)
     flown_seed = seed if rig.virtual else 0
-    with drone.batch(COLUMNS) as rows:
+    with drone.batch(COLUMNS) as rows, _truth(drone) as truth:
         course = _Course(experiment, plan, x_start, drone, rows, model.parameters, progress or _silent)
 
         def flight(reason: str) -> Flight:
-            samples = Samples.of(rows.ticks, rows.values, course.first, plan.steps)
+            known = (truth.ticks, truth.values) if truth is not None else ()
+            samples = Samples.of(rows.ticks, rows.values, course.first, plan.steps, *known)
             out, have = samples.on_grid(course.first, plan.steps)
             checks = [
                 Check("flown to its end", not reason, reason or "yes"),
@@ -144,6 +133,17 @@ def fly(
     return flight(reason)
 
 
+@contextmanager
+def _truth(drone: Drone) -> Iterator[DroneRows[np.float64] | None]:
+    """The true state of its rig, of which nothing on board knows; None where it has none to tell."""
+    with ExitStack() as stack:
+        rows = None
+        if drone.state.rig.virtual:
+            with suppress(Rejected):  # it flies as well without
+                rows = stack.enter_context(drone.truth())
+        yield rows
+
+
 def _model(name: str) -> Laboratory:
     """The virtual rig that is most like the drone's."""
     return Laboratory(name if name in NAMES else "lab")
@@ -161,7 +161,7 @@ class _Course:
     plan: Script
     x_start: float
     drone: Drone
-    rows: Rows
+    rows: DroneRows[np.float32]
     stops: Mapping[str, float]
     progress: Progress
     first: int = 0

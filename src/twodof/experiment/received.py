@@ -1,15 +1,16 @@
-"""The samples of a flight as they came over the link, row by row and on the grid of control steps."""
+"""The samples of a flight as they came over the link, row by row and on the grid of control steps; the truth too."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twodof.flightlog.log import FlightLog
-from twodof.flightlog.steps import step_channels
+from twodof.flightlog.steps import TRUTH, step_channels, truth_channels
 from twodof.signals import MODES
 
 COLUMNS = (
@@ -40,21 +41,42 @@ NAMES = (
 """What the closed loop calls them, in the same order."""
 
 
+def _no_ticks() -> NDArray[np.int64]:
+    return np.empty(0, dtype=np.int64)
+
+
+def _no_states() -> NDArray[np.float64]:
+    return np.empty((0, len(TRUTH)))
+
+
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Rows of `COLUMNS` that came: `values` (n, k), NaN where a channel had no new sample, at the `ticks` (n,)."""
+    """Rows of `COLUMNS` that came: `values` (n, k), NaN where a channel had no new sample, at the `ticks` (n,).
+
+    `truth` (m, 4) are the states `flightlog.steps.TRUTH` of a virtual rig at the ticks `truth_ticks` (m,); m is 0 with
+    a real drone.
+    """
 
     ticks: NDArray[np.int64]
     values: NDArray[np.float64]
+    truth_ticks: NDArray[np.int64] = field(default_factory=_no_ticks)
+    truth: NDArray[np.float64] = field(default_factory=_no_states)
 
     @classmethod
-    def of(cls, ticks: ArrayLike, values: ArrayLike, first: int, steps: int) -> Samples:
+    def of(
+        cls,
+        ticks: ArrayLike,
+        values: ArrayLike,
+        first: int,
+        steps: int,
+        truth_ticks: ArrayLike = (),
+        truth: ArrayLike = (),
+    ) -> Samples:
         """Those of the `steps` control steps from the tick `first` on, in their order, each once."""
-        tick = np.asarray(ticks, dtype=np.int64)
-        rows = np.asarray(values, dtype=np.float64).reshape(-1, len(COLUMNS))
-        inside = np.flatnonzero((tick >= first) & (tick < first + steps))
-        tick, index = np.unique(tick[inside], return_index=True)
-        return cls(tick, rows[inside[index]])
+        rows = _within(ticks, np.reshape(np.asarray(values, dtype=np.float64), (-1, len(COLUMNS))), first, steps)
+        return cls(
+            *rows, *_within(truth_ticks, np.reshape(np.asarray(truth, np.float64), (-1, len(TRUTH))), first, steps)
+        )
 
     def column(self, name: str) -> NDArray[np.float64]:
         """A column by the closed loop's name, (n,)."""
@@ -65,13 +87,38 @@ class Samples:
         out: dict[str, NDArray[Any]] = {name: self.column(name) for name in NAMES}
         mode = np.nan_to_num(out["mode"], nan=0.0)
         out["dist_new"] = np.isfinite(out["dist"])
-        return FlightLog(step_channels(self.ticks, out, np.clip(mode, 0, len(MODES) - 1).astype(np.int32)), provenance)
+        channels = step_channels(self.ticks, out, np.clip(mode, 0, len(MODES) - 1).astype(np.int32))
+        if len(self.truth_ticks):
+            channels |= truth_channels(self.truth_ticks, dict(zip(TRUTH, self.truth.T, strict=True)))
+        return FlightLog(channels, provenance)
 
     def on_grid(self, first: int, steps: int) -> tuple[dict[str, NDArray[Any]], NDArray[np.bool_]]:
-        """Signals by the closed loop's names, NaN where a sample is missing, and which steps came: (steps,) each."""
-        place = self.ticks - first
+        """Signals by the closed loop's names, NaN where a sample is missing, and which steps came: (steps,) each.
+
+        With the truth (`true_theta`, ...) where any of it came.
+        """
         have = np.zeros(steps, dtype=bool)
-        have[place] = True
-        grid = np.full((steps, len(NAMES)), np.nan)
-        grid[place] = self.values
-        return {name: grid[:, k] for k, name in enumerate(NAMES)}, have
+        have[self.ticks - first] = True
+        out = _spread(NAMES, self.ticks - first, self.values, steps)
+        if len(self.truth_ticks):
+            out |= _spread([f"true_{name}" for name in TRUTH], self.truth_ticks - first, self.truth, steps)
+        return out, have
+
+
+def _within(
+    ticks: ArrayLike, rows: NDArray[np.float64], first: int, steps: int
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """The ticks of `steps` steps from `first` on and their rows, in order, each once."""
+    tick = np.asarray(ticks, dtype=np.int64)
+    inside = np.flatnonzero((tick >= first) & (tick < first + steps))
+    tick, index = np.unique(tick[inside], return_index=True)
+    return tick, rows[inside[index]]
+
+
+def _spread(
+    names: Sequence[str], place: NDArray[np.int64], rows: NDArray[np.float64], steps: int
+) -> dict[str, NDArray[Any]]:
+    """Each column of `rows` by its name on a grid of `steps`, NaN where there is no row."""
+    grid = np.full((steps, len(names)), np.nan)
+    grid[place] = rows
+    return {name: grid[:, k] for k, name in enumerate(names)}

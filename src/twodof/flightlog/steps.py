@@ -28,7 +28,9 @@ ASKED = "asked_"
 _AGE = {"acc": 1.1e-3, "gyr": 1.1e-3, "dist": 1.0e-3, "q": Q_AGE, "lmnf": 1.5e-3}
 _LATER = {"theta": 0.33e-3, "x": 1.3e-3, "v": 1.3e-3, "q0": 3e-6, "theta0": 5e-6, "v0": 7e-6, "x0": 9e-6, "T": 11e-6}
 _LATER |= {"thrust0": 13e-6, "mode": 15e-6}
-_TRUTH = ("theta", "q", "x", "v")
+
+TRUTH = ("theta", "q", "x", "v")
+"""Names of a virtual rig's true state, [rad], [rad/s], [m], [m/s]; `rig.rig.TRUTH`."""
 
 MESSAGE_PERIOD = round(0.02 / PERIOD)
 """Steps between two open-loop messages."""
@@ -60,14 +62,18 @@ def step_channels(
     for name in ("x", "v"):
         channels[name] = _channel(name, time[held], out[name][after])
     channels["lmnf"] = _messages(time, out, mode)
-    for name in _TRUTH:
-        row = topic(f"truth.{name}")
-        if f"true_{name}" in out:
-            channels[row.mat] = _channel(row.mat, time, out[f"true_{name}"])
+    channels |= truth_channels(tick, {name: out[f"true_{name}"] for name in TRUTH if f"true_{name}" in out})
     slow = tick % _BATTERY_PERIOD == 0
     for name in ("voltage", "charge"):
         channels[name] = _channel(name, time[slow], out[name][slow])
     return channels
+
+
+def truth_channels(tick: NDArray[np.int64], state: Mapping[str, NDArray[Any]]) -> dict[str, Channel]:
+    """The channels of a virtual rig's true state (`TRUTH`), whose values at `tick` (n,), rising, are `state` (n,)."""
+    time = np.asarray(BOOT + PERIOD * tick, dtype=np.float64)
+    rows = {name: topic(f"truth.{name}").mat for name in state}
+    return {row: _channel(row, time, state[name]) for name, row in rows.items()}
 
 
 def is_published(tick: NDArray[np.int64]) -> NDArray[np.bool_]:

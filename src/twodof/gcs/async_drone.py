@@ -19,6 +19,7 @@ from twodof.gcs.deadline import Deadline
 from twodof.gcs.exciting import Playback
 from twodof.gcs.recording import Recording
 from twodof.gcs.setpoints import Setpoint
+from twodof.gcs.truth import TruthRows
 from twodof.link import dialect
 from twodof.link.messages import message
 from twodof.link.modes import custom_mode
@@ -200,6 +201,17 @@ class AsyncDrone(Connected):
         self._needs_ours("samples at full rate")
         return self.batches.rows(columns)
 
+    def truth(self) -> AbstractAsyncContextManager[TruthRows]:
+        """The true state of a virtual rig at the full rate, for `async with`; what is on board never gets it.
+
+        Raises Rejected by a real drone and for a program on board.
+        """
+        self._needs_ours("the rig's true state")
+        if self.session.on_board or not self.state.rig.virtual:
+            why = "what is on board never gets it" if self.session.on_board else "nobody knows that of a real one"
+            raise Rejected(f"the rig's true state: {why}", f"drone {self.session.system}", "go by the estimates")
+        return self.rig_truth.rows()
+
     def record(
         self,
         path: str | Path,
@@ -258,6 +270,7 @@ class AsyncDrone(Connected):
             raise Rejected("it is armed", deadline.where, "disarm it first")
         await self.files.write(path, content, deadline.left)
         await self.commands.run("USER_1", [], deadline.left, "flying another controller")
+        self.parameters.forget()
 
     async def stream(self, name: str, rate: float, timeout: float = TIMEOUT_S) -> None:
         """Have a message (such as "ACTUATOR_CONTROL_TARGET") sent `rate` times a second; 0: as by default, < 0: not."""

@@ -7,6 +7,8 @@ from contextlib import AbstractAsyncContextManager, AbstractContextManager, cont
 from pathlib import Path
 from typing import Any, Self, TypeVar
 
+import numpy as np
+
 from twodof.errors import TwodofError
 from twodof.excitation import Excitation
 from twodof.gcs.async_drone import AsyncDrone
@@ -206,13 +208,22 @@ class Drone:
         """Stop what plays; the set-point before it is held."""
         self._runner.call(self.there.stop_excitation)
 
-    def batch(self, columns: Iterable[str]) -> AbstractContextManager[DroneRows]:
+    def batch(self, columns: Iterable[str]) -> AbstractContextManager[DroneRows[np.float32]]:
         """Every sample of these columns of signals.TOPICS (`imu.gyro_y`) at the full rate, for `with`."""
         return self._batch(columns)
 
     @contextmanager
-    def _batch(self, columns: Iterable[str]) -> Iterator[DroneRows]:
+    def _batch(self, columns: Iterable[str]) -> Iterator[DroneRows[np.float32]]:
         with self._within(self.there.batch(columns)) as rows:
+            yield DroneRows(rows, self._runner)
+
+    def truth(self) -> AbstractContextManager[DroneRows[np.float64]]:
+        """The true theta, q, x, v of a virtual rig at the full rate, for `with`. Raises Rejected by a real drone."""
+        return self._truth()
+
+    @contextmanager
+    def _truth(self) -> Iterator[DroneRows[np.float64]]:
+        with self._within(self.there.truth()) as rows:
             yield DroneRows(rows, self._runner)
 
     def record(

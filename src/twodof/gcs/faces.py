@@ -5,25 +5,28 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, MutableMapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twodof.errors import ParameterError
-from twodof.gcs.batches import Rows
 from twodof.gcs.files import Files
 from twodof.gcs.log_download import LogEntry, Logs
-from twodof.gcs.parameters import AsyncParameters, Entry
+from twodof.gcs.parameters import AsyncParameters, Described, Entry
 from twodof.gcs.runner import Runner
 from twodof.gcs.telemetry import QUEUE, Callback, Sample, Signal, Stream, Value
 
 TIMEOUT_S = 5.0
 T = TypeVar("T")
+F_co = TypeVar("F_co", bound=np.floating[Any], covariant=True)
 
 
 class Parameters(MutableMapping[str, float]):
-    """The drone's parameters as a mapping, by its own names or the package's; each access asks the drone."""
+    """The drone's parameters as a mapping, by its own names or the package's; each access asks the drone.
+
+    Those of a user's controller that flies there are also found by their paths: `["attitude_control.k_q"]`.
+    """
 
     def __init__(self, there: AsyncParameters, runner: Runner) -> None:
         self._there, self._runner = there, runner
@@ -62,6 +65,10 @@ class Parameters(MutableMapping[str, float]):
     def all(self, timeout: float = 30.0) -> dict[str, Entry]:
         """Every parameter with its type and, where the package knows it, its row: bounds, unit, text."""
         return self._runner.run(self._there.all(timeout))
+
+    def describe(self, timeout: float = 30.0) -> dict[str, Described]:
+        """Bounds, unit, text and path of every parameter as the drone describes them. Raises Rejected, as `all` else."""
+        return self._runner.run(self._there.describe(timeout))
 
     def change(self, changes: Mapping[str, float], timeout: float = TIMEOUT_S) -> None:
         """Set several, all or none. Raises ParameterError, Rejected, LinkLost, Timeout."""
@@ -140,10 +147,34 @@ class DroneSignal:
             yield self._runner.run(stream.next())
 
 
-class DroneRows:
+class RowsThere(Protocol[F_co]):
+    """`Rows` or `TruthRows`, in the drone's thread."""
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """What the columns are."""
+
+    @property
+    def ticks(self) -> NDArray[np.uint32]:
+        """Tick of each row."""
+
+    @property
+    def values(self) -> NDArray[F_co]:
+        """The samples."""
+
+    @property
+    def time(self) -> NDArray[np.float64]:
+        """The drone's time of each row [s]."""
+
+    @property
+    def lost(self) -> int:
+        """Rows that are missing."""
+
+
+class DroneRows(Generic[F_co]):
     """Rows of full-rate samples: `ticks` (n,) uint32, `values` (n, columns) float32, NaN where there is no new one."""
 
-    def __init__(self, there: Rows, runner: Runner) -> None:
+    def __init__(self, there: RowsThere[F_co], runner: Runner) -> None:
         self._there, self._runner = there, runner
         self.columns = there.columns
 
@@ -158,7 +189,7 @@ class DroneRows:
         return self._ask(lambda: self._there.ticks)
 
     @property
-    def values(self) -> NDArray[np.float32]:
+    def values(self) -> NDArray[F_co]:
         """The samples, a column for each of `columns`, in their units."""
         return self._ask(lambda: self._there.values)
 

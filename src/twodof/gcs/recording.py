@@ -11,19 +11,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.errors import LinkLost, LogError, RecordingError, Rejected, Timeout
+from twodof.errors import LogError, RecordingError
 from twodof.flightlog.mcap_stream import Stream
 from twodof.flightlog.recorder import Recorder
 from twodof.flightlog.spool import Acknowledged
 from twodof.flightlog.steps import BOOT, MESSAGE_PERIOD, shift
 from twodof.gcs.batches import Batches
 from twodof.gcs.clock import OLDEST_TICKS, Clock
-from twodof.gcs.commands import Commands
 from twodof.gcs.decoding import columns_of
 from twodof.gcs.session import Session
 from twodof.gcs.state import State
 from twodof.gcs.texts import Text, Texts
-from twodof.link import dialect
+from twodof.gcs.truth import Truth
 from twodof.link.messages import batch_rows
 from twodof.link.tick import TICK_S, TICK_US
 from twodof.signals import MODES, TOPICS, Topic, topic
@@ -32,8 +31,6 @@ SAFETY = Stream(
     "/safety", "twodof_msgs/msg/Safety", "safety", "", ("action", "reason", "causes"), 3, about="what the failsafe does"
 )
 MOST_TEXTS = 1000
-TIMEOUT_S = 5.0
-LEAVING_S = 1.0
 TOGETHER = 32
 """Rows that are handed to the writer together: an eighth of a second, which a crash would cost besides."""
 _EVENTS = "openloop"
@@ -217,21 +214,21 @@ def stamps(mat: str, ticks: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.asarray(np.rint((BOOT + shift(mat) + TICK_S * published) * 1e9), dtype=np.int64)
 
 
-def chosen(topics: Iterable[str] | None, virtual: bool) -> list[Topic]:
-    """The rows to record; None: all that there are. Raises LogError for one that there is not."""
+def chosen(topics: Iterable[str] | None, truth: bool) -> list[Topic]:
+    """The rows to record; None: all that there are, with the `truth` if so. Raises LogError for one there is not."""
     if topics is None:
-        return [row for row in TOPICS if row.onboard or virtual]
+        return [row for row in TOPICS if row.onboard or truth]
     rows = [topic(name) for name in topics]
-    if not virtual and (unknown := [row.name for row in rows if not row.onboard]):
-        raise LogError("nobody knows the truth of a real drone", unknown[0], "leave it out")
+    if not truth and (unknown := [row.name for row in rows if not row.onboard]):
+        raise LogError("nobody on board, and nobody with a real drone, knows the truth", unknown[0], "leave it out")
     return rows
 
 
 class Recordings:
     """Makes recordings of one drone."""
 
-    def __init__(self, session: Session, commands: Commands, batches: Batches, texts: Texts, clock: Clock) -> None:
-        self._session, self._commands, self._batches = session, commands, batches
+    def __init__(self, session: Session, batches: Batches, truth: Truth, texts: Texts, clock: Clock) -> None:
+        self._session, self._batches, self._truth = session, batches, truth
         self._texts, self._clock = texts, clock
 
     @asynccontextmanager
@@ -243,33 +240,19 @@ class Recordings:
         Raises LogError for a file that exists or a topic that is none, RecordingError when the disk refuses, Rejected,
         LinkLost, Timeout.
         """
-        session, rows = self._session, chosen(topics, state.rig.virtual)
+        session, rows = self._session, chosen(topics, state.rig.virtual and not self._session.on_board)
         recording = Recording(path, rows, provenance, wait=session.lockstep)
-        handlers = {
-            "TWODOF_RIG": recording.rig,
-            "TWODOF_SAFETY": recording.safety,
-            "TWODOF_TRUTH": recording.truth,
-        }
-        truth = any(not row.onboard for row in rows)
+        handlers = {"TWODOF_RIG": recording.rig, "TWODOF_SAFETY": recording.safety}
         try:
             async with AsyncExitStack() as stack:
                 for name, handler in handlers.items():
                     stack.enter_context(session.handling(handler, name))
                 stack.enter_context(self._texts.listening(lambda line: recording.said(self._clock.tick, line)))
-                if truth:
-                    await self._interval(TICK_US, TIMEOUT_S)
-                    stack.push_async_callback(self._quietly, -1)
+                if any(not row.onboard for row in rows):
+                    await stack.enter_async_context(self._truth.to(recording.truth))
                 if recording.columns:
                     await stack.enter_async_context(self._batches.to(recording.columns, recording.take))
                 yield recording
         finally:
             # The writer's thread is waited for in another one: the loop goes on, heartbeats with it.
             await asyncio.to_thread(recording.finish)
-
-    async def _quietly(self, interval: int) -> None:
-        with suppress(LinkLost, Rejected, Timeout):  # what is not wanted any more harms nobody
-            await self._interval(interval, LEAVING_S)
-
-    async def _interval(self, interval: int, timeout: float) -> None:
-        values = [dialect.message_id("TWODOF_TRUTH"), interval]
-        await self._commands.run("SET_MESSAGE_INTERVAL", values, timeout, "subscribing to the rig's true state")

@@ -78,6 +78,7 @@ class Session:
 
     def __init__(self, connection: Connection, on_board: bool = False) -> None:
         self.connection = connection
+        self.on_board = on_board
         self.system = 0
         self.component = AUTOPILOT
         self.lockstep = False
