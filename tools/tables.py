@@ -15,6 +15,7 @@ from twodof.compile.lower import lower
 from twodof.fcu.parameter_row import Row
 from twodof.fcu.parameter_table import own_rows
 from twodof.fcu.px4_topics import PX4_TOPICS
+from twodof.fcu.services.event_table import CHECKS, CRITICAL, ERROR, EVENTS, INFO, WARNING
 from twodof.fcu.step_row import COLUMNS
 from twodof.flight.causes import ACTIONS, CAUSES, NONE
 from twodof.flight.core import PERIOD
@@ -67,6 +68,7 @@ def render(text: str) -> str:
         "onboard": _onboard,
         "steps": _steps,
         "streams": _streams,
+        "events": _events,
     }
 
     def made(match: re.Match[str]) -> str:
@@ -223,6 +225,20 @@ def _streams() -> Iterator[str]:
         name, text = texts[number]
         rates = " | ".join(_rate(profile.get(number)) for profile in (ONBOARD, GROUND))
         yield f"| `{name}` | {number} | {rates} | {text} |"
+
+
+def _events() -> Iterator[str]:
+    levels = {CRITICAL: "critical", ERROR: "error", WARNING: "warning", INFO: "info"}
+    yield "| id | event | shown as | level | arguments |"
+    yield "|---|---|---|---|---|"
+    for event in EVENTS:
+        shown = event.shown and event.group == "default"
+        level = levels[event.level] if shown else f"{levels[event.level]}, in the log only"
+        if event.group != "default":
+            level = f"protocol, `{event.group}`" if event.kind else f"{levels[event.level]}, `{event.group}`"
+        kinds = (f"`{one.name}` ({one.kind.removesuffix('_t')})" for one in event.arguments)
+        arguments = "of a check" if event in CHECKS.values() else ", ".join(kinds)
+        yield f"| {event.id} | `{event.name}` | {event.message} | {level} | {arguments} |"
 
 
 def _rate(rate: float | None) -> str:

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import pytest
 
-from twodof.fcu.services.events import ACTION, ARMED, DISARMED, MODE
 from twodof.fcu.services.px4 import PX4
 from twodof.link import dialect
 from twodof.sim.virtual_drone import VirtualDrone
@@ -36,9 +35,3 @@ def test_the_messages_that_can_be_asked_for_are_those_of_the_page(px4: PX4) -> N
     more = {int(number) for number in re.findall(r"[A-Z_]+ \((\d+)", request)}
     only = {int(number) for _, number in re.findall(r"`(\w+)` \((\d+)\)", section("Streams"))}
     assert {int(number) for _, number in streams} | more | only == set(px4.requests.supported)
-
-
-def test_events_have_the_numbers_of_the_page() -> None:
-    told = re.search(r"\*\*Events\*\*.*?\n\n|\*\*Events\*\*.*", section("The rest"), flags=re.DOTALL)
-    assert told is not None
-    assert [int(number) for number in re.findall(r"\b\d{8}\b", told[0])] == [ARMED, DISARMED, ACTION, MODE]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -60,6 +60,7 @@ class Control:
     """Stands for the flight controller."""
 
     hardware: Any = field(default_factory=Rig)
+    started_as: int = 7
     timing: Timing = field(default_factory=Timing)
     tick: int = 0
     lockstep: bool = False
@@ -70,6 +71,8 @@ class Commander:
     """Grants what `verdict` says, to anyone, and notes who asked for what."""
 
     armed: bool = False
+    killed: bool = False
+    unfit: Callable[[], str] = str
     base_mode: int = 65
     custom_mode: int = modes.MANUAL
     system_status: int = 3

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from twodof.fcu.asked import ACCEPTED, DENIED, TEMPORARILY_REJECTED, UNSUPPORTED, Verdict
+from twodof.fcu.asked import ACCEPTED, DENIED, IN_PROGRESS, TEMPORARILY_REJECTED, UNSUPPORTED, Source, Verdict
 from twodof.fcu.services.addressing import whole
 from twodof.fcu.services.commands import Command, Commands
 from twodof.fcu.services.vehicle import Commander
@@ -17,12 +17,19 @@ MOST_CODE = 4
 
 
 class Arming:
-    """Hands arming and stopping to the commander, and a restart to whoever can (`restart`, None: nobody)."""
+    """Hands arming and stopping to the commander, and a restart to whoever can (`restart`, None: nobody).
+
+    Each of `denied` is called when somebody was not let arm, and told whether that is for another's lease; of `killed`
+    with who stopped the motors; of `asked` when somebody wants to know what keeps from arming.
+    """
 
     def __init__(self, commands: Commands, commander: Commander, restart: Callable[[], None] | None = None) -> None:
         self._commander = commander
         self._restart = restart
-        commands.on(ARM_DISARM, self._arm_or_disarm, lambda: commander.arming)
+        self.denied: list[Callable[[bool], None]] = []
+        self.killed: list[Callable[[Source], None]] = []
+        self.asked: list[Callable[[], None]] = []
+        commands.on(ARM_DISARM, self._arm_or_disarm, self._armed)
         commands.on(TERMINATE, self._terminate)
         commands.on(REBOOT, self._reboot)
         commands.on(RUN_CHECKS, self._check)
@@ -30,19 +37,39 @@ class Arming:
     def _arm_or_disarm(self, command: Command) -> Verdict:
         wanted, force = command.params[0], whole(command.params[1]) == FORCE
         if wanted == 1.0:
-            return self._commander.arm(command.source, force)
+            holder = self._commander.lease.holder
+            verdict = self._commander.arm(command.source, force)
+            return self._told(verdict, holder not in (None, command.source))
         if wanted == 0.0:
-            return self._commander.disarm(command.source, force)
+            verdict = self._commander.disarm(command.source, force)
+            return self._told_of_kill(command.source, verdict) if force else verdict
         return Verdict(DENIED, "arm is 1, disarm is 0")
 
+    def _armed(self) -> Verdict:
+        """What became of it, once that is known."""
+        return self._told(self._commander.arming, by_lease=False)
+
+    def _told(self, verdict: Verdict, by_lease: bool) -> Verdict:
+        if verdict.result not in (ACCEPTED, IN_PROGRESS):
+            for call in self.denied:
+                call(by_lease)
+        return verdict
+
     def _check(self, _command: Command) -> Verdict:
-        """The failsafe checks at every tick; SYS_STATUS and TWODOF_SAFETY tell what it finds."""
-        return Verdict(TEMPORARILY_REJECTED, "it is armed") if self._commander.armed else Verdict(ACCEPTED)
+        """The failsafe checks at every tick; events, SYS_STATUS and TWODOF_SAFETY tell what it finds."""
+        for call in self.asked:
+            call()
+        return Verdict(ACCEPTED)
+
+    def _told_of_kill(self, who: Source, verdict: Verdict) -> Verdict:
+        for call in self.killed:
+            call(who)
+        return verdict
 
     def _terminate(self, command: Command) -> Verdict:
         if not command.params[0] > 0.5:  # 0 asks to stop terminating, which nothing does
             return Verdict(UNSUPPORTED)
-        return self._commander.kill(command.source)
+        return self._told_of_kill(command.source, self._commander.kill(command.source))
 
     def _reboot(self, command: Command) -> Verdict:
         action = whole(command.params[0], -1)

@@ -9,6 +9,7 @@ from twodof.fcu.asked import ACCEPTED, IN_PROGRESS, UNSUPPORTED, Source, Verdict
 from twodof.fcu.flight_code import Step
 from twodof.fcu.service import Link
 from twodof.fcu.services.addressing import Us, source
+from twodof.fcu.services.event_table import marked
 from twodof.fcu.services.repetitions import Repetitions
 from twodof.link.connection import Received
 from twodof.link.messages import message, statustext
@@ -125,7 +126,7 @@ class Commands:
         self.refused += 1
         for call in self.explained if why else ():
             call(WARNING, why)
-        for piece in statustext(why, WARNING, self.refused % 0xFFFF + 1) if why else ():
+        for piece in statustext(marked(why), WARNING, self.refused % 0xFFFF + 1) if why else ():
             self._link.send(piece, peer)
 
     def _verdict(self, command: Command, received: Received) -> Verdict:

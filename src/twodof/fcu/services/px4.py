@@ -67,7 +67,10 @@ class PX4:
         self.transactions = Transactions(link, us, self.commands, commander, self.parameters, store)
         self.batches = Batches(link, self.clients, commander)
         self.streams.elsewhere[BATCH] = self.batches
-        self.events = Events(link, us, self.telemetry, commander)
+        self.events = Events(link, us, self.telemetry, controller, commander, self.clients)
+        self.arming.denied.append(self.events.denied)
+        self.arming.killed.append(self.events.killed)
+        self.arming.asked.append(self.events.report)
         self.missions = Missions(link, us, self.commands, self.requests)
         self.remarks = Remarks(link, commander.remarks)
 

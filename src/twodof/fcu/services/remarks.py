@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from twodof.fcu.flight_code import Step
 from twodof.fcu.service import Link
+from twodof.fcu.services.event_table import marked
 from twodof.link.connection import Received
 from twodof.link.messages import statustext
 
@@ -36,5 +37,5 @@ class Remarks:
             for listener in self.listeners:
                 listener(severity, text)
             self._number = self._number % 0xFFFF + 1
-            for piece in statustext(text, severity, self._number):
+            for piece in statustext(marked(text), severity, self._number):
                 self._link.send(piece)

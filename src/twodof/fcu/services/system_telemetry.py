@@ -31,6 +31,9 @@ UNHEALTHY: tuple[tuple[int, int], ...] = (
 )
 """Causes of the failsafe, and what SYS_STATUS calls unhealthy while they hold."""
 
+ON_THE_GROUND = BIT["not_idle"] | BIT["tilted"]
+"""Causes that keep from arming, and in flight are as they should be."""
+
 LIPO, ALL_FUNCTIONS, CHARGE_OK, CHARGE_LOW, CHARGE_CRITICAL = 1, 1, 1, 2, 3
 UNKNOWN_16, UNKNOWN_SIGNED_16 = 0xFFFF, 0x7FFF
 LIFTED, GROUNDED = 2, 1
@@ -44,6 +47,11 @@ def health(causes: int) -> int:
         if causes & bits:
             sound &= ~sensors
     return sound & ~PREARM if causes else sound
+
+
+def hindering(step: Step) -> int:
+    """The causes that would keep from arming, or in flight are not as they should be."""
+    return step.causes & ~ON_THE_GROUND if step.armed else step.causes
 
 
 def millivolts(voltage: float) -> int:
@@ -74,7 +82,7 @@ def sys_status(load: Callable[[], float]) -> Encoder:
     def encode(s: Step) -> Packed:
         volts, charge = millivolts(s.sample.voltage), percent(s.sample.charge)
         used = round(min(max(load(), 0.0), 1.0) * 1000.0)
-        return pack(PRESENT, PRESENT, health(s.causes), used, volts, -1, 0, 0, 0, 0, 0, 0, charge, 0, 0, 0)
+        return pack(PRESENT, PRESENT, health(hindering(s)), used, volts, -1, 0, 0, 0, 0, 0, 0, charge, 0, 0, 0)
 
     return encode
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from twodof.fcu.asked import Source, Verdict
@@ -61,6 +61,14 @@ class Commander(Protocol):
     @property
     def armed(self) -> bool:
         """Whether motors may turn."""
+
+    @property
+    def killed(self) -> bool:
+        """Whether a kill holds it disarmed."""
+
+    @property
+    def unfit(self) -> Callable[[], str]:
+        """Says what else speaks against arming, "" if nothing does."""
 
     @property
     def base_mode(self) -> int:
@@ -128,3 +136,7 @@ class Controller(Protocol):
     @property
     def lockstep(self) -> bool:
         """Whether time stands still until ticks are granted."""
+
+    @property
+    def started_as(self) -> int:
+        """A number of this start's own, 1 to 2^32 - 1; a reset does not change it."""

@@ -1,0 +1,83 @@
+"""The report of health and arming checks: what keeps from arming, in which modes, and what it is about.
+
+Source: MAVLink's libevents, protocol "health_and_arming_check": a summary, an event for each check that fails, another
+summary. As in PX4 it is sent when it has changed, every two seconds at most, and at once when somebody asks for it.
+"""
+
+from __future__ import annotations
+
+from types import MappingProxyType
+from typing import NamedTuple
+
+from twodof.fcu.flight_code import Step
+from twodof.fcu.services.event_enums import ABOUT, COMPONENT_INDEX, FIRST_OBSTACLE, OBSTACLE_BIT, OBSTACLES
+from twodof.fcu.services.event_table import ARMING_SUMMARY, CHECKS, HEALTH_SUMMARY, Event
+from twodof.fcu.services.system_telemetry import hindering
+from twodof.fcu.services.vehicle import Commander, Controller
+from twodof.flight import failsafe_machine
+from twodof.flight.causes import BIT, CAUSES
+from twodof.link.modes import MODES, POSITION
+
+ALL_MODES = (1 << len(MODES)) - 1
+_MODE_BITS = MappingProxyType({mode.custom_mode: 1 << place for place, mode in enumerate(MODES)})
+MOVING_CART = _MODE_BITS[POSITION]
+"""What the rings forbid."""
+
+PRESENT = sum(1 << place for name, place in COMPONENT_INDEX.items() if name != "none")
+_NAMES = (
+    *((1 << place, cause.name) for place, cause in enumerate(CAUSES)),
+    *((1 << place, one.name) for place, one in enumerate(OBSTACLES, start=FIRST_OBSTACLE)),
+)
+
+
+class Told(NamedTuple):
+    """An event with its arguments."""
+
+    event: Event
+    values: tuple[int, ...]
+
+
+class ArmingReport:
+    """Looks at what the commander looks at before it arms."""
+
+    def __init__(self, controller: Controller, commander: Commander) -> None:
+        self._controller = controller
+        self._commander = commander
+
+    def obstacles(self, step: Step | None) -> int:
+        """Mask of what keeps from arming now (`obstacle_t`), in any mode; `step` is the last, None: none was yet."""
+        commander = self._commander
+        found = OBSTACLE_BIT["killed"] if commander.killed else 0
+        if step is None:
+            found |= OBSTACLE_BIT["unheard"]
+        else:
+            found |= hindering(step) | (OBSTACLE_BIT["stopped"] if step.state == failsafe_machine.OFF else 0)
+        if not self._controller.hardware.safety_off:
+            found |= OBSTACLE_BIT["safety_switch"]
+        if self._controller.hardware.rings and commander.custom_mode == POSITION:
+            found |= BIT["rings_wrong"]
+        if not commander.armed and commander.unfit():
+            found |= OBSTACLE_BIT["controller"]
+        return found
+
+    def events(self, obstacles: int) -> list[Told]:
+        """The report of these obstacles."""
+        locked = MOVING_CART if self._controller.hardware.rings else 0
+        if obstacles & BIT["rings_wrong"]:  # set-points that move the cart, in whatever mode this is
+            locked |= _MODE_BITS.get(self._commander.custom_mode, 0)
+        others = obstacles & ~BIT["rings_wrong"]
+        failed = [(name, ALL_MODES) for bit, name in _NAMES if others & bit]
+        if locked:
+            failed.append(("rings_wrong", locked))
+        wrong = {"arming_check": 0, "health": 0}
+        checks = []
+        for name, modes in failed:
+            event, place = CHECKS[name], COMPONENT_INDEX[ABOUT[name]]
+            wrong[event.group] |= 1 << place
+            checks.append(Told(event, (modes, place)))
+        runs = ALL_MODES & ~locked
+        return [
+            Told(ARMING_SUMMARY, (0, wrong["arming_check"], 0, 0 if others else runs, runs)),
+            *checks,
+            Told(HEALTH_SUMMARY, (0, PRESENT, wrong["health"], 0)),
+        ]
