@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 
 from tests.gcs.virtual import OnBoard, on_board
-from tests.patience import PATIENCE_S
 from twodof.errors import LinkLost, LogError, ParameterError, RecordingError, Rejected
 from twodof.excitation import Doublet, Impulse
 from twodof.flightlog import read_log, recover, write_log
@@ -209,7 +208,7 @@ def test_two_clients_of_which_one_commands(there: OnBoard) -> None:
             Drone.connect(there.url, system=251)
         with Drone.connect(there.url, system=251, take_lease=False) as second:
             with pytest.raises(Rejected, match="holds the lease"):
-                second.arm(timeout=PATIENCE_S)
+                second.arm(timeout=2.0)
             first.run(0.5)
             first.arm()
             second.kill()
@@ -251,11 +250,11 @@ def test_two_clients_that_choose_no_id_are_two(there: OnBoard, monkeypatch: pyte
             monkeypatch.setattr(identity, "OWN_SYSTEMS", (mine, mine + 1))
             monkeypatch.setattr(secrets, "choice", lambda rows: rows[0])
         with pytest.raises(Rejected, match=f"{mine}/190 holds the lease"):
-            Drone.connect(there.url, timeout=PATIENCE_S)
+            Drone.connect(there.url, timeout=3.0)
         with Drone.connect(there.url, take_lease=False) as other:
             assert other.there.session.connection.system != mine
             with pytest.raises(Rejected, match="holds the lease"):
-                other.set_mode("hold", timeout=PATIENCE_S)
+                other.set_mode("hold", timeout=2.0)
         first.run(0.2)
         assert first.state.armed
         assert there.drone.commander.lease.holder == (mine, 190)
@@ -273,10 +272,10 @@ def test_leaving_disarms_whatever_ends_it(there: OnBoard) -> None:
             leave(error)
         assert not there.drone.commander.armed
         assert there.drone.commander.lease.holder is None
-    before = set(threading.enumerate())
+    before = threading.active_count()
     with Drone.connect(there.url) as drone:
-        (thread,) = [one for one in threading.enumerate() if one not in before and one.name.startswith("drone ")]
-    assert not thread.is_alive()
+        assert threading.active_count() == before + 1
+    assert threading.active_count() == before
     with pytest.raises(LinkLost, match="closed"):
         drone.arm()
 
@@ -313,10 +312,10 @@ def test_a_script_that_ends_without_leaving_disarms(how: str) -> None:
             assert child.stdout.readline() == b"flying\n"
             if how == "interrupt":
                 child.send_signal(signal.SIGINT)
-            child.communicate(timeout=PATIENCE_S)
+            child.communicate(timeout=20.0)
         finally:
             child.kill()
-            child.wait(timeout=PATIENCE_S)
+            child.wait(timeout=10.0)
         assert not there.drone.commander.armed
         assert there.drone.commander.lease.holder is None
 
@@ -329,8 +328,8 @@ def test_a_script_that_is_killed_leaves_the_drone_to_its_failsafe() -> None:
             assert child.stdout.readline() == b"flying\n"
         finally:
             os.kill(child.pid, signal.SIGKILL)
-            child.communicate(timeout=PATIENCE_S)
-        end = time.monotonic() + PATIENCE_S
+            child.communicate(timeout=10.0)
+        end = time.monotonic() + 30.0
         while not there.steps[-1].action and time.monotonic() < end:
             time.sleep(0.02)
         assert there.steps[-1].action > 0
