@@ -35,6 +35,7 @@ class Peer:
         self.armed = False
         self.mode = MANUAL
         self.holder = (0, 0)
+        self.start = 0
         self.tick = 0
         self.sent = 0
         self.heard: list[Any] = []
@@ -140,7 +141,7 @@ class Peer:
     def rig(self) -> None:
         """Say what it stands on."""
         flags = 4 | (8 if self.lockstep else 0)
-        self.send("TWODOF_RIG", tick=self.tick, tick_us=4000, flags=flags, name="paper", controller="cascade")
+        self.send("TWODOF_RIG", tick=self.tick, tick_us=4000, flags=flags, name="paper", start=self.start)
 
     def _twodof_rig_reset(self, *_: Any) -> None:
         self.tick = 0

@@ -8,11 +8,11 @@ from twodof.fcc import wire
 from twodof.fcc.client import Client
 from twodof.fcc.computer import Computer
 from twodof.fcc.router import Router
-from twodof.link.components import COMPANION
+from twodof.link.components import COMPANION, NO_AUTOPILOT
 from twodof.link.framing import Frame
 from twodof.link.messages import message, statustext
 
-ONBOARD_CONTROLLER, INVALID_AUTOPILOT = 18, 8
+ONBOARD_CONTROLLER = 18
 BOOTING, ACTIVE, CRITICAL = 1, 4, 5
 WARNING, INFO = 4, 6
 ACCEPTED, UNSUPPORTED = 0, 3
@@ -80,7 +80,7 @@ class Component:
             self._router.tell(sent, clients=False)
 
     def _heartbeat(self) -> Any:
-        return message("HEARTBEAT", type=ONBOARD_CONTROLLER, autopilot=INVALID_AUTOPILOT, system_status=self.state)
+        return message("HEARTBEAT", type=ONBOARD_CONTROLLER, autopilot=NO_AUTOPILOT, system_status=self.state)
 
     def _version(self) -> Any:
         return message("AUTOPILOT_VERSION", capabilities=MAVLINK2, flight_sw_version=VERSION, uid=COMPANION)

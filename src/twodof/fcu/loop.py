@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 import time
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol, cast
@@ -50,6 +51,7 @@ class FlightController:
         self.listeners: list[Callable[[Step], None]] = []
         self.on_restart: list[Callable[[], None]] = []
         self.timing = Timing()
+        self.started_as = 1 + secrets.randbelow(0xFFFFFFFF)  # how clients tell a restart from a pause
         self.tick = 0
         self.granted = 0
         self.latest: Step | None = None

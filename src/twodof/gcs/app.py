@@ -19,11 +19,9 @@ from typing import cast
 
 from twodof.errors import TwodofError
 from twodof.gcs.async_drone import AsyncDrone
-from twodof.link.components import GROUND_STATION
+from twodof.link.components import APP, GROUND_STATION
 
 FINE, RAISED, NO_APP = 0, 1, 2
-ON_BOARD = 192
-"""MAV_COMP_ID_ONBOARD_COMPUTER2; the companion itself is the first."""
 
 Main = Callable[[AsyncDrone], Awaitable[object]]
 
@@ -46,7 +44,7 @@ async def fly(main: Main, url: str, timeout: float, system: int | None, key: Pat
     for number in (signal.SIGTERM, signal.SIGINT):
         if task is not None:
             loop.add_signal_handler(number, task.cancel)
-    component = ON_BOARD if system is None else GROUND_STATION
+    component = APP if system is None else GROUND_STATION
     async with await AsyncDrone.connect(url, timeout, system, key, component=component) as drone:
         await main(drone)
 

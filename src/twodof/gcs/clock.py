@@ -45,8 +45,10 @@ class Clock:
         self._older = 0  # stamps in a row, the first one at
         self._older_since = 0.0
         self._resets_until = 0.0
+        self._start = 0  # which start of the drone's program it was; 0: it does not say
         self._numbers = count(1)
         session.on(self._stamped, *_STAMPED_MS)
+        session.on(self._started, "TWODOF_RIG")
         session.on(self._ticked, *_TICKED)
 
     @property
@@ -121,6 +123,12 @@ class Clock:
                         "nothing that carries its time comes: subscribe to ATTITUDE, or look at the link",
                     )
                 await heard.next(session.now + SETPOINT_TICKS * TICK_S)
+
+    def _started(self, got: Any) -> None:
+        """Another number than before: in the first second of a drone its stamps do not show that it has restarted."""
+        before, self._start = self._start, got.start
+        if before and got.start not in (0, before) and self._session.lost is None:
+            self.on_restart()
 
     def _stamped(self, got: Any) -> None:
         self._to(got.time_boot_ms // TICK_MS)

@@ -38,6 +38,7 @@ TIMEOUT_S = 5.0
 LEAVING_S = 3.0
 _GREETING_S, _GREETING_RETRY_S = 4.0, 0.3
 _KILL_RETRY_S = 0.05
+_WORTH_SAYING_S = 0.5
 _FORCE = 21196
 _TICKS_FOR_AN_ANSWER = 250
 
@@ -51,8 +52,8 @@ class Connected:
         self.texts = Texts(session)
         self.watcher = Watcher(session)
         self.clock = Clock(session)
-        self.lease = Lease(session)
         self.commands = Commands(session, self.texts)
+        self.lease = Lease(session, self.commands)
         self.parameters = AsyncParameters(session)
         self.telemetry = Telemetry(session)
         self.setpoints = Setpoints(session, self.clock)
@@ -145,7 +146,9 @@ class Connected:
         if self.ours and drawn_id:
             await self._differ(deadline)
         if self.ours and take_lease:
-            await self.lease.take(deadline.left)
+            waited = await self.lease.take(deadline.left)
+            if waited > _WORTH_SAYING_S:
+                self.texts.note("notice", f"waited {waited:.1f} s for the lease of somebody who is not heard any more")
             if self.session.lockstep:
                 await self.clock.begin_granting(deadline.left)
 
@@ -269,10 +272,14 @@ class Connected:
                     raise deadline.error()
 
     def _restarted(self) -> None:
-        """Its time went back, and not by a reset of ours: what was agreed is gone, for all but those who only watch."""
-        self.texts.note("critical", f"the drone has restarted: its time went back from tick {self.tick}")
+        """Not by a reset of ours: what was agreed is gone, for all but those who only watch."""
+        self.texts.note("critical", f"the drone has restarted, after tick {self.tick}")
         if not self.commanding:
             self.clock.restart()
+            # It sends messages of our own kind to those only that have shown it that they know them.
+            self.session.send_anyway(
+                self.commands.long(number_of("REQUEST_MESSAGE"), [dialect.message_id("TWODOF_RIG")])
+            )
             return
         self._may_be_armed = False
         self.session.end(

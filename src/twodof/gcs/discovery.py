@@ -11,7 +11,7 @@ from typing import NamedTuple
 from twodof.errors import LinkError, LinkLost, shown
 from twodof.gcs.state import word_of
 from twodof.link import ports
-from twodof.link.components import AUTOPILOT, GROUND_STATION
+from twodof.link.components import AUTOPILOT, GROUND_STATION, NO_AUTOPILOT
 from twodof.link.connection import Connection
 from twodof.link.messages import message
 from twodof.link.modes import mode_name
@@ -27,7 +27,6 @@ LISTENED = (
 DRONES = 8
 SYSTEM = 241
 """What we call ourselves meanwhile: none that other clients use."""
-_NO_AUTOPILOT = 8
 
 
 class Found(NamedTuple):
@@ -88,15 +87,11 @@ async def _look(url: str, timeout: float, heard: dict[tuple[int, str], Found]) -
         ) as connection:
             while loop.time() < end:
                 with suppress(LinkLost):
-                    connection.send(message("HEARTBEAT", type=6, autopilot=_NO_AUTOPILOT, system_status=4))
+                    connection.send(message("HEARTBEAT", type=6, autopilot=NO_AUTOPILOT, system_status=4))
                 turn = min(end, loop.time() + 1.0)
                 while (received := await connection.receive(max(0.0, turn - loop.time()))) is not None:
                     got, frame = received.message, received.frame
-                    if (
-                        got.get_type() == "HEARTBEAT"
-                        and got.autopilot != _NO_AUTOPILOT
-                        and frame.component == AUTOPILOT
-                    ):
+                    if got.get_type() == "HEARTBEAT" and got.autopilot != NO_AUTOPILOT and frame.component == AUTOPILOT:
                         armed = bool(got.base_mode & 128)
                         heard[frame.system, url] = Found(
                             frame.system,

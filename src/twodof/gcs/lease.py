@@ -5,22 +5,29 @@ from contextlib import suppress
 from typing import Any
 
 from twodof.errors import LinkLost, Rejected, Timeout
+from twodof.gcs.commands import Commands, number_of
 from twodof.gcs.deadline import Deadline
 from twodof.gcs.session import Session
+from twodof.link import dialect
 from twodof.link.messages import message
 
 DURATION_MS = 3000
 RENEW_S = 1.0
+LOOK_S = 0.25
+GRACE_S = 0.5
+"""A lease that is not renewed ends when it says, or this much later: messages take their time."""
 STATE, ASK, GIVE_UP = 0, 1, 2
+_ANSWER = ("TWODOF_LEASE",)
 
 
 class Lease:
     """Our hold on the vehicle, and who else has it: `holder` is (system, component), None for nobody."""
 
-    def __init__(self, session: Session) -> None:
-        self._session = session
+    def __init__(self, session: Session, commands: Commands) -> None:
+        self._session, self._commands = session, commands
         self.holder: tuple[int, int] | None = None
         self.wanted = False
+        self._ends = 0.0  # by the loop's clock, if nothing more is heard of its holder
         self._renewing: asyncio.Task[None] | None = None
         session.on(self._told, "TWODOF_LEASE")
 
@@ -30,20 +37,50 @@ class Lease:
         connection = self._session.connection
         return self.holder == (connection.system, connection.component)
 
-    async def take(self, timeout: float) -> None:
-        """Ask for it and keep it. Raises Rejected if somebody else has it, LinkLost, Timeout."""
+    async def take(self, timeout: float) -> float:
+        """Ask for it and keep it; returns the time [s] for which another's had to be waited for.
+
+        Another's is waited for while it runs out: its holder, perhaps a script that was killed, is not heard any more.
+        Raises Rejected as soon as it is seen to be renewed, and where it ends too late; LinkLost, Timeout.
+        """
         deadline = Deadline(timeout, "asking for the lease", f"drone {self._session.system}")
-        await self._session.ask(lambda _: self._message(ASK), ("TWODOF_LEASE",), self._granted, deadline)
+        began = self._session.now
+        while not await self._session.ask(lambda _: self._message(ASK), _ANSWER, self._granted, deadline):
+            if self.holder is not None:
+                await self._runs_out(deadline)
         self.wanted = True
         if self._renewing is None:
             self._renewing = asyncio.get_running_loop().create_task(self._renew())
+        return self._session.now - began
+
+    async def _runs_out(self, deadline: Deadline) -> None:
+        """Wait until the lease of another ends. Raises Rejected where it does not, LinkLost, Timeout."""
+        holder, ends = self.holder, self._ends
+        question = number_of("REQUEST_MESSAGE"), [dialect.message_id("TWODOF_LEASE")]
+        while self.holder == holder:
+            if ends > deadline.end:
+                raise self._theirs(deadline, f"for {ends - self._session.now:.1f} s more")
+            if self._ends > ends + GRACE_S or self._session.now > ends + GRACE_S:
+                raise self._theirs(deadline, "and keeps it")
+            await asyncio.sleep(LOOK_S)
+            await self._session.ask(
+                lambda attempt: self._commands.long(*question, attempt), _ANSWER, self._seen, deadline
+            )
+
+    def _theirs(self, deadline: Deadline, how: str) -> Rejected:
+        system, component = self.holder or (0, 0)
+        return Rejected(
+            f"{system}/{component} holds the lease, {how}",
+            deadline.where,
+            "wait until it is given up, or watch with take_lease=False",
+        )
 
     async def give_up(self, timeout: float) -> None:
         """Let others command. Raises LinkLost, Timeout; without a lease it does nothing."""
         self.stop()
         if self.ours:
             deadline = Deadline(timeout, "giving up the lease", f"drone {self._session.system}")
-            await self._session.ask(lambda _: self._message(GIVE_UP), ("TWODOF_LEASE",), self._gone, deadline)
+            await self._session.ask(lambda _: self._message(GIVE_UP), _ANSWER, self._gone, deadline)
 
     def stop(self) -> None:
         """Renew it no more."""
@@ -71,17 +108,14 @@ class Lease:
     def _told(self, got: Any) -> None:
         if got.action == STATE:
             self.holder = (got.holder_system, got.holder_component) if got.holder_system else None
+            self._ends = self._session.now + got.duration_ms / 1000
 
     def _granted(self, got: Any) -> bool | None:
-        self._told(got)
-        if self.holder is not None and not self.ours:
-            raise Rejected(
-                f"{self.holder[0]}/{self.holder[1]} holds the lease",
-                f"drone {self._session.system}",
-                "wait until it is given up, or watch with take_lease=False",
-            )
-        return self.ours or None
+        """Whether it is ours, once somebody has it."""
+        return self.ours if got.action == STATE and self.holder is not None else None
+
+    def _seen(self, got: Any) -> bool | None:
+        return True if got.action == STATE else None
 
     def _gone(self, got: Any) -> bool | None:
-        self._told(got)
         return None if self.ours else True

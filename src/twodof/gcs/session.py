@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 
 from twodof.errors import LinkLost, TwodofError
 from twodof.gcs.deadline import Deadline
-from twodof.link.components import AUTOPILOT
+from twodof.link.components import AUTOPILOT, NO_AUTOPILOT
 from twodof.link.connection import Connection, Received
 from twodof.link.messages import message
 from twodof.link.signing import Verdict
@@ -25,7 +25,6 @@ RETRY_S = 0.5
 # Messages handed on before anybody else gets a turn, and answers that may wait for one call.
 BURST = 64
 MOST_WAITING = 20_000
-_NO_AUTOPILOT = 8
 _GROUND, _ON_BOARD = 6, 18
 
 Handler = Callable[[Any], None]
@@ -116,7 +115,7 @@ class Session:
         deadline = Deadline(timeout, "looking for a drone", self.url)
         with self.listen("HEARTBEAT") as heard:
             while (got := await heard.next(deadline.end)) is not None:
-                ours = got.get_srcComponent() == AUTOPILOT and got.autopilot != _NO_AUTOPILOT
+                ours = got.get_srcComponent() == AUTOPILOT and got.autopilot != NO_AUTOPILOT
                 if ours and system in (None, got.get_srcSystem()):
                     self.system = got.get_srcSystem()
                     self._last_heard = self.now
@@ -229,7 +228,7 @@ class Session:
         if not self.connection.system:
             return  # we are the drone's own system, which is not known yet
         with suppress(LinkLost):  # whoever waits is told by `check`
-            self.connection.send(message("HEARTBEAT", type=self._kind, autopilot=_NO_AUTOPILOT, system_status=4))
+            self.connection.send(message("HEARTBEAT", type=self._kind, autopilot=NO_AUTOPILOT, system_status=4))
 
     async def _beat(self) -> None:
         while True:

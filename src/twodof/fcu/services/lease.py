@@ -10,6 +10,7 @@ from twodof.fcu.commander import Commander
 from twodof.fcu.flight_code import Step
 from twodof.fcu.service import Link
 from twodof.fcu.services.addressing import Us, source
+from twodof.link.components import NO_AUTOPILOT
 from twodof.link.connection import Received
 from twodof.link.messages import message
 from twodof.link.tick import TICK_MS
@@ -17,10 +18,10 @@ from twodof.link.tick import TICK_MS
 ASK, GIVE_UP = 1, 2
 """TWODOF_LEASE_ACTION."""
 
-NO_AUTOPILOT = 8
-"""MAV_AUTOPILOT_INVALID: what a ground station or companion says it is."""
-
 MOST_VEHICLES = 64
+
+IDLE_TICKS = 250
+"""In lockstep `idle` is called when time has stood still for so long: a second (`server.IDLE_S`)."""
 
 
 class Lease:
@@ -53,6 +54,10 @@ class Lease:
 
     def after(self, step: Step) -> None:
         """Nothing is ever due."""
+
+    def idle(self) -> None:
+        """Time stands still, and nobody grants any."""
+        self._commander.stands(IDLE_TICKS)
 
     def _answer(self, received: Received, verdict: Verdict) -> None:
         if not verdict.accepted:

@@ -45,7 +45,8 @@ def rig(controller: Controller, flown: Callable[[], Flown]) -> Callable[..., Pac
         flags = (RINGS if hardware.rings else 0) | (SAFETY_OFF if hardware.safety_off else 0)
         flags |= on_top | (VIRTUAL if hardware.virtual else 0) | (LOCKSTEP if controller.lockstep else 0)
         names = hardware.name.encode()[:16], what.controller.encode()[:24]
-        return pack(hardware.seed & SEED_MASK, what.diagram, controller.tick & MASK_32, TICK_US, flags, *names)
+        tick = controller.tick & MASK_32
+        return pack(hardware.seed & SEED_MASK, what.diagram, tick, TICK_US, flags, *names, controller.started_as)
 
     return encode
 

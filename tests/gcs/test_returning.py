@@ -1,0 +1,132 @@
+"""Coming back: a drone that restarts under a client, a client that was killed and starts again."""
+
+import asyncio
+from typing import Any
+
+import pytest
+
+from tests.faults.virtual_time import run_virtual
+from tests.faults.whole import Whole, run
+from tests.gcs.peer import Peer
+from twodof.errors import LinkLost, Rejected
+from twodof.gcs.async_drone import AsyncDrone
+
+
+async def killed(drone: AsyncDrone) -> None:
+    """What kill -9 does: nothing more is sent, nothing is said."""
+    drone.lease.stop()
+    drone.setpoints.stop()
+    await drone.session.close()
+
+
+@pytest.mark.parametrize("armed", [False, True])
+def test_a_script_that_was_killed_and_starts_again_waits_for_its_own_lease(armed: bool) -> None:
+    """Disarmed it ends 3 s after it was asked for the last time, in flight 3 s after the last word; then it is taken."""
+
+    async def work() -> None:
+        async with Whole() as whole:
+            first = await whole.airborne(0.0) if armed else await whole.client(system=250)
+            await killed(first)
+            start = asyncio.get_running_loop().time()
+            again = await whole.client(system=251)
+            assert asyncio.get_running_loop().time() - start < 3.5
+            assert again.lease.ours
+            assert any("waited" in line.text and "lease" in line.text for line in again.messages)
+            assert again.state.armed == armed
+            await again.disarm()
+            await again.close()
+
+    run(work())
+
+
+def test_a_lease_that_is_kept_is_refused_as_soon_as_that_is_seen() -> None:
+    """Its holder renews it each second, so a second and a half is enough to know; the deadline would be ten."""
+
+    async def work() -> None:
+        async with Whole() as whole:
+            first = await whole.client(system=250)
+            start = asyncio.get_running_loop().time()
+            with pytest.raises(Rejected, match="250/190 holds the lease, and keeps it"):
+                await whole.client(system=251)
+            assert asyncio.get_running_loop().time() - start < 2.5
+            await first.close()
+
+    run(work())
+
+
+def test_a_lease_that_ends_too_late_is_refused_at_once() -> None:
+    async def work() -> None:
+        async with Whole() as whole:
+            await killed(await whole.client(system=250))
+            start = asyncio.get_running_loop().time()
+            with pytest.raises(Rejected, match=r"250/190 holds the lease, for [12]\.\d s more"):
+                await whole.client(system=251, timeout=2.5)
+            assert asyncio.get_running_loop().time() - start < 1.2  # a second until its heartbeat is heard
+
+    run(work())
+
+
+@pytest.mark.parametrize("watching", [False, True])
+@pytest.mark.parametrize("after", [0.1, 0.9])
+def test_a_drone_that_restarts_in_its_first_second_is_noticed(after: float, watching: bool) -> None:
+    """Its stamps go back by so little that they might have been overtaken; it says which start it was."""
+
+    async def work() -> None:
+        peer = Peer()
+        peer.start = 7
+        async with peer, await AsyncDrone.connect(peer.url, take_lease=not watching) as drone:
+            await asyncio.sleep(after)
+            peer.rig()
+            await asyncio.sleep(0.05)
+            assert drone.session.lost is None
+            peer.tick, peer.start, peer.holder = 0, 8, (0, 0)
+            peer.rig()
+            await asyncio.sleep(0.05)
+            assert any("has restarted" in line.text for line in drone.messages)
+            if watching:
+                await drone.run(0.1)
+                assert drone.tick < 100
+            else:
+                with pytest.raises(LinkLost, match="has restarted"):
+                    await drone.arm()
+
+    run_virtual(work())
+
+
+def test_a_reset_is_no_restart() -> None:
+    async def work() -> None:
+        peer = Peer(lockstep=True)
+        peer.start = 7
+        async with peer, await AsyncDrone.connect(peer.url) as drone:
+            await drone.run(1.0)
+            await drone.reset()
+            await drone.run(1.0)
+            assert drone.messages == []
+
+    run_virtual(work())
+
+
+def test_a_drone_that_was_ended_and_begun_again_at_once_is_noticed() -> None:
+    """The program itself: another start of it says another number, a reset the same."""
+
+    async def start(whole: Whole) -> tuple[int, int]:
+        seen: list[Any] = []
+        drone = await whole.client(system=250, take_lease=True)
+        drone.session.on(seen.append, "TWODOF_RIG")
+        await drone.reset()
+        await drone.run(1.5)
+        await drone.close()
+        assert len({got.start for got in seen}) == 1
+        return seen[0].start, len(seen)
+
+    async def work() -> None:
+        numbers = set()
+        for _ in range(2):
+            async with Whole() as whole:
+                number, told = await start(whole)
+                assert number
+                assert told >= 2
+                numbers.add(number)
+        assert len(numbers) == 2
+
+    run(work())
