@@ -161,6 +161,10 @@ class ParameterSet(Mapping[str, float]):
         self._undo.append(self._values)
         self._commit(self._redo.pop())
 
+    def forget(self) -> None:
+        """Forgets what could be undone or made again."""
+        self._undo, self._redo = [], []
+
     @property
     def before(self) -> Mapping[str, float] | None:
         """The values that `undo` would bring back; None if there are none."""

@@ -12,7 +12,7 @@ import pytest
 from twodof.errors import LogError, ParameterError
 from twodof.fcu import store_file
 from twodof.fcu.store import Store
-from twodof.fcu.store_file import text_of
+from twodof.fcu.store_file import Kept, text_of
 
 VALUES = {"RATE_KP": 0.07, "SAFE_SP_T": 0.4, "COM_DL_LOSS_T": 20}
 
@@ -72,7 +72,7 @@ def test_rubbish_is_said_and_set_aside(tmp_path: Path, content: bytes) -> None:
 
 def test_values_that_are_wrong_by_now_are_left_out_one_by_one(tmp_path: Path) -> None:
     path = tmp_path / "p.json"
-    path.write_text(text_of({"RATE_KP": 0.07, "RATE_KI": 99.0, "GONE": 1.0, "COM_DL_LOSS_T": 5.5}))
+    path.write_text(text_of(Kept({"RATE_KP": 0.07, "RATE_KI": 99.0, "GONE": 1.0, "COM_DL_LOSS_T": 5.5})))
     with Store(path) as store:
         assert store.changed() == {"RATE_KP": 0.07}
         assert sorted(remark.split(":")[0] for remark in store.remarks) == ["COM_DL_LOSS_T", "GONE", "RATE_KI"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 from twodof.fcu.commander import Commander
 from twodof.fcu.controllers import Controllers, flown
@@ -23,7 +23,7 @@ from twodof.fcu.services.lease import Lease
 from twodof.fcu.services.lockstep import Lockstep
 from twodof.fcu.services.log_download import LogDownload
 from twodof.fcu.services.log_stream import LogStream
-from twodof.fcu.services.metadata import COMPONENT_METADATA, metadata_files, metadata_message
+from twodof.fcu.services.metadata import COMPONENT_METADATA, Metadata
 from twodof.fcu.services.own_telemetry import Flown, rig
 from twodof.fcu.services.px4 import PX4
 from twodof.fcu.services.reload import Reload
@@ -57,12 +57,14 @@ class Assembly:
         code, damage = controllers.build()
         self.store = Store(None if state is None else state / "parameters.json", system)
         self._what = (code, flown(code))
-        self._flies = self.store.flying()
+        tuned = self.store.carry(code.own_parameters)
+        self._flies = self.store.flying() | self.store.own()
         code.set_parameters(self._flies)
+        self._metadata = Metadata(self.store.rows, lambda: 4 * self.controller.tick)
         self.commander = commander = Commander(hardware, lambda: self.store["THRUST_BAR"], lockstep)
         self.controller = controller = FlightController(hardware, code, commander, lockstep)
         self.server = server = Server(controller, system, signing)
-        self.store.listen(lambda _: self._fly_with(self.store.flying()))
+        self.store.listen(lambda _: self._fly_with(self.store.flying() | self.store.own()))
         self.log: OnboardLog | None = None
         self._state = state
         self._closing = ExitStack()
@@ -87,11 +89,12 @@ class Assembly:
         if self.log is not None:
             self.px4.remarks.listeners.append(self.log.remark)
             self.px4.commands.explained.append(self.log.remark)
-        self.reload = Reload(self.px4.commands, controller, commander, controllers)
+        self.reload = Reload(self.px4.commands, controller, commander, controllers, self._fly_others)
         server.serve(self._services(controller, commander))
         controller.remarks = commander.remarks
         commander.unfit = self._unfit
-        commander.remarks += [(WARNING, text) for text in (damage, *self.store.remarks) if text]
+        said = (damage, *self.store.remarks, *tuned, *self._hidden())
+        commander.remarks += [(WARNING, text) for text in said if text]
 
     def _services(self, controller: FlightController, commander: Commander) -> list[Service]:
         """All, in their order: every frame is heard first, and a tick is over when all else of it was sent."""
@@ -111,11 +114,12 @@ class Assembly:
     def _files(self, us: Us, lockstep: bool) -> list[Service]:
         """Descriptions of the parameters, logs and uploads over MAVLink, and word of what cannot be written."""
         server, log, state, commander = self.server, self.log, self._state, self.commander
-        made = metadata_files(self.store.rows)
-        self.px4.requests.on(COMPONENT_METADATA, metadata_message(made, lambda: 4 * self.controller.tick))
-        tree = FileTree(made, log.folder if log else None, state / "controllers" if state else None)
+        self.px4.requests.on(COMPONENT_METADATA, self._metadata.message)
+        self._tree = FileTree(
+            self._metadata.files, log.folder if log else None, state / "controllers" if state else None
+        )
         files: list[Service] = [
-            FileTransfer(server, us, tree, commander.take, self.px4.commands.explain, lockstep),
+            FileTransfer(server, us, self._tree, commander.take, self.px4.commands.explain, lockstep),
             Keeping(self.store, log, commander.remarks),
         ]
         if log is not None:
@@ -132,11 +136,25 @@ class Assembly:
         """Writes what is not written yet. Raises ParameterError or LogError where the disk refuses; twice is once."""
         self._closing.close()
 
-    def _fly_with(self, values: dict[str, float]) -> None:
+    def _fly_with(self, values: dict[str, Any]) -> None:
         changed = {name: value for name, value in values.items() if value != self._flies[name]}
         self._flies = values
         if changed:
             self.controller.set_parameters(changed)
+
+    def _fly_others(self) -> None:
+        """Other controllers fly from the next tick on: theirs are the parameters that are listed and described."""
+        remarks = self.store.carry(self.controller.code.own_parameters)
+        own = self.store.own()
+        self._flies = self.store.flying() | own
+        self.controller.set_parameters(own)
+        self._metadata.renew(self.store.rows)
+        self._tree.made = dict(self._metadata.files)
+        self.commander.remarks += [(WARNING, text) for text in (*remarks, *self._hidden())]
+
+    def _hidden(self) -> list[str]:
+        """What of the controllers' parameters is not shown."""
+        return [own.remark for own in self.controller.code.own_parameters if own.remark]
 
     def _about(self) -> dict[str, str | int]:
         """What a log says of the flight."""

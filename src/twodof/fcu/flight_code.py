@@ -12,12 +12,14 @@ from twodof.blocks import Diagram
 from twodof.compile import Program, build
 from twodof.compile.machine import Machine
 from twodof.compile.stepper import Stepper
-from twodof.errors import CompileError
+from twodof.errors import CompileError, ParameterError
 from twodof.fcu.asked import Asked
 from twodof.fcu.hardware import Sample
+from twodof.fcu.own_parameters import OwnParameters, own_parameters
 from twodof.fcu.sandbox import Sandbox
 from twodof.flight.core import PERIOD, core
 from twodof.flight.failsafe import OWN_INPUTS
+from twodof.flight.templates import MOTOR, TEMPLATES
 
 INPUTS = (
     *("acc_x", "acc_z", "gyro_y", "dist", "dist_new", "dist_age", "imu_new", "voltage"),
@@ -55,6 +57,8 @@ PATHS: Mapping[str, str] = MappingProxyType(
 
 _USED = slice(OUTPUTS.index("x0"), OUTPUTS.index("q0") + 1)
 _CASCADE, _RESERVE = "cascade.", "stock."
+_OWN = tuple(f"{'' if kind == MOTOR.name else _CASCADE}{kind}." for kind in TEMPLATES)
+"""Where the controllers of a user stand."""
 _LIMITS = MappingProxyType({name: f"failsafe.safe.{name}_limit" for name in ("x0", "v0", "theta0", "q0")})
 
 
@@ -121,6 +125,8 @@ class FlightCode:
         self._stepper = Stepper(
             self.machine, (*INPUTS, *(OWN if outside else ())), (*OUTPUTS, *(("own",) if outside else ()))
         )
+        self.own_parameters: tuple[OwnParameters, ...] = own_parameters(self.controllers)
+        self._own_values: dict[str, Any] = {}
         self._own = False
         self._armed = False
         self._limits: dict[str, float] = {}
@@ -163,39 +169,55 @@ class FlightCode:
     def set_parameters(self, values: Mapping[str, Any]) -> None:
         """Sets parameters by the names of `parameters.PARAMETERS`, or by paths such as "failsafe.battery.low".
 
-        A flag is true or false, or 1 or 0. All take effect at the next step, or none does: raises ParameterError for a
-        name that is not there and a value that is out of bounds. Stock controllers in reserve get the gains too.
+        Those of a user's controllers have paths such as "attitude_control.k_q". A flag is true or false, or 1 or 0.
+        All take effect at the next step, or none does: raises ParameterError for a name that is not there and a value
+        that is out of bounds. Stock controllers in reserve get the gains too.
         """
         known = self.machine.parameters
-        paths = {PATHS.get(name, name): value for name, value in values.items()}
+        paths = {_path(name): value for name, value in values.items()}
         paths = {path: _of_kind(known[path].kind, value) if path in known else value for path, value in paths.items()}
+        outside = self.sandbox.machine.parameters if self.sandbox is not None else {}
+        own = {path: value for path, value in paths.items() if path.startswith(_OWN) and path in outside}
         reserve = {
             f"{_RESERVE}{path.removeprefix(_CASCADE)}": value
             for path, value in paths.items()
             if path.startswith(_CASCADE)
         }
         replaced = set(PATHS.values()) - known.keys()  # gains of a loop that a user's controller replaces
-        self.machine.set_many(
-            {path: value for path, value in paths.items() if path not in replaced}
-            | {path: value for path, value in reserve.items() if path in known}
-        )
-        self._read_limits()
+        inside = {path: value for path, value in paths.items() if path not in replaced and path not in own}
+        inside |= {path: value for path, value in reserve.items() if path in known}
+        before = {path: self.machine.get(path) for path in inside if path in known}
+        self.machine.set_many(inside)
         if self.sandbox is not None:
-            own = self.sandbox.machine
-            own.set_many({path: value for path, value in paths.items() if path in own.parameters})
+            try:
+                self.sandbox.set_parameters(paths)
+            except ParameterError:
+                self.machine.set_many(before)
+                raise
+            self._own_values |= own
+            if self.sandbox.fault and not self._armed:
+                self._revive()
+        self._read_limits()
 
     def parameter(self, name: str) -> Any:
         """The present value of a parameter, by either name. Raises ParameterError for one that is not there."""
-        path = PATHS.get(name, name)
+        path = _path(name)
+        if self.sandbox is not None and path.startswith(_OWN) and path in self.sandbox.machine.parameters:
+            return self.sandbox.machine.get(path)
         if path not in self.machine.parameters and path.startswith(_CASCADE):
             path = f"{_RESERVE}{path.removeprefix(_CASCADE)}"
         return self.machine.get(path)
 
     def take_over(self, other: FlightCode) -> None:
-        """Goes on where `other` stands: its parameters, and the states of all parts that both have."""
+        """Goes on where `other` stands: its parameters, and the states of all parts that both have.
+
+        A user's controllers keep their own defaults: those of another may mean something else.
+        """
         old = other.machine
         known = self.machine.parameters
-        self.machine.set_many({path: old.get(path) for path in old.parameters if path in known})
+        self.machine.set_many(
+            {path: old.get(path) for path in old.parameters if path in known and not path.startswith(_OWN)}
+        )
         for path in old.program.states:
             if path in self.machine.program.states:
                 self.machine.set_state(path, old.state(path))
@@ -203,11 +225,11 @@ class FlightCode:
         self._revive()
 
     def _revive(self) -> None:
-        """The sandbox anew, with the parameters and states that the native code has too."""
+        """The sandbox anew, with its own parameters, and the parameters and states that the native code has too."""
         if self.sandbox is not None:
             machine = self.machine
             self.sandbox.restart(
-                {path: machine.get(path) for path in machine.parameters},
+                {path: machine.get(path) for path in machine.parameters} | self._own_values,
                 {path: machine.state(path) for path in machine.program.states},
             )
 
@@ -226,6 +248,12 @@ class FlightCode:
             M_open=_within(asked.M_open, 1.0),
             ax0=asked.ax0 if math.isfinite(asked.ax0) else 0.0,
         )
+
+
+def _path(name: str) -> str:
+    """Where a parameter stands, by any of its names."""
+    kind, _, _ = name.partition(".")
+    return f"{_CASCADE}{name}" if kind in TEMPLATES and kind != MOTOR.name else PATHS.get(name, name)
 
 
 def _within(value: float, limit: float) -> float:

@@ -22,7 +22,9 @@ MARGIN = 250
 """Steps that a log has before arming and after disarming."""
 LINES = 64
 HEAD_BYTES = 20_000
-"""Room for what stands before the steps, of which formats and parameters are 7 kB."""
+"""Room for what stands before the steps but parameters, of which formats are 5 kB."""
+PARAMETER_BYTES = 64
+"""At most, of one that stands before the steps or changes: header, type, a name of 16 characters and value."""
 RETRY_S = 10.0
 """A disk that refused is tried again after so long, or when the next log is due."""
 
@@ -81,6 +83,12 @@ class LogWriter:
         """Takes changes of parameters."""
         self._parameters.update(values)
         self._guarded(lambda writer: [writer.parameter(name, value, self._stamp_us) for name, value in values.items()])
+
+    def list_anew(self, values: Mapping[str, float]) -> None:
+        """Takes all parameters, which are others by now; in the log being written those that are new or changed."""
+        changed = {name: value for name, value in values.items() if self._parameters.get(name) != value}
+        self._parameters = dict(values)
+        self._guarded(lambda writer: [writer.parameter(name, value, self._stamp_us) for name, value in changed.items()])
 
     def dropped(self, count: int, lost_ms: int) -> None:
         """Notes that `count` rows did not come, over `lost_ms`."""
@@ -170,7 +178,8 @@ class LogWriter:
         self.failure = None
         self._steps = 0
         sizes = (self._writer.layout(name).itemsize + MESSAGE.size + 2 for name in FORMATS)
-        self._most_steps = max((self.folder.most_of_one - HEAD_BYTES) // sum(sizes), 2 * MARGIN)
+        head = HEAD_BYTES + PARAMETER_BYTES * len(self._parameters)
+        self._most_steps = max((self.folder.most_of_one - head) // sum(sizes), 2 * MARGIN)
         lines = [line for line in self._lines if line[1] >= start_us]
         self._lines.clear()
         if before is not None:

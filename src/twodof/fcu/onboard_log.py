@@ -69,6 +69,7 @@ class OnboardLog:
         self._thread = threading.Thread(target=self._serve, name="on-board log", daemon=True)
         self._thread.start()
         store.listen(self._changed)
+        store.on_relist(lambda: self._put("list", "", {row.name: store[row.name] for row in store.rows}))
 
     @property
     def failure(self) -> TwodofError | None:
@@ -230,6 +231,8 @@ class OnboardLog:
             writer.text(detail, str(value))
         elif kind == "parameters" and isinstance(value, dict):
             writer.parameters(value)
+        elif kind == "list" and isinstance(value, dict):
+            writer.list_anew(value)
         elif kind == "info" and isinstance(value, dict):
             writer.info = value
         elif kind == "mode" and isinstance(value, int):

@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Callable, Iterator, Mapping
-from math import isfinite
-from numbers import Real
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
-import numpy as np
-
-from twodof.errors import ParameterError, TwodofError
-from twodof.fcu.parameter_row import Row
+from twodof.errors import ParameterError, TwodofError, listed
+from twodof.fcu.own_parameters import OwnParameters
+from twodof.fcu.parameter_row import Row, carried
 from twodof.fcu.parameter_table import own_rows, wire_rows
-from twodof.fcu.store_file import StoreFile
+from twodof.fcu.store_file import Kept, StoreFile, Tuned
 from twodof.parameters import PARAMETERS, ParameterSet
 
 HASH_NAME = "_HASH_CHECK"
+MOST_TUNED = 8
+"""Controllers whose tuning is kept, those that fly now included."""
 Listener = Callable[[Mapping[str, float]], None]
 
 
@@ -28,6 +27,8 @@ class Store(Mapping[str, float]):
 
     A value is read by any of its names, int for int32. Floats are those that the wire can carry, each kept as the
     shortest decimal that float32 rounds to the same: 0.07 sent is 0.07 here, and flies as in a simulation with 0.07.
+
+    With `carry` the parameters of a user's controllers are in the list too.
 
     Everything is called from one thread; reading values is safe from any. The file is written by a thread of its own
     after changes; a disk that fails shows in `failure` and stops nothing. `remarks` says what of the file could not be
@@ -38,10 +39,13 @@ class Store(Mapping[str, float]):
         self, path: str | Path | None = None, system: int = 1, values: Mapping[str, float] | None = None
     ) -> None:
         """Raises ParameterError for `values`, which go over those of the file, as `update` does."""
-        self.rows: tuple[Row, ...] = wire_rows(system)
-        self._index = {row.name: index for index, row in enumerate(self.rows)}
+        self._system = system
+        self._own: tuple[OwnParameters, ...] = ()
+        self._tuned: dict[str, Tuned] = {}  # by identity, those that fly last
+        self._list()
         self._set = ParameterSet(table=own_rows(system))
         self._listeners: list[Listener] = []
+        self._relisted: list[Callable[[], None]] = []
         self._file = StoreFile(path) if path is not None else None
         self.remarks: tuple[str, ...] = ()
         if self._file is not None:
@@ -100,6 +104,33 @@ class Store(Mapping[str, float]):
         """What the flight code is to fly with, as `FlightCode.set_parameters` takes it: `tuned` and `failsafe`."""
         return self.tuned() | {f"failsafe.{path}": value for path, value in self.failsafe().items()}
 
+    def own(self) -> dict[str, Any]:
+        """What is to fly in the user's controllers, by path (`attitude_control.k_q`): numbers, lists for arrays."""
+        return {path: value for own in self._own for path, value in own.flying(self._set).items()}
+
+    def carry(self, own: Sequence[OwnParameters]) -> tuple[str, ...]:
+        """Lists the parameters of these controllers, which fly from now on, in place of those of the ones before.
+
+        Each controller has the values that were stored of the very same diagram, else its defaults. Returns what is to
+        be said of that. The others keep their values; what was done before cannot be undone any more.
+        """
+        if [one.identity for one in own] == [one.identity for one in self._own]:
+            return ()
+        self._keep_tuned()
+        values = {row.name: self._set[row.name] for row in own_rows(self._system)}
+        self._own = tuple(own)
+        table = (*own_rows(self._system), *(row for one in own for row in one.rows))
+        fresh = ParameterSet(values, table)
+        remarks: list[str] = []
+        for one in own:
+            remarks += self._restore(fresh, one)
+        fresh.revision = self._set.revision + 1
+        self._set = fresh
+        self._list()
+        for listener in self._relisted:
+            listener()
+        return tuple(remarks)
+
     def changed(self) -> dict[str, float]:
         """What differs from the defaults, by main name."""
         return {row.name: self._set[row.name] for row in self.rows if not row.of and self._set[row.name] != row.default}
@@ -114,7 +145,7 @@ class Store(Mapping[str, float]):
         Raises ParameterError, naming every fault: an unknown name, one parameter twice, a value that is no number, no
         whole number, or outside its bounds, and, if `armed`, a parameter that is changed only while disarmed.
         """
-        wanted = {name: _carried(value) if self._is_float(name) else value for name, value in changes.items()}
+        wanted = {name: carried(value) if self._is_float(name) else value for name, value in changes.items()}
         good, faults = self._set.check(wanted)
         faults += self._locked(good, armed)
         if faults:
@@ -145,6 +176,10 @@ class Store(Mapping[str, float]):
     def listen(self, listener: Listener) -> None:
         """Calls `listener` after each change with the new values, under every name that they have."""
         self._listeners.append(listener)
+
+    def on_relist(self, listener: Callable[[], None]) -> None:
+        """Calls `listener` after `carry` has changed which parameters there are."""
+        self._relisted.append(listener)
 
     def flush(self, deadline_s: float = 10.0) -> None:
         """Waits until the file holds what is here. Raises ParameterError where the disk refuses or is silent."""
@@ -196,20 +231,58 @@ class Store(Mapping[str, float]):
         if not changes:
             return
         if self._file is not None:
-            self._file.write(self.changed())
+            self._file.write(self._kept())
         for listener in self._listeners:
             listener(changes)
 
-    def _take_over(self, found: tuple[dict[str, float], str]) -> tuple[str, ...]:
+    def _list(self) -> None:
+        """Sorts all rows as PX4 does, by name."""
+        own = (row for one in self._own for row in one.rows)
+        self.rows: tuple[Row, ...] = tuple(sorted((*wire_rows(self._system), *own), key=lambda row: row.name))
+        self._index = {row.name: index for index, row in enumerate(self.rows)}
+
+    def _keep_tuned(self) -> None:
+        """Notes what is tuned in the controllers that fly, and forgets what was tuned longest ago."""
+        for one in self._own:
+            self._tuned.pop(one.identity, None)
+            values = {row.own: self._set[row.name] for row in one.rows if self._set[row.name] != row.default}
+            if values:
+                self._tuned[one.identity] = Tuned(one.kind, one.name, one.identity, values)
+        while len(self._tuned) > MOST_TUNED:
+            del self._tuned[next(iter(self._tuned))]
+
+    def _kept(self) -> Kept:
+        self._keep_tuned()
+        values = {row.name: self._set[row.name] for row in own_rows(self._system)}
+        changed = {row.name: values[row.name] for row in own_rows(self._system) if values[row.name] != row.default}
+        return Kept(changed, tuple(self._tuned.values()))
+
+    def _restore(self, fresh: ParameterSet, own: OwnParameters) -> list[str]:
+        """Gives a controller the values that were stored for it; what is to be said of that."""
+        tuned = self._tuned.get(own.identity)
+        if tuned is None:
+            other = [one for one in self._tuned.values() if one.kind == own.kind and one.name == own.name]
+            if not other:
+                return []
+            left = f"another diagram: {len(other[-1].values)} stored values of an earlier one are left out"
+            return [f"{own.kind}: {own.name} is {left}"]
+        names = {row.own: row for row in own.rows}
+        known = {names[path].name: _restored(names[path], v) for path, v in tuned.values.items() if path in names}
+        good, faults = fresh.check(known)
+        fresh.update(good)
+        fresh.forget()
+        said = f"{own.kind}: flies as it was tuned before: {listed(good, 3)}"
+        return [*([said] if good else []), *(f"{own.kind}: left out: {fault}" for fault in faults)]
+
+    def _take_over(self, found: tuple[Kept, str]) -> tuple[str, ...]:
         """Takes each value of the file that is still right; returns what was not."""
-        values, remark = found
-        good, faults = self._set.check({n: _carried(v) if self._is_float(n) else v for n, v in values.items()})
+        kept, remark = found
+        values = {n: carried(v) if self._is_float(n) else v for n, v in kept.values.items()}
+        good, faults = self._set.check(values)
         self._set = ParameterSet(good, own_rows(int(self._set["MAV_SYS_ID"])))
+        self._tuned = {one.identity: one for one in kept.controllers[-MOST_TUNED:]}
         return (*((remark,) if remark else ()), *faults)
 
 
-def _carried(value: float) -> float:
-    """The shortest decimal among the numbers that float32 rounds as it does `value`; what is no number stays."""
-    if isinstance(value, bool) or not isinstance(value, Real) or abs(value) > 3e38 or not isfinite(value):
-        return value
-    return float(str(np.float32(value)))
+def _restored(row: Row, value: float) -> float:
+    return carried(value) if row.kind == "float" else value

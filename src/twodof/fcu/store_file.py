@@ -7,6 +7,7 @@ import threading
 import time
 import zlib
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -22,42 +23,60 @@ LATEST_S = 2.0
 RETRY_S = 5.0
 
 
+@dataclass(frozen=True)
+class Tuned:
+    """Values that differ from the defaults in a controller, by path; `identity` is its diagram's SHA-256."""
+
+    kind: str
+    name: str
+    identity: str
+    values: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Kept:
+    """What the file holds: values by name, and those of the controllers that were tuned, the latest last."""
+
+    values: Mapping[str, float] = field(default_factory=dict)
+    controllers: tuple[Tuned, ...] = ()
+
+
 class StoreFile:
-    """Reads and writes a set of values; `failure` is why the last writing failed, None if it did not."""
+    """Reads and writes what is kept; `failure` is why the last writing failed, None if it did not."""
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self.failure: TwodofError | None = None
         self._changed = threading.Condition()
-        self._wanted: dict[str, float] | None = None
+        self._wanted: Kept | None = None
         self._first = self._last = 0.0
         self._asked = self._closing = False
         self._tries = 0
         self._thread: threading.Thread | None = None
 
-    def read(self) -> tuple[dict[str, float], str]:
-        """The values, and what is wrong with the file or "". A damaged file gives none and is kept as NAME.damaged."""
+    def read(self) -> tuple[Kept, str]:
+        """What it holds, and what is wrong with it or "". A damaged file gives nothing and is kept as NAME.damaged."""
         try:
             if self.path.stat().st_size > MAX_BYTES:
-                return {}, self._set_aside(f"is larger than {MAX_BYTES} bytes")
+                return Kept(), self._set_aside(f"is larger than {MAX_BYTES} bytes")
             text = self.path.read_text(encoding="utf-8")
         except FileNotFoundError:
-            return {}, ""
+            return Kept(), ""
         except (OSError, ValueError) as reason:
-            return {}, self._set_aside(str(reason))
+            return Kept(), self._set_aside(str(reason))
         try:
-            return _values(json.loads(text)), ""
+            return _kept(json.loads(text)), ""
         except (ValueError, RecursionError, TypeError) as reason:
-            return {}, self._set_aside(str(reason))
+            return Kept(), self._set_aside(str(reason))
 
-    def write(self, values: Mapping[str, float]) -> None:
-        """Has `values` written soon; returns at once."""
+    def write(self, kept: Kept) -> None:
+        """Has `kept` written soon; returns at once."""
         with self._changed:
             now = time.monotonic()
             if self._wanted is None:
                 self._first = now
             self._last = now
-            self._wanted = dict(values)
+            self._wanted = kept
             if self._thread is None:
                 self._thread = threading.Thread(target=self._run, name=f"store {self.path.name}", daemon=True)
                 self._thread.start()
@@ -98,13 +117,13 @@ class StoreFile:
                     self._changed.wait(self._pause(retry))
                 if self._wanted is None or self._closing:
                     return
-                values, self._asked = self._wanted, False
-            failure = self._store(values)
+                kept, self._asked = self._wanted, False
+            failure = self._store(kept)
             with self._changed:
                 self.failure = failure
                 self._tries += 1
                 retry = time.monotonic() + RETRY_S if failure is not None else 0.0
-                if failure is None and self._wanted is values:
+                if failure is None and self._wanted is kept:
                     self._wanted = None
                 self._changed.notify_all()
 
@@ -117,11 +136,11 @@ class StoreFile:
     def _pause(self, retry: float) -> float | None:
         return None if self._wanted is None else max(0.0, self._due(retry) - time.monotonic())
 
-    def _store(self, values: Mapping[str, float]) -> TwodofError | None:
+    def _store(self, kept: Kept) -> TwodofError | None:
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             with atomic_write(self.path, "w") as file:
-                file.write(text_of(values))
+                file.write(text_of(kept))
         except TwodofError as refusal:
             return refusal
         except OSError as refusal:
@@ -138,20 +157,26 @@ class StoreFile:
         return f"{self.path}: {what}; the defaults fly, the file is kept as {aside.name}"
 
 
-def text_of(values: Mapping[str, float]) -> str:
-    """A set of values as the file holds it."""
-    return json.dumps({"version": VERSION, "crc": _crc(values), "parameters": dict(sorted(values.items()))}, indent=2)
+def text_of(kept: Kept) -> str:
+    """What is kept as the file holds it."""
+    values = dict(sorted(kept.values.items()))
+    tuned = [{**vars(one), "values": dict(sorted(one.values.items()))} for one in kept.controllers]
+    content = {"version": VERSION, "crc": _crc(values, tuned), "parameters": values}
+    return json.dumps(content | ({"controllers": tuned} if tuned else {}), indent=2)
 
 
-def _crc(values: Mapping[str, Any]) -> int:
-    return zlib.crc32(json.dumps(values, sort_keys=True).encode())
+def _crc(values: Mapping[str, Any], tuned: object) -> int:
+    return zlib.crc32(json.dumps([values, tuned] if tuned else values, sort_keys=True).encode())
 
 
-def _values(content: object) -> dict[str, float]:
-    """The values of a file's content. Raises ValueError for damage."""
+def _kept(content: object) -> Kept:
+    """What a file's content says. Raises ValueError or TypeError for damage."""
     if not isinstance(content, dict) or content.get("version") != VERSION:
         raise ValueError(f"is not of version {VERSION}")
-    values = content.get("parameters")
-    if not isinstance(values, dict) or content.get("crc") != _crc(values):
+    values, tuned = content.get("parameters"), content.get("controllers", [])
+    if not isinstance(values, dict) or not isinstance(tuned, list) or content.get("crc") != _crc(values, tuned):
         raise ValueError("its checksum is wrong")
-    return values
+    found = tuple(Tuned(**one) for one in tuned)
+    if not all(isinstance(one.values, dict) for one in found):
+        raise ValueError("the values of a controller are no table")
+    return Kept(values, found)

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
 from itertools import count
 from math import isfinite
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from twodof.errors import ParameterError, Rejected, listed, shown
+from twodof.errors import ParameterError, Rejected, Timeout, listed, shown
 from twodof.gcs.deadline import Deadline
+from twodof.gcs.files import Files
 from twodof.gcs.session import Session
 from twodof.link.messages import float_of_int, int_of_float, message
 from twodof.parameters import PARAMETERS, Parameter
@@ -18,6 +22,11 @@ from twodof.parameters import PARAMETERS, Parameter
 INT32, REAL32 = 6, 9
 HASH = "_HASH_CHECK"
 MOST = 5000
+SILENCE_S = 1.0
+"""Another's PX4 says nothing of a name that it has not: after so long [s] it is asked for all that it has."""
+DESCRIPTION = "/etc/extras/parameters.json"
+_TYPES = {"Int32": "int32", "Float": "float"}
+_LARGEST = 3.4028234663852886e38  # of float32: what has no bounds
 BEGIN, COMMIT, ROLL_BACK, UNDO = range(4)
 _ERRORS = (
     "",
@@ -34,30 +43,49 @@ _INCOMPLETE = 8  # MAV_PARAM_ERROR_READ_FAIL: some were lost on the way
 _BY_NAME: Mapping[str, Parameter] = {name: row for row in PARAMETERS for name in (row.name, row.drone) if name}
 
 
+@dataclass(frozen=True)
+class Described(Parameter):
+    """A parameter as the drone describes it; `path` is where it stands in a user's controller that flies there."""
+
+    path: str = ""
+
+
 class Entry(NamedTuple):
-    """A parameter as the drone told it: `kind` is a MAV_PARAM_TYPE."""
+    """A parameter as the drone told it: `kind` is a MAV_PARAM_TYPE, `described` what it says of it if it was asked."""
 
     name: str
     value: float
     kind: int
     place: int
+    described: Described | None = None
 
     @property
     def row(self) -> Parameter | None:
-        """Bounds, unit and text, where the package knows them."""
-        return _BY_NAME.get(self.name)
+        """Bounds, unit and text: the drone's description, or what the package knows, or None."""
+        return self.described or _BY_NAME.get(self.name)
 
 
 class AsyncParameters:
-    """Parameters of one drone by its own names or the package's; `known` is what it has told so far."""
+    """Parameters of one drone by its own names or the package's; `known` is what it has told so far.
 
-    def __init__(self, session: Session, timeout: float = 5.0) -> None:
+    Those of a user's controller that flies there have the paths in its diagram as names too, `attitude_control.k_q`.
+    What is known is forgotten when the drone says that its list is another: other controllers fly.
+    """
+
+    def __init__(self, session: Session, files: Files | None = None, timeout: float = 5.0) -> None:
         self._session = session
+        self._files = files
         self._timeout = timeout
         self.known: dict[str, Entry] = {}
+        self._described: dict[str, Described] = {}
+        self._paths: dict[str, str] = {}
+        self._whole = False  # whether `known` is all that it has
+        self._total = 0
+        self._flown: int | None = None
         self.transactions = False  # whether several can be set at once: the drone is one of ours
         self._numbers = count(1)
         session.on(self._told, "PARAM_VALUE")
+        session.on(self._flies, "TWODOF_RIG")
 
     @property
     def system(self) -> int:
@@ -84,7 +112,10 @@ class AsyncParameters:
         entries = [await self._entry(name, deadline) for name in changes]
         if len({entry.name for entry in entries}) < len(entries):
             raise ParameterError("a parameter is given twice", listed(changes), "nothing was changed")
-        wanted = [(entry, _checked(entry, value)) for entry, value in zip(entries, changes.values(), strict=True)]
+        wanted = [
+            (entry, _checked(self._with_row(entry), value))
+            for entry, value in zip(entries, changes.values(), strict=True)
+        ]
         if self.transactions and len(wanted) > 1:
             await self._together(wanted, deadline)
             for entry, _ in wanted:
@@ -102,7 +133,25 @@ class AsyncParameters:
 
     async def all(self, timeout: float = 30.0) -> dict[str, Entry]:
         """Every parameter, by the drone's names. Raises LinkLost, Timeout."""
-        deadline = self._deadline(timeout, "listing the parameters")
+        found = await self._list(self._deadline(timeout, "listing the parameters"))
+        return {name: entry._replace(described=self._described.get(name)) for name, entry in found.items()}
+
+    async def describe(self, timeout: float = 30.0) -> dict[str, Described]:
+        """Bounds, unit and text of every parameter, by the drone's names, as the drone itself describes them.
+
+        Raises Rejected for a drone that is not one of ours or describes nothing, LinkLost, Timeout.
+        """
+        await self._describe(self._deadline(timeout, "asking for the description of the parameters"))
+        return dict(self._described)
+
+    def forget(self) -> None:
+        """Asks the drone again from now on: what it told is of before."""
+        self.known.clear()
+        self._described.clear()
+        self._paths.clear()
+        self._whole = False
+
+    async def _list(self, deadline: Deadline) -> dict[str, Entry]:
         place = self._place()
         found: dict[int, Entry] = {}
         total = MOST
@@ -121,10 +170,27 @@ class AsyncParameters:
                     total = got.param_count
                     found[got.param_index] = _entry(got)
                 deadline.check()
-        return {found[index].name: found[index] for index in sorted(found)}
+        listed_now = {found[index].name: found[index] for index in sorted(found)}
+        self.known |= listed_now
+        self._whole = True
+        return listed_now
+
+    async def _describe(self, deadline: Deadline) -> None:
+        if self._files is None or not self.transactions:
+            raise Rejected("it describes no parameters to us: it is not one of ours", deadline.where, "list them")
+        content = await self._files.read(DESCRIPTION, deadline.left)
+        try:
+            rows = [_described(row) for row in json.loads(content)["parameters"][:MOST]]
+        except (ValueError, LookupError, TypeError, RecursionError, ParameterError) as damage:
+            raise Rejected(
+                f"its description of its parameters is none: {damage}", deadline.where, "list them"
+            ) from damage
+        self._described = {row.name: row for row in rows}
+        self._paths = {row.path: row.name for row in rows if row.path}
 
     def name_on_board(self, name: str) -> str:
         """What the drone calls it: as given where it told so, else the package's name or the real drone's."""
+        name = self._paths.get(name, name)
         row = _BY_NAME.get(name)
         if name in self.known or row is None:
             return name
@@ -193,9 +259,33 @@ class AsyncParameters:
         return await self._session.ask(question, ("TWODOF_PARAM_TRANSACTION",), accept, deadline)
 
     async def _entry(self, name: str, deadline: Deadline) -> Entry:
+        if isinstance(name, str) and "." in name and self.transactions and name not in self._paths:
+            await self._describe(deadline)
+            if name not in self._paths:
+                raise self._unknown(name)
         return self.known.get(self.name_on_board(name)) or await self._ask(self.name_on_board(name), deadline)
 
     async def _ask(self, name: str, deadline: Deadline) -> Entry:
+        """Asks for one; a drone that is silent about a name is asked for all names that it has."""
+        if self.transactions:
+            return await self._ask_for(name, deadline)
+        try:
+            # Even if all is listed: PX4 lists what is in use, and knows others by their names.
+            return await self._ask_for(name, self._deadline(min(SILENCE_S, deadline.left), deadline.doing))
+        except Timeout:
+            pass
+        try:
+            if not self._whole:
+                await self._list(deadline)
+        except Timeout:
+            raise deadline.error(
+                "another's PX4 is silent about a name it has not: parameters.all() lists its"
+            ) from None
+        if name not in self.known:
+            raise self._unknown(name)
+        return self.known[name]
+
+    async def _ask_for(self, name: str, deadline: Deadline) -> Entry:
         if not isinstance(name, str) or not name.isascii() or not 1 <= len(name) <= 16:
             raise ParameterError(f"{shown(name)} is no name of 1 to 16 ASCII characters", "parameters")
 
@@ -216,10 +306,28 @@ class AsyncParameters:
         if got.param_id != name or not got.error:
             return
         if got.error == 1:
-            raise ParameterError("the drone has no such parameter", name, "parameters.all() lists them")
+            raise self._unknown(name)
         raise Rejected(f"{name}: {_error(got.error)}", f"drone {self._session.system}", "nothing was changed")
 
+    def _unknown(self, name: str) -> ParameterError:
+        """That the drone has not `name`, with the nearest names that it has."""
+        names = {known.casefold(): known for known in (*_BY_NAME, *self.known, *self._paths)}
+        near = [names[one] for one in get_close_matches(name.casefold(), names, 3, 0.5)]
+        remedy = f"the nearest: {', '.join(near)}" if near else "parameters.all() lists them"
+        return ParameterError("the drone has no such parameter", name, remedy)
+
+    def _with_row(self, entry: Entry) -> Entry:
+        return entry._replace(described=self._described.get(entry.name))
+
+    def _flies(self, got: Any) -> None:
+        if self._flown not in (None, got.diagram):
+            self.forget()
+        self._flown = got.diagram
+
     def _told(self, got: Any) -> None:
+        if got.param_id == HASH or self._total not in (0, got.param_count):
+            self.forget()
+        self._total = got.param_count
         if got.param_id != HASH and (got.param_id in self.known or len(self.known) < MOST):
             self.known[got.param_id] = _entry(got)
 
@@ -237,6 +345,22 @@ class AsyncParameters:
 def _entry(got: Any) -> Entry:
     value = float(int_of_float(got.param_value)) if got.param_type == INT32 else _decimal(got.param_value)
     return Entry(str(got.param_id), value, int(got.param_type), int(got.param_index))
+
+
+def _described(row: Any) -> Described:
+    """A row of a drone's description. Raises ValueError, LookupError, TypeError or ParameterError for what is none."""
+    kind = _TYPES[row["type"]]
+    low, high = (-_LARGEST, _LARGEST) if kind == "float" else (-(2**31), 2**31 - 1)
+    return Described(
+        str(row["name"]),
+        row["default"],
+        row.get("min", low),
+        row.get("max", high),
+        str(row.get("units", "")),
+        str(row.get("shortDesc", "")),
+        kind="float" if kind == "float" else "int32",
+        path=str(row.get("path", "")),
+    )
 
 
 def _checked(entry: Entry, value: float) -> float:

@@ -7,7 +7,7 @@ from typing import Any
 
 from tests.fcu.services.test_ftp import Server
 from twodof.fcu.services.file_tree import mavlink_crc32
-from twodof.fcu.services.metadata import COMPONENT_METADATA, metadata_files, metadata_message
+from twodof.fcu.services.metadata import COMPONENT_METADATA, Metadata
 from twodof.link.ftp import Op
 
 REQUEST_MESSAGE = 512
@@ -28,9 +28,9 @@ def fetched(server: Server, uri: str) -> bytes:
 
 def metadata(tmp_path: Path) -> tuple[Server, Any]:
     server = Server(tmp_path)
-    files = metadata_files(server.store.rows)
-    server.ftp.tree.made.update(files)
-    server.px4.requests.on(COMPONENT_METADATA, metadata_message(files, lambda: 4 * server.controller.tick))
+    made = Metadata(server.store.rows, lambda: 4 * server.controller.tick)
+    server.ftp.tree.made.update(made.files)
+    server.px4.requests.on(COMPONENT_METADATA, made.message)
     assert server.command(REQUEST_MESSAGE, COMPONENT_METADATA) == 0
     (told,) = server.taken("COMPONENT_METADATA")
     return server, told

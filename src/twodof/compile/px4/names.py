@@ -73,28 +73,37 @@ def module_names(diagram: str, prefix: str = "") -> ModuleNames:
     return ModuleNames(stem, prefix)
 
 
-def parameter_names(prefix: str, paths: Sequence[tuple[str, int | None]], taken: Iterable[str] = ()) -> list[str]:
+def parameter_names(
+    prefix: str,
+    paths: Sequence[tuple[str, int | None]],
+    taken: Iterable[str] = (),
+    elsewhere: Iterable[str] = (),
+    part: str = "",
+) -> list[str]:
     """The names, of at most 16 characters, of the parameters at `paths` (with the index of an array's element).
 
     A name is PREFIX_PART_NAME(_INDEX). One that is too long loses letters from the end of its longest word, again and
-    again. Where two would be alike, or like one of `taken`, they are cut and end with a digest of their paths. Raises
-    DiagramError if two are alike even so.
+    again. Where two would be alike, or like one of `taken`, they are cut and end with a digest of their paths. One that
+    is then like one of `elsewhere`, where the diagram is the `part` of a vehicle that has other parameters too, ends
+    with a digest of the part's name and its path. Raises DiagramError if two are alike even so.
     """
-    reserved = set(taken)
+    reserved, others = set(taken), set(elsewhere)
     made = [_shortened(prefix, path, index) for path, index in paths]
     count = Counter(made)
-    final = [
-        name if count[name] == 1 and name not in reserved else f"{name[:11].rstrip('_')}_{digest(f'{path}[{index}]')}"
-        for name, (path, index) in zip(made, paths, strict=True)
-    ]
-    seen: dict[str, str] = {}
+    final = []
+    for name, (path, index) in zip(made, paths, strict=True):
+        own = name if count[name] == 1 and name not in reserved else _told_apart(name, f"{path}[{index}]")
+        final.append(_told_apart(name, f"{part}.{path}[{index}]") if own in others else own)
+    seen = dict.fromkeys(reserved | others, "the vehicle" if part else "the module")
     for name, (path, _) in zip(final, paths, strict=True):
-        if name in seen or name in reserved:
-            raise DiagramError(
-                f"its PX4 name {name} is also that of {seen.get(name, 'the module')!r:.80}", path, "rename one of them"
-            )
+        if name in seen:
+            raise DiagramError(f"its PX4 name {name} is also that of {seen[name]!r:.80}", path, "rename one of them")
         seen[name] = path
     return final
+
+
+def _told_apart(name: str, text: str) -> str:
+    return f"{name[:11].rstrip('_')}_{digest(text)}"
 
 
 def _shortened(prefix: str, path: str, index: int | None) -> str:

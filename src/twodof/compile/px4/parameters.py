@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -79,9 +79,8 @@ class Kept:
 def exported(program: Program, names: ModuleNames, torque: bool) -> tuple[list[Exported], list[Kept]]:
     """The rows of the diagram's parameters, those of the module itself behind them, and what is not shown.
 
-    A parameter that is not tunable is read when the module starts. An array of more than WIDEST elements, and a default
-    that PX4 cannot hold (not finite, an integer above 2^31 - 1), stay as they are. `torque` adds the scale of the
-    torque set-point. Raises DiagramError for more than MOST parameters.
+    A parameter that is not tunable is read when the module starts; `diagram_rows` says what stays as it is. `torque`
+    adds the scale of the torque set-point. Raises DiagramError for more than MOST parameters.
     """
     own = [
         Exported(
@@ -107,6 +106,31 @@ def exported(program: Program, names: ModuleNames, torque: bool) -> tuple[list[E
                 "sqrt(2) gives fore = T + M and aft = T - M",
             )
         )
+    wanted, kept = _wanted(program)
+    if len(wanted) > MOST:
+        raise DiagramError(f"{len(wanted)} parameters for PX4", program.name, f"{MOST} at most; bind or remove some")
+    return [*_rows(program, names.prefix, wanted), *own], kept
+
+
+def diagram_rows(
+    program: Program, prefix: str, elsewhere: Iterable[str] = (), part: str = ""
+) -> tuple[list[Exported], list[Kept]]:
+    """The rows of the diagram's parameters alone, at most MOST of them, and what is not shown.
+
+    An array of more than WIDEST elements, and a default that PX4 cannot hold (not finite, an integer above 2^31 - 1),
+    stay as they are. The names are those in PX4's module, but where `elsewhere` has one of them already
+    (`parameter_names`). Raises DiagramError for two whose names are alike.
+    """
+    wanted, kept = _wanted(program)
+    beyond = dict.fromkeys(path for path, _ in wanted[MOST:])
+    kept += [Kept(path, f"beyond the first {MOST} numbers") for path in beyond]
+    # An array is shown whole or not at all.
+    shown = [(path, index) for path, index in wanted[:MOST] if path not in beyond]
+    return _rows(program, prefix, shown, elsewhere, part), kept
+
+
+def _wanted(program: Program) -> tuple[list[tuple[str, int | None]], list[Kept]]:
+    """Path and index of the numbers that PX4 can hold, and the parameters that stay at their defaults."""
     wanted: list[tuple[str, int | None]] = []
     kept: list[Kept] = []
     for path, parameter in program.parameters.items():
@@ -120,11 +144,20 @@ def exported(program: Program, names: ModuleNames, torque: bool) -> tuple[list[E
             kept.append(Kept(path, "its default is above 2147483647, the largest integer of PX4"))
         else:
             wanted += [(path, None)] if d.width is None else [(path, i) for i in range(d.width)]
-    if len(wanted) > MOST:
-        raise DiagramError(f"{len(wanted)} parameters for PX4", program.name, f"{MOST} at most; bind or remove some")
-    made = parameter_names(names.prefix, wanted, [row.name for row in own])
-    rows = [_row(program, name, path, index) for name, (path, index) in zip(made, wanted, strict=True)]
-    return [*rows, *own], kept
+    return wanted, kept
+
+
+def _rows(
+    program: Program,
+    prefix: str,
+    wanted: Sequence[tuple[str, int | None]],
+    elsewhere: Iterable[str] = (),
+    part: str = "",
+) -> list[Exported]:
+    # Both are kept free even where a module has no torque, so that a name does not depend on what it is part of.
+    module = [f"{prefix}_{LIVE}", f"{prefix}_{TORQUE}"]
+    made = parameter_names(prefix, wanted, module, elsewhere, part)
+    return [_row(program, name, path, index) for name, (path, index) in zip(made, wanted, strict=True)]
 
 
 def float32(value: float) -> float:

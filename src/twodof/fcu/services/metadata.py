@@ -1,4 +1,4 @@
-"""Metadata: what QGroundControl shows of parameters, as JSON files that it fetches by MAVLink FTP.
+"""Metadata: what QGroundControl shows of parameters and events, as JSON files that it fetches by MAVLink FTP.
 
 COMPONENT_METADATA names the general file, which names the others. Sources: MAVLink guide, "Component Metadata
 Protocol"; schemas general and parameter, version 1.
@@ -12,6 +12,7 @@ from types import MappingProxyType
 from typing import Any
 
 from twodof.fcu.parameter_row import Row
+from twodof.fcu.services.event_definitions import EVENTS_FILE, EVENTS_TYPE, definitions
 from twodof.fcu.services.file_tree import EXTRAS, mavlink_crc32
 from twodof.link.messages import message
 
@@ -22,41 +23,55 @@ _PARAMETER_TYPE = 1
 _KINDS = MappingProxyType({"int32": "Int32", "float": "Float"})
 
 
+class Metadata:
+    """The `files` by name, made of the parameters `rows`, and the answer to a request for COMPONENT_METADATA."""
+
+    def __init__(self, rows: Sequence[Row], time_boot_ms: Callable[[], int] = lambda: 0) -> None:
+        self.files = metadata_files(rows)
+        self._time_boot_ms = time_boot_ms
+
+    def renew(self, rows: Sequence[Row]) -> None:
+        """There are other parameters now."""
+        self.files = metadata_files(rows)
+
+    def message(self, _command: object = None) -> Iterable[Any]:
+        """COMPONENT_METADATA."""
+        crc = mavlink_crc32(self.files[GENERAL])
+        return [
+            message("COMPONENT_METADATA", time_boot_ms=self._time_boot_ms(), file_crc=crc, uri=_uri(GENERAL).encode())
+        ]
+
+
 def metadata_files(rows: Sequence[Row]) -> Mapping[str, bytes]:
-    """The files by name, made of the parameters `rows`."""
+    """The files by name, made of the parameters `rows` and of the table of events."""
     parameters = _json({"version": 1, "parameters": [_parameter(row) for row in rows]})
+    described = ((_PARAMETER_TYPE, PARAMETERS, parameters), (EVENTS_TYPE, EVENTS_FILE, definitions()))
     general = {
         "version": 1,
         "metadataTypes": [
-            {"type": _PARAMETER_TYPE, "uri": _uri(PARAMETERS), "fileCrc": mavlink_crc32(parameters)},
+            {"type": kind, "uri": _uri(name), "fileCrc": mavlink_crc32(content)} for kind, name, content in described
         ],
     }
-    return MappingProxyType({GENERAL: _json(general), PARAMETERS: parameters})
-
-
-def metadata_message(files: Mapping[str, bytes], time_boot_ms: Callable[[], int]) -> Callable[[object], Iterable[Any]]:
-    """Answers a request for COMPONENT_METADATA."""
-    crc = mavlink_crc32(files[GENERAL])
-    return lambda _command: [
-        message("COMPONENT_METADATA", time_boot_ms=time_boot_ms(), file_crc=crc, uri=_uri(GENERAL).encode())
-    ]
+    return MappingProxyType({GENERAL: _json(general)} | {name: content for _, name, content in described})
 
 
 def _parameter(row: Row) -> dict[str, Any]:
-    text = row.text[0].upper() + row.text[1:] if row.text else row.name
+    text = row.text if row.own else row.text[0].upper() + row.text[1:] if row.text else row.name
     made: dict[str, Any] = {
         "name": row.name,
         "type": _KINDS[row.kind],
         "shortDesc": text,
         "units": row.unit,
         "default": row.kept(row.default),
-        "min": row.kept(row.low),
-        "max": row.kept(row.high),
         "group": row.group,
         "category": "Standard" if row.acts else "Developer",
         "rebootRequired": row.reboot,
         "readOnly": row.fixed,
     }
+    if row.bounded:
+        made |= {"min": row.kept(row.low), "max": row.kept(row.high)}
+    if row.own:
+        made["path"] = row.own  # no key of the schema's, which allows others: by this our own clients find it
     if said := _conditions(row):
         made["longDesc"] = said
     if row.kind == "float":

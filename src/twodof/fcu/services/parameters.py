@@ -1,8 +1,10 @@
 """Parameters: PARAM_REQUEST_LIST, PARAM_REQUEST_READ and PARAM_SET as PX4 answers them, and PARAM_ERROR.
 
 An int32 travels with its bits in the float field. A list begins with `_HASH_CHECK`, so that a client that has
-the values already can stop it by setting `_HASH_CHECK`. Bounds are enforced: a refused value is answered by
-PARAM_ERROR and by the value that stays, one of the wrong type by PARAM_ERROR alone.
+the values already can stop it by setting `_HASH_CHECK`. When other controllers fly, which brings other parameters,
+`_HASH_CHECK` goes to everybody: who keeps a list asks for it again, and one that is on its way begins anew. Bounds
+are enforced: a refused value is answered by PARAM_ERROR and by the value that stays, one of the wrong type by
+PARAM_ERROR alone.
 """
 
 from __future__ import annotations
@@ -65,6 +67,7 @@ class Parameters:
         }
         clients.left.append(self._forget)
         store.listen(self._announce)
+        store.on_relist(self._relist)
 
     def handle(self, received: Received) -> bool:
         """Takes a question or a new value."""
@@ -184,6 +187,11 @@ class Parameters:
     def _announce(self, changes: Mapping[str, float]) -> None:
         for name in changes:
             self._link.send(self.value(self._store.row(name)))
+
+    def _relist(self) -> None:
+        for peer in self._lists:
+            self._lists[peer] = self._listed(with_hash=True)
+        self._link.send(self.hash())
 
     def _blame(self, wanted: Mapping[str, float]) -> tuple[int, str]:
         """Which of the values the store would not take, and MAV_PARAM_ERROR for it."""

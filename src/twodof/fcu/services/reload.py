@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import gc
+from collections.abc import Callable
 from typing import Protocol
 
 from twodof.errors import TwodofError
@@ -35,15 +36,22 @@ class Reload:
     """Carries out `RELOAD`, disarmed only; the answer comes when the controllers fly, or says why they do not.
 
     What it compiles, for seconds, it compiles in a thread beside the control loop, which is why nobody may arm
-    meanwhile (`building`): both want the interpreter.
+    meanwhile (`building`): both want the interpreter. `flies` is called in the tick in which they fly for the first
+    time, before it.
     """
 
     def __init__(
-        self, commands: Commands, controller: FlightController, commander: Commander, controllers: Controllers
+        self,
+        commands: Commands,
+        controller: FlightController,
+        commander: Commander,
+        controllers: Controllers,
+        flies: Callable[[], None] = lambda: None,
     ) -> None:
         self._controller = controller
         self._commander = commander
         self._controllers = controllers
+        self._flies = flies
         self._task: asyncio.Task[None] | None = None
         self._verdict = Verdict(ACCEPTED)
         self._commands = commands
@@ -72,6 +80,7 @@ class Reload:
         try:
             code, uploaded = await asyncio.to_thread(self._controllers.build_uploaded)
             self._controller.replace(code)
+            self._flies()
             # Only what flies is kept: else a restart would bring what this command refused.
             await asyncio.to_thread(self._controllers.keep, uploaded)
             made = Verdict(ACCEPTED)
