@@ -270,6 +270,7 @@ class AsyncDrone(Connected):
             raise Rejected("it is armed", deadline.where, "disarm it first")
         await self.files.write(path, content, deadline.left)
         await self.commands.run("USER_1", [], deadline.left, "flying another controller")
+        self.parameters.forget()
 
     async def stream(self, name: str, rate: float, timeout: float = TIMEOUT_S) -> None:
         """Have a message (such as "ACTUATOR_CONTROL_TARGET") sent `rate` times a second; 0: as by default, < 0: not."""

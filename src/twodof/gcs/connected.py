@@ -54,7 +54,8 @@ class Connected:
         self.clock = Clock(session)
         self.commands = Commands(session, self.texts)
         self.lease = Lease(session, self.commands)
-        self.parameters = AsyncParameters(session)
+        self.files = Files(session, self.texts)
+        self.parameters = AsyncParameters(session, self.files)
         self.telemetry = Telemetry(session)
         self.setpoints = Setpoints(session, self.clock)
         self.exciter = Exciter(session, self.clock)
@@ -62,7 +63,6 @@ class Connected:
         self.rig_truth = Truth(session, self.commands)
         self.recordings = Recordings(session, self.batches, self.rig_truth, self.texts, self.clock)
         self.logs = Logs(session)
-        self.files = Files(session, self.texts)
         self.commands.on_progress = self._one_tick
         self.clock.on_restart = self._restarted
         self._last_thrust: float | None = None

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from twodof.errors import ParameterError
 from twodof.gcs.files import Files
 from twodof.gcs.log_download import LogEntry, Logs
-from twodof.gcs.parameters import AsyncParameters, Entry
+from twodof.gcs.parameters import AsyncParameters, Described, Entry
 from twodof.gcs.runner import Runner
 from twodof.gcs.telemetry import QUEUE, Callback, Sample, Signal, Stream, Value
 
@@ -23,7 +23,10 @@ F_co = TypeVar("F_co", bound=np.floating[Any], covariant=True)
 
 
 class Parameters(MutableMapping[str, float]):
-    """The drone's parameters as a mapping, by its own names or the package's; each access asks the drone."""
+    """The drone's parameters as a mapping, by its own names or the package's; each access asks the drone.
+
+    Those of a user's controller that flies there are also found by their paths: `["attitude_control.k_q"]`.
+    """
 
     def __init__(self, there: AsyncParameters, runner: Runner) -> None:
         self._there, self._runner = there, runner
@@ -62,6 +65,10 @@ class Parameters(MutableMapping[str, float]):
     def all(self, timeout: float = 30.0) -> dict[str, Entry]:
         """Every parameter with its type and, where the package knows it, its row: bounds, unit, text."""
         return self._runner.run(self._there.all(timeout))
+
+    def describe(self, timeout: float = 30.0) -> dict[str, Described]:
+        """Bounds, unit, text and path of each as the drone describes them. Raises Rejected, and what `all` raises."""
+        return self._runner.run(self._there.describe(timeout))
 
     def change(self, changes: Mapping[str, float], timeout: float = TIMEOUT_S) -> None:
         """Set several, all or none. Raises ParameterError, Rejected, LinkLost, Timeout."""
