@@ -214,7 +214,7 @@ def test_a_minute_of_every_topic_costs_little(tmp_path: Path) -> None:
                 due += 250_000_000
             assert recorder.write(name, stamp, rows[name])
     spent = time.process_time() - spent
-    assert recorder.acknowledged.samples == len(events) > 430_000
+    assert recorder.acknowledged.samples == len(events) > 250_000
     assert recorder.dropped == {}
     assert spent < 0.05 * 60.0
     log = read_mcap(tmp_path / "a.mcap")
