@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import typer
 
+from tests.patience import PATIENCE_S
 from twodof.cli.app import COMMANDS, app, run, status_of
 from twodof.errors import CompileError, ExperimentError, IdentificationError, LogError
 from twodof.flightlog.files import read_log, write_log
@@ -123,7 +124,7 @@ def test_ctrl_c_leaves_no_half_written_file_and_exits_130(tmp_path: Path) -> Non
                 file.write("half")
                 file.flush()
                 print("writing", flush=True)
-                time.sleep(30)
+                time.sleep(1000)
         sys.modules["twodof.cli.log"] = slow
         sys.argv[1:] = ["log"]
         main()
@@ -134,7 +135,7 @@ def test_ctrl_c_leaves_no_half_written_file_and_exits_130(tmp_path: Path) -> Non
         assert process.stdout is not None
         assert process.stdout.readline() == "writing\n"
         process.send_signal(signal.SIGINT)
-        _, err = process.communicate(timeout=10)
+        _, err = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 130, err
     assert "Traceback" not in err
     assert target.read_text() == "before"

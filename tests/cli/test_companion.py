@@ -12,12 +12,11 @@ import pytest
 from typer.testing import CliRunner
 
 from tests.fcc.scripted import Listener, Vehicle, until
+from tests.patience import PATIENCE_S
 from twodof.cli.app import app, run
 from twodof.link.opening import open_transport
 from twodof.link.tcp import TcpTransport
 from twodof.link.url import parse
-
-ENDS_S = 20.0
 
 
 async def started(*arguments: str) -> asyncio.subprocess.Process:
@@ -44,7 +43,7 @@ def test_it_routes_where_it_says_and_ends_when_it_is_told() -> None:
             assert process.stdout is not None
             document = b""
             while b"\n}" not in document:
-                document += await asyncio.wait_for(process.stdout.read(4096), ENDS_S)
+                document += await asyncio.wait_for(process.stdout.read(4096), PATIENCE_S)
             said = json.loads(document)
             assert (said["fcu"], said["system"], said["serve"][0]["rates"]) == (url, 1, "onboard")
             port = parse(said["serve"][0]["url"]).port
@@ -53,7 +52,7 @@ def test_it_routes_where_it_says_and_ends_when_it_is_told() -> None:
                 client.command(400, 1.0)
                 await until(lambda: bool(client.heard("COMMAND_ACK")))
             process.send_signal(signal.SIGTERM)
-            assert await asyncio.wait_for(process.wait(), ENDS_S) == 0
+            assert await asyncio.wait_for(process.wait(), PATIENCE_S) == 0
         finally:
             await _gone(process)
             await vehicle.close()
@@ -79,7 +78,7 @@ def test_an_app_runs_with_a_drone_and_its_status_is_told(tmp_path: Path, text: s
             *("--fcu", url, "--onboard", "tcpin://127.0.0.1:0", "run", str(file), "--restarts", "0")
         )
         try:
-            _, said = await asyncio.wait_for(process.communicate(), ENDS_S)
+            _, said = await asyncio.wait_for(process.communicate(), PATIENCE_S)
             assert process.returncode == status, said.decode()
             assert words in said.decode()
         finally:

@@ -17,22 +17,29 @@ from typing import Any
 
 import pytest
 
+from tests.cli.numbers import free_numbers
+from tests.patience import PATIENCE_S
+from tests.processes import alive
 from twodof.cli.app import run
 from twodof.cli.children import MOST_RESTARTS
 from twodof.cli.said import error_of
 from twodof.cli.up import Place, say
 from twodof.gcs.drone import Drone
 
-WAIT_S = 120.0
-FIRST = 7  # the numbers 0 and up are those of other tests and of who works on this machine
+
+@pytest.fixture
+def first() -> Iterator[int]:
+    """The first of two numbers that no other test has meanwhile."""
+    with free_numbers(2) as found:
+        yield found
 
 
 class Up:
-    """`twodof up` as a process, and what it says."""
+    """`twodof up` as a process, its drones from number `first` on, and what it says."""
 
-    def __init__(self, folder: Path, *options: str) -> None:
+    def __init__(self, first: int, folder: Path, *options: str) -> None:
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "twodof.cli", "up", "--json", "--lockstep", "--first", str(FIRST), *options],
+            [sys.executable, "-m", "twodof.cli", "up", "--json", "--lockstep", "--first", str(first), *options],
             cwd=folder,
             env=os.environ | {"XDG_DATA_HOME": str(folder), "TWODOF_DATA": str(folder)},
             stdin=subprocess.DEVNULL,
@@ -51,7 +58,7 @@ class Up:
             thread.start()
 
     def wait(self, condition: Callable[[], object], what: str) -> None:
-        end = time.monotonic() + WAIT_S
+        end = time.monotonic() + PATIENCE_S
         while not condition():
             assert time.monotonic() < end, f"{what}: {self.out} {self.said}"
             time.sleep(0.02)
@@ -69,16 +76,16 @@ class Up:
 
     def close(self) -> None:
         self.process.kill()
-        self.process.wait(WAIT_S)
+        self.process.wait(PATIENCE_S)
         for thread in self._threads:
-            thread.join(WAIT_S)
+            thread.join(PATIENCE_S)
         self.process.stdout.close()
         self.process.stderr.close()
 
 
 @contextmanager
-def up(folder: Path, *options: str) -> Iterator[Up]:
-    program = Up(folder, *options)
+def up(first: int, folder: Path, *options: str) -> Iterator[Up]:
+    program = Up(first, folder, *options)
     try:
         yield program
     finally:
@@ -86,35 +93,35 @@ def up(folder: Path, *options: str) -> Iterator[Up]:
 
 
 def gone(processes: dict[int, str]) -> bool:
-    return not any(Path(f"/proc/{one}").exists() for one in processes)
+    return not any(map(alive, processes))
 
 
-def test_two_drones_answer_where_it_says_and_all_ends_at_ctrl_c(tmp_path: Path) -> None:
-    with up(tmp_path, "--drones", "2", "--rings", "--rig", "paper") as program:
+def test_two_drones_answer_where_it_says_and_all_ends_at_ctrl_c(first: int, tmp_path: Path) -> None:
+    with up(first, tmp_path, "--drones", "2", "--rings", "--rig", "paper") as program:
         rows = program.drones()
-        assert [row["system"] for row in rows] == [FIRST + 1, FIRST + 2]
+        assert [row["system"] for row in rows] == [first + 1, first + 2]
         for row in rows:
             with Drone.connect(row["drone"], drone=row["system"]) as drone:
                 rig = drone.state.rig
                 assert (rig.name, rig.rings_locked, rig.lockstep) == ("paper", True, True)
-        with up(tmp_path, "--rig", "paper") as second:
-            assert second.process.wait(WAIT_S) == 2
+        with up(first, tmp_path, "--rig", "paper") as second:
+            assert second.process.wait(PATIENCE_S) == 2
             second.wait(lambda: any("remedy" in line for line in second.said), "no word of the port")
             said = "".join(second.said)
             assert (
-                f"TCP port {5790 + FIRST}, where the flight controller of drone {FIRST + 1} listens, is in use" in said
+                f"TCP port {5790 + first}, where the flight controller of drone {first + 1} listens, is in use" in said
             )
             assert re.search(r"--first [0-9]\b", said)
         children = program.children()
         assert len(children) == 4
         program.process.send_signal(signal.SIGINT)
-        assert program.process.wait(WAIT_S) == 0
+        assert program.process.wait(PATIENCE_S) == 0
         assert gone(children)
         assert program.said == []
 
 
-def test_a_program_that_dies_is_started_again_and_none_outlives_its_parent(tmp_path: Path) -> None:
-    with up(tmp_path) as program:
+def test_a_program_that_dies_is_started_again_and_none_outlives_its_parent(first: int, tmp_path: Path) -> None:
+    with up(first, tmp_path) as program:
         (row,) = program.drones()
         for name in ("fcu", "companion"):
             (victim,) = [one for one, line in program.children().items() if f" {name} " in line]
@@ -152,8 +159,8 @@ def test_what_a_program_last_said_is_shown_line_by_line() -> None:
 
 
 @pytest.mark.soak
-def test_a_program_that_dies_again_and_again_ends_all(tmp_path: Path) -> None:
-    with up(tmp_path) as program:
+def test_a_program_that_dies_again_and_again_ends_all(first: int, tmp_path: Path) -> None:
+    with up(first, tmp_path) as program:
         program.drones()
         children: dict[int, str] = {}
         for number in range(MOST_RESTARTS + 1):
@@ -164,17 +171,17 @@ def test_a_program_that_dies_again_and_again_ends_all(tmp_path: Path) -> None:
             lines = 2 if number < MOST_RESTARTS else 1
             program.wait(lambda count=count, lines=lines: len(program.said) >= count + lines, "it said nothing")
         assert "too often, all end" in program.said[-1]
-        assert program.process.wait(WAIT_S) == 1
+        assert program.process.wait(PATIENCE_S) == 1
         assert gone(children)
 
 
-def test_a_program_that_cannot_start_is_named_with_what_it_says(tmp_path: Path) -> None:
-    with up(tmp_path, "--rig", "no-such-rig.json") as program:
-        assert program.process.wait(WAIT_S) == 2
+def test_a_program_that_cannot_start_is_named_with_what_it_says(first: int, tmp_path: Path) -> None:
+    with up(first, tmp_path, "--rig", "no-such-rig.json") as program:
+        assert program.process.wait(PATIENCE_S) == 2
         program.wait(lambda: any("no-such-rig.json" in line for line in program.said), "no word")
         error = json.loads("".join(program.out))["error"]
         assert error["what"] == "cannot be read: No such file or directory"
-        assert error["where"] == f"flight controller {FIRST + 1}, no-such-rig.json"
+        assert error["where"] == f"flight controller {first + 1}, no-such-rig.json"
         assert error["remedy"].startswith("name a JSON file")
         assert "".join(program.said).count("remedy:") == 1
 

@@ -12,10 +12,8 @@ from queue import Queue
 from typing import Any
 
 from bench.programs import Running, running
+from tests.patience import PATIENCE_S
 from twodof.sim.virtual_drone import VirtualDrone
-
-START_S = 120.0
-END_S = 20.0
 
 
 @contextmanager
@@ -44,9 +42,9 @@ def drone_thread(spoil: Callable[[VirtualDrone], None] = lambda drone: None, **o
         running = pool.submit(lambda: asyncio.run(serve()))
         running.add_done_callback(lambda _: ready.put(""))
         try:
-            url = ready.get(timeout=START_S)
+            url = ready.get(timeout=PATIENCE_S)
             if url:
                 yield url.replace("tcpin", "tcp")
         finally:
             ended.set()
-            running.result(END_S)
+            running.result(PATIENCE_S)

@@ -4,6 +4,7 @@ import asyncio
 from collections.abc import Callable
 from typing import Any, Self
 
+from tests.patience import PATIENCE_S
 from twodof.errors import LinkLost
 from twodof.link.connection import Connection, Received
 from twodof.link.messages import message
@@ -80,7 +81,7 @@ class Vehicle:
             self.connection.send(message("TWODOF_TICK", tick=one.until, until=one.until, number=one.number), got.peer)
 
 
-async def until(true: Callable[[], bool], seconds: float = 20.0) -> None:
+async def until(true: Callable[[], bool], seconds: float = PATIENCE_S) -> None:
     """Wait until something is true; a test that waits longer than that has failed."""
     async with asyncio.timeout(seconds):
         while not true():

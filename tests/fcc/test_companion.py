@@ -13,6 +13,7 @@ import pytest
 
 from tests.faults.virtual_time import run_virtual
 from tests.fcc.scripted import Listener, Vehicle, until
+from tests.patience import PATIENCE_S
 from twodof.errors import LinkError
 from twodof.fcc.client import SILENT_S
 from twodof.fcc.companion import (
@@ -333,7 +334,7 @@ def test_a_fault_of_ours_ends_it_instead_of_being_lost(monkeypatch: pytest.Monke
             companion = await Companion(f"tcp://127.0.0.1:{transport.port}", CLIENTS).__aenter__()
             monkeypatch.delattr(companion.router, "answers")
             with pytest.raises(LinkError, match="a frame was not passed on"):
-                await asyncio.wait_for(companion.run(), 20.0)
+                await asyncio.wait_for(companion.run(), PATIENCE_S)
             with pytest.raises(LinkError, match="a frame was not passed on"):
                 await companion.close()
 

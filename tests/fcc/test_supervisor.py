@@ -12,6 +12,8 @@ from pathlib import Path
 import pytest
 
 from tests.fcc.scripted import until
+from tests.patience import PATIENCE_S
+from tests.processes import alive
 from twodof.fcc.supervisor import LONGEST_LINE, MOST_LINES, Limits, Restarts, Supervisor
 
 QUICK = Restarts(first=0.05, longest=0.1, most=2)
@@ -22,14 +24,6 @@ def program(folder: Path, text: str) -> list[str]:
     file = folder / "app.py"
     file.write_text(textwrap.dedent(text))
     return [sys.executable, "-I", "-S", "-u", str(file)]
-
-
-def alive(process: int) -> bool:
-    """Whether a process runs; one that ended and was not waited for does not."""
-    try:
-        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except OSError:
-        return False
 
 
 def test_what_ends_by_itself_is_not_started_again(tmp_path: Path) -> None:
@@ -108,7 +102,7 @@ def test_nothing_is_left_of_one_that_does_not_want_to_end(tmp_path: Path, stop_s
         pids = [int(word) for word in said[0].split()[1:]]
         assert all(map(alive, pids))
         running.cancel()
-        await asyncio.wait({running}, timeout=10.0)
+        await asyncio.wait({running}, timeout=PATIENCE_S)
         assert running.cancelled()
         return pids
 
@@ -134,7 +128,7 @@ def test_one_that_cleans_up_is_given_the_time(tmp_path: Path) -> None:
         running = asyncio.ensure_future(Supervisor(program(tmp_path, text), said.append, restarts=QUICK).run())
         await until(lambda: bool(said))
         running.cancel()
-        await asyncio.wait({running}, timeout=10.0)
+        await asyncio.wait({running}, timeout=PATIENCE_S)
 
     asyncio.run(work())
     assert said == ["flying", "disarmed"]
@@ -152,7 +146,7 @@ def test_it_does_not_outlive_a_supervisor_that_was_killed(tmp_path: Path) -> Non
         child = int(supervisor.stdout.readline())
         assert alive(child)
         os.kill(supervisor.pid, signal.SIGKILL)
-        supervisor.wait(10.0)
+        supervisor.wait(PATIENCE_S)
         asyncio.run(until(lambda: not alive(child)))
 
 

@@ -11,8 +11,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-START_S, END_S = 120.0, 20.0
-"""It compiles at the first start; it ends once its log is written."""
+from tests.patience import PATIENCE_S
 
 
 @contextmanager
@@ -23,7 +22,7 @@ def twodof_fcu(*options: str, ends_by: signal.Signals = signal.SIGTERM) -> Itera
     try:
         yield _first_url(process)
         process.send_signal(ends_by)
-        _, complained = process.communicate(timeout=END_S)
+        _, complained = process.communicate(timeout=PATIENCE_S)
         assert process.returncode == 0, complained.decode()
         assert complained == b"", complained.decode()
     finally:
@@ -34,7 +33,7 @@ def twodof_fcu(*options: str, ends_by: signal.Signals = signal.SIGTERM) -> Itera
 
 def _first_url(process: subprocess.Popen[bytes]) -> str:
     assert process.stdout is not None
-    line, end = b"", time.monotonic() + START_S
+    line, end = b"", time.monotonic() + PATIENCE_S
     with selectors.DefaultSelector() as selector:
         selector.register(process.stdout, selectors.EVENT_READ)
         while not line.endswith(b"\n"):

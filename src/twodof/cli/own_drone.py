@@ -22,7 +22,7 @@ START_S = 120.0
 END_S = 5.0
 """How long it may take to end [s]; then it is killed."""
 
-_LISTENING = re.compile(rb"listening on tcpin(\S+)")
+_LISTENING = re.compile(rb"listening on tcpin(\S+)\s")  # the whole of the line
 _MOST_SAID = 4000
 
 
