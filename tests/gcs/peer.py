@@ -8,7 +8,7 @@ from typing import Any, Self
 
 from twodof.errors import LinkLost
 from twodof.link.connection import Connection, Received
-from twodof.link.ftp import Op, packed, read_packet
+from twodof.link.ftp import Fault, Op, packed, read_packet
 from twodof.link.messages import ExcitationReceiver, float_of_int, int_of_float, message
 from twodof.link.modes import MANUAL
 from twodof.link.opening import open_transport
@@ -133,6 +133,8 @@ class Peer:
         elif got.command == 176:
             self.mode = int(got.param2) << 16 | int(got.param3) << 24
             self.heartbeat()
+        elif got.command == 512 and got.param1 == 148:
+            self.send("AUTOPILOT_VERSION", flight_sw_version=0x011001FF, flight_custom_version=b"twodof\0\0", uid=1)
         elif got.command == 512 and got.param1 == 54206:
             self.rig()
         elif got.command == 512 and got.param1 == 54209:
@@ -257,6 +259,13 @@ class Peer:
             self.files[self._file] = content[: asked.offset] + asked.data[: asked.size]
         elif asked.op == Op.READ:
             data = content[asked.offset :][: asked.size]
+        elif asked.op == Op.LIST:
+            names = [f"F{name}\t{len(self.files[name])}\0" for name in self.files][asked.offset :]
+            if not names:
+                answer = packed(asked.nak(Fault.END), frame.system, frame.component)
+                self.send("FILE_TRANSFER_PROTOCOL", payload=answer.payload)
+                return
+            data = names[0].encode()
         elif asked.op == Op.REMOVE:
             self.files.pop(asked.text, None)
         self.send("FILE_TRANSFER_PROTOCOL", payload=packed(asked.ack(data), frame.system, frame.component).payload)

@@ -21,7 +21,7 @@ async def killed(drone: AsyncDrone) -> None:
 
 @pytest.mark.parametrize("armed", [False, True])
 def test_a_script_that_was_killed_and_starts_again_waits_for_its_own_lease(armed: bool) -> None:
-    """Disarmed it ends 3 s after it was asked for the last time, in flight 3 s after the last word; then it is taken."""
+    """Disarmed it ends 3 s after it was asked for the last time, in flight 3 s after the last word; then it is ours."""
 
     async def work() -> None:
         async with Whole() as whole:

@@ -57,7 +57,10 @@ class AsyncDrone(Connected):
         deadline = self._deadline(timeout, f"changing to the mode {mode}")
         number = custom_mode(mode)
         await self._switch(number, deadline)
-        await self._see(lambda: self.state.mode == mode, deadline)
+        remedy = (
+            "offboard wants set-points: set_pitch and the like enter it by themselves" if mode == "offboard" else ""
+        )
+        await self._see(lambda: self.state.mode == mode, deadline, remedy)
 
     async def _switch(self, number: int, deadline: Deadline) -> None:
         values = [1.0, float(number >> 16 & 0xFF), float(number >> 24 & 0xFF)]
@@ -70,7 +73,9 @@ class AsyncDrone(Connected):
 
     async def set_moment(self, M: float, thrust: float | None = None, timeout: float = TIMEOUT_S) -> None:
         """Fly a normalised pitch moment (-1 to 1) about the trim, no loop closed; `thrust` 0 to 1, None: as it is."""
-        await self._follow(setpoints.moment(M, thrust), timeout)
+        setpoint = setpoints.moment(M, thrust)
+        self._needs_ours("a moment without a loop", "TWODOF_OPENLOOP")
+        await self._follow(setpoint, timeout)
 
     async def set_pitch(self, theta: float, thrust: float | None = None, timeout: float = TIMEOUT_S) -> None:
         """Follow a pitch [rad]; `thrust` 0 to 1, None: the last one given, at first the parameter THRUST_BAR."""
@@ -188,17 +193,18 @@ class AsyncDrone(Connected):
         starts, None: at once. With `wait` the drone's time passes until it is over. Raises ExperimentError for a loop
         of another unit, Rejected with the drone's reason.
         """
-        self._needs_ours("excitations on board")
+        self._needs_ours("excitations on board", "TWODOF_EXCITE")
         playback = await self.exciter.start(excitation, loop, thrust, at, timeout)
         return await self.exciter.finish(playback) if wait else playback
 
-    def stop_excitation(self) -> None:
-        """Stop what plays; the set-point before it is held."""
-        self.exciter.stop()
+    async def stop_excitation(self, timeout: float = TIMEOUT_S) -> None:
+        """Stop what plays, and see that it is over; the set-point before it is held. Raises Rejected."""
+        self._needs_ours("excitations on board", "TWODOF_EXCITE")
+        await self.exciter.stop(timeout)
 
     def batch(self, columns: Iterable[str]) -> AbstractAsyncContextManager[Rows]:
         """Every sample of these columns of signals.TOPICS (`imu.gyro_y`) at the full rate, for `async with`."""
-        self._needs_ours("samples at full rate")
+        self._needs_ours("samples at full rate", "TWODOF_BATCH")
         return self.batches.rows(columns)
 
     def truth(self) -> AbstractAsyncContextManager[TruthRows]:
@@ -206,7 +212,7 @@ class AsyncDrone(Connected):
 
         Raises Rejected by a real drone and for a program on board.
         """
-        self._needs_ours("the rig's true state")
+        self._needs_ours("the rig's true state", "TWODOF_TRUTH")
         if self.session.on_board or not self.state.rig.virtual:
             why = "what is on board never gets it" if self.session.on_board else "nobody knows that of a real one"
             raise Rejected(f"the rig's true state: {why}", f"drone {self.session.system}", "go by the estimates")
@@ -219,7 +225,7 @@ class AsyncDrone(Connected):
         provenance: Mapping[str, object] | None = None,
     ) -> AbstractAsyncContextManager[Recording]:
         """Record topics (None: all) at the full rate into a new MCAP file, for `async with`. See gcs.recording."""
-        self._needs_ours("recording at full rate")
+        self._needs_ours("recording at full rate", "TWODOF_BATCH")
         rig = self.state.rig
         about = {"rig": rig.name, "controller": rig.controller, "diagram": f"{rig.diagram:016x}", "seed": rig.seed}
         link = {"url": self.session.url, "system": self.session.system, "lockstep": rig.lockstep}
@@ -232,7 +238,7 @@ class AsyncDrone(Connected):
 
         Raises Rejected for a real one, while armed, or where the drone says so.
         """
-        self._needs_ours("a reset")
+        self._needs_ours("a reset", "TWODOF_RIG_RESET")
         deadline = self._deadline(timeout, "resetting the rig")
         self.setpoints.stop()
         spoken = self.texts.count
@@ -261,7 +267,7 @@ class AsyncDrone(Connected):
         A stock controller's own diagram brings the stock one back. Raises Rejected where the drone is armed or finds a
         fault in it; then what flew before flies on.
         """
-        self._needs_ours("controllers of one's own")
+        self._needs_ours("controllers of one's own", "folder of controllers")
         path = f"/controllers/{template}.json"
         content = diagram.encode() if isinstance(diagram, str) else diagram
         deadline = self._deadline(timeout, "sending a controller")
@@ -276,6 +282,8 @@ class AsyncDrone(Connected):
         """Have a message (such as "ACTUATOR_CONTROL_TARGET") sent `rate` times a second; 0: as by default, < 0: not."""
         interval = 1e6 / rate if rate > 0.0 else -1.0 if rate < 0.0 else 0.0
         values = [dialect.message_id(name), interval]
+        if name.startswith("TWODOF_"):
+            self._needs_ours("a message of our own", name)
         await self.commands.run("SET_MESSAGE_INTERVAL", values, timeout, f"setting the rate of {name}")
 
 

@@ -25,6 +25,7 @@ from twodof.gcs.state import Battery, State, Watcher
 from twodof.gcs.telemetry import Telemetry
 from twodof.gcs.texts import Text, Texts
 from twodof.gcs.truth import Truth
+from twodof.gcs.version import Version, version_of
 from twodof.link import dialect, ports
 from twodof.link.components import GROUND_STATION
 from twodof.link.connection import Connection
@@ -215,6 +216,15 @@ class Connected:
         """How it stands, as last heard."""
         return self.watcher.state
 
+    async def version(self, timeout: float = TIMEOUT_S) -> Version:
+        """What flies it: autopilot, version, the machine's number. Raises LinkLost, Timeout."""
+        asking = self._deadline(timeout, "asking for its version")
+        number, request = dialect.message_id("AUTOPILOT_VERSION"), number_of("REQUEST_MESSAGE")
+        got = await self.session.ask(
+            lambda attempt: self.commands.long(request, [number], attempt), ("AUTOPILOT_VERSION",), _itself, asking
+        )
+        return version_of(got, self.state.autopilot)
+
     @property
     def tick(self) -> int:
         """Its control period, 4 ms each; in lockstep the first that has not been run."""
@@ -286,7 +296,7 @@ class Connected:
             LinkLost(f"the drone has restarted, after tick {self.tick}", self.session.url, "connect again")
         )
 
-    async def _see(self, condition: Callable[[], bool], deadline: Deadline) -> None:
+    async def _see(self, condition: Callable[[], bool], deadline: Deadline, remedy: str = "") -> None:
         """Wait until the drone's heartbeat says so; in lockstep its time passes meanwhile, tick by tick."""
         last = self.tick + _TICKS_FOR_AN_ANSWER
         with self.session.listen("HEARTBEAT") as heard:
@@ -294,15 +304,22 @@ class Connected:
                 if self.clock.granting and self.tick < last:
                     await self.clock.run_until(self.tick + 1)
                 elif await heard.next(deadline.end) is None:
-                    raise deadline.error("it acknowledged, but its heartbeat says otherwise")
+                    raise deadline.error(remedy or "it acknowledged, but its heartbeat says otherwise")
 
     async def _one_tick(self) -> None:
         if self.clock.granting:
             await self.clock.run_until(self.tick + 1)
 
-    def _needs_ours(self, what: str) -> None:
+    def _needs_ours(self, what: str, name: str) -> None:
+        """Raise Rejected, at once, where the drone does not know the message `name`, since it is not one of ours."""
         if not self.ours:
-            raise Rejected(f"{what}: it is not one of ours", f"drone {self.session.system}", "see docs/gcs.md")
+            self.session.check(self.session.now)
+            missing = f"{what}: it is not one of ours but {self.state.autopilot}, which has no {name}"
+            raise Rejected(missing, f"drone {self.session.system}", "docs/clients.md says what works there")
 
     def _deadline(self, timeout: float, doing: str) -> Deadline:
         return Deadline(timeout, doing, f"drone {self.session.system}")
+
+
+def _itself(got: Any) -> Any:
+    return got

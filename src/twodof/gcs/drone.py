@@ -13,12 +13,14 @@ from twodof.errors import TwodofError
 from twodof.excitation import Excitation
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.gcs.connected import DEFAULT_URL, LEAVING_S, TIMEOUT_S
+from twodof.gcs.discovery import Found, discover
 from twodof.gcs.exciting import Playback
 from twodof.gcs.faces import DroneFiles, DroneLogs, DroneRows, DroneSignal, Parameters
 from twodof.gcs.recording import Recording
 from twodof.gcs.runner import Runner
 from twodof.gcs.state import Battery, State
 from twodof.gcs.texts import Text
+from twodof.gcs.version import Version
 from twodof.link.key import Key
 from twodof.link.statistics import LinkStatistics
 
@@ -59,6 +61,18 @@ class Drone:
         made = cls(there, runner)
         runner.at_exit(made.close)
         return made
+
+    @staticmethod
+    def discover(timeout: float = 3.0, hosts: Iterable[str] = ()) -> list[Found]:
+        """The drones that are heard at the usual ports of this machine, and answer at those of `hosts`.
+
+        Listens for `timeout` [s]; each has the `url` to connect to. Raises LinkError for a host that is unknown.
+        """
+        runner = Runner("discovery")
+        try:
+            return runner.run(discover(timeout, hosts))
+        finally:
+            runner.close()
 
     def __repr__(self) -> str:
         return repr(self.there)
@@ -110,6 +124,10 @@ class Drone:
     def statistics(self) -> LinkStatistics:
         """What the link is worth: loss, round trips, rates."""
         return self.there.statistics
+
+    def version(self, timeout: float = TIMEOUT_S) -> Version:
+        """What flies it: autopilot, version of its program, the machine's number. Raises LinkLost, Timeout."""
+        return self._runner.run(self.there.version(timeout))
 
     @property
     def theta(self) -> float:
@@ -170,25 +188,25 @@ class Drone:
         """Let it hold itself level, at the thrust THRUST_BAR; needs no set-points."""
         self._runner.run(self.there.level_hold(timeout))
 
-    def set_moment(self, M: float, thrust: float | None = None) -> None:
+    def set_moment(self, M: float, thrust: float | None = None, timeout: float = TIMEOUT_S) -> None:
         """Fly a normalised pitch moment (-1 to 1) about the trim, no loop closed; `thrust` 0 to 1, None: as it is."""
-        self._runner.run(self.there.set_moment(M, thrust))
+        self._runner.run(self.there.set_moment(M, thrust, timeout))
 
-    def set_pitch(self, theta: float, thrust: float | None = None) -> None:
+    def set_pitch(self, theta: float, thrust: float | None = None, timeout: float = TIMEOUT_S) -> None:
         """Follow a pitch [rad]; `thrust` 0 to 1, None: the last one given, at first the parameter THRUST_BAR."""
-        self._runner.run(self.there.set_pitch(theta, thrust))
+        self._runner.run(self.there.set_pitch(theta, thrust, timeout))
 
-    def set_pitch_rate(self, q: float, thrust: float | None = None) -> None:
+    def set_pitch_rate(self, q: float, thrust: float | None = None, timeout: float = TIMEOUT_S) -> None:
         """Follow a pitch rate [rad/s]; `thrust` as in `set_pitch`."""
-        self._runner.run(self.there.set_pitch_rate(q, thrust))
+        self._runner.run(self.there.set_pitch_rate(q, thrust, timeout))
 
-    def set_velocity(self, v: float, acceleration: float | None = None) -> None:
+    def set_velocity(self, v: float, acceleration: float | None = None, timeout: float = TIMEOUT_S) -> None:
         """Follow a velocity along the rail [m/s], with an acceleration [m/s^2] fed forward."""
-        self._runner.run(self.there.set_velocity(v, acceleration))
+        self._runner.run(self.there.set_velocity(v, acceleration, timeout))
 
-    def set_position(self, x: float, acceleration: float | None = None) -> None:
+    def set_position(self, x: float, acceleration: float | None = None, timeout: float = TIMEOUT_S) -> None:
         """Follow a position along the rail [m], with an acceleration [m/s^2] fed forward."""
-        self._runner.run(self.there.set_position(x, acceleration))
+        self._runner.run(self.there.set_position(x, acceleration, timeout))
 
     def excite(
         self,
@@ -197,16 +215,17 @@ class Drone:
         thrust: float | None = None,
         at: int | None = None,
         wait: bool = True,
+        timeout: float = TIMEOUT_S,
     ) -> Playback:
         """Play an excitation on board, added to what `loop` ("M", "q", "theta", "v", "x") follows.
 
-        As AsyncDrone.excite: with `wait` the drone's time passes until it is over.
+        As AsyncDrone.excite: with `wait` the drone's time passes until it is over; `timeout` is until it begins.
         """
-        return self._runner.run(self.there.excite(excitation, loop, thrust, at, wait))
+        return self._runner.run(self.there.excite(excitation, loop, thrust, at, wait, timeout))
 
-    def stop_excitation(self) -> None:
-        """Stop what plays; the set-point before it is held."""
-        self._runner.call(self.there.stop_excitation)
+    def stop_excitation(self, timeout: float = TIMEOUT_S) -> None:
+        """Stop what plays, and see that it is over; the set-point before it is held."""
+        self._runner.run(self.there.stop_excitation(timeout))
 
     def batch(self, columns: Iterable[str]) -> AbstractContextManager[DroneRows[np.float32]]:
         """Every sample of these columns of signals.TOPICS (`imu.gyro_y`) at the full rate, for `with`."""
@@ -251,16 +270,18 @@ class Drone:
             raise
         self._runner.run(leave(None, None, None))
 
-    def reset(self, seed: int = 1, x: float = 0.0, noise: float = 1.0, rings: bool = False) -> None:
+    def reset(
+        self, seed: int = 1, x: float = 0.0, noise: float = 1.0, rings: bool = False, timeout: float = TIMEOUT_S
+    ) -> None:
         """Start a virtual drone anew: tick 0, at rest at `x` [m], `rings` locked or not, the noise of `seed` scaled.
 
         Raises Rejected for a real one, while armed, or where the drone says so.
         """
-        self._runner.run(self.there.reset(seed, x, noise, rings))
+        self._runner.run(self.there.reset(seed, x, noise, rings, timeout))
 
-    def stream(self, name: str, rate: float) -> None:
+    def stream(self, name: str, rate: float, timeout: float = TIMEOUT_S) -> None:
         """Have a message (such as "ACTUATOR_CONTROL_TARGET") sent `rate` times a second; 0: as by default, < 0: not."""
-        self._runner.run(self.there.stream(name, rate))
+        self._runner.run(self.there.stream(name, rate, timeout))
 
     def stop_setpoints(self) -> None:
         """Send no more set-points: after .5 s the drone levels itself."""

@@ -20,6 +20,7 @@ LOOPS = ("M", "q", "theta", "v", "x")
 UNITS = ("-", "rad/s", "rad", "m/s", "m")
 _READY, _PLAYING, _DONE, _STOPPED, _REFUSED = 2, 3, 4, 5, 6
 _START, _STOP = 1, 2
+_OVER = ("done", "stopped")
 # Status comes at each change and at 1 Hz; in real time it is believed to be over so long after its end.
 _LATE_TICKS = 500
 
@@ -78,14 +79,33 @@ class Exciter:
 
     async def finish(self, playback: Playback) -> Playback:
         """Let the drone's time pass until it is over, whether it was played to its end or stopped. Raises LinkLost."""
-        over = ("done", "stopped")
-        await self._clock.run_until(playback.end_tick + 1, lambda: playback.state in over)
-        await self._clock.run_until(playback.end_tick + _LATE_TICKS, lambda: playback.state in over)
+        await self._clock.run_until(playback.end_tick + 1, lambda: playback.state in _OVER)
+        await self._clock.run_until(playback.end_tick + _LATE_TICKS, lambda: playback.state in _OVER)
         return playback
 
-    def stop(self) -> None:
-        """Stop it now; its base is held."""
-        self._session.send(message("TWODOF_EXCITE", action=_STOP, **self._place()))
+    async def stop(self, timeout: float) -> None:
+        """Stop what plays or waits, and see that it is over; its base is held. Raises Rejected, LinkLost, Timeout.
+
+        Said again until it is seen; what nobody here has started is told to stop once.
+        """
+        session, playback = self._session, self._playback
+        deadline = Deadline(timeout, "stopping the excitation", f"drone {session.system}")
+        asked = message("TWODOF_EXCITE", action=_STOP, **self._place())
+        if playback is None:
+            session.send(asked)
+            return
+        with session.listen("TWODOF_EXCITE_STATUS") as heard:
+            while playback.state not in _OVER:
+                session.send(asked)
+                if self._clock.granting:
+                    await self._clock.run_until(self._clock.tick + 1)
+                until = min(deadline.end, session.now + RETRY_S)
+                while playback.state not in _OVER and (got := await heard.next(until)) is not None:
+                    if got.state == _REFUSED and got.transfer != playback.transfer:
+                        raise _refusal(got, deadline.where)
+                    deadline.check()
+                if playback.state not in _OVER:
+                    deadline.check()
 
     async def _send(self, excitation: Excitation, loop: int, transfer: int, deadline: Deadline) -> bool:
         """Have the definition on board; False where another session has played it under this number."""

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twodof.errors import ParameterError
-from twodof.gcs.files import Files
+from twodof.gcs.files import FileEntry, Files
 from twodof.gcs.log_download import LogEntry, Logs
 from twodof.gcs.parameters import AsyncParameters, Described, Entry
 from twodof.gcs.runner import Runner
@@ -78,9 +78,9 @@ class Parameters(MutableMapping[str, float]):
         """As `change`; also takes what dict.update takes."""
         self.change({**dict(changes), **more})
 
-    def undo(self) -> None:
+    def undo(self, timeout: float = TIMEOUT_S) -> None:
         """Back to what was before the last change. Raises Rejected, LinkLost, Timeout."""
-        self._runner.run(self._there.undo())
+        self._runner.run(self._there.undo(timeout))
 
 
 class DroneFiles:
@@ -88,6 +88,10 @@ class DroneFiles:
 
     def __init__(self, there: Files, runner: Runner) -> None:
         self._there, self._runner = there, runner
+
+    def list(self, path: str = "/", timeout: float = 10.0) -> list[FileEntry]:
+        """What is in the folder `path`."""
+        return self._runner.run(self._there.list(path, timeout))
 
     def read(self, path: str, timeout: float = 60.0) -> bytes:
         """What is in the file `path`."""

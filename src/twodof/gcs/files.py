@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import struct
-from typing import Any
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from typing import Any, NamedTuple
 
-from twodof.errors import Rejected
+from twodof.errors import LinkLost, Rejected
 from twodof.gcs.deadline import Deadline
 from twodof.gcs.session import Session
 from twodof.gcs.texts import Texts
@@ -13,6 +15,16 @@ from twodof.link.ftp import MOST_DATA, Fault, Op, Packet, packed, read_packet
 
 LARGEST = 1 << 29
 """Bytes of the largest file that is read."""
+MOST_ENTRIES = 10_000
+"""Entries of a folder that are listed."""
+
+
+class FileEntry(NamedTuple):
+    """A file, or a folder, whose size is 0; `size` in bytes."""
+
+    name: str
+    size: int
+    folder: bool
 
 
 class Files:
@@ -30,9 +42,10 @@ class Files:
         """Makes `content` the file `path`, whole or not at all."""
         deadline = self._deadline(timeout, f"sending {path}")
         number = (await self._ask(Op.CREATE, deadline, data=path.encode())).session
-        for start in range(0, len(content), MOST_DATA):
-            piece = content[start : start + MOST_DATA]
-            await self._ask(Op.WRITE, deadline, number, start, piece)
+        with self._ending(number):
+            for start in range(0, len(content), MOST_DATA):
+                piece = content[start : start + MOST_DATA]
+                await self._ask(Op.WRITE, deadline, number, start, piece)
         await self._ask(Op.TERMINATE, deadline, number)
 
     async def read(self, path: str, timeout: float = 60.0) -> bytes:
@@ -40,16 +53,34 @@ class Files:
         deadline = self._deadline(timeout, f"reading {path}")
         opened = await self._ask(Op.OPEN_RO, deadline, data=path.encode())
         (size,) = struct.unpack("<I", opened.data[:4])
-        if size > LARGEST:
-            raise Rejected(f"{size} bytes", deadline.where, f"{LARGEST} are read at most")
         content = bytearray()
-        while len(content) < size:
-            part = await self._ask(Op.READ, deadline, opened.session, len(content), wanted=MOST_DATA)
-            if not part.size:
-                break
-            content += part.data[: part.size]
+        with self._ending(opened.session):
+            if size > LARGEST:
+                raise Rejected(f"{size} bytes", deadline.where, f"{LARGEST} are read at most")
+            while len(content) < size:
+                part = await self._ask(Op.READ, deadline, opened.session, len(content), wanted=MOST_DATA)
+                if not part.size:
+                    break
+                content += part.data[: part.size]
         await self._ask(Op.TERMINATE, deadline, opened.session)
         return bytes(content)
+
+    async def list(self, path: str = "/", timeout: float = 10.0) -> list[FileEntry]:
+        """What is in the folder `path`."""
+        deadline = self._deadline(timeout, f"listing {path}")
+        found: list[FileEntry] = []
+        places = 0
+        while places < MOST_ENTRIES:
+            try:
+                part = await self._ask(Op.LIST, deadline, offset=places, data=path.encode())
+            except Rejected as refusal:
+                if refusal.what == _words(Fault.END):
+                    break
+                raise
+            rows = part.data[: part.size].rstrip(b"\0").split(b"\0")
+            found += [entry for row in rows if (entry := _entry(row)) is not None]
+            places += len(rows)
+        return found
 
     async def remove(self, path: str, timeout: float = 5.0) -> None:
         """Deletes the file `path`."""
@@ -60,10 +91,7 @@ class Files:
     ) -> Packet:
         session, spoken = self._session, self._texts.count
         sequence = self._sequence
-        self._sequence = (sequence + 2) & 0xFFFF
-        size = len(data) if wanted is None else wanted
-        asked = Packet(sequence, number, op, size, 0, 0, offset, data)
-        question = packed(asked, session.system, session.component)
+        question = self._question(op, number, offset, data, len(data) if wanted is None else wanted)
 
         def answer(got: Any) -> Packet | None:
             found = read_packet(bytes(got.payload))
@@ -75,8 +103,37 @@ class Files:
             return found
         code = found.data[0] if found.size else 0
         said = "; ".join(line.text for line in self._texts.since(spoken)[-3:])
-        words = Fault(code).name.lower().replace("_", " ") if code in [*Fault] else f"error {code}"
-        raise Rejected(said or words, f"{deadline.where}, {deadline.doing}", "see what the drone says")
+        if code == Fault.END:
+            said = ""  # that there is no more is no refusal to explain
+        raise Rejected(said or _words(code), f"{deadline.where}, {deadline.doing}", "see what the drone says")
+
+    @contextmanager
+    def _ending(self, number: int) -> Iterator[None]:
+        """Ends the drone's session of that number, unheard, where a call is left half way: PX4 has but one."""
+        try:
+            yield
+        except BaseException:
+            with suppress(LinkLost):
+                self._session.send(self._question(Op.TERMINATE, number, 0, b"", 0))
+            raise
+
+    def _question(self, op: Op, number: int, offset: int, data: bytes, size: int) -> Any:
+        sequence, self._sequence = self._sequence, (self._sequence + 2) & 0xFFFF
+        packet = Packet(sequence, number, op, size, 0, 0, offset, data)
+        return packed(packet, self._session.system, self._session.component)
 
     def _deadline(self, timeout: float, doing: str) -> Deadline:
         return Deadline(timeout, doing, f"drone {self._session.system}")
+
+
+def _words(code: int) -> str:
+    return Fault(code).name.lower().replace("_", " ") if code in [*Fault] else f"error {code}"
+
+
+def _entry(row: bytes) -> FileEntry | None:
+    """A row of a listing: F name TAB size, or D name; None for one that is skipped (S)."""
+    text = row.decode("utf-8", "replace")
+    kind, (name, _, size) = text[:1], text[1:].partition("\t")
+    if kind not in ("F", "D") or not name or name in (".", ".."):
+        return None
+    return FileEntry(name, int(size) if size.isdigit() else 0, kind == "D")

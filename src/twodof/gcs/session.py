@@ -141,7 +141,7 @@ class Session:
             ):
                 if number:
                     return f": {number} frames came, of the first {verdict.value}", "set both clocks"
-        return "", "start it, correct the address or the key, or try discover()"
+        return "", "start it, correct the address or the key, or look with Drone.discover()"
 
     def on(self, handler: Handler, *names: str) -> None:
         """Hand each message of these kinds from the vehicle to `handler`, which must be quick."""

@@ -46,7 +46,7 @@ class Battery:
 
 @dataclass(frozen=True)
 class State:
-    """How the drone stood when it was last heard."""
+    """How the drone stood when it was last heard; `autopilot` is its MAV_AUTOPILOT in words ("px4")."""
 
     mode: str = "unknown"
     armed: bool = False
@@ -54,6 +54,7 @@ class State:
     safety: Safety = Safety()
     rig: Rig = Rig()
     battery: Battery = Battery()
+    autopilot: str = "unknown"
 
     def __str__(self) -> str:
         text = f"{'armed' if self.armed else 'disarmed'}, {self.mode}"
@@ -86,7 +87,9 @@ class Watcher:
     def _heartbeat(self, got: Any) -> None:
         self.heartbeats += 1
         status = _STATUS[got.system_status] if got.system_status < len(_STATUS) else "unknown"
-        self._change(mode=mode_name(got.custom_mode), armed=bool(got.base_mode & ARMED), status=status)
+        autopilot = word_of("MAV_AUTOPILOT", got.autopilot)
+        armed = bool(got.base_mode & ARMED)
+        self._change(mode=mode_name(got.custom_mode), armed=armed, status=status, autopilot=autopilot)
 
     def _safety(self, got: Any) -> None:
         causes = names_of("TWODOF_CAUSE", got.flags)
