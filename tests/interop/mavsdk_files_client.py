@@ -1,7 +1,7 @@
 """A client made with MAVSDK alone, for what the vehicle keeps: `python mavsdk_files_client.py URL FOLDER`; prints JSON.
 
-It lists, fetches (in bursts and not), compares, sends and removes files, asks for the component's metadata, and has the
-log streamed. Like mavsdk_client.py it runs in a process of its own.
+It lists, fetches (in bursts and not), compares, sends and removes files, asks for the component's metadata, has the
+log streamed, and is told what happens. Like mavsdk_client.py it runs in a process of its own.
 """
 
 from __future__ import annotations
@@ -15,12 +15,15 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from mavsdk.asyncio import Configuration, Mavsdk, System
+from mavsdk.asyncio.plugins.action import ActionAsync
 from mavsdk.asyncio.plugins.component_metadata import ComponentMetadataAsync
+from mavsdk.asyncio.plugins.events import EventsAsync
 from mavsdk.asyncio.plugins.ftp import FtpAsync
 from mavsdk.asyncio.plugins.log_streaming import LogStreamingAsync
+from mavsdk.plugins.action import ActionError
 from mavsdk.plugins.ftp import FtpError
 
-DEADLINE_S = 20.0
+DEADLINE_S = 100.0
 # Two parts of a log: the second before it began, and what came in the next quarter of one.
 STREAMED_BYTES = 300_000
 
@@ -69,14 +72,38 @@ async def files(ftp: FtpAsync, folder: Path) -> None:
 
 
 async def metadata(system: System) -> None:
-    """What describes the parameters."""
+    """What describes parameters and events."""
     plugin = ComponentMetadataAsync(system)
     updates = plugin.subscribe_metadata_available()
     asked = asyncio.create_task(within(anext(updates)))
     await asyncio.sleep(0.1)
     await plugin.request_autopilot_component()
-    update = await asked
-    say("metadata", type=update.type.name, text=update.json_metadata)
+    for update in (await asked, await within(anext(updates))):
+        say("metadata", type=update.type.name, text=update.json_metadata)
+
+
+async def events(system: System) -> None:
+    """What it is told in words while somebody kills, wants to arm, and arms."""
+    plugin, action = EventsAsync(system), ActionAsync(system)
+    lines, reports = plugin.subscribe_events(), plugin.subscribe_health_and_arming_checks()
+    line, report = (asyncio.create_task(within(anext(stream))) for stream in (lines, reports))
+    now = (await report).current_mode_intention
+    say("checks", mode=now.mode_name, able=now.can_arm_or_run, problems=[one.message for one in now.problems])
+    await within(action.kill())
+    say("event", name=(await line).event_name)
+    try:
+        await within(action.arm())
+    except ActionError as refused:
+        say("not armed", why=str(refused))
+    denied = await within(anext(lines))
+    say("event", name=denied.event_name, text=denied.message, level=denied.log_level.name)
+    now = (await within(anext(reports))).current_mode_intention
+    say("checks", mode=now.mode_name, able=now.can_arm_or_run, problems=[one.message for one in now.problems])
+    for what in (action.disarm, action.arm, action.disarm):
+        await within(what())
+    for _ in range(2):
+        told = await within(anext(lines))
+        say("event", name=told.event_name, text=told.message, level=told.log_level.name)
 
 
 async def stream(system: System, target: Path) -> None:
@@ -103,6 +130,7 @@ async def main(url: str, folder: Path) -> None:
         await files(FtpAsync(system), folder)
         await metadata(system)
         await stream(system, folder / "streamed.ulg")
+        await events(system)
 
 
 if __name__ == "__main__":

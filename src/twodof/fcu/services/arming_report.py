@@ -10,12 +10,12 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 from twodof.fcu.flight_code import Step
-from twodof.fcu.services.event_enums import ABOUT, COMPONENT_INDEX, FIRST_OBSTACLE, OBSTACLE_BIT, OBSTACLES
+from twodof.fcu.services.event_enums import ABOUT, COMPONENT_INDEX, OBSTACLE_BIT
 from twodof.fcu.services.event_table import ARMING_SUMMARY, CHECKS, HEALTH_SUMMARY, Event
 from twodof.fcu.services.system_telemetry import hindering
 from twodof.fcu.services.vehicle import Commander, Controller
 from twodof.flight import failsafe_machine
-from twodof.flight.causes import BIT, CAUSES
+from twodof.flight.causes import BIT
 from twodof.link.modes import MODES, POSITION
 
 ALL_MODES = (1 << len(MODES)) - 1
@@ -24,10 +24,7 @@ MOVING_CART = _MODE_BITS[POSITION]
 """What the rings forbid."""
 
 PRESENT = sum(1 << place for name, place in COMPONENT_INDEX.items() if name != "none")
-_NAMES = (
-    *((1 << place, cause.name) for place, cause in enumerate(CAUSES)),
-    *((1 << place, one.name) for place, one in enumerate(OBSTACLES, start=FIRST_OBSTACLE)),
-)
+_BITS = MappingProxyType({**BIT, **OBSTACLE_BIT})
 
 
 class Told(NamedTuple):
@@ -66,14 +63,15 @@ class ArmingReport:
         if obstacles & BIT["rings_wrong"]:  # set-points that move the cart, in whatever mode this is
             locked |= _MODE_BITS.get(self._commander.custom_mode, 0)
         others = obstacles & ~BIT["rings_wrong"]
-        failed = [(name, ALL_MODES) for bit, name in _NAMES if others & bit]
+        failed = [(name, ALL_MODES) for name, bit in _BITS.items() if others & bit]
         if locked:
             failed.append(("rings_wrong", locked))
         wrong = {"arming_check": 0, "health": 0}
         checks = []
         for name, modes in failed:
             event, place = CHECKS[name], COMPONENT_INDEX[ABOUT[name]]
-            wrong[event.group] |= 1 << place
+            if obstacles & _BITS[name]:  # rings that lock a cart which nobody wants to move are no fault
+                wrong[event.group] |= 1 << place
             checks.append(Told(event, (modes, place)))
         runs = ALL_MODES & ~locked
         return [
