@@ -5,7 +5,7 @@ import pytest
 from tests.fcu.cockpit import COMPANION, LEVEL_FLIGHT, ME, OTHER, Cockpit, armed, offboard
 from twodof.fcu.asked import FAILED, IN_PROGRESS, TEMPORARILY_REJECTED, Asked
 from twodof.fcu.helm import FRESH
-from twodof.fcu.setpoints import ATTITUDE, OFF, OPEN_LOOP, OPENLOOP, SetPoint
+from twodof.fcu.setpoints import ATTITUDE, OFF, OPEN_LOOP, OPENLOOP, STICKS, SetPoint
 from twodof.flight.causes import BIT
 from twodof.flight.failsafe_machine import DISARMED
 from twodof.flight.failsafe_machine import OFF as STOPPED_BY_FAILSAFE
@@ -104,12 +104,16 @@ def test_a_stream_with_thrust_that_goes_on_in_offboard_does_not_keep_from_arming
     assert cockpit.arm().accepted
 
 
-def test_what_sticks_asked_for_in_another_mode_does_not_keep_from_arming() -> None:
+@pytest.mark.parametrize("kind", [OPENLOOP, STICKS])
+def test_what_was_asked_for_in_another_mode_does_not_keep_from_arming_in_one_that_does_not_hear_it(kind: str) -> None:
+    """A stick that is held is heard in the next mode too: tests/fcu/test_hazards.py."""
     cockpit = Cockpit()
     cockpit.run(2)
-    cockpit.commander.set_mode(ME, modes.ATTITUDE)
-    cockpit.commander.sticks(ME, 0.1, 0.4)
-    cockpit.commander.set_mode(ME, modes.MANUAL)
+    if kind == STICKS:
+        cockpit.commander.sticks(ME, 0.1, 0.4)
+    else:
+        cockpit.commander.open_loop(ME, 0.1, 0.4, True, True, True)
+    cockpit.commander.set_mode(ME, modes.HOLD if kind == STICKS else modes.ATTITUDE)
     assert cockpit.arm().accepted
 
 

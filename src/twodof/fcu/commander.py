@@ -10,21 +10,19 @@ from collections.abc import Callable
 from math import isfinite
 
 from twodof.fcu.arming import Arming
-from twodof.fcu.asked import ACCEPTED, DENIED, TEMPORARILY_REJECTED, UNSUPPORTED, Asked, Source, Verdict
+from twodof.fcu.asked import DENIED, TEMPORARILY_REJECTED, UNSUPPORTED, Asked, Source, Verdict
 from twodof.fcu.checks import Rig, against_arming, against_playing
 from twodof.fcu.excitation_player import LOOPS, REFUSED, STOPPED, Player, Prepared
 from twodof.fcu.flight_code import Step
 from twodof.fcu.helm import Helm
-from twodof.fcu.lease import COMMANDING, Lease, LeaseState
+from twodof.fcu.lease import LeaseState
+from twodof.fcu.pilot import DONE, Pilot
 from twodof.fcu.schedule import HORIZON
 from twodof.fcu.setpoints import ATTITUDE, OPEN_LOOP, OPENLOOP, STICKS, TARGET, VELOCITY, OpenLoop, SetPoint
 from twodof.fcu.sticks import stick_setpoint
 from twodof.flight.causes import ACTIONS, BIT, named_causes
-from twodof.flight.core import PERIOD
 from twodof.flight.failsafe_machine import BRAKE, DESCEND, DISARMED, FLYING, LEVEL
 from twodof.link import modes
-
-DONE = Verdict(ACCEPTED)
 
 ACTING = (LEVEL, BRAKE, DESCEND)
 """States in which the failsafe flies."""
@@ -50,11 +48,11 @@ class Commander:
         self.refused: Counter[str] = Counter()
         self.step: Step | None = None
         self._level_thrust = level_thrust
-        self._lease = Lease()
+        self._pilot = Pilot(granted=lockstep)
+        self._served = self._pilot.changes  # the holder of the lease whose words are at the helm
         self._helm = Helm()
         self._arming = Arming()
         self._now = 0  # the first tick that was not asked for yet: what is commanded acts there
-        self._link = False
         self._state = DISARMED
         self._armed = False
         self._asked = Asked()
@@ -77,7 +75,7 @@ class Commander:
     @property
     def lease(self) -> LeaseState:
         """Who may command, for how many ticks still, and a count of the changes."""
-        return self._lease.state(self._now, self._flying)
+        return self._pilot.lease(self._now, self._flying)
 
     @property
     def player(self) -> Player:
@@ -118,7 +116,9 @@ class Commander:
     def asked(self, tick: int) -> Asked:
         """What the flight code is asked at `tick`; once a tick, before its step."""
         self._now = tick + 1
-        helm, lease = self._helm, self._lease
+        helm, pilot, link = self._helm, self._pilot, self._pilot.heard
+        if not self.rig.safety_off and (self._arming.word or self._arming.pending):
+            self._stand("safety switch: motors off", tick)
         if self._arming.pending:
             self._arming.speak(tick)
             helm.changed = True
@@ -126,15 +126,12 @@ class Commander:
             self._act_due(tick)
         if helm.player.begins <= tick:
             self._begin_play(tick)
-        link = self._link or self.lockstep
-        if lease.holder is not None:
-            if self.lockstep:
-                lease.hear(lease.holder, tick)
-            if lease.expire(self._now, self._flying):
-                self._remark(4 if lease.orphaned else 6, "nobody holds the lease any more")
+        pilot.passes(self._now, self._flying)
+        if pilot.changes != self._served:
+            self._remark(4 if pilot.orphaned else 6, "nobody holds the lease any more")
+            self._hand_over()
         if helm.changed or link is not self._asked.link_new:
             self._asked = helm.asked(tick, self._arming.word, link)
-        self._link = False
         return self._asked
 
     def seen(self, step: Step) -> None:
@@ -151,46 +148,37 @@ class Commander:
 
         The lease stays as it is, and so does a kill: who resets need not know of it.
         """
-        self._lease.moved(-self._now)
+        self._pilot.restart(self._now)
         revision = self.openloop.revision + 1
         self._helm, self._arming = Helm(), Arming(self._arming.killed)
         self._helm.openloop = OpenLoop(revision=revision)
-        self._now, self._link, self._state, self._armed, self.step = 0, False, DISARMED, False, None
+        self._now, self._state, self._armed, self.step = 0, DISARMED, False, None
 
     def heard(self, source: Source, is_client: bool) -> None:
-        """Notes a frame of any kind; `is_client`: of a ground station or companion, not of a vehicle.
+        """Notes a frame of any kind; `is_client`: of a ground station or companion, not of a vehicle."""
+        self._pilot.hear(source, is_client, self._now)
 
-        It keeps the link alive if it is the lease holder's, or while nobody holds the lease a client's.
-        """
-        if self._lease.holder is None:
-            self._link |= is_client and not self._lease.orphaned
-        elif self._lease.hear(source, self._now):
-            self._link = True
+    def stands(self, ticks: int) -> None:
+        """So much real time, in ticks, has passed in lockstep while none was granted."""
+        self._pilot.stands(ticks)
 
     def take(self, source: Source, what: str = "command") -> Verdict:
         """Whether `source` may command; takes a free lease for it. `what` it wanted is named in a refusal."""
-        if 0 in source:
-            return Verdict(DENIED, f"{what} refused: it has no sender")
-        if self._lease.command(source, self._now):
-            self._link = True
-            return DONE
-        return Verdict(TEMPORARILY_REJECTED, f"{what} refused: {self._holder()} holds the lease")
+        verdict = self._pilot.take(source, what, self._now)
+        self._hand_over()
+        return verdict
 
     def ask_lease(self, source: Source, duration_ms: int = 0) -> Verdict:
         """Takes the lease, or renews it, for a time of 30 s at most (0: 2 s); refused while another holds it."""
-        if 0 in source:
-            return Verdict(DENIED, "lease refused: it has no sender")
-        ticks = round(duration_ms * 1e-3 / PERIOD) if duration_ms else COMMANDING
-        if self._lease.ask(source, self._now, ticks):
-            self._link = True
-            return DONE
-        return Verdict(TEMPORARILY_REJECTED, f"lease refused: {self._holder()} holds it")
+        verdict = self._pilot.ask(source, duration_ms, self._now)
+        self._hand_over()
+        return verdict
 
     def give_up_lease(self, source: Source) -> Verdict:
         """Frees the lease; refused to all but its holder."""
-        if self._lease.give_up(source, self._flying):
-            return DONE
-        return Verdict(TEMPORARILY_REJECTED, f"lease not given up: {self._holder()} holds it")
+        verdict = self._pilot.give_up(source, self._flying)
+        self._hand_over()
+        return verdict
 
     def arm(self, source: Source, force: bool = False) -> Verdict:
         """Arms; IN_PROGRESS if nothing speaks against it: then `arming` tells what the failsafe said in the next tick.
@@ -216,8 +204,8 @@ class Commander:
         """Stops the motors in the next tick, whoever asks: on this rig that is the safe state. `force` is a kill."""
         if force:
             return self.kill(source)
-        if self._lease.holder == source:
-            self._lease.command(source, self._now)
+        if self._pilot.holder == source:
+            self.take(source)  # which renews it
         self._arming.release()
         self._helm.rest("disarmed", self._now)
         return DONE
@@ -262,7 +250,7 @@ class Commander:
             self.refused["lease"] += 1
         elif at_tick <= self._now:
             self._helm.take(setpoint, kind, self._now, self._arming.word, said)
-        elif at_tick > self._now + HORIZON or not self._helm.schedule.add(at_tick, source, setpoint, kind, said):
+        elif at_tick > self._now + HORIZON or not self._helm.schedule.add(at_tick, setpoint, kind, said):
             return self._refuse("queue", "too many wait, or it is more than a minute ahead")
         return verdict
 
@@ -288,7 +276,10 @@ class Commander:
             return self._refuse("invalid", "a stick is beyond its end")
         x = self.step.x if self.step is not None else 0.0
         setpoint = stick_setpoint(self.custom_mode, pitch, thrust, self._helm.values, x)
-        return self.setpoint(source, setpoint, kind=STICKS)
+        verdict = self.setpoint(source, setpoint, kind=STICKS)
+        if verdict.accepted:
+            self._helm.hold_stick(pitch, thrust, self._now)
+        return verdict
 
     def define_excitation(self, source: Source, transfer: int, prepared: Prepared) -> Verdict:
         """Takes a definition, whole and written out; refused while another plays. Nothing is played yet."""
@@ -311,10 +302,10 @@ class Commander:
         if not verdict.accepted or (player.playing and player.transfer == transfer):
             return verdict  # a start that comes twice is done once
         why = against_playing(player, self.rig, transfer, loop, thrust, at_tick, self._now)
-        if not (why or at_tick or self._armed):
-            why = "not armed"
+        if not why and not at_tick:
+            why = self._against_beginning()
         if not why:
-            player.wait(max(at_tick, self._now), LOOPS[loop], thrust, source)
+            player.wait(max(at_tick, self._now), LOOPS[loop], thrust)
             return DONE
         if not player.playing and player.unit and player.transfer == transfer:
             player.finish(REFUSED, why)
@@ -333,9 +324,22 @@ class Commander:
         """Armed, or about to be: then the lease stays as long as its holder is heard."""
         return self._armed or self._arming.word
 
-    def _holder(self) -> str:
-        holder = self._lease.holder
-        return f"system {holder[0]}, component {holder[1]}" if holder is not None else "nobody"
+    def _hand_over(self) -> None:
+        """Where the lease has changed hands what was sent ahead is forgotten, and an arming that waits ends."""
+        if self._pilot.changes == self._served:
+            return
+        self._served = self._pilot.changes
+        if waiting := len(self._helm.schedule):
+            self.refused["lease"] += waiting
+        self._helm.forget_ahead("who started it has lost the lease")
+        if self._arming.pending and self._pilot.holder is None:
+            self._arming.release(self._arming.killed)
+
+    def _stand(self, why: str, tick: int) -> None:
+        """The motors stop, not by a command."""
+        self._arming.release(self._arming.killed)
+        self._helm.rest(why, tick)
+        self._remark(2, why)
 
     def _refuse(self, reason: str, text: str) -> Verdict:
         self.refused[reason] += 1
@@ -348,23 +352,26 @@ class Commander:
     def _missing(self) -> int:
         """The causes that speak against arming, but for the one that hearing this command has cured."""
         causes = self.step.causes if self.step is not None else 0
-        return causes & ~BIT["link_lost"] if self._link or self.lockstep else causes
+        return causes & ~BIT["link_lost"] if self._pilot.heard else causes
 
     def _act_due(self, tick: int) -> None:
         helm = self._helm
         while (due := helm.schedule.due(tick)) is not None:
-            if self._lease.holder == due.source:
-                helm.take(due.setpoint, due.kind, tick, self._arming.word, due.said)
-            else:
-                self.refused["lease"] += 1
+            helm.take(due.setpoint, due.kind, tick, self._arming.word, due.said)
+
+    def _against_beginning(self) -> str:
+        """What speaks against it that an excitation begins in this tick."""
+        if not (self._armed and self._arming.word):
+            return "not armed"
+        # It would go on in its middle when the failsafe lets go.
+        return f"the failsafe acts: {ACTIONS[self.step.action]}" if self.step and self._state in ACTING else ""
 
     def _begin_play(self, tick: int) -> None:
-        if self._lease.holder != self.player.starter:
-            self.player.finish(REFUSED, "who started it has lost the lease")
-        elif self._armed and self._arming.word:
-            self._helm.begin_play(self._level_thrust(), tick)
+        why = self._against_beginning()
+        if why:
+            self.player.finish(REFUSED, why)
         else:
-            self.player.finish(REFUSED, "not armed")
+            self._helm.begin_play(self._level_thrust(), tick)
 
     def _changed(self, step: Step) -> None:
         """The failsafe's state is another one."""
@@ -377,7 +384,7 @@ class Commander:
         if step.armed and step.action and self.player.playing:
             self.player.finish(STOPPED, f"{ACTIONS[step.action]}: {reasons}")
         if self._armed and not step.armed:
-            self._lease.orphaned = False
+            self._pilot.landed()
             if self._arming.word:  # else a command has disarmed it, and what came since is for the next flight
                 self._helm.rest(f"the motors were stopped: {reasons}", self._now)
                 self._remark(2, f"failsafe: motors off ({reasons})")

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from twodof.errors import ExperimentError
 from twodof.excitation import MAX_DURATION_S, MAX_LINES, MAX_PARTS, Excitation, Multisine, from_dict
-from twodof.fcu.asked import Source
 from twodof.fcu.schedule import NEVER
 from twodof.fcu.setpoints import ATTITUDE, OPEN_LOOP, POSITION, RATE, VELOCITY
 from twodof.flight.core import PERIOD
@@ -110,8 +109,7 @@ def written_out(excitation: Excitation) -> Prepared:
 class Player:
     """One excitation: defined, waiting for its tick, playing, then done. A definition plays once.
 
-    `start` and `end` are the tick of its time 0 and the first one after its end, `begins` the tick for which it waits,
-    `starter` who started it;
+    `start` and `end` are the tick of its time 0 and the first one after its end, `begins` the tick for which it waits;
     `reason` says why it was refused or stopped; `revision` counts the changes.
     """
 
@@ -125,7 +123,6 @@ class Player:
         self.revision = 0
         self.loop = LOOPS[0]
         self.thrust: float | None = None
-        self.starter: Source | None = None
         self._prepared: Prepared | None = None
 
     @property
@@ -149,10 +146,10 @@ class Player:
         self.start = self.end = 0
         self._become(READY)
 
-    def wait(self, tick: int, loop: Loop, thrust: float | None, starter: Source) -> None:
-        """It is to begin at `tick`, if `starter` has the lease then."""
+    def wait(self, tick: int, loop: Loop, thrust: float | None) -> None:
+        """It is to begin at `tick`."""
         self._become(READY)
-        self.begins, self.loop, self.thrust, self.starter = tick, loop, thrust, starter
+        self.begins, self.loop, self.thrust = tick, loop, thrust
         self.start, self.end = tick, tick + (len(self._prepared.values) if self._prepared is not None else 0)
 
     def begin(self) -> None:

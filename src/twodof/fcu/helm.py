@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from twodof.fcu.asked import Asked
-from twodof.fcu.excitation_player import STOPPED, Player
+from twodof.fcu.excitation_player import REFUSED, STOPPED, Player
 from twodof.fcu.schedule import Schedule
 from twodof.fcu.setpoints import ATTITUDE, NOTHING, OFF, OPEN_LOOP, OPENLOOP, STICKS, TARGET, OpenLoop, SetPoint, Values
+from twodof.fcu.sticks import stick_setpoint
 from twodof.flight.core import PERIOD
 from twodof.link import modes
 
@@ -46,6 +47,8 @@ class Helm:
         self._said: OpenLoop | None = None  # the open-loop message that the offer came of
         self._latest = Values()  # what would fly in this mode, were the drone armed
         self._latest_at = _LONG_AGO
+        self._stick = 0.0, 0.0  # where pitch and thrust were held last
+        self._stick_at = _LONG_AGO
 
     def streamed(self, tick: int) -> bool:
         """Whether set-points have been coming above 2 Hz."""
@@ -83,6 +86,9 @@ class Helm:
         self.custom_mode = custom_mode
         self._on_board, self.changed = False, True
         self._latest, self._latest_at = Values(), _LONG_AGO
+        if STICKS in HEARD_IN[custom_mode]:  # a stick that is held goes on in the new mode with its next message
+            self._latest = stick_setpoint(custom_mode, *self._stick, self.values, 0.0).over(self._latest)
+            self._latest_at = self._stick_at
         if armed and custom_mode == modes.HOLD:
             self._use(self.values._replace(loop=ATTITUDE, theta0=0.0, thrust=level_thrust), tick, on_board=True)
         elif armed and offboard:
@@ -90,14 +96,28 @@ class Helm:
         if not offboard:
             self._offer = NOTHING  # what was asked for in an offboard of before is not what is flown now
 
+    def hold_stick(self, pitch: float, thrust: float, tick: int) -> None:
+        """Notes where the stick is held at `tick`."""
+        self._stick, self._stick_at = (pitch, thrust), tick
+
+    def forget_ahead(self, why: str) -> None:
+        """Another steers from now on: what was sent ahead or is on offer is forgotten; what flies, flies on."""
+        self.schedule.clear()
+        self._offer, self._said, self._offered = NOTHING, None, _LONG_AGO
+        self._latest, self._latest_at, self._stick_at = Values(), _LONG_AGO, _LONG_AGO
+        if self.player.waiting:
+            self.player.finish(REFUSED, why)
+
     def begin_play(self, level_thrust: float, tick: int) -> None:
         """The excitation that waits begins: about the set-point in use if its loop flies, else about 0."""
         player, values = self.player, self.values
         name = player.loop.name
-        base = getattr(values, name) if self._live and values.flown == player.loop.loop else 0.0
+        about = values
+        if not (self._live and values.flown == player.loop.loop):
+            about = values._replace(ax0=0.0).with_number(name, 0.0)
         thrust = player.thrust if player.thrust is not None else values.thrust or level_thrust
         self.custom_mode = modes.OFFBOARD
-        flown = values._replace(loop=player.loop.loop, thrust=thrust).with_number(name, base)
+        flown = about._replace(loop=player.loop.loop, thrust=thrust)
         self._use(flown, tick, on_board=True)
         player.begin()
 

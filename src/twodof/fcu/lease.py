@@ -30,6 +30,10 @@ class Lease:
 
     `orphaned`: the holder fell silent or gave it up while armed, and nobody took the lease since. Then no other
     client keeps the link alive: the drone is without its pilot, whoever else may be there.
+
+    Where time stands still until its holder grants it (`stands`), one that died would hold it for ever: of one that was
+    not heard for `HEARD` ticks of standing time another may take it. Unless another does nothing changes, as nothing
+    that flies may depend on how long a client thinks.
     """
 
     def __init__(self) -> None:
@@ -38,6 +42,7 @@ class Lease:
         self.revision = 0
         self._until = 0
         self._heard = 0
+        self._stood = 0
 
     def end(self, armed: bool) -> int:
         """First tick at which it is free if nothing more is heard; means nothing while nobody holds it."""
@@ -45,8 +50,12 @@ class Lease:
 
     def state(self, tick: int, armed: bool) -> LeaseState:
         """How it stands at `tick`."""
-        left = max(0, self.end(armed) - tick) if self.holder is not None else 0
-        return LeaseState(self.holder, left, self.revision)
+        if self.holder is None:
+            return LeaseState(None, 0, self.revision)
+        left = self.end(armed) - tick
+        if self._stood:
+            left = min(left, HEARD - self._stood)
+        return LeaseState(self.holder, max(0, left), self.revision)
 
     def ask(self, source: Source, tick: int, ticks: int) -> bool:
         """Takes it, or renews it for `ticks` from now, 1 to LONGEST; False while another holds it."""
@@ -74,8 +83,12 @@ class Lease:
         """Notes a frame of any kind; whether it is the holder's."""
         if self.holder != source:
             return False
-        self._heard = tick
+        self._heard, self._stood = tick, 0
         return True
+
+    def stands(self, ticks: int) -> None:
+        """Time stood still for so long, in ticks, while nothing was heard of the holder."""
+        self._stood = min(self._stood + ticks, HEARD)
 
     def expire(self, tick: int, armed: bool) -> bool:
         """Frees it if its time is over; whether it did."""
@@ -91,12 +104,12 @@ class Lease:
         self._heard += ticks
 
     def _take(self, source: Source, tick: int) -> bool:
-        if self.holder is None:
+        if self.holder is None or (self.holder != source and self._stood >= HEARD):
             self.holder, self.orphaned, self._until = source, False, tick
             self.revision += 1
         elif self.holder != source:
             return False
-        self._heard = tick
+        self._heard, self._stood = tick, 0
         return True
 
     def _free(self) -> None:

@@ -6,7 +6,6 @@ import heapq
 from itertools import count
 from typing import NamedTuple
 
-from twodof.fcu.asked import Source
 from twodof.fcu.setpoints import OpenLoop, SetPoint
 from twodof.flight.core import PERIOD
 
@@ -25,7 +24,6 @@ class Waiting(NamedTuple):
 
     tick: int
     number: int
-    source: Source
     setpoint: SetPoint
     kind: str
     said: OpenLoop | None
@@ -42,11 +40,11 @@ class Schedule:
     def __len__(self) -> int:
         return len(self._waiting)
 
-    def add(self, tick: int, source: Source, setpoint: SetPoint, kind: str, said: OpenLoop | None = None) -> bool:
+    def add(self, tick: int, setpoint: SetPoint, kind: str, said: OpenLoop | None = None) -> bool:
         """Keeps it until `tick`, with the open-loop message that it came of; False if too many wait."""
         if len(self._waiting) >= CAPACITY:
             return False
-        heapq.heappush(self._waiting, Waiting(tick, next(self._number), source, setpoint, kind, said))
+        heapq.heappush(self._waiting, Waiting(tick, next(self._number), setpoint, kind, said))
         self.next = self._waiting[0].tick
         return True
 

@@ -27,5 +27,5 @@ def stick_setpoint(custom_mode: int, pitch: float, thrust: float, held: Values, 
     if custom_mode != modes.POSITION:
         return SetPoint(OPEN_LOOP, M_open=-pitch, thrust=thrust)
     if pitch != 0.0:
-        return SetPoint(VELOCITY, v0=VELOCITY_AT_FULL * pitch)
-    return SetPoint(POSITION, x0=held.x0 if held.loop == POSITION else x)
+        return SetPoint(VELOCITY, v0=VELOCITY_AT_FULL * pitch, ax0=0.0)
+    return SetPoint(POSITION, x0=held.x0 if held.loop == POSITION else x, ax0=0.0)

@@ -46,6 +46,43 @@ def test_the_lease_is_asked_for_and_given_up() -> None:
     assert desk.taken("TWODOF_LEASE")[0].holder_system == 0
 
 
+def test_in_lockstep_a_holder_that_died_gives_way_to_who_asks_three_seconds_later() -> None:
+    """Its lease counts ticks, and only it could grant them. `idle` comes once in a second of standing time."""
+    desk = Desk(lockstep=True)
+    desk.say(grant(10))
+    desk.run_granted()
+    assert desk.commander.lease.holder == ME
+    lease = desk.services[0]
+    for left in (490, 250, 0):  # of the two seconds after its last command ten ticks have run
+        desk.say(ask(), OTHER, "other")
+        assert desk.taken("TWODOF_LEASE")[-1].holder_system == ME[0]
+        lease.idle()
+        assert desk.commander.lease.left == left
+    desk.say(ask(), OTHER, "other")
+    assert desk.taken("TWODOF_LEASE")[-1].holder_system == OTHER[0]
+    desk.say(grant(20), OTHER, "other")
+    desk.run_granted()
+    desk.say(grant(30))
+    assert desk.controller.granted == 20
+
+
+def test_in_lockstep_one_who_thinks_for_long_loses_nothing_if_nobody_else_asks() -> None:
+    desk = Desk(lockstep=True)
+    desk.arm()
+    desk.say(message("TWODOF_OPENLOOP", M=0.1, T=0.4, openloop=1, enableM=1, enableT=1, tick=40, **TARGET))
+    lease = desk.services[0]
+    for _ in range(100):
+        lease.idle()
+    assert desk.commander.lease.holder == ME
+    desk.say(message("HEARTBEAT", type=6, autopilot=8))
+    assert desk.commander.lease.left > 0
+    desk.say(ask(), OTHER, "other")
+    assert desk.commander.lease.holder == ME
+    desk.say(grant(50))
+    desk.run_granted()
+    assert abs(desk.commander.openloop.M - 0.1) < 1e-7, "a float32 on the wire"
+
+
 def test_any_frame_of_its_holder_keeps_the_link_alive_and_no_vehicles() -> None:
     desk = Desk()
     desk.run(2)

@@ -13,6 +13,7 @@ from twodof.fcu.flight_code import Step
 from twodof.fcu.service import Link
 from twodof.fcu.services.addressing import Us, source
 from twodof.fcu.services.background import Background
+from twodof.fcu.services.wire_tick import meant
 from twodof.link.connection import Received
 from twodof.link.messages import ExcitationReceiver, message
 
@@ -88,7 +89,8 @@ class Excite:
                 self._tell_player(peer)
                 return Verdict(ACCEPTED)
             thrust = None if isnan(got.thrust) else got.thrust
-            return self._commander.start_excitation(sender, got.transfer, got.loop, thrust, got.tick)
+            at_tick = meant(got.tick, self._tick) if got.tick else 0
+            return self._commander.start_excitation(sender, got.transfer, got.loop, thrust, at_tick)
         if got.action == STOP:
             return self._commander.stop_excitation(sender)
         return Verdict(DENIED, f"excitation refused: there is no action {got.action}")

@@ -12,6 +12,7 @@ from twodof.fcu.flight_code import Step
 from twodof.fcu.loop import FlightController
 from twodof.fcu.service import Link
 from twodof.fcu.services.addressing import Us, source
+from twodof.fcu.services.wire_tick import meant
 from twodof.link.connection import Received
 from twodof.link.messages import message
 
@@ -90,8 +91,9 @@ class Lockstep:
             return Verdict(UNSUPPORTED, "grant refused: time runs by itself")
         verdict = self._commander.take(source(received), "grant")
         if verdict.accepted:
-            controller.grant(got.until)
-            grant = Grant(min(got.until, controller.granted), got.number, received.peer)
+            until = meant(got.until, controller.tick)
+            controller.grant(until)
+            grant = Grant(min(until, controller.granted), got.number, received.peer)
             if grant.until <= controller.tick:
                 self._answer(grant.number, grant.peer)
             elif len(self._waiting) < MOST_GRANTS:
