@@ -91,11 +91,14 @@ def _of(kind: str, diagram: Diagram, taken: Iterable[str]) -> OwnParameters:
 def _row(kind: str, diagram: str, one: Exported) -> Row:
     path = f"{kind}.{one.place}"
     text = ": ".join(filter(None, (path, one.text)))
+    default, low, high = one.default, one.low, one.high
+    if one.kind == "real":
+        default, low, high = carried(default), carried(low), carried(high)
     return Row(
         one.name,
-        carried(one.default),
-        carried(one.low),
-        carried(one.high),
+        default,
+        low,
+        high,
         harmless(one.unit, LONGEST_UNIT),
         harmless(text, LONGEST_TEXT),
         kind="float" if one.kind == "real" else "int32",
