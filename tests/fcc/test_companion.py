@@ -15,6 +15,7 @@ from tests.faults.virtual_time import run_virtual
 from tests.fcc.scripted import Listener, Vehicle, until
 from tests.patience import PATIENCE_S
 from twodof.errors import LinkError
+from twodof.fcc import companion as companion_module
 from twodof.fcc.client import SILENT_S
 from twodof.fcc.companion import (
     LONGEST_BACK_OFF_S,
@@ -198,6 +199,35 @@ def test_a_client_on_udp_that_vanishes_is_forgotten_and_a_default_address_stays(
                 _datagrams(there)
                 await asyncio.sleep(1.0)
                 assert _datagrams(there)
+
+    run_virtual(work())
+
+
+def test_strangers_take_all_places_of_one_link_and_keep_nobody_from_a_kill(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(companion_module, "MOST_CLIENTS", 3)
+
+    async def work() -> None:
+        serve = [Serve("memin://one", "ground"), Serve("memin://two", "ground")]
+        async with Vehicle(await open_transport("memin://fcu")) as vehicle, Companion("mem://fcu", serve) as companion:
+            strangers = [await open_transport("mem://one") for _ in range(5)]
+            for number, stranger in enumerate(strangers):
+                stranger.send(encode(message("HEARTBEAT", type=6), 20 + number, 190, 0))
+            await until(lambda: len(companion.clients) == 3)
+            late = strangers[-1]
+            kill = {"target_system": 1, "target_component": 1, "command": 400, "param2": 21196.0}
+            late.send(encode(message("COMMAND_LONG", **kill), 1, 1, 0))  # in the vehicle's own name
+            for fields in (kill | {"param1": 1.0}, kill | {"target_system": 9}, kill):
+                late.send(encode(message("COMMAND_LONG", **fields), 24, 190, 0))
+            await until(lambda: bool(vehicle.heard("COMMAND_LONG", system=24)))
+            # Its kill, and nothing else: no heartbeat, no arming, not what is for another.
+            assert [one.param1 for one in vehicle.heard("COMMAND_LONG", system=24)] == [0.0]
+            assert not vehicle.heard("HEARTBEAT", system=24)
+            kills = [one for one in vehicle.heard("COMMAND_LONG") if one.command == 400]
+            assert len(kills) == 1
+            async with Listener(await open_transport("mem://two")) as client:  # the other link has places of its own
+                await until(lambda: len(client.heard("ATTITUDE")) > 2)
+            for stranger in strangers:
+                await stranger.close()
 
     run_virtual(work())
 

@@ -22,7 +22,8 @@ from twodof.link.transport import Packet, Transport
 from twodof.link.udp import UdpTransport
 from twodof.link.url import parse
 
-MOST_CLIENTS = 64
+# Of one link, so that strangers on one leave room on the others.
+MOST_CLIENTS = 32
 SWEEP_S = 0.1
 BEAT_S = 1.0
 # What has begun on a stream and does not go on for this long is no frame.
@@ -283,7 +284,8 @@ class Companion:
                     continue
                 client = self._welcome(port, packet.peer)
                 if client is None:
-                    return
+                    self.router.from_stranger(frame)
+                    continue
             if frame.known:
                 port.transport.confirm(packet.peer)
             self.router.from_client(client, frame)
@@ -292,8 +294,10 @@ class Companion:
     def _welcome(self, port: _Port, peer: Hashable, stays: bool = False) -> Client | None:
         """A new client; None where there are too many, and none of them is silent."""
         now = self._loop.time()
-        if len(self.router.clients) >= MOST_CLIENTS:
-            silent = min((one for one in self.router.clients if not one.stays), key=lambda one: one.heard, default=None)
+        if len(port.clients) >= MOST_CLIENTS:
+            silent = min(
+                (one for one in port.clients.values() if not one.stays), key=lambda one: one.heard, default=None
+            )
             if silent is None or now - silent.heard < SWEEP_S * 100:
                 return None
             self._dismiss(silent)

@@ -22,6 +22,7 @@ from twodof.link.signing import Signing
 
 MOST_IDENTITIES = 32
 _NOW_AND_THEN = 15
+_STRANGERS = "strangers"  # who on the line has no place among the clients
 _HALF = 128  # of the range of a sequence number: what is further ahead is behind
 
 
@@ -104,7 +105,7 @@ class Router:
         self.counts.from_clients += 1
         client.counts.received += 1
         identity = (frame.system, frame.component)
-        if identity in self.vehicle or identity == (self.system, COMPANION) or not frame.system:
+        if not self._may_say(frame):
             client.counts.impostors += 1
             self.counts.impostors += 1
             return
@@ -138,6 +139,13 @@ class Router:
         self.answers.asked(client, frame, now)
         if not self.line.offer(client, frame.raw, now, urgent):
             client.counts.crowded_out += 1
+
+    def from_stranger(self, frame: Frame) -> None:
+        """A frame of somebody for whom there is no room among the clients: what stops motors passes nevertheless."""
+        asked = wire.command(frame)
+        urgent = wire.stop(asked) if asked is not None else None
+        if asked is not None and urgent is not None and asked.system in (0, self.system) and self._may_say(frame):
+            self.line.offer(_STRANGERS, frame.raw, self.clock(), urgent)
 
     def from_vehicle(self, frame: Frame) -> None:
         """A frame that came over the line."""
@@ -174,6 +182,11 @@ class Router:
     def answer(self, client: Client, sent: Any) -> None:
         """Say something to one client in the companion's own name."""
         client.write(self._encoded(sent, COMPANION, client.number((self.system, COMPANION))))
+
+    def _may_say(self, frame: Frame) -> bool:
+        """Whether it may come from outside: nobody there speaks for the vehicle or for us."""
+        identity = (frame.system, frame.component)
+        return identity not in self.vehicle and identity != (self.system, COMPANION) and bool(frame.system)
 
     def _deliver(self, client: Client, frame: Frame) -> None:
         client.deliver(frame, self.lost.get((frame.system, frame.component), 0))

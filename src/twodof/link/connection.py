@@ -16,12 +16,16 @@ from twodof.link.framing import Frame, Parser, decode, encode
 from twodof.link.messages import message
 from twodof.link.signing import Signing, Verdict
 from twodof.link.statistics import LinkStatistics
-from twodof.link.transport import Transport
+from twodof.link.transport import Packet, Transport
 
 # A parser holds at most one frame.
 MOST_PARSERS = 64
 # What has begun and is not followed for this long is no frame: 280 bytes take 49 ms at 57600 baud.
 BROKEN_OFF_S = 0.1
+# A stream is looked through in pieces, and for so long before others get a turn: in bytes, in which a packet, a
+# checksum that does not hold and an answer of ours count too. That is half a millisecond to two, whatever comes.
+PIECE, MOST_LOOKED_THROUGH = 512, 8192
+A_PACKET, A_CHECKSUM, AN_ANSWER = 32, 16, 256
 _TIMESYNC, _PING = 111, 4
 
 
@@ -58,6 +62,9 @@ class Connection:
         self._finished: list[int] = [0, 0, 0, 0, 0]  # counts of parsers that were let go
         self._sequences: OrderedDict[Hashable, int] = OrderedDict()
         self._frames: deque[tuple[Frame, Hashable]] = deque()
+        self._rest: Packet | None = None  # of a stream, not looked through yet
+        self._tired = False  # whether a look ended before all was looked through
+        self._answers = 0
 
     async def __aenter__(self) -> Self:
         return self
@@ -114,13 +121,20 @@ class Connection:
             got = decode(found[0])
             if got is not None:
                 return Received(got, *found)
+            if not self._frames:
+                await asyncio.sleep(0)
 
     def receive_now(self) -> Received | None:
-        """The next message if one is there. Raises LinkLost as `receive`."""
-        while (found := self._next_frame()) is not None:
+        """The next message if one is there, found in a look of bounded length: who has none may `receive` one yet.
+
+        Raises LinkLost as `receive`.
+        """
+        left = MOST_LOOKED_THROUGH // A_PACKET
+        while left > 0 and (found := self._next_frame()) is not None:
             got = decode(found[0])
             if got is not None:
                 return Received(got, *found)
+            left -= 1
         return None
 
     async def receive_frame(self, timeout: float) -> tuple[Frame, Hashable] | None:
@@ -136,10 +150,13 @@ class Connection:
             left = end - self._clock_of_loop()
             if left <= 0.0:
                 return None
+            if self._tired:
+                await asyncio.sleep(0)
+                continue
             begun = not self.transport.whole and any(parser.waiting for parser in self._parsers.values())
             packet = await self.transport.receive(min(left, BROKEN_OFF_S) if begun else left)
             if packet is not None:
-                self._take(packet.data, packet.peer)
+                self._rest = packet
             elif begun:
                 for peer in [*self._parsers]:
                     self._take(b"", peer, whole=True)
@@ -155,15 +172,26 @@ class Connection:
         return asyncio.get_running_loop().time()
 
     def _next_frame(self) -> tuple[Frame, Hashable] | None:
+        """The next frame; None where none is there, or where none was found before others must have their turn."""
+        looked, self._tired = 0, False
         while not self._frames:
-            packet = self.transport.receive_now()
+            if looked > MOST_LOOKED_THROUGH:
+                self._tired = True
+                return None
+            packet = self._rest or self.transport.receive_now()
             if packet is None:
                 return None
-            self._take(packet.data, packet.peer)
+            data, peer = packet
+            self._rest = None
+            if len(data) > PIECE and not self.transport.whole:
+                data, self._rest = data[:PIECE], Packet(data[PIECE:], peer)
+            answers = self._answers
+            bad = self._take(data, peer)
+            looked += len(data) + A_PACKET + A_CHECKSUM * bad + AN_ANSWER * (self._answers - answers)
         return self._frames.popleft()
 
-    def _take(self, data: bytes, peer: Hashable, whole: bool = False) -> None:
-        """Cut what came into frames and keep those that are let in."""
+    def _take(self, data: bytes, peer: Hashable, whole: bool = False) -> int:
+        """Cut what came into frames and keep those that are let in; how many checksums did not hold."""
         whole = whole or self.transport.whole
         key: Hashable = None if self.transport.whole else peer  # datagrams leave nothing behind
         parser = self._parsers.get(key)
@@ -173,6 +201,7 @@ class Connection:
                 self._forget(self._parsers.popitem(last=False)[1])
         else:
             self._parsers.move_to_end(key)
+        bad = parser.counts.bad_checksum
         for frame in parser.feed(data, whole):
             verdict = self.signing.check(frame) if self.signing is not None else Verdict.ACCEPTED
             if verdict not in (Verdict.ACCEPTED, Verdict.EXCEPTED):
@@ -182,6 +211,7 @@ class Connection:
             self.statistics.count(frame, self._clock())
             if frame.message_id not in (_TIMESYNC, _PING) or not self._answer(frame, peer):
                 self._frames.append((frame, peer))
+        return parser.counts.bad_checksum - bad
 
     def _forget(self, parser: Parser) -> None:
         counts = parser.counts
@@ -207,6 +237,7 @@ class Connection:
             answer = message("PING", time_usec=got.time_usec, seq=got.seq, **there)
         if answer is None:
             return False
+        self._answers += 1
         with suppress(LinkLost):  # who asks and goes gets no answer
             self.send(answer, peer)
         return True

@@ -22,6 +22,8 @@ MARKER_2, MARKER_1 = 0xFD, 0xFE
 HEADER_2, HEADER_1, CHECKSUM, SIGNATURE = 10, 6, 2, 13
 LONGEST_FRAME = HEADER_2 + 255 + CHECKSUM + SIGNATURE
 SIGNED = 0x01
+# Beginnings of frames in one datagram that turn out to be none; what follows is not looked at, as it costs others time.
+MOST_FALSE = 64
 _MARKER = re.compile(rb"[\xfd\xfe]")
 
 
@@ -86,11 +88,12 @@ class Parser:
         """The frames that end in `data`, which continues what was fed before.
 
         `whole`: nothing follows (a datagram; a stream that has been silent for as long as a frame takes), so that what
-        looks like the beginning of a frame is searched for frames too.
+        looks like the beginning of a frame is searched for frames too, up to MOST_FALSE of them.
         """
         data = self._pending + data
         counts, frames, at, end = self.counts, [], 0, len(data)
         aligned = True  # whether `at` is where a frame should begin
+        left = MOST_FALSE if whole else end
         while True:
             found = _MARKER.search(data, at)
             start = found.start() if found else end
@@ -98,12 +101,12 @@ class Parser:
                 counts.rubbish_bytes += start - at
                 aligned = False
             length = self._length(data, start, end)
-            if length is None or (start + length > end and not whole):
+            if length is None or (start + length > end and not whole) or left <= 0:
                 break
             frame = self._frame(data, start, start + length, aligned) if length and start + length <= end else None
             if frame is None:
                 counts.rubbish_bytes += 1
-                at, aligned = start + 1, False
+                at, aligned, left = start + 1, False, left - 1
             else:
                 frames.append(frame)
                 at, aligned = start + length, True

@@ -12,6 +12,8 @@ from twodof.link.url import Address
 MOST_CLIENTS = 32
 # What may wait of one stream; then its sender is stopped, and it alone: another's kill must not wait behind a flood.
 WINDOW_BYTES = 16 << 10
+# Read at once: rubbish is looked through at a megabyte a second.
+PIECE_BYTES = 4 << 10
 
 
 class _Stream(asyncio.BufferedProtocol):
@@ -19,7 +21,7 @@ class _Stream(asyncio.BufferedProtocol):
 
     def __init__(self, owner: "TcpTransport") -> None:
         self._owner = owner
-        self._buffer = bytearray(WINDOW_BYTES)
+        self._buffer = bytearray(PIECE_BYTES)
         self.socket: asyncio.Transport | None = None
         self.name = ""
         self.paused = False

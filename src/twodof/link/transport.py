@@ -43,14 +43,18 @@ class TransportCounts:
 
 
 class Inbox:
-    """Packets that arrived and were not taken: bounded, the oldest dropped and counted; put from any thread."""
+    """Packets that arrived and were not taken: bounded, the oldest dropped and counted; put from any thread.
+
+    Peers take turns, so that one that floods keeps no other waiting; of one peer they stay in their order.
+    """
 
     def __init__(self, counts: TransportCounts) -> None:
         self._loop = asyncio.get_running_loop()
         self._counts = counts
-        self._packets: deque[Packet] = deque()
-        self._bytes = 0
+        self._queues: dict[Hashable, deque[bytes]] = {}  # by peer, in the order of their turns; none is empty
         self._of: dict[Hashable, int] = {}  # bytes that wait, by peer
+        self._packets = self._bytes = 0
+        self._fullest: Hashable = None  # the peer of which most packets wait, as far as it is known
         self._waiter: asyncio.Future[None] | None = None
         self._end: LinkLost | None = None
         self.on_room: Callable[[], None] | None = None
@@ -61,20 +65,27 @@ class Inbox:
     @property
     def full(self) -> bool:
         """Whether half of what it may hold is there, so that a stream should be stopped."""
-        return self._bytes > MOST_BYTES // 2 or len(self._packets) > MOST_PACKETS // 2
+        return self._bytes > MOST_BYTES // 2 or self._packets > MOST_PACKETS // 2
 
     def put(self, packet: Packet) -> None:
-        """Add a packet, dropping the oldest where there is no room."""
+        """Add a packet; where there is no room the oldest is dropped, of the peer of which most packets wait."""
+        data, peer = packet
         self._counts.packets_in += 1
-        self._counts.bytes_in += len(packet.data)
+        self._counts.bytes_in += len(data)
         if self.taker is not None:
             self.taker(packet)
             return
-        self._packets.append(packet)
-        self._bytes += len(packet.data)
-        self._of[packet.peer] = self._of.get(packet.peer, 0) + len(packet.data)
-        while len(self._packets) > 1 and (self._bytes > MOST_BYTES or len(self._packets) > MOST_PACKETS):
-            self._oldest()
+        queue = self._queues.setdefault(peer, deque())
+        queue.append(data)
+        if len(queue) > len(self._queues.get(self._fullest, ())):
+            self._fullest = peer
+        self._of[peer] = self._of.get(peer, 0) + len(data)
+        self._packets += 1
+        self._bytes += len(data)
+        while self._packets > 1 and (self._bytes > MOST_BYTES or self._packets > MOST_PACKETS):
+            first = next(iter(self._queues))
+            more = len(self._queues.get(self._fullest, ())) > len(self._queues[first])
+            self._oldest(self._fullest if more else first)
             self._counts.dropped_in += 1
         self._wake()
 
@@ -82,14 +93,17 @@ class Inbox:
         """Bytes of `peer` that wait."""
         return self._of.get(peer, 0)
 
-    def _oldest(self) -> Packet:
-        packet = self._packets.popleft()
+    def _oldest(self, peer: Hashable) -> Packet:
+        """Take the oldest packet of `peer`, whose turn is over."""
+        queue = self._queues.pop(peer)
+        packet = Packet(queue.popleft(), peer)
+        self._packets -= 1
         self._bytes -= len(packet.data)
-        left = self._of.get(packet.peer, 0) - len(packet.data)
-        if left:
-            self._of[packet.peer] = left
+        if queue:
+            self._queues[peer] = queue
+            self._of[peer] -= len(packet.data)
         else:
-            self._of.pop(packet.peer, None)
+            del self._of[peer]
         return packet
 
     def put_from_anywhere(self, packet: Packet) -> None:
@@ -121,15 +135,15 @@ class Inbox:
 
     def waiting(self) -> Packet | None:
         """The oldest packet, None if there is none now."""
-        return self.take() if self._packets else None
+        return self.take() if self._queues else None
 
     def take(self) -> Packet | None:
         """The oldest packet, None if there is none now. Raises LinkLost if none will come."""
-        if self._packets:
-            packet = self._oldest()
+        if self._queues:
+            packet = self._oldest(next(iter(self._queues)))
             if self.on_taken is not None:
                 self.on_taken(packet.peer)
-            if self.on_room is not None and not self._packets:
+            if self.on_room is not None and not self._queues:
                 self.on_room()
             return packet
         if self._end is not None:

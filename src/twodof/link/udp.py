@@ -11,15 +11,20 @@ from contextlib import suppress
 from typing import Any, cast
 
 from twodof.errors import LinkError
-from twodof.link.transport import READ_BYTES, Packet, Transport
+from twodof.link.flood import Flood
+from twodof.link.transport import Packet, Transport
 from twodof.link.url import Address
 
 MOST_PEERS = 32
 # A ground station sends a heartbeat each second; ten missed ones, and its place may go to another.
 SILENT_S = 10.0
 SOCKET_BUFFER = 4 << 20
-# Datagrams read before anybody else gets a turn.
-BURST = 64
+# Of a socket that anybody may fill: what waits there is ahead of a kill.
+LISTENING_BUFFER = 1 << 20
+# What MAVLink sends fits into Ethernet's 1500; what is longer would be looked through at the cost of who flies.
+LONGEST_DATAGRAM = 2048
+# Datagrams are read for so long [s] before anybody else gets a turn, and no more than so many.
+TURN_S, BURST = 0.0005, 256
 
 
 class UdpTransport(Transport):
@@ -35,6 +40,7 @@ class UdpTransport(Transport):
         self._socket = opened
         self._heard: dict[Hashable, float] = {}  # peer -> when last heard
         self._server = there
+        self._flood = Flood(opened, self._loop)
         self._loop.add_reader(opened.fileno(), self._readable)
 
     @property
@@ -65,20 +71,38 @@ class UdpTransport(Transport):
             del self._heard[oldest]
         self._heard[peer] = now
 
+    @property
+    def floods(self) -> int:
+        """How often somebody filled the socket faster than it is read, and was refused for a while."""
+        return self._flood.count
+
     def _readable(self) -> None:
-        for _ in range(BURST):
+        now = self._loop.time()
+        end = now + TURN_S
+        for number in range(BURST):
+            if number % 16 == 15 and self._loop.time() > end:
+                return
             try:
-                data, peer = self._socket.recvfrom(READ_BYTES)
+                data, peer = self._socket.recvfrom(LONGEST_DATAGRAM + 1)
             except (BlockingIOError, InterruptedError):
+                self._flood.emptied()
                 return
             except OSError:  # the other side's port is closed (yet): counted, no reason to end
                 self.counts.errors += 1
                 continue
             if not self._learns:
                 peer = self._server
+            elif not self._flood.came(peer, data, self._heard):
+                self.counts.dropped_in += 1
+                continue
             elif peer in self._heard:
-                self._heard[peer] = self._loop.time()
-            self._inbox.put(Packet(data, peer))
+                self._heard[peer] = now
+            if len(data) > LONGEST_DATAGRAM:
+                self.counts.dropped_in += 1
+            else:
+                self._inbox.put(Packet(data, peer))
+            if self._closed:
+                return
 
     def _send(self, data: bytes, peer: Hashable) -> bool:
         try:
@@ -94,6 +118,7 @@ class UdpTransport(Transport):
         return True
 
     def _release(self) -> None:
+        self._flood.close()
         self._loop.remove_reader(self._socket.fileno())
         self._socket.close()
 
@@ -121,7 +146,11 @@ async def open_udp(address: Address) -> UdpTransport:
         bound = address.listens or address.bind_name
         remedy = "choose another port, or end who has it" if bound else "check the host's name"
         raise LinkError(f"cannot be opened: {error.strerror or error}", str(address), remedy) from error
-    for option in (socket.SO_RCVBUF, socket.SO_SNDBUF):
+    anybody = address.listens or address.bind_name
+    for option, size in (
+        (socket.SO_RCVBUF, LISTENING_BUFFER if anybody else SOCKET_BUFFER),
+        (socket.SO_SNDBUF, SOCKET_BUFFER),
+    ):
         with suppress(OSError):  # the system's own bound stays
-            opened.setsockopt(socket.SOL_SOCKET, option, SOCKET_BUFFER)
+            opened.setsockopt(socket.SOL_SOCKET, option, size)
     return UdpTransport(address, opened, None if address.listens else place)
