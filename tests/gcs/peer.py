@@ -16,6 +16,7 @@ from twodof.link.transport import Transport
 
 _names = itertools.count(1)
 PARAMETERS = {"ATT_KP": 11.0, "RATE_KP": 0.0854, "THRUST_BAR": 0.4, "SYS_AUTOSTART": 4001}
+DESCRIPTION = b'{"version": 1, "parameters": []}'
 
 
 class Peer:
@@ -43,7 +44,7 @@ class Peer:
         self.parameters: dict[str, float] = dict(PARAMETERS)
         self.before: dict[str, float] = {}
         self.log = bytes(range(256)) * 5
-        self.files: dict[str, bytes] = {}
+        self.files: dict[str, bytes] = {"/etc/extras/parameters.json": DESCRIPTION}
         self._file = ""
         self.beating = True
         self._done: dict[tuple[int, int], int] = {}

@@ -61,6 +61,7 @@ def calls(drone: AsyncDrone, folder: Path) -> dict[str, Callable[[], Awaitable[A
     made = {
         "parameters.read": lambda: drone.parameters.read("ATT_KP", CALL_S),
         "parameters.all": lambda: drone.parameters.all(CALL_S),
+        "parameters.describe": lambda: drone.parameters.describe(CALL_S),
         "parameters.update": lambda: drone.parameters.update({"ATT_KP": 6.0, "RATE_KP": 0.05}, CALL_S),
         "parameters.set": lambda: drone.parameters.set("ATT_KP", 7.0, CALL_S),
         "parameters.undo": lambda: drone.parameters.undo(CALL_S),
@@ -154,7 +155,7 @@ def test_with_a_sound_peer_every_call_succeeds(tmp_path: Path, lockstep: bool) -
     talk = Conversation(tmp_path, lockstep=lockstep)
     assert talk.failed == {}
     assert (tmp_path / "log.ulg").read_bytes() == talk.peer.log
-    assert talk.peer.files == {"/controllers/attitude_control.json": b"{}"}
+    assert talk.peer.files.keys() == {"/controllers/attitude_control.json", "/etc/extras/parameters.json"}
     assert set(talk.ended) == PUBLIC - ({"telemetry.next"} if lockstep else set())
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import AsyncIterator, Mapping, Sequence
+from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from difflib import get_close_matches
 from itertools import count
@@ -79,11 +81,13 @@ class AsyncParameters:
         self.known: dict[str, Entry] = {}
         self._described: dict[str, Described] = {}
         self._paths: dict[str, str] = {}
+        self._asked_for_list = False
         self._whole = False  # whether `known` is all that it has
         self._total = 0
         self._flown: int | None = None
         self.transactions = False  # whether several can be set at once: the drone is one of ours
         self._numbers = count(1)
+        self._changing = asyncio.Lock()
         session.on(self._told, "PARAM_VALUE")
         session.on(self._flies, "TWODOF_RIG")
 
@@ -93,8 +97,9 @@ class AsyncParameters:
         return self._session.system
 
     async def read(self, name: str, timeout: float | None = None) -> float:
-        """The value of one. Raises ParameterError for one that the drone says it has not, LinkLost, Timeout."""
-        return (await self._entry(name, self._deadline(timeout, f"reading {name}"))).value
+        """The value of one, as the drone says now. Raises ParameterError for one that it has not, LinkLost, Timeout."""
+        deadline = self._deadline(timeout, f"reading {shown(name)}")
+        return (await self._ask(await self._on_board(name, deadline), deadline)).value
 
     async def set(self, name: str, value: float, timeout: float | None = None) -> None:
         """Set one and see that it is set. Raises as `update`."""
@@ -104,12 +109,19 @@ class AsyncParameters:
         """Set several, all or none. Raises ParameterError for a value that cannot be, Rejected, LinkLost, Timeout.
 
         A drone of ours takes them in one transaction, at one tick; with another's, those that were set are set back
-        when a later one is refused.
+        when a later one is refused. Of several calls at once one is done after the other.
         """
         if not changes:
             return
         deadline = self._deadline(timeout, f"setting {listed(changes, 3)}")
-        entries = [await self._entry(name, deadline) for name in changes]
+        async with self._alone(deadline):
+            await self._update(changes, deadline)
+
+    async def _update(self, changes: Mapping[str, float], deadline: Deadline) -> None:
+        names = [await self._on_board(name, deadline) for name in changes]
+        # What is set back where a later one is refused is what the drone has now.
+        known = {} if len(names) > 1 and not self.transactions else self.known
+        entries = [known.get(name) or await self._ask(name, deadline) for name in names]
         if len({entry.name for entry in entries}) < len(entries):
             raise ParameterError("a parameter is given twice", listed(changes), "nothing was changed")
         wanted = [
@@ -128,8 +140,8 @@ class AsyncParameters:
         deadline = self._deadline(timeout, "undoing the last change of parameters")
         if not self.transactions:
             raise Rejected("it keeps no changes to undo: it is not one of ours", deadline.where, "set them back")
-        await self._transaction(UNDO, next(self._numbers) & 0xFFFF, deadline)
-        self.known.clear()
+        async with self._alone(deadline):
+            await self._transaction(UNDO, next(self._numbers) & 0xFFFF, deadline)
 
     async def all(self, timeout: float = 30.0) -> dict[str, Entry]:
         """Every parameter, by the drone's names. Raises LinkLost, Timeout."""
@@ -152,6 +164,18 @@ class AsyncParameters:
         self._whole = False
 
     async def _list(self, deadline: Deadline) -> dict[str, Entry]:
+        self._asked_for_list = True
+        try:
+            found = await self._ask_for_all(deadline)
+        finally:
+            self._asked_for_list = False
+        if self._described.keys() - found.keys():
+            self.forget()
+        self.known |= found
+        self._whole = True
+        return found
+
+    async def _ask_for_all(self, deadline: Deadline) -> dict[str, Entry]:
         place = self._place()
         found: dict[int, Entry] = {}
         total = MOST
@@ -166,14 +190,15 @@ class AsyncParameters:
                     for index in [index for index in range(min(total, MOST)) if index not in found][:50]:
                         if found:
                             self._session.send(message("PARAM_REQUEST_READ", param_index=index, **place))
+                elif got.param_id == HASH:
+                    found.clear()  # the list begins, or begins anew as it is another
                 elif got.param_index < got.param_count <= MOST:
+                    if got.param_count != total:
+                        found.clear()
                     total = got.param_count
                     found[got.param_index] = _entry(got)
                 deadline.check()
-        listed_now = {found[index].name: found[index] for index in sorted(found)}
-        self.known |= listed_now
-        self._whole = True
-        return listed_now
+        return {found[index].name: found[index] for index in sorted(found)}
 
     async def _describe(self, deadline: Deadline) -> None:
         if self._files is None or not self.transactions:
@@ -258,12 +283,27 @@ class AsyncParameters:
 
         return await self._session.ask(question, ("TWODOF_PARAM_TRANSACTION",), accept, deadline)
 
-    async def _entry(self, name: str, deadline: Deadline) -> Entry:
-        if isinstance(name, str) and "." in name and self.transactions and name not in self._paths:
+    @asynccontextmanager
+    async def _alone(self, deadline: Deadline) -> AsyncIterator[None]:
+        """Nobody else changes anything meanwhile: what is set during a transaction would be a part of it."""
+        try:
+            await asyncio.wait_for(self._changing.acquire(), deadline.left)
+        except TimeoutError:
+            raise deadline.error("another call on this drone changes parameters: wait for it") from None
+        try:
+            yield
+        finally:
+            self._changing.release()
+
+    async def _on_board(self, name: str, deadline: Deadline) -> str:
+        """What the drone calls it, of which a path in a diagram is asked for. Raises ParameterError for none."""
+        if not isinstance(name, str):
+            raise ParameterError(f"{shown(name)} is no name", "parameters")
+        if "." in name and self.transactions and name not in self._paths:
             await self._describe(deadline)
             if name not in self._paths:
                 raise self._unknown(name)
-        return self.known.get(self.name_on_board(name)) or await self._ask(self.name_on_board(name), deadline)
+        return self.name_on_board(name)
 
     async def _ask(self, name: str, deadline: Deadline) -> Entry:
         """Asks for one; a drone that is silent about a name is asked for all names that it has."""
@@ -281,9 +321,10 @@ class AsyncParameters:
             raise deadline.error(
                 "another's PX4 is silent about a name it has not: parameters.all() lists its"
             ) from None
-        if name not in self.known:
+        found = self.known.get(self.name_on_board(name))  # by now it is known which of its names it goes by there
+        if found is None:
             raise self._unknown(name)
-        return self.known[name]
+        return found
 
     async def _ask_for(self, name: str, deadline: Deadline) -> Entry:
         if not isinstance(name, str) or not name.isascii() or not 1 <= len(name) <= 16:
@@ -325,8 +366,10 @@ class AsyncParameters:
         self._flown = got.diagram
 
     def _told(self, got: Any) -> None:
-        if got.param_id == HASH or self._total not in (0, got.param_count):
+        expected = got.param_id == HASH and self._asked_for_list  # it stands before every list
+        if (got.param_id == HASH and not expected) or self._total not in (0, got.param_count):
             self.forget()
+        self._asked_for_list &= not expected
         self._total = got.param_count
         if got.param_id != HASH and (got.param_id in self.known or len(self.known) < MOST):
             self.known[got.param_id] = _entry(got)

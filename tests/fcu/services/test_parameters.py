@@ -10,7 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.fcu.services.world import CLIENT, World
+from tests.fcu.tuned import tuned
 from twodof.fcu.asked import TEMPORARILY_REJECTED, Verdict
+from twodof.fcu.own_parameters import own_parameters
 from twodof.fcu.services.parameters import (
     A_TICK,
     DOES_NOT_EXIST,
@@ -264,3 +266,39 @@ def test_what_qgroundcontrol_cannot_miss_is_there() -> None:
     wanted += " SENS_BOARD_Y_OFF SENS_BOARD_Z_OFF SENS_DPRES_OFF TRIG_MODE UAVCAN_ENABLE SYS_PARAM_VER SYS_AUTOSTART "
     wanted += " ".join(f"CAL_MAG{n}_{what}" for n in range(4) for what in ("ID", "ROT"))
     assert set(wanted.split()) <= {row.name for row in ROWS}
+
+
+def test_other_controllers_bring_another_list_also_to_who_is_being_sent_one() -> None:
+    world, own = World(), own_parameters([tuned()])
+    names = {row.name for one in own for row in one.rows}
+    ask_list(world)
+    begun = listed(world, 5)
+    assert 1 < len(begun) < len(ROWS)
+    world.store.carry(own)
+    (everybody,) = [one for one in world.taken("PARAM_VALUE", None) if one.param_id == "_HASH_CHECK"]
+    first, *rest = listed(world)
+    assert bits(everybody) == bits(first) == struct.pack("<I", world.store.hash_check())
+    assert [row.param_index for row in rest] == [*range(len(ROWS) + len(names))]
+    assert {row.param_id for row in rest} == {row.name for row in ROWS} | names
+    set_to(world, "TMI_LAW_ABOVE", 5.0)
+    assert world.store["TMI_LAW_ABOVE"] == 5.0
+    ask_list(world)
+    assert len(listed(world, 5)) > 1
+    world.store.carry([])
+    world.taken("PARAM_VALUE", None)
+    _, *rest = listed(world)
+    assert [row.param_id for row in rest] == [row.name for row in ROWS]
+    set_to(world, "TMI_LAW_ABOVE", 6.0)
+    assert world.taken("PARAM_ERROR")[-1].error == DOES_NOT_EXIST
+
+
+def test_an_int32_of_a_controller_travels_with_its_bits_and_a_flag_is_one() -> None:
+    world = World()
+    world.store.carry(own_parameters([tuned()]))
+    for name, value in (("TMI_LAW_STEPS", -5), ("TMI_LAW_MASK", 2**31 - 1), ("TMI_LAW_INVERTED", 1)):
+        set_to(world, name, float_of_int(value), INT32)
+        assert world.store[name] == value
+    set_to(world, "TMI_LAW_INVERTED", float_of_int(2), INT32)
+    assert world.taken("PARAM_ERROR")[-1].error == OUT_OF_RANGE
+    set_to(world, "TMI_LAW_STEPS", 3.0)
+    assert world.taken("PARAM_ERROR")[-1].error == TYPE_MISMATCH

@@ -6,7 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.fcu.services.world import CLIENT, World
+from tests.fcu.tuned import tuned
 from twodof.fcu.asked import TEMPORARILY_REJECTED, Verdict
+from twodof.fcu.own_parameters import own_parameters
 from twodof.fcu.services.parameters import (
     DOES_NOT_EXIST,
     INT32,
@@ -205,3 +207,31 @@ def test_any_order_of_anything_leaves_a_whole_set(data: st.DataObject) -> None:
             fields = {"transaction": number, "count": data.draw(st.integers(0, 3)), "action": action}
             world.say(message("TWODOF_PARAM_TRANSACTION", **US, **fields), source=source)
         assert dict(world.store) == wholes[-1]
+
+
+def test_a_transaction_about_a_controller_that_is_gone_changes_nothing() -> None:
+    world = World()
+    world.store.carry(own_parameters([tuned()]))
+    assert transact(world, BEGIN).result == NO_ERROR
+    put_all(world, {"TMI_LAW_ABOVE": 5.0, "RATE_KP": 0.0625})
+    before = world.store["RATE_KP"]
+    world.store.carry([])
+    answer = transact(world, COMMIT, count=2)
+    assert (answer.result, answer.param_id) == (DOES_NOT_EXIST, "TMI_LAW_ABOVE")
+    assert world.store["RATE_KP"] == before
+
+
+def test_own_and_stock_parameters_change_together_and_are_undone_together() -> None:
+    world = World()
+    world.store.carry(own_parameters([tuned()]))
+    before = dict(world.store)
+    assert transact(world, BEGIN).result == NO_ERROR
+    put_all(world, {"TMI_LAW_ABOVE": 5.0, "RATE_KP": 0.0625})
+    assert transact(world, COMMIT, count=2).result == NO_ERROR
+    assert (world.store["TMI_LAW_ABOVE"], world.store["RATE_KP"]) == (5.0, 0.0625)
+    assert transact(world, BEGIN, 2).result == NO_ERROR
+    put_all(world, {"TMI_LAW_ABOVE": 11.0, "RATE_KP": 0.05})
+    assert transact(world, COMMIT, 2, count=2).result == OUT_OF_RANGE
+    assert world.store["RATE_KP"] == 0.0625
+    assert transact(world, UNDO, 3).result == NO_ERROR
+    assert dict(world.store) == before
