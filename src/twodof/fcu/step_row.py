@@ -38,12 +38,13 @@ ROW = np.dtype([("timestamp", "<u8"), ("tick", "<u4"), *((name, _CODES[kind][2])
 """The same for numpy, without padding."""
 
 _PACK = Struct("<QI" + "".join(_CODES[kind][0] for _, kind in COLUMNS))
+_TICK_BITS = 0xFFFFFFFF  # it runs over after 198 days, the timestamp does not
 _MADE = attrgetter(*(field.name for field in fields(Step) if field.name not in _PARTS))
 
 
 def pack(step: Step) -> bytes:
     """The row of a step. Raises struct.error for a number that does not fit, which no step has."""
-    return _PACK.pack(TICK_US * step.tick, step.tick, *step.sample, *step.asked, *_MADE(step))
+    return _PACK.pack(TICK_US * step.tick, step.tick & _TICK_BITS, *step.sample, *step.asked, *_MADE(step))
 
 
 def row_names() -> tuple[str, ...]:

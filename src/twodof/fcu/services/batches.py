@@ -11,6 +11,7 @@ from twodof.fcu.service import Link
 from twodof.fcu.services.addressing import Client, whole
 from twodof.fcu.services.clients import Clients
 from twodof.fcu.services.commands import Command
+from twodof.fcu.services.flight_telemetry import MASK_32
 from twodof.fcu.services.vehicle import Commander
 from twodof.link.connection import Received
 from twodof.link.messages import BATCH_VALUES, channel_bits
@@ -108,7 +109,7 @@ class Batches:
             if step.tick % subscription.every:
                 continue
             if not subscription.rows:
-                subscription.begun = step.tick
+                subscription.begun = step.tick & MASK_32
             subscription.values += [read(step) for read in subscription.read]
             subscription.rows += 1
             if subscription.rows == subscription.most:

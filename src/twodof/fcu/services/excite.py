@@ -13,7 +13,7 @@ from twodof.fcu.flight_code import Step
 from twodof.fcu.service import Link
 from twodof.fcu.services.addressing import Us, source
 from twodof.fcu.services.background import Background
-from twodof.fcu.services.wire_tick import meant
+from twodof.fcu.services.wire_tick import acts_at
 from twodof.link.connection import Received
 from twodof.link.messages import ExcitationReceiver, message
 
@@ -89,7 +89,7 @@ class Excite:
                 self._tell_player(peer)
                 return Verdict(ACCEPTED)
             thrust = None if isnan(got.thrust) else got.thrust
-            at_tick = meant(got.tick, self._tick) if got.tick else 0
+            at_tick = acts_at(got.tick, self._tick)
             return self._commander.start_excitation(sender, got.transfer, got.loop, thrust, at_tick)
         if got.action == STOP:
             return self._commander.stop_excitation(sender)

@@ -10,7 +10,7 @@ from twodof.fcu.asked import DENIED, Source, Verdict
 from twodof.fcu.commander import Commander
 from twodof.fcu.flight_code import Step
 from twodof.fcu.services.addressing import Us, source
-from twodof.fcu.services.wire_tick import meant, meant_by_ms
+from twodof.fcu.services.wire_tick import acts_at, acts_at_ms
 from twodof.fcu.setpoints import ATTITUDE, POSITION, RATE, VELOCITY, SetPoint
 from twodof.link.connection import Received
 from twodof.link.setpoints import Target, read_attitude, read_position
@@ -98,13 +98,12 @@ class SetPoints:
             setpoint = SetPoint(VELOCITY, v0=target.value, ax0=forward)
         elif target.loop == "position":
             setpoint = SetPoint(POSITION, x0=target.value, ax0=forward)
-        at_tick = meant_by_ms(got.time_boot_ms, self._tick) if self._commander.lockstep else 0
+        at_tick = acts_at_ms(got.time_boot_ms, self._tick) if self._commander.lockstep else 0
         return self._commander.setpoint(sender, setpoint, at_tick)
 
     def _open_loop(self, got: Any, sender: Source) -> Verdict:
         flags = bool(got.openloop), bool(got.enableM), bool(got.enableT)
-        at_tick = meant(got.tick, self._tick) if got.tick else 0
-        return self._commander.open_loop(sender, got.M, got.T, *flags, at_tick=at_tick)
+        return self._commander.open_loop(sender, got.M, got.T, *flags, at_tick=acts_at(got.tick, self._tick))
 
     def _sticks(self, got: Any, sender: Source) -> Verdict:
         return self._commander.sticks(sender, got.x / FULL_STICK, got.z / FULL_STICK)

@@ -18,6 +18,11 @@ def meant(value: int, now: int, run_over: int = RUN_OVER) -> int:
     return nearest if nearest >= 0 else value
 
 
-def meant_by_ms(time_boot_ms: int, now: int) -> int:
-    """The first tick that is not before the stamp `time_boot_ms`, of all that have it the one nearest to `now`."""
-    return meant(-(-time_boot_ms // TICK_MS), now, RUN_OVER_MS)
+def acts_at(tick: int, now: int) -> int:
+    """The tick at which something acts whose field says `tick`; 0, what a client leaves out, is at once."""
+    return meant(tick, now) if tick else 0
+
+
+def acts_at_ms(time_boot_ms: int, now: int) -> int:
+    """The same by a stamp in milliseconds: the first tick that is not before it."""
+    return meant(-(-time_boot_ms // TICK_MS), now, RUN_OVER_MS) if time_boot_ms else 0
