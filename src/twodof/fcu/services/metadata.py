@@ -14,6 +14,7 @@ from typing import Any
 from twodof.fcu.parameter_row import Row
 from twodof.fcu.services.event_definitions import EVENTS_FILE, EVENTS_TYPE, definitions
 from twodof.fcu.services.file_tree import EXTRAS, mavlink_crc32
+from twodof.fcu.services.flight_telemetry import MASK_32
 from twodof.link.messages import message
 
 COMPONENT_METADATA = 397
@@ -38,7 +39,12 @@ class Metadata:
         """COMPONENT_METADATA."""
         crc = mavlink_crc32(self.files[GENERAL])
         return [
-            message("COMPONENT_METADATA", time_boot_ms=self._time_boot_ms(), file_crc=crc, uri=_uri(GENERAL).encode())
+            message(
+                "COMPONENT_METADATA",
+                time_boot_ms=self._time_boot_ms() & MASK_32,
+                file_crc=crc,
+                uri=_uri(GENERAL).encode(),
+            )
         ]
 
 
