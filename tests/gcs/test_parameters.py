@@ -3,15 +3,19 @@
 import asyncio
 import json
 from collections.abc import Callable, Coroutine
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from tests.faults.virtual_time import run_virtual
 from tests.gcs.peer import Peer
+from twodof.blocks.schema import to_json
 from twodof.errors import ParameterError, Rejected, Timeout
+from twodof.flight.starters import starter
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.gcs.parameters import DESCRIPTION, SILENCE_S
+from twodof.sim.virtual_drone import VirtualDrone
 
 OWN = {"name": "TMI_K_Q", "type": "Float", "default": 0.1, "min": 0.0, "max": 1.0, "units": "s/rad"}
 Flight = Callable[[Peer, AsyncDrone], Coroutine[Any, Any, None]]
@@ -172,3 +176,34 @@ def test_a_description_that_is_none_is_said_so(content: bytes) -> None:
         assert await drone.parameters.read("ATT_KP") == 11.0
 
     fly(flight)
+
+
+def test_whoever_watches_sees_the_parameters_of_what_is_flashed_and_a_restart_keeps_them(tmp_path: Path) -> None:
+    async def work() -> None:
+        async with VirtualDrone(lockstep=True, state=tmp_path) as drone:
+            await drone.listen("memin://flashed")
+            watching = await AsyncDrone.connect("mem://flashed", take_lease=False)
+            async with await AsyncDrone.connect("mem://flashed") as pilot, watching:
+                stock = await watching.parameters.all()
+                with pytest.raises(ParameterError, match="no such parameter"):
+                    await watching.parameters.read("attitude_control.k_q")
+                await pilot.fly_controller("attitude_control", to_json(starter("lqr-attitude")))
+                k_q = starter("lqr-attitude").params["k_q"].value
+                assert await watching.parameters.read("attitude_control.k_q") == pytest.approx(k_q, rel=1e-7)
+                await pilot.parameters.update({"attitude_control.k_q": 0.2, "attitude_control.k_past[4]": 0.1})
+                assert await watching.parameters.read("TLA_K_Q") == 0.2
+                assert drone.controller.code.parameter("attitude_control.k_past")[4] == 0.1
+                assert len(await watching.parameters.all()) == len(stock) + 30
+                await pilot.fly_controller("attitude_control", to_json(starter("pid-attitude")))
+                with pytest.raises(ParameterError, match=r"no such parameter.*attitude_control.q_k"):
+                    await watching.parameters.read("attitude_control.k_q")
+                assert (await pilot.parameters.all()).keys() - stock.keys() >= {"TPA_Q_KP", "TPA_THETA_KP"}
+                await pilot.fly_controller("attitude_control", to_json(starter("lqr-attitude")))
+                assert await pilot.parameters.read("attitude_control.k_q") == 0.2, "as it was tuned"
+                await pilot.run(0.1)
+                assert any("as it was tuned before: TLA_K_Q, TLA_K_PAST_4" in text.text for text in watching.messages)
+
+    asyncio.run(work())
+    drone = VirtualDrone(lockstep=True, state=tmp_path)
+    assert drone.controller.code.parameter("attitude_control.k_q") == 0.2
+    drone.assembly.close()
