@@ -224,12 +224,22 @@ class AsyncDrone(Connected):
         topics: Iterable[str] | None = None,
         provenance: Mapping[str, object] | None = None,
     ) -> AbstractAsyncContextManager[Recording]:
-        """Record topics (None: all) at the full rate into a new MCAP file, for `async with`. See gcs.recording."""
-        self._needs_ours("recording at full rate", "TWODOF_BATCH")
+        """Record topics (None: all) at the full rate into a new MCAP file, for `async with`. See gcs.recording.
+
+        Of a drone that is not ours what it sends is recorded as it comes: `stream` asks for more of it.
+        """
         rig = self.state.rig
-        about = {"rig": rig.name, "controller": rig.controller, "diagram": f"{rig.diagram:016x}", "seed": rig.seed}
+        about = {
+            "autopilot": self.state.autopilot,
+            "rig": rig.name,
+            "controller": rig.controller,
+            "diagram": f"{rig.diagram:016x}",
+            "seed": rig.seed,
+        }
         link = {"url": self.session.url, "system": self.session.system, "lockstep": rig.lockstep}
-        return self.recordings.to(path, topics, self.state, {"drone": {**about, **link}, **(provenance or {})})
+        return self.recordings.to(
+            path, topics, self.state, {"drone": {**about, **link}, **(provenance or {})}, self.ours
+        )
 
     async def reset(
         self, seed: int = 1, x: float = 0.0, noise: float = 1.0, rings: bool = False, timeout: float = TIMEOUT_S

@@ -28,6 +28,10 @@ SETPOINT_TICKS = 5
 OLDEST_TICKS = 250
 STAMPS_OF_A_RESTART = 5
 RESTART_SEEN_S = 0.5
+# Milliseconds and ticks are uint32 on the wire: stamps begin again after 49 days, ticks after 198. What seems to be
+# further ahead than this is no wrap but another beginning.
+_STAMPS, _TICKS = (1 << 32) // TICK_MS, 1 << 32
+_MOST_AHEAD = 900_000
 # After a reset of ours what was sent before it may still come.
 RESET_SETTLES_S = 3.0
 
@@ -60,11 +64,16 @@ class Clock:
         """From now on its time is ours to grant: learn how far it has come. Raises LinkLost, Timeout."""
         self.granting = True
         deadline = Deadline(timeout, "asking how far its time has come", f"drone {self._session.system}")
-        self.tick = await self._ask(0, deadline)
+        # What is known to have run is asked for: 0 could, where ticks begin anew, be one that has not.
+        self.tick = await self._ask(self.tick, deadline, 0)
 
     def restart(self) -> None:
         """It began anew at tick 0."""
         self.tick = self._older = 0
+
+    def meant(self, tick: int) -> int:
+        """The tick that one from the wire stands for, which begins anew after 2^32."""
+        return self._meant(tick, _TICKS)
 
     @contextmanager
     def resetting(self) -> Iterator[None]:
@@ -94,17 +103,17 @@ class Clock:
     async def _grant(self, until: int, deadline: Deadline) -> None:
         for prepare in self.before_slice:
             prepare(self.tick, until)
-        await self._ask(until, deadline)
-        self.tick = until
+        await self._ask(until, deadline, until)
+        self.tick = max(self.tick, until)  # another thread may have granted more meanwhile
 
-    async def _ask(self, until: int, deadline: Deadline) -> int:
-        """Grant time up to a tick; returns how far it has come then."""
+    async def _ask(self, until: int, deadline: Deadline, least: int) -> int:
+        """Grant time up to a tick; returns how far it has come then. Raises Rejected where that is not to `least`."""
         session, number = self._session, next(self._numbers)
         place = {"target_system": session.system, "target_component": session.component}
         return await session.ask(
-            lambda _: message("TWODOF_GRANT", until=until, number=number, **place),
+            lambda _: message("TWODOF_GRANT", until=until % _TICKS, number=number % _TICKS, **place),
             ("TWODOF_TICK",),
-            lambda got: _come(got, number, until, deadline),
+            lambda got: self._come(got, number % _TICKS, least, deadline),
             deadline,
         )
 
@@ -131,10 +140,15 @@ class Clock:
             self.on_restart()
 
     def _stamped(self, got: Any) -> None:
-        self._to(got.time_boot_ms // TICK_MS)
+        self._to(self._meant(got.time_boot_ms // TICK_MS, _STAMPS))
 
     def _ticked(self, got: Any) -> None:
-        self._to(got.tick)
+        self._to(self.meant(got.tick))
+
+    def _meant(self, value: int, count: int) -> int:
+        """The tick that a number which begins anew after `count` stands for: the nearest one, unless time went back."""
+        near = value + count * round((self.tick - value) / count)
+        return near if near >= 0 and -OLDEST_TICKS <= near - self.tick <= _MOST_AHEAD else value
 
     def _to(self, tick: int) -> None:
         expected = self._session.now < self._resets_until
@@ -152,10 +166,10 @@ class Clock:
         elif not self.granting:
             self.tick = tick
 
-
-def _come(got: Any, number: int, until: int, deadline: Deadline) -> int | None:
-    if got.number != number:
-        return None
-    if got.tick < until:
-        raise Rejected("it does not let its time run", deadline.where, "see who has the lease")
-    return int(got.tick)
+    def _come(self, got: Any, number: int, least: int, deadline: Deadline) -> int | None:
+        if got.number != number:
+            return None
+        come = self.meant(got.tick)
+        if come < least:
+            raise Rejected("it does not let its time run", deadline.where, "see who has the lease")
+        return come

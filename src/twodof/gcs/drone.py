@@ -248,7 +248,10 @@ class Drone:
     def record(
         self, path: str | Path, topics: Iterable[str] | None = None, provenance: Mapping[str, object] | None = None
     ) -> AbstractContextManager[Recording]:
-        """Record topics (None: all) at the full rate into a new MCAP file, for `with`."""
+        """Record topics (None: all) at the full rate into a new MCAP file, for `with`.
+
+        Of a drone that is not ours what it sends is recorded as it comes: `stream` asks for more of it.
+        """
         return self._within(self.there.record(path, topics, provenance))
 
     @contextmanager

@@ -64,12 +64,12 @@ class Exciter:
             action=_START,
             transfer=transfer,
             loop=number,
-            tick=at or 0,
+            tick=(at or 0) & 0xFFFFFFFF,
             thrust=nan if thrust is None else float(thrust),
             **self._place(),
         )
         playback = await self._session.ask(
-            lambda _: start, ("TWODOF_EXCITE_STATUS",), lambda got: _begun(got, transfer, at), deadline
+            lambda _: start, ("TWODOF_EXCITE_STATUS",), lambda got: _begun(got, transfer, at, self._clock), deadline
         )
         # The drone may not make us wait for longer than it plays.
         longest = ceil(excitation.duration / TICK_S) + 1
@@ -150,17 +150,18 @@ def loop_number(excitation: Excitation, loop: str | None) -> int:
     return LOOPS.index(loop)
 
 
-def _begun(got: Any, transfer: int, at: int | None) -> Playback | None:
+def _begun(got: Any, transfer: int, at: int | None, clock: Clock) -> Playback | None:
     if got.transfer != transfer:
         return None
     if got.state == _REFUSED:
         raise _refusal(got, "")
     starts = got.state in (_PLAYING, _DONE, _STOPPED)
-    waits = got.state == _READY and got.end_tick > got.start_tick and at in (None, 0, got.start_tick)
+    waits = got.state == _READY and got.end_tick > got.start_tick and at in (None, 0, clock.meant(got.start_tick))
     if not (starts or waits):
         return None
     states = {_PLAYING: "playing", _DONE: "done", _STOPPED: "stopped"}
-    return Playback(transfer, got.start_tick, got.end_tick, states.get(got.state, "waiting"), str(got.reason))
+    start, end = clock.meant(got.start_tick), clock.meant(got.end_tick)
+    return Playback(transfer, start, end, states.get(got.state, "waiting"), str(got.reason))
 
 
 def _refusal(got: Any, where: str) -> Rejected:

@@ -124,9 +124,8 @@ class DroneSignal:
 
     @property
     def value(self) -> Value:
-        """The latest value; the first one is waited for. Raises LinkLost, Timeout."""
-        latest = self._there.latest
-        return latest.value if latest is not None else self._runner.run(self._there.next()).value
+        """The latest value; the first one is waited for. Raises LinkLost where no newer one will come, Timeout."""
+        return self._there.value if self._there.latest is not None else self._runner.run(self._there.next()).value
 
     def next(self, timeout: float = 2.0) -> Sample:
         """The next sample. Raises LinkLost, Timeout."""

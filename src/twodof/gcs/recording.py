@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Iterable, Mapping
+from collections.abc import AsyncIterator, Callable, Iterable, Mapping
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
+from functools import partial
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +20,8 @@ from twodof.flightlog.spool import Acknowledged
 from twodof.flightlog.steps import BOOT, MESSAGE_PERIOD, shift
 from twodof.gcs.batches import Batches
 from twodof.gcs.clock import OLDEST_TICKS, Clock
-from twodof.gcs.decoding import columns_of
-from twodof.gcs.session import Session
+from twodof.gcs.decoding import DECODERS, Decoded, columns_of
+from twodof.gcs.session import Handler, Session
 from twodof.gcs.state import State
 from twodof.gcs.texts import Text, Texts
 from twodof.gcs.truth import Truth
@@ -35,6 +37,7 @@ TOGETHER = 32
 """Rows that are handed to the writer together: an eighth of a second, which a crash would cost besides."""
 _EVENTS = "openloop"
 _LATEST_US = 1 << 52
+_LATEST_S = 4e9
 BATTERY_TICKS = 125
 """The battery's topics come at 2 Hz."""
 # Position and velocity are first read in the step after the one in which they were published.
@@ -57,6 +60,8 @@ class Recording:
         self._first = self._last = -1
         self._rows = 0
         self._open = _Open()
+        self._names = frozenset(row.name for row in self.topics)
+        self._time = 0.0  # the drone's, of the telemetry that came last [s]
         self._newest = 0  # tick of the drone
         self._shift = 0  # from the drone's ticks to those of the recording, which never begin again
 
@@ -159,6 +164,14 @@ class Recording:
             if not row.onboard:
                 self._put(row.name, time, np.array([getattr(got, row.name.split(".")[1])]))
 
+    def telemetry(self, decode: Callable[[Any], Decoded], got: Any) -> None:
+        """A message of `common` with samples, from a drone without batches: as it comes, with its stamps."""
+        for name, time, value in decode(got):
+            self._time = time if isfinite(time) else self._time  # the battery's messages carry none
+            if name in self._names and self._time < _LATEST_S:
+                at = np.array([round((BOOT + self._time) * 1e9)], dtype=np.int64)
+                self._put(name, at, np.reshape(np.array(value, dtype=np.float64), (1, -1)))
+
     def _put(self, topic: str, times: NDArray[np.int64], values: NDArray[np.float64]) -> None:
         """Hand samples on; once the disk has refused they are left out, and `finish` says so. The flight goes on."""
         if self.recorder.failure is None:
@@ -174,7 +187,8 @@ class Recording:
         """Write what waits, what was lost and what was said, and end the file. Raises RecordingError."""
         try:
             self.write()
-            self.recorder.note("lost", self.lost)
+            if self._rows:  # of telemetry that comes as it likes nobody knows what is missing
+                self.recorder.note("lost", self.lost)
             self.recorder.note("texts", [list(row) for row in self.texts])
         finally:
             self.recorder.close()
@@ -214,11 +228,16 @@ def stamps(mat: str, ticks: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.asarray(np.rint((BOOT + shift(mat) + TICK_S * published) * 1e9), dtype=np.int64)
 
 
-def chosen(topics: Iterable[str] | None, truth: bool) -> list[Topic]:
-    """The rows to record; None: all that there are, with the `truth` if so. Raises LogError for one there is not."""
+def chosen(topics: Iterable[str] | None, truth: bool, ours: bool = True) -> list[Topic]:
+    """The rows to record; None: all that there are, with the `truth` if so. Raises LogError for one there is not.
+
+    Of a drone that is not `ours` there is what messages of `common` carry.
+    """
     if topics is None:
-        return [row for row in TOPICS if row.onboard or truth]
+        return [row for row in TOPICS if (row.onboard or truth) and (ours or not row.mavlink.startswith("TWODOF_"))]
     rows = [topic(name) for name in topics]
+    if not ours and (unknown := [row.name for row in rows if row.mavlink.startswith("TWODOF_")]):
+        raise LogError("only a drone of ours sends it", unknown[0], "leave it out; docs/clients.md says what there is")
     if not truth and (unknown := [row.name for row in rows if not row.onboard]):
         raise LogError("nobody on board, and nobody with a real drone, knows the truth", unknown[0], "leave it out")
     return rows
@@ -233,16 +252,18 @@ class Recordings:
 
     @asynccontextmanager
     async def to(
-        self, path: str | Path, topics: Iterable[str] | None, state: State, provenance: Mapping[str, object]
+        self, path: str | Path, topics: Iterable[str] | None, state: State, provenance: Mapping[str, object], ours: bool
     ) -> AsyncIterator[Recording]:
-        """Records meanwhile into a new file.
+        """Records meanwhile into a new file: every sample of a drone of `ours`, what another's sends as it comes.
 
         Raises LogError for a file that exists or a topic that is none, RecordingError when the disk refuses, Rejected,
         LinkLost, Timeout.
         """
-        session, rows = self._session, chosen(topics, state.rig.virtual and not self._session.on_board)
+        session, rows = self._session, chosen(topics, state.rig.virtual and not self._session.on_board, ours)
         recording = Recording(path, rows, provenance, wait=session.lockstep)
-        handlers = {"TWODOF_RIG": recording.rig, "TWODOF_SAFETY": recording.safety}
+        handlers: dict[str, Handler] = {"TWODOF_RIG": recording.rig, "TWODOF_SAFETY": recording.safety}
+        if not ours:
+            handlers |= {name: partial(recording.telemetry, decode) for name, decode in DECODERS.items()}
         try:
             async with AsyncExitStack() as stack:
                 for name, handler in handlers.items():
@@ -250,7 +271,7 @@ class Recordings:
                 stack.enter_context(self._texts.listening(lambda line: recording.said(self._clock.tick, line)))
                 if any(not row.onboard for row in rows):
                     await stack.enter_async_context(self._truth.to(recording.truth))
-                if recording.columns:
+                if ours and recording.columns:
                     await stack.enter_async_context(self._batches.to(recording.columns, recording.take))
                 yield recording
         finally:

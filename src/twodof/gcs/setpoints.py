@@ -19,6 +19,7 @@ from twodof.link.setpoints import attitude_target, position_target, rate_target,
 from twodof.link.tick import TICK_MS
 
 PERIOD_S = 0.02
+_MASK = 0xFFFFFFFF  # ticks and milliseconds begin anew where a uint32 does
 MOST_PITCH, MOST_RATE = pi / 2, 60.0
 """[rad], [rad/s]: beyond them degrees were meant; 60 rad/s is more than the gyro measures."""
 MOST_WAY, MOST_SPEED = 1.0, 5.0
@@ -44,7 +45,7 @@ def moment(M: float, thrust: float | None) -> Setpoint:
         "enableT": int(thrust is not None),
     }
     return Setpoint(
-        ("manual", "offboard"), lambda tick, place: message("TWODOF_OPENLOOP", tick=tick, **place, **fields)
+        ("manual", "offboard"), lambda tick, place: message("TWODOF_OPENLOOP", tick=tick & _MASK, **place, **fields)
     )
 
 
@@ -70,12 +71,14 @@ def position(x: float, acceleration: float | None) -> Setpoint:
 
 def _attitude(make: Callable[..., Any], value: float, thrust: float) -> Setpoint:
     power = _thrust(thrust)
-    return Setpoint(("offboard",), lambda tick, place: make(value, power, time_boot_ms=tick * TICK_MS, **place))
+    return Setpoint(("offboard",), lambda tick, place: make(value, power, time_boot_ms=tick * TICK_MS & _MASK, **place))
 
 
 def _along_rail(make: Callable[..., Any], value: float, acceleration: float | None) -> Setpoint:
     forward = nan if acceleration is None else _number("acceleration", acceleration)
-    return Setpoint(("offboard",), lambda tick, place: make(value, forward, time_boot_ms=tick * TICK_MS, **place), True)
+    return Setpoint(
+        ("offboard",), lambda tick, place: make(value, forward, time_boot_ms=tick * TICK_MS & _MASK, **place), True
+    )
 
 
 def _thrust(thrust: float | None) -> float:

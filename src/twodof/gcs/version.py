@@ -32,8 +32,8 @@ def version_of(got: Any, autopilot: str) -> Version:
     """An AUTOPILOT_VERSION in words."""
     custom = bytes(got.flight_custom_version)
     ours = custom.startswith(_OURS)
-    # PX4 gives the first eight bytes of its commit, the last one first.
-    build = custom.rstrip(b"\0").decode("ascii", "replace") if ours else custom[::-1].hex()
+    # PX4 gives the first digits of its commit, sixteen at most, the last byte first.
+    build = custom.rstrip(b"\0").decode("ascii", "replace") if ours else custom[::-1].hex().rstrip("0")
     own = _number(got.middleware_sw_version).removesuffix(" release") if ours else ""
     uid2 = bytes(got.uid2)
     uid = int(got.uid) or int.from_bytes(uid2, "big")

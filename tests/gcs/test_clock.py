@@ -1,0 +1,77 @@
+"""The drone's time: where its numbers on the wire begin anew, and that this is no restart."""
+
+import asyncio
+from typing import Any
+
+import pytest
+
+from tests.faults.virtual_time import run_virtual
+from tests.gcs.peer import Peer
+from twodof.errors import LinkLost
+from twodof.gcs.async_drone import AsyncDrone
+
+STAMPS, TICKS = 1 << 30, 1 << 32
+
+
+class OldPeer(Peer):
+    """A drone that has run for weeks: what it says of its time is cut to 32 bits."""
+
+    def send(self, name: str, /, **fields: Any) -> None:
+        """As Peer's."""
+        cut = {key: value & 0xFFFFFFFF for key, value in fields.items() if key in ("time_boot_ms", "tick", "until")}
+        super().send(name, **{**fields, **cut})
+
+    def _twodof_grant(self, got: Any, frame: Any) -> None:
+        """Up to the tick nearest to now that the number stands for."""
+        ahead = (got.until - self.tick) & 0xFFFFFFFF
+        got.until = self.tick + (ahead if ahead < 1 << 31 else ahead - (1 << 32))
+        super()._twodof_grant(got, frame)
+
+
+@pytest.mark.parametrize("limit", [STAMPS, TICKS])
+def test_a_drone_that_runs_for_weeks_is_flown_on(limit: int) -> None:
+    """Milliseconds begin anew after 49 days, ticks after 198: time goes on, nothing is taken for a restart."""
+
+    async def work() -> None:
+        peer = OldPeer()
+        peer.tick = limit - 500
+        async with peer, await AsyncDrone.connect(peer.url) as drone:
+            await drone.run(1.0)
+            for _ in range(4):
+                peer.rig()
+                await drone.run(1.0)
+            assert limit < drone.tick < limit + 1500
+            assert drone.messages == []
+            assert abs(drone.tick - peer.tick) < 10
+
+    run_virtual(work())
+
+
+def test_one_that_restarts_after_weeks_is_noticed() -> None:
+    async def work() -> None:
+        peer = OldPeer()
+        peer.tick = STAMPS - 10_000_000
+        async with peer, await AsyncDrone.connect(peer.url) as drone:
+            await drone.run(1.0)
+            peer.tick = 0
+            await asyncio.sleep(1.5)
+            with pytest.raises(LinkLost, match="has restarted"):
+                await drone.arm()
+
+    run_virtual(work())
+
+
+def test_in_lockstep_set_points_and_grants_go_over_the_end_of_their_numbers() -> None:
+    async def work() -> None:
+        peer = OldPeer(lockstep=True)
+        peer.tick = TICKS - 1000
+        async with peer, await AsyncDrone.connect(peer.url) as drone:
+            await drone.run(0.5)
+            await drone.set_pitch(0.1)
+            await drone.run(5.0)
+            assert drone.tick > TICKS
+            stamps = [got.time_boot_ms for got in peer.heard if got.get_type() == "SET_ATTITUDE_TARGET"]
+            assert max(stamps) > 0xFFFFFFFF - 100
+            assert min(stamps) < 100
+
+    run_virtual(work())
