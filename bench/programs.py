@@ -17,7 +17,9 @@ from pathlib import Path
 START_S = 120.0
 """For a loaded machine that compiles for the first time."""
 
-END_S = 20.0
+END_S = 120.0
+"""For logs to be written; what ends only then hangs."""
+
 TWODOF = Path(sys.executable).with_name("twodof")
 
 

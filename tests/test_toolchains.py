@@ -11,12 +11,12 @@ from pathlib import Path
 import pytest
 
 from tests import toolchains
+from tests.patience import PATIENCE_S
 
 PROJECT = Path(__file__).resolve().parents[1]
 SCRIPT = PROJECT / "tools" / "toolchains.sh"
 NODE_SCRIPT = PROJECT / "tools" / "node_packages.sh"
 NEEDED = ("bash", "cat", "chmod", "cmp", "cp", "dirname", "env", "mkdir", "sort", "timeout", "touch", "tr")
-TIMEOUT_S = 30
 
 
 class Machine:
@@ -45,7 +45,7 @@ class Machine:
             env={"PATH": str(self.bin), **environment},
             capture_output=True,
             text=True,
-            timeout=TIMEOUT_S,
+            timeout=PATIENCE_S,
             check=False,
         )
 

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tests.patience import PATIENCE_S
 from twodof.compile.target import Emitted
 from twodof.compile.wasm.module import Module, compile_module
 
@@ -96,7 +97,7 @@ class Host:
 
 def _end(node: subprocess.Popen[str], folder: tempfile.TemporaryDirectory[str]) -> None:
     node.kill()
-    node.wait(10)
+    node.wait(PATIENCE_S)
     for stream in (node.stdin, node.stdout):
         if stream is not None:
             stream.close()

@@ -17,6 +17,7 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.experiment.drones import drone_process, drone_thread
+from tests.patience import PATIENCE_S
 from twodof.errors import ExperimentError, LinkLost, Rejected, Timeout
 from twodof.experiment.checks import data_checks, received
 from twodof.experiment.flight import Flight, Laboratory
@@ -351,7 +352,7 @@ def fly_until_killed(folder: Path, flights: list[Flight]) -> None:
         def pull(text: str, share: float) -> None:
             if share > 0.5 and program.process.poll() is None:
                 os.kill(program.process.pid, signal.SIGKILL)
-                program.process.wait(20.0)
+                program.process.wait(PATIENCE_S)
 
         flights.append(fly(short("attitude-steps"), drone, progress=pull))
         with pytest.raises(LinkLost):

@@ -7,6 +7,8 @@ import select
 import threading
 from pathlib import Path
 
+from tests.patience import PATIENCE_S
+
 
 class Cable:
     """Its ends are devices with names that stay, `one` and `other`, as an adapter's do."""
@@ -35,7 +37,7 @@ class Cable:
         """Pull both ends: what is on its way is gone, and the devices with it."""
         self._stop.set()
         if self._thread is not None:
-            self._thread.join(5.0)
+            self._thread.join(PATIENCE_S)
         # The names first: the system gives the number of a terminal that is gone to the next one who asks.
         for name in (self.one, self.other):
             name.unlink(missing_ok=True)

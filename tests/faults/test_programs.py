@@ -1,11 +1,13 @@
-"""The programs as they run: a cable that is pulled, a companion and a user's program that are killed with -9."""
+"""The programs as they run: a cable that is pulled, a companion and a user's program that are killed with -9.
+
+What is stated is measured on board, in control periods.
+"""
 
 from __future__ import annotations
 
 import os
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
@@ -18,13 +20,13 @@ import pytest
 from bench.programs import Running, running
 from tests.faults.cable import Cable
 from tests.faults.whole import DESCEND, LEVEL, OFF, tell
+from tests.patience import PATIENCE_S, patiently
 from twodof.errors import LinkLost
 from twodof.flightlog.recovery import recover
 from twodof.flightlog.ulog_decoder import scan_ulog
 from twodof.gcs.drone import Drone
 
 PROJECT = Path(__file__).resolve().parents[2]
-PATIENCE_S = 60.0  # for a loaded machine; what is stated is measured on board, in control periods
 BAUD = 921_600
 PERIOD_MS = 4.0
 LEVEL_RAD = 0.06
@@ -77,10 +79,9 @@ def airborne(url: str) -> Drone:
 
 
 def until(true: Callable[[], bool]) -> None:
-    end = time.monotonic() + PATIENCE_S
-    while not true():
-        assert time.monotonic() < end, "it did not come"
-        time.sleep(0.02)
+    for _ in patiently():
+        if true():
+            break
 
 
 def made_safe(url: str, folder: Path) -> tuple[np.ndarray, bytes]:

@@ -147,7 +147,7 @@ def test_each_run_has_its_own_seed_however_late_it_is_written(tmp_path: Path, mo
     late, take = threading.Event(), LogWriter.rows
 
     def held(writer: LogWriter, rows: np.ndarray) -> None:
-        late.wait(30.0)
+        late.wait(PATIENCE_S)
         take(writer, rows)
 
     monkeypatch.setattr(LogWriter, "rows", held)

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from tests.fcu.flights import Script, controller
+from tests.patience import PATIENCE_S
 from twodof.fcu.flight_code import FlightCode, Step
 from twodof.fcu.server import Peer, Server
 from twodof.link.connection import Connection, Received
@@ -19,7 +20,6 @@ from twodof.link.opening import open_transport
 from twodof.link.signing import Signing
 from twodof.link.stamps import Stamps
 
-PATIENCE_S = 20.0
 CLIENT = 250
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from tests.patience import PATIENCE_S
 from twodof.errors import LogError, ParameterError
 from twodof.fcu import store_file
 from twodof.fcu.store import Store
@@ -119,7 +120,7 @@ def test_a_disk_that_is_silent_holds_nobody_up(tmp_path: Path, monkeypatch: pyte
     goes_on = threading.Event()
 
     def silent(path: Path, mode: str) -> Any:
-        goes_on.wait(30.0)
+        goes_on.wait(PATIENCE_S)
         raise LogError("was silent", str(path))
 
     monkeypatch.setattr(store_file, "atomic_write", silent)

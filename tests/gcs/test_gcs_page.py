@@ -5,11 +5,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+from tests.patience import PATIENCE_S
 from twodof.gcs.drone import Drone
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "gcs.md"
 # It starts five virtual drones, each in about a second; on a loaded machine several times that.
-DEADLINE_S = 120
 
 
 def test_the_code_on_the_page_runs(tmp_path: Path) -> None:
@@ -22,7 +22,7 @@ def test_the_code_on_the_page_runs(tmp_path: Path) -> None:
         cwd=tmp_path,
         capture_output=True,
         text=True,
-        timeout=DEADLINE_S,
+        timeout=PATIENCE_S,
         check=False,
     )
     assert done.returncode == 0, done.stderr

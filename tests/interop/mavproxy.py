@@ -12,7 +12,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-DEADLINE_S = 30.0
+from tests.patience import PATIENCE_S
+
 PROGRAM = Path(sys.executable).with_name("mavproxy.py")
 
 
@@ -42,8 +43,8 @@ class MavProxy:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
         self._process.kill()
-        self._process.wait(DEADLINE_S)
-        self._thread.join(DEADLINE_S)
+        self._process.wait(PATIENCE_S)
+        self._thread.join(PATIENCE_S)
         for pipe in (self._process.stdin, self._process.stdout):
             if pipe is not None:
                 pipe.close()
@@ -54,7 +55,7 @@ class MavProxy:
         self._process.stdin.write(command + "\n")
         self._process.stdin.flush()
 
-    def expect(self, pattern: str, seconds: float = DEADLINE_S) -> re.Match[str]:
+    def expect(self, pattern: str, seconds: float = PATIENCE_S) -> re.Match[str]:
         """Wait for `pattern` in what it says after the last match; AssertionError with all that it said otherwise."""
         end = time.monotonic() + seconds
         while (found := re.search(pattern, self.text[self._read :])) is None:

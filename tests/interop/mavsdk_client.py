@@ -23,7 +23,7 @@ from mavsdk.asyncio.plugins.offboard import Attitude, OffboardAsync
 from mavsdk.asyncio.plugins.param import ParamAsync
 from mavsdk.asyncio.plugins.telemetry import TelemetryAsync
 
-DEADLINE_S = 20.0
+DEADLINE_S = 100.0
 THETA = 0.1  # rad, the set-point
 THRUST = 0.4
 

@@ -10,14 +10,14 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common
 
-DEADLINE_S = 30.0
+from tests.patience import PATIENCE_S
 
 
 class RawSession:
     """A client at a TCP port that keeps every byte it gets in `received`. Close it with `close`."""
 
     def __init__(self, port: int, system: int = 255) -> None:
-        self._socket = socket.create_connection(("127.0.0.1", port), timeout=DEADLINE_S)
+        self._socket = socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S)
         self._mav = common.MAVLink(None, srcSystem=system, srcComponent=190)
         self._parser = common.MAVLink(None)
         self._parser.robust_parsing = True
@@ -38,7 +38,7 @@ class RawSession:
         before = len(self.messages)
         values = (*p, *[0.0] * 7)[:7]
         self.send(self._mav.command_long_encode(1, 1, number, 0, *values))
-        end = time.monotonic() + DEADLINE_S
+        end = time.monotonic() + PATIENCE_S
         while time.monotonic() < end:
             self.listen(0.05)
             for m in self.messages[before:]:
@@ -73,7 +73,7 @@ class RawSession:
     def parameters(self) -> None:
         """Asks for all parameters and waits for them."""
         self.send(self._mav.param_request_list_encode(1, 1))
-        end = time.monotonic() + DEADLINE_S
+        end = time.monotonic() + PATIENCE_S
         while time.monotonic() < end:
             self.listen(0.1)
             values = [m for m in self.messages if m.get_type() == "PARAM_VALUE"]

@@ -13,10 +13,10 @@ import pytest
 from pyulog import ULog
 
 from bench.programs import port
+from tests.patience import PATIENCE_S
 from twodof.fcu.store import Store
 
 CLIENT = Path(__file__).with_name("mavsdk_client.py")
-DEADLINE_S = 120.0
 SET_TO = 0.09
 STILL = 0.02  # rad, m; the estimator's noise at rest is far below
 REACHED = 0.03  # rad; the set-point is 0.1
@@ -26,9 +26,9 @@ def flight(url: str, log: Path, first: str) -> dict[str, list[dict[str, Any]]]:
     """What the client saw, by step; AssertionError with all that it said if it does not come to its end."""
     command = [sys.executable, "-W", "error", str(CLIENT), url, "RATE_KP", str(SET_TO), str(log), first]
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=DEADLINE_S, check=False)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
     except subprocess.TimeoutExpired as error:
-        pytest.fail(f"no end after {DEADLINE_S} s: {error.stdout!r} {error.stderr!r}")
+        pytest.fail(f"no end after {PATIENCE_S} s: {error.stdout!r} {error.stderr!r}")
     assert done.returncode == 0, f"{done.stdout}\n{done.stderr}"
     saw: dict[str, list[dict[str, Any]]] = {}
     for line in done.stdout.splitlines():

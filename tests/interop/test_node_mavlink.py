@@ -15,11 +15,11 @@ from pymavlink.dialects.v20 import common
 
 from bench.programs import port
 from tests.interop.raw_session import RawSession
+from tests.patience import PATIENCE_S
 from tests.toolchains import need_node_package
 from twodof.link import dialect
 
 SCRIPT = Path(__file__).with_name("decode.cjs")
-DEADLINE_S = 60.0
 # Our own, and those of `common` that the definitions of node-mavlink 2.3.0 do not have: COMPONENT_METADATA, EVENT and
 # CURRENT_EVENT_SEQUENCE.
 UNKNOWN = (*range(54200, 54300), 397, 410, 411)
@@ -59,7 +59,7 @@ def decoded(stream: bytes, tmp_path_factory: pytest.TempPathFactory) -> dict[str
         env=os.environ | {"NODE_PATH": str(modules)},
         capture_output=True,
         text=True,
-        timeout=DEADLINE_S,
+        timeout=PATIENCE_S,
         check=False,
     )
     assert done.returncode == 0, done.stderr

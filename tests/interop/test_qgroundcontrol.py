@@ -15,12 +15,10 @@ from typing import Any
 
 import pytest
 
+from tests.patience import PATIENCE_S
 from twodof.link.connection import Connection
 from twodof.link.messages import message
 from twodof.link.opening import open_transport
-
-DEADLINE_S = 20.0
-"""For one answer, which takes some milliseconds; the machine may be loaded."""
 
 CANNOT_MISS = {
     *("BAT_LOW_THR", "BAT_CRIT_THR", "BAT_EMERGEN_THR", "CAL_ACC0_ID", "CAL_GYRO0_ID", "SENS_BOARD_ROT"),
@@ -56,7 +54,7 @@ class Station:
     async def until(self, wanted: Callable[[Any], bool]) -> list[Any]:
         """What comes, up to the first message that is `wanted`."""
         got: list[Any] = []
-        async with asyncio.timeout(DEADLINE_S):
+        async with asyncio.timeout(PATIENCE_S):
             while True:
                 received = await self.link.receive(1.0)
                 if received is None:
@@ -79,7 +77,7 @@ class Station:
 @asynccontextmanager
 async def station(url: str) -> AsyncIterator[Station]:
     """QGroundControl, connected."""
-    async with Connection(await open_transport(url, DEADLINE_S), 255, 190) as link:
+    async with Connection(await open_transport(url, PATIENCE_S), 255, 190) as link:
         found = Station(link)
         found.say("HEARTBEAT", type=6, autopilot=8, system_status=4)
         beat = (await found.until(lambda m: m.get_type() == "HEARTBEAT"))[-1]

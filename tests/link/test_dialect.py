@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from pymavlink.dialects.v20 import common
 
+from tests.patience import PATIENCE_S
 from twodof.compile import toolchain
 from twodof.errors import LinkError
 from twodof.fcu import excitation_player
@@ -216,11 +217,11 @@ def test_processes_may_generate_at_once(tmp_path: Path) -> None:
     command = [sys.executable, "-W", "error", "-c", LOAD]
     started = [subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) for _ in range(3)]
     try:
-        assert [process.communicate(timeout=60)[0] for process in started] == ["54208\n"] * 3
+        assert [process.communicate(timeout=PATIENCE_S)[0] for process in started] == ["54208\n"] * 3
     finally:
         for process in started:
             process.kill()
-            process.wait(timeout=10)
+            process.wait(timeout=PATIENCE_S)
     assert len([*tmp_path.iterdir()]) == 1  # one entry, nothing half made
 
 

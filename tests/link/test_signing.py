@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 from fastcrc import crc16
 
+from tests.patience import PATIENCE_S
 from twodof.errors import LinkError
 from twodof.link import dialect
 from twodof.link import stamps as stamps_module
@@ -221,7 +222,7 @@ def test_only_the_first_write_of_a_stream_is_waited_for(tmp_path: Path, monkeypa
         clock.now += PER_SECOND // 10
         stamps.next_own()
         if stamps._writing is not None and clock.now % PER_SECOND == 0:
-            stamps._writing.result(timeout=10.0)
+            stamps._writing.result(timeout=PATIENCE_S)
         assert stamps._stored[OWN] >= stamps.own
     assert len(waited) == 1
     stamps.close()

@@ -11,6 +11,7 @@ import pytest
 
 from tests.compile.px4.golden import GOLDEN, MODULES
 from tests.compile.px4.modules import PITCH_LOG, pitch, rail
+from tests.patience import PATIENCE_S
 from twodof.blocks.schema import from_json
 from twodof.compile.px4 import export, make_module, tree
 from twodof.compile.px4.tree import MANIFEST, strangers, write_tree
@@ -43,7 +44,7 @@ def test_the_same_diagram_gives_the_same_bytes_in_another_process(tmp_path: Path
         subprocess.run(
             [sys.executable, "-c", code, str(folder)],
             check=True,
-            timeout=60,
+            timeout=PATIENCE_S,
             env={"PYTHONHASHSEED": seed, "PATH": "", "LANG": "C", "TZ": "UTC" if seed == "1" else "Asia/Tokyo"},
             cwd=Path(__file__).parents[3],
         )

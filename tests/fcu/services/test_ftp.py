@@ -12,7 +12,7 @@ from pymavlink.mavftp import MAVFTP
 
 from tests.fcu.services.world import CLIENT, World
 from tests.fcu.steps import plain_step
-from tests.patience import patiently
+from tests.patience import PATIENCE_S, patiently
 from twodof.fcu.asked import TEMPORARILY_REJECTED, Verdict
 from twodof.fcu.log_folder import LogFolder
 from twodof.fcu.onboard_log import OnboardLog
@@ -173,13 +173,13 @@ def test_pymavlinks_client_reads_checks_and_sends(server: Server, tmp_path: Path
     assert [(one.name, one.is_dir) for one in client.list_result] == [("log_00001.ulg", False)]
     size = client.list_result[0].size_b
     client.cmd_get(["/log/log_00001.ulg", str(tmp_path / "got.ulg")])
-    assert client.process_ftp_reply("OpenFileRO", timeout=20).error_code == 0
+    assert client.process_ftp_reply("OpenFileRO", timeout=PATIENCE_S).error_code == 0
     (log,) = (tmp_path / "log").iterdir()
     assert (tmp_path / "got.ulg").read_bytes() == log.read_bytes()
     assert size == len(log.read_bytes())
     (tmp_path / "mine.json").write_bytes(ALL[:5000])
     client.cmd_put([str(tmp_path / "mine.json"), "/controllers/mine.json"])
-    assert client.process_ftp_reply("CreateFile", timeout=5).error_code == 0
+    assert client.process_ftp_reply("CreateFile", timeout=PATIENCE_S).error_code == 0
     assert (server.controllers / "mine.json").read_bytes() == ALL[:5000]
     assert client.cmd_crc(["/controllers/mine.json"]).error_code == 0
     assert server.ftp.sessions == 0

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.fcu.services.test_on_board import DEADLINE_S, Client
+from tests.fcu.services.test_on_board import Client
+from tests.patience import PATIENCE_S
 from twodof.fcu.asked import ACCEPTED, FAILED, IN_PROGRESS, TEMPORARILY_REJECTED
 from twodof.fcu.controllers import Controllers
 from twodof.fcu.flight_code import FlightCode
@@ -34,7 +35,7 @@ class Gate:
         build = Controllers.build_uploaded
 
         def gated(controllers: Controllers) -> object:
-            assert self.open.wait(DEADLINE_S)
+            assert self.open.wait(PATIENCE_S)
             return build(controllers)
 
         monkeypatch.setattr(Controllers, "build_uploaded", gated)
