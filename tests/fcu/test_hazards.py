@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
+import ast
+from pathlib import Path
+
 import pytest
 
+from tests.fcu.assembled import ARM, TARGET, Assembled
 from tests.fcu.cockpit import ME, OTHER, Cockpit, Rig, armed, offboard
+from twodof import fcu
 from twodof.excitation import Impulse
 from twodof.fcu.asked import FAILED, IN_PROGRESS, TEMPORARILY_REJECTED
 from twodof.fcu.excitation_player import REFUSED, STOPPED, written_out
+from twodof.fcu.failsafe_parameters import failsafe_rows
 from twodof.fcu.helm import FRESH
+from twodof.fcu.parameter_row import Row
+from twodof.fcu.services.parameters import INT32, REAL32
+from twodof.fcu.services.transactions import BEGIN, COMMIT, UNDO
 from twodof.fcu.setpoints import ATTITUDE, OFF, POSITION, VELOCITY, SetPoint
 from twodof.flight.causes import BIT
 from twodof.flight.failsafe_machine import BRAKE, DESCEND, LEVEL
 from twodof.link import modes
+from twodof.link.messages import float_of_int, message
 
 PULSE = written_out(Impulse(0.1, 0.02, settle=0.4))
 PITCHED = SetPoint(ATTITUDE, theta0=0.3, thrust=0.5)
@@ -181,3 +191,70 @@ def test_nor_does_it_arm_where_the_switch_is_set_in_the_very_tick() -> None:
     rig.safety_off = False
     assert not any(cockpit.run().arm for _ in range(5))
     assert cockpit.commander.arming.result == FAILED
+
+
+# The failsafe changed in flight.
+
+
+def test_in_flight_no_message_changes_a_parameter_of_the_failsafe() -> None:
+    """One by one, several at once, or by undoing what was changed on the ground."""
+    drone = Assembled()
+    store, code = drone.drone.assembly.store, drone.drone.controller.code
+    rows = [row for row in store.rows if row.disarmed and not row.fixed]
+    failsafe = {row.name for row in failsafe_rows()} - {"SAFE_X0_LIM"} | {"X0_MAX"}  # its name since before
+    assert failsafe <= {row.name for row in rows}
+    first = rows[0]
+
+    def put(row: Row) -> None:
+        now = store[row.name]
+        other = row.low if now != row.low else row.high
+        value, kind = (float_of_int(int(other)), INT32) if row.kind == "int32" else (other, REAL32)
+        drone.say(message("PARAM_SET", param_id=row.name, param_value=value, param_type=kind, **TARGET))
+
+    def transaction(action: int, count: int = 0) -> None:
+        number = len(drone.sent) & 0xFFFF
+        kind = "TWODOF_PARAM_TRANSACTION"
+        drone.say(message(kind, action=action, transaction=number if action == UNDO else 1, count=count, **TARGET))
+
+    before = dict(store)
+    put(first)
+    assert dict(store) != before, "on the ground it can be"
+    drone.fly()
+    before = dict(store)
+    flown = {path: code.parameter(path) for path in code.machine.parameters if path.startswith("failsafe.")}
+    for row in rows:
+        put(row)
+        transaction(BEGIN)
+        put(row)
+        put(store.row("RATE_KP"))
+        transaction(COMMIT, 2)
+    transaction(UNDO)
+    drone.stream()
+    drone.run(2)
+    assert dict(store) == before
+    assert {path: code.parameter(path) for path in flown} == flown
+    assert len(flown) > 30
+    put(store.row("RATE_KP"))
+    assert dict(store) != before, "gains can be, and what was said was understood"
+    drone.command(ARM, 0.0)
+    drone.run(2)
+    transaction(BEGIN)
+    put(first)
+    transaction(COMMIT, 1)
+    assert store[first.name] != before[first.name], "on the ground again"
+
+
+# A clock that anybody may set.
+
+
+def test_nothing_that_decides_looks_at_a_clock_but_the_ticks() -> None:
+    """So no clock that is set, and no pause of any length, changes what is decided: only a tick that passes does."""
+    for name in ("asked", "arming", "checks", "commander", "helm", "lease", "pilot", "schedule", "setpoints", "sticks"):
+        source = (Path(fcu.__file__).parent / f"{name}.py").read_text(encoding="utf-8")
+        imported = {
+            alias.name.partition(".")[0]
+            for node in ast.walk(ast.parse(source))
+            if isinstance(node, ast.Import | ast.ImportFrom)
+            for alias in (node.names if isinstance(node, ast.Import) else [ast.alias(node.module or "")])
+        }
+        assert not imported & {"time", "datetime", "asyncio", "threading", "signal", "socket", "random", "os"}, name

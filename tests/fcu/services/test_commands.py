@@ -70,6 +70,14 @@ def test_a_command_that_claims_to_be_from_us_is_ignored() -> None:
     assert world.commander.asked == []
 
 
+@pytest.mark.parametrize(("number", "first"), [(400, 0.0), (185, 1.0)])
+def test_but_what_stops_motors_is_obeyed_under_whatever_number_it_comes(number: int, first: float) -> None:
+    world = World()
+    world.say(message("COMMAND_LONG", command=number, param1=first, **US), source=(1, 1))
+    assert [one.result for one in world.taken("COMMAND_ACK")] == [ACCEPTED]
+    assert len(world.commander.asked) == 1
+
+
 def test_checks_run_all_the_time() -> None:
     world = World()
     assert world.command(401) == ACCEPTED

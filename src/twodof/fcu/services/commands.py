@@ -85,7 +85,9 @@ class Commands:
         if name not in ("COMMAND_LONG", "COMMAND_INT"):
             return False
         got, sender = received.message, source(received)
-        if self._us.addressed(got, everybody=_for_everybody(got)) and sender != tuple(self._us):
+        # What comes under our own number is our own, come round, and ignored as in PX4. We send no stop.
+        from_others = sender != tuple(self._us) or _stops(got.command, got.param1)
+        if from_others and self._us.addressed(got, everybody=_for_everybody(got)):
             last = (got.param5, got.param6) if name == "COMMAND_LONG" else (float(got.x), float(got.y))
             final = got.param7 if name == "COMMAND_LONG" else got.z
             params = (got.param1, got.param2, got.param3, got.param4, *last, final)
