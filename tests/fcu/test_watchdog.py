@@ -1,86 +1,77 @@
-"""The watchdog: it trips when the loop hangs, once, and not before the loop has begun."""
+"""The watchdog: it trips when the loop hangs, once, not before the loop has begun, and counts looks, not time."""
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
-from types import SimpleNamespace
+from inspect import signature
 
 import pytest
 
 from tests.patience import PATIENCE_S
-from twodof.fcu import watchdog as module
-from twodof.fcu.watchdog import LOOKS, Watchdog
+from twodof.fcu.watchdog import LOOK_S, LOOKS, Watchdog
 
-
-class Looking(threading.Event):
-    """The event that ends the watchdog's thread, and between whose waits it looks: it waits until the test says so."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._may, self._has = threading.Semaphore(0), threading.Semaphore(0)
-
-    def wait(self, timeout: float | None = None) -> bool:
-        """Not before `look` or `set`."""
-        self._has.release()
-        assert self._may.acquire(timeout=PATIENCE_S)
-        return self.is_set()
-
-    def set(self) -> None:
-        """The end."""
-        super().set()
-        self._may.release()
-
-    def look(self, times: int) -> None:
-        """Let it look so often; when this returns it has."""
-        for _ in range(times):
-            assert self._has.acquire(timeout=PATIENCE_S)
-            self._may.release()
-        assert self._has.acquire(timeout=PATIENCE_S)
-        self._has.release()
+NEVER_S = 1e6  # between looks of its own: the test looks
 
 
 @pytest.fixture
-def looking(monkeypatch: pytest.MonkeyPatch) -> Iterator[Looking]:
-    made = Looking()
-    monkeypatch.setattr(module, "threading", SimpleNamespace(Event=lambda: made, Thread=threading.Thread))
+def stops() -> list[int]:
+    """The trips at which it stopped the motors."""
+    return []
+
+
+@pytest.fixture
+def watchdog(stops: list[int]) -> Iterator[Watchdog]:
+    """One that looks when the test does."""
+    made = Watchdog(lambda: stops.append(made.trips), NEVER_S)
     yield made
-    assert made.is_set()
+    made.close()
+    made.close()
 
 
-def test_it_trips_once_when_the_beats_end_and_again_after_they_came_back(looking: Looking) -> None:
-    stops: list[int] = []
-    watchdog = Watchdog(lambda: stops.append(watchdog.trips))
-    looking.look(5 * LOOKS)
-    assert watchdog.trips == 0, "nothing has begun yet"
+def look(watchdog: Watchdog, times: int) -> None:
+    for _ in range(times):
+        watchdog.look()
+
+
+def test_a_loop_that_has_not_begun_does_not_hang(watchdog: Watchdog, stops: list[int]) -> None:
+    look(watchdog, 3 * LOOKS)
+    assert (watchdog.trips, stops) == (0, [])
+
+
+def test_it_trips_at_the_fifth_look_without_a_beat_once_and_again_after_they_came_back(
+    watchdog: Watchdog, stops: list[int]
+) -> None:
+    for trip in (1, 2):
+        for beats in (1, 7):
+            for _ in range(beats):
+                watchdog.beat()
+            look(watchdog, LOOKS)  # the first sees the beat
+            assert watchdog.trips == trip - 1
+        watchdog.look()
+        assert stops == [*range(1, trip + 1)]
+        look(watchdog, 3 * LOOKS)
+        assert stops == [*range(1, trip + 1)], "once"
+
+
+def test_a_beat_before_the_fifth_look_is_enough(watchdog: Watchdog, stops: list[int]) -> None:
     watchdog.beat()
-    looking.look(1 + LOOKS - 1)  # the first sees the beat
-    assert watchdog.trips == 0
-    looking.look(1)
-    assert watchdog.trips == 1
-    looking.look(5 * LOOKS)
-    assert watchdog.trips == 1
-    watchdog.beat()
-    looking.look(1 + LOOKS)
-    assert watchdog.trips == 2
-    watchdog.close()
-    watchdog.close()
-    assert stops == [1, 2]
-
-
-def test_it_is_silent_while_beats_come(looking: Looking) -> None:
-    watchdog = Watchdog(lambda: None)
-    for _ in range(100):
+    for _ in range(20):
+        look(watchdog, LOOKS - 1)
         watchdog.beat()
-        looking.look(LOOKS)  # the last but one of those that are too many
-    watchdog.close()
-    assert watchdog.trips == 0
+    assert stops == []
 
 
-def test_its_thread_looks_by_itself_and_ends_with_it() -> None:
-    stopped = threading.Semaphore(0)
-    watchdog = Watchdog(stopped.release, 0.002)
+def test_a_tenth_of_a_second() -> None:
+    """docs/safety.md; a pause in which the thread stands too, for collecting garbage say, is one look, however long."""
+    assert (LOOK_S, LOOKS) == (0.02, 5)
+    assert signature(Watchdog).parameters["look_s"].default == LOOK_S
+
+
+def test_its_own_thread_looks() -> None:
+    stopped = threading.Event()
+    watchdog = Watchdog(stopped.set, 0.001)
     watchdog.beat()
-    assert stopped.acquire(timeout=PATIENCE_S)
+    assert stopped.wait(PATIENCE_S)
     watchdog.close()
-    assert not watchdog._thread.is_alive()
+    assert watchdog.trips == 1

@@ -22,7 +22,8 @@ class Watchdog:
         self.trips = 0
         self._stop = stop
         self._look_s = look_s
-        self._beats = 0
+        self._beats = self._seen = 0
+        self._silent = 0  # looks since the last beat was seen
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._watch, name="watchdog", daemon=True)
         self._thread.start()
@@ -31,17 +32,20 @@ class Watchdog:
         """The loop runs."""
         self._beats += 1
 
+    def look(self) -> None:
+        """Whether a beat came since the last look; the thread does it every `look_s`."""
+        beats = self._beats
+        self._silent = self._silent + 1 if beats == self._seen and beats else 0
+        self._seen = beats
+        if self._silent == LOOKS:
+            self.trips += 1
+            self._stop()
+
     def close(self) -> None:
         """Ends the thread; a second time does nothing."""
         self._end.set()
         self._thread.join(5.0)
 
     def _watch(self) -> None:
-        seen, silent = 0, 0
         while not self._end.wait(self._look_s):
-            beats = self._beats
-            silent = silent + 1 if beats == seen and beats else 0
-            seen = beats
-            if silent == LOOKS:
-                self.trips += 1
-                self._stop()
+            self.look()
