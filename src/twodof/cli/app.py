@@ -33,6 +33,7 @@ COMMANDS = MappingProxyType(
         "calibrate": ("calibrate", "Calibrate the virtual rig on the real drone's logs."),
         "companion": ("companion", "Route MAVLink between the flight controller and clients; run an app on board."),
         "drones": ("drones", "List the drones that can be heard, and where to connect to them."),
+        "parameters": ("parameters", "See and set what can be tuned on a drone, in flight too."),
         "kill": ("kill", "Motors off, now, whoever commands the drone."),
         "key": ("key", "Make a key that signs what is sent over MAVLink."),
         "px4": ("px4", "Make a module for PX4 of a diagram, and see whether a PX4 fits it."),

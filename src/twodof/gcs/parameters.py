@@ -18,6 +18,7 @@ from twodof.errors import ParameterError, Rejected, Timeout, listed, shown
 from twodof.gcs.deadline import Deadline
 from twodof.gcs.files import Files
 from twodof.gcs.session import Session
+from twodof.gcs.texts import Texts
 from twodof.link.messages import float_of_int, int_of_float, message
 from twodof.parameters import PARAMETERS, Parameter
 
@@ -74,9 +75,13 @@ class AsyncParameters:
     What is known is forgotten when the drone says that its list is another: other controllers fly.
     """
 
-    def __init__(self, session: Session, files: Files | None = None, timeout: float = 5.0) -> None:
+    def __init__(
+        self, session: Session, files: Files | None = None, texts: Texts | None = None, timeout: float = 5.0
+    ) -> None:
         self._session = session
         self._files = files
+        self._texts = texts
+        self._spoken = 0  # lines that it had said when a change was begun
         self._timeout = timeout
         self.known: dict[str, Entry] = {}
         self._described: dict[str, Described] = {}
@@ -275,7 +280,7 @@ class AsyncParameters:
                 return None
             if got.result and not (wanted and got.result == _INCOMPLETE):
                 raise Rejected(
-                    f"{got.param_id or 'the change'}: {_error(got.result)}",
+                    self._why(got.param_id or "the change", got.result),
                     f"drone {self._session.system}, {deadline.doing}",
                     "nothing was changed",
                 )
@@ -290,6 +295,7 @@ class AsyncParameters:
             await asyncio.wait_for(self._changing.acquire(), deadline.left)
         except TimeoutError:
             raise deadline.error("another call on this drone changes parameters: wait for it") from None
+        self._spoken = self._texts.count if self._texts is not None else 0
         try:
             yield
         finally:
@@ -348,7 +354,12 @@ class AsyncParameters:
             return
         if got.error == 1:
             raise self._unknown(name)
-        raise Rejected(f"{name}: {_error(got.error)}", f"drone {self._session.system}", "nothing was changed")
+        raise Rejected(self._why(name, got.error), f"drone {self._session.system}", "nothing was changed")
+
+    def _why(self, name: str, error: int) -> str:
+        """Why a change is refused: what the drone said last of it, or what its number says."""
+        said = self._texts.since(self._spoken) if self._texts is not None else []
+        return f"{name}: {said[-1].text if said else _error(error)}"
 
     def _unknown(self, name: str) -> ParameterError:
         """That the drone has not `name`, with the nearest names that it has."""

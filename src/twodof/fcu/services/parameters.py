@@ -178,8 +178,8 @@ class Parameters:
         before = self._store.revision
         error, _, why = self.change({name: value}, source(received))
         if error != NO_ERROR:
+            self._commands.explain(received.peer, why)  # first: who hears of the error looks for the reason
             self.error(received, name, error)
-            self._commands.explain(received.peer, why)
         # A change was announced to everybody; what is the same as before, or stays, is told to who asked.
         if self._store.revision == before:
             self._link.send(self.value(self._store.row(name)), received.peer)
