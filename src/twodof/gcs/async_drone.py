@@ -32,6 +32,7 @@ _MODE_RETRY_S = 0.1
 _NOT_TAKEN = "set-point refused"
 _RINGS = "set-point refused: it moves the cart, and the rings lock it"
 _REFUSED = 16
+_FOLLOWING = "changing to a mode in which set-points are followed"
 
 
 class AsyncDrone(Connected):
@@ -75,43 +76,43 @@ class AsyncDrone(Connected):
         """Fly a normalised pitch moment (-1 to 1) about the trim, no loop closed; `thrust` 0 to 1, None: as it is."""
         setpoint = setpoints.moment(M, thrust)
         self._needs_ours("a moment without a loop", "TWODOF_OPENLOOP")
-        await self._follow(setpoint, timeout)
+        await self._follow(setpoint, self._deadline(timeout, _FOLLOWING))
 
     async def set_pitch(self, theta: float, thrust: float | None = None, timeout: float = TIMEOUT_S) -> None:
         """Follow a pitch [rad]; `thrust` 0 to 1, None: the last one given, at first the parameter THRUST_BAR."""
-        await self._follow(setpoints.pitch(theta, await self._thrust(thrust, timeout)), timeout)
+        deadline = self._deadline(timeout, _FOLLOWING)
+        await self._follow(setpoints.pitch(theta, await self._thrust(thrust, deadline)), deadline)
 
     async def set_pitch_rate(self, q: float, thrust: float | None = None, timeout: float = TIMEOUT_S) -> None:
         """Follow a pitch rate [rad/s]; `thrust` as in `set_pitch`."""
-        await self._follow(setpoints.pitch_rate(q, await self._thrust(thrust, timeout)), timeout)
+        deadline = self._deadline(timeout, _FOLLOWING)
+        await self._follow(setpoints.pitch_rate(q, await self._thrust(thrust, deadline)), deadline)
 
     async def set_velocity(self, v: float, acceleration: float | None = None, timeout: float = TIMEOUT_S) -> None:
         """Follow a velocity along the rail [m/s], with an acceleration [m/s^2] fed forward."""
-        await self._follow(setpoints.velocity(v, acceleration), timeout)
+        await self._follow(setpoints.velocity(v, acceleration), self._deadline(timeout, _FOLLOWING))
 
     async def set_position(self, x: float, acceleration: float | None = None, timeout: float = TIMEOUT_S) -> None:
         """Follow a position along the rail [m], with an acceleration [m/s^2] fed forward."""
-        await self._follow(setpoints.position(x, acceleration), timeout)
+        await self._follow(setpoints.position(x, acceleration), self._deadline(timeout, _FOLLOWING))
 
     def stop_setpoints(self) -> None:
         """Send no more set-points: after .5 s the drone levels itself."""
         self.setpoints.stop()
 
-    async def _thrust(self, thrust: float | None, timeout: float) -> float:
+    async def _thrust(self, thrust: float | None, deadline: Deadline) -> float:
         if thrust is not None:
             self._last_thrust = thrust
         elif self._last_thrust is None and self.ours:
-            return await self.parameters.read(HOVER, timeout)
+            return await self.parameters.read(HOVER, deadline.left)
         elif self._last_thrust is None:
             raise ParameterError("nothing says which thrust lets it hover", "set-point", "give thrust=")
         else:
             return self._last_thrust
         return thrust
 
-    async def _follow(self, setpoint: Setpoint, timeout: float) -> None:
+    async def _follow(self, setpoint: Setpoint, deadline: Deadline) -> None:
         """Stream it, and switch to a mode in which it is followed; refusals are tried again while it streams."""
-        mode = setpoint.modes[0]
-        deadline = self._deadline(timeout, f"changing to the mode {mode}")
         if setpoint.moves_cart and self.ours and self.state.rig.rings_locked:
             # In words the drone says so once a second at most, and where offboard flies already there is no answer.
             raise self._not_taken(_RINGS, deadline)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -39,6 +40,8 @@ TIMEOUT_S = 5.0
 LEAVING_S = 3.0
 _GREETING_S, _GREETING_RETRY_S = 4.0, 0.3
 _KILL_RETRY_S = 0.05
+# Kills that are sent at once where leaving is broken off: there is no time to see whether one arrives.
+_LAST_WORDS = 3
 _WORTH_SAYING_S = 0.5
 _FORCE = 21196
 _TICKS_FOR_AN_ANSWER = 250
@@ -56,7 +59,7 @@ class Connected:
         self.commands = Commands(session, self.texts)
         self.lease = Lease(session, self.commands)
         self.files = Files(session, self.texts)
-        self.parameters = AsyncParameters(session, self.files)
+        self.parameters = AsyncParameters(session, self.files, self.texts)
         self.telemetry = Telemetry(session)
         self.setpoints = Setpoints(session, self.clock)
         self.exciter = Exciter(session, self.clock)
@@ -200,16 +203,27 @@ class Connected:
         try:
             others = self.lease.holder is not None and not self.lease.ours  # it is theirs to disarm
             if self.commanding and not others and (self.state.armed or self._may_be_armed):
-                try:
-                    await self.disarm(timeout=timeout / 3)
-                except (Rejected, Timeout, LinkLost):  # what is silent may still hear
-                    await self.kill(timeout=timeout / 2)
+                await self._stand(timeout)
             if self.lease.wanted:
                 with suppress(Timeout, LinkLost):  # it ends by itself
-                    await self.lease.give_up(timeout / 3)
+                    await self.lease.give_up(timeout / 4)
         finally:
             self.lease.stop()
             await self.session.close()
+
+    async def _stand(self, timeout: float) -> None:
+        """Disarm it, and where that is not seen kill it; where there is no time for either, say so all the same."""
+        try:
+            try:
+                await self.disarm(timeout=timeout / 3)
+            except (Rejected, Timeout, LinkLost):  # what is silent may still hear
+                await self.kill(timeout=timeout / 3)
+        except asyncio.CancelledError:
+            with suppress(LinkLost):
+                for attempt in range(_LAST_WORDS):
+                    command = number_of("COMPONENT_ARM_DISARM")
+                    self.session.send_anyway(self.commands.long(command, [0.0, _FORCE], attempt))
+            raise
 
     @property
     def state(self) -> State:

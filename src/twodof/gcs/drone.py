@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractAsyncContextManager, AbstractContextManager, contextmanager, suppress
 from pathlib import Path
-from typing import Any, Self, TypeVar
+from typing import Any, ClassVar, Self, TypeVar
+from weakref import WeakSet, finalize
 
 import numpy as np
 
-from twodof.errors import TwodofError
+from twodof.errors import Rejected, TwodofError
 from twodof.excitation import Excitation
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.gcs.connected import DEFAULT_URL, LEAVING_S, TIMEOUT_S
@@ -34,6 +35,8 @@ class Drone:
     with the drone's reason, Timeout at their deadline.
     """
 
+    _open: ClassVar[WeakSet[Drone]] = WeakSet()
+
     def __init__(self, there: AsyncDrone, runner: Runner) -> None:
         self.there = there
         self._runner = runner
@@ -55,12 +58,26 @@ class Drone:
         runner = Runner(url)
         try:
             there = runner.run(AsyncDrone.connect(url, timeout, system, key, take_lease, drone))
+        except Rejected as refusal:
+            runner.close()
+            if any(other.has_lease(refusal) for other in cls._open):
+                remedy = "this program has it: close() the Drone that it has, or go on with that"
+                raise Rejected(refusal.what, refusal.where, remedy) from refusal
+            raise
         except BaseException:
             runner.close()
             raise
         made = cls(there, runner)
         runner.at_exit(made.close)
+        # One that nobody has any more, by a notebook's cell that was run again, is to fly no more either.
+        finalize(made, runner.leave_behind, there.close).atexit = False
+        cls._open.add(made)
         return made
+
+    def has_lease(self, refusal: Rejected) -> bool:
+        """Whether it is this one that has the lease which a refusal is about."""
+        holder = self.there.lease.holder
+        return self.there.lease.ours and holder is not None and f"{holder[0]}/{holder[1]} holds" in refusal.what
 
     @staticmethod
     def discover(timeout: float = 3.0, hosts: Iterable[str] = ()) -> list[Found]:
@@ -91,8 +108,9 @@ class Drone:
         """Disarm it if we commanded, give the lease up, close the link. Raises if it cannot be seen to be disarmed."""
         try:
             if self._runner.alive:
-                self._runner.run(self.there.close(timeout))
+                self._runner.run(self.there.close(timeout), finish=True)  # Ctrl-C keeps nobody from disarming
         finally:
+            self._open.discard(self)
             self._runner.close()
 
     @property

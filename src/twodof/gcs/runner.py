@@ -33,8 +33,11 @@ class Runner:
         """Whether it still takes work."""
         return self._thread.is_alive() and not self._loop.is_closed()
 
-    def run(self, work: Coroutine[Any, Any, T]) -> T:
-        """What `work` returns or raises; Ctrl-C while it waits cancels it. Raises LinkLost once it was closed."""
+    def run(self, work: Coroutine[Any, Any, T], finish: bool = False) -> T:
+        """What `work` returns or raises; Ctrl-C while it waits cancels it, unless it is to `finish`.
+
+        Raises LinkLost once it was closed.
+        """
         if not self.alive or threading.current_thread() is self._thread:
             work.close()
             if self.alive:
@@ -55,7 +58,8 @@ class Runner:
             raise LinkLost("the drone was closed meanwhile", self._where, "connect again") from None
         except BaseException:
             # Ctrl-C: what was under way puts its things in order before anything else is asked.
-            future.cancel()
+            if not finish:
+                future.cancel()
             ended.wait(CLOSING_S)
             raise
 
@@ -80,6 +84,26 @@ class Runner:
         self._leave = left
         atexit.register(left)
 
+    def leave_behind(self, leave: Callable[[], Coroutine[Any, Any, None]]) -> None:
+        """Run `leave`, then end the thread, and wait for neither: nobody has the drone any more."""
+
+        async def left() -> None:
+            try:
+                with suppress(TwodofError):  # nobody is there to be told
+                    await leave()
+            finally:
+                self._loop.stop()
+
+        if self.alive:
+            if self._leave is not None:
+                atexit.unregister(self._leave)
+                self._leave = None
+            atexit.register(self._end)  # the interpreter waits so long, if it ends meanwhile
+            asyncio.run_coroutine_threadsafe(left(), self._loop)
+
+    def _end(self) -> None:
+        self._thread.join(CLOSING_S)
+
     def close(self) -> None:
         """Cancel what still runs and end the thread; a second time does nothing."""
         if self._leave is not None:
@@ -92,11 +116,23 @@ class Runner:
     def _serve(self) -> None:
         asyncio.set_event_loop(self._loop)
         try:
-            self._loop.run_forever()
+            self._until_stopped()
             left = asyncio.all_tasks(self._loop)
             for task in left:
                 task.cancel()
             if left:
                 self._loop.run_until_complete(asyncio.wait(left, timeout=CLOSING_S / 2))
+            self._loop.run_until_complete(self._loop.shutdown_asyncgens())
         finally:
             self._loop.close()
+            atexit.unregister(self._end)
+
+    def _until_stopped(self) -> None:
+        while True:
+            try:
+                self._loop.run_forever()
+                return
+            except (SystemExit, KeyboardInterrupt) as wish:
+                # They end a loop: whoever waits for the drone would wait for ever, and nobody would disarm it.
+                said = "a callback wanted to end the program: let it set something that the script sees"
+                self._loop.call_exception_handler({"message": said, "exception": wish})

@@ -1,0 +1,156 @@
+"""Leaving a drone, however: twice Ctrl-C, a callback that wants to end the program, a Drone that nobody has any more."""
+
+import asyncio
+import gc
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from tests.faults.virtual_time import run_virtual
+from tests.gcs.peer import Peer
+from tests.gcs.virtual import on_board
+from tests.patience import PATIENCE_S
+from twodof.errors import Rejected
+from twodof.gcs.async_drone import AsyncDrone
+from twodof.gcs.drone import Drone
+from twodof.gcs.runner import Runner
+
+FORCE = 21196
+
+
+def ended(work: Callable[[], Any]) -> Any:
+    """What `work` returns or raises, in a thread that is given up if it hangs."""
+    found: list[Any] = []
+
+    def do() -> None:
+        try:
+            found.append(work())
+        except BaseException as error:
+            found.append(error)
+
+    thread = threading.Thread(target=do, daemon=True)
+    thread.start()
+    thread.join(PATIENCE_S)
+    assert found, "it hangs"
+    return found[0]
+
+
+async def one() -> int:
+    return 1
+
+
+def test_a_callback_that_wants_to_end_the_program_ends_nothing_and_is_reported() -> None:
+    runner = Runner("test")
+    reported: list[Any] = []
+    try:
+        loop = runner._loop
+        loop.call_soon_threadsafe(loop.set_exception_handler, lambda _, context: reported.append(context["exception"]))
+        loop.call_soon_threadsafe(sys.exit, 3)
+        assert ended(lambda: runner.run(one())) == 1
+        assert [type(error) for error in reported] == [SystemExit]
+    finally:
+        runner.close()
+
+
+def test_a_condition_that_ends_the_program_does() -> None:
+    """What is waited for in the script's own thread may end it."""
+    runner = Runner("test")
+
+    async def work() -> None:
+        sys.exit(3)
+
+    try:
+        runner._loop.call_soon_threadsafe(runner._loop.set_exception_handler, lambda *_: None)
+        assert isinstance(ended(lambda: runner.run(work())), SystemExit)
+        assert ended(lambda: runner.run(one())) == 1
+    finally:
+        runner.close()
+
+
+@pytest.mark.parametrize("finish", [True, False])
+def test_what_is_to_finish_is_finished_though_ctrl_c_comes(finish: bool) -> None:
+    """Leaving is: an impatient second Ctrl-C must not keep the drone armed."""
+    runner, done = Runner("test"), []
+
+    async def work() -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        await asyncio.sleep(0.05)
+        done.append(True)
+
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            runner.run(work(), finish=finish)
+        assert done == [True] * finish
+    finally:
+        runner.close()
+
+
+def test_leaving_that_is_broken_off_kills() -> None:
+    """A task that is cancelled a second time has no time to see anything: it says once more what stops the motors."""
+
+    async def work() -> None:
+        async with Peer() as peer:
+            drone = await AsyncDrone.connect(peer.url)
+            await drone.arm()
+            peer.spoil = lambda _, sent: [] if sent.get_type() in ("COMMAND_ACK", "HEARTBEAT") else [sent]
+            leaving = asyncio.get_running_loop().create_task(drone.close())
+            await asyncio.sleep(0.01)
+            leaving.cancel()
+            await asyncio.wait([leaving])
+            assert leaving.cancelled()
+            await asyncio.sleep(0.01)
+            orders = [got.param2 for got in peer.heard if got.get_type() == "COMMAND_LONG" and got.command == 400]
+            assert orders == [0.0, 0.0, FORCE, FORCE, FORCE]
+
+    run_virtual(work())
+
+
+def test_a_drone_that_nobody_has_any_more_is_left() -> None:
+    """As by a notebook's cell that is run again: it is disarmed, its lease is free, its thread ends."""
+    with on_board(lockstep=True, conditions={"rings": True}) as there:
+        before = set(threading.enumerate())
+        drone = Drone.connect(there.url)
+        (thread,) = set(threading.enumerate()) - before
+        drone.run(0.5)
+        drone.arm()
+        del drone
+        gc.collect()
+        thread.join(PATIENCE_S)
+        assert not thread.is_alive()
+        assert not there.drone.commander.armed
+        assert there.drone.commander.lease.holder is None
+
+
+def test_a_lease_of_this_program_is_said_to_be_its_own() -> None:
+    with on_board(lockstep=True) as there, Drone.connect(there.url):
+        with pytest.raises(Rejected, match="this program has it"):
+            Drone.connect(there.url)
+
+
+class Slow(Peer):
+    """Thinks for four seconds before it tells a parameter."""
+
+    def _param_request_read(self, got: Any, frame: Any) -> None:
+        asyncio.get_running_loop().call_later(4.0, super()._param_request_read, got, frame)
+
+
+def test_deadlines_do_not_add_up() -> None:
+    """What a verb asks first, and what it does then, are in one deadline."""
+
+    async def work() -> None:
+        async with Slow() as peer:
+            loop = asyncio.get_running_loop()
+            peer.refuse[176] = (1, "not now")
+            drone = await AsyncDrone.connect(peer.url)
+            start = loop.time()
+            with pytest.raises(Rejected, match="not now"):
+                await drone.set_pitch(0.1, timeout=5.0)
+            assert 4.0 < loop.time() - start < 5.5
+            await drone.close()
+
+    run_virtual(work())
