@@ -10,6 +10,7 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
+from twodof.cli.connect import connect
 from twodof.cli.output import Json, print_json, table_console
 from twodof.errors import ParameterError, shown
 from twodof.gcs.async_drone import DEFAULT_URL
@@ -46,14 +47,12 @@ def parameters(
     names, changes = _asked(wanted or ())
     with Drone.connect(url, key=key, drone=drone, take_lease=False) as there:
         described = there.parameters.describe() if there.there.ours else {}
-        if changes:
-            there.parameters.change(changes)
-        paths = {row.path: row.name for row in described.values() if row.path}
-        if names:
-            there_now = {paths.get(name, name): there.parameters[name] for name in names}
-            rows = [_row(name, value, described.get(name)) for name, value in there_now.items()]
-        else:
-            rows = [_listed(entry, described) for entry in there.parameters.all().values()]
+        # Whoever has a lease disarms when leaving, and a drone in flight is not ours to disarm: who flies it tunes it.
+        with_lease = bool(changes) and not there.state.armed
+        rows = [] if with_lease else _rows(there, names, changes, described)
+    if with_lease:
+        with connect(url, key=key, drone=drone) as there:
+            rows = _rows(there, names, changes, described)
     if changed:
         rows = [row for row in rows if row["default"] is not None and row["value"] != row["default"]]
     if json:
@@ -83,6 +82,19 @@ def _asked(wanted: Iterable[str]) -> tuple[list[str], dict[str, float]]:
                 raise ParameterError(f"{shown(text)} is no number", name, "nothing was changed") from None
         names.append(name)
     return [*dict.fromkeys(names)], changes
+
+
+def _rows(
+    drone: Drone, names: Iterable[str], changes: Mapping[str, float], described: Mapping[str, Described]
+) -> list[dict[str, Any]]:
+    """Sets what is to be set, and says how those of `names`, or all, stand then."""
+    if changes:
+        drone.parameters.change(changes)
+    if not names:
+        return [_listed(entry, described) for entry in drone.parameters.all().values()]
+    paths = {row.path: row.name for row in described.values() if row.path}
+    values = {paths.get(name, name): drone.parameters[name] for name in names}
+    return [_row(name, value, described.get(name)) for name, value in values.items()]
 
 
 def _listed(entry: Entry, described: Mapping[str, Described]) -> dict[str, Any]:
