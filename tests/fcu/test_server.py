@@ -13,6 +13,7 @@ from tests.fcu.flights import Script, controller
 from tests.patience import PATIENCE_S
 from twodof.fcu.flight_code import FlightCode, Step
 from twodof.fcu.server import Peer, Server
+from twodof.link import udp
 from twodof.link.connection import Connection, Received
 from twodof.link.key import Key
 from twodof.link.messages import message
@@ -277,6 +278,28 @@ def test_a_flooded_link_leaves_the_control_loop_its_time(monkeypatch: pytest.Mon
     ticks = [tick for _, tick in world.grants.heard]
     # 100 control periods are due within it at least; after each stall 25 of them are made up for at once.
     assert len(set(ticks)) >= 15
+
+
+def test_strangers_beyond_the_places_of_a_link_are_no_clients_but_stop_motors(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(udp, "MOST_PEERS", 2)
+
+    async def work(world: World) -> None:
+        url = (await world.server.listen("udpin://:0")).replace("udpin", "udp")
+        clients = [await world.client(url) for _ in range(4)]
+        for number, client in enumerate(clients):
+            client.send(message("PARAM_SET", param_value=float(number)))
+            client.send(message("COMMAND_LONG", command=400, param1=1.0, target_system=1))
+            client.send(message("COMMAND_LONG", command=400, target_system=1))
+            while len(world.grants.heard) + world.server.ignored < 3 * (number + 1):
+                await asyncio.sleep(0.001)
+        assert [name for name, _ in world.grants.heard] == ["PARAM_SET", "COMMAND_LONG", "COMMAND_LONG"] * 2 + [
+            "COMMAND_LONG"
+        ] * 2
+        assert len(world.server._peers) == 2
+        for client in clients:
+            await client.close()
+
+    run(work)
 
 
 @pytest.mark.parametrize("virtual", [True, False])

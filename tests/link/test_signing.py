@@ -1,6 +1,8 @@
 """Signing: a differential against pymavlink, keys kept safe, and stamps that survive what happens to processes."""
 
+import asyncio
 import copy
+import errno
 import hashlib
 import json
 import logging
@@ -13,15 +15,21 @@ from typing import Any
 import pytest
 from fastcrc import crc16
 
+from tests.faults.virtual_time import run_virtual
+from tests.link.ends import SOON, run
 from tests.patience import PATIENCE_S
 from twodof.errors import LinkError
 from twodof.link import dialect
 from twodof.link import stamps as stamps_module
+from twodof.link.connection import Connection
 from twodof.link.framing import Frame, Parser, encode
 from twodof.link.key import Key, read_key, write_key
+from twodof.link.memory import memory_pair
 from twodof.link.messages import message
+from twodof.link.opening import open_transport
 from twodof.link.signing import Signing, SigningCounts, Verdict
 from twodof.link.stamps import HIGHEST, MARGIN, OWN, PER_SECOND, Stamps, wall_stamp
+from twodof.link.udp import UdpTransport
 
 KEY = Key(bytes(range(32)))
 START = 11 * 365 * 24 * 3600 * PER_SECOND
@@ -139,7 +147,121 @@ def test_a_new_stream_may_be_a_minute_behind_and_no_more() -> None:
     minute = 60 * PER_SECOND
     assert signing().check(signed(signing(clock=Clock(START - minute)))) is Verdict.ACCEPTED
     assert signing().check(signed(signing(clock=Clock(START - minute - 1)))) is Verdict.STALE
-    assert signing().check(signed(signing(clock=Clock(START + 25 * 3600 * PER_SECOND)))) is Verdict.AHEAD
+
+
+def test_a_peer_may_be_a_year_ahead_and_all_follow() -> None:
+    """What was refused of a wrong clock could be replayed when its time has come, so hardly anything is."""
+    day = 24 * 3600 * PER_SECOND
+    mine, clock = signing(), Clock(START + 364 * day)
+    wrong = signing(clock=clock)
+    assert mine.check(signed(signing(clock=Clock(START + 366 * day)))) is Verdict.AHEAD
+    early = signed(signing(clock=Clock(START + 2 * day)), system=9)
+    assert mine.check(signed(wrong, system=8)) is Verdict.ACCEPTED
+    assert mine.stamps.own == wrong.stamps.own
+    assert mine.check(early) is Verdict.STALE  # from now on, and for good
+    # Its time goes on, beyond a year ahead of ours, which stands still.
+    for _ in range(2000):
+        clock.now += 60 * PER_SECOND
+        assert mine.check(signed(wrong, system=8)) is Verdict.ACCEPTED
+
+
+@pytest.mark.parametrize("before", [False, True])
+def test_who_has_a_time_of_before_catches_up_by_what_it_is_told(before: bool) -> None:
+    """Over UDP nobody is sent to before it was accepted; who signs rightly is told our time nevertheless."""
+
+    async def work() -> None:
+        day = 24 * 3600 * PER_SECOND
+        there = await open_transport("udpin://:0")
+        assert isinstance(there, UdpTransport)
+        here = await open_transport(f"udp://127.0.0.1:{there.port}")
+        mine = signing()
+        beat = message("HEARTBEAT", type=6, autopilot=8)
+        async with Connection(there, 1, 1, mine) as drone, Connection(here, 9, 190, signing()) as client:
+            # Somebody whose clock was ahead has set the time for all; `before`: in the client's own name.
+            frame = frame_of(
+                encode(beat, *((9, 190) if before else (8, 190)), 0, signing(clock=Clock(START + 5 * day)).outgoing())
+            )
+            assert mine.check(frame) is Verdict.ACCEPTED
+            client.send(beat)
+            assert await drone.receive(0.05) is None
+            assert (mine.counts.repeated, mine.counts.stale) == ((1, 0) if before else (0, 1))
+            assert there.peers == ()
+            assert await client.receive(0.05) is None  # it hears our question about time, and answers it by itself
+            client.send(beat)
+            found = await drone.receive(SOON)
+            assert found is not None
+            assert found.message.get_type() == "HEARTBEAT"
+            assert len(there.peers) == 1
+
+    run(work())
+
+
+def test_replayed_packets_are_answered_seldom_and_give_nobody_a_place() -> None:
+    async def work() -> None:
+        here, there = memory_pair()
+        loop = asyncio.get_running_loop()
+        mine, theirs = signing(), signing()
+        async with Connection(there, 1, 1, mine, loop.time) as drone:
+            raw = encode(message("HEARTBEAT"), 9, 190, 0, theirs.outgoing())
+            here.send(raw)
+            assert await drone.receive(0.0) is not None
+            for _ in range(100):
+                here.send(raw)
+                assert await drone.receive(0.01) is None
+            assert mine.counts.repeated == 100
+            answers = 0
+            while here.receive_now() is not None:
+                answers += 1
+            assert 1 <= answers <= 11  # in a second
+
+    run_virtual(work())
+
+
+@pytest.mark.parametrize("mode", [0o620, 0o602, 0o666])
+def test_stamps_that_others_may_set_back_are_refused(tmp_path: Path, mode: int) -> None:
+    path = tmp_path / "stamps"
+    path.write_text('{"own": 5}')
+    path.chmod(mode)
+    with pytest.raises(LinkError, match=f"others may write the time stamps.*{mode:04o}.*chmod 600"):
+        Stamps(path)
+    path.chmod(0o644)  # they are no secret
+    Stamps(path).close()
+
+
+def test_stamps_are_a_file_and_their_lock_is_no_link(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "fifo", 0o600)
+    with pytest.raises(LinkError, match="are no file"):  # and nobody waits for a writer
+        Stamps(tmp_path / "fifo")
+    (tmp_path / "stamps.lock").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(LinkError, match="cannot be locked"):
+        Stamps(tmp_path / "stamps")
+    assert not (tmp_path / "elsewhere").exists()
+
+
+def test_half_a_key_is_not_left_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(LinkError, match="No space left"):
+        write_key(tmp_path / "key", KEY)
+    assert [*tmp_path.iterdir()] == []
+
+
+def test_without_stamps_left_nobody_is_answered_and_nothing_ends() -> None:
+    async def work() -> None:
+        here, there = memory_pair()
+        mine, theirs = signing(clock=Clock(0)), signing(clock=Clock(HIGHEST - 10))
+        async with Connection(there, 1, 1, mine) as drone:
+            for number in range(5):
+                here.send(encode(message("PING", seq=number), 9, 190, 0, theirs.outgoing()))
+            mine.stamps.use(OWN, HIGHEST)
+            here.send(encode(message("HEARTBEAT"), 9, 190, 0, theirs.outgoing()))
+            found = await drone.receive(SOON)
+            assert found is not None
+            assert found.message.get_type() == "HEARTBEAT"
+
+    run(work())
 
 
 def test_everything_but_accepted_and_excepted_is_refused() -> None:

@@ -17,6 +17,7 @@ from twodof.fcu.service import Service
 from twodof.fcu.watchdog import Watchdog
 from twodof.link.components import AUTOPILOT
 from twodof.link.connection import Connection, Received
+from twodof.link.flood import looks_like_a_stop
 from twodof.link.opening import open_transport
 from twodof.link.signing import Signing
 from twodof.link.tick import TICK_NS
@@ -233,7 +234,12 @@ class Server:
 
     async def _take(self, connection: Connection, received: Received) -> None:
         peer = Peer(connection, received.peer)
-        self._peers.add(peer)
+        if connection.transport.stranger(received.peer):  # to welcome thousands of them would keep it from flying
+            if not looks_like_a_stop(received.frame.raw):
+                self.ignored += 1
+                return
+        else:
+            self._peers.add(peer)
         received = received._replace(peer=peer)
         for service in self.services:
             if service.handle(received):

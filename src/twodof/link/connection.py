@@ -11,7 +11,7 @@ from collections.abc import Callable, Hashable
 from contextlib import suppress
 from typing import Any, NamedTuple, Self
 
-from twodof.errors import LinkLost
+from twodof.errors import LinkError, LinkLost
 from twodof.link.framing import Frame, Parser, decode, encode
 from twodof.link.messages import message
 from twodof.link.signing import Signing, Verdict
@@ -26,6 +26,8 @@ BROKEN_OFF_S = 0.1
 # checksum that does not hold and an answer of ours count too. That is half a millisecond to two, whatever comes.
 PIECE, MOST_LOOKED_THROUGH = 512, 8192
 A_PACKET, A_CHECKSUM, AN_ANSWER = 32, 16, 256
+# Who signs rightly and has a time of before is told ours; a replayed packet looks the same, so not each is answered.
+TELL_S = 0.1
 _TIMESYNC, _PING = 111, 4
 
 
@@ -65,6 +67,7 @@ class Connection:
         self._rest: Packet | None = None  # of a stream, not looked through yet
         self._tired = False  # whether a look ended before all was looked through
         self._answers = 0
+        self._told = -TELL_S
 
     async def __aenter__(self) -> Self:
         return self
@@ -204,6 +207,8 @@ class Connection:
         bad = parser.counts.bad_checksum
         for frame in parser.feed(data, whole):
             verdict = self.signing.check(frame) if self.signing is not None else Verdict.ACCEPTED
+            if verdict in (Verdict.REPEATED, Verdict.STALE):
+                self._tell_time(peer)
             if verdict not in (Verdict.ACCEPTED, Verdict.EXCEPTED):
                 continue
             if frame.known and verdict is Verdict.ACCEPTED:
@@ -212,6 +217,14 @@ class Connection:
             if frame.message_id not in (_TIMESYNC, _PING) or not self._answer(frame, peer):
                 self._frames.append((frame, peer))
         return parser.counts.bad_checksum - bad
+
+    def _tell_time(self, peer: Hashable) -> None:
+        """Say something signed to a peer, whose time follows the stamp: over UDP it may hear nothing else of us."""
+        now = self._clock()
+        if now - self._told >= TELL_S:
+            self._told = now
+            with suppress(LinkError):  # it is gone, or we have no stamps left
+                self.ping(peer)
 
     def _forget(self, parser: Parser) -> None:
         counts = parser.counts
@@ -238,6 +251,6 @@ class Connection:
         if answer is None:
             return False
         self._answers += 1
-        with suppress(LinkLost):  # who asks and goes gets no answer
+        with suppress(LinkError):  # who asks and goes gets no answer, nor does anybody once we have no stamps left
             self.send(answer, peer)
         return True

@@ -86,14 +86,21 @@ def read_key(path: str | Path) -> Key:
 
 
 def write_key(path: str | Path, key: Key) -> None:
-    """Write a key to a new file that only its owner can read. Raises LinkError where there is a file already."""
+    """Write a key to a new file that only its owner can read.
+
+    Raises LinkError where there is a file already, and where the system refuses.
+    """
     try:
         descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
     except FileExistsError as error:
         raise LinkError("is there already", str(path), "choose another name, or remove it first") from error
     except OSError as error:
         raise LinkError(f"cannot be written: {error.strerror}", str(path), "choose another folder") from error
-    with os.fdopen(descriptor, "wb") as file:
-        file.write(key.secret.hex().encode() + b"\n")
-        file.flush()
-        os.fsync(file.fileno())
+    try:
+        with os.fdopen(descriptor, "wb") as file:
+            file.write(key.secret.hex().encode() + b"\n")
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError as error:
+        Path(path).unlink(missing_ok=True)  # half a key is none
+        raise LinkError(f"cannot be written: {error.strerror}", str(path), "make room on the disk") from error

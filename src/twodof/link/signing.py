@@ -3,7 +3,9 @@
 pymavlink's own check stores a stream's time stamp before it has looked at the signature, so that one forged packet with
 a stamp of the year 2100 shuts the true sender out; this one looks at the signature first. Otherwise the rules are
 those of https://mavlink.io/en/guide/message_signing.html: a signature is the first 6 bytes of SHA-256 over the key and
-the packet up to there; a stamp must exceed the last of its stream; a new stream may be one minute behind our time.
+the packet up to there; a stamp must exceed the last of its stream; a new stream may be one minute behind our time; and
+our time follows the highest stamp that was taken. So who was ahead once has set the time for all, and who is behind
+since then catches up by hearing anybody: `Connection` sees to it that it hears us.
 """
 
 import hashlib
@@ -17,6 +19,8 @@ from twodof.link.stamps import MOST_AHEAD, OWN, PER_SECOND, Stamps
 
 SIGNATURE_HASH = 6
 NEW_STREAM_BEHIND = 60 * PER_SECOND
+# A clock in the first year of the stamps' count was never set; whoever is ahead of it is right.
+UNSET = 365 * 24 * 3600 * PER_SECOND
 # A telemetry radio has no key and says nothing that anybody acts on.
 UNSIGNED_ALLOWED = frozenset({109})  # RADIO_STATUS
 
@@ -30,7 +34,7 @@ class Verdict(Enum):
     FORGED = "its signature is wrong"
     REPEATED = "its time stamp was used before"
     STALE = "its time stamp is more than a minute old"
-    AHEAD = "its time stamp is more than a day ahead"
+    AHEAD = "its time stamp is more than a year ahead"
 
 
 @dataclass(slots=True)
@@ -102,7 +106,8 @@ class Signing:
             return Verdict.REPEATED
         if last is None and (stamp + NEW_STREAM_BEHIND < own or not self.stamps.room):
             return Verdict.STALE
-        if stamp > own + MOST_AHEAD and self.stamps.clock() > PER_SECOND * 3600 * 24 * 365:
+        now = self.stamps.clock()
+        if now > UNSET and stamp > max(now + MOST_AHEAD, own + NEW_STREAM_BEHIND):
             return Verdict.AHEAD
         self.stamps.use(stream, stamp)
         if stamp > own:  # their clock is ahead: ours follows, or they would refuse what we send

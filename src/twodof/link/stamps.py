@@ -8,6 +8,7 @@ since 2015-01-01 (https://mavlink.io/en/guide/message_signing.html).
 import fcntl
 import json
 import os
+import stat
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -22,8 +23,9 @@ EPOCH_S = 1_420_070_400
 HIGHEST = 2**48 - 1
 # After a crash a peer is refused for as long at most, and ours run ahead of the clock by as much.
 MARGIN = 10 * PER_SECOND
-# A stamp further ahead of our clock than this is no clock's, and would spend the range for ever.
-MOST_AHEAD = 24 * 3600 * PER_SECOND
+# A stamp further ahead of our clock than this is no clock's, and would spend the range, which ends in 2104. Less would
+# refuse a peer whose clock is wrong, and let what was refused of it be said again by others once its time has come.
+MOST_AHEAD = 365 * 24 * 3600 * PER_SECOND
 MOST_STREAMS = 1024
 MOST_FILE_BYTES = 100_000
 WRITE_SECONDS = 5.0
@@ -144,7 +146,8 @@ class Stamps:
 
     def _take_lock(self, path: Path) -> None:
         try:
-            self._lock_file = os.open(f"{path}.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+            flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
+            self._lock_file = os.open(f"{path}.lock", flags, 0o600)
             fcntl.flock(self._lock_file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             self._drop_lock()
@@ -159,13 +162,21 @@ class Stamps:
 
 
 def _read(path: Path) -> dict[str, int]:
+    """The stamps in a file that nobody but its owner, us, can have set back."""
     try:
-        with path.open("rb") as file:
-            data = file.read(MOST_FILE_BYTES + 1)
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     except FileNotFoundError:
         return {}
     except OSError as error:
         raise LinkError(f"cannot be read: {error.strerror}", str(path), "make it readable") from error
+    with os.fdopen(descriptor, "rb") as file:
+        found_at = os.fstat(descriptor)
+        if not stat.S_ISREG(found_at.st_mode):
+            raise LinkError("the time stamps are no file", str(path), "name a file")
+        if found_at.st_uid != os.geteuid() or found_at.st_mode & 0o022:
+            what = f"others may write the time stamps (mode {stat.S_IMODE(found_at.st_mode):04o})"
+            raise LinkError(what, str(path), f"chmod 600 {path}, and change the key: old packets could come back")
+        data = file.read(MOST_FILE_BYTES + 1)
     try:
         found: Any = json.loads(data) if len(data) <= MOST_FILE_BYTES else None
     except (ValueError, RecursionError):

@@ -225,6 +225,10 @@ class Transport(ABC):
         """
         return
 
+    def stranger(self, peer: Hashable) -> bool:
+        """Whether a peer that was heard has no place among `peers`, as there are too many: anybody may write to a port."""
+        return False
+
     def send(self, data: bytes, to: Hashable | None = None) -> None:
         """Send a packet to one peer, or to all of `peers`; a peer that is gone is no error, it gets nothing.
 

@@ -71,6 +71,10 @@ class UdpTransport(Transport):
             del self._heard[oldest]
         self._heard[peer] = now
 
+    def stranger(self, peer: Hashable) -> bool:
+        """Whether there was no room for a peer."""
+        return self._learns and peer not in self._heard and peer != self._server
+
     @property
     def floods(self) -> int:
         """How often somebody filled the socket faster than it is read, and was refused for a while."""

@@ -3,7 +3,7 @@
 import re
 import termios
 from dataclasses import dataclass
-from urllib.parse import parse_qsl, urlsplit
+from urllib.parse import SplitResult, parse_qsl, urlsplit
 
 from twodof.errors import LinkError, shown
 
@@ -78,7 +78,7 @@ def parse(url: str) -> Address:
         raise LinkError(str(error), url, f"use {FORMS}") from error
     kind = _ALIASES.get(parts.scheme, parts.scheme)
     if kind == "serial":
-        return _serial(url, parts.netloc, parts.path, parts.query)
+        return _serial(url, parts)
     bind_name, bind_port = "", 0
     if kind in ("udp", "udpbcast") and parts.query and parts.hostname:
         bind_name, bind_port = _bound(url, parts.query, parts.hostname)
@@ -110,9 +110,16 @@ def _bracketed(host: str) -> str:
     return f"[{host}]" if ":" in host else host
 
 
+def _options(url: str, query: str) -> list[tuple[str, str]]:
+    try:
+        return parse_qsl(query, keep_blank_values=True, max_num_fields=4)
+    except ValueError as error:
+        raise LinkError("has more options than any link takes", url, f"use {FORMS}") from error
+
+
 def _bound(url: str, query: str, host: str) -> tuple[str, int]:
     """Where `?bind=` listens; without a host on this machine only, as every listening form."""
-    options = parse_qsl(query, keep_blank_values=True, max_num_fields=4)
+    options = _options(url, query)
     if [name for name, _ in options] != ["bind"]:
         raise LinkError("has parts that this kind of link does not take", url, f"use {FORMS}")
     text = options[0][1]
@@ -130,15 +137,14 @@ def _bound(url: str, query: str, host: str) -> tuple[str, int]:
     return parts.hostname or ("::1" if ":" in host else LOOPBACK), port
 
 
-def _serial(url: str, host: str, device: str, query: str) -> Address:
+def _serial(url: str, parts: SplitResult) -> Address:
     """A serial line's address; `?baud=` decides, or MAVSDK's `:BAUD` at the end of the path."""
-    options = dict(parse_qsl(query, keep_blank_values=True, max_num_fields=4))
+    device, options = parts.path, dict(_options(url, parts.query))
     path, colon, tail = device.rpartition(":")
-    if colon and tail.isdecimal():
-        device = path
-        options.setdefault("baud", tail)
+    if colon and tail.isdecimal() and "baud" not in options:
+        device, options["baud"] = path, tail
     text = options.pop("baud", str(DEFAULT_BAUD))
-    if host or len(device) < 2 or options:
+    if parts.netloc or parts.fragment or not device.startswith("/") or len(device) < 2 or options:
         raise LinkError("is no serial line", url, "write serial:///dev/ttyACM0?baud=921600")
     if not (text.isascii() and text.isdecimal() and len(text) <= 9 and int(text) in BAUDS):
         some = ", ".join(str(baud) for baud in sorted(BAUDS) if baud >= 9600)
