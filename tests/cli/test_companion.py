@@ -41,10 +41,7 @@ def test_it_routes_where_it_says_and_ends_when_it_is_told() -> None:
         process = await started("--fcu", url, "--onboard", "tcpin://127.0.0.1:0", "--json")
         try:
             assert process.stdout is not None
-            document = b""
-            while b"\n}" not in document:
-                document += await asyncio.wait_for(process.stdout.read(4096), PATIENCE_S)
-            said = json.loads(document)
+            said = json.loads(await asyncio.wait_for(process.stdout.readline(), PATIENCE_S))
             assert (said["fcu"], said["system"], said["serve"][0]["rates"]) == (url, 1, "onboard")
             port = parse(said["serve"][0]["url"]).port
             async with Listener(await open_transport(f"tcp://127.0.0.1:{port}")) as client:
@@ -101,6 +98,7 @@ async def _gone(process: asyncio.subprocess.Process) -> None:
         (["--fcu", "gopher://x"], "is no kind of link"),
         (["--onboard", "udp://10.0.0.2:1?bind=2"], "bind=0.0.0.0:2"),
         (["--index", "200"], "--index"),
+        (["--index", "10"], "say where this one serves"),
     ],
 )
 def test_a_mistake_is_told_with_its_remedy(

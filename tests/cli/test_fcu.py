@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
+import json
+import os
 import signal
 from pathlib import Path
 
@@ -10,10 +13,12 @@ import pytest
 from tests.fcu.program import twodof_fcu
 from tests.patience import patiently
 from twodof.cli.app import run
+from twodof.cli.fcu import serve
 from twodof.errors import LinkLost
 from twodof.flightlog.files import read_log
 from twodof.gcs.drone import Drone
 from twodof.link.key import Key, write_key
+from twodof.sim.virtual_drone import VirtualDrone
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -51,6 +56,19 @@ def test_in_real_time_with_a_key_only_who_has_it_is_heard(tmp_path: Path) -> Non
             tick = drone.tick
             drone.run(0.2)
             assert drone.tick > tick
+
+
+def test_with_json_one_line_says_where_it_is(capfd: pytest.CaptureFixture[str]) -> None:
+    async def work() -> None:
+        running = asyncio.ensure_future(serve(VirtualDrone(lockstep=True, index=3), ["memin://said"], json=True))
+        while not (said := capfd.readouterr().out):
+            assert not running.done()
+            await asyncio.sleep(0.01)
+        assert json.loads(said) == {"system": 4, "lockstep": True, "listening": ["memin://said"]}
+        os.kill(os.getpid(), signal.SIGINT)
+        await running
+
+    asyncio.run(work())
 
 
 def test_what_cannot_be_is_said_and_nothing_is_started(

@@ -24,7 +24,9 @@ from twodof.cli.app import run
 from twodof.cli.children import MOST_RESTARTS
 from twodof.cli.said import error_of
 from twodof.cli.up import Place, say
+from twodof.errors import Rejected
 from twodof.gcs.drone import Drone
+from twodof.link.key import Key, write_key
 
 
 @pytest.fixture
@@ -97,20 +99,26 @@ def gone(processes: dict[int, str]) -> bool:
 
 
 def test_two_drones_answer_where_it_says_and_all_ends_at_ctrl_c(first: int, tmp_path: Path) -> None:
-    with up(first, tmp_path, "--drones", "2", "--rings", "--rig", "paper") as program:
+    write_key(tmp_path / "key", Key.fresh())
+    options = ("--rings", "--rig", "paper", "--seed", "41", "--key", "key", "--state", "kept", "--no-safety-switch")
+    with up(first, tmp_path, "--drones", "2", *options) as program:
         rows = program.drones()
         assert [row["system"] for row in rows] == [first + 1, first + 2]
-        for row in rows:
-            with Drone.connect(row["drone"], drone=row["system"]) as drone:
+        for row, seed in zip(rows, (41, 42), strict=True):
+            with Drone.connect(row["drone"], drone=row["system"], key=row["key"]) as drone:
                 rig = drone.state.rig
-                assert (rig.name, rig.rings_locked, rig.lockstep) == ("paper", True, True)
+                assert (rig.name, rig.rings_locked, rig.lockstep, rig.seed) == ("paper", True, True, seed)
+                drone.run(0.1)
+                with pytest.raises(Rejected, match="safety switch"):
+                    drone.arm()
+            assert Path(row["state"]) == tmp_path / "kept" / f"drone-{row['index']}"
+            assert (Path(row["state"]) / "stamps.json").is_file()  # it signs
         with up(first, tmp_path, "--rig", "paper") as second:
             assert second.process.wait(PATIENCE_S) == 2
             second.wait(lambda: any("remedy" in line for line in second.said), "no word of the port")
             said = "".join(second.said)
-            assert (
-                f"TCP port {5790 + first}, where the flight controller of drone {first + 1} listens, is in use" in said
-            )
+            taken = f"TCP port {5790 + first}, where the flight controller of drone {first + 1} listens, is in use"
+            assert f"{taken}; process {program.process.pid} (" in said  # who started it, not its child
             assert re.search(r"--first [0-9]\b", said)
         children = program.children()
         assert len(children) == 4
@@ -184,6 +192,19 @@ def test_a_program_that_cannot_start_is_named_with_what_it_says(first: int, tmp_
         assert error["where"] == f"flight controller {first + 1}, no-such-rig.json"
         assert error["remedy"].startswith("name a JSON file")
         assert "".join(program.said).count("remedy:") == 1
+
+
+def test_interrupted_before_all_are_up_it_says_so_by_its_status(first: int, tmp_path: Path) -> None:
+    with up(first, tmp_path) as program:
+        program.wait(program.children, "nothing was started")
+        program.process.send_signal(signal.SIGINT)
+        assert program.process.wait(PATIENCE_S) == 130
+        assert program.out == []
+
+
+def test_a_key_that_cannot_be_read_is_told_before_anything_is_started(capfd: pytest.CaptureFixture[str]) -> None:
+    assert run(["up", "--key", "no-such-key"]) == 2
+    assert "no-such-key" in capfd.readouterr().err
 
 
 def test_drones_beyond_the_ports_that_clients_know_are_refused(capfd: pytest.CaptureFixture[str]) -> None:

@@ -5,14 +5,19 @@ from __future__ import annotations
 import asyncio
 import signal
 import sys
-from collections.abc import Awaitable
+from collections.abc import AsyncIterator, Awaitable
+from contextlib import asynccontextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from twodof.cli.output import Json, print_json
+from twodof.cli.drone_options import Index
+from twodof.cli.holder import naming_holder
+from twodof.cli.output import Json, print_json_line
+from twodof.cli.ports import MOST_DRONES
+from twodof.errors import LinkError
 from twodof.fcc.companion import Companion, Serve, px4_links
 from twodof.fcc.supervisor import MISTAKE, Limits, Restarts, Supervisor
 from twodof.link.components import COMPANION
@@ -53,13 +58,23 @@ def companion(
     context: typer.Context,
     fcu: Annotated[
         str | None,
-        typer.Option(help=f"URL of the flight controller [tcp://127.0.0.1:{FLIGHT_CONTROLLER}, plus the index]."),
+        typer.Option(
+            metavar="URL", help=f"The flight controller; left out: tcp://127.0.0.1:{FLIGHT_CONTROLLER} + index."
+        ),
     ] = None,
-    index: Annotated[int, typer.Option(min=0, max=99, help="Which drone: its ports and its system id.")] = 0,
-    onboard: Annotated[list[str] | None, typer.Option(help="Serve clients at this URL with onboard rates.")] = None,
-    ground: Annotated[list[str] | None, typer.Option(help="Serve clients at this URL with ground rates.")] = None,
+    index: Index = 0,
+    onboard: Annotated[
+        list[str] | None,
+        typer.Option(metavar="URL", help="Serve clients there with onboard rates; may be repeated."),
+    ] = None,
+    ground: Annotated[
+        list[str] | None, typer.Option(metavar="URL", help="Serve clients there with ground rates; may be repeated.")
+    ] = None,
     open_: Annotated[bool, typer.Option("--open", help="Let other machines in, not this one alone.")] = False,
-    key: Annotated[Path | None, typer.Option(help="Sign its own messages with the key in this file.")] = None,
+    key: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Sign what it says itself with this key; all else passes as it is."),
+    ] = None,
     line_rate: Annotated[
         float | None, typer.Option(min=100.0, help="What the line to the flight controller carries [byte/s].")
     ] = None,
@@ -68,8 +83,14 @@ def companion(
     """Pass MAVLink between the flight controller and several clients, each with its own streams.
 
     Without --onboard and --ground it serves as PX4 in simulation does: UDP 14580 + index to 14540 + index, 18570 +
-    index to 14550, TCP 5760 + index. Ends at Ctrl-C or SIGTERM.
+    index to 14550, TCP 5760 + index, index 0 to 9. It prints a line `listening on URL` for each (with --json one line
+    of JSON), and ends by Ctrl-C or SIGTERM with exit status 0.
     """
+    if index >= MOST_DRONES and not (onboard or ground):
+        raise typer.BadParameter(
+            f"drones 0 to {MOST_DRONES - 1} have ports of their own: say where this one serves, --onboard or --ground",
+            param_hint="--index",
+        )
     chosen = [*(Serve(url, "onboard") for url in onboard or ()), *(Serve(url, "ground") for url in ground or ())]
     serve = tuple(chosen) or px4_links(index, open_)
     asked = _Asked(fcu or f"tcp://127.0.0.1:{FLIGHT_CONTROLLER + index}", serve, index + 1, key, line_rate, json)
@@ -110,8 +131,21 @@ async def _until_told(work: Awaitable[int]) -> int:
     return 0
 
 
+@asynccontextmanager
+async def _opened(asked: _Asked) -> AsyncIterator[Companion]:
+    made = asked.made()
+    try:
+        await made.__aenter__()
+    except LinkError as error:
+        raise naming_holder(error) from error
+    try:
+        yield made
+    finally:
+        await made.close()
+
+
 async def _route(asked: _Asked) -> int:
-    async with asked.made() as made:
+    async with _opened(asked) as made:
         _tell(asked, made)
         await made.run()
     return 0
@@ -120,7 +154,7 @@ async def _route(asked: _Asked) -> int:
 async def _fly(asked: _Asked, program: Path, restarts: Restarts, limits: Limits) -> int:
     """Route until the app has ended; its exit status as ours."""
     asked = replace(asked, serve=(*asked.serve, APP_LINK))
-    async with asked.made() as made:
+    async with _opened(asked) as made:
         _tell(asked, made)
         url = made.urls[-1][0].replace("tcpin:", "tcp:")
         command = [sys.executable, "-u", "-m", "twodof.gcs.app", str(program), "--url", url]
@@ -143,7 +177,7 @@ def _tell(asked: _Asked, made: Companion) -> None:
     """Say where it may be reached, now that it may be."""
     if asked.json:
         rows = [{"url": url, "rates": rates} for url, rates in made.urls]
-        print_json({"fcu": asked.vehicle, "system": asked.system, "serve": rows})
+        print_json_line({"fcu": asked.vehicle, "system": asked.system, "serve": rows})
     else:
         sys.stdout.write(f"flight controller {asked.vehicle}, system {asked.system}\n")
         sys.stdout.writelines(f"listening on {url} ({rates} rates)\n" for url, rates in made.urls)

@@ -28,6 +28,15 @@ def print_json(document: Any) -> None:
         reader_has_left()
 
 
+def print_json_line(document: Any) -> None:
+    """One JSON document as a line on stdout, for who reads it while the program goes on."""
+    try:
+        sys.stdout.write(json.dumps(_plain(document), allow_nan=False) + "\n")
+        sys.stdout.flush()
+    except BrokenPipeError:
+        reader_has_left()
+
+
 def reader_has_left() -> None:
     """Whoever read stdout has left (`twodof ... | head`): what else is printed goes nowhere."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

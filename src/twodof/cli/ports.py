@@ -6,6 +6,7 @@ import errno
 import socket
 from contextlib import closing
 
+from twodof.cli.holder import holder
 from twodof.errors import LinkError
 from twodof.link import ports
 
@@ -37,7 +38,9 @@ def taken(index: int) -> str:
             except OSError as refusal:
                 if refusal.errno != errno.EADDRINUSE:
                     raise LinkError(f"cannot be opened: {refusal.strerror}", f"{kind} port {port}") from refusal
-                return f"{kind} port {port}, where {whose} of drone {index + 1} listens, is in use"
+                who = holder(kind, port)
+                has = f"; {who} has it" if who else ""
+                return f"{kind} port {port}, where {whose} of drone {index + 1} listens, is in use{has}"
     return ""
 
 
@@ -48,7 +51,7 @@ def check_free(first: int, drones: int) -> None:
             free = (number for number in range(MOST_DRONES - drones + 1) if _all_free(number, drones))
             other = next(free, None)
             rest = "" if other is None else f", or take other numbers: --first {other}"
-            raise LinkError(found, "this machine", f"end the program that has it (another `twodof up`?){rest}")
+            raise LinkError(found, "this machine", f"end that program, or ask who started it{rest}")
 
 
 def _all_free(first: int, drones: int) -> bool:

@@ -3,23 +3,31 @@
 from __future__ import annotations
 
 import asyncio
-import json as json_text
 import signal
 import sys
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from twodof.cli import drone_options as options
 from twodof.cli.children import MOST_RESTARTS, WITHIN_S, Child, Children
-from twodof.cli.output import Json
+from twodof.cli.output import Json, print_json_line
 from twodof.cli.ports import MOST_DRONES, check_free
 from twodof.errors import LinkError
+from twodof.flight.slot import data_folder
 from twodof.link import ports
 from twodof.link.connection import Connection
+from twodof.link.key import Key, read_key
 from twodof.link.opening import open_transport
+from twodof.link.signing import Signing
+from twodof.link.stamps import Stamps
+from twodof.sim.rig_host import SEEDS
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
+
+INTERRUPTED = 130
 
 ANSWER_S = 60.0
 """How long a program may take until it is heard [s]: the first one compiles the flight code and the rig."""
@@ -29,9 +37,22 @@ _PROBE = 240  # system of who only listens whether a drone is there; none of tho
 
 @dataclass(frozen=True)
 class Place:
-    """Ports of the drone `index` (docs/protocol.md), all on this machine."""
+    """The drone `index`: its ports (docs/protocol.md), all on this machine, its seed, where it keeps what, its key."""
 
     index: int
+    seed: int = 1
+    state: Path = Path()
+    key: Path | None = None
+
+    @property
+    def options(self) -> list[str]:
+        """What both its programs are told."""
+        return ["--index", str(self.index), *(() if self.key is None else ("--key", str(self.key)))]
+
+    @property
+    def own(self) -> list[str]:
+        """What its flight controller is told besides, and no other drone's."""
+        return ["--seed", str(self.seed), "--state", str(self.state)]
 
     @property
     def system(self) -> int:
@@ -53,12 +74,16 @@ class Place:
         return {
             "index": self.index,
             "system": self.system,
+            "seed": self.seed,
+            "state": str(self.state.absolute()),
+            "key": None if self.key is None else str(self.key.absolute()),
             "fcu": self.fcu,
+            "companion": self.companion,
             # Time that is granted by one client: straight to the flight controller, as nobody else is to be there.
             "drone": self.fcu if lockstep else f"udp://127.0.0.1:{ports.COMPANION_ONBOARD + self.index}",
             "mavsdk": f"udpin://127.0.0.1:{ports.ONBOARD + self.index}",
             "mavproxy": f"tcp:127.0.0.1:{ports.COMPANION_TCP + self.index}",
-            "qgroundcontrol": str(ports.GROUND_STATION),
+            "qgroundcontrol": f"udp://127.0.0.1:{ports.GROUND_STATION}",
         }
 
 
@@ -68,33 +93,56 @@ def up(
     first: Annotated[
         int, typer.Option(min=0, max=9, help="Number of the first, 0 to 9: its ports and system come from it.")
     ] = 0,
-    rig: Annotated[str, typer.Option(help="lab, paper, or a JSON file of rig parameters.")] = "lab",
-    rings: Annotated[bool, typer.Option("--rings/--free", help="The rings lock the cart: pitch only.")] = False,
+    rig: options.Rig = "lab",
+    rings: options.Rings = False,
     controller: Annotated[
         list[str] | None,
         typer.Option(metavar="DIAGRAM", help="Fly this controller, in a sandbox; may be repeated. See `twodof fcu`."),
     ] = None,
-    lockstep: Annotated[
-        bool, typer.Option("--lockstep", help="Time stands still until a client grants it; else it runs as ours.")
-    ] = False,
+    trust: options.Trust = False,
+    lockstep: options.Lockstep = False,
+    seed: Annotated[
+        int, typer.Option(min=0, max=SEEDS - 1, help="Seed of the first one's noise; each further one has the next.")
+    ] = 1,
+    noise: options.Noise = 1.0,
+    precision: options.Precision = "float64",
+    safety_switch: options.SafetySwitch = True,
+    state: Annotated[
+        Path | None,
+        typer.Option(metavar="FOLDER", help="For a folder drone-INDEX each; left out: the user's data folder."),
+    ] = None,
+    key: options.KeyFile = None,
     json: Json = False,
 ) -> None:
     """Start virtual drones, each with its flight controller and companion; say where to connect; run until Ctrl-C.
 
     A program that ends is started again (the drone then stands disarmed at its start), up to three times a minute;
-    after that all end. With --json one line of JSON says where they are, once all answer. Exit status 1: a program did
-    not start, or could not be kept running.
+    after that all end. With --json one line of JSON says where they are, once all answer. Exit status: 0 ended by
+    Ctrl-C or SIGTERM, 130 by that before all answered, 1 a program could not be kept running, 2 one did not start.
     """
     if first + drones > MOST_DRONES:
-        raise typer.BadParameter(f"drones have the numbers 0 to {MOST_DRONES - 1}")
+        raise typer.BadParameter(f"drones have the numbers 0 to {MOST_DRONES - 1}", param_hint="--first, --drones")
+    known = None if key is None else read_key(key)
     check_free(first, drones)
-    places = [Place(index) for index in range(first, first + drones)]
-    options = ["--rig", rig, *(["--rings"] if rings else []), *(["--lockstep"] if lockstep else [])]
-    options += [option for name in controller or [] for option in ("--controller", name)]
-    raise typer.Exit(asyncio.run(_run(places, options, lockstep, json)))
+    given = ["--rig", rig, "--noise", str(noise), "--precision", precision]
+    given += [
+        option
+        for option, wanted in (
+            *(("--rings", rings), ("--trust", trust), ("--lockstep", lockstep)),
+            ("--no-safety-switch", not safety_switch),
+        )
+        if wanted
+    ]
+    given += [option for name in controller or [] for option in ("--controller", name)]
+    folder = data_folder() if state is None else state
+    places = [
+        Place(first + number, (seed + number) % SEEDS, folder / f"drone-{first + number}", key)
+        for number in range(drones)
+    ]
+    raise typer.Exit(asyncio.run(_run(places, given, known, lockstep, json)))
 
 
-async def _run(places: list[Place], options: list[str], lockstep: bool, json: bool) -> int:
+async def _run(places: list[Place], given: list[str], key: Key | None, lockstep: bool, json: bool) -> int:
     stopped = asyncio.Event()
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -103,25 +151,26 @@ async def _run(places: list[Place], options: list[str], lockstep: bool, json: bo
     programs = []
     for place in places:
         for name, url, arguments in (
-            (f"flight controller {place.system}", place.fcu, ["fcu", "--index", str(place.index), *options]),
-            (f"companion {place.system}", place.companion, ["companion", "--index", str(place.index)]),
+            (f"flight controller {place.system}", place.fcu, ["fcu", *place.options, *place.own, *given]),
+            (f"companion {place.system}", place.companion, ["companion", *place.options]),
         ):
             urls[name] = (url, place.system)
             programs.append(Child(name, arguments))
 
     async def answers(child: Child) -> None:
         await child.listening.wait()  # else it might be another one at the same port that is heard
-        await heard(*urls[child.name], ANSWER_S)
+        await heard(*urls[child.name], ANSWER_S, key)
 
     children = Children(programs, _tell, answers)
     ending = asyncio.ensure_future(stopped.wait())
-    running = asyncio.ensure_future(_keep(children, places, lockstep, json))
+    up_all = asyncio.Event()
+    running = asyncio.ensure_future(_keep(children, places, up_all, lockstep, json))
     try:
         await asyncio.wait((ending, running), return_when=asyncio.FIRST_COMPLETED)
         if not running.done() and not json:
             sys.stdout.write("ending all\n")
             sys.stdout.flush()
-        return running.result() if running.done() else 0
+        return running.result() if running.done() else 0 if up_all.is_set() else INTERRUPTED
     finally:
         for task in (ending, running):
             task.cancel()
@@ -131,21 +180,23 @@ async def _run(places: list[Place], options: list[str], lockstep: bool, json: bo
             sys.stdout.write("all have ended\n")
 
 
-async def _keep(children: Children, places: list[Place], lockstep: bool, json: bool) -> int:
+async def _keep(children: Children, places: list[Place], up_all: asyncio.Event, lockstep: bool, json: bool) -> int:
     await children.start()
+    up_all.set()
     say(places, lockstep, json)
     await children.run()
     return 1
 
 
-async def heard(url: str, system: int, timeout: float) -> None:
-    """Waits for a heartbeat of the flight controller `system` at `url`.
+async def heard(url: str, system: int, timeout: float, key: Key | None = None) -> None:
+    """Waits for a heartbeat of the flight controller `system` at `url`, signed with `key` if there is one.
 
     Raises LinkError if none comes within `timeout` [s].
     """
     try:
         async with asyncio.timeout(timeout):
-            async with Connection(await open_transport(url, timeout), _PROBE, 1) as connection:
+            signing = None if key is None else Signing(key, Stamps(None))
+            async with Connection(await open_transport(url, timeout), _PROBE, 1, signing) as connection:
                 while True:
                     got = await connection.receive(1.0)
                     if got is None or got.message.get_type() != "HEARTBEAT":
@@ -164,15 +215,16 @@ def say(places: list[Place], lockstep: bool, json: bool) -> None:
     """Say where the drones are: to people, or as one line of JSON."""
     rows = [place.described(lockstep) for place in places]
     if json:
-        sys.stdout.write(json_text.dumps({"drones": rows, "lockstep": lockstep}) + "\n")
-        sys.stdout.flush()
+        print_json_line({"drones": rows, "lockstep": lockstep})
         return
     for row in rows:
-        sys.stdout.write(f'drone {row["system"]} is up\n  Python          Drone.connect("{row["drone"]}")\n')
+        key = f', key="{row["key"]}"' if row["key"] else ""
+        sys.stdout.write(f'drone {row["system"]} is up\n  Python          Drone.connect("{row["drone"]}"{key})\n')
         if not lockstep:
-            sys.stdout.write(
-                f"  MAVSDK          {row['mavsdk']}\n  MAVProxy        mavproxy.py --master={row['mavproxy']}\n"
-            )
+            mavsdk = "" if key else f"  MAVSDK          {row['mavsdk']}\n"
+            sys.stdout.write(f"{mavsdk}  MAVProxy        mavproxy.py --master={row['mavproxy']}\n")
+    if key:
+        sys.stdout.write("All is signed: MAVProxy and QGroundControl are to be given the key, MAVSDK takes none.\n")
     sys.stdout.write(
         "Time stands still but when a client of ours lets it pass (`drone.run`). MAVSDK, MAVProxy and QGroundControl\n"
         "grant none and see it stand still: leave --lockstep out for them.\n"

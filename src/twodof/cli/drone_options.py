@@ -1,0 +1,30 @@
+"""Options that several commands share who run a virtual drone: one name, one meaning, one help line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from twodof.sim.rig_host import SEEDS
+
+_SYSTEMS = 199
+"""A client may be system 200 and above."""
+
+Index = Annotated[int, typer.Option(min=0, max=_SYSTEMS - 1, help="Number of the drone: system is index + 1.")]
+Rig = Annotated[str, typer.Option(help="lab, paper, or a JSON file of rig parameters.")]
+Lockstep = Annotated[
+    bool, typer.Option("--lockstep", help="Time stands still until a client grants it; faster than real time.")
+]
+Seed = Annotated[int, typer.Option(min=0, max=SEEDS - 1, help="Seed of the noise.")]
+Noise = Annotated[float, typer.Option(min=0.0, max=100.0, help="Gain of all noise; 0: none.")]
+Rings = Annotated[bool, typer.Option("--rings/--free", help="The rings lock the cart: pitch only.")]
+SafetySwitch = Annotated[
+    bool, typer.Option("--safety-switch/--no-safety-switch", help="Whether it was pressed, so that motors may turn.")
+]
+Trust = Annotated[bool, typer.Option("--trust", help="Compile those controllers into the flight code: no sandbox.")]
+Precision = Annotated[str, typer.Option(help="float64, or float32 as a flight controller computes.")]
+KeyFile = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="Sign everything with this key and take in nothing unsigned.")
+]

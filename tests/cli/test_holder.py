@@ -1,0 +1,44 @@
+"""Who has a port is named, so that one knows what to end or whom to ask."""
+
+from __future__ import annotations
+
+import os
+import socket
+from contextlib import closing
+
+import pytest
+
+from tests.cli.numbers import free_numbers
+from twodof.cli.app import run
+from twodof.cli.holder import holder, naming_holder
+from twodof.errors import LinkError
+from twodof.link import ports
+
+
+@pytest.mark.parametrize(("kind", "type_"), [("TCP", socket.SOCK_STREAM), ("UDP", socket.SOCK_DGRAM)])
+def test_the_process_that_has_a_port_is_named(kind: str, type_: int) -> None:
+    with closing(socket.socket(type=type_)) as ours:
+        ours.bind(("127.0.0.1", 0))
+        port = ours.getsockname()[1]
+        if kind == "TCP":
+            assert holder(kind, port) == ""  # bound, and nobody can come
+            ours.listen(1)
+        assert holder(kind, port).startswith(f"process {os.getpid()} (")
+    assert holder(kind, port) == ""
+
+
+def test_a_port_that_is_taken_is_told_with_who_has_it(capfd: pytest.CaptureFixture[str]) -> None:
+    with free_numbers(1) as number, closing(socket.socket(type=socket.SOCK_DGRAM)) as ours:
+        ours.bind(("127.0.0.1", ports.COMPANION_ONBOARD + number))
+        assert run(["companion", "--index", str(number)]) == 2
+        assert f"remedy: end process {os.getpid()} (" in capfd.readouterr().err
+        assert run(["up", "--first", str(number)]) == 2
+        said = capfd.readouterr().err
+        assert f"UDP port {ports.COMPANION_ONBOARD + number}, where the companion of drone {number + 1} listens" in said
+        assert f"process {os.getpid()} (" in said
+
+
+def test_another_error_stays_as_it_is() -> None:
+    error = LinkError("nobody answered", "tcp://127.0.0.1:5790", "start it")
+    assert naming_holder(error) is error
+    assert naming_holder(LinkError("is in use", "no url")).remedy == ""
