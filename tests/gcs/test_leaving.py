@@ -1,4 +1,4 @@
-"""Leaving a drone, however: twice Ctrl-C, a callback that wants to end the program, a Drone that nobody has any more."""
+"""Leaving a drone, however: twice Ctrl-C, a callback that ends the program, a Drone that nobody has any more."""
 
 import asyncio
 import gc
@@ -6,7 +6,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from typing import Any
 
 import pytest
@@ -23,15 +23,15 @@ from twodof.gcs.runner import Runner
 FORCE = 21196
 
 
-def ended(work: Callable[[], Any]) -> Any:
-    """What `work` returns or raises, in a thread that is given up if it hangs."""
+def ended(runner: Runner, work: Callable[[], Coroutine[Any, Any, Any]]) -> Any:
+    """What `work` returns in the runner, or SystemExit, in a thread that is given up if it hangs."""
     found: list[Any] = []
 
     def do() -> None:
         try:
-            found.append(work())
-        except BaseException as error:
-            found.append(error)
+            found.append(runner.run(work()))
+        except SystemExit as wish:
+            found.append(wish)
 
     thread = threading.Thread(target=do, daemon=True)
     thread.start()
@@ -51,7 +51,7 @@ def test_a_callback_that_wants_to_end_the_program_ends_nothing_and_is_reported()
         loop = runner._loop
         loop.call_soon_threadsafe(loop.set_exception_handler, lambda _, context: reported.append(context["exception"]))
         loop.call_soon_threadsafe(sys.exit, 3)
-        assert ended(lambda: runner.run(one())) == 1
+        assert ended(runner, one) == 1
         assert [type(error) for error in reported] == [SystemExit]
     finally:
         runner.close()
@@ -66,8 +66,8 @@ def test_a_condition_that_ends_the_program_does() -> None:
 
     try:
         runner._loop.call_soon_threadsafe(runner._loop.set_exception_handler, lambda *_: None)
-        assert isinstance(ended(lambda: runner.run(work())), SystemExit)
-        assert ended(lambda: runner.run(one())) == 1
+        assert isinstance(ended(runner, work), SystemExit)
+        assert ended(runner, one) == 1
     finally:
         runner.close()
 
@@ -127,9 +127,12 @@ def test_a_drone_that_nobody_has_any_more_is_left() -> None:
 
 
 def test_a_lease_of_this_program_is_said_to_be_its_own() -> None:
-    with on_board(lockstep=True) as there, Drone.connect(there.url):
-        with pytest.raises(Rejected, match="this program has it"):
-            Drone.connect(there.url)
+    with (
+        on_board(lockstep=True) as there,
+        Drone.connect(there.url),
+        pytest.raises(Rejected, match="this program has it"),
+    ):
+        Drone.connect(there.url)
 
 
 class Slow(Peer):
@@ -152,5 +155,29 @@ def test_deadlines_do_not_add_up() -> None:
                 await drone.set_pitch(0.1, timeout=5.0)
             assert 4.0 < loop.time() - start < 5.5
             await drone.close()
+
+    run_virtual(work())
+
+
+@pytest.mark.parametrize("turns", range(12))
+def test_a_subscription_that_is_cancelled_half_way_leaves_nothing_behind(turns: int) -> None:
+    """Wherever it is cancelled: nobody takes samples any more, and the drone is told that they are not wanted."""
+
+    async def work() -> None:
+        async with Peer() as peer, await AsyncDrone.connect(peer.url) as drone:
+
+            async def look() -> None:
+                async with drone.batch(["estimate.q"]):
+                    await asyncio.sleep(10.0)
+
+            looking = asyncio.get_running_loop().create_task(look())
+            for _ in range(turns):
+                await asyncio.sleep(0)
+            looking.cancel()
+            await asyncio.wait([looking])
+            assert drone.batches._takers == {}
+            await asyncio.sleep(0.1)
+            asked = [got.param2 for got in peer.heard if got.get_type() == "COMMAND_LONG" and got.command == 511]
+            assert asked == [] or asked[-1] == -1
 
     run_virtual(work())

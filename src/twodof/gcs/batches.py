@@ -20,6 +20,7 @@ from twodof.link.tick import TICK_S
 MESSAGE = "TWODOF_BATCH"
 TIMEOUT_S = 5.0
 LEAVING_S = 1.0
+_IN_DOUBT = -1
 MOST_ROWS = 4_000_000
 """More than four hours; then the oldest half is let go and counted as lost."""
 
@@ -112,9 +113,11 @@ class Batches:
             yield
         finally:
             del self._wanted[key]
-            with suppress(LinkLost, Rejected, Timeout):  # what is not wanted any more harms nobody
-                await self._subscribe(LEAVING_S)
-            del self._takers[key]
+            try:
+                with suppress(LinkLost, Rejected, Timeout):  # what is not wanted any more harms nobody
+                    await self._subscribe(LEAVING_S)
+            finally:
+                del self._takers[key]
 
     @asynccontextmanager
     async def rows(self, columns: Iterable[str]) -> AsyncIterator[Rows]:
@@ -131,6 +134,7 @@ class Batches:
             return
         period = round(TICK_S * 1e6) if mask else -1
         values = [dialect.message_id(MESSAGE), period, mask & 0xFFFF, mask >> 16]
+        self._mask = _IN_DOUBT  # until it is acknowledged: a call that is cancelled does not know
         await self._commands.run("SET_MESSAGE_INTERVAL", values, timeout, "subscribing to full-rate samples")
         self._mask = mask
 
