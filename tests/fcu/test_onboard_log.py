@@ -77,7 +77,10 @@ def test_a_log_of_a_flight_is_the_log_of_the_simulated_one(tmp_path: Path) -> No
     columns = [numbers_of(step) for step in script.steps]
     out = {name: np.array([row[name] for row in columns], dtype=np.float64) for name in columns[0]}
     expected = flight_log(out, out["asked_mode"].astype(np.int32), {})
-    assert sorted(found) == sorted(expected)
+    assert sorted(found) == sorted([*expected, "safety"])
+    safety = np.column_stack([out[name] for name in ("action", "reason", "causes")])
+    held = found["safety"].index(found["mode"].time)  # the last that was told is what held in each step
+    np.testing.assert_array_equal(found["safety"].value[held], safety)
     for name in expected:
         assert found[name].unit == expected[name].unit
         np.testing.assert_array_equal(found[name].time, expected[name].time)

@@ -13,6 +13,7 @@ import typer
 from twodof.cli.connect import connect
 from twodof.cli.output import Json, print_json, progress, table_console
 from twodof.cli.own_drone import own_drone
+from twodof.cli.plot import Plot, draw
 from twodof.errors import LinkLost
 from twodof.experiment.flight import Flight, Laboratory
 from twodof.experiment.fly import fly as fly_experiment
@@ -21,6 +22,7 @@ from twodof.experiment.protocol import experiment as named_experiment
 from twodof.flightlog.files import check_place, write_log
 from twodof.gcs.async_drone import DEFAULT_URL
 from twodof.gcs.drone import Drone
+from twodof.report.flight_view import check_place as check_plot
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
@@ -43,6 +45,7 @@ def fly(
         float | None, typer.Option(metavar="X", help="Where the cart starts, in metres; left out: where it fits.")
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Write the flight's log (.mat, .mcap, .parquet, .csv).")] = None,
+    plot: Plot = None,
     json: Json = False,
 ) -> None:
     """Arm, hold, excite on board, disarm, and check that the data are good enough.
@@ -58,6 +61,8 @@ def fly(
         raise typer.BadParameter("--controller goes with --rig: another drone flies what it was given")
     if out is not None:
         check_place(out)  # before anything moves: a flight is not flown for nothing
+    if plot is not None:
+        check_plot(plot)
     own = [option for name in controller or [] for option in ("--controller", name)]
     with ExitStack() as stack:
         where = url or DEFAULT_URL if rig is None else stack.enter_context(own_drone(rig, *own))
@@ -82,6 +87,8 @@ def fly(
         machine = there.state.rig
         if out is not None:
             write_log(flight.log, out)
+        if plot is not None:
+            draw(flight.log, plot, title=f"{experiment} on {machine.name}")
     if json:
         print_json(
             {
@@ -94,10 +101,11 @@ def fly(
                 "reason": flight.reason or None,
                 "checks": [{"name": c.name, "passed": c.passed, "seen": c.seen} for c in flight.checks],
                 "file": None if out is None else str(out),
+                "plot": None if plot is None else str(plot),
             }
         )
     else:
-        _print(flight, machine.name, out)
+        _print(flight, machine.name, out, plot)
     if not flight.good:
         raise typer.Exit(1)
 
@@ -113,10 +121,10 @@ def connected(url: str, key: Path | None, system: int | None) -> Iterator[Drone]
             drone.close()
 
 
-def _print(flight: Flight, rig: str, out: Path | None) -> None:
+def _print(flight: Flight, rig: str, *written: Path | None) -> None:
     console = table_console()
     console.print(f"{flight.experiment.name} flown on {rig}, seed {flight.seed}, start x = {flight.x_start:+.3f} m")
     for check in flight.checks:
         console.print(f"  {'ok    ' if check.passed else 'FAILED'} {check.name}: {check.seen}", markup=False)
-    if out is not None:
-        console.print(f"written: {out}", markup=False)
+    for path in filter(None, written):
+        console.print(f"written: {path}", markup=False)

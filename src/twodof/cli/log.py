@@ -1,4 +1,4 @@
-"""`twodof log info`, `convert`, `recover` and `fetch`."""
+"""`twodof log info`, `plot`, `convert`, `recover` and `fetch`."""
 
 from __future__ import annotations
 
@@ -9,12 +9,14 @@ import typer
 from rich.table import Table
 
 from twodof.cli.output import Json, print_json, table_console
+from twodof.cli.plot import draw
 from twodof.errors import LogError
 from twodof.flightlog.contents import describe
 from twodof.flightlog.files import convert as convert_log
 from twodof.flightlog.files import read_log
 from twodof.flightlog.public_data import PUBLIC_LOGS, find
 from twodof.flightlog.recovery import recover as recover_log
+from twodof.report.flight_view import SUFFIXES, check_place
 
 app = typer.Typer(
     help="Look into flight logs and convert them.", no_args_is_help=True, add_completion=False, rich_markup_mode=None
@@ -61,6 +63,36 @@ def _experiment(found: dict[str, Any]) -> str:
         return "no excitation found"
     start, end = experiment["window"]
     return f"{experiment['name']} between {start:.2f} and {end:.2f} s"
+
+
+@app.command()
+def plot(
+    file: Annotated[Path, typer.Argument(help="A .mat, .mcap, .parquet, .csv or .ulg log.")],
+    out: Annotated[
+        Path | None,
+        typer.Option(help=f"What to draw ({', '.join(SUFFIXES)}); FILE with .png if it is left out."),
+    ] = None,
+    topics: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME,...", help="Draw these signals only, such as theta,q,imu.gyro; may be repeated."),
+    ] = None,
+    window: Annotated[
+        tuple[float, float] | None, typer.Option(metavar="T0 T1", help="Draw this stretch only, in seconds of the log.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Draw a flight: pitch, rate, position, velocity and motors, set-points, modes, failsafe and excitation."""
+    target = out if out is not None else file.with_suffix(".png")
+    check_place(target)
+    names = [name for text in topics or () for name in text.split(",") if name]
+    notes = draw(read_log(file), target, names, window, file.name)
+    if json:
+        print_json({"file": str(target), "notes": list(notes)})
+        return
+    console = table_console()
+    for note in notes:
+        console.print(f"note: {note}", markup=False)
+    console.print(f"written: {target}", markup=False)
 
 
 @app.command()

@@ -13,6 +13,7 @@ from rich.table import Table
 from twodof.blocks import Diagram
 from twodof.cli.diagram_argument import DIAGRAM_HELP, read_diagram
 from twodof.cli.output import Json, print_json, table_console
+from twodof.cli.plot import Plot, draw
 from twodof.errors import ParameterError
 from twodof.experiment.flight import Laboratory
 from twodof.experiment.protocol import EXPERIMENTS
@@ -22,6 +23,7 @@ from twodof.flight.slot import simulator_slot
 from twodof.flightlog.files import check_place, read_log, write_log
 from twodof.flightlog.log import FlightLog
 from twodof.flightlog.public_data import PUBLIC_LOGS, PublicLog
+from twodof.report.flight_view import check_place as check_plot
 from twodof.rig.parameters import load_rig
 from twodof.sim.like import simulate_like
 
@@ -60,6 +62,7 @@ def simulate(
         int, typer.Option(min=0, max=2**32 - 1, help="Seed of the noise; the same seed gives the same flight.")
     ] = 1,
     out: Annotated[Path | None, typer.Option(help="Write the flight's log (.mat, .mcap, .parquet, .csv).")] = None,
+    plot: Plot = None,
     json: Json = False,
 ) -> None:
     """Fly an experiment on a virtual rig, or, with --like, a log's set-points without noise and compare.
@@ -69,19 +72,23 @@ def simulate(
     if (experiment is None) == (like is None):
         raise typer.BadParameter("name an experiment or a log with --like, one of the two")
     if like is not None:
-        if out is not None or controller or tune or precision != "float64":
-            raise typer.BadParameter("--out, --controller, --tune and --precision go with an experiment, not --like")
+        if out is not None or plot is not None or controller or tune or precision != "float64":
+            raise typer.BadParameter(
+                "--out, --plot, --controller, --tune, --precision go with an experiment, not --like"
+            )
         _fly_like(like, rig, gains, window, json)
     elif window is not None:
         raise typer.BadParameter("--window goes with --like")
     elif experiment is not None:
         if out is not None:
             check_place(out)
+        if plot is not None:
+            check_plot(plot)
         diagrams = _controllers(controller or [])
         laboratory = Laboratory(
             rig, load_gains(gains or "default"), controllers=diagrams, tuning=_tuning(tune or []), precision=precision
         )
-        _fly(laboratory, experiment, seed, out, json)
+        _fly(laboratory, experiment, seed, out, plot, json)
 
 
 def _registered(log: FlightLog) -> PublicLog | None:
@@ -155,10 +162,12 @@ def _number(text: str) -> int | float:
     return int(text) if text.strip().lstrip("+-").isdigit() else float(text)
 
 
-def _fly(laboratory: Laboratory, experiment: str, seed: int, out: Path | None, json: bool) -> None:
+def _fly(laboratory: Laboratory, experiment: str, seed: int, out: Path | None, plot: Path | None, json: bool) -> None:
     flight = laboratory.fly(named_experiment(experiment), seed)
     if out is not None:
         write_log(flight.log, out)
+    if plot is not None:
+        draw(flight.log, plot, title=f"{experiment} on {laboratory.rig_name}")
     rig, controllers = laboratory.rig_name, laboratory.described_controllers()
     if json:
         print_json(
@@ -172,6 +181,7 @@ def _fly(laboratory: Laboratory, experiment: str, seed: int, out: Path | None, j
                 "controllers": controllers,
                 "precision": laboratory.precision,
                 "file": None if out is None else str(out),
+                "plot": None if plot is None else str(plot),
             }
         )
     else:
@@ -182,8 +192,8 @@ def _fly(laboratory: Laboratory, experiment: str, seed: int, out: Path | None, j
             _print_parameters(console, laboratory, kind)
         for check in flight.checks:
             console.print(f"  {'ok    ' if check.passed else 'FAILED'} {check.name}: {check.seen}", markup=False)
-        if out is not None:
-            console.print(f"written: {out}", markup=False)
+        for path in filter(None, (out, plot)):
+            console.print(f"written: {path}", markup=False)
     if not flight.good:
         raise typer.Exit(1)
 

@@ -38,6 +38,11 @@ def check_place(path: str | Path) -> None:
     Raises LogError.
     """
     _check(path, _WRITERS)
+    check_folder(path)
+
+
+def check_folder(path: str | Path) -> None:
+    """Whether a file of any kind can be written there, before what it is to hold is made. Raises LogError."""
     target = Path(path).resolve()
     if target.is_dir():
         raise LogError("is a directory", str(path), "name a file")

@@ -12,7 +12,7 @@ from twodof.errors import LogError
 from twodof.flightlog import provenance
 from twodof.flightlog.log import Channel, FlightLog
 from twodof.flightlog.settle import noted, settle
-from twodof.flightlog.steps import ASKED, STEP_TOPIC, step_channels
+from twodof.flightlog.steps import ASKED, BOOT, PERIOD, STEP_TOPIC, step_channels
 from twodof.flightlog.ulog_decoder import Logged, ULog, scan_ulog
 from twodof.signals import BY_MAT, TOPICS
 
@@ -49,6 +49,11 @@ def _pitch(name: str) -> Values:
 
 # Channel -> topic and value; of several, the first that the log has (later ones are of older PX4 versions).
 # The rail is PX4's local x axis, as for the modules that `twodof px4 export` makes.
+SAFETY = ("action", "reason", "causes")
+"""Of each step: what the failsafe does, and masks of the causes that decided it and of those that hold."""
+REASONS = ("action", "reasons", "causes")
+"""What the channel `safety` calls them: in a recording its `reason` is the place of a cause and no mask."""
+
 PX4_SOURCES: Mapping[str, tuple[tuple[str, Values], ...]] = MappingProxyType(
     {
         "acc": (("sensor_combined", _field("accelerometer_m_s2")), ("vehicle_acceleration", _field("xyz"))),
@@ -85,7 +90,8 @@ def read_ulog(path: str | Path) -> FlightLog:
     `twodof px4 export` made gives a channel for each of its signals, such as `twodof_mine_out_m`. Samples that are
     not finite or repeat a stamp are counted in provenance["left_out"], topics that become no channel are named in
     provenance["ignored"], a last message that was cut off in provenance["lost_bytes"]. A log of the virtual flight
-    controller has the channels, stamps and bits of the log of a simulated flight, but for the ground truth.
+    controller has the channels, stamps and bits of the log of a simulated flight, but for the ground truth, and besides
+    `safety`: what the failsafe did and why.
     """
     data = provenance.read_bytes(path)
     where = str(path)
@@ -181,11 +187,22 @@ def _of_steps(steps: Logged, where: str) -> dict[str, Channel]:
     rows = steps.rows[rising] if len(ticks) else steps.rows[:0]
     out = {name: rows[name] for name in rows.dtype.names or ()}
     try:
-        return step_channels(ticks[rising], out, rows[f"{ASKED}mode"].astype(np.int32))
+        channels = step_channels(ticks[rising], out, rows[f"{ASKED}mode"].astype(np.int32))
+        return channels | _safety(ticks[rising], rows)
     except (KeyError, ValueError, TypeError) as reason:
         raise LogError(
             f"{STEP_TOPIC} is not laid out as it is now: {reason}", where, "read it with the twodof that wrote it"
         ) from reason
+
+
+def _safety(ticks: NDArray[np.int64], rows: Rows) -> dict[str, Channel]:
+    """What the failsafe did and why (bit masks of flight.causes.CAUSES), at each change and once a second."""
+    if not {*SAFETY} <= set(rows.dtype.names or ()):
+        return {}
+    values = np.column_stack([rows[name].astype(np.float64) for name in SAFETY])
+    changed = np.append(True, (np.diff(values, axis=0) != 0.0).any(axis=1)) if len(values) else np.empty(0, np.bool_)
+    told = changed | (ticks % round(1.0 / PERIOD) == 0)
+    return {"safety": Channel(BOOT + PERIOD * ticks[told], values[told], "", REASONS, "safety")}
 
 
 def _columns(names: tuple[str, ...]) -> Values:

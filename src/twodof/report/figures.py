@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import re
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -10,27 +9,13 @@ from typing import Any
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure as Canvas
 from matplotlib.ticker import MaxNLocator
 
 from twodof.identify.validate import Correlation
+from twodof.report.canvas import STAND_IN, quiet, settings, svg
 from twodof.report.content import Figure, Level, Panel, ParameterRow, Point, Role, Span, Subject
 
-# Stand-in colours that matplotlib draws with; each becomes the CSS variable of the page.
-_TOKENS = {
-    "#0a0b01": "ink",
-    "#0a0b02": "soft",
-    "#0a0b03": "rule",
-    "#0a0b04": "measured",
-    "#0a0b05": "input",
-    "#0a0b06": "set-point",
-    "#0a0b07": "simple",
-    "#0a0b08": "grey-box",
-    "#0a0b09": "band",
-    "#0a0b0a": "paper",
-}
-_COLOUR = {token: colour for colour, token in _TOKENS.items()}
 _STROKE: dict[Role, dict[str, Any]] = {
     "measured": {"linewidth": 1.1},
     "input": {"linewidth": 1.3},
@@ -39,32 +24,12 @@ _STROKE: dict[Role, dict[str, Any]] = {
     "grey-box": {"linewidth": 1.6},
 }
 _WIDTH_IN = 5.0
-_RC: Any = {
-    "svg.fonttype": "none",
-    "figure.facecolor": "none",
-    "axes.facecolor": "none",
-    "font.size": 9.5,
-    "axes.linewidth": 0.6,
-    "axes.edgecolor": _COLOUR["rule"],
-    "axes.labelcolor": _COLOUR["soft"],
-    "xtick.color": _COLOUR["rule"],
-    "ytick.color": _COLOUR["rule"],
-    "xtick.labelcolor": _COLOUR["soft"],
-    "ytick.labelcolor": _COLOUR["soft"],
-    "text.color": _COLOUR["ink"],
-    "grid.color": _COLOUR["rule"],
-    "grid.linewidth": 0.5,
-    "xtick.major.size": 3.0,
-    "ytick.major.size": 0.0,
-    "path.simplify": True,
-    "path.simplify_threshold": 0.3,
-}
 
 
 def time_figure(figure: Figure, title: str) -> str:
     """The figure's panels above one another over a common time axis, as an `<svg>` element titled `title`."""
     heights = [panel.height for panel in figure.panels]
-    with matplotlib.rc_context(_RC):
+    with matplotlib.rc_context(settings(STAND_IN)):
         canvas = Canvas(figsize=(_WIDTH_IN, 0.75 + 1.45 * sum(heights)), layout="constrained")
         axes = canvas.subplots(len(heights), 1, sharex=True, height_ratios=heights, squeeze=False)[:, 0]
         for ax, panel in zip(axes, figure.panels, strict=True):
@@ -72,18 +37,18 @@ def time_figure(figure: Figure, title: str) -> str:
         axes[-1].set_xlabel("time [s]")
         axes[-1].margins(x=0.01)
         canvas.align_ylabels()
-        return _svg(canvas, title)
+        return svg(canvas, title)
 
 
 def _draw_panel(ax: Axes, panel: Panel) -> None:
-    _quiet(ax)
+    quiet(ax)
     ax.set_ylabel(panel.label)
     for line in panel.lines:
-        ax.plot(line.time, line.value, color=_COLOUR[line.role], **_STROKE[line.role])
+        ax.plot(line.time, line.value, color=STAND_IN[line.role], **_STROKE[line.role])
     low, high = ax.get_ylim()
     for mark in panel.marks:
         if isinstance(mark, Level):
-            ax.axhspan(mark.low, mark.high, color=_COLOUR["band"], linewidth=0.8)
+            ax.axhspan(mark.low, mark.high, color=STAND_IN["band"], linewidth=0.8)
             ax.annotate(
                 mark.label,
                 (1.0, mark.high),
@@ -91,13 +56,13 @@ def _draw_panel(ax: Axes, panel: Panel) -> None:
                 xycoords=("axes fraction", "data"),
                 textcoords="offset points",
                 ha="right",
-                color=_COLOUR["soft"],
+                color=STAND_IN["soft"],
                 fontsize=8.5,
             )
         elif isinstance(mark, Span):
             _draw_span(ax, mark, high)
         elif isinstance(mark, Point):
-            ax.plot([mark.time], [mark.value], "o", ms=4.5, mfc="none", mec=_COLOUR["ink"], mew=1.1)
+            ax.plot([mark.time], [mark.value], "o", ms=4.5, mfc="none", mec=STAND_IN["ink"], mew=1.1)
             up = mark.value >= 0.5 * (low + high)
             ax.annotate(
                 mark.label,
@@ -115,10 +80,10 @@ def _draw_span(ax: Axes, span: Span, high: float) -> None:
         "",
         (span.stop, high),
         (span.start, high),
-        arrowprops={"arrowstyle": "<->", "color": _COLOUR["ink"], "linewidth": 0.8, "shrinkA": 0, "shrinkB": 0},
+        arrowprops={"arrowstyle": "<->", "color": STAND_IN["ink"], "linewidth": 0.8, "shrinkA": 0, "shrinkB": 0},
     )
     for edge in (span.start, span.stop):
-        ax.axvline(edge, color=_COLOUR["ink"], linewidth=0.5, dashes=(2, 2))
+        ax.axvline(edge, color=STAND_IN["ink"], linewidth=0.5, dashes=(2, 2))
     ax.annotate(
         span.label,
         (0.5 * (span.start + span.stop), high),
@@ -132,25 +97,25 @@ def _draw_span(ax: Axes, span: Span, high: float) -> None:
 
 def correlation_figure(tests: Mapping[str, Correlation], title: str) -> str:
     """Correlations of residuals, one panel each under its name, with their bounds."""
-    with matplotlib.rc_context(_RC):
+    with matplotlib.rc_context(settings(STAND_IN)):
         canvas = Canvas(figsize=(_WIDTH_IN, 1.9), layout="constrained")
         axes = canvas.subplots(1, len(tests), squeeze=False)[0]
         for ax, (name, test) in zip(axes, tests.items(), strict=True):
-            _quiet(ax)
-            ax.fill_between(test.lags, -test.bound, test.bound, color=_COLOUR["band"], linewidth=0)
-            ax.vlines(test.lags, 0.0, test.value, color=_COLOUR["grey-box"], linewidth=1.4)
-            ax.axhline(0.0, color=_COLOUR["soft"], linewidth=0.6)
-            ax.set_title(name, fontsize=9, color=_COLOUR["soft"], loc="left")
+            quiet(ax)
+            ax.fill_between(test.lags, -test.bound, test.bound, color=STAND_IN["band"], linewidth=0)
+            ax.vlines(test.lags, 0.0, test.value, color=STAND_IN["grey-box"], linewidth=1.4)
+            ax.axhline(0.0, color=STAND_IN["soft"], linewidth=0.6)
+            ax.set_title(name, fontsize=9, color=STAND_IN["soft"], loc="left")
             ax.set_xlabel("lag [samples]")
             reach = 1.15 * max(float(np.abs(test.value).max()), 2.0 * float(test.bound.max()))
             ax.set_ylim(-reach, reach)
-        return _svg(canvas, title)
+        return svg(canvas, title)
 
 
 def estimates_figure(subjects: Sequence[Subject], title: str) -> str:
     """For each of the paper's parameters, one line a machine: by hand, grey-box, one sigma, truth and paper."""
     keys = list(dict.fromkeys(row.key for one in subjects for row in one.rows if row.paper is not None))
-    with matplotlib.rc_context(_RC):
+    with matplotlib.rc_context(settings(STAND_IN)):
         columns = 3
         canvas = Canvas(figsize=(9.6, 0.3 + (0.85 + 0.3 * len(subjects)) * -(-len(keys) // columns)))
         canvas.set_layout_engine("constrained", w_pad=0.12, h_pad=0.08)
@@ -162,7 +127,7 @@ def estimates_figure(subjects: Sequence[Subject], title: str) -> str:
             _draw_estimates(ax, rows)
             first = index % columns == 0
             ax.set_yticks(range(len(subjects)), [subject.name if first else "" for subject in subjects])
-        return _svg(canvas, title)
+        return svg(canvas, title)
 
 
 def _draw_estimates(ax: Axes, rows: Sequence[ParameterRow | None]) -> None:
@@ -175,15 +140,15 @@ def _draw_estimates(ax: Axes, rows: Sequence[ParameterRow | None]) -> None:
     shown = [row for row in rows if row is not None]
     if shown:
         unit = f" [{shown[0].unit}]" if shown[0].unit else ""
-        ax.set_title(f"{_plain(shown[0].symbol)}{unit}", fontsize=10.5, color=_COLOUR["ink"], loc="left")
+        ax.set_title(f"{_plain(shown[0].symbol)}{unit}", fontsize=10.5, color=STAND_IN["ink"], loc="left")
         for paper in (shown[0].paper, shown[0].paper_greybox):
             if paper is not None:
-                ax.axvline(paper, color=_COLOUR["paper"], linewidth=1.0, dashes=(4, 2))
+                ax.axvline(paper, color=STAND_IN["paper"], linewidth=1.0, dashes=(4, 2))
     for height, row in enumerate(rows):
         if row is None:
             continue
         if row.truth is not None:
-            ax.plot([row.truth], [height], "|", ms=17, mew=1.6, color=_COLOUR["ink"])
+            ax.plot([row.truth], [height], "|", ms=17, mew=1.6, color=STAND_IN["ink"])
         for estimate, role, offset, shape in (
             (row.simple, "simple", -0.14, "s"),
             (row.greybox, "grey-box", 0.14, "o"),
@@ -196,20 +161,11 @@ def _draw_estimates(ax: Axes, rows: Sequence[ParameterRow | None]) -> None:
                     xerr=sigma,
                     fmt=shape,
                     ms=4.5,
-                    color=_COLOUR[role],
+                    color=STAND_IN[role],
                     elinewidth=1.3,
                 )
     ax.set_ylim(len(rows) - 0.5, -0.5)
     ax.margins(x=0.12)
-
-
-def _quiet(ax: Axes) -> None:
-    """Axes with a horizontal grid and no box."""
-    ax.grid(visible=True, axis="y")
-    ax.set_axisbelow(True)
-    for side in ("top", "right", "left"):
-        ax.spines[side].set_visible(False)
-    ax.yaxis.set_major_locator(MaxNLocator(4))
 
 
 def _plain(symbol: str) -> str:
@@ -218,22 +174,3 @@ def _plain(symbol: str) -> str:
 
 # An SVG text has no subscript of its own; Unicode has none of "p" in all fonts, so letters follow plainly.
 _SUBSCRIPTS = str.maketrans({"n": "ₙ", "v": "ᵥ"})
-
-
-def _svg(canvas: Canvas, title: str) -> str:
-    """The canvas as an SVG element for inline use: same bytes for the same data, colours by CSS variable."""
-    with matplotlib.rc_context({"svg.hashsalt": title}):
-        out = io.StringIO()
-        FigureCanvasSVG(canvas)
-        canvas.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
-    text = out.getvalue()
-    text = text[text.index("<svg") :]
-    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
-    # Groups are numbered alike in every figure; only what is referred to (clip paths, markers) keeps its name.
-    text = re.sub(r'<g id="[^"]*"', "<g", text)
-    for colour, token in _TOKENS.items():
-        text = text.replace(colour, f"var(--{token})")
-    text = re.sub(r"font: ([\d.]+px)[^;\"]*", r"font-size: \1", text)
-    view = text.split('viewBox="', 1)[1].split('"', 1)[0]
-    head = f'<svg viewBox="{view}" role="img" aria-label="{title}">'
-    return re.sub(r"\s*\n\s*", "\n", re.sub(r"<svg[^>]*>", head, text, count=1))

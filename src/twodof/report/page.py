@@ -6,9 +6,9 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 from html import escape
-from importlib.resources import files
 
 from twodof.identify.validate import Correlation
+from twodof.report.canvas import style
 from twodof.report.content import Check, Content, Erratum, Figure, ParameterRow, Subject, Table, Uncertain
 from twodof.report.figures import correlation_figure, estimates_figure, time_figure
 from twodof.report.numbers import deviation, plain, with_sigma
@@ -24,7 +24,6 @@ _KEY = {
 
 def to_html(content: Content) -> str:
     """The whole page as text; the same content gives the same bytes."""
-    style = (files("twodof.report") / "style.css").read_text(encoding="utf-8")
     sections = [
         ("table-1", "Table 1", "".join(_table_section(content.subjects))),
         *_figure_sections(content.subjects),
@@ -45,7 +44,7 @@ def to_html(content: Content) -> str:
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{escape(content.title)}</title>\n<style>\n{style}</style></head>\n<body>"
+        f"<title>{escape(content.title)}</title>\n<style>\n{style()}</style></head>\n<body>"
         f'<header><h1>{escape(content.title)}</h1><p class="lead">{content.lead}</p>'
         f'<ul class="findings">{findings}</ul></header>'
         f'<nav aria-label="Contents"><ul>{links}</ul></nav>\n<main>{body}</main></body></html>\n'

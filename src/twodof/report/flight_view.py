@@ -1,0 +1,304 @@
+"""What a plot of a flight shows: curves in panels, and above them what flew, what the failsafe did, what was played."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twodof.errors import LogError
+from twodof.flight.causes import ACTIONS, CAUSES, named_causes
+from twodof.flightlog.contents import excitations
+from twodof.flightlog.events import modes
+from twodof.flightlog.files import check_folder
+from twodof.flightlog.log import Channel, FlightLog
+from twodof.signals import BY_MAT, BY_NAME
+
+Array = NDArray[np.float64]
+
+SUFFIXES = (".png", ".svg", ".pdf", ".html")
+"""Of the files into which a plot can be drawn."""
+
+MOST_POINTS = 4000
+"""Of a line; of a longer one each stretch is drawn from its lowest to its highest sample, so that nothing is missed."""
+
+STILL = 0.02
+"""A cart that is said to move by less than this [m] stands still, as far as the range sensor can tell (4 mm noise)."""
+
+_DEGREES = 180.0 / math.pi
+
+_PANELS = MappingProxyType(
+    {
+        "pitch": (_DEGREES, "deg", (("theta_true", "true"), ("theta", "estimated"), ("theta0", "set-point"))),
+        "pitch rate": (_DEGREES, "deg/s", (("q_true", "true"), ("q", "estimated"), ("q0", "set-point"))),
+        "position": (1.0, "m", (("x_true", "true"), ("x", "estimated"), ("x0", "set-point"))),
+        "velocity": (1.0, "m/s", (("v_true", "true"), ("v", "estimated"), ("v0", "set-point"))),
+        "motors": (1.0, "–", (("M", "moment M"), ("T", "thrust T"))),
+    }
+)
+"""Panel -> scale, unit, and its channels with what the legend calls them."""
+
+_SYMBOL = MappingProxyType({"pitch": "θ", "pitch rate": "q", "position": "x", "velocity": "v", "motors": "M, T"})
+
+# A set-point is drawn where its loop is closed; elsewhere it says nothing.
+_INNER = ("rate", "attitude", "velocity", "position")
+_FOLLOWED = MappingProxyType({"q0": _INNER, "theta0": _INNER[1:], "v0": _INNER[2:], "x0": _INNER[3:]})
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """Samples of one signal, `time` (n,) [s] and `value` (n,), NaN where it is interrupted; `held` between samples."""
+
+    label: str
+    channel: str
+    time: Array
+    value: Array
+    held: bool = False
+
+
+@dataclass(frozen=True)
+class View:
+    """One pair of axes: quantity and unit, and its curves."""
+
+    label: str
+    curves: tuple[Curve, ...]
+
+
+@dataclass(frozen=True)
+class Band:
+    """A stretch of time [s] and what it is called."""
+
+    start: float
+    stop: float
+    label: str
+
+
+@dataclass(frozen=True)
+class FlightView:
+    """Everything a plot shows, over `span` [s] of the drone's time.
+
+    `notes` say what is not in it, and why.
+    """
+
+    title: str
+    about: str
+    span: tuple[float, float]
+    views: tuple[View, ...]
+    modes: tuple[Band, ...]
+    failsafe: tuple[Band, ...]
+    excitations: tuple[Band, ...]
+    notes: tuple[str, ...]
+
+
+def check_place(path: str | Path) -> None:
+    """Whether a plot can be written there, before what it is to show is made. Raises LogError."""
+    if Path(path).suffix.lower() not in SUFFIXES:
+        raise LogError(f"no picture has the suffix {Path(path).suffix!r}", str(path), f"use {', '.join(SUFFIXES)}")
+    check_folder(path)
+
+
+def flight_view(
+    log: FlightLog, topics: Iterable[str] = (), window: tuple[float, float] | None = None, title: str = ""
+) -> FlightView:
+    """The view of a log, in `window` [s] if one is given.
+
+    `topics` are names of signals, of their .mat channels or of channels that only this log has; none: pitch, rate,
+    position, velocity and what the motors are told, each against its set-point and, where it is known, the truth.
+    Raises LogError for a topic that the log lacks, and for a window in which nothing was logged.
+    """
+    span = _span(log, window)
+    notes: list[str] = []
+    flown = _modes(log, span, notes)
+    asked = list(topics)
+    views = [_own(log, name, flown, span) for name in asked] if asked else _usual(log, flown, span, notes)
+    if not views:
+        raise LogError("nothing of a flight is in it", log.source or title, f"name topics: {', '.join(log)}")
+    return FlightView(
+        title=title or log.source,
+        about=_about(log),
+        span=span,
+        views=tuple({view.label: view for view in views}.values()),
+        modes=flown,
+        failsafe=_failsafe(log, span),
+        excitations=_excitations(log, span),
+        notes=tuple(notes),
+    )
+
+
+def _span(log: FlightLog, window: tuple[float, float] | None) -> tuple[float, float]:
+    start, end = log.span
+    if window is not None:
+        if not window[0] < window[1] or window[1] <= start or window[0] >= end:
+            raise LogError(
+                f"nothing was logged from {window[0]:g} to {window[1]:g} s",
+                log.source,
+                f"the log reaches from {start:.3f} to {end:.3f} s",
+            )
+        start, end = max(start, window[0]), min(end, window[1])
+    return start, end
+
+
+def _usual(log: FlightLog, flown: Sequence[Band], span: tuple[float, float], notes: list[str]) -> list[View]:
+    cart = [name for name in ("x_true", "x") if name in log and len(log[name].slice(*span))]
+    moved = any(float(np.ptp(log[name].slice(*span).value)) > STILL for name in cart[:1])
+    views = []
+    for name in _PANELS:
+        if name in ("position", "velocity") and cart and not moved:
+            continue
+        view = _panel(log, name, flown, span)
+        if view.curves:
+            views.append(view)
+    if cart and not moved:
+        notes.append("the cart stands still: position and velocity are left out")
+    return views
+
+
+def _own(log: FlightLog, name: str, flown: Sequence[Band], span: tuple[float, float]) -> View:
+    """The panel of a signal that was asked for: a usual one, or one of its own with a line for each field."""
+    row = BY_NAME.get(name) or BY_MAT.get(name)
+    channel = row.mat if row else name
+    if channel not in log:
+        raise LogError("the log has no such signal", f"{log.source}: {name}", f"there are: {', '.join(log)}")
+    for panel, (_, _, channels) in _PANELS.items():
+        if channel in (one for one, _ in channels):
+            return _panel(log, panel, flown, span)
+    there = log[channel]
+    values = there.value if there.value.ndim == 2 else there.value[:, None]
+    alone = (row.text if row else "",) if values.shape[1] == 1 else tuple(str(k) for k in range(values.shape[1]))
+    labels = there.fields or alone
+    held = row is not None and row.rate_hz == 0.0
+    curves = tuple(
+        Curve(label, channel, *_cut(log, channel, there.time, values[:, k], span), held)
+        for k, label in enumerate(labels)
+    )
+    unit = f" [{_unit(there)}]" if _unit(there) else ""
+    return View(f"{row.name if row else channel}{unit}", curves)
+
+
+def _unit(channel: Channel) -> str:
+    return "–" if channel.unit == "-" else channel.unit
+
+
+def _panel(log: FlightLog, name: str, flown: Sequence[Band], span: tuple[float, float]) -> View:
+    scale, unit, channels = _PANELS[name]
+    curves = []
+    for channel, label in channels:
+        if channel not in log or not len(log[channel]):
+            continue
+        time, value = log[channel].time, scale * log[channel].value
+        if channel in _FOLLOWED:
+            value = _where(time, value, [band for band in flown if band.label in _FOLLOWED[channel]] if flown else None)
+        curve = Curve(
+            label, channel, *_cut(log, channel, time, value, span), held=channel in _FOLLOWED or name == "motors"
+        )
+        if np.isfinite(curve.value).any():
+            curves.append(curve)
+    return View(f"{name} {_SYMBOL[name]} [{unit}]", tuple(curves))
+
+
+def _where(time: Array, value: Array, bands: Sequence[Band] | None) -> Array:
+    """The values within the bands (None: everywhere), NaN elsewhere."""
+    if bands is None:
+        return value
+    inside = np.zeros(time.shape, dtype=bool)
+    for band in bands:
+        inside |= (time >= band.start) & (time < band.stop)
+    return np.where(inside, value, np.nan)
+
+
+def _cut(log: FlightLog, channel: str, time: Array, value: Array, span: tuple[float, float]) -> tuple[Array, Array]:
+    """Within the span, interrupted where samples were lost, thinned where there are very many."""
+    # A sample beyond each end, so that a line reaches the edge.
+    first, last = np.searchsorted(time, span[0]) - 1, np.searchsorted(time, span[1], side="right") + 1
+    part = slice(max(0, int(first)), int(last))
+    time, value = time[part], value[part]
+    gaps = [gap for gap in log.gaps(channel) if gap.t1 > span[0] and gap.t0 < span[1]]
+    if gaps:
+        at = np.searchsorted(time, [gap.t1 for gap in gaps])
+        time = np.insert(time, at, [0.5 * (gap.t0 + gap.t1) for gap in gaps])
+        value = np.insert(value, at, np.nan)
+    return _thinned(time, value)
+
+
+def _thinned(time: Array, value: Array) -> tuple[Array, Array]:
+    """At most about `MOST_POINTS` points that look alike: the lowest, the highest and a hole, if any, of each part."""
+    count = len(time)
+    if count <= MOST_POINTS:
+        return time, value
+    size = -(-count // (MOST_POINTS // 2))
+    low, high = np.where(np.isnan(value), np.inf, value), np.where(np.isnan(value), -np.inf, value)
+    kept = [0, count - 1]
+    for start in range(0, count, size):
+        part = slice(start, start + size)
+        kept += [start + int(np.argmin(low[part])), start + int(np.argmax(high[part]))]
+        kept += [start + int(hole) for hole in np.flatnonzero(np.isnan(value[part]))[:1]]
+    index = np.unique(kept)
+    return time[index], value[index]
+
+
+def _clipped(start: float, stop: float, label: str, span: tuple[float, float]) -> list[Band]:
+    start, stop = max(start, span[0]), min(stop, span[1])
+    return [Band(start, stop, label)] if stop > start else []
+
+
+def _modes(log: FlightLog, span: tuple[float, float], notes: list[str]) -> tuple[Band, ...]:
+    try:
+        found = modes(log)
+    except LogError as reason:  # of a log that has only some channels: the rest of it is shown
+        notes.append(f"which mode flew is not known: {reason.what}")
+        return ()
+    return tuple(band for one in found for band in _clipped(one.t0, one.t1, one.mode, span))
+
+
+def _excitations(log: FlightLog, span: tuple[float, float]) -> tuple[Band, ...]:
+    try:
+        found = excitations(log)
+    except LogError:  # as `_modes`, which has said so
+        return ()
+    return tuple(band for one in found for band in _clipped(one.edges[0], one.edges[-1], one.shape, span))
+
+
+def _failsafe(log: FlightLog, span: tuple[float, float]) -> tuple[Band, ...]:
+    """What the failsafe did, from the channel `safety` of a recording or of the log on board, and the deciding causes.
+
+    Motors that are off without a cause are those of a drone that is disarmed.
+    """
+    if "safety" not in log or "action" not in log["safety"].fields or not len(log["safety"]):
+        return ()
+    told = log["safety"]
+    action = told.field("action").astype(int)
+    if "reasons" in told.fields:
+        causes = [", ".join(named_causes(int(mask))) for mask in told.field("reasons")]
+    else:
+        places = told.field("reason").astype(int) if "reason" in told.fields else np.full(len(told), -1)
+        causes = [CAUSES[place].name if 0 <= place < len(CAUSES) else "" for place in places]
+    states = list(zip(action.tolist(), causes, strict=True))
+    starts = [k for k in range(len(states)) if k == 0 or states[k] != states[k - 1]]
+    ends = [*(float(told.time[k]) for k in starts[1:]), log.span[1]]
+    bands = []
+    for k, end in zip(starts, ends, strict=True):
+        number, why = states[k]
+        if 0 < number < len(ACTIONS) and why:
+            label = f"{ACTIONS[number]}: {why.replace('_', ' ')}"
+            bands += _clipped(float(told.time[k]), end, label, span)
+    return tuple(bands)
+
+
+def _about(log: FlightLog) -> str:
+    """One line about where a log comes from."""
+    said: dict[str, Any] = dict(log.provenance)
+    drone, flown = said.get("drone"), said.get("flown")
+    rig = said.get("rig") or (drone.get("rig") if isinstance(drone, dict) else None)
+    parts = [str(said["experiment"])] if said.get("experiment") else []
+    parts += [f"rig {rig}"] if rig else []
+    parts += [f"seed {said['seed']}"] if said.get("seed") else []
+    if isinstance(flown, dict):
+        parts.append("flown over MAVLink")
+        parts += [f"broken off: {flown['reason']}"] if flown.get("reason") else []
+    return ", ".join(parts)[:200]
