@@ -62,7 +62,7 @@ def paced_by_the_loop() -> Iterator[None]:
     """A virtual drone that is begun within runs on the event loop's clock, which may jump."""
     with ExitStack() as stack:
         stack.enter_context(patch.object(server, "Pacer", LoopPacer))
-        stack.enter_context(patch.object(server, "Watchdog", lambda stop: Watchdog(stop, HANGS_S)))
+        stack.enter_context(patch.object(server, "Watchdog", lambda stop, patient: Watchdog(stop, HANGS_S)))
         # Another thread's work would take virtual time by chance.
         stack.enter_context(patch.object(Background, "submit", _at_once))
         yield

@@ -329,7 +329,7 @@ def test_a_real_drone_whose_program_stood_still_stops_its_motors(
 class Blind:
     """A watchdog that stood still with the program."""
 
-    def __init__(self, stop: Callable[[], None]) -> None:
+    def __init__(self, stop: Callable[[], None], patient: bool) -> None:
         self.stop = stop
 
     def beat(self) -> None:

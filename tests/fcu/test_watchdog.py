@@ -9,6 +9,7 @@ from inspect import signature
 import pytest
 
 from tests.patience import PATIENCE_S
+from twodof.fcu.thread_time import ThreadTime
 from twodof.fcu.watchdog import LOOK_S, LOOKS, Watchdog
 
 NEVER_S = 1e6  # between looks of its own: the test looks
@@ -75,3 +76,24 @@ def test_its_own_thread_looks() -> None:
     assert stopped.wait(PATIENCE_S)
     watchdog.close()
     assert watchdog.trips == 1
+
+
+def test_a_patient_one_counts_looks_by_what_the_loop_had_of_their_time(
+    monkeypatch: pytest.MonkeyPatch, stops: list[int]
+) -> None:
+    shares: list[float] = []
+    monkeypatch.setattr(ThreadTime, "own", lambda _: shares.pop(0))
+    watchdog = Watchdog(lambda: stops.append(watchdog.trips), NEVER_S, patient=True)
+
+    def looks(*values: float) -> int:
+        watchdog.beat()
+        shares[:] = [1.0, *values]  # the first look sees the beat
+        look(watchdog, len(shares))
+        return watchdog.trips
+
+    assert looks(*[1.0] * (LOOKS - 1)) == 0
+    assert looks(*[0.0] * 1000) == 0, "others have the processor"
+    assert looks(*[0.97] * LOOKS) == 1, "it runs, but for what the watchdog itself takes, and gives no sign of life"
+    assert looks(*[0.25] * 4 * (LOOKS - 1)) == 1
+    assert looks(*[0.25] * 4 * LOOKS) == 2
+    watchdog.close()

@@ -153,7 +153,7 @@ class Server:
         controller, pacer = self.controller, Pacer(TICK_NS)
         # What stands now is never garbage, and looking through it takes the collector half a control period.
         gc.freeze()
-        watchdog = Watchdog(controller.stop)
+        watchdog = Watchdog(controller.stop, patient=controller.hardware.virtual)
         try:
             while True:
                 due = await pacer.wait()
@@ -167,7 +167,7 @@ class Server:
                     if number:
                         await asyncio.sleep(0)  # what has come in the meantime acts now
                     self._step()
-                watchdog.beat()
+                    watchdog.beat()
         finally:
             watchdog.close()
             pacer.close()
