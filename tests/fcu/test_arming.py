@@ -3,12 +3,14 @@
 import pytest
 
 from tests.fcu.cockpit import COMPANION, LEVEL_FLIGHT, ME, OTHER, Cockpit, armed, offboard
-from twodof.fcu.asked import FAILED, IN_PROGRESS, TEMPORARILY_REJECTED, Asked
+from twodof.fcu.arming import Arming
+from twodof.fcu.asked import FAILED, IN_PROGRESS, TEMPORARILY_REJECTED, Asked, Verdict
 from twodof.fcu.helm import FRESH
 from twodof.fcu.setpoints import ATTITUDE, OFF, OPEN_LOOP, OPENLOOP, STICKS, SetPoint
 from twodof.flight.causes import BIT
-from twodof.flight.failsafe_machine import DISARMED
+from twodof.flight.failsafe_machine import DISARMED, FLYING, LEVEL
 from twodof.flight.failsafe_machine import OFF as STOPPED_BY_FAILSAFE
+from twodof.flight.failsafe_machine import REFUSED as REFUSED_BY_FAILSAFE
 from twodof.link import modes
 
 # Arming.
@@ -167,6 +169,99 @@ def test_a_failsafe_that_does_not_answer_ends_the_arming() -> None:
     assert cockpit.commander.arming.result == FAILED
 
 
+def test_asking_again_and_again_does_not_wait_for_longer() -> None:
+    cockpit = Cockpit()
+    cockpit.run(2)
+    for tick in range(2, 60):
+        if cockpit.commander.arm(ME).result == IN_PROGRESS:
+            cockpit.commander.asked(tick)
+            cockpit.commander.seen(cockpit.failsafe.step(tick, Asked()))  # deaf
+        if cockpit.commander.arming.result == FAILED:
+            break
+    assert tick < 30
+
+
+@pytest.mark.parametrize("mode", [modes.MANUAL, modes.RATE, modes.ATTITUDE])
+def test_thrust_alone_keeps_from_arming(mode: int) -> None:
+    cockpit = Cockpit()
+    cockpit.run(2)
+    cockpit.commander.set_mode(ME, mode)
+    cockpit.commander.sticks(ME, 0.0, 0.1)
+    assert "not_idle" in cockpit.commander.arm(ME).text
+
+
+def test_what_is_streamed_in_another_mode_than_offboard_does_not_fly_when_it_arms() -> None:
+    cockpit = Cockpit()
+    cockpit.run(2)
+    cockpit.commander.setpoint(ME, LEVEL_FLIGHT)
+    assert cockpit.arm().accepted
+    assert cockpit.run(5).mode == OFF
+
+
+def test_a_set_point_for_the_very_tick_in_which_it_arms_flies_from_the_next_on() -> None:
+    cockpit = Cockpit()
+    cockpit.run(2)
+    cockpit.commander.setpoint(ME, LEVEL_FLIGHT)
+    cockpit.commander.set_mode(ME, modes.OFFBOARD)
+    cockpit.commander.setpoint(ME, LEVEL_FLIGHT._replace(theta0=0.1), cockpit.tick + 1)
+    cockpit.run()
+    assert cockpit.commander.arm(ME).result == IN_PROGRESS
+    cockpit.commander.setpoint(ME, LEVEL_FLIGHT._replace(theta0=0.2), cockpit.tick)
+    cockpit.commander.setpoint(ME, LEVEL_FLIGHT._replace(theta0=0.3), cockpit.tick + 1)
+    assert cockpit.run().mode == OFF
+    assert cockpit.commander.arming.accepted
+    assert cockpit.run().theta0 == 0.3
+
+
+class Said:
+    """A step of the flight code, as far as arming looks at it."""
+
+    def __init__(self, tick: int, state: int = DISARMED, reason: int = 0, causes: int = 0) -> None:
+        self.tick, self.state, self.reason, self.causes = tick, state, reason, causes
+
+
+def test_what_the_failsafe_says_before_it_was_asked_is_no_answer() -> None:
+    arming = Arming()
+    assert arming.pull(10).result == IN_PROGRESS
+    for state in (FLYING, LEVEL, REFUSED_BY_FAILSAFE):
+        arming.speak(9)
+        assert not arming.word
+        arming.seen(Said(9, state))
+        assert arming.pending
+    arming.speak(10)
+    assert arming.word
+    arming.seen(Said(10, FLYING))
+    assert arming.answer.accepted
+
+
+@pytest.mark.parametrize(
+    ("reason", "causes", "words"),
+    [
+        (BIT["tilted"] | BIT["not_idle"], 0, "not armed: not_idle, tilted"),
+        (BIT["tilted"], BIT["not_idle"], "not armed: tilted"),
+        (0, BIT["not_idle"], "not armed: not_idle"),
+        (0, 0, "not armed: the failsafe gives no reason"),
+    ],
+)
+def test_its_refusal_is_told_in_its_words(reason: int, causes: int, words: str) -> None:
+    arming = Arming()
+    arming.pull(0)
+    arming.speak(0)
+    arming.seen(Said(0, REFUSED_BY_FAILSAFE, reason, causes))
+    assert (arming.answer, arming.word) == (Verdict(TEMPORARILY_REJECTED, words), False)
+
+
+def test_it_is_waited_for_a_tenth_of_a_second() -> None:
+    arming = Arming()
+    arming.pull(100)
+    for tick in range(100, 125):
+        arming.speak(tick)
+        arming.seen(Said(tick))
+        assert (arming.pending, arming.word) == (True, True)
+    arming.seen(Said(125))
+    assert (arming.answer, arming.word) == (Verdict(FAILED, "not armed: the flight code did not answer"), False)
+
+
 # Disarming and the kill.
 
 
@@ -190,7 +285,7 @@ def test_a_kill_is_obeyed_whoever_asks_and_holds_until_disarmed(source: tuple[in
     assert "killed" in cockpit.commander.arm(ME).text
     assert cockpit.commander.disarm(ME).accepted
     assert cockpit.arm().accepted
-    assert any("killed" in text for _, text in cockpit.commander.remarks)
+    assert (2, f"killed by system {source[0]}, component {source[1]}") in cockpit.commander.remarks
 
 
 def test_a_kill_holds_over_a_reset_until_disarmed() -> None:

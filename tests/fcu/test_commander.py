@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from tests.fcu.cockpit import LEVEL_FLIGHT, ME, OTHER, Cockpit, Rig, armed, offboard
 from twodof.fcu.asked import DENIED, TEMPORARILY_REJECTED, UNSUPPORTED, Asked
+from twodof.fcu.commander import MOST_REMARKS
 from twodof.fcu.helm import FRESH
 from twodof.fcu.schedule import CAPACITY, HORIZON
 from twodof.fcu.setpoints import ATTITUDE, OFF, OPEN_LOOP, POSITION, RATE, VELOCITY, SetPoint
@@ -239,6 +240,50 @@ def test_the_end_of_an_open_loop_is_a_level_attitude_but_in_manual_mode() -> Non
     assert (asked.mode, asked.theta0, asked.thrust) == (ATTITUDE, 0.0, 0.4)
 
 
+def test_an_open_loop_that_ends_levels_what_was_pitched_with_the_thrust_that_it_names() -> None:
+    cockpit = offboard(LEVEL_FLIGHT._replace(theta0=0.3))
+    assert cockpit.commander.open_loop(ME, 0.1, 0.5, False, False, True).accepted
+    asked = cockpit.run()
+    assert (asked.mode, asked.theta0, asked.thrust) == (ATTITUDE, 0.0, 0.5)
+
+
+def test_an_open_loop_that_is_streamed_while_it_arms_is_told_when_it_flies() -> None:
+    cockpit = Cockpit()
+    cockpit.run(2)
+    commander = cockpit.commander
+    commander.open_loop(ME, 0.1, 0.4, True, True, True)
+    commander.set_mode(ME, modes.OFFBOARD)
+    commander.open_loop(ME, 0.1, 0.4, True, True, True)
+    assert cockpit.arm().accepted
+    assert not cockpit.steps[-1].asked.mode
+    assert commander.openloop == (cockpit.tick, 0.1, 0.4, True, True, True, 1)
+    assert cockpit.run().mode == OPEN_LOOP
+    commander.set_mode(ME, modes.HOLD)
+    commander.open_loop(ME, 0.2, 0.4, True, True, True)
+    assert not commander.openloop.openloop
+    commander.set_mode(ME, modes.OFFBOARD)
+    assert commander.openloop.M == 0.2
+
+
+def test_what_is_streamed_before_offboard_is_kept_in_one() -> None:
+    cockpit = armed()
+    commander = cockpit.commander
+    commander.set_mode(ME, modes.ATTITUDE)
+    commander.setpoint(ME, SetPoint(ATTITUDE, theta0=0.3, thrust=0.4))
+    commander.setpoint(ME, SetPoint(None, thrust=0.5))
+    assert cockpit.run().mode == OFF
+    assert commander.set_mode(ME, modes.OFFBOARD).accepted
+    asked = cockpit.run()
+    assert (asked.mode, asked.theta0, asked.thrust) == (ATTITUDE, 0.3, 0.5)
+
+
+def test_sticks_are_no_stream_for_offboard() -> None:
+    cockpit = armed()
+    cockpit.commander.set_mode(ME, modes.RATE)
+    cockpit.commander.sticks(ME, 0.0, 0.4)
+    assert cockpit.commander.set_mode(ME, modes.OFFBOARD).result == TEMPORARILY_REJECTED
+
+
 def test_open_loop_messages_keep_to_their_tick() -> None:
     cockpit = armed()
     tick = cockpit.tick + 5
@@ -255,6 +300,8 @@ def test_the_open_loop_message_in_use_is_told_until_something_else_flies() -> No
     def open_loop() -> None:
         assert commander.open_loop(ME, 0.1, 0.4, True, True, True).accepted
 
+    assert commander.open_loop(ME, 0.1, 0.9, True, True, False).accepted
+    assert commander.openloop[1:6] == (0.1, 0.0, True, True, False), "what is not enabled is told as 0"
     open_loop()
     revision = commander.openloop.revision
     open_loop()  # the same again changes nothing
@@ -281,6 +328,19 @@ def test_the_open_loop_message_in_use_is_told_until_something_else_flies() -> No
 
 
 # What it says of itself.
+
+
+def test_it_knows_all_modes_and_says_which_it_starts_in() -> None:
+    commander = Cockpit().commander
+    assert commander.modes == modes.MODES
+    assert commander.custom_mode == modes.MANUAL
+
+
+def test_what_nobody_drains_is_bounded() -> None:
+    cockpit = Cockpit()
+    for _ in range(2 * MOST_REMARKS):
+        cockpit.commander.kill(ME)
+    assert len(cockpit.commander.remarks) == MOST_REMARKS == 64
 
 
 def test_heartbeats_numbers_follow_the_failsafe() -> None:
@@ -324,7 +384,7 @@ def test_a_restart_is_a_change_of_the_open_loop_in_use() -> None:
     cockpit.commander.open_loop(ME, 0.1, 0.1, True, True, True)
     seen = {cockpit.commander.openloop.revision}
     cockpit.commander.restart()
-    assert cockpit.commander.openloop.revision not in seen
+    assert cockpit.commander.openloop.revision > max(seen)
     assert not cockpit.commander.openloop.openloop
 
 

@@ -14,6 +14,7 @@ from twodof.errors import ExperimentError
 from twodof.excitation import KINDS, Doublet, Excitation, Impulse, Multisine, Prbs, Steps, Sweep, ThreeTwoOneOne
 from twodof.experiment.protocol import EXPERIMENTS
 from twodof.experiment.script import script
+from twodof.fcu import excitation_player
 from twodof.fcu.excitation_player import (
     DONE,
     LOOPS,
@@ -253,7 +254,7 @@ def stopped_by_failsafe(cockpit: Cockpit) -> None:
 @pytest.mark.parametrize(
     ("stop", "reason"),
     [
-        (stopped_by_mode, "mode hold"),
+        (stopped_by_mode, "mode hold was chosen"),
         (stopped_by_command, "by command"),
         (stopped_by_disarming, "disarmed"),
         (stopped_by_kill, "killed"),
@@ -345,6 +346,41 @@ def test_any_damage_to_a_definition_gives_a_definition_or_an_error_with_a_reason
 def test_rubbish_is_refused(data: bytes) -> None:
     with pytest.raises(ExperimentError):
         prepare(data)
+
+
+@pytest.mark.parametrize(
+    ("data", "what"),
+    [(b"{", "excitation: is no JSON (write it with to_json)"), (b"[]", "excitation: is no table of values")],
+)
+def test_what_is_no_definition_is_refused_in_these_words(data: bytes, what: str) -> None:
+    with pytest.raises(ExperimentError) as refused:
+        prepare(data)
+    assert str(refused.value).startswith(what)
+
+
+@pytest.mark.parametrize("fault", [ZeroDivisionError, KeyError, IndexError, MemoryError, TypeError, ValueError])
+def test_whatever_fails_in_writing_one_out_is_a_refusal(
+    fault: type[Exception], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing that comes over a link may end the control loop."""
+
+    def fails(values: object) -> None:
+        raise fault("here")
+
+    monkeypatch.setattr(excitation_player, "from_dict", fails)
+    with pytest.raises(ExperimentError, match=r"excitation: cannot be written out: .*here.* \(write it with to_json"):
+        prepare(b"{}")
+
+
+def test_a_disarming_leaves_a_definition_that_has_not_begun() -> None:
+    cockpit = ready()
+    revision = cockpit.commander.player.revision
+    cockpit.commander.disarm(ME)
+    cockpit.run(2)
+    assert (cockpit.commander.player.state, cockpit.commander.player.revision) == (READY, revision)
+    assert cockpit.arm().accepted
+    assert cockpit.commander.start_excitation(ME, 7, M, 0.4).accepted
+    assert [cockpit.run().M_open for _ in VALUES] == [*VALUES]
 
 
 def test_values_that_are_not_finite_are_refused() -> None:

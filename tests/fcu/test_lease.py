@@ -8,12 +8,13 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 
 from tests.fcu.cockpit import COMPANION, ME, OTHER, Cockpit, armed
 from twodof.excitation import Impulse
-from twodof.fcu.asked import DENIED, TEMPORARILY_REJECTED, Source
+from twodof.fcu.asked import DENIED, FAILED, IN_PROGRESS, TEMPORARILY_REJECTED, Source
 from twodof.fcu.excitation_player import PLAYING, written_out
 from twodof.fcu.helm import FRESH
 from twodof.fcu.lease import COMMANDING, HEARD, LONGEST
 from twodof.fcu.schedule import HORIZON
 from twodof.fcu.setpoints import ATTITUDE, SetPoint
+from twodof.flight.failsafe_machine import OFF
 from twodof.link import modes
 
 CLIENTS = (ME, OTHER, COMPANION)
@@ -145,6 +146,7 @@ def test_a_pilot_that_fell_silent_in_flight_is_not_replaced_by_who_only_listens(
     cockpit = armed(talking=(ME,))
     cockpit.talking = (OTHER,)
     linked = [cockpit.run().link_new for _ in range(2 * HEARD)]
+    assert cockpit.commander.remarks[-1] == (4, "nobody holds the lease any more")
     assert not any(linked[1:])  # the failsafe's timer runs out
     cockpit.talking = ()
     cockpit.commander.ask_lease(OTHER, 10_000)
@@ -162,6 +164,70 @@ def test_a_pilot_that_gave_up_in_flight_is_not_replaced_by_who_only_listens_eith
     assert not any(cockpit.run().link_new for _ in range(2 * HEARD))
     cockpit.commander.ask_lease(OTHER, 10_000)
     assert cockpit.run().link_new
+
+
+def test_the_holders_disarming_is_a_command_that_renews_it_and_anothers_is_not() -> None:
+    cockpit = Cockpit(talking=())
+    cockpit.run(2)
+    cockpit.commander.set_mode(ME, modes.RATE)
+    cockpit.run(100)
+    cockpit.commander.disarm(OTHER)
+    assert cockpit.commander.lease.left == COMMANDING - 100
+    cockpit.commander.disarm(ME)
+    assert cockpit.commander.lease.left == COMMANDING
+    cockpit.run(COMMANDING)
+    cockpit.commander.disarm(ME)
+    assert cockpit.commander.lease.holder is None, "nor does it take one"
+
+
+def test_nobody_is_missed_once_the_failsafe_has_stopped_the_motors() -> None:
+    cockpit = armed(talking=(ME,))
+    cockpit.failsafe.acts = OFF
+    cockpit.run(2)
+    assert cockpit.commander.give_up_lease(ME).accepted
+    cockpit.talking = ()
+    cockpit.run(2)
+    cockpit.commander.heard(COMPANION, True)
+    assert cockpit.run().link_new
+
+
+def test_where_time_stands_who_died_gives_way_with_all_that_it_has_sent_ahead() -> None:
+    """`stands` counts real time, in which only the holder could let any pass; a frame of it counts anew."""
+    for take in (lambda one: one.ask_lease(OTHER), lambda one: one.take(OTHER)):
+        cockpit = armed(talking=(), lockstep=True)
+        commander = cockpit.commander
+        for ahead in (3, 5):
+            commander.setpoint(ME, SetPoint(ATTITUDE, theta0=0.1, thrust=0.4), cockpit.tick + ahead)
+        commander.stands(HEARD - 1)
+        commander.heard(ME, True)
+        commander.stands(HEARD - 1)
+        assert commander.lease.left == 1
+        assert not take(commander).accepted
+        commander.stands(1)
+        assert commander.lease == (ME, 0, 1)
+        assert take(commander).accepted
+        assert commander.lease[::2] == (OTHER, 2)
+        assert commander.lease.left > 1
+        assert commander.refused == {"lease": 2}
+        assert cockpit.run(10).mode == 0
+
+
+def test_an_arming_of_who_died_while_time_stood_ends_with_its_lease() -> None:
+    cockpit = Cockpit(talking=(), lockstep=True)
+    cockpit.run(2)
+    assert cockpit.commander.arm(ME).result == IN_PROGRESS
+    cockpit.commander.stands(HEARD)
+    assert cockpit.commander.ask_lease(OTHER).accepted
+    assert cockpit.commander.arming.result == FAILED
+    assert not any(cockpit.run().arm for _ in range(5))
+
+
+def test_every_loss_is_counted() -> None:
+    cockpit = armed()
+    for lost in (1, 2):
+        cockpit.commander.setpoint(ME, SetPoint(ATTITUDE, theta0=0.1, thrust=0.4), cockpit.tick + 10)
+        cockpit.commander.give_up_lease(ME)
+        assert cockpit.commander.refused == {"lease": lost}
 
 
 def test_disarmed_any_client_keeps_the_link_again() -> None:

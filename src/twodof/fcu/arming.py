@@ -38,10 +38,9 @@ class Arming:
         """Called before each tick while it is pending: gives the word when its tick has come."""
         self.word = tick >= self._from
 
-    def release(self, killed: bool = False) -> None:
-        """Disarms; a kill is latched, an ordinary disarming ends it."""
+    def release(self) -> None:
+        """The word is taken back; one who waits for an answer to an arming has it."""
         self.word = False
-        self.killed = killed
         if self.pending:
             self.answer = Verdict(FAILED, "disarmed before it had armed")
 

@@ -9,7 +9,6 @@ from twodof.fcu.excitation_player import LOOPS, Player
 from twodof.fcu.schedule import HORIZON
 from twodof.fcu.setpoints import OPEN_LOOP, VELOCITY
 from twodof.flight.causes import named_causes
-from twodof.flight.failsafe_machine import OFF
 
 
 class Rig(Protocol):
@@ -24,15 +23,15 @@ class Rig(Protocol):
         """Whether the safety switch was pressed."""
 
 
-def against_arming(arming: Arming, rig: Rig, state: int, causes: int | None, moves_cart: bool, asks: bool) -> str:
-    """What speaks against arming.
+def against_arming(arming: Arming, rig: Rig, causes: int | None, moves_cart: bool, asks: bool) -> str:
+    """What speaks against arming a drone that is not armed.
 
-    `state` is the failsafe's, `causes` what it misses (None: none was heard yet); `moves_cart`: the mode does; `asks`:
-    set-points ask for thrust or moment.
+    `causes` is what the failsafe misses (None: none was heard yet); `moves_cart`: the mode does; `asks`: set-points ask
+    for thrust or moment.
     """
     if arming.killed:
         return "it was killed, disarm first"
-    if state == OFF and arming.word:
+    if arming.word:  # it is asked to be armed, and is not
         return "the failsafe has stopped the motors, disarm first"
     if causes is None:
         return "no sensor was heard yet"

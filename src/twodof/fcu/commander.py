@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-from math import isfinite
 
 from twodof.fcu.arming import Arming
 from twodof.fcu.asked import DENIED, TEMPORARILY_REJECTED, UNSUPPORTED, Asked, Source, Verdict
@@ -75,7 +74,7 @@ class Commander:
     @property
     def lease(self) -> LeaseState:
         """Who may command, for how many ticks still, and a count of the changes."""
-        return self._pilot.lease(self._now, self._flying)
+        return self._pilot.lease(self._now, self._armed)
 
     @property
     def player(self) -> Player:
@@ -111,7 +110,7 @@ class Commander:
             return modes.UNREADY
         if self._armed:
             return modes.CRITICAL if self.step.action else modes.ACTIVE
-        return modes.UNREADY if self._missing() else modes.STANDBY
+        return modes.UNREADY if self._missing(self.step) else modes.STANDBY
 
     def asked(self, tick: int) -> Asked:
         """What the flight code is asked at `tick`; once a tick, before its step."""
@@ -126,7 +125,7 @@ class Commander:
             self._act_due(tick)
         if helm.player.begins <= tick:
             self._begin_play(tick)
-        pilot.passes(self._now, self._flying)
+        pilot.passes(self._now, self._armed)
         if pilot.changes != self._served:
             self._remark(4 if pilot.orphaned else 6, "nobody holds the lease any more")
             self._hand_over()
@@ -176,7 +175,7 @@ class Commander:
 
     def give_up_lease(self, source: Source) -> Verdict:
         """Frees the lease; refused to all but its holder."""
-        verdict = self._pilot.give_up(source, self._flying)
+        verdict = self._pilot.give_up(source, self._armed)
         self._hand_over()
         return verdict
 
@@ -190,11 +189,11 @@ class Commander:
             return verdict
         if self._arming.pending:
             return self._arming.answer
-        if self._armed and self._arming.word:
+        if self._flies:
             return DONE
         moves_cart, asks = self.custom_mode == modes.POSITION, self._helm.asks(self._now)
-        missing = None if self.step is None else self._missing()
-        against = against_arming(self._arming, self.rig, self._state, missing, moves_cart, asks) or self.unfit()
+        missing = None if self.step is None else self._missing(self.step)
+        against = against_arming(self._arming, self.rig, missing, moves_cart, asks) or self.unfit()
         if against:
             return Verdict(TEMPORARILY_REJECTED, f"not armed: {against}")
         # The failsafe arms on an edge: where it has not seen the last disarming yet, a tick later.
@@ -207,12 +206,14 @@ class Commander:
         if self._pilot.holder == source:
             self.take(source)  # which renews it
         self._arming.release()
+        self._arming.killed = False
         self._helm.rest("disarmed", self._now)
         return DONE
 
     def kill(self, source: Source) -> Verdict:
         """Stops the motors in the next tick, whoever asks, and holds the drone disarmed until it is disarmed."""
-        self._arming.release(killed=True)
+        self._arming.release()
+        self._arming.killed = True
         self._helm.rest("killed", self._now)
         self._remark(2, f"killed by system {source[0]}, component {source[1]}")
         return DONE
@@ -228,7 +229,7 @@ class Commander:
             return Verdict(DENIED, "mode position moves the cart, and the rings lock it")
         if custom_mode == modes.OFFBOARD and not self._helm.streamed(self._now):
             return Verdict(TEMPORARILY_REJECTED, "mode offboard wants set-points above 2 Hz first")
-        self._helm.enter(custom_mode, self._level_thrust(), self._now, self._arming.word)
+        self._helm.enter(custom_mode, self._level_thrust(), self._now, self._flies)
         return DONE
 
     def setpoint(
@@ -249,7 +250,7 @@ class Commander:
         if not verdict.accepted:
             self.refused["lease"] += 1
         elif at_tick <= self._now:
-            self._helm.take(setpoint, kind, self._now, self._arming.word, said)
+            self._helm.take(setpoint, kind, self._now, self._flies, said)
         elif at_tick > self._now + HORIZON or not self._helm.schedule.add(at_tick, setpoint, kind, said):
             return self._refuse("queue", "too many wait, or it is more than a minute ahead")
         return verdict
@@ -272,7 +273,7 @@ class Commander:
 
     def sticks(self, source: Source, pitch: float, thrust: float) -> Verdict:
         """MANUAL_CONTROL: pitch stick, forward 1 and back -1, and thrust 0 to 1; the mode decides what they give."""
-        if not (isfinite(pitch) and abs(pitch) <= 1.0 and 0.0 <= thrust <= 1.0):
+        if not (abs(pitch) <= 1.0 and 0.0 <= thrust <= 1.0):  # nor does NaN pass
             return self._refuse("invalid", "a stick is beyond its end")
         x = self.step.x if self.step is not None else 0.0
         setpoint = stick_setpoint(self.custom_mode, pitch, thrust, self._helm.values, x)
@@ -307,7 +308,7 @@ class Commander:
         if not why:
             player.wait(max(at_tick, self._now), LOOPS[loop], thrust)
             return DONE
-        if not player.playing and player.unit and player.transfer == transfer:
+        if player.unit and player.transfer == transfer:
             player.finish(REFUSED, why)
         return Verdict(TEMPORARILY_REJECTED, f"excitation refused: {why}")
 
@@ -316,13 +317,12 @@ class Commander:
         verdict = self.take(source, "excitation")
         if verdict.accepted and self.player.unit:
             self.player.finish(STOPPED, "by command")
-            self._helm.changed = True
         return verdict
 
     @property
-    def _flying(self) -> bool:
-        """Armed, or about to be: then the lease stays as long as its holder is heard."""
-        return self._armed or self._arming.word
+    def _flies(self) -> bool:
+        """Armed, and not asked to disarm: only then what is commanded acts."""
+        return self._armed and self._arming.word
 
     def _hand_over(self) -> None:
         """Where the lease has changed hands what was sent ahead is forgotten, and an arming that waits ends."""
@@ -332,12 +332,12 @@ class Commander:
         if waiting := len(self._helm.schedule):
             self.refused["lease"] += waiting
         self._helm.forget_ahead("who started it has lost the lease")
-        if self._arming.pending and self._pilot.holder is None:
-            self._arming.release(self._arming.killed)
+        if self._arming.pending:
+            self._arming.release()
 
     def _stand(self, why: str, tick: int) -> None:
         """The motors stop, not by a command."""
-        self._arming.release(self._arming.killed)
+        self._arming.release()
         self._helm.rest(why, tick)
         self._remark(2, why)
 
@@ -349,19 +349,18 @@ class Commander:
         if len(self.remarks) < MOST_REMARKS:
             self.remarks.append((severity, text))
 
-    def _missing(self) -> int:
+    def _missing(self, step: Step) -> int:
         """The causes that speak against arming, but for the one that hearing this command has cured."""
-        causes = self.step.causes if self.step is not None else 0
-        return causes & ~BIT["link_lost"] if self._pilot.heard else causes
+        return step.causes & ~BIT["link_lost"] if self._pilot.heard else step.causes
 
     def _act_due(self, tick: int) -> None:
         helm = self._helm
         while (due := helm.schedule.due(tick)) is not None:
-            helm.take(due.setpoint, due.kind, tick, self._arming.word, due.said)
+            helm.take(due.setpoint, due.kind, tick, self._flies, due.said)
 
     def _against_beginning(self) -> str:
         """What speaks against it that an excitation begins in this tick."""
-        if not (self._armed and self._arming.word):
+        if not self._flies:
             return "not armed"
         # It would go on in its middle when the failsafe lets go.
         return f"the failsafe acts: {ACTIONS[self.step.action]}" if self.step and self._state in ACTING else ""

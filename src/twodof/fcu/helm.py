@@ -36,10 +36,9 @@ class Helm:
         self.custom_mode = modes.MANUAL
         self.player = Player()
         self.schedule = Schedule()
-        self.values = Values()
+        self.values = Values()  # none but while armed: nothing of before flies
         self.openloop = OpenLoop()
         self.changed = True
-        self._live = False  # something was asked for since it was armed
         self._on_board = False  # level hold or an excitation gives set-points, at every tick
         self._fresh = False  # one came for the next tick
         self._offer = NOTHING  # what messages have asked for since the mode was entered, for offboard
@@ -113,7 +112,7 @@ class Helm:
         player, values = self.player, self.values
         name = player.loop.name
         about = values
-        if not (self._live and values.flown == player.loop.loop):
+        if values.flown != player.loop.loop:
             about = values._replace(ax0=0.0).with_number(name, 0.0)
         thrust = player.thrust if player.thrust is not None else values.thrust or level_thrust
         self.custom_mode = modes.OFFBOARD
@@ -127,7 +126,7 @@ class Helm:
             self.player.finish(STOPPED, why)
         self.values = self._latest = Values()
         self._offer = NOTHING
-        self._live, self._on_board, self._fresh, self.changed = False, False, False, True
+        self._on_board, self._fresh, self.changed = False, False, True
         self.schedule.clear()
         self._say(None, tick)
 
@@ -137,7 +136,7 @@ class Helm:
         if self.player.playing:
             name = self.player.loop.name
             values = values.with_number(name, getattr(values, name) + self.player.value(tick))
-        mode = values.flown if self._live and arm else OFF
+        mode = values.flown if arm else OFF
         _, x0, v0, ax0, theta0, q0, thrust, M_open = values
         use_trim = mode == OPEN_LOOP and thrust > 0.0
         new = self._fresh or self._on_board
@@ -147,7 +146,7 @@ class Helm:
 
     def _use(self, values: Values, tick: int, said: OpenLoop | None = None, on_board: bool = False) -> None:
         self.values, self._on_board = values, on_board
-        self._live = self._fresh = self.changed = True
+        self._fresh = self.changed = True
         self._say(said, tick)
 
     def _say(self, said: OpenLoop | None, tick: int) -> None:
