@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from pathlib import Path
 
 import pytest
@@ -10,9 +11,10 @@ import pytest
 from tests.fcu.flights import Script, controller, exhausting, fly
 from tests.fcu.tuned import KIND, tuned
 from twodof.blocks import Diagram
-from twodof.errors import ParameterError
+from twodof.errors import ControllerFault, ParameterError
 from twodof.fcu.flight_code import FlightCode
 from twodof.fcu.own_parameters import own_parameters
+from twodof.fcu.sandbox import BUDGET_NS
 from twodof.fcu.store import MOST_TUNED, Store
 from twodof.flight.causes import ACTIONS, BIT
 
@@ -149,3 +151,44 @@ def test_the_list_changes_with_what_flies_and_nothing_else_does() -> None:
     store.carry([])
     assert (len(store.rows), store.hash_check(), store["RATE_KP"]) == (count, digest, 0.07)
     assert store.own() == {}
+
+
+def test_a_sandbox_that_stops_in_prepare_is_replaced_and_takes_the_value_once_it_begins_anew(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    made = controller(FlightCode([tuned()]), Script(disarm_at=AT + 50))
+    fly(made, AT)
+    sandbox = made.code.sandbox
+    assert sandbox is not None
+
+    def stops() -> None:
+        raise ControllerFault("it used up its fuel", "prepare")
+
+    monkeypatch.setattr(sandbox.machine.instance, "prepare", stops)
+    made.set_parameters({ABOVE: 3.0, "ATT_KP": 3.0})
+    assert "fuel" in made.code.own_fault
+    steps = fly(made, AT + 40)
+    assert all(step.action == LEVEL and step.armed and math.isfinite(step.M) for step in steps[AT + 1 :])
+    fly(made, AT + 60)
+    assert made.code.own_fault == ""
+    assert (made.code.parameter(ABOVE), made.code.parameter("ATT_KP")) == (3.0, 3.0)
+
+
+def test_in_real_time_the_time_of_a_change_is_part_of_the_next_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    made, now = controller(FlightCode([tuned()]), lockstep=False), 0
+    fly(made, AT)
+    monkeypatch.setattr(time, "thread_time_ns", lambda: now)
+    sandbox = made.code.sandbox
+    assert sandbox is not None
+    prepare = sandbox.machine.instance.prepare
+
+    def slow() -> None:
+        nonlocal now
+        now += BUDGET_NS + 1
+        prepare()
+
+    monkeypatch.setattr(sandbox.machine.instance, "prepare", slow)
+    made.set_parameters({ABOVE: 3.0})
+    steps = fly(made, UNTIL)
+    assert sandbox.late_steps == 1
+    assert all(step.action == LEVEL and step.reason == BIT["own_failed"] for step in steps[AT + 1 :])

@@ -128,6 +128,11 @@ def test_what_a_foreign_drone_is_silent_about_is_no_parameter_of_it(listed: bool
             await drone.parameters.set("NOPE", 1.0)
         with pytest.raises(Rejected, match="not one of ours"):
             await drone.parameters.describe()
+        with pytest.raises(ParameterError, match="names on a drone of ours only"):
+            await drone.parameters.read("attitude_control.k_q")
+        with pytest.raises(ParameterError) as raised:
+            await drone.parameters.read("RATE_KI")
+        assert raised.value.remedy == "the nearest: RATE_KP, ATT_KP", "of those that it has"
 
     fly(flight, peer=foreign())
 

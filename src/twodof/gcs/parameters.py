@@ -334,7 +334,11 @@ class AsyncParameters:
 
     async def _ask_for(self, name: str, deadline: Deadline) -> Entry:
         if not isinstance(name, str) or not name.isascii() or not 1 <= len(name) <= 16:
-            raise ParameterError(f"{shown(name)} is no name of 1 to 16 ASCII characters", "parameters")
+            raise ParameterError(
+                f"{shown(name)} is no name of 1 to 16 ASCII characters",
+                "parameters",
+                "paths in a diagram are names on a drone of ours only" if "." in name else "parameters.all() lists all",
+            )
 
         def accept(got: Any) -> Entry | None:
             if got.get_type() == "PARAM_ERROR":
@@ -363,7 +367,8 @@ class AsyncParameters:
 
     def _unknown(self, name: str) -> ParameterError:
         """That the drone has not `name`, with the nearest names that it has."""
-        names = {known.casefold(): known for known in (*_BY_NAME, *self.known, *self._paths)}
+        ours = [one for one in _BY_NAME if not self._whole or self.name_on_board(one) in self.known]
+        names = {known.casefold(): known for known in (*ours, *self.known, *self._paths)}
         near = [names[one] for one in get_close_matches(name.casefold(), names, 3, 0.5)]
         remedy = f"the nearest: {', '.join(near)}" if near else "parameters.all() lists them"
         return ParameterError("the drone has no such parameter", name, remedy)
