@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from tests.faults.virtual_time import run_virtual
+from tests.faults.virtual_time import VirtualLoop, run_virtual
 from tests.faults.whole import Whole, run
 from tests.gcs.peer import Peer
 from twodof.errors import LinkLost, Rejected
@@ -89,6 +89,41 @@ def test_a_drone_that_restarts_in_its_first_second_is_noticed(after: float, watc
             else:
                 with pytest.raises(LinkLost, match="has restarted"):
                     await drone.arm()
+
+    run_virtual(work())
+
+
+@pytest.mark.parametrize("pause", [2.0, 30.0])
+@pytest.mark.parametrize(("watching", "armed"), [(False, False), (True, False), (True, True), (False, True)])
+def test_a_program_that_stood_still_goes_on_unless_it_was_flying(watching: bool, armed: bool, pause: float) -> None:
+    """A notebook's slow cell, a laptop that slept: the drone was not silent. But for 3 s nobody flew it."""
+
+    async def work() -> None:
+        loop = asyncio.get_running_loop()
+        async with Peer() as peer, await AsyncDrone.connect(peer.url, take_lease=not watching) as drone:
+            if watching:
+                peer.armed = armed
+                await drone.run(1.5)
+            elif armed:
+                await drone.arm()
+                await drone.set_pitch(0.1)
+            assert isinstance(loop, VirtualLoop)
+            loop._jumping.now += pause
+            if armed and not watching and pause > 3.0:
+                sent = drone.setpoints.sent
+                with pytest.raises(LinkLost, match=r"stood still for 3\d\.\d s, and the drone was without its pilot"):
+                    await drone.set_pitch(0.2)
+                assert drone.setpoints.sent == sent
+            else:
+                await drone.run(1.0)
+                await drone.telemetry("theta").next()
+                assert drone.telemetry("theta").value
+            # That it was silent indeed is still noticed.
+            peer.beating = False
+            await asyncio.sleep(4.0)
+            with pytest.raises(LinkLost):
+                _ = drone.telemetry("theta").value
+            peer.beating = True
 
     run_virtual(work())
 

@@ -49,6 +49,7 @@ class AsyncDrone(Connected):
     async def arm(self, timeout: float = TIMEOUT_S) -> None:
         """Arm it, and see that it is. Raises Rejected with what speaks against it."""
         deadline = self._deadline(timeout, "arming")
+        self.session.check(self.session.now)
         self._may_be_armed = True
         await self.commands.run("COMPONENT_ARM_DISARM", [1.0], timeout, "arming")
         await self._see(lambda: self.state.armed, deadline)

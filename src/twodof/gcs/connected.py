@@ -69,6 +69,7 @@ class Connected:
         self.logs = Logs(session)
         self.commands.on_progress = self._one_tick
         self.clock.on_restart = self._restarted
+        session.on_pause = self._stood_still
         self._last_thrust: float | None = None
         self.ours = False  # one of ours, not somebody else's PX4
         self._may_be_armed = False  # by us: asked for, seen or not
@@ -206,7 +207,7 @@ class Connected:
                 await self._stand(timeout)
             if self.lease.wanted:
                 with suppress(Timeout, LinkLost):  # it ends by itself
-                    await self.lease.give_up(timeout / 4)
+                    await self.lease.give_up(timeout / 6)
         finally:
             self.lease.stop()
             await self.session.close()
@@ -217,7 +218,7 @@ class Connected:
             try:
                 await self.disarm(timeout=timeout / 3)
             except (Rejected, Timeout, LinkLost):  # what is silent may still hear
-                await self.kill(timeout=timeout / 3)
+                await self.kill(timeout=timeout / 2)  # its heartbeat comes once a second
         except asyncio.CancelledError:
             with suppress(LinkLost):
                 for attempt in range(_LAST_WORDS):
@@ -309,6 +310,15 @@ class Connected:
         self.session.end(
             LinkLost(f"the drone has restarted, after tick {self.tick}", self.session.url, "connect again")
         )
+
+    def _stood_still(self, seconds: float) -> None:
+        """This program did: a drone that it flew has made itself safe meanwhile, and is not to be surprised now."""
+        if self.session.lockstep:  # so did the drone's time
+            return
+        self.texts.note("warning", f"this program stood still for {seconds:.1f} s")
+        if self.commanding and self.state.armed:
+            gone = f"this program stood still for {seconds:.1f} s, and the drone was without its pilot"
+            self.session.end(LinkLost(gone, self.session.url, "connect again"))
 
     async def _see(self, condition: Callable[[], bool], deadline: Deadline, remedy: str = "") -> None:
         """Wait until the drone's heartbeat says so; in lockstep its time passes meanwhile, tick by tick."""

@@ -21,6 +21,8 @@ from twodof.link.signing import Verdict
 
 SILENT_S = 3.0
 HEARTBEAT_S = 1.0
+SLACK_S = 0.5
+"""So much later than it is due our own heartbeat comes on a loaded machine; what is more is a pause of this program."""
 RETRY_S = 0.5
 # Messages handed on before anybody else gets a turn, and answers that may wait for one call.
 BURST = 64
@@ -86,7 +88,9 @@ class Session:
         self._kind = _ON_BOARD if on_board else _GROUND
         self._loop = asyncio.get_running_loop()
         self._peer: Hashable | None = None
-        self._last_heard = self._loop.time()
+        self._last_heard = self._awake = self._loop.time()
+        self.on_pause: Callable[[float], None] | None = None
+        """What is done once this program has stood still for longer than SILENT_S, with that time [s]."""
         self._lost: LinkLost | None = None
         self._handlers: dict[str, list[Handler]] = {}
         self._listeners: list[Heard] = []
@@ -206,6 +210,7 @@ class Session:
 
     def check(self, since: float) -> None:
         """Raise LinkLost if the vehicle is lost; `since` is when whoever asks began to wait."""
+        self._woke()
         if self._lost is None and self.system:
             heard = max(self._last_heard, since) if self.lockstep else self._last_heard
             if self.now - heard > SILENT_S:
@@ -214,6 +219,15 @@ class Session:
                 )
         if self._lost is not None:
             raise LinkLost(self._lost.what, self._lost.where, self._lost.remedy)
+
+    def _woke(self) -> None:
+        """Where this program stood still (a notebook's slow cell, a laptop that slept) the drone was not silent."""
+        paused = self.now - self._awake
+        if paused > HEARTBEAT_S + SLACK_S and self._lost is None:
+            self._last_heard += paused - HEARTBEAT_S
+            self._awake = self.now
+            if paused > SILENT_S and self.on_pause is not None:
+                self.on_pause(paused)
 
     async def close(self) -> None:
         """End the session and close the link; a second time does nothing."""
@@ -232,6 +246,8 @@ class Session:
 
     async def _beat(self) -> None:
         while True:
+            self._woke()
+            self._awake = self.now
             self.beat()
             if not self.lockstep:
                 with suppress(LinkLost):
