@@ -11,7 +11,7 @@ from twodof.fcu.flight_code import Step
 from twodof.fcu.hardware import Sample
 from twodof.fcu.setpoints import ATTITUDE, SetPoint
 from twodof.flight.causes import ACTIONS, BIT
-from twodof.flight.failsafe_machine import DISARMED, FLYING, LEVEL, MAY_TURN, OFF, REFUSED
+from twodof.flight.failsafe_machine import BRAKE, DESCEND, DISARMED, FLYING, LEVEL, MAY_TURN, OFF, REFUSED
 from twodof.link import modes
 
 ME: Source = (250, 190)
@@ -64,7 +64,7 @@ class Failsafe:
             | {
                 "action": self.state - FLYING if armed else ACTIONS.index("off"),
                 "state": self.state,
-                "reason": causes if self.state in (REFUSED, LEVEL, OFF) else 0,
+                "reason": causes if self.state in (REFUSED, LEVEL, BRAKE, DESCEND, OFF) else 0,
                 "causes": causes,
             },
         )

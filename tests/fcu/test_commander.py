@@ -7,14 +7,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.fcu.cockpit import LEVEL_FLIGHT, ME, OTHER, Cockpit, Rig, armed, offboard
-from twodof.fcu.asked import DENIED, TEMPORARILY_REJECTED, UNSUPPORTED, Asked
+from twodof.fcu.asked import DENIED, IN_PROGRESS, TEMPORARILY_REJECTED, UNSUPPORTED, Asked
 from twodof.fcu.commander import MOST_REMARKS
 from twodof.fcu.helm import FRESH
 from twodof.fcu.schedule import CAPACITY, HORIZON
 from twodof.fcu.setpoints import ATTITUDE, OFF, OPEN_LOOP, POSITION, RATE, VELOCITY, SetPoint
 from twodof.fcu.sticks import PITCH_AT_FULL, RATE_AT_FULL, VELOCITY_AT_FULL
 from twodof.flight.causes import BIT
-from twodof.flight.failsafe_machine import LEVEL
+from twodof.flight.failsafe_machine import BRAKE, DESCEND, FLYING, LEVEL
 from twodof.flight.failsafe_machine import OFF as STOPPED_BY_FAILSAFE
 from twodof.link import modes
 
@@ -409,6 +409,47 @@ def test_what_the_failsafe_does_is_said_in_words() -> None:
     cockpit.failsafe.acts, cockpit.failsafe.causes = STOPPED_BY_FAILSAFE, BIT["imu_lost"]
     cockpit.run(3)
     assert said[2:] == [(2, "failsafe: motors off (imu_lost)")]
+
+
+@pytest.mark.parametrize("state", [FLYING, LEVEL, BRAKE, DESCEND])
+def test_arming_and_disarming_are_no_words_of_the_failsafe(state: int) -> None:
+    cockpit = offboard()
+    assert cockpit.commander.remarks == []
+    cockpit.failsafe.acts = state
+    cockpit.run(2)
+    cockpit.commander.remarks.clear()
+    cockpit.commander.disarm(ME)
+    cockpit.run(3)
+    assert cockpit.commander.remarks == []
+
+
+@pytest.mark.parametrize("state", [LEVEL, BRAKE, DESCEND])
+def test_from_an_action_to_motors_off_nothing_is_over(state: int) -> None:
+    cockpit = offboard()
+    cockpit.failsafe.acts = state
+    cockpit.run(2)
+    cockpit.commander.remarks.clear()
+    cockpit.failsafe.acts, cockpit.failsafe.causes = STOPPED_BY_FAILSAFE, BIT["imu_lost"] | BIT["pitch_stop"]
+    cockpit.run(2)
+    assert cockpit.commander.remarks == [(2, "failsafe: motors off (imu_lost, pitch_stop)")]
+
+
+def test_an_action_brings_no_set_point_of_before_back() -> None:
+    cockpit = offboard()
+    cockpit.run(10)
+    cockpit.failsafe.acts = LEVEL
+    assert not any(cockpit.run().setpoint_new for _ in range(4))
+
+
+def test_a_link_that_is_lost_speaks_against_arming_until_somebody_is_heard() -> None:
+    cockpit = Cockpit(talking=())
+    cockpit.failsafe.causes = BIT["link_lost"]
+    cockpit.run(3)
+    assert cockpit.commander.system_status == modes.UNREADY
+    cockpit.commander.heard(ME, True)
+    assert cockpit.commander.system_status == modes.STANDBY
+    cockpit.run()
+    assert cockpit.commander.arm(ME).result == IN_PROGRESS
 
 
 def test_a_flight_that_was_asked_to_end_says_nothing_of_the_failsafe() -> None:

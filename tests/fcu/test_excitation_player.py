@@ -27,8 +27,10 @@ from twodof.fcu.excitation_player import (
     written_out,
 )
 from twodof.fcu.setpoints import ATTITUDE, OPEN_LOOP, POSITION, RATE, VELOCITY, SetPoint
+from twodof.flight.causes import BIT
 from twodof.flight.core import PERIOD
 from twodof.flight.failsafe_machine import BRAKE
+from twodof.flight.failsafe_machine import OFF as STOPPED_BY_FAILSAFE
 from twodof.link import modes
 
 M, Q, THETA, V, X = range(5)
@@ -247,7 +249,12 @@ def stopped_by_kill(cockpit: Cockpit) -> None:
 
 
 def stopped_by_failsafe(cockpit: Cockpit) -> None:
-    cockpit.failsafe.acts = BRAKE
+    cockpit.failsafe.acts, cockpit.failsafe.causes = BRAKE, BIT["rail_near"] | BIT["link_lost"]
+    cockpit.run()
+
+
+def stopped_by_motors_off(cockpit: Cockpit) -> None:
+    cockpit.failsafe.acts, cockpit.failsafe.causes = STOPPED_BY_FAILSAFE, BIT["imu_lost"] | BIT["rail_end"]
     cockpit.run()
 
 
@@ -258,7 +265,8 @@ def stopped_by_failsafe(cockpit: Cockpit) -> None:
         (stopped_by_command, "by command"),
         (stopped_by_disarming, "disarmed"),
         (stopped_by_kill, "killed"),
-        (stopped_by_failsafe, "brake"),
+        (stopped_by_failsafe, "brake: rail_near, link_lost"),
+        (stopped_by_motors_off, "the motors were stopped: imu_lost, rail_end"),
     ],
 )
 def test_it_is_stopped_with_the_reason_and_does_not_come_back(stop: object, reason: str) -> None:
@@ -381,6 +389,56 @@ def test_a_disarming_leaves_a_definition_that_has_not_begun() -> None:
     assert cockpit.arm().accepted
     assert cockpit.commander.start_excitation(ME, 7, M, 0.4).accepted
     assert [cockpit.run().M_open for _ in VALUES] == [*VALUES]
+
+
+def test_none_begins_between_a_disarming_and_its_tick_nor_in_the_tick_that_arms() -> None:
+    cockpit = ready()
+    cockpit.commander.disarm(ME)
+    assert cockpit.commander.start_excitation(ME, 7, M, 0.4).text == "excitation refused: not armed"
+    cockpit.run(2)
+    assert cockpit.commander.arm(ME).result == 5
+    assert cockpit.commander.define_excitation(ME, 8, written_out(PULSE)).accepted
+    assert cockpit.commander.start_excitation(ME, 8, M, 0.4, cockpit.tick).accepted
+    assert cockpit.run().mode == 0
+    assert (cockpit.commander.armed, cockpit.commander.player.reason) == (True, "not armed")
+
+
+LINES = list(range(1, 501))
+WITH_500_LINES = {"kind": "multisine", "harmonics": LINES, "period": 1.0, "repeat": 1}
+# 500 (64 500 + t / .004) cosines, 10^8 at t = 672 s.
+
+
+@pytest.mark.parametrize(
+    ("fields", "over"),
+    [
+        ({"period": 672.0}, "period"),
+        ({"lead": 671.0}, "lead"),
+        ({"settle": 671.0}, "settle"),
+        ({"pause": 671.0}, "pause"),
+        ({"repeat": 336, "pause": 1.0}, "pause"),
+        ({"repeat": 2, "period": 336.0}, "period"),
+    ],
+)
+def test_the_effort_of_a_multisine_is_its_cosines(
+    fields: dict[str, float], over: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(excitation_player, "from_dict", lambda values: values)
+    monkeypatch.setattr(excitation_player, "written_out", lambda values: "written out")
+    just = WITH_500_LINES | fields
+    assert prepare(json.dumps(just).encode()) == "written out"
+    with pytest.raises(ExperimentError) as refused:
+        prepare(json.dumps(just | {over: just[over] + 0.1}).encode())
+    assert str(refused.value) == (
+        "multisine: 1e+08 cosines are too many to be written out on board"
+        " (take fewer or lower harmonics, or less time: 1e+08 can be)"
+    )
+
+
+@pytest.mark.parametrize("lines", [[], 5, None, "1", {}, [True] * 3, [[1]], [1e9], [-1e9], LINES * 100])
+def test_harmonics_that_are_none_are_refused_by_who_reads_them(lines: object) -> None:
+    with pytest.raises(ExperimentError) as refused:
+        prepare(json.dumps(Multisine.schroeder(0.1, 4.0, range(1, 20)).to_dict() | {"harmonics": lines}).encode())
+    assert "cosines" not in str(refused.value)
 
 
 def test_values_that_are_not_finite_are_refused() -> None:

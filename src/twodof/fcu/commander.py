@@ -19,8 +19,8 @@ from twodof.fcu.pilot import DONE, Pilot
 from twodof.fcu.schedule import HORIZON
 from twodof.fcu.setpoints import ATTITUDE, OPEN_LOOP, OPENLOOP, STICKS, TARGET, VELOCITY, OpenLoop, SetPoint
 from twodof.fcu.sticks import stick_setpoint
-from twodof.flight.causes import ACTIONS, BIT, named_causes
-from twodof.flight.failsafe_machine import BRAKE, DESCEND, DISARMED, FLYING, LEVEL
+from twodof.flight.causes import BIT, named_causes
+from twodof.flight.failsafe_machine import BRAKE, DESCEND, DISARMED, FLYING, LEVEL, STATES
 from twodof.link import modes
 
 ACTING = (LEVEL, BRAKE, DESCEND)
@@ -363,7 +363,7 @@ class Commander:
         if not self._flies:
             return "not armed"
         # It would go on in its middle when the failsafe lets go.
-        return f"the failsafe acts: {ACTIONS[self.step.action]}" if self.step and self._state in ACTING else ""
+        return f"the failsafe acts: {STATES[self._state]}" if self._state in ACTING else ""
 
     def _begin_play(self, tick: int) -> None:
         why = self._against_beginning()
@@ -377,11 +377,11 @@ class Commander:
         acted, self._state = self._state in ACTING, step.state
         reasons = ", ".join(named_causes(step.reason))
         if step.state in ACTING:
-            self._remark(4, f"failsafe: {ACTIONS[step.action]} ({reasons})")
+            self._remark(4, f"failsafe: {STATES[step.state]} ({reasons})")
+            if self.player.playing:
+                self.player.finish(STOPPED, f"{STATES[step.state]}: {reasons}")
         elif acted and step.state == FLYING:
             self._remark(6, "failsafe: over, it flies what is asked again")
-        if step.armed and step.action and self.player.playing:
-            self.player.finish(STOPPED, f"{ACTIONS[step.action]}: {reasons}")
         if self._armed and not step.armed:
             self._pilot.landed()
             if self._arming.word:  # else a command has disarmed it, and what came since is for the next flight
