@@ -11,6 +11,7 @@ import asyncio
 import json
 import math
 import sys
+from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -21,11 +22,12 @@ from mavsdk.asyncio.plugins.info import InfoAsync
 from mavsdk.asyncio.plugins.log_files import LogFilesAsync
 from mavsdk.asyncio.plugins.offboard import Attitude, OffboardAsync
 from mavsdk.asyncio.plugins.param import ParamAsync
-from mavsdk.asyncio.plugins.telemetry import TelemetryAsync
+from mavsdk.asyncio.plugins.telemetry import EulerAngle, TelemetryAsync
 
 DEADLINE_S = 100.0
 THETA = 0.1  # rad, the set-point
 THRUST = 0.4
+NEAR = 0.03  # rad
 
 T = TypeVar("T")
 
@@ -92,6 +94,18 @@ async def telemetry(seen: TelemetryAsync) -> None:
     )
 
 
+async def reached(seen: TelemetryAsync, wanted: float) -> list[float]:
+    """The first ten angles in a row that are near the wanted one [rad]."""
+    row: deque[float] = deque(maxlen=10)
+
+    def stays(angle: EulerAngle) -> bool:
+        row.append(math.radians(angle.pitch_deg))
+        return len(row) == row.maxlen and max(abs(one - wanted) for one in row) < NEAR
+
+    await until(seen.subscribe_attitude_euler(), stays)
+    return list(row)
+
+
 async def fly(system: System, seen: TelemetryAsync, arm_first: bool) -> None:
     action, offboard = ActionAsync(system), OffboardAsync(system)
 
@@ -110,9 +124,7 @@ async def fly(system: System, seen: TelemetryAsync, arm_first: bool) -> None:
         await arm()
     for wanted in (THETA, -THETA):
         await offboard.set_attitude(Attitude(0.0, math.degrees(wanted), 0.0, THRUST))
-        await asyncio.sleep(1.5)
-        reached = await some(seen.subscribe_attitude_euler(), 10)
-        say("attitude", wanted=wanted, pitch=[math.radians(a.pitch_deg) for a in reached])
+        say("attitude", wanted=wanted, pitch=await reached(seen, wanted))
     await offboard.set_attitude(Attitude(0.0, 0.0, 0.0, THRUST))
     await asyncio.sleep(0.5)
     await within(offboard.stop())
