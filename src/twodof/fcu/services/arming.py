@@ -12,8 +12,8 @@ from twodof.fcu.services.vehicle import Commander
 ARM_DISARM, TERMINATE, REBOOT, RUN_CHECKS = 400, 185, 246, 401
 FORCE = 21196
 """Second parameter of command 400: disarm in flight, too."""
-MOST_CODE = 4
-"""Actions of command 246 that MAVLink knows: 0 nothing, 1 reboot, 2 shut down, 3, 4 reboot in other ways."""
+MOST_CODE, REBOOT_AUTOPILOT = 4, 1
+"""REBOOT_SHUTDOWN_ACTION."""
 
 
 class Arming:
@@ -77,7 +77,9 @@ class Arming:
             return Verdict(DENIED)
         if action == 0:
             return Verdict(ACCEPTED)
-        if self._restart is None or action == 2:
+        if (
+            self._restart is None or action != REBOOT_AUTOPILOT
+        ):  # there is no boot loader to stay in, nor is it shut down
             return Verdict(UNSUPPORTED)
         if self._commander.armed:
             return Verdict(TEMPORARILY_REJECTED, "no restart while armed: disarm first")

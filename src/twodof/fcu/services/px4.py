@@ -19,6 +19,7 @@ from twodof.fcu.services.own_telemetry import Flown
 from twodof.fcu.services.parameters import Parameters
 from twodof.fcu.services.remarks import Remarks
 from twodof.fcu.services.requests import Requests
+from twodof.fcu.services.storage import Storage
 from twodof.fcu.services.streams import Streams
 from twodof.fcu.services.telemetry import Telemetry
 from twodof.fcu.services.transactions import Transactions
@@ -63,6 +64,7 @@ class PX4:
         self.streams = Streams(link, self.clients, self.commands, self.telemetry, changes, profile)
         self.parameters = Parameters(link, us, self.clients, self.commands, controller, commander, store)
         self.arming = Arming(self.commands, commander, restart)
+        self.storage = Storage(self.commands, commander, store)
         self.versions = Versions(self.requests, system, controller.hardware.name, capabilities)
         self.transactions = Transactions(link, us, self.commands, commander, self.parameters, store)
         self.batches = Batches(link, self.clients, commander)
