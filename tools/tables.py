@@ -7,7 +7,6 @@ the pages with what this gives.
 import re
 import sys
 from collections.abc import Iterator, Mapping
-from math import sqrt
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -28,8 +27,8 @@ from twodof.flightlog.ulog import PX4_SOURCES
 from twodof.link import dialect
 from twodof.link.dialect import FILES
 from twodof.link.rates import GROUND, ONBOARD
-from twodof.rig.parameters import CONDITIONS, NAMES, Q_AGE, TABLE, load_rig, origins
-from twodof.rig.predict import moment_gain, rotor_moment, velocity_damping, velocity_gain
+from twodof.rig.parameters import CONDITIONS, NAMES, TABLE, load_rig, origins
+from twodof.rig.predict import model_parameters, rotor_moment
 from twodof.rig.rig import PARTS, rig_params
 from twodof.rig.rotors import HOVER
 from twodof.signals import TOPICS
@@ -38,7 +37,6 @@ DOCS = Path(__file__).resolve().parents[1] / "docs"
 PAGES = tuple(
     DOCS / f"{name}.md" for name in ("physics", "flight", "logs", "safety", "parameters", "topics", "services")
 )
-GRAVITY = 9.81
 UNITS = {
     "rate.kp": "s/rad",
     "rate.ki": "1/rad",
@@ -80,21 +78,21 @@ def render(text: str) -> str:
 
 def models(rig: Mapping[str, float]) -> dict[str, tuple[float, str, str]]:
     """Value, unit and equation of what the paper's models call the rig's parameters; docs/physics.md section 8."""
-    inertia, mass = rig["inertia"], rig["mass_drone"] + rig["mass_cart"]
-    w_n = sqrt((rig["spring"] + rig["mass_drone"] * GRAVITY * rig["offset"]) / inertia)
+    known = model_parameters(rig)
+    pulse = rotor_moment(rig, PULSE, 0.0) / (PULSE * rig["inertia"])
     return {
-        "w_n": (w_n, "rad/s", "(31)"),
-        "xi, rotors at rest": (rig["viscous_idle"] / (2.0 * inertia * w_n), "", "(32)"),
-        "xi, rotors running": (rig["viscous_run"] / (2.0 * inertia * w_n), "", "(32)"),
-        f"mu at T = 0, M = {PULSE}": (rotor_moment(rig, PULSE, 0.0) / (PULSE * inertia), "rad/s2", "(34)"),
-        f"mu at T = {HOVER}": (moment_gain(rig, HOVER), "rad/s2", "(33)"),
-        "tau": (rig["delay"] + rig["lag"] - Q_AGE, "s", "(35)"),
-        f"k_v at T = {HOVER}": (velocity_gain(rig), "m/s2", "(36)"),
-        "p_v": (velocity_damping(rig), "1/s", "(36)"),
-        "bearing's dry friction, rotors at rest": (rig["coulomb_idle"] / inertia, "rad/s2", "(15)"),
-        "bearing's dry friction, rotors running": (rig["coulomb_run"] / inertia, "rad/s2", "(15)"),
-        "rail's dry friction": (rig["rail_coulomb"] / mass, "m/s2", "(15)"),
-        "hardening k_3 / J": (rig["hardening"] / inertia, "rad/s2 per rad3", "(2)"),
+        "w_n": (known["w_n"], "rad/s", "(31)"),
+        "xi, rotors at rest": (known["xi"], "", "(32)"),
+        "xi, rotors running": (known["xi_run"], "", "(32)"),
+        f"mu at T = 0, M = {PULSE}": (pulse, "rad/s2", "(34)"),
+        f"mu at T = {HOVER}": (known["mu"], "rad/s2", "(33)"),
+        "tau": (known["tau"], "s", "(35)"),
+        f"k_v at T = {HOVER}": (known["k_v"], "m/s2", "(36)"),
+        "p_v": (known["p_v"], "1/s", "(36)"),
+        "bearing's dry friction, rotors at rest": (known["coulomb"], "rad/s2", "(15)"),
+        "bearing's dry friction, rotors running": (known["coulomb_run"], "rad/s2", "(15)"),
+        "rail's dry friction": (known["rail_coulomb"], "m/s2", "(15)"),
+        "hardening k_3 / J": (known["hardening"], "rad/s2 per rad3", "(2)"),
     }
 
 

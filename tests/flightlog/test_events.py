@@ -11,7 +11,7 @@ from tests.flightlog.synthetic import attitude_steps, channel
 from twodof.errors import LogError
 from twodof.excitation import Doublet, Excitation, Impulse, Prbs, Steps, Sweep, ThreeTwoOneOne
 from twodof.flightlog.contents import describe, excitations, find_excitation
-from twodof.flightlog.events import modes, openloop_edges, setpoint_steps, thrust_edges, window
+from twodof.flightlog.events import mode_at, modes, openloop_edges, setpoint_steps, thrust_edges, window
 from twodof.flightlog.files import read_log
 from twodof.flightlog.log import Channel, FlightLog
 from twodof.signals import MODES
@@ -141,22 +141,44 @@ def test_an_excitation_is_found_by_name_or_by_shape(flight_data: Path) -> None:
         find_excitation(attitude_steps(), "doublet")
 
 
-def test_real_modes_and_armed_stretches(flight_data: Path) -> None:
-    found = {
-        file: [(stretch.mode, round(stretch.t0, 2)) for stretch in modes(read_log(flight_data / f"{file}.mat"))]
-        for file in ("rate-doublets-30dps-student", "velocity-doublets-0.25", "doublet-0.03")
-    }
-    assert [mode for mode, _ in found["rate-doublets-30dps-student"]] == ["off", "attitude", "rate", "attitude"]
-    # The mode changed at 346.52, the description says.
-    assert found["rate-doublets-30dps-student"][2][1] == pytest.approx(346.52, abs=0.011)
-    assert [mode for mode, _ in found["velocity-doublets-0.25"]] == [
-        "off",
-        "position",
-        "velocity",
-        "position",
-        "off",
-    ]
-    assert found["doublet-0.03"][3] == ("open-loop", 244.67)
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        # The last message expires half a second after it came; of the doublet the description says off at 246.22.
+        ("free-response-impulse", [("off", 171.58), ("open-loop", 188.05), ("off", 214.06)]),
+        (
+            "doublet-0.03",
+            [("off", 192.42), ("attitude", 216.71), ("off", 236.71), ("open-loop", 244.67), ("off", 246.22)],
+        ),
+        ("attitude-steps-10deg-default", [("off", 121.11), ("attitude", 125.92), ("off", 135.92)]),
+        (
+            "rate-doublets-30dps-student",
+            [("off", 335.16), ("attitude", 343.96), ("rate", 346.53), ("attitude", 356.42)],
+        ),
+        (
+            "velocity-doublets-0.25",
+            [("off", 118.32), ("position", 125.65), ("velocity", 151.12), ("position", 161.53), ("off", 165.55)],
+        ),
+        (
+            "position-sweep-default",
+            [("off", 93.63), ("position", 107.67), ("off", 127.68), ("position", 131.98)],
+        ),
+    ],
+)
+def test_the_modes_of_the_real_flights(flight_data: Path, name: str, expected: list[tuple[str, float]]) -> None:
+    log = read_log(flight_data / f"{name}.mat")
+    found = modes(log)
+    assert [stretch.mode for stretch in found] == [mode for mode, _ in expected]
+    assert [stretch.t0 for stretch in found] == pytest.approx([t for _, t in expected], abs=0.011)
+    # The same on the steps of M, each of which is in one mode.
+    time = log["M"].time + 0.002
+    flown = mode_at(log, time)
+    starts = [0, *(np.flatnonzero(np.diff(flown[time < found[-1].t1])) + 1)]
+    assert [MODES[flown[k]] for k in starts] == [mode for mode, _ in expected]
+    assert [time[k] for k in starts] == pytest.approx([stretch.t0 for stretch in found], abs=0.005)
+
+
+def test_real_armed_stretches(flight_data: Path) -> None:
     armed = read_log(flight_data / "velocity-doublets-0.25.mat").armed()
     assert armed == [pytest.approx((125.65, 165.55), abs=0.005)]
     sweep = read_log(flight_data / "position-sweep-default.mat").armed()

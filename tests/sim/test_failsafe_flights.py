@@ -22,9 +22,10 @@ from twodof.flight.causes import ACTIONS, BIT, named_causes
 from twodof.flight.core import PERIOD
 from twodof.flight.failsafe import failsafe
 from twodof.flight.starters import load_diagram
+from twodof.flightlog.events import mode_at
 from twodof.flightlog.files import read_log
 from twodof.sim.closed_loop import ClosedLoop, Start
-from twodof.sim.pairing import modes, pair
+from twodof.sim.pairing import pair
 
 NONE, LEVEL, BRAKE, DESCEND, OFF = range(len(ACTIONS))
 
@@ -107,7 +108,7 @@ def test_on_the_real_flights_it_is_silent_but_where_the_drone_met_its_stops(flig
     new = np.diff(index["dist"], prepend=-1) > 0
     new |= np.append(False, new[:-1] & ~fresh[:-1])  # a range in a step left out is handed over in the next
     moment, thrust = paired.value["M"], paired.value["T"]
-    mode = modes(log, paired)
+    mode = mode_at(log, time + 0.5 * PERIOD)
     columns: dict[str, Any] = {
         "acc_x": acc.value[index["acc"], 0],
         "acc_z": acc.value[index["acc"], 2],

@@ -1,15 +1,11 @@
-"""Which sample the controller had in its hands; where a loop, not a message, made a signal; which mode was flown."""
-
-from pathlib import Path
+"""Which sample the controller had in its hands, and where a loop, not a message, made a signal."""
 
 import numpy as np
 import pytest
 
 from twodof.errors import LogError
-from twodof.flightlog.files import read_log
 from twodof.flightlog.log import Channel, FlightLog
-from twodof.signals import MODES
-from twodof.sim.pairing import driven, modes, pair, runs
+from twodof.sim.pairing import driven, pair, runs
 
 
 def test_a_loop_moves_at_each_step_and_a_message_stands_still_between() -> None:
@@ -86,32 +82,3 @@ def test_a_channel_of_one_sample_is_refused() -> None:
     channels["v"] = Channel(channels["v"].time[:1], channels["v"].value[:1])
     with pytest.raises(LogError, match="v: "):
         pair(FlightLog(channels))
-
-
-@pytest.mark.parametrize(
-    ("name", "expected"),
-    [
-        ("free-response-impulse", [("off", 171.58), ("open-loop", 188.05)]),
-        ("doublet-0.03", [("off", 192.42), ("attitude", 216.71), ("off", 236.71), ("open-loop", 244.66)]),
-        ("attitude-steps-10deg-default", [("off", 121.11), ("attitude", 125.92), ("off", 135.92)]),
-        (
-            "rate-doublets-30dps-student",
-            [("off", 335.16), ("attitude", 343.96), ("rate", 346.53), ("attitude", 356.42)],
-        ),
-        (
-            "velocity-doublets-0.25",
-            [("off", 118.32), ("position", 125.65), ("velocity", 151.12), ("position", 161.53), ("off", 165.55)],
-        ),
-        (
-            "position-sweep-default",
-            [("off", 93.63), ("position", 107.67), ("off", 127.68), ("position", 131.98)],
-        ),
-    ],
-)
-def test_the_modes_of_the_real_flights(flight_data: Path, name: str, expected: list[tuple[str, float]]) -> None:
-    log = read_log(flight_data / f"{name}.mat")
-    paired = pair(log)
-    flown = modes(log, paired)
-    starts = [0, *(np.flatnonzero(np.diff(flown)) + 1)]
-    assert [MODES[flown[k]] for k in starts] == [mode for mode, _ in expected]
-    assert [paired.time[k] for k in starts] == pytest.approx([t for _, t in expected], abs=0.01)

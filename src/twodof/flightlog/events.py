@@ -135,6 +135,17 @@ def modes(log: FlightLog) -> list[Stretch]:
     return merged
 
 
+def mode_at(log: FlightLog, time: NDArray[np.float64]) -> NDArray[np.int32]:
+    """The mode at each `time` (n,) [s], (n,), as an index into `signals.MODES`; "off" beyond what `modes` knows of.
+
+    A step's set-points are stamped some microseconds after its M: ask half a period after M's stamp. Raises as `modes`.
+    """
+    found = np.full(time.shape, MODES.index("off"), dtype=np.int32)
+    for stretch in modes(log):
+        found[(time >= stretch.t0) & (time < stretch.t1)] = MODES.index(stretch.mode)
+    return found
+
+
 def window(log: FlightLog, events: Sequence[Event], before: float = 0.3, after: float = 2.0) -> tuple[float, float]:
     """From `before` the first event to `after` the last [s], within the stretch with thrust that holds them.
 

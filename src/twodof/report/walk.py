@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -20,10 +19,8 @@ from twodof.report.characterise import FORCED, Flights, characterise
 from twodof.report.compose import Machine
 from twodof.report.content import Table
 from twodof.report.numbers import plain, power_of_ten
-from twodof.rig.dynamics import GRAVITY
-from twodof.rig.parameters import Q_AGE, lab, load_rig
-from twodof.rig.predict import moment_gain, velocity_damping, velocity_gain
-from twodof.rig.rotors import HOVER
+from twodof.rig.parameters import lab, load_rig
+from twodof.rig.predict import model_parameters
 from twodof.sim.like import simulate_like
 from twodof.sim.replay import replay
 
@@ -116,19 +113,10 @@ def planned(machines: Mapping[str, Machine]) -> Table:
 
 
 def truth_of(rig: Mapping[str, float]) -> dict[str, float]:
-    """The parameters of Table 1 that a virtual rig's own parameters amount to (SI), for small angles at hover."""
-    inertia = rig["inertia"]
-    w_n = math.sqrt((rig["spring"] + GRAVITY * rig["mass_drone"] * rig["offset"]) / inertia)
-    dry = {"coulomb": rig["coulomb_idle"] / inertia, "hardening": rig["hardening"] / inertia}
-    return {
-        "w_n": w_n,
-        "xi": rig["viscous_idle"] / (2.0 * inertia * w_n),
-        "mu": moment_gain(rig, HOVER),
-        "tau": rig["delay"] + rig["lag"] - Q_AGE,
-        "k_v": velocity_gain(rig),
-        "p_v": velocity_damping(rig),
-        **{name: value for name, value in dry.items() if value > 0.0},
-    }
+    """The parameters of Table 1 that a virtual rig's own parameters amount to (SI); dry friction where it has any."""
+    known = model_parameters(rig)
+    dry = {name: known[name] for name in ("coulomb", "hardening") if known[name] > 0.0}
+    return {name: known[name] for name in ("w_n", "xi", "mu", "tau", "k_v", "p_v")} | dry
 
 
 def real(logs: Mapping[str, Path], progress: Progress) -> Machine | None:

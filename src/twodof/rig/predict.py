@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import sin
+from math import sin, sqrt
 
 from twodof.rig.dynamics import GRAVITY
+from twodof.rig.parameters import Q_AGE
 from twodof.rig.rotors import HOVER, lift
 
 
@@ -43,3 +44,27 @@ def velocity_gain(rig: Mapping[str, float], thrust: float = HOVER) -> float:
 def velocity_damping(rig: Mapping[str, float]) -> float:
     """p_v [1/s]: linear friction of the rail over the moved mass."""
     return float(rig["rail_viscous"] / (rig["mass_drone"] + rig["mass_cart"]))
+
+
+def model_parameters(rig: Mapping[str, float]) -> dict[str, float]:
+    """What the paper's models call the rig's parameters, for small angles: docs/physics.md section 8, SI.
+
+    w_n, xi and mu, tau of the pitch (rotors at rest: xi, coulomb; running: xi_run, coulomb_run; mu at the hover's
+    thrust), k_v and p_v of the velocity, dry friction (coulomb, coulomb_run, rail_coulomb) and hardening over the moved
+    inertia or mass.
+    """
+    inertia, mass = rig["inertia"], rig["mass_drone"] + rig["mass_cart"]
+    w_n = sqrt((rig["spring"] + GRAVITY * rig["mass_drone"] * rig["offset"]) / inertia)
+    return {
+        "w_n": w_n,
+        "xi": rig["viscous_idle"] / (2.0 * inertia * w_n),
+        "xi_run": rig["viscous_run"] / (2.0 * inertia * w_n),
+        "mu": moment_gain(rig, HOVER),
+        "tau": rig["delay"] + rig["lag"] - Q_AGE,
+        "k_v": velocity_gain(rig),
+        "p_v": velocity_damping(rig),
+        "coulomb": rig["coulomb_idle"] / inertia,
+        "coulomb_run": rig["coulomb_run"] / inertia,
+        "rail_coulomb": rig["rail_coulomb"] / mass,
+        "hardening": rig["hardening"] / inertia,
+    }

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from twodof.errors import LogError
 from twodof.flight.gains import Gains
-from twodof.flightlog.events import SETPOINTS, Stretch, modes
+from twodof.flightlog.events import SETPOINTS, Stretch, mode_at, modes
 from twodof.flightlog.log import FlightLog
 from twodof.signals import MODES
 
@@ -179,10 +179,7 @@ def _held(log: FlightLog, name: str, at: ArrayLike) -> Floats:
 
 def _mode_at(log: FlightLog, grid: Floats) -> NDArray[np.int32]:
     """The mode at each step, (n,)."""
-    found = np.zeros(len(grid), dtype=np.int32)
-    for stretch in modes(log):
-        inside = (grid >= stretch.t0 - 0.5 * PERIOD) & (grid < stretch.t1 - 0.5 * PERIOD)
-        found[inside] = MODES.index(stretch.mode)
+    found = mode_at(log, grid + 0.5 * PERIOD)
     if not found.any():
         raise LogError(
             f"nothing is flown between {grid[0]:g} and {grid[-1]:g} s", log.source, "give a window with thrust or M"

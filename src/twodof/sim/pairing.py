@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from twodof.errors import LogError
 from twodof.flightlog.log import Channel, FlightLog
-from twodof.signals import MODES
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -113,27 +112,3 @@ def _filled(log: FlightLog, name: str) -> Channel:
     if len(channel) < 2 or channel.value.ndim != 1:
         raise LogError("the channel is no scalar, or holds no two samples", f"{log.source}: {name}", "give a flight")
     return channel
-
-
-def modes(log: FlightLog, paired: Pairing) -> NDArray[np.int32]:
-    """The mode at each step of `paired`, (n,), as an index into `signals.MODES`; found from the signals alone.
-
-    Armed (T > 0), the outermost loop whose output moves at each step is closed. Where M does not move, or the open-loop
-    message (`lmnf`, if the log has it) says so, the loop is open, armed or not. Raises LogError for a malformed `lmnf`.
-    """
-    found = np.full(len(paired.time), MODES.index("off"), dtype=np.int32)
-    armed = paired.value["T"] > 0.0
-    for name, mode in (("M", "rate"), ("q0", "attitude"), ("theta0", "velocity")):
-        found[paired.active[name]] = MODES.index(mode)
-    position = paired.active["theta0"] & driven(paired.value["v0"])
-    for first, end in runs(paired.active["theta0"] & ~position):
-        if end - first < _SHORTEST:  # v0 has not moved yet, since x is held: no mode is flown for so short a time
-            position[first:end] = True
-    found[position] = MODES.index("position")
-    opened = armed & ~paired.active["M"]
-    if "lmnf" in log and len(log["lmnf"]):
-        message = log["lmnf"]
-        latest = message.index(paired.time, "hold")
-        opened |= (latest >= 0) & (message.field("openloop") > 0.0)[np.maximum(latest, 0)]
-    found[opened] = MODES.index("open-loop")
-    return found
