@@ -152,7 +152,7 @@ def test_a_drone_flies_what_is_flashed_and_keeps_it_over_a_restart(
         assert "drone 1" in found["place"]
         again = answer(capfd, "flash", "lqr-attitude", "--to", url)
         assert again["changes"] == []
-        assert again["against"] == again["place"]
+        assert again["against"] == "lqr_attitude, which flies on drone 1"
         assert run(["flash", "stock-attitude", "--to", url, "--dry-run"]) == 0
         assert "nothing was flashed" in capfd.readouterr().out
     with twodof_fcu(*options) as url, Drone.connect(url) as drone:
@@ -169,6 +169,9 @@ def test_a_drone_flies_what_is_flashed_and_keeps_it_over_a_restart(
         drone.disarm()
         with pytest.raises(Rejected, match="no JSON"):
             drone.fly_controller("attitude_control", "{")
+        flies = drone.files.read("/etc/extras/attitude_control.json")
+        assert flies == to_json(starter("lqr-attitude")).encode()
+        assert drone.files.read("/controllers/attitude_control.json") == flies, "what was not built is not kept"
         drone.fly_controller("attitude_control", to_json(starter("stock-attitude")))
         drone.run(0.1)
         drone.command("REQUEST_MESSAGE", 54206)

@@ -20,6 +20,9 @@ from twodof.gcs.drone import Drone
 SYSTEM = 252
 """What we call ourselves to a drone: another one than a script's `Drone`, so that its lease keeps us out."""
 
+FLYING = "/etc/extras"
+"""Where a drone shows the diagrams that fly, by template."""
+
 SIM, FCU, PX4 = "sim", "fcu", "px4-dir"
 
 
@@ -88,15 +91,13 @@ class Vehicle:
 
     def before(self, kind: str) -> tuple[Diagram, str]:
         """See `Place`. Raises LinkLost, Timeout."""
-        path = _path(kind)
         try:
-            return from_json(self._drone.files.read(path)), self.name(kind)
-        except Rejected:
-            flies = self._drone.state.rig.controller
-            stock, what = _stock(kind)
-            return stock, what + (f"; it was started with {flies}" if flies not in ("", "stock") else "")
+            diagram = from_json(self._drone.files.read(f"{FLYING}/{kind}.json"))
+        except Rejected:  # it has no such file: no controller of a user's flies there
+            return _stock(kind)
         except DiagramError as damage:
-            return _stock(kind, f"what is there is damaged: {damage}")
+            return _stock(kind, f"what flies cannot be read: {damage}")
+        return diagram, f"{diagram.name}, which flies on drone {self._drone.there.session.system}"
 
     def put(self, kind: str, diagram: Diagram) -> None:
         """See `Place`. Raises Rejected with the drone's reason, LinkLost, Timeout."""

@@ -115,9 +115,7 @@ class Assembly:
         """Descriptions of the parameters, logs and uploads over MAVLink, and word of what cannot be written."""
         server, log, state, commander = self.server, self.log, self._state, self.commander
         self.px4.requests.on(COMPONENT_METADATA, self._metadata.message)
-        self._tree = FileTree(
-            self._metadata.files, log.folder if log else None, state / "controllers" if state else None
-        )
+        self._tree = FileTree(self._made(), log.folder if log else None, state / "controllers" if state else None)
         files: list[Service] = [
             FileTransfer(server, us, self._tree, commander.take, self.px4.commands.explain, lockstep),
             Keeping(self.store, log, commander.remarks),
@@ -149,8 +147,13 @@ class Assembly:
         self._flies = self.store.flying() | own
         self.controller.set_parameters(own)
         self._metadata.renew(self.store.rows)
-        self._tree.made = dict(self._metadata.files)
+        self._tree.made = self._made()
         self.commander.remarks += [(WARNING, text) for text in (*remarks, *self._hidden())]
+
+    def _made(self) -> dict[str, bytes]:
+        """The descriptions that clients read as files: of the parameters and events, and the diagrams that fly."""
+        own = self.controller.code.own_parameters
+        return {**self._metadata.files, **{f"{one.kind}.json": one.text.encode() for one in own}}
 
     def _hidden(self) -> list[str]:
         """What of the controllers' parameters is not shown."""

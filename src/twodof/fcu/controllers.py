@@ -14,6 +14,7 @@ from twodof.fcu.services.own_telemetry import Flown
 from twodof.flight.slot import STOCK, Slot
 from twodof.flight.starters import load_diagram, starter
 from twodof.flight.templates import TEMPLATES, by_kind
+from twodof.flightlog.atomic import atomic_write
 
 
 class Controllers:
@@ -76,6 +77,26 @@ class Controllers:
                 self._kept.flash(uploaded[kind])
             else:
                 self._kept.remove(kind)
+
+    def restore(self) -> None:
+        """Has the uploads be what flies of them: what could not be built is not there any more.
+
+        Raises LogError or DiagramError where the disk refuses.
+        """
+        if self.uploads is None or self._kept is None:
+            return
+        for kind in TEMPLATES:
+            try:
+                flies = self._kept.file(kind).read_bytes()
+            except FileNotFoundError:
+                self.uploads.remove(kind)
+                continue
+            except OSError as refusal:
+                raise DiagramError(
+                    f"cannot be read: {refusal.strerror}", str(self._kept.file(kind)), "send it again"
+                ) from refusal
+            with atomic_write(self.uploads.file(kind)) as file:
+                file.write(flies)
 
     def _built(self, uploaded: Mapping[str, Diagram]) -> FlightCode:
         stock = {kind for kind, diagram in uploaded.items() if to_json(diagram) == to_json(starter(STOCK[kind]))}

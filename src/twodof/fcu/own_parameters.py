@@ -30,7 +30,7 @@ LONGEST_TEXT, LONGEST_UNIT = 160, 20
 
 @dataclass(frozen=True)
 class OwnParameters:
-    """What can be tuned in the controller `name` of the template `kind`; `identity` is its JSON form's SHA-256.
+    """What can be tuned in the controller `name` of the template `kind`; `identity` is the SHA-256 of its JSON `text`.
 
     `rows` are the vehicle's rows, `remark` says what of the diagram is not among them, "" if all is.
     """
@@ -40,6 +40,7 @@ class OwnParameters:
     identity: str
     rows: tuple[Row, ...]
     remark: str = ""
+    text: str = field(default="", repr=False)
     _elements: Mapping[str, tuple[Param, tuple[Row, ...]]] = field(default_factory=dict, repr=False)
 
     def flying(self, values: Mapping[str, float]) -> dict[str, Any]:
@@ -84,8 +85,9 @@ def _of(kind: str, diagram: Diagram, taken: Iterable[str]) -> OwnParameters:
         elements[path] = program.parameters[one.path].declared, (*before, row)
     left = [one.path for one in kept]
     remark = f"{kind}: {len(left)} parameters are not shown: {listed(left, 3)}"[:200] if left else ""
-    identity = hashlib.sha256(to_json(diagram).encode()).hexdigest()
-    return OwnParameters(kind, diagram.name, identity, tuple(rows), remark, elements)
+    text = to_json(diagram)
+    identity = hashlib.sha256(text.encode()).hexdigest()
+    return OwnParameters(kind, diagram.name, identity, tuple(rows), remark, text, elements)
 
 
 def _row(kind: str, diagram: str, one: Exported) -> Row:

@@ -13,6 +13,7 @@ import pytest
 
 from tests.fcu.services.test_on_board import Client
 from tests.patience import PATIENCE_S
+from twodof.blocks.schema import to_json
 from twodof.fcu.asked import ACCEPTED, FAILED, IN_PROGRESS, TEMPORARILY_REJECTED
 from twodof.fcu.controllers import Controllers
 from twodof.fcu.flight_code import FlightCode
@@ -93,6 +94,28 @@ def test_the_reason_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
             assert drone.commander.arm((250, 1)).text == "not armed: a controller is being built"
             gate.open.set()
             assert await answer(client) == ACCEPTED
+
+    asyncio.run(session())
+
+
+@pytest.mark.parametrize("flies", [False, True])
+def test_what_could_not_be_built_is_not_there_any_more(tmp_path: Path, flies: bool) -> None:
+    """Else every later upload, of another template too, would be refused for it, and seem to fly to who compares."""
+
+    async def session() -> None:
+        if flies:
+            Slot(tmp_path / "flying").flash(starter("lqr-attitude"))
+        (tmp_path / "controllers").mkdir()
+        upload = tmp_path / "controllers" / "attitude_control.json"
+        upload.write_text("{")
+        async with VirtualDrone(lockstep=True, state=tmp_path) as drone:
+            await drone.listen(f"memin://{tmp_path.name}")
+            async with Connection(await open_transport(f"mem://{tmp_path.name}"), 250, 1) as link:
+                client = Client(link)
+                assert await client.command(RELOAD) == IN_PROGRESS
+                assert await answer(client) == FAILED
+        assert (upload.read_text() if flies else upload.exists()) == (flies and to_json(starter("lqr-attitude")))
+        assert after_restart(tmp_path) == ([BUILT] if flies else [])
 
     asyncio.run(session())
 

@@ -1,7 +1,8 @@
 """The files that clients see by MAVLink FTP: a tree of three folders, and no way out of it.
 
-A path is looked up, never handed to the system: `/etc/extras` holds descriptions made here, `/log` the on-board logs,
-`/controllers` the diagrams that clients have sent. All is bounded. Called from the thread of `Background`.
+A path is looked up, never handed to the system: `/etc/extras` holds what is made here, descriptions of parameters and
+events and the diagrams that fly, `/log` the on-board logs, `/controllers` the diagrams that clients have sent. All is
+bounded. Called from the thread of `Background`.
 """
 
 from __future__ import annotations

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import gc
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Protocol
 
 from twodof.errors import TwodofError
@@ -34,6 +35,8 @@ class Commander(Protocol):
 
 class Reload:
     """Carries out `RELOAD`, disarmed only; the answer comes when the controllers fly, or says why they do not.
+
+    What could not be built is not among the uploads any more: they are what flies, also for a later command.
 
     What it compiles, for seconds, it compiles in a thread beside the control loop, which is why nobody may arm
     meanwhile (`building`): both want the interpreter. `flies` is called in the tick in which they fly for the first
@@ -88,6 +91,8 @@ class Reload:
             gc.freeze()  # see `Server`: not in flight
         except TwodofError as error:
             made = Verdict(FAILED, str(error))
+            with suppress(TwodofError):  # a disk that refuses changes nothing of what flies
+                await asyncio.to_thread(self._controllers.restore)
         finally:
             self._verdict = made
             self._commands.poll()
