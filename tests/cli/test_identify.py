@@ -77,8 +77,8 @@ def test_a_velocity_doublet_tells_gain_and_pole(tmp_path: Path, capfd: pytest.Ca
     channels = {"theta0": theta, "theta": theta, "q": still, "M": still, "T": still + 0.4}
     channels |= {"v": v, "dist": 0.5 + states[:, 0]}
     log = save(tmp_path / "velocity.csv", channels)
-    arguments = ["identify", str(log), "--experiment", "velocity", "--window", "0", "2.4", "--model", "velocity"]
-    found = answer(arguments, capfd)["estimates"]
+    arguments = ["identify", str(log), "--experiment", "velocity", "--window", "0", "2.4"]
+    found = answer([*arguments, "--model", "velocity"], capfd)["estimates"]
     for name, truth in (("k_v", 4.748), ("p_v", 1.168)):
         assert abs(found[name]["value"] - truth) < 3.0 * found[name]["sigma"], name
     by_hand = answer([*arguments, "--method", "simple"], capfd)["model"]
@@ -115,6 +115,11 @@ def test_a_flight_is_known_by_the_name_that_it_was_flown_under(
         (["--experiment", "impulse", "--window", "0", "18", "--value", "mu"], 2, "NAME=NUMBER"),
         (["--experiment", "impulse", "--window", "0", "18", "--method", "simple"], 2, "only the poles"),
         (["--experiment", "doublet", "--window", "0", "2", "--method", "simple"], 2, "--impulse"),
+        (["--experiment", "velocity", "--method", "simple", "--model", "rail"], 2, "--model"),
+        (["--experiment", "doublet", "--method", "simple", "--estimate", "mu", "--value", "tau=0"], 2, "--estimate"),
+        (["--experiment", "doublet", "--method", "simple", "--value", "tau=0.02"], 2, "where: --value\n"),
+        (["--experiment", "velocity", "--method", "simple", "--impulse", "a.mat"], 2, "of use to a doublet by hand"),
+        (["--experiment", "doublet", "--impulse", "a.mat"], 2, "leave it out, or give it with --method simple"),
         ([], 2, "does not say which experiment"),
         (["--experiment", "attitude-steps"], 2, "nothing is identified from 'attitude-steps'"),
     ],

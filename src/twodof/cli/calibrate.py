@@ -12,6 +12,7 @@ from twodof.calibrate import FLIGHTS, UNKNOWNS, Calibration
 from twodof.calibrate import calibrate as calibrate_rig
 from twodof.cli.output import Json, print_json, progress, table_console
 from twodof.errors import LogError
+from twodof.flightlog.files import check_folder
 from twodof.flightlog.public_data import find
 from twodof.rig.parameters import save_rig
 
@@ -28,6 +29,8 @@ def calibrate(
     json: Json = False,
 ) -> None:
     """Calibrate the virtual rig on the logs of the real drone; exit status 1 if the search did not converge."""
+    if out is not None:
+        check_folder(out)  # before minutes of search
     folder = _folder() if data is None else data
     with progress() as report:
         found = calibrate_rig(folder, leave_one_out, report)

@@ -17,6 +17,7 @@ from twodof.errors import LogError
 from twodof.experiment.flight import Flight, Laboratory
 from twodof.experiment.protocol import IDENTIFICATION, Experiment
 from twodof.flightlog.atomic import atomic_write
+from twodof.flightlog.files import check_folder
 from twodof.flightlog.provenance import versions
 from twodof.flightlog.public_data import VARIABLE, available
 from twodof.report.compose import Machine, content, rows
@@ -48,6 +49,7 @@ def demo(
     """
     began = time.monotonic()
     _make_folder(out)
+    check_folder(out)
     with progress() as report:
         steps = count()
         expected = _OTHER_STEPS + len(_RIGS) * len(IDENTIFICATION) * repetitions

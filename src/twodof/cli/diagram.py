@@ -24,6 +24,7 @@ from twodof.compile.source_map import Line, SourceMap, source_map
 from twodof.errors import DiagramError
 from twodof.flight.starters import new_diagram
 from twodof.flightlog.atomic import atomic_write
+from twodof.flightlog.files import check_folder
 from twodof.report.code_page import code_page
 from twodof.report.diagram_svg import find, to_svg
 
@@ -132,6 +133,8 @@ def code(
     json: Json = False,
 ) -> None:
     """Show the generated C beside the paths of the blocks that it came from."""
+    for path in filter(None, (out, html)):
+        check_folder(path)
     shown = read_diagram(diagram)
     emitted = emit_program(shown, dt, precision.value)
     found = source_map(emitted.flat, emitted.source, emitted.layout)
@@ -189,6 +192,8 @@ def render(
     path: Annotated[str, typer.Option(metavar="SUB", help="Draw only this sub-diagram.")] = "",
 ) -> None:
     """Draw a diagram as SVG."""
+    if out is not None:
+        check_folder(out)
     picture = to_svg(find(read_diagram(diagram), path), depth)
     if out is None:
         typer.echo(picture, nl=False)

@@ -92,6 +92,7 @@ def identify(
     """
     log = read_log(file)
     asked = _experiment(experiment, log)
+    _check_options(method, asked, model, estimate, value, impulse)
     kind = KINDS[asked.value]
     if window is not None:
         _check_window(log, window)
@@ -128,6 +129,31 @@ def _experiment(name: str | None, log: FlightLog) -> Experiment:
             f"{'say what it is' if name is None else 'there are'}: --experiment {'|'.join(_KNOWN)}",
         )
     return _FLOWN_AS.get(said) or Experiment(said)
+
+
+def _check_options(
+    method: Method,
+    experiment: Experiment,
+    model: Model,
+    estimate: Sequence[str] | None,
+    value: Sequence[str] | None,
+    impulse: Path | None,
+) -> None:
+    """Raises ParameterError for an option that the method or the experiment has no use for: it would do nothing."""
+    if method is Method.simple:
+        given = {"--model": model is not Model.auto, "--estimate": estimate, "--value": value}
+        if idle := [name for name, there in given.items() if there]:
+            raise ParameterError(
+                "by hand everything is read off: there is no structure to choose and nothing to guess or hold",
+                " ".join(idle),
+                "leave it out, or take --method grey-box",
+            )
+    if impulse is not None and (method, experiment) != (Method.simple, Experiment.doublet):
+        raise ParameterError(
+            "the impulse's log is of use to a doublet by hand only",
+            f"--impulse, --method {method.value} --experiment {experiment.value}",
+            "leave it out, or give it with --method simple --experiment doublet",
+        )
 
 
 def _check_window(log: FlightLog, window: tuple[float, float]) -> None:
