@@ -17,6 +17,7 @@ from twodof.fcu.own_parameters import own_parameters
 from twodof.fcu.sandbox import BUDGET_NS
 from twodof.fcu.store import MOST_TUNED, Store
 from twodof.flight.causes import ACTIONS, BIT
+from twodof.flight.starters import starter
 
 NONE, LEVEL = ACTIONS.index("none"), ACTIONS.index("level")
 AT, UNTIL = 300, 400
@@ -192,3 +193,13 @@ def test_in_real_time_the_time_of_a_change_is_part_of_the_next_step(monkeypatch:
     steps = fly(made, UNTIL)
     assert sandbox.late_steps == 1
     assert all(step.action == LEVEL and step.reason == BIT["own_failed"] for step in steps[AT + 1 :])
+
+
+@BOTH
+def test_a_state_begins_at_the_parameter_that_is_set(trusted: bool) -> None:
+    code = FlightCode([starter("lqr-attitude")], trusted)
+    code.set_parameters({f"{KIND}.integral.initial": 0.125})
+    code.reset()
+    machine = code.machine if code.sandbox is None else code.sandbox.machine
+    states = [path for path in machine.program.states if ".integral." in path]
+    assert 0.125 in [machine.state(path) for path in states]
