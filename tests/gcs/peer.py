@@ -33,7 +33,7 @@ class Peer:
         self.lockstep = lockstep
         self.wrap = wrap
         self.spoil = spoil or (lambda _, sent: [sent])
-        self.armed = False
+        self.armed = self.killed = False
         self.mode = MANUAL
         self.holder = (0, 0)
         self.start = 0
@@ -91,7 +91,14 @@ class Peer:
     def heartbeat(self) -> None:
         """Say that it is there."""
         base = 1 | (128 if self.armed else 0)
-        self.send("HEARTBEAT", type=2, autopilot=12, base_mode=base, custom_mode=self.mode, system_status=3)
+        self.send(
+            "HEARTBEAT",
+            type=2,
+            autopilot=12,
+            base_mode=base,
+            custom_mode=self.mode,
+            system_status=8 if self.killed else 3,
+        )
 
     async def _beat(self) -> None:
         while True:
@@ -123,13 +130,17 @@ class Peer:
 
     def _command_long(self, got: Any, _: Any) -> None:
         result, text = self.refuse.get(got.command, (0, ""))
-        if text:
-            self.send("STATUSTEXT", severity=4, text=text)
         self.send("COMMAND_ACK", command=got.command, result=result)
+        if text:  # as the flight controller says it: after its answer
+            self.send("STATUSTEXT", severity=4, text=text)
         if result:
             return
         if got.command == 400:
             self.armed = got.param1 == 1.0
+            self.killed |= got.param2 == 21196
+            self.heartbeat()
+        elif got.command == 185:
+            self.killed = False
             self.heartbeat()
         elif got.command == 176:
             self.mode = int(got.param2) << 16 | int(got.param3) << 24

@@ -53,6 +53,29 @@ def test_leaving_by_an_exception_disarms_too() -> None:
     assert not peer.armed
 
 
+def test_a_refusal_is_not_explained_by_what_was_said_of_another() -> None:
+    """Words that come late, of something before, are no reason; those that follow the answer are."""
+
+    class Slow(Peer):
+        def _command_long(self, got: Any, frame: Any) -> None:
+            if got.command == 400 and got.param1 == 1.0:
+                self.send("STATUSTEXT", severity=4, text="parameters: there is nothing to undo")
+            super()._command_long(got, frame)
+
+    async def flight(peer: Peer, drone: AsyncDrone) -> None:
+        peer.refuse[400] = (1, "the safety switch is on")
+        with pytest.raises(Rejected) as refused:
+            await drone.arm()
+        assert refused.value.reason == "the safety switch is on"
+        peer.refuse[400] = (2, "")
+        with pytest.raises(Rejected) as refused:
+            await drone.arm()
+        assert refused.value.reason == "denied"
+        del peer.refuse[400]
+
+    fly(flight, Slow())
+
+
 def test_a_refusal_says_why() -> None:
     async def flight(peer: Peer, drone: AsyncDrone) -> None:
         peer.refuse[400] = (1, "the safety switch is on")

@@ -15,12 +15,11 @@ from tests.faults.virtual_time import run_virtual
 from tests.gcs.peer import Peer
 from tests.gcs.virtual import on_board
 from tests.patience import PATIENCE_S
-from twodof.errors import Rejected
+from twodof.errors import LinkLost, Rejected
+from twodof.excitation import Doublet
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.gcs.drone import Drone
 from twodof.gcs.runner import Runner
-
-FORCE = 21196
 
 
 def ended(runner: Runner, work: Callable[[], Coroutine[Any, Any, Any]]) -> Any:
@@ -90,8 +89,8 @@ def test_what_is_to_finish_is_finished_though_ctrl_c_comes(finish: bool) -> None
         runner.close()
 
 
-def test_leaving_that_is_broken_off_kills() -> None:
-    """A task that is cancelled a second time has no time to see anything: it says once more what stops the motors."""
+def test_leaving_that_is_broken_off_says_once_more_what_stops_the_motors() -> None:
+    """A task that is cancelled a second time has no time to see anything. Nothing is held afterwards: it is no kill."""
 
     async def work() -> None:
         async with Peer() as peer:
@@ -105,7 +104,9 @@ def test_leaving_that_is_broken_off_kills() -> None:
             assert leaving.cancelled()
             await asyncio.sleep(0.01)
             orders = [got.param2 for got in peer.heard if got.get_type() == "COMMAND_LONG" and got.command == 400]
-            assert orders == [0.0, 0.0, FORCE, FORCE, FORCE]
+            assert orders == [0.0, 0.0, 0.0, 0.0, 0.0]
+            assert not peer.armed
+            assert not peer.killed
 
     run_virtual(work())
 
@@ -155,6 +156,57 @@ def test_deadlines_do_not_add_up() -> None:
                 await drone.set_pitch(0.1, timeout=5.0)
             assert 4.0 < loop.time() - start < 5.5
             await drone.close()
+
+    run_virtual(work())
+
+
+def test_leaving_over_a_link_that_is_gone_insists_and_holds_nothing() -> None:
+    """The drone is not heard, and may hear: it is told to disarm for a while, and holds nothing afterwards."""
+
+    async def work() -> None:
+        async with Peer() as peer:
+            drone = await AsyncDrone.connect(peer.url)
+            await drone.arm()
+            peer.spoil = lambda *_: []
+            await asyncio.sleep(4.0)
+            peer.armed, heard = True, len(peer.heard)
+            with pytest.raises(LinkLost):
+                await drone.close()
+            told = [got.param2 for got in peer.heard[heard:] if got.get_type() == "COMMAND_LONG" and got.command == 400]
+            assert len(told) > 20
+            assert set(told) == {0.0}
+            assert not peer.armed
+
+    run_virtual(work())
+
+
+def test_a_kill_holds_until_it_is_released() -> None:
+    """A script that goes on after it is told so by each verb that would fly; the next one too, and may release it."""
+
+    async def work() -> None:
+        async with Peer() as peer:
+            async with await AsyncDrone.connect(peer.url) as drone:
+                await drone.arm()
+                await drone.set_pitch(0.1)
+                await drone.kill()
+                assert drone.state.killed
+                assert "killed" in str(drone.state)
+                sent = drone.setpoints.sent
+                for fly in (
+                    lambda: drone.set_pitch(0.1),
+                    lambda: drone.set_moment(0.1, thrust=0.4),
+                    lambda: drone.set_velocity(0.1),
+                    lambda: drone.excite(Doublet(0.1, 0.2, unit="rad")),
+                ):
+                    with pytest.raises(Rejected, match=r"it was killed .*release\(\)"):
+                        await fly()
+                assert drone.setpoints.sent == sent
+            assert peer.killed
+            async with await AsyncDrone.connect(peer.url) as drone:
+                assert drone.state.killed
+                await drone.release()
+                assert not drone.state.killed
+                await drone.arm()
 
     run_virtual(work())
 

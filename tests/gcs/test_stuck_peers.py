@@ -95,6 +95,7 @@ def calls(drone: AsyncDrone, folder: Path) -> dict[str, Callable[[], Awaitable[A
         "reset": lambda: drone.reset(timeout=CALL_S),
         "disarm": lambda: drone.disarm(CALL_S),
         "kill": lambda: drone.kill(CALL_S),
+        "release": lambda: drone.release(CALL_S),
     }
     if drone.session.lockstep:
         del made["telemetry.next"]  # nothing comes while time stands still

@@ -9,7 +9,7 @@ from math import ceil
 from pathlib import Path
 from typing import Any
 
-from twodof.errors import ParameterError, Rejected, Timeout
+from twodof.errors import ExperimentError, LogError, ParameterError, Rejected, Timeout, shown
 from twodof.excitation import Excitation
 from twodof.gcs import setpoints
 from twodof.gcs.batches import Rows
@@ -21,7 +21,7 @@ from twodof.gcs.recording import Recording
 from twodof.gcs.setpoints import Setpoint
 from twodof.gcs.truth import TruthRows
 from twodof.link import dialect
-from twodof.link.messages import message
+from twodof.link.messages import channel_mask, message
 from twodof.link.modes import custom_mode
 from twodof.link.tick import TICK_S
 
@@ -117,6 +117,7 @@ class AsyncDrone(Connected):
         if setpoint.moves_cart and self.ours and self.state.rig.rings_locked:
             # In words the drone says so once a second at most, and where offboard flies already there is no answer.
             raise self._not_taken(_RINGS, deadline)
+        self._not_killed(deadline)
         before, spoken = self.setpoints.current, self.texts.count
         self.setpoints.hold(setpoint)
         try:
@@ -147,6 +148,11 @@ class AsyncDrone(Connected):
                 if deadline.left < _MODE_RETRY_S:
                     raise
                 await self.run(_MODE_RETRY_S)
+
+    def _not_killed(self, deadline: Deadline) -> None:
+        """A drone that was killed takes set-points and flies none: raise Rejected."""
+        if self.state.killed:
+            raise Rejected("it was killed", deadline.where, "see why, then drone.release(), and arm it again")
 
     def _not_taken(self, text: str, deadline: Deadline) -> Rejected:
         remedy = "put right what it says and try again"
@@ -196,6 +202,10 @@ class AsyncDrone(Connected):
         of another unit, Rejected with the drone's reason.
         """
         self._needs_ours("excitations on board", "TWODOF_EXCITE")
+        if not isinstance(excitation, Excitation):
+            what = f"{shown(excitation)} is no excitation"
+            raise ExperimentError(what, "excite", "give one of twodof.excitation, such as Doublet(0.03, 0.6)")
+        self._not_killed(self._deadline(timeout, "excite"))
         playback = await self.exciter.start(excitation, loop, thrust, at, timeout)
         return await self.exciter.finish(playback) if wait else playback
 
@@ -205,9 +215,14 @@ class AsyncDrone(Connected):
         await self.exciter.stop(timeout)
 
     def batch(self, columns: Iterable[str]) -> AbstractAsyncContextManager[Rows]:
-        """Every sample of these columns of signals.TOPICS (`imu.gyro_y`) at the full rate, for `async with`."""
+        """Every sample of these columns of signals.TOPICS (`imu.gyro_y`) at the full rate, for `async with`.
+
+        Raises LinkError for a column that is none.
+        """
         self._needs_ours("samples at full rate", "TWODOF_BATCH")
-        return self.batches.rows(columns)
+        names = tuple(columns)
+        channel_mask(names)  # said here, not when it is entered
+        return self.batches.rows(names)
 
     def truth(self) -> AbstractAsyncContextManager[TruthRows]:
         """The true state of a virtual rig at the full rate, for `async with`; what is on board never gets it.
@@ -230,6 +245,8 @@ class AsyncDrone(Connected):
 
         Of a drone that is not ours what it sends is recorded as it comes: `stream` asks for more of it.
         """
+        if Path(path).suffix.lower() != ".mcap":
+            raise LogError("a recording is an MCAP file", str(path), "call it .mcap; write_log makes others of it")
         rig = self.state.rig
         about = {
             "autopilot": self.state.autopilot,
@@ -276,8 +293,8 @@ class AsyncDrone(Connected):
     async def fly_controller(self, template: str, diagram: str | bytes, timeout: float = 120.0) -> None:
         """Send a controller, a diagram's JSON, and have it fly in the place of the one of that template, in a sandbox.
 
-        A stock controller's own diagram brings the stock one back. Raises Rejected where the drone is armed or finds a
-        fault in it; then what flew before flies on.
+        A stock controller's own diagram brings the stock one back. Raises Rejected where the drone is armed, lacks what
+        the sandbox takes (asked before anything is sent) or finds a fault in it; then what flew before flies on.
         """
         self._needs_ours("controllers of one's own", "folder of controllers")
         path = f"/controllers/{template}.json"
@@ -286,6 +303,7 @@ class AsyncDrone(Connected):
         self.session.check(self.session.now)  # what is known of a drone that is lost says nothing
         if self.state.armed:
             raise Rejected("it is armed", deadline.where, "disarm it first")
+        await self.commands.run("USER_1", [1.0], deadline.left, "asking whether it can build controllers")
         await self.files.write(path, content, deadline.left)
         await self.commands.run("USER_1", [], deadline.left, "flying another controller")
         self.parameters.forget()

@@ -45,6 +45,10 @@ class Commands:
         self._session = session
         self._texts = texts
         self._turns: dict[int, asyncio.Lock] = {}
+        self.words_follow = False
+        """Whether its words come after its refusal, as one of ours says them; PX4 says them before."""
+        self._spoken: dict[int, int] = {}  # lines that had come with the latest answer to each command
+        session.on(self._answered, "COMMAND_ACK")
         self.on_progress: Callable[[], Awaitable[None]] | None = None
         """What makes the drone's time pass where it stands still while a command is in progress."""
 
@@ -80,6 +84,8 @@ class Commands:
                         if got.result == ACCEPTED:
                             return got
                         if got.result != IN_PROGRESS:
+                            # What was said before the answer may be about another command.
+                            spoken = self._spoken[number] if self.words_follow else spoken
                             raise await self._refusal(got.result, spoken, deadline)
                         progress = True
                     if progress and self.on_progress is not None:
@@ -87,6 +93,10 @@ class Commands:
                     deadline.check()
                 deadline.check()
         raise deadline.error()
+
+    def _answered(self, got: Any) -> None:
+        if got.command in self._turns:
+            self._spoken[got.command] = self._texts.count
 
     def long(self, number: int, values: Sequence[float], attempt: int = 0) -> Any:
         """The COMMAND_LONG of a command."""

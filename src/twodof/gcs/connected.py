@@ -40,7 +40,7 @@ TIMEOUT_S = 5.0
 LEAVING_S = 3.0
 _GREETING_S, _GREETING_RETRY_S = 4.0, 0.3
 _KILL_RETRY_S = 0.05
-# Kills that are sent at once where leaving is broken off: there is no time to see whether one arrives.
+# So often it is said at once where leaving is broken off: there is no time to see whether it arrives.
 _LAST_WORDS = 3
 _WORTH_SAYING_S = 0.5
 _FORCE = 21196
@@ -147,7 +147,7 @@ class Connected:
             if signed and self.session.connection.signing is None:
                 what = f"drone {self.session.system} answers nothing: {signed} frames came signed, and we have no key"
                 raise LinkLost(what, self.session.url, "connect with its key: key=FILE") from None
-        self.parameters.transactions = self.ours
+        self.parameters.transactions = self.commands.words_follow = self.ours
         if self.ours and drawn_id:
             await self._differ(deadline)
         if self.ours and take_lease:
@@ -213,17 +213,23 @@ class Connected:
             await self.session.close()
 
     async def _stand(self, timeout: float) -> None:
-        """Disarm it, and where that is not seen kill it; where there is no time for either, say so all the same."""
+        """Disarm it; where that is not seen insist, and where there is no time to look say it all the same.
+
+        What is silent may still hear. One of ours is always disarmed by the ordinary command, which holds nothing
+        afterwards; another's PX4 in flight by a kill only.
+        """
+        force = 0.0 if self.ours else _FORCE
         try:
             try:
                 await self.disarm(timeout=timeout / 3)
-            except (Rejected, Timeout, LinkLost):  # what is silent may still hear
-                await self.kill(timeout=timeout / 2)  # its heartbeat comes once a second
+            except (Rejected, Timeout, LinkLost):
+                # Its heartbeat comes once a second.
+                await self._insist(force, self._deadline(timeout / 2, "disarming"))
         except asyncio.CancelledError:
             with suppress(LinkLost):
                 for attempt in range(_LAST_WORDS):
                     command = number_of("COMPONENT_ARM_DISARM")
-                    self.session.send_anyway(self.commands.long(command, [0.0, _FORCE], attempt))
+                    self.session.send_anyway(self.commands.long(command, [0.0, force], attempt))
             raise
 
     @property
@@ -244,6 +250,30 @@ class Connected:
     def tick(self) -> int:
         """Its control period, 4 ms each; in lockstep the first that has not been run."""
         return self.clock.tick
+
+    @property
+    def theta(self) -> float:
+        """The latest estimate of the pitch [rad]. Raises Timeout if none has come yet, LinkLost."""
+        return self._scalar("estimate.theta")
+
+    @property
+    def q(self) -> float:
+        """The latest estimate of the pitch rate [rad/s]; raises as `theta`."""
+        return self._scalar("estimate.q")
+
+    @property
+    def x(self) -> float:
+        """The latest estimate of the position along the rail [m]; raises as `theta`."""
+        return self._scalar("estimate.x")
+
+    @property
+    def v(self) -> float:
+        """The latest estimate of the velocity along the rail [m/s]; raises as `theta`."""
+        return self._scalar("estimate.v")
+
+    def _scalar(self, name: str) -> float:
+        value = self.telemetry(name).value
+        return value[0] if isinstance(value, tuple) else value
 
     @property
     def messages(self) -> list[Text]:
@@ -272,21 +302,33 @@ class Connected:
     async def kill(self, timeout: float = TIMEOUT_S) -> None:
         """Motors off, now, whoever has the lease and whatever it does; said again until it is seen.
 
-        Raises Timeout, LinkLost if it is not seen: the drone's own failsafe then acts on the lost link.
+        It holds the drone disarmed until `release`. Raises Timeout, LinkLost if it is not seen: the drone's own
+        failsafe then acts on the lost link.
         """
-        deadline = self._deadline(timeout, "killing")
+        await self._insist(_FORCE, self._deadline(timeout, "killing"))
+
+    async def release(self, timeout: float = TIMEOUT_S) -> None:
+        """Let it be armed again after a kill, whoever killed it. Raises Rejected where somebody else has the lease."""
+        deadline = self._deadline(timeout, "releasing a kill")
+        await self.commands.run("DO_FLIGHTTERMINATION", [0.0], timeout, deadline.doing)
+        await self._see(lambda: not self.state.killed, deadline)
+
+    async def _insist(self, force: float, deadline: Deadline) -> None:
+        """Say that it is to disarm until it is seen to be, though the link may seem lost. Raises Timeout, LinkLost."""
         self.setpoints.stop()
         number = number_of("COMPONENT_ARM_DISARM")
         beats, attempt, acknowledged = self.watcher.heartbeats, 0, False
         with self.session.listen("HEARTBEAT", "COMMAND_ACK") as heard:
             while True:
-                self.session.send_anyway(self.commands.long(number, [0.0, _FORCE], attempt))
+                self.session.send_anyway(self.commands.long(number, [0.0, force], attempt))
                 attempt += 1
                 until = min(deadline.end, self.session.now + _KILL_RETRY_S)
                 while (got := await heard.next(until, though_lost=True)) is not None:
                     acknowledged |= got.get_type() == "COMMAND_ACK" and (got.command, got.result) == (number, ACCEPTED)
                     seen = self.watcher.heartbeats > beats and not self.state.armed
-                    if seen or (acknowledged and self.session.lockstep):  # there nothing turns while time stands
+                    if acknowledged and not seen and self.clock.granting and self.session.lost is None:
+                        await self.clock.run_until(self.tick + 1)
+                    elif seen or (acknowledged and self.session.lockstep):  # there nothing turns while time stands
                         return
                     if deadline.left <= 0.0:
                         break

@@ -195,8 +195,15 @@ class Drone:
         self._runner.run(self.there.disarm(timeout))
 
     def kill(self, timeout: float = TIMEOUT_S) -> None:
-        """Motors off, now, whoever has the lease and whatever it does; said again until it is seen."""
+        """Motors off, now, whoever has the lease and whatever it does; said until it is seen; it holds until `release`.
+
+        Raises Timeout, LinkLost if it is not seen.
+        """
         self._runner.run(self.there.kill(timeout))
+
+    def release(self, timeout: float = TIMEOUT_S) -> None:
+        """Let it be armed again after a kill, whoever killed it. Raises Rejected where somebody else has the lease."""
+        self._runner.run(self.there.release(timeout))
 
     def set_mode(self, mode: str, timeout: float = TIMEOUT_S) -> None:
         """Change the mode (manual, rate, attitude, position, hold, offboard), and see that it is changed."""

@@ -56,8 +56,13 @@ class State:
     battery: Battery = Battery()
     autopilot: str = "unknown"
 
+    @property
+    def killed(self) -> bool:
+        """Whether a kill holds it disarmed, until it is released."""
+        return self.status == "terminated"
+
     def __str__(self) -> str:
-        text = f"{'armed' if self.armed else 'disarmed'}, {self.mode}"
+        text = f"{'armed' if self.armed else 'killed' if self.killed else 'disarmed'}, {self.mode}"
         if self.rig.rings_locked:
             text += ", rings locked"
         if self.safety.action != "none" and (self.armed or self.safety.reason):

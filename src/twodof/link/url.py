@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from urllib.parse import SplitResult, parse_qsl, urlsplit
 
 from twodof.errors import LinkError, shown
+from twodof.link import ports
 
 FORMS = (
     "udp://HOST:PORT or udp://:PORT (listens), udpin://HOST:PORT, udp://HOST:PORT?bind=[HOST:]PORT, "
@@ -20,7 +21,7 @@ _ALIASES = {"udpout": "udp", "tcpout": "tcp"}
 _NETWORK = ("udp", "udpin", "udpbcast", "tcp", "tcpin")
 _SHORT = re.compile(r"(udp|udpin|udpout|udpbcast|tcp|tcpin):([^/].*)?")
 _BARE = re.compile(
-    r"(?!(?:udp|udpin|udpout|udpbcast|tcp|tcpin|mem|memin|serial):)([A-Za-z0-9_.-]+|\[[0-9A-Fa-f:]+\]):\d{1,5}"
+    r"(?!(?:udp|udpin|udpout|udpbcast|tcp|tcpin|mem|memin|serial):)([A-Za-z0-9_.-]+|\[[0-9A-Fa-f:]+\])(:\d{1,5})?"
 )
 _MEMORY_NAME = re.compile(r"[A-Za-z0-9_.-]{1,100}")
 BAUDS = {int(name[1:]): int(getattr(termios, name)) for name in dir(termios) if re.fullmatch(r"B[1-9]\d*", name)}
@@ -63,8 +64,9 @@ def parse(url: str) -> Address:
     """
     if not isinstance(url, str) or len(url) > LONGEST_URL or not url.isprintable():
         raise LinkError(f"{shown(url)} is no URL", "", f"use {FORMS}")
-    if _BARE.fullmatch(url):
-        raise LinkError("has no kind of link before its host", url, f"did you mean udp://{url}, or tcp://{url}?")
+    if bare := _BARE.fullmatch(url):
+        udp, tcp = (url if bare[2] else f"{url}:{port}" for port in (ports.COMPANION_ONBOARD, ports.COMPANION_TCP))
+        raise LinkError("has no kind of link before its host", url, f"did you mean udp://{udp}, or tcp://{tcp}?")
     short = _SHORT.fullmatch(url)
     if short:
         url = f"{'udpin' if short[1] == 'udp' else short[1]}://{short[2] or ''}"
