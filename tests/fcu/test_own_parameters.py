@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from tests.fcu.tuned import ALL, KIND, Numbers, tuned, with_names
 from twodof.compile.px4 import make_module
 from twodof.compile.px4.parameters import MOST
+from twodof.fcu.flight_code import FlightCode
 from twodof.fcu.own_parameters import own_parameters
 from twodof.fcu.parameter_table import wire_rows
 from twodof.fcu.services.metadata import metadata_files
@@ -120,3 +121,17 @@ def test_an_array_is_shown_whole_or_not_at_all() -> None:
     (own,) = own_parameters([d])
     assert len(own.rows) == MOST - 1, "one of its two numbers would be beyond"
     assert "attitude_control: 1 parameters are not shown: tail.last" in own.remark
+
+
+def test_a_bound_that_no_float32_holds_is_reached_and_not_passed() -> None:
+    d = tuned()
+    d.param("share", 0.5, low=1 / 3, high=2 / 3)
+    (own,) = own_parameters([d])
+    store, code = Store(), FlightCode([d], trusted=True)
+    store.carry([own])
+    for bound, reached in ((store.row("TMI_SHARE").low, 1 / 3), (store.row("TMI_SHARE").high, 2 / 3)):
+        store.set("TMI_SHARE", float(np.float32(bound)))
+        code.set_parameters(store.own())
+        flying = code.parameter(f"{KIND}.share")
+        assert flying == pytest.approx(reached, rel=1e-7)
+        assert 1 / 3 <= flying <= 2 / 3

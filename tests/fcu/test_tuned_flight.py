@@ -9,15 +9,19 @@ from pathlib import Path
 import pytest
 
 from tests.fcu.flights import Script, controller, exhausting, fly
+from tests.fcu.steps import plain_step
 from tests.fcu.tuned import KIND, tuned
 from twodof.blocks import Diagram
 from twodof.errors import ControllerFault, ParameterError
 from twodof.fcu.flight_code import FlightCode
+from twodof.fcu.onboard_log import OnboardLog
 from twodof.fcu.own_parameters import own_parameters
 from twodof.fcu.sandbox import BUDGET_NS
 from twodof.fcu.store import MOST_TUNED, Store
 from twodof.flight.causes import ACTIONS, BIT
 from twodof.flight.starters import starter
+from twodof.flightlog.ulog_decoder import scan_ulog
+from twodof.link.tick import TICK_US
 
 NONE, LEVEL = ACTIONS.index("none"), ACTIONS.index("level")
 AT, UNTIL = 300, 400
@@ -203,3 +207,25 @@ def test_a_state_begins_at_the_parameter_that_is_set(trusted: bool) -> None:
     machine = code.machine if code.sandbox is None else code.sandbox.machine
     states = [path for path in machine.program.states if ".integral." in path]
     assert 0.125 in [machine.state(path) for path in states]
+
+
+def test_a_log_lists_what_flies_and_notes_what_begins_to_fly_in_its_midst(tmp_path: Path) -> None:
+    store, own = Store(values={"SDLOG_MODE": 2}), own_parameters([tuned()])
+    names = {row.name for one in own for row in one.rows}
+    with OnboardLog(tmp_path, store, lockstep=True) as log:
+        for tick in range(10):
+            log.step(plain_step(tick))
+        store.carry(own)
+        store.set("TMI_LAW_ABOVE", 5.0)
+        for tick in range(10, 20):
+            log.step(plain_step(tick))
+        log.end()
+        log.step(plain_step(20))
+        log.end()
+        store.carry([])
+        log.step(plain_step(21))
+    found = [scan_ulog(one.path.read_bytes(), "") for one in log.logs()]
+    assert [names & one.parameters.keys() for one in found] == [set(), names, set()]
+    assert {name for _, name, _ in found[0].changes} == names
+    assert found[0].changes[-1] == (9 * TICK_US, "TMI_LAW_ABOVE", 5.0)
+    assert found[1].parameters["TMI_LAW_ABOVE"] == 5.0
