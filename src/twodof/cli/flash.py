@@ -12,6 +12,7 @@ from rich.console import Console
 
 from twodof.blocks import Diagram
 from twodof.blocks.difference import Difference, difference
+from twodof.blocks.schema import to_json
 from twodof.cli.diagram_argument import DIAGRAM_HELP, read_diagram
 from twodof.cli.flash_place import FCU, PX4, SIM, check_name, open_place
 from twodof.cli.output import Json, print_json, table_console
@@ -21,6 +22,8 @@ from twodof.compile.cortex_m7.report import measure
 from twodof.compile.px4 import check, export
 from twodof.compile.px4.check import ERROR
 from twodof.errors import CompileError
+from twodof.flight.slot import STOCK
+from twodof.flight.starters import starter
 from twodof.flight.templates import PERIOD, check_template
 from twodof.gcs.async_drone import DEFAULT_URL
 
@@ -151,6 +154,9 @@ def flash(
         console.print("fly it: twodof simulate EXPERIMENT --controller flashed")
     elif to != PX4:
         console.print(f"flashed: {place}", markup=False)
+        if to_json(new) != to_json(starter(STOCK[kind])):
+            url = DEFAULT_URL if to == FCU else to
+            console.print(f"tune it: twodof parameters --url {url} {kind}.NAME=VALUE", markup=False)
     else:
         console.print(f"written: {place}, whose README.md says how to build it into PX4", markup=False)
 
