@@ -102,6 +102,8 @@ def test_values_are_there_after_a_restart_for_the_very_same_diagram_alone(tmp_pa
         assert "flies as it was tuned before" in said
         assert again.own()[ABOVE] == 5.0
         assert again.own()[f"{KIND}.law.weights"] == [1 / 3, 0.25]
+        with pytest.raises(ParameterError, match="nothing to undo"):
+            again.undo()
         assert again.changed().keys() == {"TMI_LAW_ABOVE", "TMI_LAW_WEIGHT_1", "TMI_LAW_INVERTED", "RATE_KP"}
     other = tuned()
     other.param("one_more", 1.0)
