@@ -47,6 +47,17 @@ class Asking:
             pending.waiting.append(then)
         self.poll(now)
 
+    def forget(self, message_id: int) -> None:
+        """Nobody wants it and nobody has: no more is known of it, unless it is being asked just now."""
+        if message_id != self._asked:
+            self._pending.pop(message_id, None)
+            self.granted.pop(message_id, None)
+
+    @property
+    def known(self) -> set[int]:
+        """Ids of the messages that were asked for, or are to be."""
+        return {*self.granted, *self._pending}
+
     def restart(self) -> None:
         """The vehicle has forgotten everything, and what was asked of it is not answered any more."""
         self.granted.clear()

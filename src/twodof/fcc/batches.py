@@ -8,7 +8,7 @@ import math
 import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import cache
+from functools import lru_cache
 from typing import Any
 
 from twodof.fcc.client import Client, Wish
@@ -42,7 +42,7 @@ def together(wishes: Sequence[Wish]) -> Wish:
     return Wish(math.gcd(*(ticks(wish.interval) for wish in wanted)) * TICK_US, mask)
 
 
-@cache
+@lru_cache(maxsize=256)  # who asks chooses the masks
 def _columns(theirs: int, ours: int) -> struct.Struct:
     """Cuts the channels of mask `ours` out of a row of mask `theirs`."""
     bits = [1 << place for place in range(theirs.bit_length()) if theirs >> place & 1]

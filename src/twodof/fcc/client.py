@@ -14,6 +14,8 @@ Identity = tuple[int, int]  # a system and a component
 # A ground station speaks for itself and perhaps a camera or two.
 MOST_IDENTITIES = 16
 MOST_WISHES = 256
+# Senders whose frames to a client are numbered; one beyond takes the place of the one of longest ago.
+MOST_SENDERS = 64
 # As long as a client is silent before it counts as gone: a ground station sends a heartbeat each second.
 SILENT_S = 30.0
 
@@ -44,7 +46,8 @@ class Wish:
 
 @dataclass(eq=False)
 class Client:
-    """One peer of one transport. `defaults` is what it gets unasked (`rates.profile`), `heard` when it last spoke [s].
+    """One peer of one transport. `defaults` is what it gets unasked (`rates.profile`), `heard` when it last spoke [s],
+    `came` when it did first.
 
     `stays`: it is sent to even if it never speaks, as PX4's links send to their default address.
     """
@@ -55,6 +58,7 @@ class Client:
     defaults: Mapping[int, int]
     heard: float
     stays: bool = False
+    came: float = 0.0
     identities: dict[Identity, float] = field(default_factory=dict)
     wishes: dict[int, Wish] = field(default_factory=dict)
     due_once: dict[int, int] = field(default_factory=dict)  # message -> how many it has asked for by 512
@@ -80,6 +84,10 @@ class Client:
         self.due_once.clear()
         self.knows_ours = False
 
+    def follow(self, before: "Client") -> None:
+        """It is `before`, which speaks from another address now: it goes on getting what it had asked for."""
+        self.wishes, self.due_once, self.knows_ours = dict(before.wishes), dict(before.due_once), before.knows_ours
+
     def wish(self, message_id: int) -> int:
         """The interval [us] at which it wants a message that it may have asked for, else its default, else OFF."""
         asked = self.wishes.get(message_id)
@@ -93,15 +101,14 @@ class Client:
 
     def deliver(self, frame: Frame, lost: int = 0) -> None:
         """Send it a frame, numbered so that it counts as lost only what was: `lost` of its sender on the way to us."""
-        identity = (frame.system, frame.component)
-        number = self._sequences.get(identity, 0)
-        self._sequences[identity] = number + 1
-        self.write(renumbered(frame, (number + lost) & 0xFF))
+        self.write(renumbered(frame, self.number((frame.system, frame.component), lost)))
 
     def number(self, identity: Identity, lost: int = 0) -> int:
         """The sequence number of the next frame to it in the name of `identity`."""
-        number = self._sequences.get(identity, 0)
+        number = self._sequences.pop(identity, 0)
         self._sequences[identity] = number + 1
+        if len(self._sequences) > MOST_SENDERS:
+            del self._sequences[next(iter(self._sequences))]
         return (number + lost) & 0xFF
 
     def write(self, raw: bytes) -> None:

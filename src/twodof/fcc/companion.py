@@ -301,7 +301,7 @@ class Companion:
             if silent is None or now - silent.heard < SWEEP_S * 100:
                 return None
             self._dismiss(silent)
-        client = Client(f"{port.transport.url} {peer}", port.transport, peer, port.rates, now, stays)
+        client = Client(f"{port.transport.url} {peer}", port.transport, peer, port.rates, now, stays, now)
         port.clients[peer] = client
         self.router.add(client)
         return client
@@ -342,6 +342,7 @@ class Companion:
             now = self._loop.time()
             for port in self._ports:
                 self._sweep_port(port, now)
+            self.router.follow(now)
             if now - self._fed > BROKEN_OFF_S and self._parser.waiting:
                 for frame in self._parser.feed(b"", whole=True):
                     self.router.from_vehicle(frame)

@@ -11,7 +11,7 @@ from typing import Any
 from twodof.fcc import wire
 from twodof.fcc.answers import Answers
 from twodof.fcc.batches import Batches
-from twodof.fcc.client import Client, Identity, Wish
+from twodof.fcc.client import SILENT_S, Client, Identity, Wish
 from twodof.fcc.line import Line
 from twodof.fcc.streams import Streams
 from twodof.fcc.subscriptions import Subscriptions
@@ -21,6 +21,12 @@ from twodof.link.messages import message
 from twodof.link.signing import Signing
 
 MOST_IDENTITIES = 32
+# Who has spoken from a new address for so long, and not from its old one, has moved: it beats once a second.
+MOVED_S = 2.0
+# Who is behind the line with a system of its own is believed to be there for so long after it spoke.
+BESIDE_S = 10.0
+# Frames that are known again, and for how long: a circle of links is passed in less, a program is not started anew.
+MOST_PASSED, MOST_ROUNDS, ROUND_S = 256, 2, 0.5
 _NOW_AND_THEN = 15
 _STRANGERS = "strangers"  # who on the line has no place among the clients
 _HALF = 128  # of the range of a sequence number: what is further ahead is behind
@@ -34,6 +40,7 @@ class RouterCounts:
     from_clients: int = 0
     nobody: int = 0
     impostors: int = 0
+    echoes: int = 0
     lost: int = 0
     restarts: int = 0
 
@@ -60,6 +67,10 @@ class Router:
         self._signing = signing
         self._sequence = 0
         self._time = -1
+        self._beside: dict[Identity, float] = {}  # of these who is of another system -> when last heard
+        self._passed: dict[
+            bytes, tuple[Client, float, int]
+        ] = {}  # frames of clients: from whom and when first, how often since
         self._jumped = False  # its sequence had a gap since its time was last seen to go on
 
     @property
@@ -78,6 +89,21 @@ class Router:
         self.answers.forget(client)
         self.batches.forget(client)
         self.subscriptions.refresh()
+
+    def follow(self, now: float) -> None:
+        """See who speaks from another address than before (another network, a router that gave it another port): what
+        it had asked for goes with it, once the old address has been silent for MOVED_S while the new one was not.
+        """
+        for client in self.clients:
+            if client.wishes or not client.identities or not MOVED_S < now - client.came < SILENT_S:
+                continue
+            for before in self.clients:
+                same = before.transport is client.transport and before.identities.keys() & client.identities.keys()
+                if same and before.wishes and before.heard < client.came:
+                    client.follow(before)
+                    before.forget()
+                    self.subscriptions.refresh()
+                    break
 
     def forget(self, client: Client) -> None:
         """A client whose place stays has fallen silent."""
@@ -99,6 +125,10 @@ class Router:
             return exact
         return [client for client in self.clients if any(one[0] == system for one in client.identities)]
 
+    def behind_client(self, identity: Identity) -> bool:
+        """Whether this very component has spoken through a client."""
+        return any(identity in client.identities for client in self.clients)
+
     def from_client(self, client: Client, frame: Frame) -> None:
         """A frame that a client sent."""
         now = self.clock()
@@ -110,6 +140,9 @@ class Router:
             self.counts.impostors += 1
             return
         client.known_as(identity, now)
+        if self._came_round(client, frame, now):
+            self.counts.echoes += 1
+            return
         system, component = wire.target(frame)
         urgent = None
         asked = wire.command(frame)
@@ -121,7 +154,7 @@ class Router:
         if asked is not None:
             urgent = wire.stop(asked)
             to_vehicle = system in (0, self.system) and component in (0, AUTOPILOT)
-            if to_vehicle and self.subscriptions.take(client, frame, asked):
+            if to_vehicle and self.subscriptions.take(client, frame, asked, on_board=frame.system == self.system):
                 return
         elif frame.message_id == wire.REQUEST_DATA_STREAM and system in (0, self.system):
             self.subscriptions.take_group(client, frame)
@@ -150,13 +183,17 @@ class Router:
     def from_vehicle(self, frame: Frame) -> None:
         """A frame that came over the line."""
         self.counts.from_vehicle += 1
+        system, component = wire.target(frame)
+        identity = (frame.system, frame.component)
+        if identity == (self.system, COMPANION) or (not system and self.behind_client(identity)):
+            self.counts.echoes += 1  # what we or a client has said came back down the line
+            return
         self._account(frame)
         if frame.message_id == wire.BATCH:
             self.batches.take(frame, self.clients, not frame.signed or self._signing is not None)
             return
         if frame.message_id == wire.TICK:
             self.batches.flush_all()
-        system, component = wire.target(frame)
         if system:
             if system == self.system and component in (0, COMPANION):
                 self._for_us(frame)
@@ -183,10 +220,25 @@ class Router:
         """Say something to one client in the companion's own name."""
         client.write(self._encoded(sent, COMPANION, client.number((self.system, COMPANION))))
 
+    def _came_round(self, client: Client, frame: Frame, now: float) -> bool:
+        """Whether the very frame came just now from one client and then again and again from others: links make a
+        circle, in which it would go for ever. Who sent it first may say it as often as it likes.
+        """
+        first, since, rounds = self._passed.pop(frame.raw, (client, now, 0))
+        if now - since > ROUND_S:
+            first, since, rounds = client, now, 0
+        rounds += first is not client
+        self._passed[frame.raw] = (first, since, rounds)
+        if len(self._passed) > MOST_PASSED:
+            del self._passed[next(iter(self._passed))]
+        return first is not client and rounds > MOST_ROUNDS
+
     def _may_say(self, frame: Frame) -> bool:
         """Whether it may come from outside: nobody there speaks for the vehicle or for us."""
         identity = (frame.system, frame.component)
-        return identity not in self.vehicle and identity != (self.system, COMPANION) and bool(frame.system)
+        theirs = identity[0] == self.system and identity in self.vehicle
+        beside = self.clock() - self._beside.get(identity, -BESIDE_S) < BESIDE_S
+        return not theirs and not beside and identity != (self.system, COMPANION) and bool(frame.system)
 
     def _deliver(self, client: Client, frame: Frame) -> None:
         client.deliver(frame, self.lost.get((frame.system, frame.component), 0))
@@ -195,10 +247,14 @@ class Router:
         """Note who is behind the line, what was lost on the way, and whether the vehicle has started anew."""
         identity = (frame.system, frame.component)
         last = self.vehicle.get(identity)
+        if frame.system != self.system and last is not None:
+            self._beside[identity] = self.clock()
         if last is None:
-            if len(self.vehicle) >= MOST_IDENTITIES or any(identity in one.identities for one in self.clients):
+            if len(self.vehicle) >= MOST_IDENTITIES or self.behind_client(identity):
                 return
             last = -1
+            if frame.system != self.system:
+                self._beside[identity] = self.clock()
         ahead = (frame.sequence - last - 1) % 256 if last >= 0 else 0
         self.vehicle[identity] = frame.sequence
         if 0 < ahead < _HALF:

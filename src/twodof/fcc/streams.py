@@ -32,6 +32,8 @@ _EVENTS = (
     *("MISSION_ACK", "MISSION_COUNT", "TWODOF_OPENLOOP", "TWODOF_EXCITE", "TWODOF_EXCITE_STATUS", "TWODOF_TICK"),
     *("TWODOF_GRANT", "TWODOF_LEASE", "TWODOF_PARAM_TRANSACTION"),
 )
+# More kinds of messages than any vehicle sends.
+MOST_TAPS = 1024
 # Nobody gets these who has not asked.
 _ON_REQUEST = ("TWODOF_BATCH", "TWODOF_TRUTH")
 
@@ -93,7 +95,12 @@ class Streams:
 
     def changed(self) -> None:
         """A client came, went or forgot."""
+        self._prune()
         self._renew([*self._taps])
+
+    def forget(self, message_id: int) -> None:
+        """Nobody asks for it any more, and the vehicle sends it or not as it likes."""
+        self.at.pop(message_id, None)
 
     def set(self, client: Client, message_id: int, wish: Wish | None) -> bool:
         """A client's wish, None for its default again; False if it has too many."""
@@ -125,6 +132,8 @@ class Streams:
         number = frame.message_id
         taps = self._taps.get(number)
         if taps is None:
+            if len(self._taps) >= MOST_TAPS:
+                self._prune()
             taps = self._renew([number])
         at = self.at.get(number, OFF)
         time = -1 if all(tap.interval <= max(at, EVERY) for tap in taps) else time_us(frame)
@@ -137,6 +146,10 @@ class Streams:
                 continue
             tap.client.due_once.pop(number, None)
         return found
+
+    def _prune(self) -> None:
+        """Forget who gets what all get alike: it is found out again when it comes."""
+        self._taps = {number: taps for number, taps in self._taps.items() if self.chosen(number)}
 
     def _renew(self, numbers: Sequence[int]) -> list[_Tap]:
         """Find out anew who gets these messages, what was thinned out so far kept in mind; the last one's taps."""

@@ -51,9 +51,14 @@ class Subscriptions:
         """Ask the vehicle anew for whatever the clients that are there want together."""
         self.streams.changed()
         now = self._clock()
-        asked = {number for client in self.streams.clients for number in client.wishes} | set(self.asking.granted)
-        for number in sorted(asked.union(settled())):
+        kept = {number for client in self.streams.clients for number in client.wishes}.union(settled())
+        for number in sorted(kept | set(self.asking.granted)):
             self.asking.want(number, self.streams.wanted(number), now)
+        for number in self.asking.known - kept:  # who comes and goes leaves nothing behind
+            granted = self.asking.granted.get(number)
+            if granted is None or granted.interval in (OFF, EVERY):
+                self.asking.forget(number)
+                self.streams.forget(number)
 
     def restart(self) -> None:
         """The vehicle has forgotten what it was asked for."""
@@ -68,11 +73,17 @@ class Subscriptions:
             client.knows_ours = True
             self.refresh()
 
-    def take(self, client: Client, frame: Frame, asked: wire.Command) -> bool:
-        """A command of a client to the vehicle; whether it was ours to answer, and is not to be passed on."""
+    def take(self, client: Client, frame: Frame, asked: wire.Command, on_board: bool = False) -> bool:
+        """A command of a client to the vehicle; whether it was ours to answer, and is not to be passed on.
+
+        `on_board`: it is a program of the drone's own, which must not know the truth.
+        """
         if asked.command not in _ABOUT_MESSAGES:
             return False
         number = _whole(asked.params[0])
+        if on_board and number == wire.TRUTH:
+            self._acknowledge(client, asked.command, (frame.system, frame.component), DENIED)
+            return True
         if asked.command == wire.SET_MESSAGE_INTERVAL:
             return self._set(client, frame, number, asked.params)
         if asked.command == wire.GET_MESSAGE_INTERVAL:

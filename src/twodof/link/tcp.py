@@ -3,6 +3,7 @@
 import asyncio
 import socket
 from collections.abc import Hashable
+from contextlib import suppress
 from typing import cast
 
 from twodof.errors import LinkError
@@ -14,6 +15,17 @@ MOST_CLIENTS = 32
 WINDOW_BYTES = 16 << 10
 # Read at once: rubbish is looked through at a megabyte a second.
 PIECE_BYTES = 4 << 10
+
+
+# A peer whose machine or cable has gone says no goodbye: it has gone when nothing that it was sent is acknowledged for so
+# long [s]; if it is sent nothing it is asked whether it is there.
+GONE_S = 30
+_ASKED = {"KEEPIDLE": GONE_S // 3, "KEEPINTVL": GONE_S // 6, "KEEPCNT": 4, "USER_TIMEOUT": 1000 * GONE_S}
+_OPTIONS = (
+    (socket.IPPROTO_TCP, socket.TCP_NODELAY, 1),
+    (socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1),
+    *((socket.IPPROTO_TCP, getattr(socket, f"TCP_{name}", -1), value) for name, value in _ASKED.items()),
+)
 
 
 class _Stream(asyncio.BufferedProtocol):
@@ -30,7 +42,9 @@ class _Stream(asyncio.BufferedProtocol):
         """A connection stands."""
         self.socket = cast(asyncio.Transport, transport)
         raw = transport.get_extra_info("socket")
-        raw.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        for level, option, value in _OPTIONS:
+            with suppress(OSError):  # a system that has it not: its own two hours hold
+                raw.setsockopt(level, option, value)
         peer = transport.get_extra_info("peername")
         self.name = f"{peer[0]}:{peer[1]}" if peer else "?"
         self._owner._connected(self)

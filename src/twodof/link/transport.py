@@ -226,7 +226,7 @@ class Transport(ABC):
         return
 
     def stranger(self, peer: Hashable) -> bool:
-        """Whether a peer that was heard has no place among `peers`, as there are too many: anybody may write to a port."""
+        """Whether a peer that was heard has no place among `peers`, since too many have."""
         return False
 
     def send(self, data: bytes, to: Hashable | None = None) -> None:
