@@ -34,8 +34,12 @@ def test_a_drone_is_listed(only: list[str], capsys: pytest.CaptureFixture[str]) 
             False,
             "px4",
         )
+        assert (row["controller"], row["changed"]) == ("stock", 0)
+        there.drone.assembly.store.update({"ATT_KP": 9.0, "RATE_KP": 0.08})
         assert run(["drones", "--timeout", "0.5"]) == 0
-        assert there.url in capsys.readouterr().out
+        said = " ".join(capsys.readouterr().out.split())
+        assert there.url in said
+        assert "flies the stock controllers; 2 parameters differ from their defaults" in said
 
 
 def test_nobody_is_there(only: list[str], capsys: pytest.CaptureFixture[str]) -> None:

@@ -64,7 +64,8 @@ def test_with_json_one_line_says_where_it_is(capfd: pytest.CaptureFixture[str]) 
         while not (said := capfd.readouterr().out):
             assert not running.done()
             await asyncio.sleep(0.01)
-        assert json.loads(said) == {"system": 4, "lockstep": True, "listening": ["memin://said"]}
+        flies = {"controller": "stock", "changed": 0}
+        assert json.loads(said) == {"system": 4, "lockstep": True, "listening": ["memin://said"]} | flies
         os.kill(os.getpid(), signal.SIGINT)
         await running
 

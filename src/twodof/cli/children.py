@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass, field
 
+from twodof.cli.flies import FLIES
 from twodof.cli.said import error_of, lines_of
 from twodof.errors import LinkError
 
@@ -69,7 +70,7 @@ class Child:
             if text.startswith("listening on"):
                 self.listening.set()
                 self.said.clear()
-            else:
+            elif not text.startswith(FLIES):  # what it says at its start is no reason for its end
                 self.said.append(text)
         return await self.process.wait()
 

@@ -25,6 +25,9 @@ SafetySwitch = Annotated[
 ]
 Trust = Annotated[bool, typer.Option("--trust", help="Compile those controllers into the flight code: no sandbox.")]
 Precision = Annotated[str, typer.Option(help="float64, or float32 as a flight controller computes.")]
+Fresh = Annotated[
+    bool, typer.Option("--fresh", help="Begin with the default parameters, and without controllers that were sent.")
+]
 KeyFile = Annotated[
     Path | None, typer.Option(metavar="FILE", help="Sign everything with this key and take in nothing unsigned.")
 ]

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
+from twodof.cli.flies import flies_in_words
 from twodof.cli.output import Json, print_json, table_console
 from twodof.gcs.discovery import LOOPBACK, discover
 
@@ -30,10 +31,11 @@ def drones(
     if not found:
         console.print(f"no drone was heard within {timeout:g} s")
         return
-    table = Table("drone", "connect to", "mode", "", "autopilot", box=None, pad_edge=False)
+    table = Table("drone", "connect to", "mode", "", "autopilot", "", box=None, pad_edge=False)
     drones = Counter(one.url for one in found)
     for one in found:
         # Where several are heard, `Drone.connect` must be told which.
         place = f"{one.url}, drone={one.system}" if drones[one.url] > 1 else one.url
-        table.add_row(str(one.system), place, one.mode, "armed" if one.armed else "", one.autopilot)
+        flies = "" if one.changed is None else flies_in_words(one.controller, one.changed)
+        table.add_row(str(one.system), place, one.mode, "armed" if one.armed else "", one.autopilot, flies)
     console.print(table)

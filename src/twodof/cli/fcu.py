@@ -13,6 +13,7 @@ import typer
 
 from twodof.cli import drone_options as options
 from twodof.cli.diagram_argument import DIAGRAM_HELP
+from twodof.cli.flies import flies_in_words
 from twodof.cli.holder import naming_holder
 from twodof.cli.output import Json, print_json_line
 from twodof.errors import LinkError
@@ -62,6 +63,7 @@ def fcu(
             help="For parameters, logs and uploaded controllers; left out: drone-INDEX in the user's data folder.",
         ),
     ] = None,
+    fresh: options.Fresh = False,
     key: options.KeyFile = None,
     json: Json = False,
 ) -> None:
@@ -87,6 +89,7 @@ def fcu(
         folder,
         signing,
         rate=rate,
+        fresh=fresh,
     )
     asyncio.run(serve(drone, listen or [f"tcpin://127.0.0.1:{FLIGHT_CONTROLLER + index}"], json))
 
@@ -101,11 +104,14 @@ async def serve(drone: VirtualDrone, urls: list[str], json: bool) -> None:
             opened = [await drone.listen(url) for url in urls]
         except LinkError as error:
             raise naming_holder(error) from error
+        what = drone.flown
         if json:
             lockstep = drone.controller.lockstep
-            print_json_line({"system": drone.server.system, "lockstep": lockstep, "listening": opened})
+            flies = {"controller": what.controller, "changed": what.changed}
+            print_json_line({"system": drone.server.system, "lockstep": lockstep, "listening": opened} | flies)
         else:
             sys.stdout.writelines(f"listening on {url}\n" for url in opened)
+            sys.stdout.write(f"{flies_in_words(what.controller, what.changed)}\n")
             sys.stdout.flush()
         running, ended = asyncio.ensure_future(drone.wait()), asyncio.ensure_future(end.wait())
         await asyncio.wait((running, ended), return_when=asyncio.FIRST_COMPLETED)

@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 
 from twodof.cli.connect import connect
+from twodof.cli.flies import flies_in_words
 from twodof.cli.output import Json, print_json, progress, table_console
 from twodof.cli.own_drone import own_drone
 from twodof.cli.plot import Plot, draw
@@ -68,6 +69,11 @@ def fly(
         where = url or DEFAULT_URL if rig is None else stack.enter_context(own_drone(rig, *own))
         report = stack.enter_context(progress())
         there = stack.enter_context(connected(where, key, drone))
+        stands = there.state.rig
+        if stands.controller and not json:
+            sys.stderr.write(
+                f"drone {there.there.session.system} {flies_in_words(stands.controller, stands.changed)}\n"
+            )
         laboratory = Laboratory(rig, controllers=controller) if rig is not None and controller else None
 
         def interrupted(flight: Flight) -> None:
@@ -95,6 +101,8 @@ def fly(
                 "experiment": experiment,
                 "rig": machine.name,
                 "virtual": machine.virtual,
+                "controller": stands.controller,
+                "changed": stands.changed,
                 "seed": flight.seed,
                 "x_start_m": flight.x_start,
                 "good": flight.good,

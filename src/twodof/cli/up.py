@@ -5,21 +5,28 @@ from __future__ import annotations
 import asyncio
 import signal
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Any
+from types import MappingProxyType
+from typing import Annotated, Any, NamedTuple
 
 import typer
 
 from twodof.cli import drone_options as options
 from twodof.cli.children import MOST_RESTARTS, WITHIN_S, Child, Children
+from twodof.cli.flies import STOCK, flies_in_words
 from twodof.cli.output import Json, print_json_line
 from twodof.cli.ports import MOST_DRONES, check_free
 from twodof.errors import LinkError
 from twodof.flight.slot import data_folder
 from twodof.link import ports
+from twodof.link.components import AUTOPILOT
 from twodof.link.connection import Connection
+from twodof.link.dialect import message_id
 from twodof.link.key import Key, read_key
+from twodof.link.messages import message
 from twodof.link.opening import open_transport
 from twodof.link.signing import Signing
 from twodof.link.stamps import Stamps
@@ -32,7 +39,19 @@ INTERRUPTED = 130
 ANSWER_S = 60.0
 """How long a program may take until it is heard [s]: the first one compiles the flight code and the rig."""
 
+REQUEST_MESSAGE = 512
+
 _PROBE = 240  # system of who only listens whether a drone is there; none of those that clients use
+
+
+class Flown(NamedTuple):
+    """What a drone flies: its controller, and how many parameters differ from their defaults."""
+
+    controller: str = STOCK
+    changed: int = 0
+
+
+NOTHING_KNOWN: Mapping[int, Flown] = MappingProxyType({})
 
 
 @dataclass(frozen=True)
@@ -111,6 +130,7 @@ def up(
         Path | None,
         typer.Option(metavar="FOLDER", help="For a folder drone-INDEX each; left out: the user's data folder."),
     ] = None,
+    fresh: options.Fresh = False,
     key: options.KeyFile = None,
     json: Json = False,
 ) -> None:
@@ -128,7 +148,7 @@ def up(
     given += [
         option
         for option, wanted in (
-            *(("--rings", rings), ("--trust", trust), ("--lockstep", lockstep)),
+            *(("--rings", rings), ("--trust", trust), ("--lockstep", lockstep), ("--fresh", fresh)),
             ("--no-safety-switch", not safety_switch),
         )
         if wanted
@@ -147,24 +167,30 @@ async def _run(places: list[Place], given: list[str], key: Key | None, lockstep:
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, stopped.set)
-    urls: dict[str, tuple[str, int]] = {}
+    urls: dict[str, tuple[str, Place]] = {}
+    flown: dict[int, Flown] = {}
     programs = []
     for place in places:
         for name, url, arguments in (
             (f"flight controller {place.system}", place.fcu, ["fcu", *place.options, *place.own, *given]),
             (f"companion {place.system}", place.companion, ["companion", *place.options]),
         ):
-            urls[name] = (url, place.system)
+            urls[name] = (url, place)
             programs.append(Child(name, arguments))
 
     async def answers(child: Child) -> None:
         await child.listening.wait()  # else it might be another one at the same port that is heard
-        await heard(*urls[child.name], ANSWER_S, key)
+        url, place = urls[child.name]
+        found = await heard(url, place.system, ANSWER_S, key)
+        if url == place.fcu:
+            flown[place.index] = found
+            # Fresh once: one that is started again flies what was sent to it meanwhile.
+            child.arguments = [one for one in child.arguments if one != "--fresh"]
 
     children = Children(programs, _tell, answers)
     ending = asyncio.ensure_future(stopped.wait())
     up_all = asyncio.Event()
-    running = asyncio.ensure_future(_keep(children, places, up_all, lockstep, json))
+    running = asyncio.ensure_future(_keep(children, places, flown, up_all, lockstep, json))
     try:
         await asyncio.wait((ending, running), return_when=asyncio.FIRST_COMPLETED)
         if not running.done() and not json:
@@ -180,16 +206,23 @@ async def _run(places: list[Place], given: list[str], key: Key | None, lockstep:
             sys.stdout.write("all have ended\n")
 
 
-async def _keep(children: Children, places: list[Place], up_all: asyncio.Event, lockstep: bool, json: bool) -> int:
+async def _keep(
+    children: Children,
+    places: list[Place],
+    flown: Mapping[int, Flown],
+    up_all: asyncio.Event,
+    lockstep: bool,
+    json: bool,
+) -> int:
     await children.start()
     up_all.set()
-    say(places, lockstep, json)
+    say(places, lockstep, json, flown)
     await children.run()
     return 1
 
 
-async def heard(url: str, system: int, timeout: float, key: Key | None = None) -> None:
-    """Waits for a heartbeat of the flight controller `system` at `url`, signed with `key` if there is one.
+async def heard(url: str, system: int, timeout: float, key: Key | None = None) -> Flown:
+    """What the flight controller `system` at `url` says that it flies, all signed with `key` if there is one.
 
     Raises LinkError if none comes within `timeout` [s].
     """
@@ -199,27 +232,33 @@ async def heard(url: str, system: int, timeout: float, key: Key | None = None) -
             async with Connection(await open_transport(url, timeout), _PROBE, 1, signing) as connection:
                 while True:
                     got = await connection.receive(1.0)
-                    if got is None or got.message.get_type() != "HEARTBEAT":
+                    if got is None or (got.frame.system, got.frame.component) != (system, AUTOPILOT):
                         continue
-                    if (got.frame.system, got.frame.component) == (system, 1):
-                        return
+                    if got.message.get_type() == "HEARTBEAT":
+                        asked = {"command": REQUEST_MESSAGE, "param1": float(message_id("TWODOF_RIG"))}
+                        connection.send(message("COMMAND_LONG", target_system=system, target_component=1, **asked))
+                    elif got.message.get_type() == "TWODOF_RIG":
+                        return Flown(got.message.controller, got.message.changed)
     except TimeoutError:
         raise LinkError(f"no heartbeat of system {system} within {timeout:g} s", url, "see what it says") from None
 
 
 def _tell(line: str) -> None:
-    sys.stderr.write(f"{line}\n")
+    sys.stderr.write(f"{datetime.now():%H:%M:%S} {line}\n")
 
 
-def say(places: list[Place], lockstep: bool, json: bool) -> None:
+def say(places: list[Place], lockstep: bool, json: bool, flown: Mapping[int, Flown] = NOTHING_KNOWN) -> None:
     """Say where the drones are: to people, or as one line of JSON."""
-    rows = [place.described(lockstep) for place in places]
+    rows = [place.described(lockstep) | flown.get(place.index, Flown())._asdict() for place in places]
     if json:
         print_json_line({"drones": rows, "lockstep": lockstep})
         return
     for row in rows:
         key = f', key="{row["key"]}"' if row["key"] else ""
-        sys.stdout.write(f'drone {row["system"]} is up\n  Python          Drone.connect("{row["drone"]}"{key})\n')
+        what = flies_in_words(row["controller"], row["changed"])
+        sys.stdout.write(
+            f'drone {row["system"]} is up and {what}\n  Python          Drone.connect("{row["drone"]}"{key})\n'
+        )
         if not lockstep:
             mavsdk = "" if key else f"  MAVSDK          {row['mavsdk']}\n"
             sys.stdout.write(f"{mavsdk}  MAVProxy        mavproxy.py --master={row['mavproxy']}\n")

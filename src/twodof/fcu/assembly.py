@@ -41,7 +41,8 @@ class Assembly:
 
     `state` is the folder of what it keeps: parameters.json, logs/, controllers/ (uploads); None keeps nothing.
     `rates` are those of the streams that every client gets (link/rates.py). `signing` is asked of every
-    client. `close` ends what stands outside the event loop; the server closes by itself.
+    client. `fresh` begins with all parameters at their defaults and without what was uploaded. `close` ends what stands
+    outside the event loop; the server closes by itself.
     """
 
     def __init__(
@@ -53,11 +54,17 @@ class Assembly:
         signing: Signing | None = None,
         state: Path | None = None,
         rates: Mapping[int, float] = ONBOARD,
+        fresh: bool = False,
     ) -> None:
+        if fresh:
+            controllers.forget()
         code, damage = controllers.build()
         self.store = Store(None if state is None else state / "parameters.json", system)
         self._what = (code, flown(code))
         tuned = self.store.carry(code.own_parameters)
+        if fresh:
+            tuned = ()
+            self.store.reset()
         self._flies = self.store.flying() | self.store.own()
         code.set_parameters(self._flies)
         self._metadata = Metadata(self.store.rows, lambda: 4 * self.controller.tick)
@@ -80,7 +87,7 @@ class Assembly:
             commander,
             self.store,
             restart=self._restart if hardware.virtual else None,
-            flown=self._flown,
+            flown=self.flown,
             lost=lambda: server.lost,
             truth=(lambda: cast(VirtualHardware, hardware).truth) if hardware.virtual else None,
             profile=rates,
@@ -108,7 +115,7 @@ class Assembly:
             SetPoints(us, commander, explain),
             Excite(server, us, commander, explain),
             *self._files(us, controller.lockstep),
-            Lockstep(server, us, controller, commander, explain, rig(controller, self._flown)),
+            Lockstep(server, us, controller, commander, explain, rig(controller, self.flown)),
         ]
 
     def _files(self, us: Us, lockstep: bool) -> list[Service]:
@@ -163,13 +170,14 @@ class Assembly:
         """What a log says of the flight."""
         hardware = self.controller.hardware
         about: dict[str, str | int] = {"rig": hardware.name, "seed": hardware.seed, "rings": int(hardware.rings)}
-        return about | {"controller": self._flown().controller}
+        return about | {"controller": self.flown().controller}
 
-    def _flown(self) -> Flown:
+    def flown(self) -> Flown:
+        """Which controller flies, and how many parameters differ from their defaults."""
         code = self.controller.code
         if self._what[0] is not code:
             self._what = (code, flown(code))
-        return self._what[1]
+        return self._what[1]._replace(changed=len(self.store.changed()))
 
     def _unfit(self) -> str:
         """A controller that cannot fly, or is in the making: who arms is to know it before."""

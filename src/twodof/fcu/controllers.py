@@ -98,6 +98,12 @@ class Controllers:
             with atomic_write(self.uploads.file(kind)) as file:
                 file.write(flies)
 
+    def forget(self) -> None:
+        """Has nothing fly of what was uploaded, and nothing lie there. Raises DiagramError where the disk refuses."""
+        for slot in (self.uploads, self._kept):
+            for kind in TEMPLATES if slot is not None else ():
+                slot.remove(kind)
+
     def _built(self, uploaded: Mapping[str, Diagram]) -> FlightCode:
         stock = {kind for kind, diagram in uploaded.items() if to_json(diagram) == to_json(starter(STOCK[kind]))}
         flying = [diagram for kind, diagram in (self._given | dict(uploaded)).items() if kind not in stock]

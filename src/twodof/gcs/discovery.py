@@ -6,7 +6,7 @@ import asyncio
 from collections import Counter
 from collections.abc import Iterable
 from contextlib import suppress
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from twodof.errors import LinkError, LinkLost, shown
 from twodof.gcs.state import word_of
@@ -25,18 +25,24 @@ LISTENED = (
 )
 """Where PX4, the companion and the flight controller listen, + i for drone i."""
 DRONES = 8
+REQUEST_MESSAGE, RIG = 512, 54206.0
 SYSTEM = 241
 """What we call ourselves meanwhile: none that other clients use."""
 
 
 class Found(NamedTuple):
-    """A drone that was heard: its system id, the URL to connect to, how it stands, its autopilot in words."""
+    """A drone that was heard: its system id, the URL to connect to, how it stands, its autopilot in words.
+
+    Of one of ours also the controller that flies, and how many parameters differ from their defaults.
+    """
 
     system: int
     url: str
     mode: str
     armed: bool
     autopilot: str
+    controller: str = ""
+    changed: int | None = None
 
 
 LOOPBACK = "127.0.0.1"
@@ -78,6 +84,24 @@ async def _known(host: str) -> None:
         raise LinkError("is no host that is known here", shown(host), "correct its name, or give its number") from error
 
 
+def _note(heard: dict[tuple[int, str], Found], connection: Connection, url: str, system: int, got: Any) -> None:
+    """Takes in what an autopilot says."""
+    before = heard.get((system, url))
+    if got.get_type() == "HEARTBEAT" and got.autopilot != NO_AUTOPILOT:
+        word = word_of("MAV_AUTOPILOT", got.autopilot)
+        found = Found(system, url, mode_name(got.custom_mode), bool(got.base_mode & 128), word)
+        if before is None:
+            asked = message(
+                "COMMAND_LONG", command=REQUEST_MESSAGE, param1=RIG, target_system=system, target_component=1
+            )
+            connection.send(asked)
+        else:
+            found = found._replace(controller=before.controller, changed=before.changed)
+        heard[system, url] = found
+    elif got.get_type() == "TWODOF_RIG" and before is not None:
+        heard[system, url] = before._replace(controller=got.controller, changed=got.changed)
+
+
 async def _look(url: str, timeout: float, heard: dict[tuple[int, str], Found]) -> None:
     loop = asyncio.get_running_loop()
     end = loop.time() + timeout
@@ -91,14 +115,7 @@ async def _look(url: str, timeout: float, heard: dict[tuple[int, str], Found]) -
                 turn = min(end, loop.time() + 1.0)
                 while (received := await connection.receive(max(0.0, turn - loop.time()))) is not None:
                     got, frame = received.message, received.frame
-                    if got.get_type() == "HEARTBEAT" and got.autopilot != NO_AUTOPILOT and frame.component == AUTOPILOT:
-                        armed = bool(got.base_mode & 128)
-                        heard[frame.system, url] = Found(
-                            frame.system,
-                            url,
-                            mode_name(got.custom_mode),
-                            armed,
-                            word_of("MAV_AUTOPILOT", got.autopilot),
-                        )
+                    if frame.component == AUTOPILOT:
+                        _note(heard, connection, url, frame.system, got)
                     if loop.time() >= turn:
                         break

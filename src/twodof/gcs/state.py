@@ -24,7 +24,10 @@ class Safety:
 
 @dataclass(frozen=True)
 class Rig:
-    """What the drone stands on: its name, the controller that flies, and how the rig is set."""
+    """What the drone stands on: its name, the controller that flies, and how the rig is set.
+
+    `changed` counts the parameters that differ from their defaults.
+    """
 
     name: str = ""
     controller: str = ""
@@ -34,6 +37,7 @@ class Rig:
     lockstep: bool = False
     rings_locked: bool = False
     safety_off: bool = False
+    changed: int = 0
 
 
 @dataclass(frozen=True)
@@ -114,6 +118,7 @@ class Watcher:
             bool(flags & LOCKSTEP),
             bool(flags & RINGS),
             bool(flags & SAFETY_OFF),
+            got.changed,
         )
         self._change(rig=rig)
 

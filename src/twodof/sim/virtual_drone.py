@@ -15,6 +15,7 @@ from twodof.fcu.commander import Commander
 from twodof.fcu.controllers import Controllers
 from twodof.fcu.loop import FlightController
 from twodof.fcu.server import Server
+from twodof.fcu.services.own_telemetry import Flown
 from twodof.link.rates import PROFILES
 from twodof.link.signing import Signing
 from twodof.parameters import ParameterSet
@@ -28,7 +29,8 @@ class VirtualDrone:
     `rig` is "paper", "lab", a file or a set of parameters; `conditions` further parameters of it (`seed`, `noise`,
     `rings`, ...). `controllers` are diagrams, their JSON files, or names of starter diagrams, which fly in a sandbox
     unless `trusted`. `precision` is that of everything. `state` is the folder of what it keeps, None for nothing.
-    `rate` names the streams that every client gets, "onboard" or "ground".
+    `rate` names the streams that every client gets, "onboard" or "ground". `fresh` forgets what is kept in `state` but
+    for its logs.
 
     Use it as an asynchronous context manager: within, it runs; `listen` opens links. Raises ParameterError,
     DiagramError, CompileError and LinkError for what cannot be.
@@ -49,6 +51,7 @@ class VirtualDrone:
         position_filter: str = "joint",
         fuel: int | None = None,
         rate: str = "onboard",
+        fresh: bool = False,
     ) -> None:
         parameters = rig if isinstance(rig, ParameterSet) else load_rig(rig)
         name = "own" if isinstance(rig, ParameterSet) else Path(rig).stem
@@ -57,7 +60,7 @@ class VirtualDrone:
         chosen = Controllers(controllers, trusted, uploads, kept, position_filter, precision, fuel)
         if rate not in PROFILES:
             raise ParameterError(f"no rates called {rate!r:.40}", "rate", f"there are: {', '.join(PROFILES)}")
-        self.assembly = Assembly(self.rig, chosen, index + 1, lockstep, signing, state, PROFILES[rate])
+        self.assembly = Assembly(self.rig, chosen, index + 1, lockstep, signing, state, PROFILES[rate], fresh)
         self.rig.settle(self.controller.code)
         self.urls: list[str] = []
         self._running: asyncio.Task[None] | None = None
@@ -71,6 +74,11 @@ class VirtualDrone:
     def commander(self) -> Commander:
         """Who decides what is flown."""
         return self.assembly.commander
+
+    @property
+    def flown(self) -> Flown:
+        """Which controller flies, and how many parameters differ from their defaults."""
+        return self.assembly.flown()
 
     @property
     def server(self) -> Server:

@@ -18,10 +18,11 @@ NOBODY = (0, 0)
 
 
 class Flown(NamedTuple):
-    """What flies: the controller's name, and the first 64 bits of the SHA-256 of its diagram."""
+    """What flies: the controller's name, the first 64 bits of the SHA-256 of its diagram, parameters not at default."""
 
     controller: str = "stock"
     diagram: int = 0
+    changed: int = 0
 
 
 def deciding(reason: int) -> int:
@@ -46,7 +47,9 @@ def rig(controller: Controller, flown: Callable[[], Flown]) -> Callable[..., Pac
         flags |= on_top | (VIRTUAL if hardware.virtual else 0) | (LOCKSTEP if controller.lockstep else 0)
         names = hardware.name.encode()[:16], what.controller.encode()[:24]
         tick = controller.tick & MASK_32
-        return pack(hardware.seed & SEED_MASK, what.diagram, tick, TICK_US, flags, *names, controller.started_as)
+        return pack(
+            hardware.seed & SEED_MASK, what.diagram, tick, TICK_US, flags, *names, controller.started_as, what.changed
+        )
 
     return encode
 
