@@ -32,6 +32,7 @@ OTHERS = [
     b"",
     b"\xfd",
     encode(message("COMMAND_LONG", target_system=1, command=400, param1=1.0), 78, 190, 0),
+    encode(message("COMMAND_LONG", target_system=1, command=185), 78, 190, 0),  # releases a kill
     encode(message("COMMAND_LONG", target_system=1, command=512, param1=148.0), 78, 190, 0),
     encode(message("SET_ATTITUDE_TARGET", target_system=1, thrust=0.4), 78, 190, 0),
 ]

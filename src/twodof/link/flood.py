@@ -102,7 +102,7 @@ def looks_like_a_stop(data: bytes) -> bool:
     if len(data) <= _COMMAND_AT or data[0] != 0xFD or data[7] not in _COMMANDS or data[8] or data[9]:
         return False
     low = data[_COMMAND_AT]
-    return low == _TERMINATE or (low == _LOW_ARM_DISARM and not any(data[10:14]))
+    return low == (_TERMINATE if any(data[10:14]) else _LOW_ARM_DISARM)
 
 
 def sources(peers: Iterable[Hashable]) -> list[Source]:
@@ -134,19 +134,21 @@ def _stops() -> list[Instruction]:
     low, high = _COMMANDS
     tests: list[Instruction] = [
         (_LENGTH, 0, 0, 0),
-        (_AT_LEAST, 0, 13, _UDP + _COMMAND_AT + 1),
+        (_AT_LEAST, 0, 15, _UDP + _COMMAND_AT + 1),
         (_BYTE, 0, 0, _UDP),
-        (_EQUAL, 0, 11, 0xFD),
+        (_EQUAL, 0, 13, 0xFD),
         (_BYTE, 0, 0, _UDP + 7),
         (_EQUAL, 1, 0, low),
-        (_EQUAL, 0, 8, high),
+        (_EQUAL, 0, 10, high),
         (_HALF, 0, 0, _UDP + 8),
-        (_EQUAL, 0, 6, 0),
+        (_EQUAL, 0, 8, 0),
         (_BYTE, 0, 0, _UDP + _COMMAND_AT),
         (_EQUAL, 3, 0, _TERMINATE),
-        (_EQUAL, 0, 3, _LOW_ARM_DISARM),
+        (_EQUAL, 0, 5, _LOW_ARM_DISARM),
         (_WORD, 0, 0, _UDP + 10),
-        (_EQUAL, 0, 1, 0),
+        (_EQUAL, 2, 3, 0),
+        (_WORD, 0, 0, _UDP + 10),
+        (_EQUAL, 1, 0, 0),
     ]
     return [*tests, (_RETURN, 0, 0, _PASS)]
 

@@ -17,8 +17,8 @@ WINDOW_BYTES = 16 << 10
 PIECE_BYTES = 4 << 10
 
 
-# A peer whose machine or cable has gone says no goodbye: it has gone when nothing that it was sent is acknowledged for so
-# long [s]; if it is sent nothing it is asked whether it is there.
+# A peer whose machine or cable has gone says no goodbye: it has gone when nothing that it was sent is acknowledged for
+# so long [s]; if it is sent nothing it is asked whether it is there.
 GONE_S = 30
 _ASKED = {"KEEPIDLE": GONE_S // 3, "KEEPINTVL": GONE_S // 6, "KEEPCNT": 4, "USER_TIMEOUT": 1000 * GONE_S}
 _OPTIONS = (
