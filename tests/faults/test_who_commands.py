@@ -69,6 +69,9 @@ def test_what_the_other_commands_in_flight_is_refused_counted_and_changes_nothin
                 await pilot.arm()
             other.stop_setpoints()
             await pilot.disarm()
+            with pytest.raises(Rejected, match="killed by system 251, component 190"):
+                await pilot.arm()
+            await pilot.release()
             await pilot.arm()
             await pilot.close()
             await other.lease.take(5.0)  # given up, it goes to who asks

@@ -274,21 +274,55 @@ def test_disarming_is_obeyed_whoever_asks_in_the_next_tick(source: tuple[int, in
 
 
 @pytest.mark.parametrize("source", [ME, OTHER, COMPANION])
-def test_a_kill_is_obeyed_whoever_asks_and_holds_until_disarmed(source: tuple[int, int]) -> None:
+def test_a_kill_is_obeyed_whoever_asks_and_holds_until_it_is_released(source: tuple[int, int]) -> None:
     cockpit = offboard()
     assert cockpit.commander.kill(source).accepted
     assert cockpit.run() == Asked(link_new=True)
     assert "killed" in cockpit.commander.arm(ME).text
     assert not cockpit.run(5).arm
     assert cockpit.commander.system_status == modes.TERMINATED
-    assert cockpit.commander.disarm(ME, force=True).accepted  # a kill again
-    assert "killed" in cockpit.commander.arm(ME).text
-    assert cockpit.commander.disarm(ME).accepted
-    assert cockpit.arm().accepted
     assert (2, f"killed by system {source[0]}, component {source[1]}") in cockpit.commander.remarks
+    assert cockpit.commander.disarm(COMPANION, force=True).accepted  # a kill again
+    assert cockpit.commander.killed_by == COMPANION
+    assert "killed by system 1, component 191" in cockpit.commander.arm(ME).text
+    assert cockpit.commander.disarm(ME).accepted
+    assert "killed" in cockpit.commander.arm(ME).text
+    assert cockpit.commander.release(ME).accepted
+    assert cockpit.commander.remarks[-1] == (4, "released by system 250, component 190")
+    assert (cockpit.commander.killed, cockpit.commander.killed_by) == (False, None)
+    assert not cockpit.run(5).arm, "nothing arms by it"
+    assert cockpit.arm().accepted
+    assert cockpit.run(5).mode == OFF
 
 
-def test_a_kill_holds_over_a_reset_until_disarmed() -> None:
+@pytest.mark.parametrize("killer", [ME, OTHER])
+def test_a_program_that_cleans_up_behind_itself_does_not_undo_the_kill_that_ended_it(killer: tuple[int, int]) -> None:
+    """Its block ends by a disarming; then it is started again, disarms, resets and arms."""
+    cockpit = offboard()
+    cockpit.commander.kill(killer)
+    cockpit.run()
+    for _ in range(2):
+        assert cockpit.commander.disarm(ME).accepted
+        cockpit.commander.restart()
+        cockpit.failsafe.state, cockpit.tick = DISARMED, 0
+        cockpit.run(2)
+        assert "killed by" in cockpit.commander.arm(ME).text
+        assert not cockpit.run(5).arm
+
+
+def test_who_may_not_command_may_not_release_and_what_was_not_killed_needs_none() -> None:
+    cockpit = armed()
+    said = len(cockpit.commander.remarks)
+    assert cockpit.commander.release(ME).accepted
+    assert cockpit.run().arm, "a release stops nothing"
+    cockpit.commander.kill(OTHER)
+    verdict = cockpit.commander.release(OTHER)
+    assert verdict == Verdict(TEMPORARILY_REJECTED, "release refused: system 250, component 190 holds the lease")
+    assert cockpit.commander.killed
+    assert len(cockpit.commander.remarks) == said + 1
+
+
+def test_a_kill_holds_over_a_reset() -> None:
     cockpit = offboard()
     assert cockpit.commander.kill(OTHER).accepted
     cockpit.run()
@@ -299,8 +333,9 @@ def test_a_kill_holds_over_a_reset_until_disarmed() -> None:
     cockpit.run()
     assert "killed" in cockpit.commander.arm(ME).text
     assert cockpit.commander.system_status == modes.TERMINATED
-    assert cockpit.commander.disarm(ME).accepted
+    assert cockpit.commander.release(ME).accepted
     assert cockpit.arm().accepted
+    cockpit.commander.disarm(ME)
     cockpit.commander.restart()
     assert not cockpit.commander.killed, "nor does a reset kill"
 

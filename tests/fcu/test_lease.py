@@ -249,6 +249,7 @@ class TwoClients(RuleBasedStateMachine):
         self.cockpit = Cockpit(lockstep=lockstep, talking=())
         self.commander = self.cockpit.commander
         self.transfer = 0
+        self.killed = False
         self.heard_at = dict.fromkeys(CLIENTS, -(10**6))
         self.asked_at = dict.fromkeys(CLIENTS, (-(10**6), 0))
         self.cockpit.run(2)
@@ -324,8 +325,17 @@ class TwoClients(RuleBasedStateMachine):
         assert verdict.accepted
         asked = self.cockpit.run()
         assert (asked.arm, asked.mode) == (False, 0)
-        assert self.commander.killed == kill
+        self.killed = self.killed or kill
+        assert self.commander.killed == self.killed
         assert self.commander.player.state != PLAYING
+
+    @rule(source=st.sampled_from(CLIENTS))
+    def release(self, source: Source) -> None:
+        may = self._may(source)
+        verdict = self.commander.release(source)
+        self._checked(source, may, verdict.accepted)
+        self.killed = self.killed and not may
+        assert self.commander.killed == self.killed
 
     @rule(sources=st.sets(st.sampled_from(CLIENTS)), ticks=st.sampled_from([1, 5, 300, 800]))
     def pass_time(self, sources: set[Source], ticks: int) -> None:

@@ -115,7 +115,10 @@ SITUATIONS: dict[str, tuple[Callable[[], Verdict], int]] = {
     ),
     "not armed: no sensor was heard yet": (lambda: Cockpit().commander.arm(ME), TEMPORARILY_REJECTED),
     "not armed: a controller is being built": (unfit, TEMPORARILY_REJECTED),
-    "not armed: it was killed, disarm first": (killed, TEMPORARILY_REJECTED),
+    "not armed: killed by system 245, component 190: release it first (twodof kill --release)": (
+        killed,
+        TEMPORARILY_REJECTED,
+    ),
     "not armed: safety switch, press it": (switched, TEMPORARILY_REJECTED),
     # Modes.
     "there is no mode main 99, sub 0": (lambda: armed().commander.set_mode(ME, 99 << 16), UNSUPPORTED),

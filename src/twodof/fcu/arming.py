@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from twodof.fcu.asked import ACCEPTED, FAILED, IN_PROGRESS, TEMPORARILY_REJECTED, Verdict
+from twodof.fcu.asked import ACCEPTED, FAILED, IN_PROGRESS, TEMPORARILY_REJECTED, Source, Verdict
 from twodof.fcu.flight_code import Step
 from twodof.flight.causes import named_causes
 from twodof.flight.failsafe_machine import MAY_TURN, REFUSED
@@ -14,12 +14,12 @@ PATIENCE = 25
 class Arming:
     """`word` is what the flight code is told, `answer` what became of the last request to arm.
 
-    `killed` holds the drone disarmed until it was disarmed once in the ordinary way, over a restart too.
+    `killed_by` is who killed it, which holds it disarmed, over disarmings and resets, until it is None again.
     """
 
-    def __init__(self, killed: bool = False) -> None:
+    def __init__(self, killed_by: Source | None = None) -> None:
         self.word = False
-        self.killed = killed
+        self.killed_by = killed_by
         self.answer = Verdict(ACCEPTED)
         self._from = 0
 

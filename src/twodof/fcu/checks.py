@@ -29,8 +29,9 @@ def against_arming(arming: Arming, rig: Rig, causes: int | None, moves_cart: boo
     `causes` is what the failsafe misses (None: none was heard yet); `moves_cart`: the mode does; `asks`: set-points ask
     for thrust or moment.
     """
-    if arming.killed:
-        return "it was killed, disarm first"
+    if arming.killed_by is not None:
+        system, component = arming.killed_by
+        return f"killed by system {system}, component {component}: release it first (twodof kill --release)"
     if arming.word:  # it is asked to be armed, and is not
         return "the failsafe has stopped the motors, disarm first"
     if causes is None:

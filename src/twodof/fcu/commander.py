@@ -64,7 +64,12 @@ class Commander:
     @property
     def killed(self) -> bool:
         """Whether a kill holds it disarmed."""
-        return self._arming.killed
+        return self._arming.killed_by is not None
+
+    @property
+    def killed_by(self) -> Source | None:
+        """Who killed it last, None: no kill holds it."""
+        return self._arming.killed_by
 
     @property
     def arming(self) -> Verdict:
@@ -104,7 +109,7 @@ class Commander:
     @property
     def system_status(self) -> int:
         """MAV_STATE, for HEARTBEAT: active, critical while the failsafe acts, standby, or 0 where it would not arm."""
-        if self._arming.killed:
+        if self.killed:
             return modes.TERMINATED
         if self.step is None:
             return modes.UNREADY
@@ -145,11 +150,11 @@ class Commander:
     def restart(self) -> None:
         """Rig and flight code start again at tick 0: disarmed, manual, nothing asked for.
 
-        The lease stays as it is, and so does a kill: who resets need not know of it.
+        The lease stays as it is, and so does a kill: a reset is the first that many a program asks for.
         """
         self._pilot.restart(self._now)
         revision = self.openloop.revision + 1
-        self._helm, self._arming = Helm(), Arming(self._arming.killed)
+        self._helm, self._arming = Helm(), Arming(self._arming.killed_by)
         self._helm.openloop = OpenLoop(revision=revision)
         self._now, self._state, self._armed, self.step = 0, DISARMED, False, None
 
@@ -206,17 +211,24 @@ class Commander:
         if self._pilot.holder == source:
             self.take(source)  # which renews it
         self._arming.release()
-        self._arming.killed = False
         self._helm.rest("disarmed", self._now)
         return DONE
 
     def kill(self, source: Source) -> Verdict:
-        """Stops the motors in the next tick, whoever asks, and holds the drone disarmed until it is disarmed."""
+        """Stops the motors in the next tick, whoever asks, and holds the drone disarmed until `release`."""
         self._arming.release()
-        self._arming.killed = True
+        self._arming.killed_by = source
         self._helm.rest("killed", self._now)
         self._remark(2, f"killed by system {source[0]}, component {source[1]}")
         return DONE
+
+    def release(self, source: Source) -> Verdict:
+        """Takes a kill back, which a disarming does not: it is what a program does that ends. Nothing arms by it."""
+        verdict = self.take(source, "release")
+        if verdict.accepted and self.killed:
+            self._arming.killed_by = None
+            self._remark(4, f"released by system {source[0]}, component {source[1]}")
+        return verdict
 
     def set_mode(self, source: Source, custom_mode: int) -> Verdict:
         """Changes the mode; offboard wants set-points above 2 Hz before."""

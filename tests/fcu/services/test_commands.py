@@ -231,12 +231,27 @@ def test_questions_are_answered_as_often_as_they_come() -> None:
     assert len(world.taken("AUTOPILOT_VERSION")) == 3
 
 
-def test_termination_is_a_kill_and_cannot_be_taken_back() -> None:
+def test_termination_is_a_kill_and_0_releases_it() -> None:
     world = World()
-    assert world.command(185, 1.0) == ACCEPTED
-    assert world.commander.asked == [("kill", CLIENT)]
-    assert world.command(185, 0.0) == UNSUPPORTED
-    assert world.command(185, math.nan) == UNSUPPORTED
+    for first, asked in ((1.0, "kill"), (0.51, "kill"), (math.inf, "kill"), (0.0, "release"), (-0.0, "release")):
+        assert world.command(185, first) == ACCEPTED
+        world.run(200)
+        assert world.commander.asked == [(asked, CLIENT)]
+        world.commander.asked.clear()
+    for first in (0.5, 0.49, -1.0, math.nan, -math.inf):
+        assert world.command(185, first) == DENIED
+    assert world.commander.asked == []
+    world.commander.verdict = REFUSED
+    assert world.command(185, 0.0) == TEMPORARILY_REJECTED
+
+
+def test_a_release_is_for_one_drone_and_from_another() -> None:
+    """Unlike a kill, which is obeyed by all and under whatever number it comes."""
+    world = World()
+    world.say(message("COMMAND_LONG", command=185, param1=0.0, target_system=0, target_component=0))
+    world.say(message("COMMAND_LONG", command=185, param1=0.0, **US), source=(1, 1))
+    assert world.taken("COMMAND_ACK") == []
+    assert world.commander.asked == []
 
 
 def test_restart() -> None:
@@ -248,6 +263,7 @@ def test_restart() -> None:
     assert world.restarts == 0
     assert world.command(246, 1.0) == ACCEPTED
     assert world.restarts == 1
+    assert [one[0] for one in world.commander.asked] == ["take", "release"], "as after being switched on"
     world.commander.armed = True
     assert world.command(246, 1.0) == TEMPORARILY_REJECTED
     world.commander.armed, world.commander.verdict = False, REFUSED

@@ -132,7 +132,7 @@ def test_a_restart_by_command_begins_at_tick_0() -> None:
     flown("restart", what)
 
 
-def test_no_reset_ends_a_kill() -> None:
+def test_a_kill_outlasts_resets_and_disarmings_and_is_shown_until_it_is_released() -> None:
     async def what(drone: VirtualDrone, client: Client) -> None:
         client.say("TWODOF_LEASE", action=1, duration_ms=30_000)
         await client.run(50)
@@ -141,10 +141,16 @@ def test_no_reset_ends_a_kill() -> None:
         await client.wait("TWODOF_RIG")
         await client.run(50)
         assert await client.command(400, 1.0) == 1
-        assert await client.command(246, 1.0) == 0
-        await client.run(50)
-        assert await client.command(400, 1.0) == 1
         assert await client.command(400, 0.0) == 0
+        assert await client.command(400, 1.0) == 1
+        await client.run(350)  # a second and more: the state is told once in it
+        shown = next(one for one in client.came if one.get_type() == "TWODOF_SAFETY")
+        assert (shown.killed, shown.killed_system, shown.killed_component) == (1, 250, 1)
+        assert await client.command(246, 1.0) == 0, "switched on anew it is not killed"
+        await client.run(50)
+        assert await client.command(185, 1.0) == 0
+        assert await client.command(400, 1.0) == 1
+        assert await client.command(185, 0.0) == 0
         assert await client.command(400, 1.0) == 5
         client.say("TWODOF_GRANT", until=52, number=1)
         assert (await client.wait("COMMAND_ACK")).result == 0

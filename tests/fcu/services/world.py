@@ -72,6 +72,7 @@ class Commander:
 
     armed: bool = False
     killed: bool = False
+    killed_by: Source | None = None
     unfit: Callable[[], str] = str
     base_mode: int = 65
     custom_mode: int = modes.MANUAL
@@ -99,6 +100,9 @@ class Commander:
 
     def kill(self, source: Source) -> Verdict:
         return self._note("kill", source)
+
+    def release(self, source: Source) -> Verdict:
+        return self._note("release", source)
 
     def set_mode(self, source: Source, custom_mode: int) -> Verdict:
         if self.verdict.accepted:

@@ -67,8 +67,10 @@ class Arming:
         return verdict
 
     def _terminate(self, command: Command) -> Verdict:
-        if not command.params[0] > 0.5:  # 0 asks to stop terminating, which nothing does
-            return Verdict(UNSUPPORTED)
+        if command.params[0] == 0.0:
+            return self._commander.release(command.source)
+        if not command.params[0] > 0.5:
+            return Verdict(DENIED, "a kill is 1, its release 0")
         return self._told_of_kill(command.source, self._commander.kill(command.source))
 
     def _reboot(self, command: Command) -> Verdict:
@@ -85,5 +87,6 @@ class Arming:
             return Verdict(TEMPORARILY_REJECTED, "no restart while armed: disarm first")
         verdict = self._commander.take(command.source, "restart")
         if verdict.accepted:
+            self._commander.release(command.source)  # it begins as after being switched on
             self._restart()
         return verdict

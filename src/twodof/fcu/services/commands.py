@@ -171,4 +171,4 @@ def _for_everybody(got: Any) -> bool:
 
 def _stops(number: int, first: float) -> bool:
     """Whether a command stops motors: a kill, or a disarming."""
-    return number == _TERMINATE or (number == _ARM and first == 0.0)
+    return (number == _TERMINATE and first > 0.5) or (number == _ARM and first == 0.0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
+from twodof.fcu.flight_code import Step
 from twodof.fcu.services.flight_telemetry import MASK_32, Encoder
 from twodof.fcu.services.vehicle import Commander, Controller
 from twodof.flight.causes import CAUSES
@@ -31,10 +32,17 @@ def deciding(reason: int) -> int:
     return max(places, key=lambda place: (CAUSES[place].action, -place), default=-1)
 
 
-def safety(since: Callable[[], int]) -> Encoder:
+def safety(since: Callable[[], int], commander: Commander) -> Encoder:
     """TWODOF_SAFETY; `since` says from which tick on the action is taken."""
     pack = Packer("TWODOF_SAFETY")
-    return lambda s: pack(s.tick & MASK_32, since() & MASK_32, s.causes & MASK_32, s.action, deciding(s.reason))
+
+    def encode(s: Step) -> Packed:
+        killed_by = commander.killed_by
+        killed = (0, 0, 0) if killed_by is None else (1, *killed_by)
+        sees = s.causes & MASK_32
+        return pack(s.tick & MASK_32, since() & MASK_32, sees, s.action, deciding(s.reason), *killed)
+
+    return encode
 
 
 def rig(controller: Controller, flown: Callable[[], Flown]) -> Callable[..., Packed]:

@@ -51,7 +51,7 @@ class Telemetry:
             147: system.battery_status(),
             230: system.estimator_status(),
             245: system.extended_sys_state(),
-            SAFETY: own.safety(lambda: self.since),
+            SAFETY: own.safety(lambda: self.since, commander),
         }
         self.standing: dict[int, Callable[[], Any]] = {
             HEARTBEAT: system.heartbeat(commander),

@@ -67,6 +67,10 @@ class Commander(Protocol):
         """Whether a kill holds it disarmed."""
 
     @property
+    def killed_by(self) -> Source | None:
+        """Who killed it last, None: no kill holds it."""
+
+    @property
     def unfit(self) -> Callable[[], str]:
         """Says what else speaks against arming, "" if nothing does."""
 
@@ -115,7 +119,10 @@ class Commander(Protocol):
         """Changes the mode."""
 
     def kill(self, source: Source) -> Verdict:
-        """Stops the motors in the next tick, whoever asks."""
+        """Stops the motors in the next tick, whoever asks, and holds it disarmed."""
+
+    def release(self, source: Source) -> Verdict:
+        """Takes a kill back."""
 
 
 class Controller(Protocol):
