@@ -247,3 +247,16 @@ def test_without_a_file_too_a_controller_that_comes_back_flies_as_it_was_tuned()
     store.carry([])
     store.carry(own)
     assert store["TMI_LAW_ABOVE"] == 5.0
+
+
+def test_disarmed_a_sandbox_that_stopped_begins_anew_with_the_next_value(monkeypatch: pytest.MonkeyPatch) -> None:
+    code = FlightCode([tuned()])
+    assert code.sandbox is not None
+
+    def stops() -> None:
+        raise ControllerFault("it used up its fuel", "prepare")
+
+    monkeypatch.setattr(code.sandbox.machine.instance, "prepare", stops)
+    code.set_parameters({ABOVE: 3.0})
+    assert code.own_fault == ""
+    assert code.parameter(ABOVE) == 3.0
