@@ -21,7 +21,7 @@ class MavProxy:
     """`mavproxy.py --master=URL`, driven by its standard input. A context manager."""
 
     def __init__(self, master: str, folder: Path) -> None:
-        modules = "link,param,arm,mode,signing,log"  # what its default list has and needs no screen
+        modules = "link,param,arm,mode,signing,log,fence"  # what its default list has and needs no screen
         self._process = subprocess.Popen(
             [sys.executable, "-u", str(PROGRAM), f"--master={master}", "--no-state", f"--default-modules={modules}"],
             cwd=folder,

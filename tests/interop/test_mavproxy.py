@@ -34,6 +34,7 @@ def test_mavproxy_sees_sets_and_arms(fcu_url: str, tmp_path: Path) -> None:
         proxy.expect(r"DISARMED")
         proxy.type("link")
         proxy.expect(r"link 1 OK")
+        assert "breach" not in proxy.text  # of a fence that there is not
 
 
 def fetched(proxy: MavProxy, name: str) -> float:

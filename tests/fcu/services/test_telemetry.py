@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from tests.fcu.services.world import World, step
 from twodof.fcu.services.own_telemetry import Flown, deciding
-from twodof.fcu.services.system_telemetry import PREARM, PRESENT
+from twodof.fcu.services.system_telemetry import FENCE, PREARM, PRESENT
 from twodof.flight.causes import BIT, CAUSES
 from twodof.link.framing import Parser, decode, encode
 from twodof.signals import MODES
@@ -210,7 +210,7 @@ def test_battery(voltage: float, charge: float, causes: int) -> None:
 def test_health(causes: int) -> None:
     got = told(1, causes=causes)
     assert got.onboard_control_sensors_present == got.onboard_control_sensors_enabled == PRESENT
-    assert got.onboard_control_sensors_health & ~PRESENT == 0
+    assert got.onboard_control_sensors_health & ~PRESENT == FENCE  # which is not there
     assert bool(got.onboard_control_sensors_health & PREARM) == (causes == 0)
     assert bool(got.onboard_control_sensors_health & 1) == (not causes & BIT["imu_lost"])
     assert bool(got.onboard_control_sensors_health & 256) == (not causes & BIT["range_lost"])

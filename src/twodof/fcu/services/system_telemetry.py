@@ -22,6 +22,8 @@ MOTORS, AHRS, BATTERY, PREARM = 32768, 2097152, 33554432, 268435456
 PRESENT = (
     GYRO | ACCELEROMETER | RANGE | RATE_CONTROL | ATTITUDE_CONTROL | POSITION_CONTROL | MOTORS | AHRS | BATTERY | PREARM
 )
+FENCE = 1048576
+"""There is none; said to be sound, as MAVProxy takes one that is neither there nor sound for breached."""
 UNHEALTHY: tuple[tuple[int, int], ...] = (
     (BIT["imu_lost"], GYRO | ACCELEROMETER),
     (BIT["range_lost"], RANGE),
@@ -42,7 +44,7 @@ LIFTED, GROUNDED = 2, 1
 
 def health(causes: int) -> int:
     """onboard_control_sensors_health for a mask of causes."""
-    sound = PRESENT
+    sound = PRESENT | FENCE
     for bits, sensors in UNHEALTHY:
         if causes & bits:
             sound &= ~sensors
