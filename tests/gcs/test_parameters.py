@@ -205,6 +205,7 @@ def test_whoever_watches_sees_the_parameters_of_what_is_flashed_and_a_restart_ke
                 assert (await pilot.parameters.all()).keys() - stock.keys() >= {"TPA_Q_KP", "TPA_THETA_KP"}
                 await pilot.fly_controller("attitude_control", to_json(starter("lqr-attitude")))
                 assert await pilot.parameters.read("attitude_control.k_q") == 0.2, "as it was tuned"
+                assert drone.controller.code.parameter("attitude_control.k_q") == 0.2
                 await pilot.run(0.1)
                 assert any("as it was tuned before: TLA_K_Q, TLA_K_PAST_4" in text.text for text in watching.messages)
 
