@@ -155,6 +155,20 @@ def test_what_an_old_stream_asked_for_does_not_fly_after_arming() -> None:
     assert cockpit.run(20).mode == OFF
 
 
+def test_an_arming_that_was_refused_leaves_nothing_that_keeps_from_the_next() -> None:
+    cockpit = Cockpit()
+    cockpit.run(2)
+    cockpit.commander.setpoint(ME, LEVEL_FLIGHT)
+    cockpit.commander.set_mode(ME, modes.OFFBOARD)
+    assert cockpit.commander.arm(ME).result == IN_PROGRESS
+    cockpit.failsafe.causes = BIT["tilted"]
+    cockpit.run(2)
+    assert "tilted" in cockpit.commander.arming.text
+    cockpit.failsafe.causes = 0
+    cockpit.run()
+    assert cockpit.arm().accepted
+
+
 def test_a_failsafe_that_does_not_answer_ends_the_arming() -> None:
     cockpit = Cockpit()
     cockpit.run(2)

@@ -358,12 +358,33 @@ def test_rubbish_is_refused(data: bytes) -> None:
 
 @pytest.mark.parametrize(
     ("data", "what"),
-    [(b"{", "excitation: is no JSON (write it with to_json)"), (b"[]", "excitation: is no table of values")],
+    [
+        (b"{", "excitation: is no JSON (write it with to_json)"),
+        (b"[]", "excitation: is no table of values (write it with to_json)"),
+        (
+            Sweep(0.1, 5e-324, 1.0, 5.0, law="logarithmic").to_json().encode(),
+            "sweep: a value is not finite (choose other frequencies)",
+        ),
+    ],
 )
 def test_what_is_no_definition_is_refused_in_these_words(data: bytes, what: str) -> None:
     with pytest.raises(ExperimentError) as refused:
         prepare(data)
-    assert str(refused.value).startswith(what)
+    assert str(refused.value) == what
+
+
+@pytest.mark.parametrize("name", ["lead", "settle", "period", "pause", "repeat", "harmonics"])
+@pytest.mark.parametrize("number", [10**400, -(10**400), 1e9, -1e9])
+def test_numbers_beyond_all_bounds_are_refused_and_no_fault(name: str, number: float) -> None:
+    value = [number] if name == "harmonics" else number
+    with pytest.raises(ExperimentError):
+        prepare(json.dumps(Multisine.schroeder(0.1, 4.0, range(1, 20)).to_dict() | {name: value}).encode())
+
+
+def test_before_any_definition_there_is_none() -> None:
+    player = Cockpit().commander.player
+    assert (player.state, player.transfer, player.reason, player.start, player.end) == (0, 0, "", 0, 0)
+    assert (player.playing, player.waiting, player.unit, player.revision) == (False, False, "", 0)
 
 
 @pytest.mark.parametrize("fault", [ZeroDivisionError, KeyError, IndexError, MemoryError, TypeError, ValueError])

@@ -11,7 +11,7 @@ from twodof.excitation import Impulse
 from twodof.fcu.asked import DENIED, FAILED, IN_PROGRESS, TEMPORARILY_REJECTED, Source
 from twodof.fcu.excitation_player import PLAYING, written_out
 from twodof.fcu.helm import FRESH
-from twodof.fcu.lease import COMMANDING, HEARD, LONGEST
+from twodof.fcu.lease import COMMANDING, HEARD, LONGEST, Lease
 from twodof.fcu.schedule import HORIZON
 from twodof.fcu.setpoints import ATTITUDE, SetPoint
 from twodof.flight.failsafe_machine import OFF
@@ -116,15 +116,55 @@ def test_asked_for_it_lasts_its_time_and_half_a_minute_at_most() -> None:
 def test_in_lockstep_the_time_that_its_holder_grants_does_not_end_it_in_flight() -> None:
     cockpit = armed(talking=(), lockstep=True)
     assert cockpit.run(5 * HEARD).link_new
-    assert cockpit.commander.lease.holder == ME
+    assert cockpit.commander.lease == (ME, HEARD - 1, 1)
+
+
+def test_it_is_moved_with_the_count_of_ticks() -> None:
+    lease = Lease()
+    assert lease.command(ME, 1000)
+    assert (lease.end(False), lease.end(True)) == (1000 + COMMANDING, 1000 + HEARD)
+    lease.moved(-1000)
+    assert (lease.end(False), lease.end(True)) == (COMMANDING, HEARD)
+
+
+def test_its_holder_goes_on_with_it_however_long_time_stood() -> None:
+    lease = Lease()
+    assert lease.ask(ME, 0, LONGEST)
+    lease.stands(10 * HEARD)
+    assert lease.state(0, False) == (ME, 0, 1)
+    assert lease.command(ME, 0)
+    assert lease.state(0, False) == (ME, LONGEST, 1)
+
+
+def test_before_anybody_is_heard_there_is_no_link_and_what_was_heard_counts_for_a_tick() -> None:
+    cockpit = Cockpit(talking=())
+    assert not cockpit.run().link_new
+    cockpit.commander.heard(COMPANION, True)
+    cockpit.commander.heard((2, 1), False)  # another vehicle, after it
+    assert cockpit.run().link_new
+    cockpit.commander.heard(COMPANION, True)
+    cockpit.commander.restart()
+    assert not cockpit.commander.asked(0).link_new
 
 
 def test_nobody_has_no_lease() -> None:
     commander = Cockpit().commander
-    for source in ((0, 1), (1, 0), (0, 0)):
+    for source in ((0, 1), (0, 190), (0, 0)):
         assert commander.take(source).result == DENIED
         assert commander.ask_lease(source, 1000).result == DENIED
     assert commander.lease.holder is None
+
+
+def test_a_script_without_a_component_commands_like_another() -> None:
+    """pymavlink's default is component 0. It is none of the others of its system."""
+    script: Source = (250, 0)
+    cockpit = Cockpit(talking=(script,))
+    cockpit.run(3)
+    assert cockpit.arm(script).accepted
+    assert cockpit.commander.lease.holder == script
+    assert cockpit.commander.arm(ME).text == "arming refused: system 250, component 0 holds the lease"
+    cockpit.run(2 * HEARD)
+    assert cockpit.commander.lease.holder == script
 
 
 def test_the_link_is_the_holders_and_with_no_holder_any_clients() -> None:

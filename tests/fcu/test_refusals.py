@@ -106,7 +106,7 @@ SITUATIONS: dict[str, tuple[Callable[[], Verdict], int]] = {
     f"lease not given up: {WHO} it": (lambda: armed().commander.give_up_lease(OTHER), TEMPORARILY_REJECTED),
     "lease not given up: nobody holds it": (lambda: on_the_ground().commander.give_up_lease(ME), TEMPORARILY_REJECTED),
     "command refused: it has no sender": (lambda: on_the_ground().commander.take((0, 190)), DENIED),
-    "lease refused: it has no sender": (lambda: on_the_ground().commander.ask_lease((250, 0)), DENIED),
+    "lease refused: it has no sender": (lambda: on_the_ground().commander.ask_lease((0, 0)), DENIED),
     # Arming.
     "not armed: tilted": (lambda: on_the_ground(BIT["tilted"]).commander.arm(ME), TEMPORARILY_REJECTED),
     "not armed: imu_lost, tilted": (

@@ -108,4 +108,5 @@ def test_before_anything_has_run_over_a_field_is_its_own_tick() -> None:
     for now in (0, 1, 10**6):
         for value in (0, 1, 2**31 - 1, MASK_32):
             assert meant(value, now) == value
+    assert acts_at_ms(MASK_32, 0) == RUN_OVER_MS
     assert acts_at_ms(5, 0) == 2, "the first tick that is not before it"

@@ -90,13 +90,11 @@ class Lease:
         """Time stood still for so long, in ticks, while nothing was heard of the holder."""
         self._stood = min(self._stood + ticks, HEARD)
 
-    def expire(self, tick: int, armed: bool) -> bool:
-        """Frees it if its time is over; whether it did."""
-        if self.holder is None or tick < self.end(armed):
-            return False
-        self._free()
-        self.orphaned = armed
-        return True
+    def expire(self, tick: int, armed: bool) -> None:
+        """Frees it if its time is over."""
+        if self.holder is not None and tick >= self.end(armed):
+            self._free()
+            self.orphaned = armed
 
     def moved(self, ticks: int) -> None:
         """The count of ticks was changed by `ticks`: the time that is left stays the same."""

@@ -12,6 +12,7 @@ DONE = Verdict(ACCEPTED)
 class Pilot:
     """Answers who asks for the lease, and says in each tick whether the link is alive.
 
+    A sender is one whose system is not 0; its component may be, as that of many a script is, and PX4 takes those too.
     With `granted` the time that passes was granted by the holder, so the link is alive in every tick.
     """
 
@@ -53,7 +54,7 @@ class Pilot:
 
     def take(self, source: Source, what: str, tick: int) -> Verdict:
         """Whether `source` may command; takes a free lease for it. `what` it wanted is named in a refusal."""
-        if 0 in source:
+        if not source[0]:
             return Verdict(DENIED, f"{what} refused: it has no sender")
         if not self._lease.command(source, tick):
             return Verdict(TEMPORARILY_REJECTED, f"{what} refused: {self._who()} holds the lease")
@@ -62,7 +63,7 @@ class Pilot:
 
     def ask(self, source: Source, duration_ms: int, tick: int) -> Verdict:
         """Takes the lease, or renews it, for a time of 30 s at most (0: 2 s); refused while another holds it."""
-        if 0 in source:
+        if not source[0]:
             return Verdict(DENIED, "lease refused: it has no sender")
         ticks = round(duration_ms * 1e-3 / PERIOD) if duration_ms else COMMANDING
         if not self._lease.ask(source, tick, ticks):

@@ -15,7 +15,7 @@ def meant(value: int, now: int, run_over: int = RUN_OVER) -> int:
     None is before tick 0, so until the first half of the field's range has passed it is `value` itself.
     """
     nearest = now + (value - now + run_over // 2) % run_over - run_over // 2
-    return nearest if nearest >= 0 else value
+    return nearest if nearest > 0 else value
 
 
 def acts_at(tick: int, now: int) -> int:
