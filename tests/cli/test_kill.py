@@ -7,6 +7,7 @@ import pytest
 
 from tests.fcu.program import twodof_fcu
 from twodof.cli.app import run
+from twodof.errors import Rejected
 from twodof.gcs.drone import Drone
 from twodof.link.key import read_key
 
@@ -27,8 +28,23 @@ def test_a_drone_that_another_one_flies_is_stopped_with_the_key_alone(
             said = json.loads(capfd.readouterr().out)
             assert (said["was_armed"], said["killed"]) == (True, True)
             pilot.wait_until(lambda: not pilot.there.state.armed, 5.0)
+        # Leaving has disarmed it in the ordinary way, which released nothing: the same script again does not fly.
+        with (
+            Drone.connect(url, key=made) as again,
+            pytest.raises(Rejected, match=r"killed by system \d+, component 190"),
+        ):
+            again.arm()
+        capfd.readouterr()
         assert run(["kill", "--url", url, "--key", str(file)]) == 0
-        assert "it was not armed" in capfd.readouterr().out
+        said_again = capfd.readouterr().out
+        assert "it was not armed" in said_again
+        assert f"held so until released: twodof kill --release --url {url}" in said_again
+        for was in (True, False):
+            assert run(["kill", "--release", "--url", url, "--key", str(file), "--json"]) == 0
+            said = json.loads(capfd.readouterr().out)
+            assert said == {"url": url, "was_killed": was, "killed": False}
+        with Drone.connect(url, key=made) as again:
+            again.arm()
 
 
 def test_a_key_is_never_written_over(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -16,7 +16,8 @@ import numpy as np
 import pytest
 
 from tests.gcs.virtual import OnBoard, on_board
-from twodof.errors import LinkLost, LogError, ParameterError, RecordingError, Rejected
+from tests.patience import PATIENCE_S
+from twodof.errors import ExperimentError, LinkError, LinkLost, LogError, ParameterError, RecordingError, Rejected
 from twodof.excitation import Doublet, Impulse
 from twodof.flightlog import read_log, recover, write_log
 from twodof.gcs import identity
@@ -197,6 +198,41 @@ def test_an_impulse_flies_without_thrust(there: OnBoard) -> None:
         assert rows.values[:, 2].max() > 0.5
 
 
+def test_a_kill_is_seen_at_once_and_holds_until_it_is_released(there: OnBoard) -> None:
+    """In lockstep too, where nothing is seen unless time passes; a reset and leaving release nothing."""
+    with Drone.connect(there.url) as drone:
+        drone.run(0.5)
+        drone.arm()
+        drone.set_pitch(0.05)
+        drone.run(0.5)
+        drone.kill()
+        assert (drone.state.armed, drone.state.killed) == (False, True)
+        mine = drone.there.session.connection.system
+        with pytest.raises(Rejected, match=f"it was killed by system {mine}, component 190"):
+            drone.set_pitch(0.05)
+        drone.reset(rings=True)
+        drone.run(0.5)
+        with pytest.raises(Rejected, match="killed"):
+            drone.arm()
+    with Drone.connect(there.url) as drone:
+        assert "killed" in str(drone.state)
+        with pytest.raises(Rejected, match="killed"):
+            drone.arm()
+        drone.release()
+        assert not drone.state.killed
+        drone.arm()
+
+
+def test_what_is_no_excitation_column_or_recording_is_said_at_the_call(there: OnBoard, tmp_path: Path) -> None:
+    with Drone.connect(there.url) as drone:
+        with pytest.raises(ExperimentError, match="3 is no excitation"):
+            drone.excite(3)
+        with pytest.raises(LinkError, match="nix"):
+            drone.batch(["nix"])
+        with pytest.raises(LogError, match="MCAP"):
+            drone.record(tmp_path / "flight.mat")
+
+
 def test_a_loop_in_another_unit_is_refused(there: OnBoard) -> None:
     with Drone.connect(there.url) as drone, pytest.raises(Rejected, match="not armed"):
         drone.excite(Doublet(0.1, 0.5, unit="rad"))
@@ -208,7 +244,7 @@ def test_two_clients_of_which_one_commands(there: OnBoard) -> None:
             Drone.connect(there.url, system=251)
         with Drone.connect(there.url, system=251, take_lease=False) as second:
             with pytest.raises(Rejected, match="holds the lease"):
-                second.arm(timeout=2.0)
+                second.arm(timeout=PATIENCE_S)
             first.run(0.5)
             first.arm()
             second.kill()
@@ -250,11 +286,11 @@ def test_two_clients_that_choose_no_id_are_two(there: OnBoard, monkeypatch: pyte
             monkeypatch.setattr(identity, "OWN_SYSTEMS", (mine, mine + 1))
             monkeypatch.setattr(secrets, "choice", lambda rows: rows[0])
         with pytest.raises(Rejected, match=f"{mine}/190 holds the lease"):
-            Drone.connect(there.url, timeout=3.0)
+            Drone.connect(there.url, timeout=PATIENCE_S)
         with Drone.connect(there.url, take_lease=False) as other:
             assert other.there.session.connection.system != mine
             with pytest.raises(Rejected, match="holds the lease"):
-                other.set_mode("hold", timeout=2.0)
+                other.set_mode("hold", timeout=PATIENCE_S)
         first.run(0.2)
         assert first.state.armed
         assert there.drone.commander.lease.holder == (mine, 190)
@@ -272,10 +308,10 @@ def test_leaving_disarms_whatever_ends_it(there: OnBoard) -> None:
             leave(error)
         assert not there.drone.commander.armed
         assert there.drone.commander.lease.holder is None
-    before = threading.active_count()
+    before = set(threading.enumerate())
     with Drone.connect(there.url) as drone:
-        assert threading.active_count() == before + 1
-    assert threading.active_count() == before
+        (thread,) = [one for one in threading.enumerate() if one not in before and one.name.startswith("drone ")]
+    assert not thread.is_alive()
     with pytest.raises(LinkLost, match="closed"):
         drone.arm()
 
@@ -312,10 +348,10 @@ def test_a_script_that_ends_without_leaving_disarms(how: str) -> None:
             assert child.stdout.readline() == b"flying\n"
             if how == "interrupt":
                 child.send_signal(signal.SIGINT)
-            child.communicate(timeout=20.0)
+            child.communicate(timeout=PATIENCE_S)
         finally:
             child.kill()
-            child.wait(timeout=10.0)
+            child.wait(timeout=PATIENCE_S)
         assert not there.drone.commander.armed
         assert there.drone.commander.lease.holder is None
 
@@ -328,8 +364,8 @@ def test_a_script_that_is_killed_leaves_the_drone_to_its_failsafe() -> None:
             assert child.stdout.readline() == b"flying\n"
         finally:
             os.kill(child.pid, signal.SIGKILL)
-            child.communicate(timeout=10.0)
-        end = time.monotonic() + 30.0
+            child.communicate(timeout=PATIENCE_S)
+        end = time.monotonic() + PATIENCE_S
         while not there.steps[-1].action and time.monotonic() < end:
             time.sleep(0.02)
         assert there.steps[-1].action > 0
@@ -346,7 +382,7 @@ def test_a_reset_in_a_recording_loses_nothing_of_what_came_before(there: OnBoard
     assert recording.lost == 0
     log = read_log(tmp_path / "twice.mcap")
     assert sum(len(log[name]) for name in log) == recording.samples
-    # The truth of a tick is known before that tick is run: of the present one at once, at the end of one that never ran.
+    # The truth of a tick is known before it is run: of the present one at once, at the end of one that never ran.
     for name, samples in (("q", 750), ("q_true", 751)):
         assert len(log[name]) == samples
         np.testing.assert_allclose(np.diff(log[name].time), 0.004, atol=1e-8)  # stamps are whole nanoseconds

@@ -152,7 +152,9 @@ class AsyncDrone(Connected):
     def _not_killed(self, deadline: Deadline) -> None:
         """A drone that was killed takes set-points and flies none: raise Rejected."""
         if self.state.killed:
-            raise Rejected("it was killed", deadline.where, "see why, then drone.release(), and arm it again")
+            by = self.state.safety.killed_by
+            who = f" by system {by[0]}, component {by[1]}" if by is not None else ""
+            raise Rejected(f"it was killed{who}", deadline.where, "see why, then drone.release(), and arm it again")
 
     def _not_taken(self, text: str, deadline: Deadline) -> Rejected:
         remedy = "put right what it says and try again"

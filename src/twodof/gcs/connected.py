@@ -379,7 +379,7 @@ class Connected:
     def _needs_ours(self, what: str, name: str) -> None:
         """Raise Rejected, at once, where the drone does not know the message `name`, since it is not one of ours."""
         if not self.ours:
-            self.session.check(self.session.now)
+            self.session.must_stand()
             missing = f"{what}: it is not one of ours but {self.state.autopilot}, which has no {name}"
             raise Rejected(missing, f"drone {self.session.system}", "docs/clients.md says what works there")
 

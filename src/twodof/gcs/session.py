@@ -217,8 +217,13 @@ class Session:
                 self.end(
                     LinkLost(f"nothing was heard of drone {self.system} for {SILENT_S:g} s", self.url, "connect again")
                 )
-        if self._lost is not None:
-            raise LinkLost(self._lost.what, self._lost.where, self._lost.remedy)
+        self.must_stand()
+
+    def must_stand(self) -> None:
+        """Raise LinkLost if the vehicle is known to be lost; any thread may ask."""
+        lost = self._lost
+        if lost is not None:
+            raise LinkLost(lost.what, lost.where, lost.remedy)
 
     def _woke(self) -> None:
         """Where this program stood still (a notebook's slow cell, a laptop that slept) the drone was not silent."""

@@ -13,13 +13,17 @@ RINGS, SAFETY_OFF, VIRTUAL, LOCKSTEP = 1, 2, 4, 8
 
 @dataclass(frozen=True)
 class Safety:
-    """The failsafe: what it does since which tick, what decided (`reason`), and the causes it sees now."""
+    """The failsafe: what it does since which tick, what decided (`reason`), and the causes it sees now.
+
+    `killed_by` is the system and component whose kill holds it, None while none does or it is not known.
+    """
 
     action: str = "none"
     reason: str = ""
     causes: tuple[str, ...] = ()
     since: int = 0
     tick: int = 0
+    killed_by: tuple[int, int] | None = None
 
 
 @dataclass(frozen=True)
@@ -104,7 +108,8 @@ class Watcher:
         causes = names_of("TWODOF_CAUSE", got.flags)
         reason = names_of("TWODOF_CAUSE", 1 << got.reason) if 0 <= got.reason < 32 else ()
         action = word_of("TWODOF_ACTION", got.action)
-        self._change(safety=Safety(action, ", ".join(reason), causes, got.since, got.tick))
+        by = (got.killed_system, got.killed_component) if got.killed else None
+        self._change(safety=Safety(action, ", ".join(reason), causes, got.since, got.tick, by))
 
     def _rig(self, got: Any) -> None:
         flags = got.flags

@@ -89,7 +89,7 @@ class Signal:
     @property
     def value(self) -> Value:
         """The latest value. Raises LinkLost where no newer one will come, Timeout if none has come yet."""
-        self._session.check(self._session.now)
+        self._session.must_stand()
         if self.latest is None:
             raise Timeout(f"no {self.name} has come yet", self._session.url, "wait for it with `next`")
         return self.latest.value
