@@ -229,7 +229,7 @@ class Session:
         """Where this program stood still (a notebook's slow cell, a laptop that slept) the drone was not silent."""
         paused = self.now - self._awake
         if paused > HEARTBEAT_S + SLACK_S and self._lost is None:
-            self._last_heard += paused - HEARTBEAT_S
+            self._last_heard = min(self.now, self._last_heard + paused - HEARTBEAT_S)
             self._awake = self.now
             if paused > SILENT_S and self.on_pause is not None:
                 self.on_pause(paused)
