@@ -83,10 +83,13 @@ async def _flight() -> None:
             with pytest.raises(Rejected):
                 await drone.arm()
             (denied,), _ = await watcher.look()
-            assert denied == "Arming denied: it was killed, disarm first"
+            assert denied == "Arming denied: it was killed, release it first"
 
             await drone.disarm()
-            await watcher.look(2.1)
+            await drone.release()
+            shown, lines = await watcher.look(2.1)
+            assert shown == [f"Released by system {us}, component 190"]
+            assert lines == [f"released by system {us}, component 190{TAB}"]
             assert reader.failing() == {"The mode moves the cart, which is locked": "position_controller"}
             await drone.arm()  # as the report has it
             shown, _ = await watcher.look()

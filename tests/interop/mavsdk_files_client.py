@@ -21,6 +21,7 @@ from mavsdk.asyncio.plugins.events import EventsAsync
 from mavsdk.asyncio.plugins.ftp import FtpAsync
 from mavsdk.asyncio.plugins.log_streaming import LogStreamingAsync
 from mavsdk.plugins.action import ActionError
+from mavsdk.plugins.events import HealthAndArmingCheckMode
 from mavsdk.plugins.ftp import FtpError
 
 DEADLINE_S = 100.0
@@ -83,27 +84,35 @@ async def metadata(system: System) -> None:
 
 
 async def events(system: System) -> None:
-    """What it is told in words while somebody kills, wants to arm, and arms."""
+    """What it is told in words while somebody arms, kills, and wants to arm again."""
     plugin, action = EventsAsync(system), ActionAsync(system)
     lines, reports = plugin.subscribe_events(), plugin.subscribe_health_and_arming_checks()
-    line, report = (asyncio.create_task(within(anext(stream))) for stream in (lines, reports))
-    now = (await report).current_mode_intention
+    line = asyncio.create_task(within(anext(lines)))
+
+    async def report(able: bool) -> HealthAndArmingCheckMode:
+        """The first that says so: there may be several meanwhile."""
+        async for one in reports:
+            if one.current_mode_intention.can_arm_or_run == able:
+                return one.current_mode_intention
+        raise EOFError
+
+    now = await within(report(able=True))
     say("checks", mode=now.mode_name, able=now.can_arm_or_run, problems=[one.message for one in now.problems])
+    await within(action.arm())
+    await within(action.disarm())
+    for told in (await line, await within(anext(lines))):
+        say("event", name=told.event_name, text=told.message, level=told.log_level.name)
     await within(action.kill())
-    say("event", name=(await line).event_name)
+    told = await within(anext(lines))
+    say("event", name=told.event_name, text=told.message, level=told.log_level.name)
     try:
         await within(action.arm())
     except ActionError as refused:
         say("not armed", why=str(refused))
     denied = await within(anext(lines))
     say("event", name=denied.event_name, text=denied.message, level=denied.log_level.name)
-    now = (await within(anext(reports))).current_mode_intention
+    now = await within(report(able=False))
     say("checks", mode=now.mode_name, able=now.can_arm_or_run, problems=[one.message for one in now.problems])
-    for what in (action.disarm, action.arm, action.disarm):
-        await within(what())
-    for _ in range(2):
-        told = await within(anext(lines))
-        say("event", name=told.event_name, text=told.message, level=told.log_level.name)
 
 
 async def stream(system: System, target: Path) -> None:

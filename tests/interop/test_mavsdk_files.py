@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from bench.programs import port
+from tests.patience import PATIENCE_S
 from twodof.fcu.services.metadata import metadata_files
 from twodof.fcu.step_row import STEP_TOPIC
 from twodof.fcu.store import Store
@@ -61,13 +62,13 @@ def test_it_finds_the_descriptions_by_component_metadata(saw: dict[str, list[Any
 
 def test_it_shows_events_in_words_and_what_keeps_from_arming(saw: dict[str, list[Any]]) -> None:
     """MAVSDK reads them with libevents' own C++ parser, by the descriptions that it has fetched."""
-    killed = "It was killed, disarm first"
+    killed = "It was killed, release it first"
     assert [(one["able"], one["problems"]) for one in saw["checks"]] == [(True, []), (False, [killed])]
-    kill, denied, armed, disarmed = saw["event"]
-    assert kill["name"] == "killed"
+    armed, disarmed, kill, denied = saw["event"]
+    assert kill["text"] == "Killed by system 245, component 190"
     assert denied == {
         "name": "arming_denied",
-        "text": "Arming denied: it was killed, disarm first",
+        "text": "Arming denied: it was killed, release it first",
         "level": "CRITICAL",
     }
     assert armed["text"] == "Armed by system 245, component 190"

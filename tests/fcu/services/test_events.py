@@ -118,12 +118,12 @@ def test_a_refusal_to_arm_says_all_that_is_in_the_way() -> None:
     world.commander.unfit = lambda: "a controller is being built"
     world.run(1, causes=BIT["tilted"])
     world.taken("EVENT")
-    world.commander.verdict = Verdict(TEMPORARILY_REJECTED, "not armed: it was killed, disarm first")
+    world.commander.verdict = Verdict(TEMPORARILY_REJECTED, "not armed: killed by system 250, component 1")
     assert world.command(ARM, 1.0) == TEMPORARILY_REJECTED
     (line,) = reader.shown(world.taken("EVENT", None))
     assert line.removeprefix("Arming denied: ").split("; ") == [
         "the pitch is far from level",
-        "it was killed, disarm first",
+        "it was killed, release it first",
         "safety switch, press it",
         "the controller has stopped, or is being built",
     ]
@@ -154,6 +154,9 @@ def test_a_kill_is_told_with_who_did_it() -> None:
     world.run(1)
     events = reported(world)
     assert Reader(definitions()).shown(events) == ["Killed by system 250, component 1", "Disarmed by a kill"]
+    world.commander.killed, world.commander.lease = False, PILOT
+    world.run(1)
+    assert Reader(definitions()).shown(reported(world)) == ["Released by system 250, component 1"]
 
 
 def test_a_text_that_an_event_says_too_is_marked_as_px4_marks_it() -> None:

@@ -79,9 +79,7 @@ class Arming:
             return Verdict(DENIED)
         if action == 0:
             return Verdict(ACCEPTED)
-        if (
-            self._restart is None or action != REBOOT_AUTOPILOT
-        ):  # there is no boot loader to stay in, nor is it shut down
+        if self._restart is None or action != REBOOT_AUTOPILOT:  # it has no boot loader, and is not shut down
             return Verdict(UNSUPPORTED)
         if self._commander.armed:
             return Verdict(TEMPORARILY_REJECTED, "no restart while armed: disarm first")

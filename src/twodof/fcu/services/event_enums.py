@@ -42,7 +42,7 @@ FIRST_OBSTACLE = 24
 """The causes are the bits below, the other obstacles those from here on."""
 
 OBSTACLES = (
-    Obstacle("killed", "it was killed, disarm first", "system"),
+    Obstacle("killed", "it was killed, release it first", "system"),
     Obstacle("stopped", "the failsafe has stopped the motors, disarm first", "system"),
     Obstacle("unheard", "no sensor was heard yet", "system"),
     Obstacle("safety_switch", "safety switch, press it", "motors_escs"),

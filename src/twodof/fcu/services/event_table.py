@@ -107,7 +107,16 @@ DENIED = Event(
     (Argument("obstacles", "obstacle_t"),),
     said=("not armed: ", "arming refused: "),
 )
-KILL = Event(8, "killed", "Killed by system {1}, component {2}", CRITICAL, _WHO, said=("killed by ",))
+KILL = Event(
+    8,
+    "killed",
+    "Killed by system {1}, component {2}",
+    CRITICAL,
+    _WHO,
+    text="It arms no more until it is released: by command 185 with 0, by `twodof kill --release`, or by a restart.",
+    said=("killed by ",),
+)
+RELEASED = Event(9, "released", "Released by system {1}, component {2}", WARNING, _WHO, said=("released by ",))
 
 _UNHEALTHY = frozenset({"range_lost", "imu_lost", "step_late", "own_failed", "command_stuck", "command_lost"})
 """Causes that say that a part has failed; the others only keep from arming."""
@@ -161,7 +170,7 @@ CHECKS = MappingProxyType(
 """Name of a cause or an obstacle -> the check that fails with it; their numbers follow the bits."""
 
 EVENTS: tuple[Event, ...] = (
-    *(ARMED, DISARMED, ACTION, MODE, OVER, OFF, DENIED, KILL),
+    *(ARMED, DISARMED, ACTION, MODE, OVER, OFF, DENIED, KILL, RELEASED),
     *(ARMING_SUMMARY, HEALTH_SUMMARY),
     *CHECKS.values(),
 )

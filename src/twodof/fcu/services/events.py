@@ -54,6 +54,7 @@ class Events:
         self._armed = False
         self._action = 0
         self._mode = commander.custom_mode
+        self._killed = commander.killed
         self._answered: tuple[Event | None, tuple[int, ...], int] = None, (), 0
         self._reported: list[Told] = []
         self._reported_at = -REPORT_TICKS
@@ -80,6 +81,11 @@ class Events:
                 self._tell(event_table.ARMED, *(self._commander.lease.holder or (0, 0)))
             else:
                 self._tell(event_table.DISARMED, self._disarmed_by(step))
+        killed = self._commander.killed
+        if killed != self._killed:
+            self._killed = killed
+            if not killed:
+                self._tell(event_table.RELEASED, *(self._commander.lease.holder or (0, 0)))
         mode = self._commander.custom_mode
         if mode != self._mode:
             self._mode = mode
