@@ -347,13 +347,14 @@ def traced(*values: Any) -> bool:
 
 def where(condition: Any, a: Any, b: Any) -> Any:
     """`a` where the condition holds, else `b`; both are evaluated. Two literals give a real."""
+    # What the reference meets all the time comes first: two numbers of one type of the language.
+    if type(condition) is np.bool_ and type(a) is type(b) and type(a) in numbers.scalars() and not _tracing.get():
+        return a if condition else b
     if traced(condition, a, b):
         c = as_expr(condition, "bool")
         left, right = _pair(a, b)
         scalars("where", c, left, right)
         return node("where", left.kind, (c, left, right))
-    if type(a) is type(b) is numbers.real_type():
-        return a if condition else b
     strong = [v for v in (a, b) if isinstance(v, (Integer, np.floating, np.bool_, bool))]
     kind = numbers.kind_of(strong[0]) if strong else "real"
     return numbers.cast(a if condition else b, kind)

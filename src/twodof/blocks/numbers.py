@@ -8,7 +8,7 @@ A `Vector` is a fixed-length array whose dynamic index is clamped.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Any, ClassVar
@@ -40,6 +40,16 @@ def precision(name: str) -> Iterator[None]:
 def real_type() -> type[np.floating[Any]]:
     """The numpy scalar type of a real under the enclosing `precision`."""
     return _REAL.get()
+
+
+def scalar_types() -> Mapping[str | None, type]:
+    """What a number of each kind is an instance of under the enclosing `precision`."""
+    return _SCALARS[_REAL.get()]
+
+
+def scalars() -> frozenset[type]:
+    """The types of numbers under the enclosing `precision`."""
+    return _TYPES[_REAL.get()]
 
 
 class Integer:
@@ -156,7 +166,8 @@ def _deferring(operation: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any
 
     @functools.wraps(operation)
     def deferred(self: Any, other: Any) -> Any:
-        return NotImplemented if hasattr(other, "op") else operation(self, other)
+        # First what it nearly always is: an attribute that is not there is found out slowly.
+        return operation(self, other) if type(other) is type(self) or not hasattr(other, "op") else NotImplemented
 
     return deferred
 
@@ -182,6 +193,12 @@ class UInt32(Integer):
     __slots__ = ()
     kind = "uint32"
     low = 0
+
+
+_SCALARS: dict[type, dict[str | None, type]] = {
+    real: {"real": real, "bool": np.bool_, "int32": Int32, "uint32": UInt32} for real in PRECISIONS.values()
+}
+_TYPES = {real: frozenset(kinds.values()) for real, kinds in _SCALARS.items()}
 
 
 def _quotient(a: int, b: int) -> int:

@@ -6,13 +6,14 @@ docs/language.md, section 4.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from twodof.blocks import numbers
 from twodof.blocks.block import (
+    Block,
     Clock,
     Inputs,
     Param,
@@ -67,6 +68,10 @@ class Reference:
         return ReferenceMachine(self)
 
 
+_Place = tuple[dict[str, Any], str]
+"""Where a value stands while a diagram runs, and under which name."""
+
+
 class _Run:
     """A cell while it runs: what its methods see and the outputs that it holds.
 
@@ -82,31 +87,45 @@ class _Run:
         self.y = {p.name: _zero(p) for p in cell.block.outputs}
         self.after: dict[str, tuple[Any, Any]] = {}  # port -> (fraction of the step, value after it)
         self.feeds: list[tuple[str, dict[str, Any], str]] = []  # input, where its value stands, under which name
+        self.enables: list[_Place] = []
+        self.resets: list[_Place] = []
         self.active = False
         self.seen = (Inputs(self.u), States(self.x), Parameters(self.p), clock)
         self.discrete = cell.discrete
         self.continuous = cell.continuous
+        self.output = _Method(self, cell.block.output, cell.block.outputs)
+        self.update = _Method(self, cell.block.update, self.discrete)
+        self.derivative = _Method(self, cell.block.derivative, self.continuous)
+        self.project = _Method(self, cell.block.project, self.continuous)
 
     def feed(self) -> None:
+        u = self.u
         for port, values, key in self.feeds:
-            self.u[port] = values[key]
-
-    def call(self, method: str, declared: Sequence[Port | State]) -> dict[str, Any]:
-        """What the block's method gives, as numbers of the declared types (tracing has checked the names)."""
-        result = getattr(self.cell.block, method)(*self.seen)
-        if not isinstance(result, Mapping):
-            result = {declared[0].name: result}
-        real = numbers.real_type()
-        given = {}
-        for d in declared:
-            if d.name in result:
-                value = result[d.name]
-                plain_real = d.kind == "real" and d.width is None and type(value) is real
-                given[d.name] = value if plain_real else numeric(value, d.kind, d.width, self.cell.path)
-        return given
+            u[port] = values[key]
 
     def zero_outputs(self) -> None:
         self.y.update({p.name: _zero(p) for p in self.cell.block.outputs})
+
+
+class _Method:
+    """A method of a running block: what it gives, as numbers of the declared types (tracing has checked the names)."""
+
+    def __init__(self, run: _Run, method: Callable[..., Any], declared: Sequence[Port | State]) -> None:
+        self._seen, self._path, self._method = run.seen, run.cell.path, method
+        self._declared = [(d.name, d.kind, d.width, None if d.width is not None else d.kind) for d in declared]
+
+    def __call__(self) -> dict[str, Any]:
+        result = self._method(*self._seen)
+        if type(result) is not dict and not isinstance(result, Mapping):
+            result = {self._declared[0][0]: result}
+        types = numbers.scalar_types()
+        given = {}
+        for name, kind, width, scalar in self._declared:
+            if name in result:
+                value = result[name]
+                # What is of the type already, as nearly all is, needs no look at what else it could be.
+                given[name] = value if type(value) is types.get(scalar) else numeric(value, kind, width, self._path)
+        return given
 
 
 def _zero(port: Port) -> Any:
@@ -127,15 +146,25 @@ class ReferenceMachine:
             self._runs = {cell.path: self._open(cell) for cell in self.hierarchy.cells}
         for run in self._runs.values():
             run.feeds = [(port, *self._place(driver)) for port, driver in run.cell.drivers.items()]
-        self._schedule = [(self._runs[c.path], c.block, ports) for c, ports in self.hierarchy.schedule]
-        self._inner = [(self._runs[c.path], c.block, ports) for c, ports in self.hierarchy.continuous_schedule]
+            run.enables = [self._place(level.enable) for level in run.cell.levels if level.enable]
+            run.resets = [self._place(level.reset) for level in run.cell.levels if level.reset]
+        begun: set[str] = set()
+        self._schedule: list[tuple[_Run, Block, Sequence[str], bool]] = []  # and whether it is the cell's first place
+        for cell, ports in self.hierarchy.schedule:
+            self._schedule.append((self._runs[cell.path], cell.block, ports, cell.path not in begun))
+            begun.add(cell.path)
+        self._without_outputs = [run for path, run in self._runs.items() if path not in begun]
+        self._logged = [(name, *self._place(driver)) for name, driver in program.signals.items()]
+        self._inner = [(self._runs[c.path], ports) for c, ports in self.hierarchy.continuous_schedule]
         self.reset()
 
     def _open(self, cell: Cell) -> _Run:
         dt = numbers.real_type()(self.program.dt * cell.rate.divider)
         return _Run(cell, Clock(UInt32(0), dt, self._real_dt))
 
-    def _place(self, driver: PortOf | str) -> tuple[dict[str, Any], str]:
+    def _place(self, driver: PortOf | str | None) -> _Place:
+        if driver is None:
+            raise DiagramError("a signal is not connected", self.program.diagram.name, "connect it")
         if isinstance(driver, PortOf):
             return self._runs[driver.cell.path].y, driver.port
         return self._inputs, driver
@@ -210,9 +239,9 @@ class ReferenceMachine:
         """`step`, with the language's own numbers; needs an enclosing `numbers.precision`."""
         self._read(inputs)
         self._outputs()
-        logged = {name: self._value(driver) for name, driver in self.program.signals.items()}
+        logged = {name: values[key] for name, values, key in self._logged}
         active = [run for run in self._runs.values() if run.active]
-        updates = [(run, run.call("update", run.discrete)) for run in active if run.discrete]
+        updates = [(run, run.update()) for run in active if run.discrete]
         states = self._integrate([run for run in active if run.continuous])
         for run, new in [*updates, *states]:
             run.x.update(new)
@@ -228,14 +257,12 @@ class ReferenceMachine:
             self._inputs[name] = numeric(value, declared[name].kind, declared[name].width, name)
 
     def _outputs(self) -> None:
-        begun: set[int] = set()
-        for run, block, ports in self._schedule:
-            if id(run) not in begun:
-                begun.add(id(run))
+        for run, block, ports, first in self._schedule:
+            if first:
                 self._begin(run)
             run.feed()
             if run.active:
-                fresh = run.call("output", block.outputs)
+                fresh = run.output()
                 edges = block.edges(*run.seen) if block.trace.edges else {}
                 for port in ports:
                     run.y[port] = fresh[port]
@@ -246,9 +273,9 @@ class ReferenceMachine:
                         )
             elif run.cell.rate_due(self.tick) and self._cleared(run.cell):
                 run.zero_outputs()
+        for run in self._without_outputs:
+            self._begin(run)
         for run in self._runs.values():
-            if id(run) not in begun:  # a block without outputs
-                self._begin(run)
             run.feed()
 
     def _cleared(self, cell: Cell) -> bool:
@@ -259,13 +286,11 @@ class ReferenceMachine:
         cell = run.cell
         run.t.tick = UInt32(self.tick)
         run.after = {}
-        run.active = cell.rate_due(self.tick) and all(self._value(s.enable) for s in cell.levels if s.enable)
-        if run.active and any(self._value(s.reset) for s in cell.levels if s.reset):
+        run.active = cell.rate_due(self.tick) and (not run.enables or all(values[key] for values, key in run.enables))
+        if run.active and run.resets and any(values[key] for values, key in run.resets):
             run.x.update(self._initial(run))
 
     def _value(self, driver: PortOf | str | None) -> Any:
-        if driver is None:
-            raise DiagramError("a signal is not connected", self.program.diagram.name, "connect it")
         values, key = self._place(driver)
         return values[key]
 
@@ -290,7 +315,7 @@ class ReferenceMachine:
         for run, u, x in held:
             integrated = {c.name: run.x[c.name] for c in run.continuous}
             run.u.update(u)
-            new.append((run, integrated | run.call("project", run.continuous)))
+            new.append((run, integrated | run.project()))
             run.x.update(x)
         for run, y in held_y:
             run.y.update(y)
@@ -324,15 +349,15 @@ class ReferenceMachine:
         moved(h * real(1 / 6), total)
 
     def _derivative(self, runs: list[_Run]) -> list[dict[str, Any]]:
-        for run, block, ports in self._inner:
+        for run, ports in self._inner:
             if run.active:
                 run.feed()
-                fresh = run.call("output", block.outputs)
+                fresh = run.output()
                 for port in ports:
                     run.y[port] = fresh[port]
         for run in runs:
             run.feed()
-        return [run.call("derivative", run.continuous) for run in runs]
+        return [run.derivative() for run in runs]
 
     def _prepare(self, run: _Run) -> None:
         cell = run.cell
