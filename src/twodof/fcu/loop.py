@@ -17,6 +17,9 @@ from twodof.link.tick import TICK_NS
 CRITICAL = 2
 """MAV_SEVERITY."""
 
+REMEDY = "End other programs on the flight controller's computer, or fly a virtual drone in lockstep"
+"""What helps where the processor does not keep up (`step_late`)."""
+
 MOST_GRANTED = 25_000
 """Ticks that may be granted beyond those that have run: 100 s."""
 
@@ -70,7 +73,7 @@ class FlightController:
         asked = self.commander.asked(self.tick)
         step = self.code.step(self.tick, sample, asked, hardware.rings, self._late or self._stopped)
         if began:
-            self._late = self.timing.stepped(time.thread_time_ns() - began, TICK_NS)
+            self._note_time(time.thread_time_ns() - began, step.armed)
         hardware.drive(step.fore, step.aft)
         self.tick += 1
         self.latest = step
@@ -86,11 +89,19 @@ class FlightController:
             listener(step)
         return step
 
+    def _note_time(self, used: int, armed: bool) -> None:
+        """A step took so much processor time [ns]; two late ones in a row stop the motors, which a user is to know."""
+        late = self.timing.stepped(used, TICK_NS)
+        if late and self._late and armed:
+            took = f"two control periods in a row took more than {TICK_NS // 10**6} ms ({used * 1e-6:.1f} ms)"
+            self.remarks.append((CRITICAL, f"{took} of the processor: motors off. {REMEDY}"))
+        self._late = late
+
     def stop(self) -> None:
         """Motors off, at once and from any thread (the watchdog's); the failsafe gives `step_late` as the reason."""
         self.hardware.stop()
         self._stopped = True
-        self.remarks.append((CRITICAL, "the control loop hung: motors stopped"))
+        self.remarks.append((CRITICAL, f"the control loop hung: motors stopped. {REMEDY}"))
 
     def grant(self, until: int) -> None:
         """Lets time run up to the tick `until`, which is not run; one that was granted already changes nothing."""
