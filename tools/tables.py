@@ -24,6 +24,7 @@ from twodof.flight.starters import STARTERS, starter
 from twodof.flight.templates import TEMPLATES, kind_of
 from twodof.flightlog.mcap_stream import stream_of
 from twodof.flightlog.ulog import PX4_SOURCES
+from twodof.gcs.recording import SAFETY
 from twodof.link import dialect
 from twodof.link.dialect import FILES
 from twodof.link.rates import GROUND, ONBOARD
@@ -140,6 +141,8 @@ def _channels() -> Iterator[str]:
         px4 = " or ".join(f"`{topic}`" for topic, _ in PX4_SOURCES.get(row.mat, ()))
         fields = ", ".join(row.fields)
         yield f"| `{row.name}` | `{row.mat}` | {fields} | {row.unit} | {rate} | `{stream_of(row).topic}` | {px4} |"
+    fields = ", ".join(SAFETY.fields)
+    yield f"| | `{SAFETY.mat}` | {fields} | - | 1, and at each change | `{SAFETY.topic}` | |"
 
 
 def _causes() -> Iterator[str]:

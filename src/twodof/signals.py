@@ -55,6 +55,9 @@ _ACTUATORS = ("ACTUATOR_CONTROL_TARGET", "/mavros/target_actuator_control")
 _TOF = ("TWODOF_TOF", "/mavros/distance_sensor/tof")
 _TRUTH = ("TWODOF_TRUTH", "/twodof/truth")
 
+SEVERITIES = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
+"""What a drone says in words is one of these, by syslog's number."""
+
 TOPICS: tuple[Topic, ...] = (
     Topic("imu.acc", "acc", _XYZ, "m/s^2", 250.0, *_IMU, "specific force, body axes"),
     Topic("imu.gyro", "gyr", _XYZ, "rad/s", 250.0, *_IMU, "angular rate, body axes"),

@@ -25,8 +25,10 @@ from twodof.experiment.fly import fly
 from twodof.experiment.protocol import EXPERIMENTS, Experiment, experiment
 from twodof.experiment.received import COLUMNS, NAMES, Samples
 from twodof.experiment.script import Script, script
+from twodof.flight.causes import ACTIONS, named_causes
 from twodof.flight.core import PERIOD
 from twodof.flightlog.log import FlightLog
+from twodof.flightlog.steps import BOOT
 from twodof.flightlog.ulog_decoder import scan_ulog
 from twodof.gcs.drone import Drone
 from twodof.rig.parameters import load_rig
@@ -133,12 +135,23 @@ def test_the_ground_log_is_the_simulators_rounded_to_the_wires_float32(flown: Bo
     assert_rounded(flown.flight.log, simulated)
 
 
+def test_the_ground_hears_what_the_failsafe_does(flown: Both) -> None:
+    told, on_board = flown.flight.log["safety"], flown.on_board
+    ticks = np.rint((told.time - BOOT) / PERIOD).astype(int)
+    assert np.diff(ticks).max() <= 250  # once a second, and at each change
+    np.testing.assert_array_equal(told.field("action"), on_board["action"][ticks])
+    np.testing.assert_array_equal(told.field("causes"), on_board["causes"][ticks])
+    # Of the causes that made it act the one that decides.
+    reasons = told.field("reasons").astype(int)
+    assert not np.any(reasons & ~on_board["reason"][ticks].astype(int))
+
+
 def assert_rounded(ground: FlightLog, simulated: FlightLog) -> None:
     """Every channel, stamps and all: no sample more, none less, each the simulator's in the wire's type.
 
-    That is float32, and float64 for the truth, which comes past what flies.
+    That is float32, and float64 for the truth, which comes past what flies. What the failsafe does is told besides.
     """
-    assert sorted(ground) == sorted(simulated)
+    assert sorted(ground) == sorted([*simulated, "safety"])
     assert set(TRUE) <= set(ground)
     for name in simulated:
         np.testing.assert_array_equal(ground[name].time, simulated[name].time, name)
@@ -324,6 +337,16 @@ def test_a_flight_in_which_the_failsafe_acted_is_broken_off() -> None:
         assert_failed(flight, "imu_lost")
         assert not drone.state.armed
         assert len(flight.log["theta"]) < script(flight.experiment).steps
+        assert ", longest gap" not in {check.name: check.seen for check in flight.checks}["samples received"]
+        # What the failsafe did is in the log, with the deciding cause, and what the drone said, on the log's clock.
+        told = flight.log["safety"]
+        acted = told.field("action") == ACTIONS.index("off")
+        why = {name for mask in told.field("reasons")[acted] for name in named_causes(int(mask))}
+        assert why == {"imu_lost"}
+        texts = flight.log.provenance["texts"]
+        assert any("imu_lost" in text for _, _, text in texts)
+        start, end = flight.log.span
+        assert all(start - 1.0 < time < end + 5.0 for time, _, _ in texts)
 
 
 def test_a_start_from_which_the_rail_is_too_short_is_broken_off_before_its_end() -> None:
@@ -340,7 +363,11 @@ def test_a_link_that_dies_in_the_middle_leaves_what_had_come(tmp_path: Path) -> 
         fly_until_killed(tmp_path, flights)
     (flight,) = flights
     assert_failed(flight, "")
-    assert not {check.name: check.passed for check in flight.checks}["samples received"]
+    # All came up to where it ended; of what was flown after nobody knows.
+    checks = {check.name: check for check in flight.checks}
+    assert checks["samples received"].passed
+    assert checks["data"].seen == "not judged: the flight was broken off"
+    assert "pitch free" not in checks
     steps = script(flight.experiment).steps
     assert 0.4 * steps < len(flight.log["theta"]) < 0.9 * steps
 

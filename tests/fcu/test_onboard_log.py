@@ -197,7 +197,7 @@ def test_changes_and_words_are_in_it_where_they_belong(tmp_path: Path) -> None:
         (3, 4000 * 349, "not armed: tilted"),
         (6, 4000 * 499, "flying"),
     ]
-    assert read_log(path).provenance["changes"][-1] == [pytest.approx(1.996), "RATE_KP", pytest.approx(0.07)]
+    assert read_log(path).provenance["changes"][-1] == [pytest.approx(11.996), "RATE_KP", pytest.approx(0.07)]
 
 
 def test_a_slow_disk_drops_rows_in_real_time_and_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,9 +16,10 @@ from twodof.errors import LogError
 from twodof.flightlog.contents import describe
 from twodof.flightlog.files import convert as convert_log
 from twodof.flightlog.files import read_log
+from twodof.flightlog.log import FlightLog
 from twodof.flightlog.public_data import PUBLIC_LOGS, find
 from twodof.flightlog.recovery import recover as recover_log
-from twodof.report.flight_view import SUFFIXES, check_place
+from twodof.report.flight_view import SUFFIXES, check_place, failsafe_bands
 
 app = typer.Typer(
     help="Look into flight logs and convert them.", no_args_is_help=True, add_completion=False, rich_markup_mode=None
@@ -30,8 +33,10 @@ def info(
     file: Annotated[Path, typer.Argument(help="A .mat, .mcap, .parquet, .csv or .ulg log.")],
     json: Json = False,
 ) -> None:
-    """Channels, rates, gaps, events, and the experiment that a log looks like."""
-    found = describe(read_log(file))
+    """Channels, rates, gaps, events, the experiment that a log looks like, what the failsafe did and the drone said."""
+    log = read_log(file)
+    found = describe(log)
+    found["failsafe"] = [asdict(band) for band in failsafe_bands(log)]
     if json:
         print_json(found)
         return
@@ -49,12 +54,31 @@ def info(
         console.print(f"modes unknown: {found['modes_unclear']}", markup=False)
     for start, end in found["armed_s"]:
         console.print(f"thrust on: {start:.3f} to {end:.3f} s")
+    for line in _flown(log):
+        console.print(line, markup=False, soft_wrap=True)
+    for band in found["failsafe"][:_ROWS]:
+        console.print(f"failsafe: {band['start']:.3f} to {band['stop']:.3f} s  {band['label']}", markup=False)
     for event in found["events"][:_ROWS]:
         console.print(
             f"{event['time']:10.3f} s  {event['kind']} {event['channel']}: {event['before']:g} to {event['after']:g}"
         )
     if len(found["events"]) > _ROWS:
         console.print(f"... and {len(found['events']) - _ROWS} more events")
+    texts = log.provenance.get("texts", [])
+    for time, severity, text in texts[:_ROWS]:
+        console.print(f"{time:10.3f} s  {severity}: {text}", markup=False, soft_wrap=True)
+    if len(texts) > _ROWS:
+        console.print(f"... and {len(texts) - _ROWS} more lines that the drone said")
+
+
+def _flown(log: FlightLog) -> Iterator[str]:
+    """What flew, and why it was broken off, as far as the log's maker has noted it."""
+    flown, drone = (dict(log.provenance.get(name) or {}) for name in ("flown", "drone"))
+    controller = flown.get("controller") or drone.get("controller")
+    if controller:
+        yield f"controller: {controller}"
+    if flown.get("reason"):
+        yield f"broken off: {flown['reason']}"
 
 
 def _experiment(found: dict[str, Any]) -> str:

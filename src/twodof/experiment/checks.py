@@ -98,12 +98,17 @@ def commanded(out: Signals) -> Check:
     )
 
 
+def not_judged(reason: str) -> Check:
+    """What stands for the checks of the data of a flight that was broken off."""
+    return Check("data", False, f"not judged: {reason}")
+
+
 def received(plan: Script, have: NDArray[np.bool_]) -> Check:
-    """Whether enough samples came over the link; `have` (steps,) says of which control steps."""
+    """Whether enough samples came over the link; `have` (n,) says of which of the control steps that were flown."""
     missing = int((~have).sum())
     flown = have[plan.begin : plan.end]
     edges = np.flatnonzero(np.concatenate(([True], flown, [True])))
     gap = float(np.diff(edges).max() - 1) * PERIOD
-    good = missing <= MOST_LOST * plan.steps and gap <= LONGEST_GAP
-    seen = f"{missing} of {plan.steps} lost" + (f", longest gap in the excitation {1e3 * gap:.0f} ms" if gap else "")
+    good = missing <= MOST_LOST * len(have) and gap <= LONGEST_GAP
+    seen = f"{missing} of {len(have)} lost" + (f", longest gap in the excitation {1e3 * gap:.0f} ms" if gap else "")
     return Check("samples received", good, seen)

@@ -5,19 +5,22 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from twodof.errors import ExperimentError, LinkLost, Rejected, Timeout
-from twodof.experiment.checks import Check, data_checks, received
+from twodof.experiment.checks import Check, data_checks, not_judged, received
 from twodof.experiment.flight import MARGIN, PITCH_MARGIN, Flight, Laboratory, ready
 from twodof.experiment.protocol import Experiment
-from twodof.experiment.received import COLUMNS, Samples
+from twodof.experiment.received import COLUMNS, Samples, safety_in
 from twodof.experiment.script import Script, on_wire, script
 from twodof.flight.core import PERIOD
 from twodof.flightlog.provenance import versions
 from twodof.gcs.drone import Drone
 from twodof.gcs.faces import DroneRows
+from twodof.gcs.recording import safety_row, seconds
+from twodof.gcs.texts import Text
 from twodof.rig.parameters import NAMES
 
 Progress = Callable[[str, float], None]
@@ -101,7 +104,7 @@ def fly(
     if rig.virtual:
         drone.reset(seed=seed, x=x_start, noise=noise, rings=experiment.rings)
     flown_seed = seed if rig.virtual else 0
-    with drone.batch(COLUMNS) as rows, _truth(drone) as truth:
+    with _listening(drone) as heard, drone.batch(COLUMNS) as rows, _truth(drone) as truth:
         course = _Course(experiment, plan, x_start, drone, rows, model.parameters, progress or _silent)
 
         def flight(reason: str) -> Flight:
@@ -111,9 +114,12 @@ def fly(
             checks = [
                 Check("flown to its end", not reason, reason or "yes"),
                 Check("failsafe silent", not course.acted, course.acted or "yes"),
-                received(plan, have),
-                *data_checks(experiment, plan, out, model.parameters),
+                received(plan, have[: course.flown]),
             ]
+            if reason:
+                checks.append(not_judged("the flight was broken off"))
+            else:
+                checks += data_checks(experiment, plan, out, model.parameters)
             provenance: dict[str, object] = {
                 "experiment": experiment.name,
                 "excitation": experiment.excitation.to_dict(),
@@ -121,8 +127,10 @@ def fly(
                 "seed": flown_seed,
                 "versions": versions(),
                 "flown": {"url": drone.url, "virtual": rig.virtual, "controller": rig.controller, "reason": reason},
+                "texts": [list(line) for line in heard.texts],
             }
-            return Flight(experiment, samples.log(provenance), x_start, flown_seed, tuple(checks), reason)
+            log = samples.log(provenance, safety_in(heard.safety, course.first, plan.steps))
+            return Flight(experiment, log, x_start, flown_seed, tuple(checks), reason)
 
         try:
             reason = course.fly()
@@ -144,6 +152,27 @@ def _truth(drone: Drone) -> Iterator[DroneRows[np.float64] | None]:
         yield rows
 
 
+class _Heard(NamedTuple):
+    """What the drone said meanwhile: TWODOF_SAFETY as (tick, row of the channel), and words as (s, severity, text)."""
+
+    safety: list[tuple[int, tuple[int, int, int]]]
+    texts: list[tuple[float, str, str]]
+
+
+@contextmanager
+def _listening(drone: Drone) -> Iterator[_Heard]:
+    heard, there = _Heard([], []), drone.there
+
+    def said(line: Text) -> None:
+        heard.texts.append((seconds(there.tick), line.severity, line.text))
+
+    def safety(got: Any) -> None:
+        heard.safety.append((got.tick, safety_row(got)))
+
+    with there.session.handling(safety, "TWODOF_SAFETY"), there.texts.listening(said):
+        yield heard
+
+
 def _model(name: str) -> Laboratory:
     """The virtual rig that is most like the drone's."""
     return Laboratory(name if name in NAMES else "lab")
@@ -155,7 +184,10 @@ def _silent(text: str, share: float) -> None:
 
 @dataclass
 class _Course:
-    """One flight in its course; `first` is the tick of step 0, `acted` what the failsafe did ("": nothing)."""
+    """One flight in its course; `first` is the tick of step 0, `flown` the steps up to its end.
+
+    `acted` is what the failsafe did ("": nothing).
+    """
 
     experiment: Experiment
     plan: Script
@@ -165,6 +197,7 @@ class _Course:
     stops: Mapping[str, float]
     progress: Progress
     first: int = 0
+    flown: int = 0
     acted: str = ""
     _seen: int = 0
     _flying: bool = False
@@ -178,9 +211,14 @@ class _Course:
             reason = str(error)
         except BaseException:
             # Ctrl-C above all: whoever takes over must not find the motors running.
+            self.flown = self._steps()
             self._end()
             raise
+        self.flown = self._steps()
         return reason if not reason else "; ".join([reason, *self._break_off()])
+
+    def _steps(self) -> int:
+        return min(max(0, self.drone.tick - self.first), self.plan.steps)
 
     def _follow(self) -> str:
         plan, held = self.plan, self.experiment.thrust > 0.0

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from twodof.flightlog.log import FlightLog
-from twodof.flightlog.steps import TRUTH, step_channels, truth_channels
+from twodof.flightlog.log import Channel, FlightLog
+from twodof.flightlog.steps import TRUTH, safety_channel, step_channels, truth_channels
 from twodof.signals import MODES
 
 COLUMNS = (
@@ -82,15 +82,15 @@ class Samples:
         """A column by the closed loop's name, (n,)."""
         return self.values[:, NAMES.index(name)]
 
-    def log(self, provenance: dict[str, Any]) -> FlightLog:
-        """As a flight log; what was lost is a gap."""
+    def log(self, provenance: dict[str, Any], safety: Channel | None = None) -> FlightLog:
+        """As a flight log, with what the failsafe did if that is given; what was lost is a gap."""
         out: dict[str, NDArray[Any]] = {name: self.column(name) for name in NAMES}
         mode = np.nan_to_num(out["mode"], nan=0.0)
         out["dist_new"] = np.isfinite(out["dist"])
         channels = step_channels(self.ticks, out, np.clip(mode, 0, len(MODES) - 1).astype(np.int32))
         if len(self.truth_ticks):
             channels |= truth_channels(self.truth_ticks, dict(zip(TRUTH, self.truth.T, strict=True)))
-        return FlightLog(channels, provenance)
+        return FlightLog(channels if safety is None else {**channels, "safety": safety}, provenance)
 
     def on_grid(self, first: int, steps: int) -> tuple[dict[str, NDArray[Any]], NDArray[np.bool_]]:
         """Signals by the closed loop's names, NaN where a sample is missing, and which steps came: (steps,) each.
@@ -103,6 +103,14 @@ class Samples:
         if len(self.truth_ticks):
             out |= _spread([f"true_{name}" for name in TRUTH], self.truth_ticks - first, self.truth, steps)
         return out, have
+
+
+def safety_in(told: Sequence[tuple[int, tuple[int, ...]]], first: int, steps: int) -> Channel | None:
+    """The channel `safety` of what the drone told, (tick, row) each, in these steps; None if nothing."""
+    rows = {tick: row for tick, row in told if first <= tick < first + steps}
+    ticks = np.array(sorted(rows), dtype=np.int64)
+    values = np.array([rows[tick] for tick in ticks.tolist()], dtype=np.float64)
+    return safety_channel(ticks, values) if len(ticks) else None
 
 
 def _within(

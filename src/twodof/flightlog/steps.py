@@ -32,6 +32,10 @@ _LATER |= {"thrust0": 13e-6, "mode": 15e-6}
 TRUTH = ("theta", "q", "x", "v")
 """Names of a virtual rig's true state, [rad], [rad/s], [m], [m/s]; `rig.rig.TRUTH`."""
 
+SAFETY = ("action", "reasons", "causes")
+"""Fields of the channel `safety`: an index into flight.causes.ACTIONS, and masks of its CAUSES, of those that decided
+it and of those that hold."""
+
 MESSAGE_PERIOD = round(0.02 / PERIOD)
 """Steps between two open-loop messages."""
 _BATTERY_PERIOD = 125
@@ -74,6 +78,11 @@ def truth_channels(tick: NDArray[np.int64], state: Mapping[str, NDArray[Any]]) -
     time = np.asarray(BOOT + PERIOD * tick, dtype=np.float64)
     rows = {name: topic(f"truth.{name}").mat for name in state}
     return {row: _channel(row, time, state[name]) for name, row in rows.items()}
+
+
+def safety_channel(tick: NDArray[np.int64], values: NDArray[np.float64]) -> Channel:
+    """What the failsafe did at `tick` (n,), rising, and why: `values` (n, 3) of `SAFETY`."""
+    return Channel(np.asarray(BOOT + PERIOD * tick, dtype=np.float64), values, "", SAFETY, "safety")
 
 
 def is_published(tick: NDArray[np.int64]) -> NDArray[np.bool_]:

@@ -12,9 +12,9 @@ from twodof.errors import LogError
 from twodof.flightlog import provenance
 from twodof.flightlog.log import Channel, FlightLog
 from twodof.flightlog.settle import noted, settle
-from twodof.flightlog.steps import ASKED, BOOT, PERIOD, STEP_TOPIC, step_channels
+from twodof.flightlog.steps import ASKED, BOOT, PERIOD, STEP_TOPIC, safety_channel, step_channels
 from twodof.flightlog.ulog_decoder import Logged, ULog, scan_ulog
-from twodof.signals import BY_MAT, TOPICS
+from twodof.signals import BY_MAT, SEVERITIES, TOPICS
 
 Rows = NDArray[np.void]
 Values = Callable[[Rows], NDArray[np.float64]]
@@ -49,10 +49,8 @@ def _pitch(name: str) -> Values:
 
 # Channel -> topic and value; of several, the first that the log has (later ones are of older PX4 versions).
 # The rail is PX4's local x axis, as for the modules that `twodof px4 export` makes.
-SAFETY = ("action", "reason", "causes")
-"""Of each step: what the failsafe does, and masks of the causes that decided it and of those that hold."""
-REASONS = ("action", "reasons", "causes")
-"""What the channel `safety` calls them: in a recording its `reason` is the place of a cause and no mask."""
+_SAFETY = ("action", "reason", "causes")
+"""What a step's row calls the fields of the channel `safety`."""
 
 PX4_SOURCES: Mapping[str, tuple[tuple[str, Values], ...]] = MappingProxyType(
     {
@@ -133,9 +131,18 @@ def ulog_to_log(found: ULog, file: dict[str, Any], where: str) -> FlightLog:
     kept: dict[str, Any] = {"ulog": {"start_s": found.start_us / 1e6, "info": _plain(found.info)}}
     kept["parameters"] = _plain(found.parameters)
     if own and found.changes:
-        kept["changes"] = [[stamp / 1e6, name, *_plain({"": value}).values()] for stamp, name, value in found.changes]
+        kept["changes"] = [
+            [_on_board(stamp), name, *_plain({"": value}).values()] for stamp, name, value in found.changes
+        ]
     if own and found.texts:
-        kept["texts"] = [[stamp / 1e6, level - ord("0"), text] for level, stamp, text in found.texts[:MAX_OWN_FIELDS]]
+        kept["texts"] = [
+            [
+                _on_board(stamp),
+                SEVERITIES[level - ord("0")] if 0 <= level - ord("0") < len(SEVERITIES) else "info",
+                text,
+            ]
+            for level, stamp, text in found.texts[:MAX_OWN_FIELDS]
+        ]
     ignored = sorted({one.name for one in found.topics} - used)
     if ignored:
         kept["ignored"] = ignored
@@ -144,6 +151,11 @@ def ulog_to_log(found: ULog, file: dict[str, Any], where: str) -> FlightLog:
     if found.lost:
         kept["lost_bytes"] = sum(loss.size for loss in found.lost)
     return FlightLog(channels, {**noted(kept, counts), "file": file})
+
+
+def _on_board(stamp_us: int) -> float:
+    """A stamp of our own flight controller's log on the clock of its channels [s]."""
+    return round(BOOT + stamp_us / 1e6, 6)
 
 
 def _px4_topics(found: ULog) -> dict[str, tuple[Logged, Values]]:
@@ -197,12 +209,12 @@ def _of_steps(steps: Logged, where: str) -> dict[str, Channel]:
 
 def _safety(ticks: NDArray[np.int64], rows: Rows) -> dict[str, Channel]:
     """What the failsafe did and why (bit masks of flight.causes.CAUSES), at each change and once a second."""
-    if not {*SAFETY} <= set(rows.dtype.names or ()):
+    if not {*_SAFETY} <= set(rows.dtype.names or ()):
         return {}
-    values = np.column_stack([rows[name].astype(np.float64) for name in SAFETY])
+    values = np.column_stack([rows[name].astype(np.float64) for name in _SAFETY])
     changed = np.append(True, (np.diff(values, axis=0) != 0.0).any(axis=1)) if len(values) else np.empty(0, np.bool_)
     told = changed | (ticks % round(1.0 / PERIOD) == 0)
-    return {"safety": Channel(BOOT + PERIOD * ticks[told], values[told], "", REASONS, "safety")}
+    return {"safety": safety_channel(ticks[told], values[told])}
 
 
 def _columns(names: tuple[str, ...]) -> Values:

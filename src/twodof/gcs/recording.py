@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twodof.errors import LogError, RecordingError
+from twodof.flightlog import steps
 from twodof.flightlog.mcap_stream import Stream
 from twodof.flightlog.recorder import Recorder
 from twodof.flightlog.spool import Acknowledged
@@ -30,7 +31,13 @@ from twodof.link.tick import TICK_S, TICK_US
 from twodof.signals import MODES, TOPICS, Topic, topic
 
 SAFETY = Stream(
-    "/safety", "twodof_msgs/msg/Safety", "safety", "", ("action", "reason", "causes"), 3, about="what the failsafe does"
+    "/safety",
+    "twodof_msgs/msg/Safety",
+    "safety",
+    "",
+    steps.SAFETY,
+    3,
+    about="what the failsafe does, and masks of causes",
 )
 MOST_TEXTS = 1000
 TOGETHER = 32
@@ -52,7 +59,7 @@ class Recording:
         self.onboard = tuple(row for row in self.topics if row.onboard and row.name != _EVENTS)
         self.recorder = Recorder(path, [*self.topics, SAFETY], provenance, full="wait" if wait else "drop")
         self.path = self.recorder.path
-        self.texts: list[tuple[int, str, str]] = []
+        self.texts: list[tuple[float, str, str]] = []
         self._with_events = any(row.name == _EVENTS for row in self.topics)
         self._waiting: list[Any] = []
         self._waiting_rows = 0
@@ -153,7 +160,7 @@ class Recording:
 
     def safety(self, got: Any) -> None:
         """A TWODOF_SAFETY."""
-        values = np.array([[got.action, got.reason, got.flags]], dtype=np.float64)
+        values = np.array([safety_row(got)], dtype=np.float64)
         self._put(SAFETY.topic, stamps("", np.array([got.tick + self._shift], dtype=np.int64)), values)
 
     def truth(self, got: Any) -> None:
@@ -181,7 +188,8 @@ class Recording:
     def said(self, tick: int, line: Text) -> None:
         """A line in words."""
         if len(self.texts) < MOST_TEXTS:
-            self.texts.append((tick + self._shift, line.severity, line.text))
+            # Where time is granted, the samples say sooner than the clock how far it has run.
+            self.texts.append((seconds(max(tick, self._newest) + self._shift), line.severity, line.text))
 
     def finish(self) -> None:
         """Write what waits, what was lost and what was said, and end the file. Raises RecordingError."""
@@ -220,6 +228,16 @@ class _Open:
         sent = (changed | stepped | due) & np.isfinite(M) & np.isfinite(T)
         flag = opened[sent].astype(np.float64)
         return ticks[sent], np.column_stack([M[sent] * flag, T[sent] * flag, flag, flag, flag])
+
+
+def safety_row(got: Any) -> tuple[int, int, int]:
+    """A TWODOF_SAFETY as a row of the channel `safety`: the wire tells the place of the cause that decides."""
+    return got.action, 1 << got.reason if 0 <= got.reason < 32 else 0, got.flags
+
+
+def seconds(tick: int) -> float:
+    """The stamp [s] of what was said in a tick, as the channels have it."""
+    return round(BOOT + TICK_S * tick, 6)
 
 
 def stamps(mat: str, ticks: NDArray[np.int64]) -> NDArray[np.int64]:

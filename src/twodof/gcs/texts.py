@@ -7,8 +7,8 @@ from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 from twodof.gcs.session import Session
+from twodof.signals import SEVERITIES
 
-SEVERITIES = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
 KEPT = 1000
 MOST_PIECES = 20
 _PIECE_BYTES = 50

@@ -125,7 +125,7 @@ def flight_view(
         span=span,
         views=tuple({view.label: view for view in views}.values()),
         modes=flown,
-        failsafe=_failsafe(log, span),
+        failsafe=failsafe_bands(log, span),
         excitations=_excitations(log, span),
         notes=tuple(notes),
     )
@@ -264,11 +264,12 @@ def _excitations(log: FlightLog, span: tuple[float, float]) -> tuple[Band, ...]:
     return tuple(band for one in found for band in _clipped(one.edges[0], one.edges[-1], one.shape, span))
 
 
-def _failsafe(log: FlightLog, span: tuple[float, float]) -> tuple[Band, ...]:
-    """What the failsafe did, from the channel `safety` of a recording or of the log on board, and the deciding causes.
+def failsafe_bands(log: FlightLog, span: tuple[float, float] | None = None) -> tuple[Band, ...]:
+    """What the failsafe did within `span` [s] (None: ever), from the channel `safety`, and the deciding causes.
 
-    Motors that are off without a cause are those of a drone that is disarmed.
+    Motors that are off without a cause are those of a drone that is disarmed. Empty for a log without that channel.
     """
+    span = span if span is not None else log.span
     if "safety" not in log or "action" not in log["safety"].fields or not len(log["safety"]):
         return ()
     told = log["safety"]
