@@ -121,6 +121,14 @@ def test_a_kill_overtakes_a_flood_of_its_own_sender(command: int, first: float) 
     assert names([one for one in ends.up.take() if one.system == 250])[:2] == ["COMMAND_LONG", "MANUAL_CONTROL"]
 
 
+def test_a_kill_is_known_until_it_is_released() -> None:
+    ends = Ends("onboard")
+    assert not ends.router.killed
+    for component, status, killed in ((1, 4, False), (1, 8, True), (191, 4, True), (2, 3, True), (1, 3, False)):
+        ends.router.from_vehicle(frame("HEARTBEAT", 1, component, type=2, system_status=status))
+        assert ends.router.killed is killed
+
+
 def test_a_program_on_board_speaks_to_everybody() -> None:
     ends = Ends("none", "none")
     ends.settle()

@@ -159,7 +159,9 @@ async def _fly(asked: _Asked, program: Path, restarts: Restarts, limits: Limits)
         url = made.urls[-1][0].replace("tcpin:", "tcp:")
         command = [sys.executable, "-u", "-m", "twodof.gcs.app", str(program), "--url", url]
         command += ["--key", str(asked.key)] if asked.key is not None else []
-        supervised = asyncio.ensure_future(Supervisor(command, _log, limits, restarts).run())
+        supervised = asyncio.ensure_future(
+            Supervisor(command, _log, limits, restarts, killed=lambda: made.killed).run()
+        )
         routing = asyncio.ensure_future(made.run())
         try:
             await asyncio.wait({supervised, routing}, return_when=asyncio.FIRST_COMPLETED)

@@ -183,6 +183,11 @@ class Companion:
         """Who is there."""
         return [*self.router.clients]
 
+    @property
+    def killed(self) -> bool:
+        """Whether the drone has said that it was killed, and not yet that it was released."""
+        return self.router.killed
+
     # The line to the flight controller.
 
     async def _keep_line(self) -> None:

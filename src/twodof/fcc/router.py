@@ -62,6 +62,8 @@ class Router:
         self.counts = RouterCounts()
         self.own: Callable[[Frame, Client | None], None] = lambda frame, client: None
         self.clock = clock
+        self.killed = False
+        """Whether the vehicle has said that it was killed, and not yet that it was released."""
         self.vehicle: dict[Identity, int] = {(system, AUTOPILOT): -1}  # who is behind the line -> its last sequence
         self.lost: dict[Identity, int] = {}
         self._signing = signing
@@ -192,6 +194,8 @@ class Router:
         if frame.message_id == wire.BATCH:
             self.batches.take(frame, self.clients, not frame.signed or self._signing is not None)
             return
+        if frame.message_id == wire.HEARTBEAT and identity == (self.system, AUTOPILOT):
+            self.killed = wire.system_status(frame) == wire.TERMINATED
         if frame.message_id == wire.TICK:
             self.batches.flush_all()
         if system:

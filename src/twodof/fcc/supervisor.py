@@ -21,6 +21,8 @@ LONGEST_LINE = 2000
 READ_BYTES = 65_536
 FINE, MISTAKE = 0, 2
 PIPE_S = 1.0
+# Between looks at whether a kill was released.
+LOOK_S = 0.2
 MOST_LINES, LINES_PER_SECOND = 200.0, 50.0
 
 
@@ -49,7 +51,10 @@ class Restarts:
 
 
 class Supervisor:
-    """Runs `command` until it ends by itself, is given up or the task is cancelled; `log` gets its lines and ours."""
+    """Runs `command` until it ends by itself, is given up or the task is cancelled; `log` gets its lines and ours.
+
+    While `killed` says that its drone is, it is not started again.
+    """
 
     def __init__(
         self,
@@ -59,6 +64,7 @@ class Supervisor:
         restarts: Restarts = Restarts(),
         environment: Mapping[str, str] | None = None,
         stop_s: float = 5.0,
+        killed: Callable[[], bool] = lambda: False,
     ) -> None:
         self.command = tuple(command)
         self.starts = 0
@@ -68,6 +74,7 @@ class Supervisor:
         self._restarts = restarts
         self._environment = environment
         self._stop_s = stop_s
+        self._killed = killed
         self._room, self._room_at, self._left_out = MOST_LINES, 0.0, 0
 
     async def run(self) -> int:
@@ -90,7 +97,16 @@ class Supervisor:
                 return status
             self._log(f"app: {_ended(status)}; started again in {wait:g} s")
             await asyncio.sleep(wait)
+            await self._released()
             wait = min(2.0 * wait, self._restarts.longest)
+
+    async def _released(self) -> None:
+        """Wait while the drone is killed: who did it does not want the app to fly on."""
+        if not self._killed():
+            return
+        self._log("app: the drone was killed; started again once it is released (twodof kill --release)")
+        while self._killed():
+            await asyncio.sleep(LOOK_S)
 
     async def _once(self) -> int:
         """One run of it, from start to the last of its processes."""

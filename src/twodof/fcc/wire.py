@@ -19,11 +19,13 @@ REQUEST_DATA_STREAM, COMMAND_INT, COMMAND_LONG, COMMAND_ACK = 66, 75, 76, 77
 LOG_REQUEST_LIST, LOG_ENTRY, LOG_REQUEST_DATA, LOG_DATA, LOG_ERASE, LOG_REQUEST_END = 117, 118, 119, 120, 121, 122
 ATTITUDE, MESSAGE_INTERVAL, BATCH, TRUTH, TICK, PARAM_TRANSACTION = 30, 244, 54203, 54205, 54208, 54212
 ARM_DISARM, FLIGHT_TERMINATION = 400, 185
+TERMINATED = 8  # MAV_STATE_FLIGHT_TERMINATION
 FORCE = 21196.0  # param2 of a disarm that is meant in flight too
 GET_MESSAGE_INTERVAL, SET_MESSAGE_INTERVAL, REQUEST_MESSAGE = 510, 511, 512
 # Fields that tell the sender's time, and how many microseconds their unit has.
 _TIMES = {"time_boot_ms": 1000, "time_usec": 1}
 _SIZES = {"char": 1, "int8_t": 1, "uint8_t": 1, "int16_t": 2, "uint16_t": 2, "int32_t": 4, "uint32_t": 4, "float": 4}
+_SYSTEM_STATUS = 7  # its place in a HEARTBEAT
 _COMMAND = struct.Struct("<7fHBB")
 
 
@@ -91,6 +93,11 @@ def time_us(frame: Frame) -> int:
     start = HEADER_2 if frame.version == 2 else HEADER_1
     stop = start + min(where.time_end, frame.raw[1])  # bytes that were cut are zero, and little end first
     return int.from_bytes(frame.raw[start + where.time : stop], "little") * where.microseconds
+
+
+def system_status(heartbeat: Frame) -> int:
+    """MAV_STATE of a HEARTBEAT's sender, 0 if it says none."""
+    return heartbeat.payload[_SYSTEM_STATUS] if len(heartbeat.payload) > _SYSTEM_STATUS else 0
 
 
 def command(frame: Frame) -> Command | None:
