@@ -120,7 +120,7 @@ def test_a_program_that_stood_still_goes_on_unless_it_was_flying(watching: bool,
                 assert drone.telemetry("theta").value
             # That it was silent indeed is still noticed.
             peer.beating = False
-            await asyncio.sleep(4.0)
+            await asyncio.sleep(4.5)  # 3 s, and a look each second
             with pytest.raises(LinkLost):
                 _ = drone.telemetry("theta").value
             peer.beating = True
