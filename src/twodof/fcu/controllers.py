@@ -101,8 +101,9 @@ class Controllers:
     def forget(self) -> None:
         """Has nothing fly of what was uploaded, and nothing lie there. Raises DiagramError where the disk refuses."""
         for slot in (self.uploads, self._kept):
-            for kind in TEMPLATES if slot is not None else ():
-                slot.remove(kind)
+            if slot is not None:
+                for kind in TEMPLATES:
+                    slot.remove(kind)
 
     def _built(self, uploaded: Mapping[str, Diagram]) -> FlightCode:
         stock = {kind for kind, diagram in uploaded.items() if to_json(diagram) == to_json(starter(STOCK[kind]))}
