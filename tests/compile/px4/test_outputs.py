@@ -1,0 +1,178 @@
+"""Modules with other outputs: commands that overflow, a place along the rail, both loops, the four motors."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from tests.compile.differential import same
+from tests.compile.px4.build import Bench
+from tests.compile.px4.flown import (
+    NOT_FINITE,
+    PERIOD,
+    SQRT2,
+    STALE,
+    fly,
+    measure,
+    mode,
+    quaternion,
+    replayed,
+)
+from tests.compile.px4.modules import rail
+from twodof.blocks import Diagram
+from twodof.blocks import library as lib
+from twodof.compile.px4.export import make_module
+from twodof.flight.starters import starter
+
+
+def test_a_command_that_is_not_finite_stops_the_motors_and_the_controller_starts_again(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    bench = Bench(make_module(overflowing()), tmp_path_factory.mktemp("module"))
+    bench.command("start")
+    mode(bench)
+    fly(bench, 12)
+    events = bench.run()
+    rows, torque = events.topic("twodof_overflow"), events.topic("vehicle_torque_setpoint")
+    lost = ~np.isfinite(rows["out_m"])
+    assert list(rows["tick"]) == [0, 1, 2, 3] * 3
+    assert list(np.flatnonzero(lost)) == [3, 7, 11]
+    assert (((rows["faults"] & NOT_FINITE) != 0) == lost).all()
+    assert not torque["xyz"][lost].any()
+    assert not events.topic("vehicle_thrust_setpoint")["xyz"][lost].any()
+    assert torque["xyz"][~lost, 1].all()
+    assert (np.abs(torque["xyz"][:, 1]) <= SQRT2).all()
+
+
+def overflowing() -> Diagram:
+    """M grows by 1e12 at each step, and so is infinite at the fourth."""
+    d = Diagram("overflow")
+    d.input("q", unit="rad/s")
+    d.add("grow", lib.UnitDelay(1.0))
+    d.add("gain", lib.Gain(1e12), u="grow")
+    d.add("zero", lib.Gain(0.0), u="q")
+    d.add("sum", lib.Sum("++"), a="gain", b="zero")
+    d.connect("sum", "grow.u")
+    d.output("M", "sum")
+    return d
+
+
+def test_a_position_module_commands_attitude_and_thrust_only_along_the_rail(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    bench = Bench(make_module(rail()), tmp_path_factory.mktemp("module"))
+    bench.command("start")
+    yaw = 0.4
+    for along in (False, True):
+        mode(bench, rail=along)
+        for k in range(10):
+            bench.at(bench.now + PERIOD)
+            bench.publish("trajectory_setpoint", position=[0.2, math.nan, math.nan], velocity=[math.nan] * 3)
+            bench.publish("vehicle_local_position", x=0.01 * k, vx=0.1, xy_valid=True, v_xy_valid=True)
+            bench.publish("vehicle_attitude", q=[math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)])
+            bench.publish("vehicle_angular_velocity")
+    events = bench.run()
+    rows, attitude = events.topic("twodof_rail"), events.topic("vehicle_attitude_setpoint")
+    assert len(attitude) == 10
+    assert list(rows["active"]) == [False] * 10 + [True] * 10
+    assert set(rows["faults"]) == {0}
+    assert rows["in_flag_position_enabled"][10:].all()
+    assert np.all(same(rows["out_theta_0"], replayed(rail(), (), rows)["theta_0"]))
+    w, x, y, z = (attitude["q_d"][:, i].astype(float) for i in range(4))
+    pitch = np.arcsin(2 * (w * y - z * x))
+    heading = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    assert np.allclose(pitch, rows["out_theta_0"][10:], atol=1e-6)  # float32, a few units in the last place
+    assert np.allclose(heading, yaw, atol=1e-6)
+    assert np.array_equal(attitude["thrust_body"], np.tile(np.float32([0.0, 0.0, -0.4]), (10, 1)))
+
+
+def test_without_a_valid_position_there_is_no_thrust(tmp_path_factory: pytest.TempPathFactory) -> None:
+    bench = Bench(make_module(rail()), tmp_path_factory.mktemp("module"))
+    bench.command("start")
+    mode(bench, rail=True)
+    for k in range(6):
+        bench.at(bench.now + PERIOD)
+        bench.publish("trajectory_setpoint", position=[0.2, 0.0, 0.0])
+        bench.publish("vehicle_local_position", xy_valid=k < 3, v_xy_valid=True)
+        bench.publish("vehicle_attitude", q=quaternion(0.0))
+        bench.publish("vehicle_angular_velocity")
+    events = bench.run()
+    assert list(events.topic("twodof_rail")["faults"]) == [0] * 3 + [STALE] * 3
+    thrust = events.topic("vehicle_attitude_setpoint")["thrust_body"][:, 2]
+    assert list(thrust) == [np.float32(-0.4)] * 3 + [0.0] * 3
+    assert np.array_equal(events.topic("vehicle_attitude_setpoint")["q_d"][3:, 2], np.zeros(3))
+
+
+def both() -> Diagram:
+    """The stock position controller above the stock attitude controller, in one diagram."""
+    d = Diagram("both")
+    above, below = starter("stock-position"), starter("stock-attitude")
+    for part in (above, below):
+        for name, port in part.inputs.items():
+            if name != "theta_0":
+                d.input(name, port.kind, port.width, port.unit)
+    d.add("above", above, inputs={name: name for name in above.inputs})
+    d.add("below", below, inputs={n: "above.theta_0" if n == "theta_0" else n for n in below.inputs})
+    d.output("M", "below.M")
+    d.output("thrust", "above.thrust")
+    d.output("theta_0", "above.theta_0")
+    return d
+
+
+def test_position_and_attitude_in_one_module(tmp_path_factory: pytest.TempPathFactory) -> None:
+    bench = Bench(make_module(both()), tmp_path_factory.mktemp("both"))
+    bench.command("start")
+    for along in (True, False):
+        mode(bench, rail=along)
+        for k in range(50):
+            bench.at(bench.now + PERIOD)
+            bench.publish("trajectory_setpoint", position=[0.1, 0.0, 0.0])
+            bench.publish("vehicle_local_position", x=0.001 * k, vx=0.05, xy_valid=True, v_xy_valid=True)
+            bench.publish("vehicle_attitude_setpoint", q_d=quaternion(0.0), thrust_body=[0.0, 0.0, -0.3])
+            measure(bench, 0.02 * math.sin(0.2 * k), 0.1)
+    events = bench.run()
+    rows = events.topic("twodof_both")
+    expected = replayed(both(), (), rows)
+    for path, field in (("M", "out_m"), ("thrust", "out_thrust"), ("theta_0", "out_theta_0")):
+        assert np.all(same(rows[field], expected[path])), path
+    thrust = -events.topic("vehicle_thrust_setpoint")["xyz"][:, 2]
+    assert np.array_equal(thrust[:50], rows["out_thrust"][:50])  # along the rail its own
+    assert np.array_equal(thrust[50:], np.full(50, np.float32(0.3)))  # else that of the set-point
+    assert len(events.topic("vehicle_attitude_setpoint")) == 100  # those of this test only
+    assert set(rows["faults"]) == {0}
+
+
+def motors() -> Diagram:
+    """fore = thrust_0 + M_0, aft = thrust_0 - M_0."""
+    d = Diagram("mixer")
+    for name, unit in (("M_0", ""), ("thrust_0", ""), ("acc_z", "m/s2"), ("gyro_y", "rad/s")):
+        d.input(name, unit=unit)
+    d.add("fore", lib.Sum("++"), a="thrust_0", b="M_0")
+    d.add("aft", lib.Sum("+-"), a="thrust_0", b="M_0")
+    for n, source in enumerate(("fore", "aft", "fore", "aft"), 1):
+        d.output(f"motor_{n}", source)
+    return d
+
+
+def test_a_motor_module_commands_the_four_motors_and_stops_them_by_nan(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    bench = Bench(make_module(motors()), tmp_path_factory.mktemp("module"))
+    bench.command("start")
+    for armed in (False, True):
+        mode(bench, armed=armed)
+        bench.at(bench.now + PERIOD)
+        bench.publish("vehicle_attitude_setpoint", thrust_body=[0.0, 0.0, -0.4], q_d=quaternion(0.0))
+        bench.publish("vehicle_torque_setpoint", xyz=[0.0, 0.1, 0.0])
+        bench.publish("sensor_combined", gyro_rad=[0.0, 0.3, 0.0], accelerometer_m_s2=[0.0, 0.0, -9.8])
+        bench.publish("vehicle_angular_velocity")
+    events = bench.run()
+    control = events.topic("actuator_motors")["control"]
+    assert np.isnan(control[0]).all()
+    assert np.allclose(control[1, :4], [0.5, 0.3, 0.5, 0.3], atol=1e-7)  # the sums round once in float32
+    assert np.isnan(control[1, 4:]).all()
+    rows = events.topic("twodof_mixer")
+    assert np.allclose(rows["in_acc_z"], -9.8)
+    assert np.allclose(rows["in_gyro_y"], 0.3)
