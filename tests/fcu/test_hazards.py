@@ -17,6 +17,7 @@ from twodof.fcu.failsafe_parameters import failsafe_rows
 from twodof.fcu.helm import FRESH
 from twodof.fcu.parameter_row import Row
 from twodof.fcu.services.parameters import INT32, REAL32
+from twodof.fcu.services.storage import STORAGE
 from twodof.fcu.services.transactions import BEGIN, COMMIT, UNDO
 from twodof.fcu.setpoints import ATTITUDE, OFF, POSITION, VELOCITY, SetPoint
 from twodof.flight.causes import BIT
@@ -248,9 +249,11 @@ def test_in_flight_no_message_changes_a_parameter_of_the_failsafe() -> None:
         put(store.row("RATE_KP"))
         transaction(COMMIT, 2)
     transaction(UNDO)
+    drone.command(STORAGE, 2.0)
     drone.stream()
     drone.run(2)
     assert dict(store) == before
+    assert "disarmed" in drone.texts()
     assert {path: code.parameter(path) for path in flown} == flown
     assert len(flown) > 30
     put(store.row("RATE_KP"))
