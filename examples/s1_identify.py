@@ -1,18 +1,35 @@
-"""Session 1: excite the locked drone with an impulse and doublets, record, and identify the pitch from the logs."""
+"""Session 1: a step of the existing controller; then excite the drone, record, and identify the pitch from the logs."""
+
+from math import radians
 
 from twodof.cli.own_drone import own_drone
 from twodof.excitation import Doublet, Impulse
 from twodof.flightlog import read_log
 from twodof.gcs import Drone
 from twodof.identify import KINDS, cut, fit, identify_pitch
-from twodof.models import pitch_rate
+from twodof.models import pitch_rate, step_figures
 
 # A virtual drone of our own. With the real one, or with one of `twodof up`: `with Drone.connect() as drone:`
 with own_drone("paper", "--rings") as url, Drone.connect(url) as drone:
-    # Experiment 1: with the rotors standing, M = 0.1 for 0.2 s, then the free response.
+    print(f"{drone.version()}; {drone.state}")
+
+    # The controller that is there: a step of the pitch by 10 degrees.
+    drone.run(0.5)
+    drone.arm()
+    drone.set_pitch(0.0)
+    drone.run(6.0)
+    with drone.batch(["estimate.theta"]) as rows:
+        start, before = drone.tick, drone.theta
+        drone.set_pitch(radians(10.0))
+        drone.run(3.0)
+    drone.disarm()
+    seen = step_figures((rows.ticks - start) * 0.004, rows.values[:, 0], start=before, final=radians(10.0))
+    print(f"step: rise {seen.rise_time:.3f} s, overshoot {100.0 * seen.overshoot:.1f} %")
+
+    # Experiment 1: at rest, with the rotors standing, M = 0.1 for 0.2 s, then the free response.
+    drone.wait_until(lambda: abs(drone.theta) < 0.005 and abs(drone.q) < 0.01, timeout=60.0)
     with drone.record("impulse.mcap"):
         drone.run(0.5)
-        print(drone.state.rig)
         drone.arm()
         drone.excite(Impulse(0.1, 0.2, lead=0.5, settle=24.0), thrust=0.0)
         drone.disarm()

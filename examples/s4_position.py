@@ -1,10 +1,14 @@
-"""Session 4: the cart is free: velocity and position set-points along the rail, recorded; what the failsafe does."""
+"""Session 4: the cart is free: velocity and position along the rail with two position gains, recorded; the failsafe."""
 
 from twodof.cli.own_drone import own_drone
 from twodof.flightlog import read_log, write_log
 from twodof.gcs import Drone
+from twodof.models import step_figures
+
+STEP = 0.15
 
 with own_drone("lab") as url, Drone.connect(url) as drone, drone.record("position.mcap") as recording:
+    drone.parameters.update({"VEL_KP": 2.4, "VEL_KI": 2.81})  # the paper's design; crossover 4.2 rad/s
     drone.run(0.5)
     drone.arm()
     drone.set_position(0.0)
@@ -15,10 +19,17 @@ with own_drone("lab") as url, Drone.connect(url) as drone, drone.record("positio
         drone.run(1.0)
         print(f"v {drone.v:+.3f} m/s, asked for {v:+.3f}")
 
-    for x in (-0.15, 0.15, 0.0):
-        drone.set_position(x)
-        drone.run(5.0)
-        print(f"x {drone.x:+.3f} m, asked for {x:+.3f}")
+    for gain in (0.7, 1.5):
+        drone.parameters["POS_KP"] = gain  # in flight
+        drone.set_position(0.0)
+        drone.run(6.0)
+        with drone.batch(["estimate.x"]) as rows:
+            start, before = drone.tick, drone.x
+            drone.set_position(STEP)
+            drone.run(6.0)
+        new = rows.values[:, 0] == rows.values[:, 0]  # the place is estimated 100 times a second; NaN between
+        seen = step_figures((rows.ticks[new] - start) * 0.004, rows.values[new, 0], start=before, final=STEP)
+        print(f"POS_KP {gain}: rise {seen.rise_time:.2f} s, overshoot {100.0 * seen.overshoot:.0f} %")
 
     # A set-point that nobody sends any more: half a second later the drone levels itself, and says why.
     drone.stop_setpoints()
@@ -30,5 +41,5 @@ print(f"{recording.samples} samples recorded, {recording.lost} lost")
 log = read_log("position.mcap")
 write_log(log, "position.mat")  # the layout of the drone's own logs, for MATLAB
 print(", ".join(log.channels))
-for tick, severity, text in log.provenance["texts"]:
-    print(f"{tick * 0.004:8.3f} s  {severity}: {text}")
+for time, severity, text in log.provenance["texts"]:
+    print(f"{time:8.3f} s  {severity}: {text}")
