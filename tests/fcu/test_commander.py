@@ -198,6 +198,11 @@ def test_a_stick_forward_lowers_the_nose_and_goes_to_plus_x(mode: int, flown: in
     assert not cockpit.commander.sticks(ME, 0.0, -0.1).accepted
 
 
+def test_the_ends_of_the_sticks_are_those_of_the_page() -> None:
+    """docs/protocol.md, "Modes": 1.75 rad/s, .35 rad, .3 m/s."""
+    assert (RATE_AT_FULL, PITCH_AT_FULL, VELOCITY_AT_FULL) == (1.75, 0.35, 0.3)
+
+
 def test_a_centred_stick_holds_the_position_where_it_was_let_go() -> None:
     cockpit = armed()
     cockpit.commander.set_mode(ME, modes.POSITION)

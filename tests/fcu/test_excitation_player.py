@@ -381,6 +381,15 @@ def test_numbers_beyond_all_bounds_are_refused_and_no_fault(name: str, number: f
         prepare(json.dumps(Multisine.schroeder(0.1, 4.0, range(1, 20)).to_dict() | {name: value}).encode())
 
 
+def test_a_new_definition_has_neither_start_nor_end_yet() -> None:
+    cockpit = ready()
+    assert cockpit.commander.start_excitation(ME, 7, M, 0.4).accepted
+    cockpit.run(20)
+    assert cockpit.commander.player.end > cockpit.commander.player.start > 0
+    ready(cockpit=cockpit, transfer=8)
+    assert (cockpit.commander.player.start, cockpit.commander.player.end) == (0, 0)
+
+
 def test_before_any_definition_there_is_none() -> None:
     player = Cockpit().commander.player
     assert (player.state, player.transfer, player.reason, player.start, player.end) == (0, 0, "", 0, 0)

@@ -73,6 +73,7 @@ def test_its_own_thread_looks() -> None:
     stopped = threading.Event()
     watchdog = Watchdog(stopped.set, 0.001)
     watchdog.beat()
+    assert all(thread.daemon for thread in threading.enumerate() if thread.name == "watchdog"), "it keeps no program up"
     assert stopped.wait(PATIENCE_S)
     watchdog.close()
     assert watchdog.trips == 1
