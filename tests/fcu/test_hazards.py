@@ -19,7 +19,7 @@ from twodof.fcu.parameter_row import Row
 from twodof.fcu.services.parameters import INT32, REAL32
 from twodof.fcu.services.storage import STORAGE
 from twodof.fcu.services.transactions import BEGIN, COMMIT, UNDO
-from twodof.fcu.setpoints import ATTITUDE, OFF, POSITION, VELOCITY, SetPoint
+from twodof.fcu.setpoints import ATTITUDE, OFF, OPEN_LOOP, POSITION, VELOCITY, SetPoint
 from twodof.flight.causes import BIT
 from twodof.flight.failsafe_machine import BRAKE, DESCEND, LEVEL
 from twodof.link import modes
@@ -99,6 +99,22 @@ def test_a_stick_that_is_held_keeps_from_arming_in_whatever_mode_is_chosen_with_
     assert "not_idle" in commander.arm(ME).text
     cockpit.run(FRESH + 1)  # let go of: no stick is heard any more
     assert cockpit.arm().accepted
+
+
+@pytest.mark.parametrize("mode", [modes.MANUAL, modes.RATE, modes.ATTITUDE])
+def test_a_stick_that_is_held_over_a_disarming_keeps_from_the_next_arming(mode: int) -> None:
+    cockpit = armed()
+    commander = cockpit.commander
+    commander.set_mode(ME, mode)
+    commander.sticks(ME, 0.1, 0.4)
+    assert cockpit.run().mode != OFF
+    commander.disarm(ME)
+    cockpit.run(2)
+    assert "not_idle" in commander.arm(ME).text
+    commander.sticks(ME, 0.0, 0.0)
+    assert cockpit.arm().accepted
+    assert cockpit.run(3).mode in (OFF, OPEN_LOOP)
+    assert (cockpit.steps[-1].asked.thrust, cockpit.steps[-1].asked.M_open) == (0.0, 0.0)
 
 
 def test_a_stick_at_rest_in_one_mode_keeps_from_arming_in_one_in_which_it_is_not() -> None:

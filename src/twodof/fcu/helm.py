@@ -84,10 +84,7 @@ class Helm:
         offboard = custom_mode == modes.OFFBOARD
         self.custom_mode = custom_mode
         self._on_board, self.changed = False, True
-        self._latest, self._latest_at = Values(), _LONG_AGO
-        if STICKS in HEARD_IN[custom_mode]:  # a stick that is held goes on in the new mode with its next message
-            self._latest = stick_setpoint(custom_mode, *self._stick, self.values, 0.0).over(self._latest)
-            self._latest_at = self._stick_at
+        self._hear_anew()
         if armed and custom_mode == modes.HOLD:
             self._use(self.values._replace(loop=ATTITUDE, theta0=0.0, thrust=level_thrust), tick, on_board=True)
         elif armed and offboard:
@@ -124,7 +121,8 @@ class Helm:
         """The motors stand: nothing is asked for any more, nothing waits, nothing plays."""
         if self.player.playing or self.player.waiting:
             self.player.finish(STOPPED, why)
-        self.values = self._latest = Values()
+        self.values = Values()
+        self._hear_anew()
         self._offer = NOTHING
         self._on_board, self._fresh, self.changed = False, False, True
         self.schedule.clear()
@@ -143,6 +141,13 @@ class Helm:
         # One that is quiet follows a fresh one; a player changes it at every tick, and once more at its end.
         self.changed, self._fresh = self._fresh or self.player.playing, False
         return Asked(mode, arm, x0, v0, ax0, theta0, q0, thrust, M_open, use_trim, False, new, link_new)
+
+    def _hear_anew(self) -> None:
+        """Nothing was said in this mode yet; but a stick that is held says it again with its next message."""
+        self._latest, self._latest_at = Values(), _LONG_AGO
+        if STICKS in HEARD_IN[self.custom_mode]:
+            self._latest = stick_setpoint(self.custom_mode, *self._stick, self.values, 0.0).over(self._latest)
+            self._latest_at = self._stick_at
 
     def _use(self, values: Values, tick: int, said: OpenLoop | None = None, on_board: bool = False) -> None:
         self.values, self._on_board = values, on_board
