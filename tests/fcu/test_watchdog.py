@@ -79,6 +79,16 @@ def test_its_own_thread_looks() -> None:
     assert watchdog.trips == 1
 
 
+def test_one_on_a_real_rig_has_no_patience(
+    monkeypatch: pytest.MonkeyPatch, watchdog: Watchdog, stops: list[int]
+) -> None:
+    """Its motors run on, whoever has the processor."""
+    monkeypatch.setattr(ThreadTime, "own", lambda _: 0.0)
+    watchdog.beat()
+    look(watchdog, LOOKS + 1)
+    assert stops == [1]
+
+
 def test_a_patient_one_counts_looks_by_what_the_loop_had_of_their_time(
     monkeypatch: pytest.MonkeyPatch, stops: list[int]
 ) -> None:
