@@ -1,6 +1,7 @@
 # Everything sets itself up in .venv; what is needed beforehand is Python >= 3.11, make and a network.
 #
 #   make demo    fly, identify, compare with the paper, write out/demo/report.html
+#   make sandbox what drones need to fly controllers of one's own: wasmtime and ziglang, into .venv
 #   make test    every test but the long versions          make soak   the long versions
 #   make check   format, lint, types, order of imports     make bench  figures against peers, in bench/results
 #   make lock    pin the requirements again                make clean  remove what the above made, .venv apart
@@ -19,7 +20,7 @@ TEST_JOBS ?= 2
 PYTEST := $(BIN)/python -m pytest -n $(TEST_JOBS) --dist worksteal
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check bench soak tools lock clean
+.PHONY: help demo sandbox test check bench soak tools lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -27,6 +28,8 @@ help:
 
 demo: $(VENV)/ready-run
 	$(BIN)/twodof demo
+
+sandbox: $(VENV)/ready-sandbox
 
 test: $(VENV)/ready-dev tools
 	$(PYTEST)
@@ -60,12 +63,16 @@ $(VENV)/ready-run: $(RUN_REQUIREMENTS) pyproject.toml | $(BIN)/python
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 	@touch $@
 
+$(VENV)/ready-sandbox: requirements/sandbox.txt $(VENV)/ready-run
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements/sandbox.txt
+	@touch $@
+
 $(VENV)/ready-dev: requirements/dev.txt pyproject.toml | $(BIN)/python
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements/dev.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
-	@touch $@ $(VENV)/ready-run
+	@touch $@ $(VENV)/ready-run $(VENV)/ready-sandbox
 
-# `dev` first: the two smaller files take their versions from it. No option names an index, so that the files
+# `dev` first: the three smaller files take their versions from it. No option names an index, so that the files
 # hold for any. `UPGRADE=--upgrade` takes the newest of everything, otherwise what is pinned stays.
 LOCK := CUSTOM_COMPILE_COMMAND="make lock" $(BIN)/pip-compile --quiet --generate-hashes --allow-unsafe \
 	--strip-extras --no-annotate --no-emit-index-url --no-emit-find-links --no-emit-trusted-host \
@@ -75,6 +82,7 @@ lock: $(VENV)/ready-dev
 	$(LOCK) --extra dev -o requirements/dev.txt pyproject.toml
 	$(LOCK) -c requirements/dev.txt -o requirements/run.txt pyproject.toml
 	$(LOCK) -c requirements/dev.txt --extra compiler -o requirements/compiler.txt pyproject.toml
+	$(LOCK) -c requirements/dev.txt --extra wasm -o requirements/sandbox.txt pyproject.toml
 
 clean:
 	rm -rf out dist build .hypothesis .mypy_cache .pytest_cache .ruff_cache

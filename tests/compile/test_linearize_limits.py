@@ -144,5 +144,5 @@ def test_too_many_states_are_refused() -> None:
 
 def test_without_python_control_the_error_names_the_package(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "control", None)
-    with pytest.raises(CompileError, match="design"):
+    with pytest.raises(CompileError, match="pip install control"):
         linearize(pendulum(), DT).to_control()

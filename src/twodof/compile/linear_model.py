@@ -60,7 +60,7 @@ class LinearModel:
             control = importlib.import_module("control")
         except ImportError as error:
             raise CompileError(
-                "python-control is not installed", "to_control", 'install it: pip install "twodof[design]"'
+                "python-control is not installed", "to_control", "install it where twodof is: pip install control"
             ) from error
         return control.StateSpace(
             self.a,

@@ -14,10 +14,12 @@ import pytest
 from tests.fcu.services.test_on_board import Client
 from tests.patience import PATIENCE_S
 from twodof.blocks.schema import to_json
+from twodof.compile.wasm import ready
+from twodof.errors import CompileError
 from twodof.fcu.asked import ACCEPTED, FAILED, IN_PROGRESS, TEMPORARILY_REJECTED
 from twodof.fcu.controllers import Controllers
 from twodof.fcu.flight_code import FlightCode
-from twodof.fcu.services.reload import RELOAD
+from twodof.fcu.services.reload import ASK, RELOAD
 from twodof.flight.slot import Slot
 from twodof.flight.starters import starter
 from twodof.link.connection import Connection
@@ -94,6 +96,38 @@ def test_the_reason_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
             assert drone.commander.arm((250, 1)).text == "not armed: a controller is being built"
             gate.open.set()
             assert await answer(client) == ACCEPTED
+
+    asyncio.run(session())
+
+
+@pytest.mark.parametrize("there", [False, True])
+def test_who_asks_first_is_told_all_that_is_missing_at_once_and_nothing_is_built(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, there: bool
+) -> None:
+    """A student who has run `make demo` and not `make sandbox` learns it before anything is sent, in one message."""
+
+    def nowhere(name: str) -> None:
+        assert name == "wasmtime"
+
+    def none(name: str | None = None) -> None:
+        raise CompileError("there is no compiler for WebAssembly", "target wasm", "install one")
+
+    if not there:
+        monkeypatch.setattr(ready, "find_spec", nowhere)
+        monkeypatch.setattr(ready, "find_wasm_compiler", none)
+
+    async def session() -> None:
+        async with VirtualDrone(lockstep=True, state=tmp_path) as drone:
+            await drone.listen(f"memin://{tmp_path.name}")
+            async with Connection(await open_transport(f"mem://{tmp_path.name}"), 250, 1) as link:
+                client = Client(link)
+                flew = drone.controller.code
+                assert await client.command(RELOAD, ASK) == (ACCEPTED if there else FAILED)
+                assert drone.commander.lease.holder is None
+                await client.run(60)
+                texts = "".join(said.text for said in client.came if said.get_type() == "STATUSTEXT")
+                assert drone.controller.code is flew
+                assert there or all(word in texts for word in ("wasmtime", "ziglang", "make sandbox"))
 
     asyncio.run(session())
 

@@ -28,7 +28,9 @@ def wasmtime() -> Any:
         return importlib.import_module("wasmtime")
     except ImportError as error:
         raise CompileError(
-            "the package wasmtime is not there", "target wasm", "install it: pip install wasmtime, or twodof[wasm]"
+            "the package wasmtime is not there",
+            "target wasm",
+            "run `make sandbox` in twodof's folder, or pip install wasmtime where twodof is installed",
         ) from error
 
 

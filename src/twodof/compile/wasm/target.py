@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from twodof.compile.target import Emitted
 from twodof.compile.wasm.engine import WasmBackend, backends
 from twodof.compile.wasm.module import compile_module
+from twodof.compile.wasm.ready import check_ready
 
 
 @dataclass(frozen=True)
@@ -24,5 +25,6 @@ class Wasm:
 
     def compile(self, programs: Sequence[Emitted]) -> list[WasmBackend]:
         """The programs of one source in one module; raises CompileError, also if wasmtime is not there."""
+        check_ready(self.compiler)
         module = compile_module(programs, self.compiler, self.optimise)
         return backends(module, self.fuel)

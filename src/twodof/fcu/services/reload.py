@@ -8,14 +8,20 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Protocol
 
-from twodof.errors import TwodofError
+from twodof.compile.wasm.ready import check_ready
+from twodof.errors import CompileError, TwodofError
 from twodof.fcu.asked import ACCEPTED, FAILED, IN_PROGRESS, TEMPORARILY_REJECTED, UNSUPPORTED, Source, Verdict
 from twodof.fcu.controllers import Controllers
 from twodof.fcu.loop import FlightController
 from twodof.fcu.services.commands import Command, Commands
 
 RELOAD = 31010
-"""MAV_CMD_USER_1: builds the flight code of the controllers in the folder of uploads, and flies it from then on."""
+"""MAV_CMD_USER_1: builds the flight code of the controllers in the folder of uploads, and flies it from then on.
+
+With its first number `ASK` it only tells whether there is what that takes.
+"""
+
+ASK = 1.0
 
 
 class Commander(Protocol):
@@ -36,7 +42,8 @@ class Commander(Protocol):
 class Reload:
     """Carries out `RELOAD`, disarmed only; the answer comes when the controllers fly, or says why they do not.
 
-    What could not be built is not among the uploads any more: they are what flies, also for a later command.
+    With `ASK` nothing is built and no lease taken: a client asks so before it uploads. What could not be built is not
+    among the uploads any more: they are what flies, also for a later command.
 
     What it compiles, for seconds, it compiles in a thread beside the control loop, which is why nobody may arm
     meanwhile (`building`): both want the interpreter. `flies` is called in the tick in which they fly for the first
@@ -70,6 +77,8 @@ class Reload:
             return Verdict(UNSUPPORTED, "it keeps no uploads: start it with a folder for its state")
         if self._commander.armed or self._commander.arming.result == IN_PROGRESS:
             return Verdict(TEMPORARILY_REJECTED, "no other controller while armed: disarm first")
+        if command.params[0] == ASK:
+            return _equipped()
         verdict = self._commander.take(command.source, "reload")
         if not verdict.accepted:
             return verdict
@@ -96,3 +105,12 @@ class Reload:
         finally:
             self._verdict = made
             self._commands.poll()
+
+
+def _equipped() -> Verdict:
+    """Whether the sandbox can be made here."""
+    try:
+        check_ready()
+    except CompileError as lack:
+        return Verdict(FAILED, f"{lack.what}: {lack.remedy}")
+    return Verdict(ACCEPTED)
