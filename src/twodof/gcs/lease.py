@@ -14,8 +14,8 @@ from twodof.link.messages import message
 DURATION_MS = 3000
 RENEW_S = 1.0
 LOOK_S = 0.25
-GRACE_S = 0.5
-"""A lease that is not renewed ends when it says, or this much later: messages take their time."""
+GRACE_S = 1.3
+"""A lease that is not renewed ends when it says, or so much later: where time stands still it counts seconds."""
 STATE, ASK, GIVE_UP = 0, 1, 2
 _ANSWER = ("TWODOF_LEASE",)
 
@@ -44,25 +44,33 @@ class Lease:
         Raises Rejected as soon as it is seen to be renewed, and where it ends too late; LinkLost, Timeout.
         """
         deadline = Deadline(timeout, "asking for the lease", f"drone {self._session.system}")
-        began = self._session.now
+        began, before, ends = self._session.now, None, 0.0
         while not await self._session.ask(lambda _: self._message(ASK), _ANSWER, self._granted, deadline):
+            if self.holder != before:
+                before, ends = self.holder, self._ends
             if self.holder is not None:
-                await self._runs_out(deadline)
+                await self._runs_out(ends, deadline)
         self.wanted = True
         if self._renewing is None:
             self._renewing = asyncio.get_running_loop().create_task(self._renew())
         return self._session.now - began
 
-    async def _runs_out(self, deadline: Deadline) -> None:
-        """Wait until the lease of another ends. Raises Rejected where it does not, LinkLost, Timeout."""
-        holder, ends = self.holder, self._ends
+    async def _runs_out(self, ends: float, deadline: Deadline) -> None:
+        """Wait until the lease of another, which was to end then, can have ended.
+
+        Raises Rejected where it does not, LinkLost, Timeout.
+        """
+        holder = self.holder
         question = number_of("REQUEST_MESSAGE"), [dialect.message_id("TWODOF_LEASE")]
         while self.holder == holder:
             if ends > deadline.end:
                 raise self._theirs(deadline, f"for {ends - self._session.now:.1f} s more")
             if self._ends > ends + GRACE_S or self._session.now > ends + GRACE_S:
                 raise self._theirs(deadline, "and keeps it")
+            over = self._session.now >= self._ends
             await asyncio.sleep(LOOK_S)
+            if over:  # where time stands still it ends only for who asks for it
+                return
             await self._session.ask(
                 lambda attempt: self._commands.long(*question, attempt), _ANSWER, self._seen, deadline
             )
