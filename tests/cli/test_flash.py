@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from tests.fcu.program import twodof_fcu
+from tests.patience import PATIENCE_S
 from tests.toolchains import need
 from twodof.blocks.schema import to_json
 from twodof.cli.app import run
@@ -214,7 +215,7 @@ def test_a_reader_that_leaves_does_not_make_a_failure_of_it(more: list[str], fol
     os.close(ours)
     command = [sys.executable, "-m", "twodof.cli", "flash", "stock-attitude", "--to", "sim", *more]
     try:
-        done = subprocess.run(command, stdout=theirs, stderr=subprocess.PIPE, timeout=120, check=False)
+        done = subprocess.run(command, stdout=theirs, stderr=subprocess.PIPE, timeout=PATIENCE_S, check=False)
     finally:
         os.close(theirs)
     assert (done.returncode, done.stderr) == (0, b"")

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.compile.cortex_m7.hand_written import ADD, COMPILERS, HEAD, STEP, image, steps
+from tests.patience import PATIENCE_S
 from tests.toolchains import need
 from twodof.blocks import Diagram
 from twodof.compile import build, toolchain
@@ -91,7 +92,7 @@ def test_the_sizes_are_those_that_binutils_read(tmp_path: Path) -> None:
     file = tmp_path / "image.elf"
     file.write_bytes(made.elf)
     command = ["arm-none-eabi-size", "-A", str(file)]
-    rows = subprocess.run(command, capture_output=True, text=True, timeout=30, check=True).stdout.splitlines()
+    rows = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=True).stdout.splitlines()
     theirs = {r.split()[0]: int(r.split()[1]) for r in rows if r.startswith(".")}
     ours = image_sizes(made)
     assert ours.text + ours.rodata == theirs[".text"]

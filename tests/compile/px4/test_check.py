@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from tests.compile.px4.modules import PITCH_LOG, pitch
+from tests.patience import PATIENCE_S
 from twodof.compile.px4 import check, export
 from twodof.compile.px4.check import _NEEDED, ERROR, WARNING, Findings
 from twodof.compile.px4.source_tree import SourceTree
@@ -44,7 +45,7 @@ def put(root: Path, path: str, text: str = "// as in PX4\n") -> None:
 def git(root: Path, *arguments: str) -> None:
     """A git command in `root`."""
     name = ("-c", "user.name=t", "-c", "user.email=t@t")
-    subprocess.run(["git", "-C", str(root), *name, *arguments], check=True, capture_output=True, timeout=60)
+    subprocess.run(["git", "-C", str(root), *name, *arguments], check=True, capture_output=True, timeout=PATIENCE_S)
 
 
 @pytest.fixture(scope="session")

@@ -1,0 +1,44 @@
+"""No test has a limit of its own for what only ends a hang: such limits are too tight on some machine, some day."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+TESTS = Path(__file__).parent
+# What waits for another process, thread or task: their first argument, or the second, or `timeout`, is a limit [s].
+WAITING = {"communicate": 0, "wait": 0, "join": 0, "result": 0, "wait_for": 1, "run": None, "check_output": None}
+LONGEST_PAUSE_S = 0.5
+"""What is shorter is no limit, but a look every so often."""
+
+
+def limits(name: str, tree: ast.AST) -> Iterator[str]:
+    """Calls that wait with a number for their limit."""
+    for node in ast.walk(tree):
+        if not isinstance(node, ast.Call) or not isinstance(node.func, ast.Attribute) or node.func.attr not in WAITING:
+            continue
+        place = WAITING[node.func.attr]
+        given = [word.value for word in node.keywords if word.arg == "timeout"]
+        given += node.args[place : place + 1] if place is not None else []
+        for limit in given:
+            if (
+                isinstance(limit, ast.Constant)
+                and isinstance(limit.value, int | float)
+                and limit.value > LONGEST_PAUSE_S
+            ):
+                yield f"{name}:{node.lineno} {node.func.attr}({limit.value}): say PATIENCE_S"
+
+
+def test_waits_that_state_nothing_have_one_patience() -> None:
+    found = [
+        line
+        for path in sorted(TESTS.rglob("*.py"))
+        for line in limits(str(path.relative_to(TESTS)), ast.parse(path.read_text()))
+    ]
+    assert found == []
+
+
+def test_a_limit_of_its_own_is_found() -> None:
+    text = "child.wait(timeout=10)\nthread.join(5.0)\nasyncio.wait_for(work, 20.0)\nchild.wait(PATIENCE_S)\nend.wait(0.05)\n"
+    assert [line.split()[0] for line in limits("t.py", ast.parse(text))] == ["t.py:1", "t.py:2", "t.py:3"]
