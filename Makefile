@@ -15,7 +15,8 @@ PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python; do \
 	"$$p" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo "$$p" && break; done)
 # Without a system C compiler the one in the ziglang wheel is installed and used.
 RUN_REQUIREMENTS := requirements/$(if $(shell command -v cc 2>/dev/null),run,compiler).txt
-TEST_JOBS ?= 2
+# One more than the two cores of continuous integration: some tests wait for real time to pass, and others fill it.
+TEST_JOBS ?= 3
 # A worker that has nothing left takes from the other: the long tests stand side by side in the order of files.
 PYTEST := $(BIN)/python -m pytest -n $(TEST_JOBS) --dist worksteal
 

@@ -40,5 +40,6 @@ def test_waits_that_state_nothing_have_one_patience() -> None:
 
 
 def test_a_limit_of_its_own_is_found() -> None:
-    text = "child.wait(timeout=10)\nthread.join(5.0)\nasyncio.wait_for(work, 20.0)\nchild.wait(PATIENCE_S)\nend.wait(0.05)\n"
+    wrong = ["child.wait(timeout=10)", "thread.join(5.0)", "asyncio.wait_for(work, 20.0)"]
+    text = "\n".join([*wrong, "child.wait(PATIENCE_S)", "end.wait(0.05)"])
     assert [line.split()[0] for line in limits("t.py", ast.parse(text))] == ["t.py:1", "t.py:2", "t.py:3"]

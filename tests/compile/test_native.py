@@ -7,6 +7,8 @@ import sys
 
 import pytest
 
+from tests.patience import PATIENCE_S
+
 SOURCE = "int twodof_answer(void) { return 42; }\n"
 
 
@@ -23,7 +25,7 @@ def test_a_process_that_flushes_subnormals_is_refused(monkeypatch: pytest.Monkey
         "except CompileError as error:\n"
         "    print(error.what)\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=PATIENCE_S, check=False)
     if "xmmintrin.h" in done.stderr:
         pytest.skip("not an x86 processor")
     assert "subnormal" in done.stdout, done.stderr

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.patience import PATIENCE_S
 from twodof.compile import native, toolchain
 from twodof.errors import CompileError
 
@@ -96,7 +97,7 @@ def test_processes_that_build_the_same_at_once_all_get_it(cache: Path) -> None:
         f"print(native.load({SOURCE!r}, toolchain.find_compiler()).twodof_answer())\n"
     )
     started = [subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) for _ in range(3)]
-    assert [p.communicate(timeout=120)[0].strip() for p in started] == ["42"] * 3
+    assert [p.communicate(timeout=PATIENCE_S)[0].strip() for p in started] == ["42"] * 3
     assert len(list(cache.iterdir())) == 1
 
 

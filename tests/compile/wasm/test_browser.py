@@ -15,6 +15,7 @@ import pytest
 from tests.blocks.library.samples import random_inputs
 from tests.compile import examples
 from tests.compile.differential import same
+from tests.patience import PATIENCE_S
 from tests.toolchains import need
 from twodof.blocks import Diagram
 from twodof.compile import Program, build
@@ -60,7 +61,7 @@ def test_v8_gives_the_bits_of_native_code(
         input=json.dumps(runs),
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=PATIENCE_S,
         check=False,
     )
     assert done.returncode == 0, done.stderr
