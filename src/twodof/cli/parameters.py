@@ -15,7 +15,7 @@ from twodof.cli.output import Json, print_json, table_console
 from twodof.errors import ParameterError, shown
 from twodof.gcs.async_drone import DEFAULT_URL
 from twodof.gcs.drone import Drone
-from twodof.gcs.parameters import Described, Entry
+from twodof.gcs.parameter_entry import Described, Entry
 from twodof.parameters import Parameter
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from twodof.errors import ParameterError
 from twodof.gcs.files import FileEntry, Files
 from twodof.gcs.log_download import LogEntry, Logs
-from twodof.gcs.parameters import AsyncParameters, Described, Entry
+from twodof.gcs.parameter_entry import Described, Entry
+from twodof.gcs.parameters import AsyncParameters
 from twodof.gcs.runner import Runner
 from twodof.gcs.telemetry import QUEUE, Callback, Sample, Signal, Stream, Value
 

@@ -3,33 +3,26 @@
 from __future__ import annotations
 
 import asyncio
-import json
 from collections.abc import AsyncIterator, Mapping, Sequence
 from contextlib import asynccontextmanager
-from dataclasses import dataclass
 from difflib import get_close_matches
 from itertools import count
-from math import isfinite
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from twodof.errors import ParameterError, Rejected, Timeout, listed, shown
 from twodof.gcs.deadline import Deadline
 from twodof.gcs.files import Files
+from twodof.gcs.parameter_entry import BY_NAME, INT32, MOST, Described, Entry, checked, entry_of, read_description
 from twodof.gcs.session import Session
 from twodof.gcs.texts import Texts
-from twodof.link.messages import float_of_int, int_of_float, message
-from twodof.parameters import PARAMETERS, Parameter
+from twodof.link.messages import float_of_int, message
 
-INT32, REAL32 = 6, 9
 HASH = "_HASH_CHECK"
-MOST = 5000
 SILENCE_S = 1.0
 """Another's PX4 says nothing of a name that it has not: after so long [s] it is asked for all that it has."""
 DESCRIPTION = "/etc/extras/parameters.json"
-_TYPES = {"Int32": "int32", "Float": "float"}
-_LARGEST = 3.4028234663852886e38  # of float32: what has no bounds
 BEGIN, COMMIT, ROLL_BACK, UNDO = range(4)
 _ERRORS = (
     "",
@@ -43,29 +36,6 @@ _ERRORS = (
     "it could not be read",
 )
 _INCOMPLETE = 8  # MAV_PARAM_ERROR_READ_FAIL: some were lost on the way
-_BY_NAME: Mapping[str, Parameter] = {name: row for row in PARAMETERS for name in (row.name, row.drone) if name}
-
-
-@dataclass(frozen=True)
-class Described(Parameter):
-    """A parameter as the drone describes it; `path` is where it stands in a user's controller that flies there."""
-
-    path: str = ""
-
-
-class Entry(NamedTuple):
-    """A parameter as the drone told it: `kind` is a MAV_PARAM_TYPE, `described` what it says of it if it was asked."""
-
-    name: str
-    value: float
-    kind: int
-    place: int
-    described: Described | None = None
-
-    @property
-    def row(self) -> Parameter | None:
-        """Bounds, unit and text: the drone's description, or what the package knows, or None."""
-        return self.described or _BY_NAME.get(self.name)
 
 
 class AsyncParameters:
@@ -130,7 +100,7 @@ class AsyncParameters:
         if len({entry.name for entry in entries}) < len(entries):
             raise ParameterError("a parameter is given twice", listed(changes), "nothing was changed")
         wanted = [
-            (entry, _checked(self._with_row(entry), value))
+            (entry, checked(self._with_row(entry), value))
             for entry, value in zip(entries, changes.values(), strict=True)
         ]
         if self.transactions and len(wanted) > 1:
@@ -201,7 +171,7 @@ class AsyncParameters:
                     if got.param_count != total:
                         found.clear()
                     total = got.param_count
-                    found[got.param_index] = _entry(got)
+                    found[got.param_index] = entry_of(got)
                 deadline.check()
         return {found[index].name: found[index] for index in sorted(found)}
 
@@ -210,7 +180,7 @@ class AsyncParameters:
             raise Rejected("it describes no parameters to us: it is not one of ours", deadline.where, "list them")
         content = await self._files.read(DESCRIPTION, deadline.left)
         try:
-            rows = [_described(row) for row in json.loads(content)["parameters"][:MOST]]
+            rows = read_description(content)
         except (ValueError, LookupError, TypeError, RecursionError, ParameterError) as damage:
             raise Rejected(
                 f"its description of its parameters is none: {damage}", deadline.where, "list them"
@@ -221,7 +191,7 @@ class AsyncParameters:
     def name_on_board(self, name: str) -> str:
         """What the drone calls it: as given where it told so, else the package's name or the real drone's."""
         name = self._paths.get(name, name)
-        row = _BY_NAME.get(name)
+        row = BY_NAME.get(name)
         if name in self.known or row is None:
             return name
         other = row.drone if name == row.name else row.name
@@ -245,9 +215,9 @@ class AsyncParameters:
                 return None
             if got.param_id != entry.name:
                 return None
-            if np.float32(_entry(got).value) != np.float32(value):
+            if np.float32(entry_of(got).value) != np.float32(value):
                 raise Rejected(
-                    f"{entry.name} is {_entry(got).value:g} and not {value:g}", f"drone {self._session.system}"
+                    f"{entry.name} is {entry_of(got).value:g} and not {value:g}", f"drone {self._session.system}"
                 )
             return True
 
@@ -344,7 +314,7 @@ class AsyncParameters:
             if got.get_type() == "PARAM_ERROR":
                 self._refused(got, name)
                 return None
-            return _entry(got) if got.param_id == name else None
+            return entry_of(got) if got.param_id == name else None
 
         return await self._session.ask(
             lambda _: message("PARAM_REQUEST_READ", param_id=name, param_index=-1, **self._place()),
@@ -367,7 +337,7 @@ class AsyncParameters:
 
     def _unknown(self, name: str) -> ParameterError:
         """That the drone has not `name`, with the nearest names that it has."""
-        ours = [one for one in _BY_NAME if not self._whole or self.name_on_board(one) in self.known]
+        ours = [one for one in BY_NAME if not self._whole or self.name_on_board(one) in self.known]
         names = {known.casefold(): known for known in (*ours, *self.known, *self._paths)}
         near = [names[one] for one in get_close_matches(name.casefold(), names, 3, 0.5)]
         remedy = f"the nearest: {', '.join(near)}" if near else "parameters.all() lists them"
@@ -388,7 +358,7 @@ class AsyncParameters:
         self._asked_for_list &= not expected
         self._total = got.param_count
         if got.param_id != HASH and (got.param_id in self.known or len(self.known) < MOST):
-            self.known[got.param_id] = _entry(got)
+            self.known[got.param_id] = entry_of(got)
 
     def _set_message(self, entry: Entry, value: float) -> Any:
         carried = float_of_int(int(value)) if entry.kind == INT32 else float(value)
@@ -401,47 +371,5 @@ class AsyncParameters:
         return Deadline(self._timeout if timeout is None else timeout, doing, f"drone {self._session.system}")
 
 
-def _entry(got: Any) -> Entry:
-    value = float(int_of_float(got.param_value)) if got.param_type == INT32 else _decimal(got.param_value)
-    return Entry(str(got.param_id), value, int(got.param_type), int(got.param_index))
-
-
-def _described(row: Any) -> Described:
-    """A row of a drone's description. Raises ValueError, LookupError, TypeError or ParameterError for what is none."""
-    kind = _TYPES[row["type"]]
-    low, high = (-_LARGEST, _LARGEST) if kind == "float" else (-(2**31), 2**31 - 1)
-    return Described(
-        str(row["name"]),
-        row["default"],
-        row.get("min", low),
-        row.get("max", high),
-        str(row.get("units", "")),
-        str(row.get("shortDesc", "")),
-        kind="float" if kind == "float" else "int32",
-        path=str(row.get("path", "")),
-    )
-
-
-def _checked(entry: Entry, value: float) -> float:
-    """A value that the parameter can have. Raises ParameterError."""
-    row = entry.row
-    if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
-        raise ParameterError(f"{shown(value)} is no number", entry.name, "nothing was changed")
-    if entry.kind not in (INT32, REAL32):
-        raise ParameterError(f"has the type {entry.kind}, which is not set from here", entry.name)
-    if entry.kind == INT32 and (value != int(value) or not -(2**31) <= value < 2**31):
-        raise ParameterError(f"{value:g} is no int32", entry.name, "nothing was changed")
-    if row is not None and not row.low <= value <= row.high:
-        raise ParameterError(
-            f"{value:g} is outside {row.low:g} to {row.high:g} {row.unit}", entry.name, "nothing was changed"
-        )
-    return value
-
-
 def _error(number: int) -> str:
     return _ERRORS[number] if number < len(_ERRORS) else f"error {number}"
-
-
-def _decimal(value: float) -> float:
-    """The shortest decimal that is this float32: 0.07 was sent, 0.07 is read."""
-    return float(str(np.float32(value)))
