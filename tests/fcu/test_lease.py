@@ -8,11 +8,13 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 
 from tests.fcu.cockpit import COMPANION, ME, OTHER, Cockpit, armed
 from twodof.excitation import Impulse
+from twodof.fcu.arming import PATIENCE
 from twodof.fcu.asked import DENIED, FAILED, IN_PROGRESS, TEMPORARILY_REJECTED, Source
-from twodof.fcu.excitation_player import PLAYING, written_out
+from twodof.fcu.excitation_player import MOST_EFFORT, PLAYING, written_out
 from twodof.fcu.helm import FRESH
 from twodof.fcu.lease import COMMANDING, HEARD, LONGEST, Lease
-from twodof.fcu.schedule import HORIZON
+from twodof.fcu.loop import MOST_GRANTED
+from twodof.fcu.schedule import CAPACITY, HORIZON
 from twodof.fcu.setpoints import ATTITUDE, SetPoint
 from twodof.flight.failsafe_machine import OFF
 from twodof.link import modes
@@ -78,8 +80,12 @@ def test_who_takes_it_by_arming_and_falls_silent_at_once_has_it_for_three_second
 
 
 def test_the_times_are_those_of_the_page() -> None:
-    """docs/protocol.md, in ticks of 4 ms: 2 s, 3 s, 30 s; set-points above 2 Hz; a minute ahead at most."""
-    assert (COMMANDING, HEARD, LONGEST, FRESH, HORIZON) == (500, 750, 7500, 125, 15_000)
+    """docs/protocol.md, in ticks of 4 ms: 2 s, 3 s, 30 s; set-points above 2 Hz; a minute ahead at most; 256 wait."""
+    assert (COMMANDING, HEARD, LONGEST, FRESH, HORIZON, CAPACITY) == (500, 750, 7500, 125, 15_000, 256)
+    assert (PATIENCE, MOST_GRANTED, MOST_EFFORT) == (25, 25_000, 1e8)
+    commander = Cockpit(talking=()).commander
+    assert commander.ask_lease(ME).accepted
+    assert commander.lease.left == COMMANDING
 
 
 def test_every_change_of_holder_is_counted() -> None:

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import secrets
 import time
+from types import SimpleNamespace
 
 import pytest
 
-from tests.fcu.flights import FLYING, OFF, Script, controller, fly
+from tests.fcu.flights import ARM_AT, FLYING, OFF, Script, controller, fly
+from tests.fcu.services import desk as services_desk
 from twodof.errors import ParameterError
-from twodof.fcu.flight_code import FlightCode
+from twodof.fcu.asked import Asked
+from twodof.fcu.flight_code import FlightCode, Step
+from twodof.fcu.hardware import Sample
 from twodof.fcu.loop import MOST_GRANTED, REMEDY, FlightController
 from twodof.flight.causes import BIT
 from twodof.flight.failsafe_machine import DISARMED
@@ -125,3 +130,105 @@ def test_a_real_rig_cannot_begin_again() -> None:
     with pytest.raises(ParameterError, match="real"):
         made.reset()
     assert made.tick == 1
+
+
+class Bench(services_desk.Bench):
+    """Notes what is asked of the motors."""
+
+    def __init__(self) -> None:
+        self.calls: list[str] = []
+
+    def stop(self) -> None:
+        self.calls.append("stop")
+
+    def release(self) -> None:
+        self.calls.append("release")
+
+
+class Code(services_desk.Code):
+    """Arms as it is asked, and keeps what it was told of late steps; with a sandbox that keeps its clock."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.sandbox = SimpleNamespace(timed=None)
+        self.late: list[bool] = []
+
+    def step(self, tick: int, sample: Sample, asked: Asked, rings: bool, late: bool) -> Step:
+        self.late.append(late)
+        return super().step(tick, sample, asked, rings, late)
+
+    def take_over(self, other: FlightCode) -> None:
+        """Nothing to take."""
+
+
+class Arms(Script):
+    """Arms, and asks for nothing."""
+
+    def asked(self, tick: int) -> Asked:
+        return Asked(arm=ARM_AT <= tick < self.disarm_at)
+
+
+def bare(lockstep: bool = True) -> tuple[FlightController, Bench, Code]:
+    bench, code = Bench(), Code()
+    return FlightController(bench, code, Arms(disarm_at=ARM_AT + 20), lockstep), bench, code
+
+
+def test_a_stop_is_the_hardwares_at_once_and_released_when_it_is_disarmed() -> None:
+    made, bench, code = bare()
+    fly(made, ARM_AT + 5)
+    assert bench.calls == []
+    made.stop()
+    assert bench.calls == ["stop"]
+    fly(made, ARM_AT + 20)
+    assert code.late == [False] * (ARM_AT + 5) + [True] * 15, "the failsafe is told until it is disarmed"
+    assert bench.calls == ["stop"]
+    fly(made, ARM_AT + 25)
+    assert bench.calls == ["stop", "release"]
+    assert code.late[-4:] == [False] * 4
+    made.reset()
+    assert bench.calls == ["stop", "release", "release"]
+
+
+def test_each_step_goes_to_who_listens_and_to_who_asked_for_it() -> None:
+    made, _, _ = bare()
+    heard: list[Step] = []
+    made.listeners.append(heard.append)
+    assert [made.step() for _ in range(3)] == heard
+    assert made.latest is heard[-1]
+    assert (made.tick, made.granted) == (3, 0)
+
+
+def test_what_stopped_a_controller_is_said_once_each_time() -> None:
+    made, _, code = bare()
+    said = [(2, "controller stopped: out of fuel")]
+    for fault, remarks in (
+        ("", []),
+        ("out of fuel", said),
+        ("out of fuel", said),
+        ("", said),
+        ("out of fuel", 2 * said),
+    ):
+        code.own_fault = fault
+        made.step()
+        assert made.remarks == remarks
+
+
+@pytest.mark.parametrize("lockstep", [True, False])
+def test_a_sandbox_is_timed_where_time_is_real(lockstep: bool) -> None:
+    made, _, code = bare(lockstep)
+    assert code.sandbox.timed == (not lockstep)
+    another = Code()
+    made.replace(another)
+    assert another.sandbox.timed == (not lockstep)
+    assert made.code is another
+    fly(made, ARM_AT + 2)
+    with pytest.raises(ParameterError, match="armed"):
+        made.replace(code)
+
+
+@pytest.mark.parametrize(("drawn", "number"), [(0, 1), (2**32 - 2, 2**32 - 1)])
+def test_the_number_of_a_start_is_never_0(drawn: int, number: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    below: list[int] = []
+    monkeypatch.setattr(secrets, "randbelow", lambda most: below.append(most) or drawn)
+    made, _, _ = bare()
+    assert (made.started_as, below) == (number, [2**32 - 1])

@@ -77,6 +77,7 @@ def test_its_own_thread_looks() -> None:
     assert stopped.wait(PATIENCE_S)
     watchdog.close()
     assert watchdog.trips == 1
+    assert not any(thread.name == "watchdog" for thread in threading.enumerate()), "closed, its thread has ended"
 
 
 def test_one_on_a_real_rig_has_no_patience(

@@ -39,7 +39,7 @@ class Commander:
     clients, for whoever drains it; `refused` counts set-points that did not act, by reason.
     """
 
-    def __init__(self, rig: Rig, level_thrust: Callable[[], float] = lambda: 0.4, lockstep: bool = False) -> None:
+    def __init__(self, rig: Rig, level_thrust: Callable[[], float], lockstep: bool) -> None:
         self.rig = rig
         self.lockstep = lockstep
         self.unfit: Callable[[], str] = lambda: ""
