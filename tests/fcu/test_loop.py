@@ -185,7 +185,7 @@ def test_a_stop_is_the_hardwares_at_once_and_released_when_it_is_disarmed() -> N
     fly(made, ARM_AT + 25)
     assert bench.calls == ["stop", "release"]
     assert code.late[-4:] == [False] * 4
-    made.reset()
+    made.reset(1, 0.0, 1.0, rings=True)
     assert bench.calls == ["stop", "release", "release"]
 
 
@@ -201,16 +201,10 @@ def test_each_step_goes_to_who_listens_and_to_who_asked_for_it() -> None:
 def test_what_stopped_a_controller_is_said_once_each_time() -> None:
     made, _, code = bare()
     said = [(2, "controller stopped: out of fuel")]
-    for fault, remarks in (
-        ("", []),
-        ("out of fuel", said),
-        ("out of fuel", said),
-        ("", said),
-        ("out of fuel", 2 * said),
-    ):
+    for fault, times in (("", 0), ("out of fuel", 1), ("out of fuel", 1), ("", 1), ("out of fuel", 2)):
         code.own_fault = fault
         made.step()
-        assert made.remarks == remarks
+        assert made.remarks == times * said
 
 
 @pytest.mark.parametrize("lockstep", [True, False])

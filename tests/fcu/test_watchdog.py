@@ -70,6 +70,7 @@ def test_a_tenth_of_a_second() -> None:
 
 
 def test_its_own_thread_looks() -> None:
+    before = set(threading.enumerate())
     stopped = threading.Event()
     watchdog = Watchdog(stopped.set, 0.001)
     watchdog.beat()
@@ -77,7 +78,7 @@ def test_its_own_thread_looks() -> None:
     assert stopped.wait(PATIENCE_S)
     watchdog.close()
     assert watchdog.trips == 1
-    assert not any(thread.name == "watchdog" for thread in threading.enumerate()), "closed, its thread has ended"
+    assert set(threading.enumerate()) <= before, "closed, its thread has ended"
 
 
 def test_one_on_a_real_rig_has_no_patience(
