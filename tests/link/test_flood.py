@@ -20,6 +20,13 @@ from twodof.link.opening import open_transport
 from twodof.link.transport import Transport
 from twodof.link.udp import UdpTransport
 
+
+def mavlink1(frame: bytes) -> bytes:
+    """The same in MAVLink 1, which is understood, padded to its full length; the checksum is not looked at."""
+    payload = frame[10:-2].ljust(51, b"\0")
+    return bytes([0xFE, len(payload), *frame[4:7], frame[7]]) + payload + frame[-2:]
+
+
 BEAT = encode(message("HEARTBEAT", type=6, autopilot=8), 77, 190, 0)
 STOPS = [
     encode(message(name, target_system=system, command=command, **fields), 78, 190, 0)
@@ -27,6 +34,7 @@ STOPS = [
     for system in (0, 1)
     for command, fields in ((400, {"param2": 21196.0}), (400, {}), (185, {"param1": 1.0}))
 ]
+STOPS += [mavlink1(stop) for stop in STOPS]
 OTHERS = [
     BEAT,
     b"",
@@ -36,6 +44,7 @@ OTHERS = [
     encode(message("COMMAND_LONG", target_system=1, command=512, param1=148.0), 78, 190, 0),
     encode(message("SET_ATTITUDE_TARGET", target_system=1, thrust=0.4), 78, 190, 0),
 ]
+OTHERS += [mavlink1(other) for other in OTHERS[3:]]
 
 
 @contextmanager

@@ -14,6 +14,10 @@ import sys
 from collections.abc import Callable, Hashable, Iterable
 from contextlib import suppress
 from ipaddress import IPv4Address, IPv6Address, ip_address
+from types import MappingProxyType
+from typing import NamedTuple
+
+from twodof.link.framing import HEADER_1, HEADER_2, MARKER_1, MARKER_2
 
 REFUSED_S = 2.0
 # The least that Linux charges a socket's buffer for a packet is 768 bytes, for one of a few bytes.
@@ -29,10 +33,21 @@ _BYTE, _HALF, _WORD, _LENGTH, _AND, _RETURN = 0x30, 0x28, 0x20, 0x80, 0x54, 0x06
 _EQUAL, _AT_LEAST = 0x15, 0x35
 _NETWORK, _RANDOM = 0xFFF00000, 0xFFFFF038  # SKF_NET_OFF; SKF_AD_OFF + SKF_AD_RANDOM
 _UDP = 8  # bytes of its header, where a filter's offsets begin
-_COMMANDS, _COMMAND_AT, _LOW_ARM_DISARM, _TERMINATE = (75, 76), 38, 400 & 0xFF, 185
+# COMMAND_INT and COMMAND_LONG, and behind their first 7 parameters the command.
+_COMMANDS, _COMMAND, _LOW_ARM_DISARM, _TERMINATE = (75, 76), 28, 400 & 0xFF, 185
 _PASS, _DROP = 0xFFFFFFFF, 0
 Instruction = tuple[int, int, int, int]
 Source = tuple[IPv4Address | IPv6Address, int]
+
+
+class _Form(NamedTuple):
+    """Where a frame has its message's number and its parameters; the number has all bytes between."""
+
+    number: int
+    params: int
+
+
+_FORMS = MappingProxyType({MARKER_2: _Form(7, HEADER_2), MARKER_1: _Form(5, HEADER_1)})
 
 
 class Flood:
@@ -98,11 +113,14 @@ class Flood:
 
 
 def looks_like_a_stop(data: bytes) -> bool:
-    """Whether a packet begins as a kill or a disarming does, whatever its checksum says."""
-    if len(data) <= _COMMAND_AT or data[0] != 0xFD or data[7] not in _COMMANDS or data[8] or data[9]:
+    """Whether a packet begins as a kill or a disarming does, in either MAVLink, whatever its checksum says."""
+    form = _FORMS.get(data[0]) if data else None
+    if form is None or len(data) <= form.params + _COMMAND or data[form.number] not in _COMMANDS:
         return False
-    low = data[_COMMAND_AT]
-    return low == (_TERMINATE if any(data[10:14]) else _LOW_ARM_DISARM)
+    if any(data[form.number + 1 : form.params]):
+        return False
+    low = data[form.params + _COMMAND]
+    return low == (_TERMINATE if any(data[form.params : form.params + 4]) else _LOW_ARM_DISARM)
 
 
 def sources(peers: Iterable[Hashable]) -> list[Source]:
@@ -130,27 +148,39 @@ def program(listed: Iterable[Source], listed_pass: bool) -> list[Instruction]:
 
 
 def _stops() -> list[Instruction]:
-    """`looks_like_a_stop`; each condition that does not hold jumps behind it (second number: if so; third: if not)."""
+    """`looks_like_a_stop`."""
+    return [rule for marker, form in _FORMS.items() for rule in _stop(marker, form)]
+
+
+def _stop(marker: int, form: _Form) -> list[Instruction]:
+    """The same of one form; second and third number: how far to jump if so, if not; `on`: behind all this."""
     low, high = _COMMANDS
+    number, params = _UDP + form.number, _UDP + form.params
+    on = -1
+    wide = [(_HALF, 0, 0, number + 1), (_EQUAL, 0, on, 0)] if params - number > 1 else []
     tests: list[Instruction] = [
         (_LENGTH, 0, 0, 0),
-        (_AT_LEAST, 0, 15, _UDP + _COMMAND_AT + 1),
+        (_AT_LEAST, 0, on, params + _COMMAND + 1),
         (_BYTE, 0, 0, _UDP),
-        (_EQUAL, 0, 13, 0xFD),
-        (_BYTE, 0, 0, _UDP + 7),
+        (_EQUAL, 0, on, marker),
+        (_BYTE, 0, 0, number),
         (_EQUAL, 1, 0, low),
-        (_EQUAL, 0, 10, high),
-        (_HALF, 0, 0, _UDP + 8),
-        (_EQUAL, 0, 8, 0),
-        (_BYTE, 0, 0, _UDP + _COMMAND_AT),
+        (_EQUAL, 0, on, high),
+        *wide,
+        (_BYTE, 0, 0, params + _COMMAND),
         (_EQUAL, 3, 0, _TERMINATE),
-        (_EQUAL, 0, 5, _LOW_ARM_DISARM),
-        (_WORD, 0, 0, _UDP + 10),
-        (_EQUAL, 2, 3, 0),
-        (_WORD, 0, 0, _UDP + 10),
-        (_EQUAL, 1, 0, 0),
+        (_EQUAL, 0, on, _LOW_ARM_DISARM),
+        (_WORD, 0, 0, params),
+        (_EQUAL, 2, on, 0),
+        (_WORD, 0, 0, params),
+        (_EQUAL, on, 0, 0),
+        (_RETURN, 0, 0, _PASS),
     ]
-    return [*tests, (_RETURN, 0, 0, _PASS)]
+    left = range(len(tests) - 1, -1, -1)
+    return [
+        (code, behind if so == on else so, behind if if_not == on else if_not, value)
+        for behind, (code, so, if_not, value) in zip(left, tests, strict=True)
+    ]
 
 
 def _one(address: IPv4Address | IPv6Address, port: int, verdict: int) -> list[Instruction]:
