@@ -61,6 +61,7 @@ class Assembly:
         code, damage = controllers.build()
         self.store = Store(None if state is None else state / "parameters.json", system)
         self._what = (code, flown(code))
+        self._changed = (-1, 0)  # at this revision of the store, so many parameters differ from their defaults
         tuned = self.store.carry(code.own_parameters)
         if fresh:
             tuned = ()
@@ -177,7 +178,9 @@ class Assembly:
         code = self.controller.code
         if self._what[0] is not code:
             self._what = (code, flown(code))
-        return self._what[1]._replace(changed=len(self.store.changed()))
+        if self._changed[0] != self.store.revision:  # a client may have TWODOF_RIG sent in every control period
+            self._changed = (self.store.revision, len(self.store.changed()))
+        return self._what[1]._replace(changed=self._changed[1])
 
     def _unfit(self) -> str:
         """A controller that cannot fly, or is in the making: who arms is to know it before."""
