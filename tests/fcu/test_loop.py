@@ -127,7 +127,7 @@ class Real(VirtualRig):
 def test_a_real_rig_cannot_begin_again() -> None:
     made = FlightController(Real(lab()), FlightCode(), Script())
     made.step()
-    with pytest.raises(ParameterError, match="real"):
+    with pytest.raises(ParameterError, match=r"lab.*: a real rig cannot begin again \(place it by hand\)"):
         made.reset()
     assert made.tick == 1
 
@@ -158,7 +158,7 @@ class Code(services_desk.Code):
         return super().step(tick, sample, asked, rings, late)
 
     def take_over(self, other: FlightCode) -> None:
-        """Nothing to take."""
+        self.took_over = other
 
 
 class Arms(Script):
@@ -187,6 +187,18 @@ def test_a_stop_is_the_hardwares_at_once_and_released_when_it_is_disarmed() -> N
     assert code.late[-4:] == [False] * 4
     made.reset(1, 0.0, 1.0, rings=True)
     assert bench.calls == ["stop", "release", "release"]
+    assert made.latest is None
+    made.stop()
+    made.reset(1, 0.0, 1.0, rings=True)
+    made.step()
+    assert not code.late[-1], "time that begins anew is not late"
+
+
+def test_late_steps_on_the_ground_are_counted_and_not_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    made, _, _ = bare(lockstep=False)
+    Clock(monkeypatch, tuple(range(ARM_AT - 10)))
+    fly(made, ARM_AT - 5)
+    assert (made.timing.overruns, made.remarks) == (ARM_AT - 10, [])
 
 
 def test_each_step_goes_to_who_listens_and_to_who_asked_for_it() -> None:
@@ -211,13 +223,21 @@ def test_what_stopped_a_controller_is_said_once_each_time() -> None:
 def test_a_sandbox_is_timed_where_time_is_real(lockstep: bool) -> None:
     made, _, code = bare(lockstep)
     assert code.sandbox.timed == (not lockstep)
-    another = Code()
+    made.step()
+    another, native = Code(), Code()
     made.replace(another)
     assert another.sandbox.timed == (not lockstep)
-    assert made.code is another
+    assert (made.code, another.took_over) == (another, code)
+    native.sandbox = None
+    made.replace(native)
+    assert (made.code, native.took_over) == (native, another)
     fly(made, ARM_AT + 2)
-    with pytest.raises(ParameterError, match="armed"):
+    with pytest.raises(ParameterError) as refused:
         made.replace(code)
+    assert str(refused.value) == "controller: it is armed (disarm first)"
+    with pytest.raises(ParameterError) as refused:
+        made.reset(1, 0.0, 1.0, rings=True)
+    assert str(refused.value) == "reset: it is armed (disarm first)"
 
 
 @pytest.mark.parametrize(("drawn", "number"), [(0, 1), (2**32 - 2, 2**32 - 1)])
