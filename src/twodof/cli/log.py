@@ -64,21 +64,36 @@ def info(
         )
     if len(found["events"]) > _ROWS:
         console.print(f"... and {len(found['events']) - _ROWS} more events")
-    texts = log.provenance.get("texts", [])
-    for time, severity, text in texts[:_ROWS]:
-        console.print(f"{time:10.3f} s  {severity}: {text}", markup=False, soft_wrap=True)
-    if len(texts) > _ROWS:
-        console.print(f"... and {len(texts) - _ROWS} more lines that the drone said")
+    said = [*_said(log)]
+    for line in said[:_ROWS]:
+        console.print(line, markup=False, soft_wrap=True)
+    if len(said) > _ROWS:
+        console.print(f"... and {len(said) - _ROWS} more lines that the drone said")
 
 
 def _flown(log: FlightLog) -> Iterator[str]:
     """What flew, and why it was broken off, as far as the log's maker has noted it."""
-    flown, drone = (dict(log.provenance.get(name) or {}) for name in ("flown", "drone"))
+    flown, drone = (log.provenance.get(name) for name in ("flown", "drone"))
+    flown, drone = (found if isinstance(found, dict) else {} for found in (flown, drone))
     controller = flown.get("controller") or drone.get("controller")
     if controller:
-        yield f"controller: {controller}"
+        yield f"controller: {_shown(controller)}"
     if flown.get("reason"):
-        yield f"broken off: {flown['reason']}"
+        yield f"broken off: {_shown(flown['reason'])}"
+
+
+def _said(log: FlightLog) -> Iterator[str]:
+    """What the drone said, as our own logs have it; of another's what is laid out so."""
+    texts = log.provenance.get("texts")
+    for row in texts if isinstance(texts, list) else ():
+        match row:
+            case [int() | float() as time, str() | int() as severity, str() as text]:
+                yield f"{time:10.3f} s  {_shown(severity)}: {_shown(text)}"
+
+
+def _shown(text: object) -> str:
+    """On one line, without what a terminal would act on."""
+    return "".join(c if c.isprintable() else " " for c in str(text))
 
 
 def _experiment(found: dict[str, Any]) -> str:
