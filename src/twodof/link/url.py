@@ -100,7 +100,8 @@ def parse(url: str) -> Address:
     if kind == "udpbcast" and not host:
         raise LinkError("has no host", url, "write udpbcast://255.255.255.255:14550, or a network's own such address")
     if port is None or (port == 0 and not kind.endswith("in")):
-        raise LinkError("has no port", url, f"write {kind}://{host or LOOPBACK}:14550")
+        usual = {"udp": ports.COMPANION_ONBOARD, "tcp": ports.COMPANION_TCP}.get(kind, ports.GROUND_STATION)
+        raise LinkError("has no port", url, f"write {kind}://{host or LOOPBACK}:{usual}")
     if kind in ("udp", "udpbcast", "tcp") and host in ANY:
         raise LinkError(
             f"{host} is no host to send to", url, f"to listen on every interface write {kind}in://{host}:{port}"
