@@ -43,7 +43,7 @@ async def signed(whole: Whole, key: Key, clock: Clock, system: int = 250) -> Asy
         return await AsyncDrone.over(await whole.open(), timeout=5.0, system=system)
 
 
-@pytest.mark.parametrize("jump", [2 * HOUR, 20 * HOUR, -2 * HOUR, -3 * DAY, -40 * 365 * DAY])
+@pytest.mark.parametrize("jump", [2 * HOUR, 300 * DAY, -2 * HOUR, -3 * DAY, -40 * 365 * DAY])
 def test_the_drones_clock_is_set_in_flight(jump: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing is late, no set-point counts as lost, every command is heard, the log's time goes on."""
     key = Key.fresh()
@@ -70,14 +70,14 @@ def test_the_drones_clock_is_set_in_flight(jump: float, tmp_path: Path, monkeypa
             assert stands(whole.steps[-1])
             await drone.disarm()
             await drone.close()
-            if jump < DAY:  # who comes later has heard nothing yet: its clock is behind ours by more than a minute
-                other = await signed(whole, key, ours, 251)
-                await other.close()
+            other = await signed(whole, key, ours, 251)  # its clock may be behind; it follows what it hears
+            await other.release()
+            await other.close()
 
     run(work())
 
 
-def test_a_clients_clock_that_jumps_by_less_than_a_day_is_not_noticed() -> None:
+def test_a_clients_clock_that_jumps_by_less_than_a_year_is_not_noticed() -> None:
     key = Key.fresh()
 
     async def work() -> None:
@@ -89,7 +89,7 @@ def test_a_clients_clock_that_jumps_by_less_than_a_day_is_not_noticed() -> None:
             await drone.set_pitch(0.1, thrust=0.4)
             await drone.run(1.0)
             first = whole.tick
-            for ours.offset in (20 * HOUR, -20 * HOUR, -400 * DAY):
+            for ours.offset in (20 * HOUR, -20 * HOUR, 300 * DAY, -400 * DAY):
                 await drone.run(1.0)
             assert silent(whole.since(first))
             await drone.close()
@@ -98,7 +98,7 @@ def test_a_clients_clock_that_jumps_by_less_than_a_day_is_not_noticed() -> None:
     run(work())
 
 
-def test_a_clients_clock_that_jumps_by_days_is_no_pilot_any_more_and_the_drone_makes_itself_safe() -> None:
+def test_a_clients_clock_that_jumps_by_more_than_a_year_is_no_pilot_any_more_and_the_drone_makes_itself_safe() -> None:
     """What it signs is no clock's time: refused, counted; level within 1 s, then down as without a link."""
     key = Key.fresh()
 
@@ -112,11 +112,11 @@ def test_a_clients_clock_that_jumps_by_days_is_no_pilot_any_more_and_the_drone_m
             await drone.set_pitch(0.1, thrust=0.4)
             await drone.run(1.0)
             first = whole.tick
-            ours.offset = 2 * DAY
+            ours.offset = 400 * DAY
             await whole.passes(5.0)
-            tell("a client's clock ahead by days", "level", whole.ms(first, acts(LEVEL)), 1000)
-            tell("a client's clock ahead by days", "down", whole.ms(first, acts(DESCEND)), 4000)
-            tell("a client's clock ahead by days", "motors off", whole.ms(first, stands), 5000)
+            tell("a client's clock ahead by over a year", "level", whole.ms(first, acts(LEVEL)), 1000)
+            tell("a client's clock ahead by over a year", "down", whole.ms(first, acts(DESCEND)), 4000)
+            tell("a client's clock ahead by over a year", "motors off", whole.ms(first, stands), 5000)
             assert signing.counts.ahead > 10
             ours.offset = 0.0
             other = await signed(whole, key, ours, 251)  # another's stamps are a clock's
@@ -127,7 +127,7 @@ def test_a_clients_clock_that_jumps_by_days_is_no_pilot_any_more_and_the_drone_m
     run(work())
 
 
-def test_a_drones_clock_that_jumps_ahead_by_days_is_not_believed_and_it_makes_itself_safe() -> None:
+def test_a_drones_clock_that_jumps_ahead_by_more_than_a_year_is_not_believed_and_it_makes_itself_safe() -> None:
     """The client hears it no more: LinkLost after 3 s. It still hears the client, who stops; a kill still goes out."""
     key = Key.fresh()
 
@@ -140,13 +140,13 @@ def test_a_drones_clock_that_jumps_ahead_by_days_is_not_believed_and_it_makes_it
             await drone.set_pitch(0.1, thrust=0.4)
             await drone.run(1.0)
             first = whole.tick
-            theirs.offset = 3 * DAY
+            theirs.offset = 400 * DAY
             with pytest.raises(LinkLost):
                 await drone.run(10.0)
             lost = whole.tick
-            tell("the drone's clock ahead by days", "link lost for the client", 4.0 * (lost - first), 4500)
+            tell("the drone's clock ahead by over a year", "link lost for the client", 4.0 * (lost - first), 4500)
             await whole.passes(2.0)
-            tell("the drone's clock ahead by days", "level", whole.ms(lost, acts(LEVEL)), 1000)
+            tell("the drone's clock ahead by over a year", "level", whole.ms(lost, acts(LEVEL)), 1000)
             with pytest.raises(LinkLost):
                 await drone.kill()  # which goes out all the same
             await whole.passes(0.1)
