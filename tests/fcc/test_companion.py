@@ -430,10 +430,13 @@ def test_a_serial_line_is_shared_fairly_and_survives_its_cable(tmp_path: Path, b
             modest = await open_transport("mem://clients")
             await until(lambda: len(line.read()) > 0)
             loop = asyncio.get_running_loop()
-            began, sent = loop.time(), 0
+            flood = encode(message("TUNNEL", target_system=1, payload=[1] * 128), 7, 1, 0)
+            began, flooded, sent = loop.time(), 0, 0
             while loop.time() - began < 1.0:
-                for number in range(20):
-                    flooder.send(encode(message("TUNNEL", target_system=1, payload=[1] * 128), 7, 1, number))
+                due = int(4000 * (loop.time() - began))  # a hundred times what the line carries, also after a stall
+                for _ in range(flooded, due):
+                    flooder.send(flood)
+                flooded = due
                 if loop.time() - began > 0.05 * sent:
                     modest.send(encode(message("MANUAL_CONTROL", target=1, x=sent), 8, 1, sent))
                     sent += 1

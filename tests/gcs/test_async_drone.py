@@ -10,8 +10,10 @@ import pytest
 from tests.faults.virtual_time import run_virtual
 from tests.gcs.peer import Peer
 from twodof.errors import LinkLost, ParameterError, Rejected, Timeout
+from twodof.excitation import Impulse
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.gcs.identity import OWN_SYSTEMS
+from twodof.link.messages import message
 
 Flight = Callable[[Peer, AsyncDrone], Coroutine[Any, Any, None]]
 
@@ -201,6 +203,23 @@ def test_a_kill_needs_no_lease() -> None:
     peer.holder = (1, 191)
     fly(flight, peer, take_lease=False)
     assert peer.holder == (1, 191)
+
+
+@pytest.mark.parametrize("waits", [False, True])
+def test_an_excitation_that_is_over_before_who_asked_runs_on_is_known_to_be(waits: bool) -> None:
+    """A short one on a busy machine: that it is ready, that it plays and that it is done come in one go."""
+
+    def at_once(_: int, sent: Any) -> list[Any]:
+        if sent.get_type() != "TWODOF_EXCITE_STATUS" or sent.state != 3:
+            return [sent]
+        told = {name: getattr(sent, name) for name in ("tick", "transfer", "received", "start_tick", "end_tick")}
+        return [message("TWODOF_EXCITE_STATUS", state=state, **told) for state in (2, 3, 4)][not waits :]
+
+    async def flight(peer: Peer, drone: AsyncDrone) -> None:
+        played = await drone.excite(Impulse(0.1, 0.4, unit="-"))
+        assert (played.state, played.end_tick - played.start_tick) == ("done", 100)
+
+    fly(flight, Peer(spoil=at_once))
 
 
 def test_a_held_lease_is_a_refusal_that_names_the_holder() -> None:

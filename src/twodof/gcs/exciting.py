@@ -68,9 +68,18 @@ class Exciter:
             thrust=nan if thrust is None else float(thrust),
             **self._place(),
         )
-        playback = await self._session.ask(
-            lambda _: start, ("TWODOF_EXCITE_STATUS",), lambda got: _begun(got, transfer, at, self._clock), deadline
-        )
+        # It may be over before who asked runs on: what is told meanwhile is kept too.
+        before, told = self._playback, Playback(transfer, 0, 0)
+        self._playback = told
+        try:
+            playback = await self._session.ask(
+                lambda _: start, ("TWODOF_EXCITE_STATUS",), lambda got: _begun(got, transfer, at, self._clock), deadline
+            )
+        except BaseException:
+            self._playback = before
+            raise
+        if told.state != "waiting":
+            playback.state, playback.reason = told.state, told.reason
         # The drone may not make us wait for longer than it plays.
         longest = ceil(excitation.duration / TICK_S) + 1
         playback.end_tick = min(playback.end_tick, max(playback.start_tick, self._clock.tick) + longest)
