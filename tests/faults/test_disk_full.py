@@ -68,7 +68,7 @@ def test_a_disk_that_is_full_in_flight_stops_no_command_and_loses_nothing_writte
                 assert silent(whole.since(first))
                 await drone.kill()
                 assert stands(whole.steps[-1])
-                await drone.disarm()
+                await drone.release()
                 assert recording.failure is not None
             with pytest.raises(RecordingError, match="File too large"):
                 await records.__aexit__(None, None, None)
