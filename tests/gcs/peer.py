@@ -173,7 +173,8 @@ class Peer:
         self.send("TWODOF_LEASE", holder_system=self.holder[0], holder_component=self.holder[1], duration_ms=3000)
 
     def _twodof_grant(self, got: Any, _: Any) -> None:
-        while self.tick < got.until:
+        until = min(got.until, self.tick + 25_000)  # as the flight controller bounds it
+        while self.tick < until:
             if self.tick % 5 == 0:
                 self.send("ATTITUDE", time_boot_ms=4 * self.tick, pitch=0.1, pitchspeed=0.01 * self.tick)
             self.tick += 1

@@ -64,8 +64,8 @@ class Clock:
         """From now on its time is ours to grant: learn how far it has come. Raises LinkLost, Timeout."""
         self.granting = True
         deadline = Deadline(timeout, "asking how far its time has come", f"drone {self._session.system}")
-        # What is known to have run is asked for: 0 could, where ticks begin anew, be one that has not.
-        self.tick = await self._ask(self.tick, deadline, 0)
+        # A tick that ran long ago grants nothing; 0 could be one that has not run where ticks begin anew.
+        self.tick = await self._ask(max(0, self.tick - _STAMPS), deadline, 0)
 
     def restart(self) -> None:
         """It began anew at tick 0."""
