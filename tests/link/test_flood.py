@@ -145,6 +145,22 @@ def test_a_flood_of_many_sources_leaves_room_for_those_who_are_known(filtered: s
     run(work())
 
 
+def test_the_address_that_is_sent_to_unasked_is_known_too(filtered: str) -> None:
+    async def work() -> None:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as default:
+            default.bind(("127.0.0.1", 0))
+            there = await open_transport(f"udp://127.0.0.1:{default.getsockname()[1]}?bind=0")
+            assert isinstance(there, UdpTransport)
+            async with there:
+                with senders(there.port, 100) as many:
+                    await pour(there, many)
+                    await drain(there)
+                    default.sendto(b"ground", ("127.0.0.1", there.port))
+                    assert await drain(there, b"ground") == [b"ground"]
+
+    run(work())
+
+
 def test_nobody_is_refused_for_ever(filtered: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(flood, "REFUSED_S", 0.05)
 
@@ -222,10 +238,10 @@ def test_a_filter_is_bounded() -> None:
 def test_a_flood_is_forgotten_with_its_socket() -> None:
     async def work() -> None:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as opened:
-            watching = Flood(opened, asyncio.get_running_loop())
+            watching = Flood(opened, asyncio.get_running_loop(), tuple)
             while watching.count == 0:
-                watching.came("somebody", b"", ())
-            assert not watching.came("somebody", b"", ())
+                watching.came("somebody", b"")
+            assert not watching.came("somebody", b"")
             watching.close()
             await asyncio.sleep(0)
 

@@ -86,7 +86,9 @@ class Client:
 
     def follow(self, before: "Client") -> None:
         """It is `before`, which speaks from another address now: it goes on getting what it had asked for."""
-        self.wishes, self.due_once, self.knows_ours = dict(before.wishes), dict(before.due_once), before.knows_ours
+        self.wishes = before.wishes | self.wishes
+        self.due_once = before.due_once | self.due_once
+        self.knows_ours |= before.knows_ours
 
     def wish(self, message_id: int) -> int:
         """The interval [us] at which it wants a message that it may have asked for, else its default, else OFF."""

@@ -97,7 +97,7 @@ class Router:
         it had asked for goes with it, once the old address has been silent for MOVED_S while the new one was not.
         """
         for client in self.clients:
-            if client.wishes or not client.identities or not MOVED_S < now - client.came < SILENT_S:
+            if not client.identities or not MOVED_S < now - client.came < SILENT_S:
                 continue
             for before in self.clients:
                 same = before.transport is client.transport and before.identities.keys() & client.identities.keys()
@@ -187,14 +187,16 @@ class Router:
         self.counts.from_vehicle += 1
         system, component = wire.target(frame)
         identity = (frame.system, frame.component)
-        if identity == (self.system, COMPANION) or (not system and self.behind_client(identity)):
-            self.counts.echoes += 1  # what we or a client has said came back down the line
+        autopilot = identity == (self.system, AUTOPILOT)
+        came_back = not autopilot and not system and self.behind_client(identity)
+        if came_back or identity == (self.system, COMPANION):  # what a client or we have said
+            self.counts.echoes += 1
             return
         self._account(frame)
         if frame.message_id == wire.BATCH:
             self.batches.take(frame, self.clients, not frame.signed or self._signing is not None)
             return
-        if frame.message_id == wire.HEARTBEAT and identity == (self.system, AUTOPILOT):
+        if autopilot and frame.message_id == wire.HEARTBEAT:
             self.killed = wire.system_status(frame) == wire.TERMINATED
         if frame.message_id == wire.TICK:
             self.batches.flush_all()

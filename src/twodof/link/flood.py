@@ -51,13 +51,19 @@ _FORMS = MappingProxyType({MARKER_2: _Form(7, HEADER_2), MARKER_1: _Form(5, HEAD
 
 
 class Flood:
-    """Watches one listening socket. Call `came` for each packet that is read and `emptied` when there is none left."""
+    """Watches one listening socket. Call `came` for each packet that is read and `emptied` when there is none left.
 
-    def __init__(self, opened: socket.socket, loop: asyncio.AbstractEventLoop) -> None:
+    `known` gives those whose sound packets have been heard before.
+    """
+
+    def __init__(
+        self, opened: socket.socket, loop: asyncio.AbstractEventLoop, known: Callable[[], Iterable[Hashable]]
+    ) -> None:
         self.count = 0
         """How often one was noticed."""
         self._socket = opened
         self._loop = loop
+        self._known = known
         # More than twice what the buffer holds comes in one go only if it comes as fast as it is read.
         self._most = max(2 * opened.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // PACKET_BYTES, 64)
         self._run: dict[Hashable, int] = {}
@@ -71,12 +77,12 @@ class Flood:
             self._run.clear()
             self._left = self._most
 
-    def came(self, peer: Hashable, data: bytes, known: Iterable[Hashable]) -> bool:
-        """Whether to take this packet; `known` are those whose sound packets have been heard before."""
+    def came(self, peer: Hashable, data: bytes) -> bool:
+        """Whether to take this packet."""
         self._run[peer] = self._run.get(peer, 0) + 1
         self._left -= 1
         if not self._left:
-            self._refuse(known)
+            self._refuse()
         return self._passes is None or self._passes(peer) or looks_like_a_stop(data)
 
     def close(self) -> None:
@@ -84,13 +90,13 @@ class Flood:
         if self._end is not None:
             self._end.cancel()
 
-    def _refuse(self, known: Iterable[Hashable]) -> None:
+    def _refuse(self) -> None:
         """Somebody floods: refuse who does, or all but the known where there are too many to say."""
         limit = max(HANDFUL, self._most // (SHARE * len(self._run)))
         guilty = {peer for peer, count in self._run.items() if count > limit}
         several = self._passes is not None or len(guilty) > MOST_REFUSED
         if several:
-            good = {peer for peer in known if self._run.get(peer, 0) <= limit}
+            good = {peer for peer in self._known() if self._run.get(peer, 0) <= limit}
             self._passes = lambda peer: peer in good or not random.randrange(ONE_IN)
             rules = program(sources(good), listed_pass=True)
         else:

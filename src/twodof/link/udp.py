@@ -40,7 +40,7 @@ class UdpTransport(Transport):
         self._socket = opened
         self._heard: dict[Hashable, float] = {}  # peer -> when last heard
         self._server = there
-        self._flood = Flood(opened, self._loop)
+        self._flood = Flood(opened, self._loop, lambda: self.peers)
         self._loop.add_reader(opened.fileno(), self._readable)
 
     @property
@@ -96,7 +96,7 @@ class UdpTransport(Transport):
                 continue
             if not self._learns:
                 peer = self._server
-            elif not self._flood.came(peer, data, self._heard):
+            elif not self._flood.came(peer, data):
                 self.counts.dropped_in += 1
                 continue
             elif peer in self._heard:
