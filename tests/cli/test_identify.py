@@ -10,10 +10,12 @@ import pytest
 from twodof.cli import identify
 from twodof.cli.app import run
 from twodof.experiment.flight import Laboratory
-from twodof.flightlog.files import write_log
+from twodof.flightlog.files import read_log, write_log
 from twodof.flightlog.log import Channel, FlightLog
+from twodof.identify.experiments import cut
 from twodof.identify.greybox import fit
 from twodof.models.plant import PitchRate, Velocity
+from twodof.models.structures import pitch_rate
 
 TRUTH = PitchRate(w_n=3.437, xi=0.0836, mu=358.5, tau=0.018)
 DT = 0.004
@@ -118,8 +120,8 @@ def test_a_flight_is_known_by_the_name_that_it_was_flown_under(
         (["--experiment", "velocity", "--method", "simple", "--model", "rail"], 2, "--model"),
         (["--experiment", "doublet", "--method", "simple", "--estimate", "mu", "--value", "tau=0"], 2, "--estimate"),
         (["--experiment", "doublet", "--method", "simple", "--value", "tau=0.02"], 2, "where: --value\n"),
-        (["--experiment", "velocity", "--method", "simple", "--impulse", "a.mat"], 2, "of use to a doublet by hand"),
-        (["--experiment", "doublet", "--impulse", "a.mat"], 2, "leave it out, or give it with --method simple"),
+        (["--experiment", "velocity", "--method", "simple", "--impulse", "a.mat"], 2, "of use to a doublet only"),
+        (["--experiment", "impulse", "--impulse", "a.mat"], 2, "give it with --experiment doublet"),
         ([], 2, "does not say which experiment"),
         (["--experiment", "attitude-steps"], 2, "nothing is identified from 'attitude-steps'"),
     ],
@@ -157,3 +159,68 @@ def test_the_real_drone_by_hand_has_the_poles_that_a_student_reads(
     found = answer([*arguments, "--impulse", str(flight_data / "free-response-impulse.mat")], capfd)
     assert 2.0 * 1.04 < found["free_response"]["period"] < 2.0 * 1.17
     assert found["model"]["xi"] == pytest.approx(0.18, abs=0.03)
+
+
+def test_python_and_the_command_line_find_the_same_from_a_doublet(
+    pitch_logs: tuple[Path, Path], capfd: pytest.CaptureFixture[str]
+) -> None:
+    """No number of another drone is held unless one asks for it: w_n and xi are found too, or come from an impulse."""
+    found = answer(["identify", str(pitch_logs[1]), "--experiment", "doublet", "--window", "0", "2"], capfd)
+    by_script = fit(pitch_rate(), cut(read_log(pitch_logs[1]), "doublet", (0.0, 2.0)))
+    assert found["estimates"] == json.loads(by_script.to_json())["estimates"]
+    assert {"w_n", "xi"} <= set(found["estimates"])
+
+
+def test_an_impulse_gives_the_poles_that_a_doublet_hardly_shows(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("impulse", "doublet"):
+        write_log(Laboratory("paper").fly(name, 1).log, tmp_path / f"{name}.mat")
+    arguments = ["identify", str(tmp_path / "doublet.mat"), "--experiment", "doublet"]
+    free = answer(arguments, capfd)["estimates"]
+    held = answer([*arguments, "--impulse", str(tmp_path / "impulse.mat")], capfd)
+    assert held["fixed"]["w_n"] == pytest.approx(TRUTH.w_n, rel=1e-3)
+    assert held["fixed"]["xi"] == pytest.approx(TRUTH.xi, rel=1e-2)
+    assert not {"w_n", "xi"} & set(held["estimates"])
+    mu = held["estimates"]["mu"]
+    assert mu["sigma_robust"] < free["mu"]["sigma_robust"], "what is known need not be found"
+    assert abs(mu["value"] - TRUTH.mu) < 3.0 * mu["sigma_robust"]
+    assert run([*arguments, "--impulse", str(tmp_path / "impulse.mat")]) == 0
+    assert "held: w_n 3.4" in capfd.readouterr().out
+
+
+def test_several_flights_say_how_far_they_spread(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """Gusts push the rig `lab`, and output error looks for its noise at the sensor: one flight claims too much."""
+    laboratory, logs = Laboratory("lab"), []
+    for seed in (1, 2, 3, 4):
+        logs.append(str(tmp_path / f"flight{seed}.mat"))
+        write_log(laboratory.fly("doublet", seed).log, logs[-1])
+    alone = answer(["identify", logs[0], "--experiment", "doublet"], capfd)
+    assert any("wanders" in remark for remark in alone["remarks"])
+    assert any("xi is negative" in remark for remark in alone["remarks"])
+    assert run(["identify", logs[0], "--experiment", "doublet"]) == 0
+    assert "> 9" in capfd.readouterr().out, "the table says that the claim is a lower bound"
+    together = answer(["identify", *logs, "--experiment", "doublet"], capfd)
+    mu = together["repeated"]["mu"]
+    each = [flight["estimates"]["mu"]["value"] for flight in together["flights"].values()]
+    assert mu["spread"] == pytest.approx(np.std(each, ddof=1))
+    assert mu["mean"] == pytest.approx(np.mean(each))
+    assert mu["spread"] > 2.0 * mu["claimed"]
+    assert any(remark.startswith("mu: the flights spread") for remark in together["remarks"])
+
+
+@pytest.mark.parametrize(
+    ("more", "says"),
+    [
+        (["--method", "simple"], "by hand one log is read"),
+        (["--validate", "third.csv"], "compared with each other"),
+    ],
+)
+def test_several_flights_are_compared_with_each_other_only(
+    pitch_logs: tuple[Path, Path], more: list[str], says: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["identify", *map(str, pitch_logs), "--experiment", "doublet"]
+    assert run([*arguments, *more]) == 2
+    assert says in capfd.readouterr().err
+    assert run(["identify", str(pitch_logs[1]), str(pitch_logs[1]), "--experiment", "doublet"]) == 2
+    assert "named twice" in capfd.readouterr().err

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from tests.report.made_flights import flights, held, record
+from twodof.identify.repeated import Spread
 from twodof.models.plant import PAPER_PITCH_RATE, PAPER_VELOCITY_GREYBOX
-from twodof.report.characterise import Characterisation, Flights, Spread, characterise
+from twodof.report.characterise import Characterisation, Flights, characterise
 from twodof.report.compose import Machine, content, rows
 from twodof.report.page import to_html
 from twodof.report.redrawn import figures

@@ -20,9 +20,9 @@ from twodof.identify.estimate import Estimate
 from twodof.identify.experiments import KINDS, cut, only
 from twodof.identify.greybox import fit
 from twodof.identify.record import Record
+from twodof.identify.repeated import Repeated, repeat
 from twodof.identify.simple_pitch import SimplePitch, identify_pitch
 from twodof.identify.simple_velocity import SimpleVelocity, identify_velocity
-from twodof.models.plant import PAPER_PITCH_RATE
 from twodof.models.structure import Structure
 from twodof.models.structures import free_response, pitch_rate, rail, velocity
 from twodof.report.characterise import TRAVEL
@@ -41,6 +41,9 @@ class Experiment(StrEnum):
 # What the ready-made experiments of those kinds are called when they are flown.
 _FLOWN_AS = {"velocity-doublet": Experiment.velocity}
 _KNOWN = (*(one.value for one in Experiment), *_FLOWN_AS)
+
+# What a free response tells and a doublet hardly does: it is over before the poles show.
+_SWING = ("w_n", "xi", "coulomb", "hardening")
 
 
 class Method(StrEnum):
@@ -63,7 +66,12 @@ class Model(StrEnum):
 
 @app.command()
 def identify(
-    file: Annotated[Path, typer.Argument(metavar="LOG", help="The flight log to identify from.")],
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="LOG...", help="The flight log to identify from; several of one experiment: each, and their spread."
+        ),
+    ],
     experiment: Annotated[
         str | None,
         typer.Option(
@@ -82,30 +90,40 @@ def identify(
     ] = None,
     validate: Annotated[list[Path] | None, typer.Option(metavar="LOG", help="Log to validate on; repeatable.")] = None,
     impulse: Annotated[
-        Path | None, typer.Option(metavar="LOG", help="By hand, a doublet needs the impulse's log for the poles.")
+        Path | None,
+        typer.Option(
+            metavar="LOG", help="Of a doublet: the impulse's log, from which the poles come; by hand it is needed."
+        ),
     ] = None,
     json: Json = False,
 ) -> None:
     """Identify the paper's models from a log; the result has standard deviations, fits and residual tests.
 
+    What a doublet's log does not show is held with --impulse LOG: the poles, found from the free response. One flight
+    knows nothing of what differs from flight to flight: give several logs and believe their spread.
+
     Exit status 1: the data do not allow the estimate, or the search did not converge.
     """
-    log = read_log(file)
-    asked = _experiment(experiment, log)
+    logs = [read_log(path) for path in files]
+    kinds = [_experiment(experiment, log) for log in logs]
+    asked = kinds[0]
     _check_options(method, asked, model, estimate, value, impulse)
+    _check_several(method, kinds, files, validate)
     kind = KINDS[asked.value]
     if window is not None:
-        _check_window(log, window)
-    record = cut(log, kind, window)
+        for log in logs:
+            _check_window(log, window)
+    records = [cut(log, kind, window) for log in logs]
     others = [cut(read_log(path), kind) for path in validate or []]
+    free = None if impulse is None else cut(read_log(impulse), KINDS["impulse"])
+    found: SimplePitch | SimpleVelocity | Estimate | Repeated
     if method is Method.simple:
-        result = _by_hand(asked, record, others, impulse)
-        text, document = result.table(), json_text.loads(result.to_json())
+        found = _by_hand(asked, records[0], others, free)
         converged = True
     else:
-        found = _by_output_error(asked, model, record, others, estimate, _numbers(value or []))
-        text, document = found.table(), json_text.loads(found.to_json())
+        found = _by_output_error(asked, model, records, others, estimate, _numbers(value or []), free)
         converged = found.converged
+    text, document = found.table(), json_text.loads(found.to_json())
     if json:
         print_json({"experiment": asked.value, "method": method.value, **document})
     else:
@@ -148,11 +166,34 @@ def _check_options(
                 " ".join(idle),
                 "leave it out, or take --method grey-box",
             )
-    if impulse is not None and (method, experiment) != (Method.simple, Experiment.doublet):
+    if impulse is not None and experiment is not Experiment.doublet:
         raise ParameterError(
-            "the impulse's log is of use to a doublet by hand only",
-            f"--impulse, --method {method.value} --experiment {experiment.value}",
-            "leave it out, or give it with --method simple --experiment doublet",
+            "the impulse's log is of use to a doublet only",
+            f"--impulse, --experiment {experiment.value}",
+            "leave it out, or give it with --experiment doublet",
+        )
+
+
+def _check_several(
+    method: Method, kinds: Sequence[Experiment], files: Sequence[Path], validate: Sequence[Path] | None
+) -> None:
+    """Raises ParameterError for several logs that are not repetitions of one experiment, or cannot be treated so."""
+    if len(kinds) == 1:
+        return
+    where = " ".join(map(str, files))[:200]
+    if len(set(kinds)) > 1:
+        raise ParameterError(
+            f"these are logs of different experiments: {', '.join(sorted(set(kinds)))}",
+            where,
+            "give one kind at a time",
+        )
+    if len(set(files)) < len(files):
+        raise ParameterError("a log is named twice: its spread with itself is 0", where, "name each once")
+    if method is Method.simple:
+        raise ParameterError("by hand one log is read", where, "give one, and further doublets with --validate")
+    if validate:
+        raise ParameterError(
+            "several logs are compared with each other", "--validate", "leave it out, or identify from one log"
         )
 
 
@@ -164,7 +205,7 @@ def _check_window(log: FlightLog, window: tuple[float, float]) -> None:
 
 
 def _by_hand(
-    experiment: Experiment, record: Record, others: Sequence[Record], impulse: Path | None
+    experiment: Experiment, record: Record, others: Sequence[Record], free: Record | None
 ) -> SimplePitch | SimpleVelocity:
     if experiment is Experiment.velocity:
         return identify_velocity([record, *others])
@@ -174,32 +215,36 @@ def _by_hand(
             "--method simple",
             "call it with the doublet's log, --experiment doublet and --impulse LOG",
         )
-    if impulse is None:
+    if free is None:
         raise typer.BadParameter("a doublet by hand needs --impulse LOG: the poles come from the free response")
-    return identify_pitch(cut(read_log(impulse), KINDS["impulse"]), [record, *others])
+    return identify_pitch(free, [record, *others])
 
 
 def _by_output_error(
     experiment: Experiment,
     model: Model,
-    record: Record,
+    records: Sequence[Record],
     others: Sequence[Record],
     estimate: Sequence[str] | None,
     values: dict[str, float],
-) -> Estimate:
+    free: Record | None,
+) -> Estimate | Repeated:
     structure = _structure(experiment, model)
     _check_request(structure, experiment, model, estimate or (), values)
     wanted = tuple(estimate) if estimate else None
-    if wanted is None and experiment is Experiment.doublet and model is Model.auto:
-        # A doublet is over before the poles show: they are the caller's, or the paper's.
-        wanted = ("mu", "tau", "M_trim", "q_0")
-        values = {"w_n": PAPER_PITCH_RATE.w_n, "xi": PAPER_PITCH_RATE.xi, **values}
+    if free is not None:
+        swing = fit(structure, free, values=values)
+        held = {name: swing[name] for name in _SWING if name in swing.labels and name not in (estimate or ())}
+        values = {**held, **values}
+        wanted = wanted or tuple(name for name in structure.estimate if name not in held)
     if experiment is Experiment.velocity:
         # From the on-board pitch to the on-board velocity, as in the paper, or from the gyro to the range sensor.
         output = "v" if model is Model.velocity else "x"
-        record, others = only(record, output), [only(other, output) for other in others]
+        records, others = [only(one, output) for one in records], [only(other, output) for other in others]
         wanted = (*TRAVEL, "q_trim") if wanted is None and output == "x" else wanted
-    return fit(structure, record, estimate=wanted, values=values, validation=others)
+    if len(records) > 1:
+        return repeat(structure, records, estimate=wanted, values=values)
+    return fit(structure, records[0], estimate=wanted, values=values, validation=others)
 
 
 def _check_request(

@@ -16,6 +16,7 @@ from twodof.identify.frequency import FrequencyResponse, frequency_response
 from twodof.identify.greybox import fit
 from twodof.identify.information import Information, predict
 from twodof.identify.record import Record, Samples
+from twodof.identify.repeated import Repeated, Spread, repeat
 from twodof.identify.simple_pitch import SimplePitch, identify_pitch
 from twodof.identify.simple_velocity import SimpleVelocity, identify_velocity
 from twodof.identify.validate import (
@@ -42,9 +43,11 @@ __all__ = [
     "Information",
     "Limits",
     "Record",
+    "Repeated",
     "Samples",
     "SimplePitch",
     "SimpleVelocity",
+    "Spread",
     "best",
     "compare",
     "cross_correlation",
@@ -58,6 +61,7 @@ __all__ = [
     "multisines",
     "only",
     "predict",
+    "repeat",
     "rmse",
     "three_two_one_ones",
     "vaf",

@@ -54,6 +54,11 @@ class Estimate:
         return all(c.whiteness is None or c.whiteness.passed for c in self.identification)
 
     @property
+    def wanders(self) -> bool:
+        """Whether the residual of an identification record wanders (`Comparison.wanders`): all sigma are too small."""
+        return any(c.wanders for c in self.identification)
+
+    @property
     def quoted(self) -> Array:
         """The covariance to quote: `covariance` if the residuals are white, else `robust`."""
         return self.covariance if self.white else self.robust
@@ -78,12 +83,22 @@ class Estimate:
         return np.asarray(self.quoted / np.outer(deviation, deviation))
 
     @property
+    def held(self) -> dict[str, float]:
+        """The unknowns that had a given value other than 0 in this fit."""
+        return {name: value for name, value in self.fixed.items() if value != 0.0}
+
+    @property
     def remarks(self) -> tuple[str, ...]:
         """What a reader should know before using the figures, one sentence each with what to do about it."""
         found = []
         if not self.converged:
             found.append("the search did not converge: give better first guesses or fix unknowns")
         found.extend(f"{label} is held by its bound: widen the bound or fix it" for label in self.at_bound)
+        if "xi" in self.labels and self["xi"] < 0.0:
+            found.append(
+                "xi is negative, a swing that grows by itself: the record does not show the damping. "
+                "Hold w_n and xi at those of a free response"
+            )
         for i, label in enumerate(self.labels):
             deviation = math.sqrt(self.quoted[i, i])
             if label not in self.local and deviation > abs(self.values[i]):
@@ -101,6 +116,13 @@ class Estimate:
                 "the residuals are not white, so the robust standard deviations are quoted: "
                 "the structure or the noise model leaves something out"
             )
+        found.extend(
+            f"the residual of {c.output} in '{c.record}' wanders, so the standard deviations are too small by an "
+            "unknown factor: something pushes the drone itself, as a gust does, or the structure is wrong. Repeat the flight "
+            "and believe the spread of the estimates"
+            for c in self.identification
+            if c.wanders
+        )
         for c in self.identification:
             found.extend(
                 f"the residual of {c.output} in '{c.record}' still depends on {name}: the structure leaves out a part "
@@ -117,7 +139,11 @@ class Estimate:
         lines.append(f"{'':{width}}{'estimate':>12}{'1 sigma':>11}{'robust':>11}  unit")
         for i, label in enumerate(self.labels):
             white, robust = math.sqrt(self.covariance[i, i]), math.sqrt(self.robust[i, i])
-            lines.append(f"{label:{width}}{self.values[i]:12.5g}{white:11.2g}{robust:11.2g}  {self.units[i] or '-'}")
+            # Of residuals that wander all that is known is that it is more.
+            least = f"{'> ' if self.wanders and not math.isnan(robust) else ''}{robust:.2g}"
+            lines.append(f"{label:{width}}{self.values[i]:12.5g}{white:11.2g}{least:>11}  {self.units[i] or '-'}")
+        if self.held:
+            lines.append(f"held: {', '.join(f'{name} {value:.5g}' for name, value in self.held.items())}")
         for title, comparisons in (("identification", self.identification), ("validation", self.validation)):
             lines.extend(
                 f"{title}: {c.output} in '{c.record}': FIT {c.fit_percent:.2f} %, VAF {c.vaf:.2f} %, RMSE {c.rmse:.3g}"

@@ -124,6 +124,15 @@ class Comparison:
         """Measured less simulated."""
         return self.measured - self.simulated
 
+    @property
+    def wanders(self) -> bool:
+        """Whether the residual wanders: its samples correlate by more than .9 with the one before.
+
+        From there on the robust covariance is too small (docs/identification.md, section 4): what is slower than its
+        window is not in it, and the fit has absorbed a part.
+        """
+        return self.whiteness is not None and float(self.whiteness.value[0]) > 0.9
+
     def to_json(self) -> dict[str, object]:
         """The figures as plain numbers (no signals)."""
         return {
@@ -133,6 +142,7 @@ class Comparison:
             "fit_percent": self.fit_percent,
             "vaf": self.vaf,
             "rmse": self.rmse,
+            "residual_wanders": self.wanders,
             "residual_white": None if self.whiteness is None else self.whiteness.passed,
             "residual_independent_of": {name: test.passed for name, test in self.inputs.items()},
         }

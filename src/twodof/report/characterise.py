@@ -7,13 +7,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
 
 from twodof.errors import IdentificationError, ParameterError
 from twodof.identify.estimate import Estimate
 from twodof.identify.experiments import only
 from twodof.identify.greybox import fit
 from twodof.identify.record import Record
+from twodof.identify.repeated import Spread
 from twodof.identify.simple_pitch import SimplePitch, identify_pitch, read_doublet, read_free_response
 from twodof.identify.simple_velocity import SimpleVelocity, identify_velocity, read_step
 from twodof.models.plant import thrust_curve
@@ -44,18 +44,6 @@ class Flights:
     by_hand: frozenset[str] = frozenset({"pitch", "velocity"})
     trim: float | None = None
     gyro_bias: bool = False
-
-
-@dataclass(frozen=True)
-class Spread:
-    """Standard deviation of an estimate among `count` repetitions."""
-
-    value: float
-    count: int
-
-    def exceeds(self, sigma: float) -> bool:
-        """Whether it is too large to be chance if `sigma` is right (chi-square, once in a thousand)."""
-        return (self.count - 1) * (self.value / sigma) ** 2 > float(chi2.ppf(0.999, self.count - 1))
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,136 @@
+"""The same estimate from several flights, each by itself: how far they spread beside what each of them claims."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from twodof.errors import IdentificationError
+from twodof.identify.estimate import Estimate
+from twodof.identify.greybox import fit
+from twodof.identify.record import Record
+from twodof.models.structure import Structure
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Standard deviation of an estimate among `count` repetitions."""
+
+    value: float
+    count: int
+
+    def exceeds(self, sigma: float) -> bool:
+        """Whether it is too large to be chance if `sigma` is right (chi-square, once in a thousand)."""
+        return (self.count - 1) * (self.value / sigma) ** 2 > float(chi2.ppf(0.999, self.count - 1))
+
+
+@dataclass(frozen=True, eq=False)
+class Repeated:
+    """One fit a flight: `names` and `estimates` in the same order, at least two; all found the same unknowns."""
+
+    names: tuple[str, ...]
+    estimates: tuple[Estimate, ...]
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """The unknowns that are the machine's and not one record's."""
+        return tuple(label for label in self.estimates[0].labels if label not in self.estimates[0].local)
+
+    @property
+    def converged(self) -> bool:
+        """Whether all fits did."""
+        return all(one.converged for one in self.estimates)
+
+    def mean(self, label: str) -> float:
+        """The mean over the flights."""
+        return float(np.mean([one[label] for one in self.estimates]))
+
+    def spread(self, label: str) -> Spread:
+        """How far the flights' estimates spread."""
+        return Spread(float(np.std([one[label] for one in self.estimates], ddof=1)), len(self.estimates))
+
+    def claimed(self, label: str) -> float:
+        """The standard deviation that one flight claims: root of the mean of the squares of those to quote."""
+        return math.sqrt(float(np.mean([one.sigma(label) ** 2 for one in self.estimates])))
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What a reader should know before using the figures."""
+        found = [
+            f"{label}: the flights spread {self.spread(label).value / self.claimed(label):.1f} times as far as the "
+            "standard deviation that one of them claims: what differs from flight to flight acts on the drone and not "
+            "on the sensor, where output error looks for it. Believe the spread"
+            for label in self.labels
+            if self.spread(label).exceeds(self.claimed(label))
+        ]
+        said: dict[str, list[str]] = {}
+        for name, one in zip(self.names, self.estimates, strict=True):
+            for remark in one.remarks:
+                if f"'{name}'" in remark:
+                    if not one.wanders or "wanders" not in remark:  # what it asks for is here: the spread
+                        found.append(remark)
+                else:
+                    said.setdefault(remark, []).append(f"'{name}'")
+        found.extend(
+            remark if len(names) == len(self.names) else f"{', '.join(names)}: {remark}"
+            for remark, names in said.items()
+        )
+        return tuple(found)
+
+    def table(self) -> str:
+        """The estimates flight by flight, their mean and spread, and what one flight claims, as text for a terminal."""
+        first, labels = self.estimates[0], self.labels
+        width = max(18, *(len(name) for name in self.names)) + 2
+        lines = [f"{first.structure} ({first.domain}), each of {len(self.names)} flights by itself"]
+        lines.append(" " * width + "".join(f"{label:>22}" for label in labels))
+        units = dict(zip(first.labels, first.units, strict=True))
+        lines.append(" " * width + "".join(f"{units[label] or '-':>22}" for label in labels))
+        for name, one in zip(self.names, self.estimates, strict=True):
+            cells = [f"{one[label]:.5g} +- {one.sigma(label):.2g}" for label in labels]
+            lines.append(f"{name:{width}}" + "".join(f"{cell:>22}" for cell in cells))
+        for title, value in (
+            ("mean", [f"{self.mean(label):.5g}" for label in labels]),
+            ("spread", [f"+- {self.spread(label).value:.2g}" for label in labels]),
+            ("claimed by one", [f"+- {self.claimed(label):.2g}" for label in labels]),
+        ):
+            lines.append(f"{title:{width}}" + "".join(f"{cell:>22}" for cell in value))
+        lines.extend(f"note: {remark}" for remark in self.remarks)
+        return "\n".join(lines)
+
+    def to_json(self) -> str:
+        """Everything but the signals as JSON text; NaN is null."""
+        figures = {
+            label: {
+                "mean": self.mean(label),
+                "spread": self.spread(label).value,
+                "claimed": None if math.isnan(self.claimed(label)) else self.claimed(label),
+            }
+            for label in self.labels
+        }
+        flights = {name: json.loads(one.to_json()) for name, one in zip(self.names, self.estimates, strict=True)}
+        document = {"repeated": figures, "flights": flights, "converged": self.converged, "remarks": self.remarks}
+        return json.dumps(document, indent=2, allow_nan=False)
+
+
+def repeat(
+    structure: Structure,
+    records: Sequence[Record],
+    *,
+    estimate: Collection[str] | None = None,
+    values: Mapping[str, float] | None = None,
+) -> Repeated:
+    """`fit` of each of `records`, repetitions of one experiment, by itself; `estimate` and `values` as there.
+
+    Raises IdentificationError as `fit` does, and for fewer than two records or two of one name.
+    """
+    names = tuple(record.name for record in records)
+    if len(names) < 2 or len(set(names)) < len(names):
+        raise IdentificationError(
+            f"records {', '.join(names) or 'none'}", "repetitions", "give two or more, each with a name of its own"
+        )
+    return Repeated(names, tuple(fit(structure, record, estimate=estimate, values=values) for record in records))
