@@ -118,8 +118,8 @@ class Estimate:
             )
         found.extend(
             f"the residual of {c.output} in '{c.record}' wanders, so the standard deviations are too small by an "
-            "unknown factor: something pushes the drone itself, as a gust does, or the structure is wrong. Repeat the flight "
-            "and believe the spread of the estimates"
+            "unknown factor: something pushes the drone itself, as a gust does, or the structure is wrong. Repeat the "
+            "flight and believe the spread of the estimates"
             for c in self.identification
             if c.wanders
         )
