@@ -16,6 +16,8 @@ from twodof.link.transport import Transport
 
 _names = itertools.count(1)
 PARAMETERS = {"ATT_KP": 11.0, "RATE_KP": 0.0854, "THRUST_BAR": 0.4, "SYS_AUTOSTART": 4001}
+# Ticks that it lets run for one grant: a real one bounds them too, and a test may have told the client any tick.
+MOST_GRANTED = 2_500
 DESCRIPTION = b'{"version": 1, "parameters": []}'
 
 
