@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from tests.fcu.program import twodof_fcu
+from tests.patience import PATIENCE_S
 from twodof.cli.app import run
 from twodof.errors import Rejected
 from twodof.gcs.drone import Drone
@@ -27,7 +28,9 @@ def test_a_drone_that_another_one_flies_is_stopped_with_the_key_alone(
             assert run(["kill", "--url", url, "--key", str(file), "--json"]) == 0
             said = json.loads(capfd.readouterr().out)
             assert (said["was_armed"], said["killed"]) == (True, True)
-            pilot.wait_until(lambda: not pilot.there.state.armed, 5.0)
+            with pytest.raises(Rejected, match="it was killed"):
+                pilot.run(PATIENCE_S)  # what streams set-points is told so
+            assert not pilot.state.armed
         # Leaving has disarmed it in the ordinary way, which released nothing: the same script again does not fly.
         with (
             Drone.connect(url, key=made) as again,

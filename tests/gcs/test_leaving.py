@@ -180,6 +180,11 @@ def test_leaving_over_a_link_that_is_gone_insists_and_holds_nothing() -> None:
     run_virtual(work())
 
 
+def stop(peer: Peer) -> None:
+    """A kill that comes from elsewhere."""
+    peer.armed, peer.killed = False, True
+
+
 def test_a_kill_holds_until_it_is_released() -> None:
     """A script that goes on after it is told so by each verb that would fly; the next one too, and may release it."""
 
@@ -202,6 +207,18 @@ def test_a_kill_holds_until_it_is_released() -> None:
                         await fly()
                 assert drone.setpoints.sent == sent
             assert peer.killed
+            peer.killed = False
+            async with await AsyncDrone.connect(peer.url) as drone:
+                await drone.arm()
+                await drone.set_pitch(0.1)
+                asyncio.get_running_loop().call_later(1.0, stop, peer)  # somebody else does
+                start = asyncio.get_running_loop().time()
+                with pytest.raises(Rejected, match="it was killed"):
+                    await drone.run(10.0)
+                assert asyncio.get_running_loop().time() - start < 2.5
+                sent = drone.setpoints.sent
+                await drone.run(1.0)  # time passes all the same
+                assert drone.setpoints.sent == sent
             async with await AsyncDrone.connect(peer.url) as drone:
                 assert drone.state.killed
                 await drone.release()

@@ -175,18 +175,32 @@ class AsyncDrone(Connected):
             )
 
     async def run(self, seconds: float) -> None:
-        """Let the drone's time pass. Raises LinkLost; Timeout if it stands still."""
+        """Let the drone's time pass. Raises LinkLost, Timeout if it stands still, Rejected if a kill ends a flight."""
         await self.run_until(self.tick + max(0, ceil(seconds / TICK_S - 1e-9)))
 
     async def run_until(self, tick: int) -> None:
         """Let the drone's time pass up to a tick, which is the first not run. Raises as `run`."""
-        await self.clock.run_until(tick)
+        await self._pass(tick, None)
 
     async def wait_until(self, condition: Callable[[], bool], timeout: float) -> None:
         """Let the drone's time pass until `condition()`, asked each 20 ms of it; Timeout after `timeout` [s] of it."""
-        await self.clock.run_until(self.tick + ceil(timeout / TICK_S), condition)
+        await self._pass(self.tick + ceil(timeout / TICK_S), condition)
         if not condition():
             raise Timeout(f"the condition did not come within {timeout:g} s", f"drone {self.session.system}")
+
+    async def _pass(self, tick: int, condition: Callable[[], bool] | None) -> None:
+        """Let its time pass up to a tick or until `condition()`; what is streamed to a drone that was killed ends."""
+
+        def killed() -> bool:
+            return self.state.killed and self.setpoints.current is not None
+
+        def done() -> bool:
+            return killed() or (condition is not None and condition())
+
+        await self.clock.run_until(tick, condition if self.clock.granting else done)
+        if killed():
+            self.setpoints.stop()
+            self._not_killed(self._deadline(0.0, "flying"))
 
     async def excite(
         self,

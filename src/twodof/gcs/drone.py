@@ -318,7 +318,7 @@ class Drone:
         self._runner.call(self.there.stop_setpoints)
 
     def run(self, seconds: float) -> None:
-        """Let the drone's time pass. Raises LinkLost; Timeout if it stands still."""
+        """Let the drone's time pass. Raises LinkLost, Timeout if it stands still, Rejected if a kill ends a flight."""
         self._runner.run(self.there.run(seconds))
 
     def run_until(self, tick: int) -> None:
