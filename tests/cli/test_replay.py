@@ -6,6 +6,8 @@ from pathlib import Path
 import pytest
 
 from twodof.cli.app import run
+from twodof.experiment.flight import Laboratory
+from twodof.flightlog.files import write_log
 
 
 def test_the_document_has_the_agreed_form_and_the_law_is_found_again(
@@ -44,6 +46,17 @@ def test_gains_from_a_file_are_those_that_count(
     nrms = json.loads(out)["nrms"]
     assert nrms["q0"] == pytest.approx(0.5, abs=1e-6)
     assert nrms["M"] <= 3e-7
+
+
+def test_the_gains_of_the_log_are_taken_where_it_says_them(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    flight = Laboratory("lab", gains="student").fly("attitude-steps")
+    log = str(tmp_path / "student.mcap")
+    write_log(flight.log, log)
+    for options, right in (([], True), (["--gains", "student"], True), (["--gains", "default"], False)):
+        assert run(["replay", log, "--json", *options]) == 0
+        out, err = capfd.readouterr()
+        assert (max(json.loads(out)["nrms"].values()) < 1e-6) is right
+        assert ("not the gains it was flown with?" in err) is not right
 
 
 @pytest.mark.parametrize("gains", ["nowhere.json", "[]"])

@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from twodof.errors import ParameterError
@@ -74,3 +75,27 @@ def test_gains_of_another_shape_are_refused(changes: dict[str, Any], where: str)
     with pytest.raises(ParameterError) as caught:
         replace(DEFAULT, **changes)
     assert caught.value.where == where
+
+
+def test_what_a_log_says_of_its_gains_is_read_back() -> None:
+    """Of a flight, a recording, and a log on board in float32, of which what was set is the shortest decimal."""
+    tuned = STUDENT.tuned()
+    assert tuned["POS_KP"] == STUDENT.position
+    assert Gains.flown({"parameters": tuned}) == STUDENT
+    assert Gains.flown({"drone": {"parameters": tuned}}) == STUDENT
+    assert Gains.flown({"parameters": DEFAULT.tuned()}) == DEFAULT
+    open_rate = dict.fromkeys(("RATE_KP", "RATE_KI", "RATE_KD"), 0.0)
+    on_board = {
+        name: float(np.float32(value))
+        for name, value in ({row.name: row.default for row in PARAMETERS} | tuned).items()
+    }
+    assert Gains.flown({"parameters": on_board, "ulog": {}}) == STUDENT
+    assert Gains.flown({"parameters": open_rate}) == replace(DEFAULT, rate=(0.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    "provenance",
+    [{}, {"parameters": []}, {"parameters": {"RATE_KP": "much"}}, {"ulog": {}, "parameters": {"MC_PITCH_P": 6.5}}],
+)
+def test_a_log_that_does_not_say_its_gains_has_none(provenance: dict[str, Any]) -> None:
+    assert Gains.flown(provenance) is None

@@ -87,6 +87,7 @@ def calls(drone: AsyncDrone, folder: Path) -> dict[str, Callable[[], Awaitable[A
         "wait_until": lambda: drone.wait_until(lambda: drone.tick > here + 125, timeout=0.6),
         "batch": batch,
         "truth": truth,
+        "flies": lambda: drone.flies(CALL_S),
         "record": record,
         "command": lambda: drone.command("REQUEST_AUTOPILOT_CAPABILITIES", 1.0, timeout=CALL_S),
         "stream": lambda: drone.stream("ATTITUDE", 50.0, CALL_S),

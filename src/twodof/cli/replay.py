@@ -11,7 +11,7 @@ import typer
 from rich.table import Table
 
 from twodof.cli.output import Json, print_json, table_console
-from twodof.flight.gains import load_gains
+from twodof.flight.gains import Gains, load_gains
 from twodof.flightlog.files import read_log
 from twodof.sim.replay import replay as replay_log
 
@@ -32,12 +32,25 @@ class Precision(StrEnum):
 @app.command()
 def replay(
     file: Annotated[Path, typer.Argument(metavar="LOG", help="A closed-loop flight log.")],
-    gains: Annotated[str, typer.Option(help="default, student, or a JSON file of gains.")] = "default",
+    gains: Annotated[
+        str | None,
+        typer.Option(
+            help="default, student, or a JSON file of gains; left out: those of the log if it says, else default."
+        ),
+    ] = None,
     precision: Annotated[Precision, typer.Option(help="Reals of the compiled code.")] = Precision.float64,
     json: Json = False,
 ) -> None:
     """Feed a log's inputs to the compiled flight code and compare what it gives with what was logged."""
-    result = replay_log(read_log(file), load_gains(gains), precision.value)
+    log = read_log(file)
+    said = Gains.flown(log.provenance) if gains is None else None
+    gains = gains or ("default" if said is None else "that the log says")
+    result = replay_log(log, load_gains(gains) if said is None else said, precision.value)
+    own = log.provenance.get("controllers") or (log.provenance.get("drone") or {}).get("controllers")
+    if own:
+        sys.stderr.write(
+            f"note: a controller of one's own flew ({', '.join(own)}), and the stock cascade is compared\n"
+        )
     if any(difference > _OTHER_GAINS for difference in result.nrms.values()):
         sys.stderr.write(f"note: not the gains it was flown with? these are: {gains}; --gains takes others\n")
     if json:

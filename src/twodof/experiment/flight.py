@@ -100,9 +100,12 @@ class Laboratory:
         self.precision: str = precision
         self._conditions: dict[str, Any] = dict(conditions or {})
 
+        flown = gains if isinstance(gains, Gains) else load_gains(gains)
+        self._tuned = flown.tuned()
+
         def loop(failsafe: bool) -> ClosedLoop:
             made = ClosedLoop(
-                gains if isinstance(gains, Gains) else load_gains(gains),
+                flown,
                 self.parameters,
                 conditions,
                 position_filter,
@@ -141,6 +144,7 @@ class Laboratory:
             "rig": self.rig_name,
             "seed": seed,
             "versions": versions(),
+            "parameters": self._tuned,
         }
         if self.controllers:
             provenance["controllers"] = self.described_controllers()

@@ -19,6 +19,7 @@ from twodof.flight.core import PERIOD
 from twodof.flightlog.provenance import versions
 from twodof.gcs.drone import Drone
 from twodof.gcs.faces import DroneRows
+from twodof.gcs.flies import Flies
 from twodof.gcs.recording import safety_row, seconds
 from twodof.gcs.texts import Text
 from twodof.rig.parameters import NAMES
@@ -104,6 +105,7 @@ def fly(
     if rig.virtual:
         drone.reset(seed=seed, x=x_start, noise=noise, rings=experiment.rings)
     flown_seed = seed if rig.virtual else 0
+    what = _flies(drone)
     with _listening(drone) as heard, drone.batch(COLUMNS) as rows, _truth(drone) as truth:
         course = _Course(experiment, plan, x_start, drone, rows, model.parameters, progress or _silent)
 
@@ -128,6 +130,7 @@ def fly(
                 "versions": versions(),
                 "flown": {"url": drone.url, "virtual": rig.virtual, "controller": rig.controller, "reason": reason},
                 "texts": [list(line) for line in heard.texts],
+                **what.provenance(),
             }
             log = samples.log(provenance, safety_in(heard.safety, course.first, plan.steps))
             return Flight(experiment, log, x_start, flown_seed, tuple(checks), reason)
@@ -150,6 +153,13 @@ def _truth(drone: Drone) -> Iterator[DroneRows[np.float64] | None]:
             with suppress(Rejected):  # it flies as well without
                 rows = stack.enter_context(drone.truth())
         yield rows
+
+
+def _flies(drone: Drone) -> Flies:
+    """What flies on it; it is flown all the same where it does not tell."""
+    with suppress(Rejected, Timeout):
+        return drone.flies()
+    return Flies(known=False)
 
 
 class _Heard(NamedTuple):

@@ -11,9 +11,13 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
+
 from twodof.errors import ParameterError
 from twodof.parameters import PARAMETERS, PRESETS
 
+_NAMES = ("RATE_KP", "RATE_KI", "RATE_KD", "ATT_KP", "VEL_KP", "VEL_KI", "POS_KP")
+"""What the drone calls the gains, in the order of `Gains.parameters`."""
 _SHAPE = '{"rate": [Kp, Ki, Kd], "attitude": Kp, "velocity": [Kp, Ki], "position": Kp}'
 
 
@@ -53,6 +57,31 @@ class Gains:
             "position.kp": self.position,
         }
 
+    def tuned(self) -> dict[str, float]:
+        """Those that are not the default ones, by the names of the drone's parameters ("RATE_KP")."""
+        values = dict(zip(_NAMES, self.parameters().values(), strict=True))
+        defaults = {row.name: row.default for row in PARAMETERS}
+        return {name: value for name, value in values.items() if value != defaults[name]}
+
+    @classmethod
+    def flown(cls, provenance: Mapping[str, Any]) -> Gains | None:
+        """The gains that a log's provenance says were flown, by the drone's parameters; None where it says nothing.
+
+        A flight and a recording have those that were tuned, a log of our flight controller all of them, in float32.
+        """
+        drone = provenance.get("drone")
+        known = provenance.get("parameters", drone.get("parameters") if isinstance(drone, Mapping) else None)
+        if not isinstance(known, Mapping) or ("ulog" in provenance and not set(_NAMES) <= set(known)):
+            return None
+        if not all(isinstance(known.get(name, 0.0), int | float) for name in _NAMES):
+            return None
+        defaults = {row.name: row.default for row in PARAMETERS}
+        # The shortest decimal of a float32 is what was set.
+        kp, ki, kd, attitude, velocity_kp, velocity_ki, position = (
+            float(str(np.float32(known[name]))) if name in known else defaults[name] for name in _NAMES
+        )
+        return cls((kp, ki, kd), attitude, (velocity_kp, velocity_ki), position)
+
     def to_json(self) -> dict[str, Any]:
         """The form `from_json` reads."""
         return {
@@ -79,12 +108,8 @@ class Gains:
 
 def _preset(name: str) -> Gains:
     values = {row.name: row.default for row in PARAMETERS} | dict(PRESETS[name])
-    return Gains(
-        (values["RATE_KP"], values["RATE_KI"], values["RATE_KD"]),
-        values["ATT_KP"],
-        (values["VEL_KP"], values["VEL_KI"]),
-        values["POS_KP"],
-    )
+    kp, ki, kd, attitude, velocity_kp, velocity_ki, position = (values[one] for one in _NAMES)
+    return Gains((kp, ki, kd), attitude, (velocity_kp, velocity_ki), position)
 
 
 NAMED: Mapping[str, Gains] = MappingProxyType({name: _preset(name) for name in PRESETS})

@@ -17,6 +17,7 @@ from twodof.gcs.connected import DEFAULT_URL as DEFAULT_URL
 from twodof.gcs.connected import TIMEOUT_S, Connected
 from twodof.gcs.deadline import Deadline
 from twodof.gcs.exciting import Playback
+from twodof.gcs.flies import Flies, flies
 from twodof.gcs.recording import Recording
 from twodof.gcs.setpoints import Setpoint
 from twodof.gcs.truth import TruthRows
@@ -251,6 +252,14 @@ class AsyncDrone(Connected):
             raise Rejected(f"the rig's true state: {why}", f"drone {self.session.system}", "go by the estimates")
         return self.rig_truth.rows()
 
+    async def flies(self, timeout: float = TIMEOUT_S) -> Flies:
+        """Which parameters are not at their defaults, and which diagrams fly in place of the stock controllers.
+
+        Raises LinkLost, Timeout.
+        """
+        self._needs_ours("what flies", "folder of controllers")
+        return await flies(self.parameters, self.files, self._deadline(timeout, "asking what flies"))
+
     def record(
         self,
         path: str | Path,
@@ -258,6 +267,8 @@ class AsyncDrone(Connected):
         provenance: Mapping[str, object] | None = None,
     ) -> AbstractAsyncContextManager[Recording]:
         """Record topics (None: all) at the full rate into a new MCAP file, for `async with`. See gcs.recording.
+
+        With them what flies: tuned parameters and, as attachments, the diagrams of controllers of one's own.
 
         Of a drone that is not ours what it sends is recorded as it comes: `stream` asks for more of it.
         """
@@ -273,7 +284,11 @@ class AsyncDrone(Connected):
         }
         link = {"url": self.session.url, "system": self.session.system, "lockstep": rig.lockstep}
         return self.recordings.to(
-            path, topics, self.state, {"drone": {**about, **link}, **(provenance or {})}, self.ours
+            path,
+            topics,
+            self.state,
+            {"drone": {**about, **link}, **(provenance or {})},
+            self.flies if self.ours else None,
         )
 
     async def reset(

@@ -18,6 +18,7 @@ from twodof.gcs.connected import DEFAULT_URL, LEAVING_S, TIMEOUT_S
 from twodof.gcs.discovery import Found, discover
 from twodof.gcs.exciting import Playback
 from twodof.gcs.faces import DroneFiles, DroneLogs, DroneRows, DroneSignal, Parameters
+from twodof.gcs.flies import Flies
 from twodof.gcs.recording import Recording
 from twodof.gcs.runner import Runner
 from twodof.gcs.state import Battery, State
@@ -262,6 +263,10 @@ class Drone:
     def _batch(self, manager: AbstractAsyncContextManager[Rows]) -> Iterator[DroneRows[np.float32]]:
         with self._within(manager) as rows:
             yield DroneRows(rows, self._runner)
+
+    def flies(self, timeout: float = TIMEOUT_S) -> Flies:
+        """Which parameters are not at their defaults, and which diagrams fly in place of the stock controllers."""
+        return self._runner.run(self.there.flies(timeout))
 
     def truth(self) -> AbstractContextManager[DroneRows[np.float64]]:
         """The true theta, q, x, v of a virtual rig at the full rate, for `with`. Raises Rejected by a real drone."""

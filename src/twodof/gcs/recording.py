@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Callable, Iterable, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Mapping
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from functools import partial
 from math import isfinite
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.errors import LogError, RecordingError
+from twodof.errors import LogError, RecordingError, Timeout
 from twodof.flightlog import steps
+from twodof.flightlog.mcap_encoder import Attachment
 from twodof.flightlog.mcap_stream import Stream
 from twodof.flightlog.recorder import Recorder
 from twodof.flightlog.spool import Acknowledged
@@ -22,6 +24,7 @@ from twodof.flightlog.steps import BOOT, MESSAGE_PERIOD, shift
 from twodof.gcs.batches import Batches
 from twodof.gcs.clock import OLDEST_TICKS, Clock
 from twodof.gcs.decoding import DECODERS, Decoded, columns_of
+from twodof.gcs.flies import Flies
 from twodof.gcs.session import Handler, Session
 from twodof.gcs.state import State
 from twodof.gcs.texts import Text, Texts
@@ -54,10 +57,18 @@ _READ_LATER = ("x", "v")
 class Recording:
     """A recording in the making, then made: `samples` taken, rows `lost` on the way, samples `dropped` by the disk."""
 
-    def __init__(self, path: str | Path, topics: Iterable[Topic], provenance: Mapping[str, object], wait: bool) -> None:
+    def __init__(
+        self,
+        path: str | Path,
+        topics: Iterable[Topic],
+        provenance: Mapping[str, object],
+        wait: bool,
+        diagrams: Mapping[str, bytes] = MappingProxyType({}),
+    ) -> None:
         self.topics = tuple(topics)
         self.onboard = tuple(row for row in self.topics if row.onboard and row.name != _EVENTS)
-        self.recorder = Recorder(path, [*self.topics, SAFETY], provenance, full="wait" if wait else "drop")
+        attached = [Attachment(f"{name}.json", "application/json", content) for name, content in diagrams.items()]
+        self.recorder = Recorder(path, [*self.topics, SAFETY], provenance, attached, full="wait" if wait else "drop")
         self.path = self.recorder.path
         self.texts: list[tuple[float, str, str]] = []
         self._with_events = any(row.name == _EVENTS for row in self.topics)
@@ -270,15 +281,29 @@ class Recordings:
 
     @asynccontextmanager
     async def to(
-        self, path: str | Path, topics: Iterable[str] | None, state: State, provenance: Mapping[str, object], ours: bool
+        self,
+        path: str | Path,
+        topics: Iterable[str] | None,
+        state: State,
+        provenance: Mapping[str, object],
+        flying: Callable[[], Awaitable[Flies]] | None,
     ) -> AsyncIterator[Recording]:
-        """Records meanwhile into a new file: every sample of a drone of `ours`, what another's sends as it comes.
+        """Records meanwhile into a new file: every sample of a drone of ours, what another's sends as it comes.
+
+        `flying` asks a drone of ours what flies on it; None for another's.
 
         Raises LogError for a file that exists or a topic that is none, RecordingError when the disk refuses, Rejected,
         LinkLost, Timeout.
         """
-        session, rows = self._session, chosen(topics, state.rig.virtual and not self._session.on_board, ours)
-        recording = Recording(path, rows, provenance, wait=session.lockstep)
+        ours, session = flying is not None, self._session
+        rows = chosen(topics, state.rig.virtual and not session.on_board, ours)
+        flies = Flies(known=False)
+        if flying is not None:
+            with suppress(Timeout):  # it is recorded all the same
+                flies = await flying()
+        drone = provenance.get("drone")
+        about = {**provenance, "drone": {**(drone if isinstance(drone, dict) else {}), **flies.provenance()}}
+        recording = Recording(path, rows, about, session.lockstep, flies.diagrams)
         handlers: dict[str, Handler] = {"TWODOF_RIG": recording.rig, "TWODOF_SAFETY": recording.safety}
         if not ours:
             handlers |= {name: partial(recording.telemetry, decode) for name, decode in DECODERS.items()}
