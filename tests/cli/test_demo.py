@@ -15,7 +15,7 @@ KEYS = ["w_n", "xi", "mu", "tau", "k_v", "p_v"]
 def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], str]:
     """The JSON document and the report's text; the real logs are left out, other tests are about them."""
     folder = tmp_path_factory.mktemp("demo")
-    report = folder / "new folder" / "report.html"
+    report = folder / "report.html"
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("TWODOF_FLIGHT_DATA", str(folder))
         patch.setenv("XDG_CACHE_HOME", str(folder))
@@ -80,3 +80,6 @@ def test_a_report_that_cannot_be_written_is_the_callers_mistake(
     (tmp_path / "file").write_text("")
     assert run(["demo", "--out", str(tmp_path / "file" / "report.html")]) == 2
     assert "remedy" in capfd.readouterr().err
+    assert run(["demo", "--out", str(tmp_path / "nowhere" / "report.html")]) == 2
+    assert "mkdir -p" in capfd.readouterr().err
+    assert not (tmp_path / "nowhere").exists()

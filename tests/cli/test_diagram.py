@@ -145,3 +145,9 @@ def test_linearize_prints_the_model(loop: str, tmp_path: Path, capfd: pytest.Cap
     assert run(["diagram", "linearize", loop, "--at", str(tmp_path / "none.json")]) == 2
     assert run(["diagram", "linearize", loop, "--at", '{"q": 1}']) == 2
     assert "there is no parameter 'q'" in capfd.readouterr().err
+
+
+def test_a_picture_is_svg_and_is_called_so(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert run(["diagram", "render", "pid-attitude", "--out", str(tmp_path / "picture.png")]) == 2
+    assert "picture.svg" in capfd.readouterr().err
+    assert not any(tmp_path.iterdir())

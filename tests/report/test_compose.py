@@ -77,6 +77,17 @@ def test_the_headline_measures_by_the_spread_where_that_is_larger(found: Charact
     assert "+1.0 σ" not in to_html(content([Machine("rig", "", wild, truth)], {}))
 
 
+def test_the_headline_says_what_is_far_off_though_its_sigma_covers_it(found: Characterisation) -> None:
+    """An estimate 69 % off whose sigma is as large lies within 3 sigma, and is of no use."""
+    mu = found.greybox["mu"].value
+    wild = replace(found, spreads={"mu": Spread(mu, 10)})
+    (text,) = content([Machine("rig", "", wild, {"mu": mu / 1.69})], {}).findings
+    assert "1 of 1" in text
+    assert "more than a tenth are <i>μ</i> 69 %" in text
+    (text,) = content([Machine("rig", "", wild, {"mu": mu / 1.05})], {}).findings
+    assert "tenth" not in text
+
+
 def test_doubts_speak_in_symbols_and_printed_signs(found: Characterisation) -> None:
     assert found.free is not None
     names = {"w_n": "ω<sub>n</sub>", "xi": "ξ", "tau": "τ"}

@@ -36,7 +36,7 @@ _OTHER_STEPS = 21
 
 @app.command()
 def demo(
-    out: Annotated[Path, typer.Option(help="The report to write.")] = _REPORT,
+    out: Annotated[Path, typer.Option(metavar="FILE", help="The report to write, an HTML page.")] = _REPORT,
     repetitions: Annotated[
         int, typer.Option(min=3, max=100, help="Flights of each experiment on each rig; their spread is a result.")
     ] = REPETITIONS,
@@ -110,6 +110,8 @@ def _provenance(logs: list[str], repetitions: int) -> dict[str, str]:
 
 def _make_folder(path: Path) -> None:
     """Before anything is flown: half a minute later is too late to learn that there is no place for the report."""
+    if path != _REPORT:  # a folder that somebody names is there, as everywhere
+        return
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as refusal:

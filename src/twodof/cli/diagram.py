@@ -21,7 +21,7 @@ from twodof.compile.linear_model import Array, LinearModel
 from twodof.compile.linearize import linearize as linearize_diagram
 from twodof.compile.program import emit_program
 from twodof.compile.source_map import Line, SourceMap, source_map
-from twodof.errors import DiagramError
+from twodof.errors import DiagramError, LogError
 from twodof.flight.starters import new_diagram
 from twodof.flightlog.atomic import atomic_write
 from twodof.flightlog.files import check_folder
@@ -193,6 +193,8 @@ def render(
 ) -> None:
     """Draw a diagram as SVG."""
     if out is not None:
+        if out.suffix.lower() != ".svg":
+            raise LogError(f"an SVG is drawn, and {out.name} is no name for one", "--out", f"{out.stem}.svg")
         check_folder(out)
     picture = to_svg(find(read_diagram(diagram), path), depth)
     if out is None:

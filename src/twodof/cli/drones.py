@@ -16,9 +16,9 @@ from twodof.gcs.discovery import LOOPBACK, discover
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
 
-@app.callback(invoke_without_command=True)
+@app.command()
 def drones(
-    host: Annotated[list[str] | None, typer.Argument(help="Machines to ask besides this one.")] = None,
+    host: Annotated[list[str] | None, typer.Argument(metavar="HOST", help="Machines to ask besides this one.")] = None,
     timeout: Annotated[float, typer.Option(min=0.1, max=60.0, help="How long to listen [s].")] = 3.0,
     json: Json = False,
 ) -> None:

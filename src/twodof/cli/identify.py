@@ -69,7 +69,7 @@ def identify(
     files: Annotated[
         list[Path],
         typer.Argument(
-            metavar="LOG...", help="The flight log to identify from; several of one experiment: each, and their spread."
+            metavar="LOG", help="The flight log to identify from; several of one experiment: each, and their spread."
         ),
     ],
     experiment: Annotated[

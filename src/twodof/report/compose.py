@@ -213,6 +213,10 @@ def _findings(machine: Machine) -> list[str]:
             f"<i>{worst.symbol}</i> = {value}{unit} where {plain(worst.truth or 0.0)}{unit} is true, "
             f"{_sigmas(worst):.1f} σ off{measure}."
         )
+        coarse = [row for row in known if _share(row) > _ROUGH]
+        if coarse:
+            listed = ", ".join(f"<i>{row.symbol}</i> {100.0 * _share(row):.0f} %" for row in coarse)
+            text += f" Within 3 σ is not near: off the truth by more than a tenth are {listed}."
         return [text]
     shown = [
         f"<i>{row.symbol}</i> = {with_sigma(row.greybox)} {row.unit}".strip()
@@ -220,6 +224,13 @@ def _findings(machine: Machine) -> list[str]:
         if row.greybox is not None
     ]
     return [f"<b>{name}</b>: {', '.join(shown[:6])}."] if shown else []
+
+
+def _share(row: ParameterRow) -> float:
+    """How far the grey-box estimate is from the truth, as a share of it."""
+    if not row.truth or row.greybox is None:
+        return 0.0
+    return abs(row.greybox.value / row.truth - 1.0)
 
 
 def _sigmas(row: ParameterRow) -> float:

@@ -56,7 +56,8 @@ def _table_section(subjects: Sequence[Subject]) -> Iterator[str]:
         '<p class="text">By hand as the paper does it (simple) and by output error (grey-box), each with one standard '
         "deviation; below an estimate, how far it is from the truth, for the grey-box also in the larger of its "
         "standard deviation and its spread over repeated flights. In the figure the upright bar is the truth where it "
-        "is known, dashed lines are the paper’s values. The last column is the spread of the grey-box estimate over "
+        "is known, dashed lines are the paper’s values: one column has those read by hand, the other, of the velocity "
+        "only, those of MATLAB’s estimator “greyest”. The last column is the spread of the grey-box estimate over "
         "repeated flights: a standard deviation claimed from one flight has to stand up to it.</p>"
     )
     yield _key(("simple", "grey-box"), "marks")
@@ -69,7 +70,7 @@ def _table_section(subjects: Sequence[Subject]) -> Iterator[str]:
 def _parameter_table(rows: Sequence[ParameterRow]) -> str:
     known = any(row.truth is not None for row in rows)
     repeated = any(row.greybox_spread is not None for row in rows)
-    heads = ["Parameter", "Unit", "Paper", "greyest", *(["Truth"] if known else []), "Simple", "Grey-box"]
+    heads = ["Parameter", "Unit", "Paper", "Paper, by “greyest”", *(["Truth"] if known else []), "Simple", "Grey-box"]
     heads += ["repeated"] if repeated else []
     lines = []
     for row in rows:
