@@ -194,7 +194,7 @@ def render(
     """Draw a diagram as SVG."""
     if out is not None:
         if out.suffix.lower() != ".svg":
-            raise LogError(f"an SVG is drawn, and {out.name} is no name for one", "--out", f"{out.stem}.svg")
+            raise LogError(f"an SVG is drawn, and {out.name} is no name for one", "--out", f"name it {out.stem}.svg")
         check_folder(out)
     picture = to_svg(find(read_diagram(diagram), path), depth)
     if out is None:

@@ -13,6 +13,8 @@ from twodof.errors import IdentificationError
 
 Array = NDArray[np.float64]
 
+_WANDERING_LAGS, _WANDERING = 10, 0.15
+
 
 def fit_percent(measured: ArrayLike, simulated: ArrayLike) -> float:
     """FIT = 100 (1 - |y - y_sim| / |y - mean(y)|), 100 is perfect, 0 no better than the mean (MATLAB's compare)."""
@@ -126,12 +128,16 @@ class Comparison:
 
     @property
     def wanders(self) -> bool:
-        """Whether the residual wanders: its samples correlate by more than .9 with the one before.
+        """Whether the residual wanders: correlated by more than .15 over each of ten lags, and by more than chance.
 
-        From there on the robust covariance is too small (docs/identification.md, section 4): what is slower than its
-        window is not in it, and the fit has absorbed a part.
+        The robust covariance is too small then (docs/identification.md, section 4): what is slower than its window is
+        not in it, and the fit has absorbed a part. Ten lags, so that white noise of the sensor on top does not hide it;
+        .15, so that a colour of some samples (e[i] = .8 e[i-1] + white), which that covariance knows, is not meant.
         """
-        return self.whiteness is not None and float(self.whiteness.value[0]) > 0.9
+        if self.whiteness is None:
+            return False
+        first = self.whiteness.value[:_WANDERING_LAGS]
+        return bool((first > np.maximum(self.whiteness.bound[:_WANDERING_LAGS], _WANDERING)).all())
 
     def to_json(self) -> dict[str, object]:
         """The figures as plain numbers (no signals)."""
