@@ -154,6 +154,26 @@ def test_what_could_not_be_built_is_not_there_any_more(tmp_path: Path, flies: bo
     asyncio.run(session())
 
 
+def test_a_fault_of_the_program_leaves_no_upload_behind_either(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def faulty(_: Controllers) -> None:
+        raise ArithmeticError("nobody thought of it")
+
+    async def session() -> None:
+        (tmp_path / "controllers").mkdir()
+        upload = tmp_path / "controllers" / "attitude_control.json"
+        upload.write_text(to_json(starter("lqr-attitude")))
+        monkeypatch.setattr(Controllers, "build_uploaded", faulty)
+        async with VirtualDrone(lockstep=True, state=tmp_path) as drone:
+            await drone.listen(f"memin://{tmp_path.name}")
+            async with Connection(await open_transport(f"mem://{tmp_path.name}"), 250, 1) as link:
+                client = Client(link)
+                assert await client.command(RELOAD) == IN_PROGRESS
+                assert await answer(client) == FAILED
+        assert not upload.exists()
+
+    asyncio.run(session())
+
+
 def test_a_controller_that_could_not_replace_the_other_is_not_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

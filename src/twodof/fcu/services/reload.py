@@ -100,9 +100,10 @@ class Reload:
             gc.freeze()  # see `Server`: not in flight
         except TwodofError as error:
             made = Verdict(FAILED, str(error))
-            with suppress(TwodofError):  # a disk that refuses changes nothing of what flies
-                await asyncio.to_thread(self._controllers.restore)
         finally:
+            if made.result != ACCEPTED:
+                with suppress(TwodofError):  # a disk that refuses changes nothing of what flies
+                    await asyncio.to_thread(self._controllers.restore)
             self._verdict = made
             self._commands.poll()
 
