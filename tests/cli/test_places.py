@@ -19,11 +19,11 @@ COMMANDS = (
 )
 
 
-def places(folder: Path) -> dict[str, Path]:
+def places(folder: Path, suffix: str) -> dict[str, Path]:
     """Places that no file can have, as root too, by what is said of them."""
-    (folder / "is a folder.mat").mkdir()
+    (folder / f"is a folder{suffix}").mkdir()
     (folder / "a file").touch()
-    return {"is a directory": folder / "is a folder.mat", "folder": folder / "a file" / "below.mat"}
+    return {"is a directory": folder / f"is a folder{suffix}", "folder": folder / "a file" / f"below{suffix}"}
 
 
 @pytest.mark.parametrize(("command", "work"), COMMANDS, ids=[" ".join(command[:2]) for command, _ in COMMANDS])
@@ -35,6 +35,6 @@ def test_a_place_that_cannot_be_is_refused_before_the_work(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr(work, lambda *_, **__: pytest.fail("the work was begun"))
-    for said, place in places(tmp_path).items():
+    for said, place in places(tmp_path, ".svg" if "render" in command else ".mat").items():
         assert run([*command, "--out", str(place)]) == 2
         assert said in capsys.readouterr().err

@@ -13,6 +13,7 @@ from rich.table import Table
 from twodof.cli.output import Json, print_json, table_console
 from twodof.flight.gains import Gains, load_gains
 from twodof.flightlog.files import read_log
+from twodof.report.flight_view import failsafe_bands
 from twodof.sim.replay import replay as replay_log
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
@@ -20,6 +21,8 @@ app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
 # The right gains leave less than 1e-5, in float32 too; a gain that is 1 % off leaves some 1e-2 of its loop's output.
 _OTHER_GAINS = 1e-3
+# Of what the failsafe did.
+_SHOWN = 5
 
 
 class Precision(StrEnum):
@@ -51,7 +54,11 @@ def replay(
         sys.stderr.write(
             f"note: a controller of one's own flew ({', '.join(own)}), and the stock cascade is compared\n"
         )
-    if any(difference > _OTHER_GAINS for difference in result.nrms.values()):
+    bands = failsafe_bands(log)
+    if bands:
+        what = ", ".join(f"{band.start:.2f} to {band.stop:.2f} s {band.label}" for band in bands[:_SHOWN])
+        sys.stderr.write(f"note: the failsafe acted, whose set-points are not in the log: {what}\n")
+    elif any(difference > _OTHER_GAINS for difference in result.nrms.values()):
         sys.stderr.write(f"note: not the gains it was flown with? these are: {gains}; --gains takes others\n")
     if json:
         print_json(result.to_json())
