@@ -2,12 +2,14 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from twodof.cli.app import run
 from twodof.experiment.flight import Laboratory
-from twodof.flightlog.files import write_log
+from twodof.flightlog.files import read_log, write_log
+from twodof.flightlog.log import FlightLog
 
 
 def test_the_document_has_the_agreed_form_and_the_law_is_found_again(
@@ -70,3 +72,17 @@ def test_bad_gains_are_the_callers_mistake(
     out, err = capfd.readouterr()
     assert out == ""
     assert gains in err.replace("\n", "")
+
+
+@pytest.mark.parametrize("noted", [{"drone": 3}, {"controllers": 3}, {"controllers": ["\x1b[31mred", 4]}])
+def test_what_somebody_else_noted_does_not_end_it(
+    noted: dict[str, Any], flight_data: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    flown = read_log(flight_data / "attitude-steps-10deg-default.mat")
+    log = str(tmp_path / "theirs.mcap")
+    write_log(FlightLog(flown.channels, noted), log)
+    assert run(["replay", log, "--json"]) == 0
+    out, err = capfd.readouterr()
+    assert set(json.loads(out)["nrms"]) == {"M", "q0"}
+    assert "\x1b" not in err
+    assert ("a controller of one's own flew" in err) is ("controllers" in noted)

@@ -95,7 +95,13 @@ def test_what_a_log_says_of_its_gains_is_read_back() -> None:
 
 @pytest.mark.parametrize(
     "provenance",
-    [{}, {"parameters": []}, {"parameters": {"RATE_KP": "much"}}, {"ulog": {}, "parameters": {"MC_PITCH_P": 6.5}}],
+    [
+        {},
+        {"parameters": []},
+        {"drone": 3},
+        *({"parameters": {"RATE_KP": value}} for value in ("much", True, None, -1.0, 1e300, 10**400, float("nan"))),
+        {"ulog": {}, "parameters": {"MC_PITCH_P": 6.5}},
+    ],
 )
 def test_a_log_that_does_not_say_its_gains_has_none(provenance: dict[str, Any]) -> None:
     assert Gains.flown(provenance) is None

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from twodof.cli.output import Json, print_json, table_console
+from twodof.cli.output import Json, print_json, printable, table_console
 from twodof.cli.plot import draw
 from twodof.errors import LogError
 from twodof.flightlog.contents import describe
@@ -77,9 +77,9 @@ def _flown(log: FlightLog) -> Iterator[str]:
     flown, drone = (found if isinstance(found, dict) else {} for found in (flown, drone))
     controller = flown.get("controller") or drone.get("controller")
     if controller:
-        yield f"controller: {_shown(controller)}"
+        yield f"controller: {printable(controller)}"
     if flown.get("reason"):
-        yield f"broken off: {_shown(flown['reason'])}"
+        yield f"broken off: {printable(flown['reason'])}"
 
 
 def _said(log: FlightLog) -> Iterator[str]:
@@ -88,12 +88,7 @@ def _said(log: FlightLog) -> Iterator[str]:
     for row in texts if isinstance(texts, list) else ():
         match row:
             case [int() | float() as time, str() | int() as severity, str() as text]:
-                yield f"{time:10.3f} s  {_shown(severity)}: {_shown(text)}"
-
-
-def _shown(text: object) -> str:
-    """On one line, without what a terminal would act on."""
-    return "".join(c if c.isprintable() else " " for c in str(text))
+                yield f"{time:10.3f} s  {printable(severity)}: {printable(text)}"
 
 
 def _experiment(found: dict[str, Any]) -> str:

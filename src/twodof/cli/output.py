@@ -37,6 +37,11 @@ def print_json_line(document: Any) -> None:
         reader_has_left()
 
 
+def printable(text: object) -> str:
+    """What somebody else's file says, on one line and without what a terminal would act on."""
+    return "".join(c if c.isprintable() else " " for c in str(text))
+
+
 def reader_has_left() -> None:
     """Whoever read stdout has left (`twodof ... | head`): what else is printed goes nowhere."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

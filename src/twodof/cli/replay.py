@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from twodof.cli.output import Json, print_json, table_console
+from twodof.cli.output import Json, print_json, printable, table_console
 from twodof.flight.gains import Gains, load_gains
 from twodof.flightlog.files import read_log
 from twodof.report.flight_view import failsafe_bands
@@ -49,11 +49,11 @@ def replay(
     said = Gains.flown(log.provenance) if gains is None else None
     gains = gains or ("default" if said is None else "that the log says")
     result = replay_log(log, load_gains(gains) if said is None else said, precision.value)
-    own = log.provenance.get("controllers") or (log.provenance.get("drone") or {}).get("controllers")
+    drone = log.provenance.get("drone")
+    own = log.provenance.get("controllers") or (drone.get("controllers") if isinstance(drone, dict) else None)
     if own:
-        sys.stderr.write(
-            f"note: a controller of one's own flew ({', '.join(own)}), and the stock cascade is compared\n"
-        )
+        names = printable(", ".join(map(str, own)) if isinstance(own, dict | list) else own)
+        sys.stderr.write(f"note: a controller of one's own flew ({names}), and the stock cascade is compared\n")
     bands = failsafe_bands(log)
     if bands:
         what = ", ".join(f"{band.start:.2f} to {band.stop:.2f} s {band.label}" for band in bands[:_SHOWN])

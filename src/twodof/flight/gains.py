@@ -18,6 +18,7 @@ from twodof.parameters import PARAMETERS, PRESETS
 
 _NAMES = ("RATE_KP", "RATE_KI", "RATE_KD", "ATT_KP", "VEL_KP", "VEL_KI", "POS_KP")
 """What the drone calls the gains, in the order of `Gains.parameters`."""
+_LARGEST = float(np.finfo(np.float32).max)
 _SHAPE = '{"rate": [Kp, Ki, Kd], "attitude": Kp, "velocity": [Kp, Ki], "position": Kp}'
 
 
@@ -73,7 +74,7 @@ class Gains:
         known = provenance.get("parameters", drone.get("parameters") if isinstance(drone, Mapping) else None)
         if not isinstance(known, Mapping) or ("ulog" in provenance and not set(_NAMES) <= set(known)):
             return None
-        if not all(isinstance(known.get(name, 0.0), int | float) for name in _NAMES):
+        if not all(_is_gain(known.get(name, 0.0)) for name in _NAMES):
             return None
         defaults = {row.name: row.default for row in PARAMETERS}
         # The shortest decimal of a float32 is what was set.
@@ -104,6 +105,11 @@ class Gains:
         (attitude,) = _numbers([data["attitude"]], 1, f"{where}: attitude")
         (position,) = _numbers([data["position"]], 1, f"{where}: position")
         return cls((kp, ki, kd), attitude, (velocity_kp, velocity_ki), position)
+
+
+def _is_gain(value: object) -> bool:
+    """Whether it is a number that float32 carries and a gain may be."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and 0.0 <= value <= _LARGEST
 
 
 def _preset(name: str) -> Gains:
