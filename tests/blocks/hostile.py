@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 from tests.blocks.samples import Gain, chain
@@ -156,58 +157,67 @@ def gains(count: int) -> bytes:
 
 
 WIDE = {"name": "u", "width": 10**6}
-TOO_LARGE: dict[str, tuple[bytes, str]] = {
-    "a delay of 10^9 steps": (library("delay", samples=10**9, bound=10**9), "within 1 .. "),
-    "a state of 10^9 values": (custom(states=[{"name": "ring", "width": 10**9}]), "more than 1000000 values"),
-    "a state of 10^39 values": (custom(states=[{"name": "ring", "width": 10**39}]), "more than 1000000 values"),
-    "10^6 blocks": (gains(10**6), "bytes of diagram"),
-    "120,000 blocks": (
-        file(parts=[{"name": f"g{k}", "block": {"type": "gain"}} for k in range(120_000)]),
-        "more than 10000 parts",
-    ),
-    "a table of a gigabyte": (
-        custom(
-            params=[{"name": "k", "width": 10**6, "value": 1}, *({"name": f"k{i}", "width": 10**6} for i in range(3))]
+
+
+def too_large() -> dict[str, tuple[bytes, str]]:
+    """Files that are refused for their size; made when they are asked for, as they are hundreds of megabytes."""
+    return {
+        "a delay of 10^9 steps": (library("delay", samples=10**9, bound=10**9), "within 1 .. "),
+        "a state of 10^9 values": (custom(states=[{"name": "ring", "width": 10**9}]), "more than 1000000 values"),
+        "a state of 10^39 values": (custom(states=[{"name": "ring", "width": 10**39}]), "more than 1000000 values"),
+        "10^6 blocks": (gains(10**6), "bytes of diagram"),
+        "120,000 blocks": (
+            file(parts=[{"name": f"g{k}", "block": {"type": "gain"}} for k in range(120_000)]),
+            "more than 10000 parts",
         ),
-        "more than 1000000 values",
-    ),
-    "a table as long as a file may be": (library("playback", values=[1] * 2_500_000), "more than 100000 numbers"),
-    "a matrix of 90,000 numbers": (library("matrix_gain", K=[[1] * 300] * 300), "more than 1000000 operations"),
-    "a delay of wide samples": (library("delay", samples=4, width=70_000), "too many operations"),
-    "wide arrays side by side": (library("concatenate", widths=[150_000] * 3), "too many operations"),
-    "100,000 inputs": (custom(inputs=[{"name": f"u{k}"} for k in range(100_000)]), "at most 1000|more than 100000"),
-    "90,000 inputs of a diagram": (
-        file(inputs=[{"name": f"u{k}"} for k in range(110_000)]),
-        "more than 100000 ports",
-    ),
-    "arrays that are copied": (
-        file(
-            inputs=[WIDE],
-            parts=[{"name": "h", "block": {"type": "unit_delay", "config": {"width": 10**6}}} for _ in range(5)],
+        "a table of a gigabyte": (
+            custom(
+                params=[
+                    {"name": "k", "width": 10**6, "value": 1},
+                    *({"name": f"k{i}", "width": 10**6} for i in range(3)),
+                ]
+            ),
+            "more than 1000000 values",
         ),
-        "more than 1000000 values|used twice",
-    ),
-    "lists within lists": (library("lookup", values=[[[[[[[1]]]]]]]), "more than 4 lists"),
-    "empty lists": (raw('{"name": "d", "parts": [' + "[]," * 2_700_000 + "[]]}"), "is no part"),
-    "empty objects": (raw('{"name": "d", "parts": [' + "{}," * 2_700_000 + "{}]}"), "'name' is missing"),
-    "an object of a million keys": (
-        raw('{"name": "d", ' + ", ".join(f'"{k:x}":0' for k in range(700_000)) + "}"),
-        "unknown key",
-    ),
-    "a name of 8 MB": (file(name="a" * 8_000_000), "is no name"),
-    "a text of 8 MB": (file(text="a" * 8_000_000), "a text of 8000000 characters"),
-    "a unit of 1 MB": (file(inputs=[{"name": "u", "unit": "m" * 10**6}]), "a text of 1000000 characters"),
-    "an argument of 1 MB": (library("sum", signs="+" * 10**6), "a text of 1000000 characters"),
-    "sub-diagrams 900 deep": (file(**nested(200)), "nested more than 64"),
-    "sub-diagrams 10^5 deep": (
-        raw('{"name":"a","parts":[{"name":"b","diagram":' * 100_000 + "{}" + "}]}" * 100_000),
-        "no JSON",
-    ),
-    "arrays 900 deep": (library("lookup", values=json.loads("[" * 900 + "]" * 900)), "lists within more than"),
-    "arrays 900 deep for a part": (file(parts=json.loads("[" * 900 + "]" * 900)), "is no part"),
-    "arrays 10^6 deep": (raw("[" * 10**6 + "]" * 10**6), "no JSON"),
-    "rates that multiply without end": (endless_rate(40, 2**31 - 1), "is impossible"),
-}
+        "a table as long as a file may be": (library("playback", values=[1] * 2_500_000), "more than 100000 numbers"),
+        "a matrix of 90,000 numbers": (library("matrix_gain", K=[[1] * 300] * 300), "more than 1000000 operations"),
+        "a delay of wide samples": (library("delay", samples=4, width=70_000), "too many operations"),
+        "wide arrays side by side": (library("concatenate", widths=[150_000] * 3), "too many operations"),
+        "100,000 inputs": (custom(inputs=[{"name": f"u{k}"} for k in range(100_000)]), "at most 1000|more than 100000"),
+        "90,000 inputs of a diagram": (
+            file(inputs=[{"name": f"u{k}"} for k in range(110_000)]),
+            "more than 100000 ports",
+        ),
+        "arrays that are copied": (
+            file(
+                inputs=[WIDE],
+                parts=[{"name": "h", "block": {"type": "unit_delay", "config": {"width": 10**6}}} for _ in range(5)],
+            ),
+            "more than 1000000 values|used twice",
+        ),
+        "lists within lists": (library("lookup", values=[[[[[[[1]]]]]]]), "more than 4 lists"),
+        "empty lists": (raw('{"name": "d", "parts": [' + "[]," * 2_700_000 + "[]]}"), "is no part"),
+        "empty objects": (raw('{"name": "d", "parts": [' + "{}," * 2_700_000 + "{}]}"), "'name' is missing"),
+        "an object of a million keys": (
+            raw('{"name": "d", ' + ", ".join(f'"{k:x}":0' for k in range(700_000)) + "}"),
+            "unknown key",
+        ),
+        "a name of 8 MB": (file(name="a" * 8_000_000), "is no name"),
+        "a text of 8 MB": (file(text="a" * 8_000_000), "a text of 8000000 characters"),
+        "a unit of 1 MB": (file(inputs=[{"name": "u", "unit": "m" * 10**6}]), "a text of 1000000 characters"),
+        "an argument of 1 MB": (library("sum", signs="+" * 10**6), "a text of 1000000 characters"),
+        "sub-diagrams 900 deep": (file(**nested(200)), "nested more than 64"),
+        "sub-diagrams 10^5 deep": (
+            raw('{"name":"a","parts":[{"name":"b","diagram":' * 100_000 + "{}" + "}]}" * 100_000),
+            "no JSON",
+        ),
+        "arrays 900 deep": (library("lookup", values=json.loads("[" * 900 + "]" * 900)), "lists within more than"),
+        "arrays 900 deep for a part": (file(parts=json.loads("[" * 900 + "]" * 900)), "is no part"),
+        "arrays 10^6 deep": (raw("[" * 10**6 + "]" * 10**6), "no JSON"),
+        "rates that multiply without end": (endless_rate(40, 2**31 - 1), "is impossible"),
+    }
+
+
 ENDLESS: dict[str, tuple[bytes, str]] = {
     "loops that share loops": (shared_loops(400), "nested more than 8|more than 50000 operations"),
     "seven loops of a million": (loops([10**6 - 1] * 7), "a step of more than 1000000 operations"),
@@ -369,13 +379,17 @@ MALFORMED: dict[str, tuple[bytes, str]] = {
         "leads back to itself",
     ),
 }
-# What is allowed, and large: it must stay bounded all the same.
-LARGE: dict[str, bytes] = {
-    "a chain of 45,000 doublings": doubling(45_000),
-    "10,000 gains": gains(10_000),
-    "a loop of 140,000 rounds": loops([140_000]),
-    "64 sub-diagrams": file(**nested(60)),
-    "a table of 90,000 numbers": library("playback", values=[0.1, 0.2] * 45_000, period=0.01),
-    "a state of 900,000 values": custom(states=[{"name": "ring", "width": 900_000}]),
-    "300 outputs of one graph": shared_outputs(300, 100),
-}
+
+
+@cache
+def large() -> dict[str, bytes]:
+    """What is allowed, and large: it must stay bounded all the same."""
+    return {
+        "a chain of 45,000 doublings": doubling(45_000),
+        "10,000 gains": gains(10_000),
+        "a loop of 140,000 rounds": loops([140_000]),
+        "64 sub-diagrams": file(**nested(60)),
+        "a table of 90,000 numbers": library("playback", values=[0.1, 0.2] * 45_000, period=0.01),
+        "a state of 900,000 values": custom(states=[{"name": "ring", "width": 900_000}]),
+        "300 outputs of one graph": shared_outputs(300, 100),
+    }

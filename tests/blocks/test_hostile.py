@@ -6,23 +6,22 @@ import re
 from pathlib import Path
 
 from tests.blocks.door import MEMORY, SECONDS, judge
-from tests.blocks.hostile import ENDLESS, LARGE, MALFORMED, NAMES, TOO_LARGE, named
-
-REFUSED = {**TOO_LARGE, **ENDLESS, **MALFORMED}
+from tests.blocks.hostile import ENDLESS, MALFORMED, NAMES, large, named, too_large
 
 
 def test_a_hostile_file_is_refused_with_a_reason_in_two_seconds_and_a_gigabyte(tmp_path: Path) -> None:
-    found = judge({name: data for name, (data, _) in REFUSED.items()}, tmp_path)
+    refused = {**too_large(), **ENDLESS, **MALFORMED}
+    found = judge({name: data for name, (data, _) in refused.items()}, tmp_path)
     wrong = []
     for name, row in found.items():
-        good = row["error"] == "DiagramError" and re.search(REFUSED[name][1], row["text"]) and row["long"] < 1000
+        good = row["error"] == "DiagramError" and re.search(refused[name][1], row["text"]) and row["long"] < 1000
         if not good or row["seconds"] > SECONDS or row["bytes"] > MEMORY:
             wrong.append((name, row))
     assert not wrong
 
 
 def test_what_is_large_and_allowed_stays_bounded(tmp_path: Path) -> None:
-    found = judge(LARGE, tmp_path)
+    found = judge(large(), tmp_path)
     assert not [(name, row) for name, row in found.items() if row["stage"] != "compiled" or row["bytes"] > MEMORY]
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.blocks.door import connected
-from tests.blocks.hostile import LARGE, custom, loops
+from tests.blocks.hostile import custom, large, loops
 from tests.blocks.mutations import mutants, retouched
 from tests.compile.differential import DT, Case, differences, emitted, reference_run
 from tests.compile.random_diagrams import Maker
@@ -68,7 +68,7 @@ def test_many_mutated_files_that_load_run_within_their_fuel(seed: int) -> None:
 
 @pytest.mark.parametrize("name", ["a table of 90,000 numbers", "a state of 900,000 values", "300 outputs of one graph"])
 def test_the_largest_that_is_let_in_runs_in_the_sandbox(name: str) -> None:
-    d = connected(from_json(LARGE[name]))
+    d = connected(from_json(large()[name]))
     build(d, DT, target="wasm", optimise="-O1").machine().run(20)
 
 
