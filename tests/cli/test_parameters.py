@@ -1,18 +1,23 @@
 """`twodof parameters`: what can be tuned on a drone is seen, found by path, set together or not at all."""
 
 import json
+import re
 from typing import Any
 
 import pytest
+from rich.console import Console
 
 from tests.experiment.drones import drone_thread
+from twodof.cli import parameters
 from twodof.cli.app import run
 from twodof.gcs.drone import Drone
 
 PATH, NAME = "attitude_control.k_q", "TLA_K_Q"
 
 
-def test_a_controller_is_tuned_from_the_shell(capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_controller_is_tuned_from_the_shell(
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     def said(*arguments: str, status: int = 0) -> Any:
         assert run(["parameters", "--url", url, *arguments]) == status
         told = capfd.readouterr()
@@ -21,6 +26,11 @@ def test_a_controller_is_tuned_from_the_shell(capfd: pytest.CaptureFixture[str])
     with drone_thread(controllers=["lqr-attitude"]) as url:
         assert len(said().splitlines()) == 1 + len(said("--json")["parameters"])
         assert said("--changed", "--json")["parameters"] == []
+        assert said("--changed") == "all are at their defaults\n"
+        assert "…" not in said()
+        monkeypatch.setattr(parameters, "table_console", lambda: Console(width=70))
+        assert re.search(rf"{NAME} +0.108704\d+ +0.108704\d+ +0 +1  s/rad", said())  # in a narrow terminal too
+        monkeypatch.undo()
         assert f"{NAME}    0.2  0.10870461     0     1  s/rad  {PATH}: " in said(f"{PATH}=0.2", "RATE_KP=0.07")
         assert {row["name"] for row in said("--changed", "--json")["parameters"]} == {NAME, "RATE_KP", "FC_PARAM_4"}
         (row,) = said(PATH, "--json")["parameters"]

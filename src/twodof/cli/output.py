@@ -78,7 +78,7 @@ def print_error(error: TwodofError) -> None:
 
 def table_console() -> Console:
     """The console for tables: as wide as the terminal, or wide enough for any table where there is none."""
-    width = None if sys.stdout.isatty() else 120
+    width = None if sys.stdout.isatty() else 1000
     return _TableConsole(highlight=False, soft_wrap=True, width=width)
 
 

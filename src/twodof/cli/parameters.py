@@ -58,9 +58,12 @@ def parameters(
     if json:
         print_json({"url": url, "set": changes, "parameters": rows})
         return
+    if changed and not rows:
+        table_console().print("all are at their defaults")
+        return
     table = Table("name", "value", "default", "from", "to", "unit", "is", box=None, pad_edge=False)
-    for column in table.columns:
-        column.no_wrap, column.overflow = True, "ellipsis"
+    for column in table.columns[:-1]:  # in a narrow terminal the words are broken, no name and no number is cut
+        column.no_wrap = True
     for column in table.columns[1:5]:
         column.justify = "right"
     for row in rows:
