@@ -194,7 +194,8 @@ def test_several_flights_say_how_far_they_spread(tmp_path: Path, capfd: pytest.C
     """Gusts push the rig `lab`, and output error looks for its noise at the sensor: one flight claims too much."""
     laboratory, logs = Laboratory("lab"), []
     for seed in (1, 2, 3, 4):
-        logs.append(str(tmp_path / f"flight{seed}.mat"))
+        (tmp_path / f"run-{seed}").mkdir()
+        logs.append(str(tmp_path / f"run-{seed}" / "doublet.mat"))
         write_log(laboratory.fly("doublet", seed).log, logs[-1])
     alone = answer(["identify", logs[0], "--experiment", "doublet"], capfd)
     assert any("wanders" in remark for remark in alone["remarks"])
@@ -202,6 +203,7 @@ def test_several_flights_say_how_far_they_spread(tmp_path: Path, capfd: pytest.C
     assert run(["identify", logs[0], "--experiment", "doublet"]) == 0
     assert "> 9" in capfd.readouterr().out, "the table says that the claim is a lower bound"
     together = answer(["identify", *logs, "--experiment", "doublet"], capfd)
+    assert [*together["flights"]] == logs, "files of one name are told apart by their folders"
     mu = together["repeated"]["mu"]
     each = [flight["estimates"]["mu"]["value"] for flight in together["flights"].values()]
     assert mu["spread"] == pytest.approx(np.std(each, ddof=1))
@@ -223,5 +225,6 @@ def test_several_flights_are_compared_with_each_other_only(
     arguments = ["identify", *map(str, pitch_logs), "--experiment", "doublet"]
     assert run([*arguments, *more]) == 2
     assert says in capfd.readouterr().err
-    assert run(["identify", str(pitch_logs[1]), str(pitch_logs[1]), "--experiment", "doublet"]) == 2
+    again = pitch_logs[1].parent / ".." / pitch_logs[1].parent.name / pitch_logs[1].name
+    assert run(["identify", str(pitch_logs[1]), str(again), "--experiment", "doublet"]) == 2
     assert "named twice" in capfd.readouterr().err

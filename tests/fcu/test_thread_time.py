@@ -56,6 +56,13 @@ def test_a_thread_that_waits_has_all_of_its_time() -> None:
         assert seen.own() == 1.0
 
 
+def test_one_that_has_ended_does_nothing_any_more() -> None:
+    """Who waits for its sign of life waits in vain, as for one that hangs."""
+    with thread(computes) as seen:
+        seen.own()
+    assert [seen.own(), seen.own()] == [1.0, 1.0]
+
+
 def test_one_that_computes_has_what_it_runs() -> None:
     with thread(computes) as seen:
         for _ in patiently():  # until others leave it half of some millisecond

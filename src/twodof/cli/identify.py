@@ -6,6 +6,7 @@ import json as json_text
 import math
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -114,6 +115,8 @@ def identify(
         for log in logs:
             _check_window(log, window)
     records = [cut(log, kind, window) for log in logs]
+    if len({record.name for record in records}) < len(records):  # run-1/doublet.mat run-2/doublet.mat
+        records = [replace(record, name=str(path)) for record, path in zip(records, files, strict=True)]
     others = [cut(read_log(path), kind) for path in validate or []]
     free = None if impulse is None else cut(read_log(impulse), KINDS["impulse"])
     found: SimplePitch | SimpleVelocity | Estimate | Repeated
@@ -187,7 +190,7 @@ def _check_several(
             where,
             "give one kind at a time",
         )
-    if len(set(files)) < len(files):
+    if len({path.resolve() for path in files}) < len(files):
         raise ParameterError("a log is named twice: its spread with itself is 0", where, "name each once")
     if method is Method.simple:
         raise ParameterError("by hand one log is read", where, "give one, and further doublets with --validate")

@@ -20,7 +20,7 @@ class ThreadTime:
     def own(self) -> float:
         """The part, 0 to 1, of the time since the last call that was the thread's own.
 
-        All of it where the thread waits for something now; where it would run, only what it ran.
+        All of it where the thread waits for something now, or has ended; where it would run, only what it ran.
         """
         now, ran = time.monotonic(), self._processor_time()
         passed, used = now - self._seen, ran - self._ran
@@ -30,8 +30,10 @@ class ThreadTime:
         return min(1.0, used / passed) if passed > 0.0 else 1.0
 
     def _processor_time(self) -> float:
-        """What it has used so far [s]."""
-        return 0.0 if self._clock is None else time.clock_gettime(self._clock)
+        """What it has used so far [s]; 0 once it has ended, or where that is not known."""
+        with suppress(OSError):
+            return 0.0 if self._clock is None else time.clock_gettime(self._clock)
+        return 0.0
 
     def _would_run(self) -> bool:
         """Whether it runs, or only lacks a processor; False where that is not known."""
