@@ -445,7 +445,8 @@ def test_a_serial_line_is_shared_fairly_and_survives_its_cable(tmp_path: Path, b
             flooder.send(encode(message("COMMAND_LONG", target_system=1, command=400), 7, 1, 0))
             await until(lambda: any(one.message_id == 76 and one.system == 7 for one in line.read()))
             assert sum(len(one.raw) for one in line.frames) < baud / 10 * (loop.time() - began + 0.1) + 300
-            assert sum(one.system == 8 for one in line.frames) >= sent - 1  # the last may still be on its way
+            # Not one of the modest is lost; after a stall several are still on their way.
+            await until(lambda: bool(line.read()) and sum(one.system == 8 for one in line.frames) == sent)
             assert companion.line.counts.crowded_out > 0
             line.pull()
             await until(lambda: companion.lost == 1)
