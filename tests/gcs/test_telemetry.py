@@ -2,6 +2,7 @@
 
 import asyncio
 from math import cos, nan, sin
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,9 +12,10 @@ from tests.faults.virtual_time import run_virtual
 from tests.gcs.peer import Peer
 from twodof.errors import LogError, Timeout
 from twodof.gcs.async_drone import AsyncDrone
-from twodof.gcs.batches import Rows
+from twodof.gcs.batches import BatchRows
 from twodof.gcs.decoding import DECODERS
 from twodof.gcs.telemetry import Sample
+from twodof.gcs.truth import TruthRows
 from twodof.link.messages import batch, channel_mask, message
 from twodof.signals import TOPICS
 
@@ -54,7 +56,7 @@ def test_every_topic_comes_from_some_message_or_batch() -> None:
 
 
 def test_rows_count_what_is_lost_and_keep_each_tick_once() -> None:
-    rows = Rows(("estimate.q",))
+    rows = BatchRows(("estimate.q",))
     mask = channel_mask(["estimate.q"])
     for first in (20, 0, 0, 35):
         (sent,) = batch(first, mask, np.arange(first, first + 10, dtype=np.float32)[:, None])
@@ -111,3 +113,15 @@ def test_a_signal_that_does_not_come_is_a_timeout_and_one_that_there_is_not_an_e
                 drone.telemetry("altitude")
 
     run_virtual(work())
+
+
+def test_true_states_are_in_order_and_each_once_whenever_one_looks() -> None:
+    rows = TruthRows()
+    came = [*range(7, 3000), 2999, 5, 3005]
+    for count, tick in enumerate(came):
+        rows.take(SimpleNamespace(step=tick, theta=0.1 * tick, q=0.0, x=0.0, v=-tick))
+        if count in (0, 1023, 1500):
+            assert len(rows) == count + 1
+    assert rows.ticks.tolist() == [5, *range(7, 3000), 3005]
+    assert rows.values[:, 3].tolist() == [-5.0, *(-float(tick) for tick in range(7, 3000)), -3005.0]
+    assert rows.lost == 1 + 5

@@ -12,7 +12,7 @@ from typing import Any
 from twodof.errors import ExperimentError, LogError, ParameterError, Rejected, Timeout, shown
 from twodof.excitation import Excitation
 from twodof.gcs import setpoints
-from twodof.gcs.batches import Rows
+from twodof.gcs.batches import BatchRows
 from twodof.gcs.connected import DEFAULT_URL as DEFAULT_URL
 from twodof.gcs.connected import TIMEOUT_S, Connected
 from twodof.gcs.deadline import Deadline
@@ -231,7 +231,7 @@ class AsyncDrone(Connected):
         self._needs_ours("excitations on board", "TWODOF_EXCITE")
         await self.exciter.stop(timeout)
 
-    def batch(self, columns: Iterable[str]) -> AbstractAsyncContextManager[Rows]:
+    def batch(self, columns: Iterable[str]) -> AbstractAsyncContextManager[BatchRows]:
         """Every sample of these columns of signals.TOPICS (`imu.gyro_y`) at the full rate, for `async with`.
 
         Raises LinkError for a column that is none.

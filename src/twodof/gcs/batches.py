@@ -7,11 +7,11 @@ from contextlib import asynccontextmanager, suppress
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from twodof.errors import LinkLost, Rejected, Timeout
 from twodof.gcs.commands import Commands
 from twodof.gcs.decoding import columns_of
+from twodof.gcs.rows import Rows
 from twodof.gcs.session import Session
 from twodof.link import dialect
 from twodof.link.messages import batch_rows, channel_mask
@@ -21,72 +21,20 @@ MESSAGE = "TWODOF_BATCH"
 TIMEOUT_S = 5.0
 LEAVING_S = 1.0
 _IN_DOUBT = -1
-MOST_ROWS = 4_000_000
-"""More than four hours; then the oldest half is let go and counted as lost."""
 
 
-class Rows:
-    """Rows of `columns` as they came: `ticks` (n,) uint32 rising, `values` (n, columns) float32, NaN: no new sample.
-
-    `lost` counts rows that are missing between the first and the last.
-    """
+class BatchRows(Rows[np.float32]):
+    """Rows of the columns that were asked for; NaN: no new sample."""
 
     def __init__(self, columns: tuple[str, ...]) -> None:
-        self.columns = columns
-        self.forgotten = 0
-        self._ticks: list[NDArray[np.uint32]] = []
-        self._values: list[NDArray[np.float32]] = []
-        self._count = 0
-
-    def __len__(self) -> int:
-        return len(self.ticks)
-
-    @property
-    def ticks(self) -> NDArray[np.uint32]:
-        """Tick of each row."""
-        return self._joined()[0]
-
-    @property
-    def values(self) -> NDArray[np.float32]:
-        """The samples, a column for each of `columns`, in their units."""
-        return self._joined()[1]
-
-    @property
-    def time(self) -> NDArray[np.float64]:
-        """The drone's time of each row [s]."""
-        return self.ticks.astype(np.float64) * TICK_S
-
-    @property
-    def lost(self) -> int:
-        """Rows that are missing."""
-        ticks = self.ticks
-        return self.forgotten + (int(ticks[-1]) - int(ticks[0]) + 1 - len(ticks) if len(ticks) else 0)
+        super().__init__(columns, np.float32)
 
     def take(self, got: Any) -> None:
         """A TWODOF_BATCH."""
         ticks, values = batch_rows(got)
         places = columns_of(got.channels)
         if len(ticks) and all(column in places for column in self.columns):
-            self._ticks.append(ticks)
-            self._values.append(values[:, [places[column] for column in self.columns]])
-            self._count += len(ticks)
-            if self._count > MOST_ROWS:
-                self._let_go()
-
-    def _let_go(self) -> None:
-        ticks, values = self._joined()
-        half = len(ticks) // 2
-        self.forgotten += half
-        self._ticks, self._values, self._count = [ticks[half:]], [values[half:]], len(ticks) - half
-
-    def _joined(self) -> tuple[NDArray[np.uint32], NDArray[np.float32]]:
-        """All in one piece, sorted, each tick once; kept so, so that asking again costs nothing."""
-        if len(self._ticks) != 1:
-            ticks = np.concatenate([np.empty(0, np.uint32), *self._ticks])
-            values = np.concatenate([np.empty((0, len(self.columns)), np.float32), *self._values])
-            ticks, first = np.unique(ticks, return_index=True)
-            self._ticks, self._values, self._count = [ticks], [values[first]], len(ticks)
-        return self._ticks[0], self._values[0]
+            self.append(ticks, values[:, [places[column] for column in self.columns]])
 
 
 class Batches:
@@ -120,9 +68,9 @@ class Batches:
                 del self._takers[key]
 
     @asynccontextmanager
-    async def rows(self, columns: Iterable[str]) -> AsyncIterator[Rows]:
+    async def rows(self, columns: Iterable[str]) -> AsyncIterator[BatchRows]:
         """Every row of these columns that comes meanwhile."""
-        rows = Rows(tuple(columns))
+        rows = BatchRows(tuple(columns))
         async with self.to(rows.columns, rows.take):
             yield rows
 

@@ -13,17 +13,16 @@ import numpy as np
 from twodof.errors import Rejected, TwodofError
 from twodof.excitation import Excitation
 from twodof.gcs.async_drone import AsyncDrone
-from twodof.gcs.batches import Rows
 from twodof.gcs.connected import DEFAULT_URL, LEAVING_S, TIMEOUT_S
 from twodof.gcs.discovery import Found, discover
 from twodof.gcs.exciting import Playback
 from twodof.gcs.faces import DroneFiles, DroneLogs, DroneRows, DroneSignal, Parameters
 from twodof.gcs.flies import Flies
 from twodof.gcs.recording import Recording
+from twodof.gcs.rows import Kind, Rows
 from twodof.gcs.runner import Runner
 from twodof.gcs.state import Battery, State
 from twodof.gcs.texts import Text
-from twodof.gcs.truth import TruthRows
 from twodof.gcs.version import Version
 from twodof.link.key import Key
 from twodof.link.statistics import LinkStatistics
@@ -257,10 +256,10 @@ class Drone:
 
     def batch(self, columns: Iterable[str]) -> AbstractContextManager[DroneRows[np.float32]]:
         """Every sample of these columns of signals.TOPICS (`imu.gyro_y`) at the full rate, for `with`."""
-        return self._batch(self.there.batch(columns))
+        return self._rows(self.there.batch(columns))
 
     @contextmanager
-    def _batch(self, manager: AbstractAsyncContextManager[Rows]) -> Iterator[DroneRows[np.float32]]:
+    def _rows(self, manager: AbstractAsyncContextManager[Rows[Kind]]) -> Iterator[DroneRows[Kind]]:
         with self._within(manager) as rows:
             yield DroneRows(rows, self._runner)
 
@@ -270,12 +269,7 @@ class Drone:
 
     def truth(self) -> AbstractContextManager[DroneRows[np.float64]]:
         """The true theta, q, x, v of a virtual rig at the full rate, for `with`. Raises Rejected by a real drone."""
-        return self._truth(self.there.truth())
-
-    @contextmanager
-    def _truth(self, manager: AbstractAsyncContextManager[TruthRows]) -> Iterator[DroneRows[np.float64]]:
-        with self._within(manager) as rows:
-            yield DroneRows(rows, self._runner)
+        return self._rows(self.there.truth())
 
     def record(
         self, path: str | Path, topics: Iterable[str] | None = None, provenance: Mapping[str, object] | None = None

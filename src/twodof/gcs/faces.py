@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, MutableMapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,12 +15,12 @@ from twodof.gcs.files import FileEntry, Files
 from twodof.gcs.log_download import LogEntry, Logs
 from twodof.gcs.parameter_entry import Described, Entry
 from twodof.gcs.parameters import AsyncParameters
+from twodof.gcs.rows import Kind, Rows
 from twodof.gcs.runner import Runner
 from twodof.gcs.telemetry import QUEUE, Callback, Sample, Signal, Stream, Value
 
 TIMEOUT_S = 5.0
 T = TypeVar("T")
-F_co = TypeVar("F_co", bound=np.floating[Any], covariant=True)
 
 
 class Parameters(MutableMapping[str, float]):
@@ -151,35 +151,12 @@ class DroneSignal:
             yield self._runner.run(stream.next())
 
 
-class RowsThere(Protocol[F_co]):
-    """`Rows` or `TruthRows`, in the drone's thread."""
+class DroneRows(Generic[Kind]):
+    """`Rows` in the drone's thread: `ticks` (n,) uint32, `values` (n, columns)."""
 
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """What the columns are."""
-
-    @property
-    def ticks(self) -> NDArray[np.uint32]:
-        """Tick of each row."""
-
-    @property
-    def values(self) -> NDArray[F_co]:
-        """The samples."""
-
-    @property
-    def time(self) -> NDArray[np.float64]:
-        """The drone's time of each row [s]."""
-
-    @property
-    def lost(self) -> int:
-        """Rows that are missing."""
-
-
-class DroneRows(Generic[F_co]):
-    """Rows of full-rate samples: `ticks` (n,) uint32, `values` (n, columns) float32, NaN where there is no new one."""
-
-    def __init__(self, there: RowsThere[F_co], runner: Runner) -> None:
-        self._there, self._runner = there, runner
+    def __init__(self, there: Rows[Kind], runner: Runner) -> None:
+        self._there: Rows[Kind] = there
+        self._runner = runner
         self.columns = there.columns
 
     def __len__(self) -> int:
@@ -193,7 +170,7 @@ class DroneRows(Generic[F_co]):
         return self._ask(lambda: self._there.ticks)
 
     @property
-    def values(self) -> NDArray[F_co]:
+    def values(self) -> NDArray[Kind]:
         """The samples, a column for each of `columns`, in their units."""
         return self._ask(lambda: self._there.values)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
 from typing import Any
@@ -13,60 +12,39 @@ from numpy.typing import NDArray
 from twodof.errors import LinkLost, Rejected, Timeout
 from twodof.gcs.commands import Commands
 from twodof.gcs.deadline import Deadline
+from twodof.gcs.rows import Rows
 from twodof.gcs.session import Session
 from twodof.link import dialect
-from twodof.link.tick import TICK_S, TICK_US
+from twodof.link.tick import TICK_US
 
 MESSAGE = "TWODOF_TRUTH"
 TIMEOUT_S = 5.0
 LEAVING_S = 1.0
-MOST_ROWS = 4_000_000
-"""More than four hours; then the oldest are let go."""
+_PIECE = 1024
 
 
-class TruthRows:
-    """True states as they came: `ticks` (n,) uint32 rising, `values` (n, 4) float64, of theta, q, x, v in SI units.
-
-    The state of a tick is that which the sensors measure in it, before its command acts.
-    """
-
-    columns = ("truth.theta", "truth.q", "truth.x", "truth.v")
+class TruthRows(Rows[np.float64]):
+    """True states, of theta, q, x, v: that which the sensors measure in a tick, before its command acts."""
 
     def __init__(self) -> None:
-        self._rows: deque[tuple[int, float, float, float, float]] = deque(maxlen=MOST_ROWS)
-
-    def __len__(self) -> int:
-        return len(self.ticks)
-
-    @property
-    def ticks(self) -> NDArray[np.uint32]:
-        """Tick of each row."""
-        return self._sorted()[0]
-
-    @property
-    def values(self) -> NDArray[np.float64]:
-        """The states, a column for each of `columns`."""
-        return self._sorted()[1]
-
-    @property
-    def time(self) -> NDArray[np.float64]:
-        """The drone's time of each row [s]."""
-        return self.ticks.astype(np.float64) * TICK_S
-
-    @property
-    def lost(self) -> int:
-        """Rows that are missing between the first and the last."""
-        ticks = self.ticks
-        return int(ticks[-1]) - int(ticks[0]) + 1 - len(ticks) if len(ticks) else 0
+        super().__init__(("truth.theta", "truth.q", "truth.x", "truth.v"), np.float64)
+        self._new: list[tuple[int, float, float, float, float]] = []
 
     def take(self, got: Any) -> None:
         """A TWODOF_TRUTH."""
-        self._rows.append((got.step, got.theta, got.q, got.x, got.v))
+        self._new.append((got.step, got.theta, got.q, got.x, got.v))
+        if len(self._new) == _PIECE:  # a state alone would take ten times its room
+            self._put_away()
 
-    def _sorted(self) -> tuple[NDArray[np.uint32], NDArray[np.float64]]:
-        rows = np.array(self._rows, dtype=np.float64).reshape(-1, 1 + len(self.columns))
-        ticks, first = np.unique(rows[:, 0].astype(np.uint32), return_index=True)
-        return ticks, rows[first, 1:]
+    def _put_away(self) -> None:
+        rows = np.array(self._new, dtype=np.float64)
+        self._new = []
+        self.append(rows[:, 0].astype(np.uint32), rows[:, 1:])
+
+    def _joined(self) -> tuple[NDArray[np.uint32], NDArray[np.float64]]:
+        if self._new:
+            self._put_away()
+        return super()._joined()
 
 
 class Truth:
