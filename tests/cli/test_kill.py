@@ -27,7 +27,7 @@ def test_a_drone_that_another_one_flies_is_stopped_with_the_key_alone(
             capfd.readouterr()
             assert run(["kill", "--url", url, "--key", str(file), "--json"]) == 0
             said = json.loads(capfd.readouterr().out)
-            assert (said["was_armed"], said["killed"]) == (True, True)
+            assert (said["was_armed"], said["held"]) == (True, True)
             with pytest.raises(Rejected, match="it was killed"):
                 pilot.run(PATIENCE_S)  # what streams set-points is told so
             assert not pilot.state.armed
@@ -45,7 +45,7 @@ def test_a_drone_that_another_one_flies_is_stopped_with_the_key_alone(
         for was in (True, False):
             assert run(["kill", "--release", "--url", url, "--key", str(file), "--json"]) == 0
             said = json.loads(capfd.readouterr().out)
-            assert said == {"url": url, "was_killed": was, "killed": False}
+            assert said == {"url": url, "was_held": was, "held": False}
         with Drone.connect(url, key=made) as again:
             again.arm()
 

@@ -36,7 +36,7 @@ def kill(
         before = there.state
         there.kill()
     if json:
-        print_json({"url": url, "was_armed": before.armed, "mode": before.mode, "killed": there.state.killed})
+        print_json({"url": url, "was_armed": before.armed, "mode": before.mode, "held": there.state.killed})
     else:
         was = f"it was armed, in mode {before.mode}" if before.armed else "it was not armed"
         until = f", and held so until released: twodof kill --release --url {url}" if there.state.killed else ""
@@ -49,6 +49,6 @@ def _release(url: str, drone: int | None, key: Path | None, json: bool) -> None:
         before = there.state
         there.release()
     if json:
-        print_json({"url": url, "was_killed": before.killed, "killed": there.state.killed})
+        print_json({"url": url, "was_held": before.killed, "held": there.state.killed})
     else:
         table_console().print("released: it may be armed again" if before.killed else "it was not killed", markup=False)
