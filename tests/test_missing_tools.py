@@ -69,7 +69,7 @@ def test_without_anything_native_runs_slowly_and_the_others_name_their_packages(
     assert "ziglang" in warned[0]
     assert "gcc" in warned[0]
     assert said["wasm"][0] == said["cortex-m7"][0] == "CompileError"
-    assert "pip install ziglang" in said["wasm"][1]
+    assert "pip install wasmtime ziglang" in said["wasm"][1]
     assert "gcc-arm-none-eabi" in said["cortex-m7"][1]
 
 

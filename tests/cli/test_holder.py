@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import socket
-from contextlib import closing
+from contextlib import ExitStack, closing
+from pathlib import Path
 
 import pytest
 
@@ -25,6 +26,16 @@ def test_the_process_that_has_a_port_is_named(kind: str, type_: int) -> None:
             ours.listen(1)
         assert holder(kind, port).startswith(f"process {os.getpid()} (")
     assert holder(kind, port) == ""
+
+
+def test_descriptors_that_are_closed_meanwhile_hide_nobody() -> None:
+    """As the one with which they are listed, below or above that of the socket."""
+    with ExitStack() as stack:
+        below = stack.enter_context(Path("/dev/null").open())
+        ours = stack.enter_context(closing(socket.socket(type=socket.SOCK_DGRAM)))
+        ours.bind(("127.0.0.1", 0))
+        below.close()
+        assert holder("UDP", ours.getsockname()[1]).startswith(f"process {os.getpid()} (")
 
 
 def test_a_port_that_is_taken_is_told_with_who_has_it(capfd: pytest.CaptureFixture[str]) -> None:

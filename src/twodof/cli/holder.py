@@ -58,11 +58,18 @@ def _process(socket: str) -> str:
     wanted = Path(socket)
     for folder in _PROC.glob("[0-9]*"):
         with suppress(OSError):
-            if any(one.readlink() == wanted for one in (folder / "fd").iterdir()):
+            if any(_link(one) == wanted for one in (folder / "fd").iterdir()):
                 if _CHILD in _words(folder):  # whoever started it would start it again
                     folder = _PROC / (folder / "stat").read_text().rpartition(")")[2].split()[1]
                 return f"process {folder.name} ({_command(folder)})"
     return ""
+
+
+def _link(descriptor: Path) -> Path | None:
+    """What a descriptor is of; None for one that was closed meanwhile, as that is with which they are listed."""
+    with suppress(OSError):
+        return descriptor.readlink()
+    return None
 
 
 def _words(folder: Path) -> list[str]:
