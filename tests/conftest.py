@@ -1,6 +1,7 @@
 """What every test may ask for: the real flight logs; hypothesis runs that give the same examples twice; their order."""
 
 import os
+import signal
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,11 @@ PROJECT = Path(__file__).resolve().parents[1]
 # A shared, loaded machine must not turn a slow example into a failure; the same examples every run.
 settings.register_profile("twodof", deadline=None, derandomize=True, print_blob=True)
 settings.load_profile("twodof")
+
+# Who starts a shell's job in the background, or by nohup, has Ctrl-C ignored in all that it starts, the programs here
+# that are to be ended by it too.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -16,6 +16,7 @@ import pytest
 import typer
 
 from tests.patience import PATIENCE_S
+from tests.processes import started
 from twodof.cli.app import COMMANDS, app, run, status_of
 from twodof.errors import CompileError, ExperimentError, IdentificationError, LogError
 from twodof.flightlog.files import read_log, write_log
@@ -129,9 +130,8 @@ def test_ctrl_c_leaves_no_half_written_file_and_exits_130(tmp_path: Path) -> Non
         sys.argv[1:] = ["log"]
         main()
     """
-    with subprocess.Popen(
-        [sys.executable, "-c", textwrap.dedent(code)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as process:
+    command = [sys.executable, "-c", textwrap.dedent(code)]
+    with started(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == "writing\n"
         process.send_signal(signal.SIGINT)

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.patience import PATIENCE_S, patiently
+from tests.processes import started
 from twodof.errors import LogError
 from twodof.flightlog.atomic import atomic_write
 
@@ -73,10 +74,11 @@ def test_ctrl_c_in_a_running_program_leaves_no_file(tmp_path: Path) -> None:
         "    file.flush()\n"
         "    time.sleep(1000)\n"
     )
-    child = subprocess.Popen([sys.executable, "-c", program, str(tmp_path / "log.csv")], stderr=subprocess.DEVNULL)
-    for _ in patiently():
-        if any(one.stat().st_size for one in tmp_path.iterdir()):
-            break
-    child.send_signal(signal.SIGINT)
-    assert child.wait(timeout=PATIENCE_S) != 0
+    command = [sys.executable, "-c", program, str(tmp_path / "log.csv")]
+    with started(command, stderr=subprocess.DEVNULL) as child:
+        for _ in patiently():
+            if any(one.stat().st_size for one in tmp_path.iterdir()):
+                break
+        child.send_signal(signal.SIGINT)
+        assert child.wait(timeout=PATIENCE_S) != 0
     assert list(tmp_path.iterdir()) == []
