@@ -2,6 +2,7 @@
 
 import asyncio
 import gc
+import inspect
 import os
 import signal
 import sys
@@ -85,6 +86,36 @@ def test_what_is_to_finish_is_finished_though_ctrl_c_comes(finish: bool) -> None
         with pytest.raises(KeyboardInterrupt):
             runner.run(work(), finish=finish)
         assert done == [True] * finish
+    finally:
+        runner.close()
+
+
+@pytest.mark.parametrize("handed_over", [True, False])
+@pytest.mark.parametrize("finish", [True, False])
+def test_and_when_it_comes_while_the_work_is_handed_over(
+    handed_over: bool, finish: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    runner, done = Runner("test"), []
+
+    async def work() -> None:
+        await asyncio.sleep(0.05)
+        done.append(True)
+
+    hand_over = runner._loop.call_soon_threadsafe
+
+    def interrupted(*what: Any) -> None:
+        monkeypatch.undo()
+        if handed_over:
+            hand_over(*what)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(runner._loop, "call_soon_threadsafe", interrupted)
+    try:
+        what = work()
+        with pytest.raises(KeyboardInterrupt):
+            runner.run(what, finish=finish)
+        assert done == [True] * finish
+        assert inspect.getcoroutinestate(what) == inspect.CORO_CLOSED
     finally:
         runner.close()
 

@@ -6,7 +6,6 @@ import asyncio
 import atexit
 import threading
 from collections.abc import Callable, Coroutine
-from concurrent.futures import CancelledError
 from contextlib import suppress
 from typing import Any, TypeVar
 from weakref import WeakMethod
@@ -44,24 +43,38 @@ class Runner:
                 raise RuntimeError("a callback cannot wait for the drone: set something that the script sees")
             raise LinkLost("the drone was closed", self._where, "connect again")
         ended = threading.Event()
+        tasks: list[asyncio.Task[T]] = []
 
-        async def watched() -> T:
-            try:
-                return await work
-            finally:
+        def begin() -> None:
+            if not tasks:
+                tasks.append(self._loop.create_task(work))
+                tasks[0].add_done_callback(lambda _: ended.set())
+
+        def cancel() -> None:
+            if tasks:
+                tasks[0].cancel()
+            else:
+                work.close()
                 ended.set()
 
-        future = asyncio.run_coroutine_threadsafe(watched(), self._loop)
         try:
-            return future.result()
-        except CancelledError:
-            raise LinkLost("the drone was closed meanwhile", self._where, "connect again") from None
+            self._loop.call_soon_threadsafe(begin)
+            while not ended.wait(CLOSING_S):
+                if not self.alive:
+                    break
         except BaseException:
-            # Ctrl-C: what was under way puts its things in order before anything else is asked.
-            if not finish:
-                future.cancel()
+            # Ctrl-C, before it was handed over, meanwhile or after: what is to finish is begun if it was not, what is
+            # not puts its things in order before anything else is asked.
+            with suppress(RuntimeError):  # it was closed meanwhile
+                self._loop.call_soon_threadsafe(begin if finish else cancel)
             ended.wait(CLOSING_S)
             raise
+        try:
+            if ended.is_set():
+                return tasks[0].result()
+        except asyncio.CancelledError:
+            pass
+        raise LinkLost("the drone was closed meanwhile", self._where, "connect again")
 
     def call(self, work: Callable[[], T]) -> T:
         """What the plain function `work` returns, called in the thread."""
