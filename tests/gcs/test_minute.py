@@ -17,7 +17,8 @@ from twodof.signals import TOPICS
 PERIOD_S = 0.004
 MOST_OF_A_CORE = 0.5
 STAMP_S = 2e-6  # stamps are whole microseconds
-EDGES_S = 1.0  # what the client knows of the drone's time, by which the minute is measured, a busy machine lets grow old
+# The minute is measured by what the client knows of the drone's time, which a busy machine lets grow old.
+EDGES_S = 1.0
 # Mean and longest time between samples [s] of what is slower: the range sensor (18.35 Hz, read at whole periods), the
 # estimate along the rail (two of five periods), the battery. The loop is not opened; all else is one a period.
 SLOWER = {
