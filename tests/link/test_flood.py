@@ -12,6 +12,7 @@ from ipaddress import ip_address
 import pytest
 
 from tests.link.ends import SOON, run
+from tests.patience import patiently
 from twodof.link import flood, udp
 from twodof.link.flood import Flood, looks_like_a_stop, program, sources
 from twodof.link.framing import encode
@@ -169,7 +170,7 @@ def test_nobody_is_refused_for_ever(filtered: str, monkeypatch: pytest.MonkeyPat
             with senders(there.port, 1) as (flooder,):
                 await pour(there, [flooder])
                 await drain(there)
-                while True:
+                for _ in patiently():
                     flooder.send(b"sorry")
                     packet = await there.receive(0.02)
                     if packet is not None and packet.data == b"sorry":

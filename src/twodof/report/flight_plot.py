@@ -23,7 +23,8 @@ from matplotlib.ticker import MaxNLocator
 from twodof.flight.causes import ACTIONS
 from twodof.flightlog.atomic import atomic_write
 from twodof.report.canvas import STAND_IN, Colours, on_paper, quiet, settings, style, svg
-from twodof.report.flight_view import Band, Curve, FlightView, View, check_place
+from twodof.report.content import Span
+from twodof.report.flight_view import Curve, FlightView, View, check_place
 
 _ALONE = MappingProxyType({".png": FigureCanvasAgg, ".svg": FigureCanvasSVG, ".pdf": FigureCanvasPdf})
 
@@ -129,12 +130,12 @@ def _head(ax: Axes, view: FlightView, colours: Colours) -> None:
     )
 
 
-def _strips(view: FlightView) -> Sequence[tuple[str, tuple[Band, ...]]]:
+def _strips(view: FlightView) -> Sequence[tuple[str, tuple[Span, ...]]]:
     return (("mode", view.modes), ("failsafe", view.failsafe), ("excitation", view.excitations))
 
 
 def _draw_strips(
-    ax: Axes, strips: Sequence[tuple[str, tuple[Band, ...]]], span: tuple[float, float], colours: Colours
+    ax: Axes, strips: Sequence[tuple[str, tuple[Span, ...]]], span: tuple[float, float], colours: Colours
 ) -> None:
     """Bands with their names, a row for each kind; names that fit into none of their bands stand in a key below."""
     named: set[str] = set()

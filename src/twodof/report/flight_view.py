@@ -18,6 +18,7 @@ from twodof.flightlog.contents import excitations
 from twodof.flightlog.events import modes
 from twodof.flightlog.files import check_folder
 from twodof.flightlog.log import Channel, FlightLog
+from twodof.report.content import Span
 from twodof.signals import BY_MAT, BY_NAME
 
 Array = NDArray[np.float64]
@@ -71,15 +72,6 @@ class View:
 
 
 @dataclass(frozen=True)
-class Band:
-    """A stretch of time [s] and what it is called."""
-
-    start: float
-    stop: float
-    label: str
-
-
-@dataclass(frozen=True)
 class FlightView:
     """Everything a plot shows, over `span` [s] of the drone's time.
 
@@ -90,9 +82,9 @@ class FlightView:
     about: str
     span: tuple[float, float]
     views: tuple[View, ...]
-    modes: tuple[Band, ...]
-    failsafe: tuple[Band, ...]
-    excitations: tuple[Band, ...]
+    modes: tuple[Span, ...]
+    failsafe: tuple[Span, ...]
+    excitations: tuple[Span, ...]
     notes: tuple[str, ...]
 
 
@@ -144,7 +136,7 @@ def _span(log: FlightLog, window: tuple[float, float] | None) -> tuple[float, fl
     return start, end
 
 
-def _usual(log: FlightLog, flown: Sequence[Band], span: tuple[float, float], notes: list[str]) -> list[View]:
+def _usual(log: FlightLog, flown: Sequence[Span], span: tuple[float, float], notes: list[str]) -> list[View]:
     cart = [name for name in ("x_true", "x") if name in log and len(log[name].slice(*span))]
     moved = any(float(np.ptp(log[name].slice(*span).value)) > STILL for name in cart[:1])
     views = []
@@ -159,7 +151,7 @@ def _usual(log: FlightLog, flown: Sequence[Band], span: tuple[float, float], not
     return views
 
 
-def _own(log: FlightLog, name: str, flown: Sequence[Band], span: tuple[float, float]) -> View:
+def _own(log: FlightLog, name: str, flown: Sequence[Span], span: tuple[float, float]) -> View:
     """The panel of a signal that was asked for: a usual one, or one of its own with a line for each field."""
     row = BY_NAME.get(name) or BY_MAT.get(name)
     channel = row.mat if row else name
@@ -185,7 +177,7 @@ def _unit(channel: Channel) -> str:
     return "–" if channel.unit == "-" else channel.unit
 
 
-def _panel(log: FlightLog, name: str, flown: Sequence[Band], span: tuple[float, float]) -> View:
+def _panel(log: FlightLog, name: str, flown: Sequence[Span], span: tuple[float, float]) -> View:
     scale, unit, channels = _PANELS[name]
     curves = []
     for channel, label in channels:
@@ -202,7 +194,7 @@ def _panel(log: FlightLog, name: str, flown: Sequence[Band], span: tuple[float, 
     return View(f"{name} {_SYMBOL[name]} [{unit}]", tuple(curves))
 
 
-def _where(time: Array, value: Array, bands: Sequence[Band] | None) -> Array:
+def _where(time: Array, value: Array, bands: Sequence[Span] | None) -> Array:
     """The values within the bands (None: everywhere), NaN elsewhere."""
     if bands is None:
         return value
@@ -242,12 +234,12 @@ def _thinned(time: Array, value: Array) -> tuple[Array, Array]:
     return time[index], value[index]
 
 
-def _clipped(start: float, stop: float, label: str, span: tuple[float, float]) -> list[Band]:
+def _clipped(start: float, stop: float, label: str, span: tuple[float, float]) -> list[Span]:
     start, stop = max(start, span[0]), min(stop, span[1])
-    return [Band(start, stop, label)] if stop > start else []
+    return [Span(start, stop, label)] if stop > start else []
 
 
-def _modes(log: FlightLog, span: tuple[float, float], notes: list[str]) -> tuple[Band, ...]:
+def _modes(log: FlightLog, span: tuple[float, float], notes: list[str]) -> tuple[Span, ...]:
     try:
         found = modes(log)
     except LogError as reason:  # of a log that has only some channels: the rest of it is shown
@@ -256,7 +248,7 @@ def _modes(log: FlightLog, span: tuple[float, float], notes: list[str]) -> tuple
     return tuple(band for one in found for band in _clipped(one.t0, one.t1, one.mode, span))
 
 
-def _excitations(log: FlightLog, span: tuple[float, float]) -> tuple[Band, ...]:
+def _excitations(log: FlightLog, span: tuple[float, float]) -> tuple[Span, ...]:
     try:
         found = excitations(log)
     except LogError:  # as `_modes`, which has said so
@@ -264,7 +256,7 @@ def _excitations(log: FlightLog, span: tuple[float, float]) -> tuple[Band, ...]:
     return tuple(band for one in found for band in _clipped(one.edges[0], one.edges[-1], one.shape, span))
 
 
-def failsafe_bands(log: FlightLog, span: tuple[float, float] | None = None) -> tuple[Band, ...]:
+def failsafe_bands(log: FlightLog, span: tuple[float, float] | None = None) -> tuple[Span, ...]:
     """What the failsafe did within `span` [s] (None: ever), from the channel `safety`, and the deciding causes.
 
     Motors that are off without a cause are those of a drone that is disarmed. Empty for a log without that channel.
