@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import select
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from tests.patience import PATIENCE_S
@@ -45,6 +47,15 @@ class Cable:
             os.close(master)
             os.close(slave)
         self._ends.clear()
+
+    @contextmanager
+    def pulled(self) -> Iterator[None]:
+        """Both ends are out within the block, whatever happens in it."""
+        self.pull()
+        try:
+            yield
+        finally:
+            self.plug()
 
     def _carry(self, masters: list[int]) -> None:
         across = dict(zip(masters, reversed(masters), strict=True))

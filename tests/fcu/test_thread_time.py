@@ -9,6 +9,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
 
@@ -58,8 +59,12 @@ def test_a_thread_that_waits_has_all_of_its_time() -> None:
 
 def test_one_that_has_ended_does_nothing_any_more() -> None:
     """Who waits for its sign of life waits in vain, as for one that hangs."""
-    with thread(computes) as seen:
+    numbers = list[int]()
+    with thread(computes, lambda: numbers.append(threading.get_native_id())) as seen:
         seen.own()
+    for _ in patiently():  # `join` returns while the system still runs its last steps
+        if not Path(f"/proc/self/task/{numbers[0]}").exists():
+            break
     assert [seen.own(), seen.own()] == [1.0, 1.0]
 
 
