@@ -1,6 +1,7 @@
 """Flights by processes of their own: they come as simulated, an error comes too, and nothing is left behind."""
 
 import multiprocessing
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,14 @@ def descendants() -> set[str]:
     for process in multiprocessing.active_children():
         found.add(process.name)
     children = Path(f"/proc/self/task/{multiprocessing.current_process().pid}/children")
-    return found | {one for one in children.read_text().split() if "fcu" in Path(f"/proc/{one}/cmdline").read_text()}
+    return found | {one for one in children.read_text().split() if "fcu" in command_line(one)}
+
+
+def command_line(process: str) -> str:
+    """That of a process; nothing for one that has ended."""
+    with suppress(OSError):
+        return Path(f"/proc/{process}/cmdline").read_text()
+    return ""
 
 
 def test_flights_come_as_they_are_flown_and_leaving_early_ends_all() -> None:

@@ -76,11 +76,17 @@ class Up:
         ids = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children").read_text().split()
         return {int(one): Path(f"/proc/{one}/cmdline").read_text().replace("\0", " ") for one in ids}
 
-    def close(self) -> None:
-        self.process.kill()
-        self.process.wait(PATIENCE_S)
+    def ended(self) -> int:
+        """Its exit status, once it has ended and all that it said is in `out` and `said`."""
+        status = self.process.wait(PATIENCE_S)
         for thread in self._threads:
             thread.join(PATIENCE_S)
+            assert not thread.is_alive(), "somebody has its other end"
+        return status
+
+    def close(self) -> None:
+        self.process.kill()
+        self.ended()
         self.process.stdout.close()
         self.process.stderr.close()
 
@@ -115,8 +121,7 @@ def test_two_drones_answer_where_it_says_and_all_ends_at_ctrl_c(first: int, tmp_
             assert Path(row["state"]) == tmp_path / "kept" / f"drone-{row['index']}"
             assert (Path(row["state"]) / "stamps.json").is_file()  # it signs
         with up(first, tmp_path, "--rig", "paper") as second:
-            assert second.process.wait(PATIENCE_S) == 2
-            second.wait(lambda: any("remedy" in line for line in second.said), "no word of the port")
+            assert second.ended() == 2
             said = "".join(second.said)
             taken = f"TCP port {5790 + first}, where the flight controller of drone {first + 1} listens, is in use"
             assert f"{taken}; process {program.process.pid} (" in said  # who started it, not its child
@@ -124,7 +129,7 @@ def test_two_drones_answer_where_it_says_and_all_ends_at_ctrl_c(first: int, tmp_
         children = program.children()
         assert len(children) == 4
         program.process.send_signal(signal.SIGINT)
-        assert program.process.wait(PATIENCE_S) == 0
+        assert program.ended() == 0
         assert gone(children)
         assert program.said == []
 
@@ -180,14 +185,13 @@ def test_a_program_that_dies_again_and_again_ends_all(first: int, tmp_path: Path
             lines = 2 if number < MOST_RESTARTS else 1
             program.wait(lambda count=count, lines=lines: len(program.said) >= count + lines, "it said nothing")
         assert "too often, all end" in program.said[-1]
-        assert program.process.wait(PATIENCE_S) == 1
+        assert program.ended() == 1
         assert gone(children)
 
 
 def test_a_program_that_cannot_start_is_named_with_what_it_says(first: int, tmp_path: Path) -> None:
     with up(first, tmp_path, "--rig", "no-such-rig.json") as program:
-        assert program.process.wait(PATIENCE_S) == 2
-        program.wait(lambda: any("no-such-rig.json" in line for line in program.said), "no word")
+        assert program.ended() == 2
         error = json.loads("".join(program.out))["error"]
         assert error["what"] == "cannot be read: No such file or directory"
         assert error["where"] == f"flight controller {first + 1}, no-such-rig.json"
@@ -196,10 +200,11 @@ def test_a_program_that_cannot_start_is_named_with_what_it_says(first: int, tmp_
 
 
 def test_interrupted_before_all_are_up_it_says_so_by_its_status(first: int, tmp_path: Path) -> None:
-    with up(first, tmp_path) as program:
+    os.mkfifo(tmp_path / "rig")  # which nobody writes: the flight controller waits for it for ever
+    with up(first, tmp_path, "--rig", "rig") as program:
         program.wait(program.children, "nothing was started")
         program.process.send_signal(signal.SIGINT)
-        assert program.process.wait(PATIENCE_S) == 130
+        assert program.ended() == 130
         assert program.out == []
 
 

@@ -121,17 +121,27 @@ def test_a_compiler_that_hangs_ends_with_all_that_it_started(
     cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As gcc's driver does, the script leaves the work to a process of its own, which holds the pipe's other end."""
-    monkeypatch.setattr(toolchain, "BUILD_SECONDS", 2)
     pipe, hanging = tmp_path / "pipe", tmp_path / "cc"
     os.mkfifo(pipe)
-    hanging.write_text(f"#!/bin/sh\nexec 3> {pipe}\nprintf begun >&3\nsleep 60\ntrue\n", encoding="utf-8")
+    hanging.write_text(f"#!/bin/sh\nexec 3> {pipe}\nprintf begun >&3\nsleep {10 * PATIENCE_S:.0f}\ntrue\n")
     hanging.chmod(0o755)
     reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+
+    class Begun(subprocess.Popen[bytes]):
+        """One whose time begins once its script has, however long the machine takes to start that."""
+
+        def communicate(self, input: bytes | None = None, timeout: float | None = None) -> tuple[bytes, bytes]:
+            assert select.select([reader], [], [], PATIENCE_S)[0] == [reader]
+            assert timeout == 1
+            return super().communicate(input, timeout)
+
+    monkeypatch.setattr(toolchain, "BUILD_SECONDS", 1)
+    monkeypatch.setattr(subprocess, "Popen", Begun)
     try:
-        with pytest.raises(CompileError, match="did not end within 2 s"):
+        with pytest.raises(CompileError, match="did not end within 1 s"):
             native.load(SOURCE, toolchain.find_compiler(str(hanging)))
         assert os.read(reader, 100) == b"begun"
-        assert select.select([reader], [], [], 10.0)[0] == [reader]
+        assert select.select([reader], [], [], PATIENCE_S)[0] == [reader]
         assert os.read(reader, 100) == b""  # nobody has the other end any more
     finally:
         os.close(reader)
@@ -139,11 +149,12 @@ def test_a_compiler_that_hangs_ends_with_all_that_it_started(
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux limits a process that runs")
 def test_a_compiler_has_a_limit_of_processor_time_of_its_own(cache: Path, tmp_path: Path) -> None:
-    """It ends even if the Python that waits for it is killed before."""
-    asked = tmp_path / "cc"
-    asked.write_text("#!/bin/sh\nsleep 0.3\nulimit -t >&2\nexit 1\n", encoding="utf-8")
+    """It ends even if the Python that waits for it is killed before. The limit comes after its start, however soon."""
+    asked, wanted = tmp_path / "cc", toolchain.BUILD_SECONDS
+    wait = f'for k in $(seq {10 * PATIENCE_S:.0f}); do [ "$(ulimit -t)" = {wanted} ] && break; sleep 0.1; done'
+    asked.write_text(f"#!/bin/sh\n{wait}\nulimit -t >&2\nexit 1\n", encoding="utf-8")
     asked.chmod(0o755)
-    with pytest.raises(CompileError, match=f"{toolchain.BUILD_SECONDS}"):
+    with pytest.raises(CompileError, match=f"{wanted}"):
         native.load(SOURCE, toolchain.find_compiler(str(asked)))
 
 
