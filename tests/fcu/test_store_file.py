@@ -2,6 +2,7 @@
 
 import json
 import threading
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from tests.patience import PATIENCE_S
+from tests.patience import PATIENCE_S, patiently
 from twodof.errors import LogError, ParameterError
 from twodof.fcu import store_file
 from twodof.fcu.store import Store
@@ -98,6 +99,36 @@ def test_many_changes_are_one_file(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         store.flush()
         store.flush()
     assert [json.loads(text)["parameters"] for text in writes] == [{"RATE_KP": 0.1}]
+
+
+def test_what_changes_while_the_file_is_written_is_waited_for_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun, writes = threading.Event(), list[float]()
+    atomic = store_file.atomic_write
+
+    @contextmanager
+    def slow(path: Path, mode: Any) -> Iterator[Any]:
+        if not begun.is_set():
+            begun.set()
+            for _ in patiently():  # until somebody waits for the file
+                if store._file is not None and store._file._asked:
+                    break
+        else:
+            time.sleep(0.05)  # in which one who waited for the writing before only would be gone
+        with atomic(path, mode) as file:
+            yield file
+        writes.append(json.loads(path.read_text())["parameters"]["RATE_KP"])
+
+    monkeypatch.setattr(store_file, "atomic_write", slow)
+    monkeypatch.setattr(store_file, "QUIET_S", 0.0)
+    store = Store(tmp_path / "p.json")
+    store.set("RATE_KP", 0.07)
+    assert begun.wait(PATIENCE_S)
+    store.set("RATE_KP", 0.05)
+    store.flush(PATIENCE_S)
+    assert writes == [0.07, 0.05]
+    store.close()
 
 
 def test_a_disk_that_refuses_is_reported_and_stops_nothing(tmp_path: Path) -> None:

@@ -189,6 +189,8 @@ class OnboardLog:
         if not self.lockstep or self._closed:
             return False
         self._room.clear()
+        if len(self._queue) < LONGEST_QUEUE:  # room was made just before, and who made it may have nothing left to do
+            return True
         self._wake.set()
         return self._room.wait(LOCKSTEP_WAIT_S)
 

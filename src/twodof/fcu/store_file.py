@@ -51,7 +51,7 @@ class StoreFile:
         self._wanted: Kept | None = None
         self._first = self._last = 0.0
         self._asked = self._closing = False
-        self._tries = 0
+        self._begun = self._tries = 0  # how often writing was begun, and ended
         self._thread: threading.Thread | None = None
 
     def read(self) -> tuple[Kept, str]:
@@ -85,10 +85,10 @@ class StoreFile:
     def flush(self, deadline_s: float) -> None:
         """Waits until what was given is written. Raises ParameterError where the disk refuses or is silent."""
         with self._changed:
-            tries = self._tries
-            self._asked = True
+            goal = self._begun + 1  # one that is under way may be writing what was given before
+            self._asked = self._wanted is not None
             self._changed.notify_all()
-            done = self._changed.wait_for(lambda: self._wanted is None or self._tries > tries, deadline_s)
+            done = self._changed.wait_for(lambda: self._wanted is None or self._tries >= goal, deadline_s)
             if self.failure is not None and self._wanted is not None:
                 raise ParameterError(self.failure.what, self.failure.where, "the values fly, but are not stored")
             if not done:
@@ -118,13 +118,14 @@ class StoreFile:
                 if self._wanted is None or self._closing:
                     return
                 kept, self._asked = self._wanted, False
+                self._begun += 1
             failure = self._store(kept)
             with self._changed:
                 self.failure = failure
                 self._tries += 1
                 retry = time.monotonic() + RETRY_S if failure is not None else 0.0
                 if failure is None and self._wanted is kept:
-                    self._wanted = None
+                    self._wanted, self._asked = None, False
                 self._changed.notify_all()
 
     def _due(self, retry: float) -> float:
