@@ -6,12 +6,17 @@ from pathlib import Path
 
 import pytest
 from hypothesis import settings
+from hypothesis.internal.conjecture.providers import HypothesisProvider
+from hypothesis.internal.constants_ast import Constants
 
 PROJECT = Path(__file__).resolve().parents[1]
 
 # A shared, loaded machine must not turn a slow example into a failure; the same examples every run.
 settings.register_profile("twodof", deadline=None, derandomize=True, print_blob=True)
 settings.load_profile("twodof")
+# It also tries the numbers and words that stand in those modules of ours that are loaded: which these are depends on
+# the tests that the same process has run before, and so would the examples (tests/test_same_examples.py).
+HypothesisProvider._local_constants = Constants()
 
 # Who starts a shell's job in the background, or by nohup, has Ctrl-C ignored in all that it starts, the programs here
 # that are to be ended by it too.
