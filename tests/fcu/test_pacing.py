@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import sys
 import time
+from itertools import cycle
 
 import pytest
 
@@ -41,19 +43,20 @@ def test_periods_that_have_passed_are_due_or_missed_and_none_twice(timer: str, m
     counts, missed, passed = asyncio.run(paced({10: 0.02, 20: 0.12}, 40))
     assert sum(counts) + missed[-1] in passed
     assert counts[11] >= 10, "a short stall is made up for"
-    assert missed[20] == missed[10] or max(counts[:20]) == MOST_CATCH_UP
+    assert missed[20] == missed[10] or max(counts[11:21]) == MOST_CATCH_UP
     assert counts[21] == MOST_CATCH_UP, "a long one not wholly"
     assert missed[21] - missed[20] >= 60 - MOST_CATCH_UP - 1
 
 
 def test_a_clock_that_people_set_does_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
-    jumps = iter([0.0, 1e9, -1e9] * 100)
+    jumps = cycle([0.0, 1e9, -1e9])
     monkeypatch.setattr(time, "time", lambda: next(jumps))
     counts, missed, passed = asyncio.run(paced({}, 20))
     assert sum(counts) + missed[-1] in passed
 
 
 def test_it_leaves_the_processor_alone_while_it_waits() -> None:
+    gc.collect()  # what others left behind is not its
     before = time.thread_time_ns()
     _, _, passed = asyncio.run(paced({}, 100))
     # A loop that waits busily would take all of the time; this takes some tenths of a millisecond a wake at most.
