@@ -186,6 +186,30 @@ def test_the_cache_is_bounded_in_bytes_and_forgets_what_ended_builds_left(
     assert young.exists()
 
 
+def test_what_another_process_prunes_between_look_and_reading_is_made_anew(
+    cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = []
+
+    def make(file: Path) -> None:
+        made.append(file)
+        file.write_bytes(b"made")
+
+    look = toolchain.whole
+
+    def pruned(file: Path) -> bool:
+        found = look(file)
+        file.unlink(missing_ok=True)
+        return found
+
+    for number, whole in enumerate((look, pruned, look), 1):
+        monkeypatch.setattr(toolchain, "whole", whole)
+        assert toolchain.cached_bytes(["a key"], ".x", make) == b"made"
+        assert len(made) == min(number, 2)
+    (entry,) = cache.iterdir()
+    assert look(entry)
+
+
 @pytest.mark.parametrize("mode", [0o777, 0o770])
 def test_a_cache_that_others_can_write_is_not_used(cache: Path, mode: int) -> None:
     compiler = toolchain.find_compiler()

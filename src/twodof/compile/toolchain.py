@@ -133,14 +133,27 @@ def compiled(
     `suffix` ends its name (".so", ".wasm", ".elf"). `depends` is what else decides its bytes (the processor, with
     `-march=native`). `files` (name -> text) are written beside the source, where the compiler runs, so that an option
     may name them (a linker script). The file ends with a seal, which loaders of shared objects and ELF ignore;
-    `contents` gives the bytes without it. It may be gone after the `with`. `afresh` makes it even if it is there.
-    Raises CompileError if the compiler refuses or hangs.
+    `compiled_bytes` gives the bytes without it. It may be gone after the `with`, and before where another process makes
+    room. `afresh` makes it even if it is there. Raises CompileError if the compiler refuses or hangs.
     """
-    files = files or {}
-    named = [part for item in sorted(files.items()) for part in item]
-    key = (source, compiler.identity(), *options, depends, *named)
+    key = _key(source, compiler, options, depends, files)
     with cached(key, suffix, lambda made: compile_c(source, made, compiler, options, files), afresh) as file:
         yield file
+
+
+def compiled_bytes(
+    source: str, compiler: Compiler, options: Sequence[str], suffix: str, files: Mapping[str, str] | None = None
+) -> bytes:
+    """The bytes of the file that `compiled` gives, without its seal. Raises CompileError as that does."""
+    key = _key(source, compiler, options, "", files)
+    return cached_bytes(key, suffix, lambda made: compile_c(source, made, compiler, options, files))
+
+
+def _key(
+    source: str, compiler: Compiler, options: Sequence[str], depends: str, files: Mapping[str, str] | None
+) -> tuple[str, ...]:
+    named = [part for item in sorted((files or {}).items()) for part in item]
+    return (source, compiler.identity(), *options, depends, *named)
 
 
 @contextmanager
@@ -172,6 +185,21 @@ def cached(key: Sequence[str], suffix: str, make: Callable[[Path], None], afresh
             _prune(folder)
             made = entry
         yield made
+
+
+def cached_bytes(key: Sequence[str], suffix: str, make: Callable[[Path], None], afresh: bool = False) -> bytes:
+    """The bytes of the file that `cached` gives, without its seal.
+
+    They come also where another process makes room in the cache between our look at the file and our reading it.
+    """
+    with suppress(FileNotFoundError), cached(key, suffix, make, afresh) as file:
+        return _contents(file)
+    with cached(key, suffix, make, afresh=True) as file:
+        return _contents(file)
+
+
+def _contents(file: Path) -> bytes:
+    return file.read_bytes()[:-_SEAL]
 
 
 def compile_c(
@@ -224,11 +252,6 @@ def run_compiler(compiler: Compiler, arguments: Sequence[str], folder: Path) -> 
     except OSError as error:
         raise CompileError(f"it does not start: {error}", compiler.name, "install a working C compiler") from error
     return subprocess.CompletedProcess(command, process.returncode, None, said)
-
-
-def contents(file: Path) -> bytes:
-    """The bytes of a file of the cache, without its seal."""
-    return file.read_bytes()[:-_SEAL]
 
 
 def whole(file: Path) -> bool:

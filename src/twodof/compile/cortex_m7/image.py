@@ -119,10 +119,7 @@ def build_image(
                 if (folder / name).exists():  # clang writes no .su, but a section
                     archive.write(folder / name, name)
 
-    with (
-        toolchain.cached(key, ".m7", make) as file,
-        zipfile.ZipFile(io.BytesIO(toolchain.contents(file))) as archive,
-    ):
+    with zipfile.ZipFile(io.BytesIO(toolchain.cached_bytes(key, ".m7", make))) as archive:
         usage = "".join(archive.read(n).decode() for n in archive.namelist() if n.endswith(".su"))
         elf, *objects = (archive.read(n) for n in ("image.elf", *(f"{m}.o" for m in CALLED)))
     sizes = tuple(tuple(s) for _, s in programs)

@@ -183,8 +183,7 @@ def compile_module(programs: Sequence[Emitted], compiler: str | None = None, opt
     )
     ticks = (_tick(p.name, places[p.name]) for p in programs)
     source = "".join([programs[0].source, *ticks, freestanding.MEMORY, freestanding.layout_checks(programs)])
-    with toolchain.compiled(source, found, options, ".wasm", files=freestanding.FILES) as file:
-        data = toolchain.contents(file)
+    data = toolchain.compiled_bytes(source, found, options, ".wasm", freestanding.FILES)
     where = ", ".join(list(places)[:3])
     data, pages = closed(data, functions, where, (STACK, start))
     if pages * PAGE > LARGEST:
