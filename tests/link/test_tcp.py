@@ -75,6 +75,8 @@ def test_a_tcp_client_that_floods_keeps_no_other_waiting() -> None:
             flooder = socket.create_connection(("127.0.0.1", there.port), timeout=SOON)
             other = socket.create_connection(("127.0.0.1", there.port), timeout=SOON)
             with flooder, other:
+                while len(there.peers) < 2:
+                    await asyncio.sleep(0.001)
                 flooder.setblocking(False)
                 for _ in range(200):
                     with suppress(BlockingIOError):
