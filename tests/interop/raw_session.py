@@ -33,11 +33,15 @@ class RawSession:
         """One message."""
         self._socket.sendall(message.pack(self._mav))
 
-    def command(self, number: int, *p: float) -> None:
-        """COMMAND_LONG to the autopilot, then its acknowledgement; AssertionError if it is refused or does not come."""
+    def command(self, number: int, *p: float, behind: Any = None) -> None:
+        """COMMAND_LONG to the autopilot, then its acknowledgement; AssertionError if it is refused or does not come.
+
+        `behind` is a message before it in one piece: however late the machine runs us, it is fresh to the autopilot.
+        """
         before = len(self.messages)
         values = (*p, *[0.0] * 7)[:7]
-        self.send(self._mav.command_long_encode(1, 1, number, 0, *values))
+        said = self._mav.command_long_encode(1, 1, number, 0, *values)
+        self._socket.sendall(b"".join(one.pack(self._mav) for one in (behind, said) if one is not None))
         end = time.monotonic() + PATIENCE_S
         while time.monotonic() < end:
             self.listen(0.05)
@@ -65,10 +69,10 @@ class RawSession:
         for number in numbers:
             self.command(511, number, interval_us)
 
-    def attitude(self, theta_half: float, thrust: float) -> None:
+    def attitude(self, theta_half: float, thrust: float) -> Any:
         """A set-point of attitude: pitch by the sine of half the angle."""
         q = [(1.0 - theta_half**2) ** 0.5, 0.0, theta_half, 0.0]
-        self.send(self._mav.set_attitude_target_encode(0, 1, 1, 0b00000111, q, 0, 0, 0, thrust))
+        return self._mav.set_attitude_target_encode(0, 1, 1, 0b00000111, q, 0, 0, 0, thrust)
 
     def parameters(self) -> None:
         """Asks for all parameters and waits for them."""

@@ -36,10 +36,9 @@ def stream(fcu_url: str) -> Iterator[bytes]:
         session.command(511, common.MAVLINK_MSG_ID_ATTITUDE, 4_000)
         session.command(511, 54205, 4_000)  # TWODOF_TRUTH
         session.command(400, 1)  # arm
-        session.attitude(0.0, 0.4)
-        session.command(176, 1, 6)  # offboard
+        session.command(176, 1, 6, behind=session.attitude(0.0, 0.4))  # offboard
         for k in range(40):
-            session.attitude(0.05 * (-1) ** (k // 20), 0.4)
+            session.send(session.attitude(0.05 * (-1) ** (k // 20), 0.4))
             session.listen(0.05)
         session.command(400, 0)
         session.listen(1.2)
