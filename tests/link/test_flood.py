@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import random
+import select
 import socket
 import sys
 from collections.abc import Iterator
@@ -18,7 +20,6 @@ from twodof.link.flood import Flood, looks_like_a_stop, program, sources
 from twodof.link.framing import encode
 from twodof.link.messages import message
 from twodof.link.opening import open_transport
-from twodof.link.transport import Transport
 from twodof.link.udp import UdpTransport
 
 
@@ -68,21 +69,23 @@ async def listening(host: str = "127.0.0.1") -> UdpTransport:
 
 async def pour(there: UdpTransport, sockets: list[socket.socket], data: bytes = BEAT) -> None:
     """Fill its buffer faster than it is read until a flood is noticed."""
-    for _ in range(200):
-        for number in range(udp.BURST + 64):  # more than is read in a turn
-            sockets[number % len(sockets)].send(data)
+    chance = random.Random(1)  # however much of it finds no room, none of them has more than its share
+    for _ in patiently():
+        for _ in range(udp.BURST + 64):  # more than is read in a turn
+            chance.choice(sockets).send(data)
         await asyncio.sleep(0)
         if there.floods:
             return
-    pytest.fail("64,000 packets in a row were no flood")
 
 
-async def drain(there: Transport, until: bytes = b"") -> list[bytes]:
-    """All that comes, up to the first `until`."""
-    found = []
-    while (packet := await there.receive(SOON if until else 0.02)) is not None:
-        found.append(packet.data)
-        if until and packet.data == until:
+async def drain(there: UdpTransport, until: bytes = b"") -> list[bytes]:
+    """All that comes, up to the first `until`; without, until the system has nothing more, so that there is room."""
+    found: list[bytes] = []
+    while not until or until not in found[-1:]:
+        packet = await there.receive(SOON if until else 0.02)
+        if packet is not None:
+            found.append(packet.data)
+        elif until or not select.select([there._socket], [], [], 0)[0]:
             break
     return found
 
