@@ -8,12 +8,13 @@ import subprocess
 import sys
 import time
 from collections.abc import Hashable
+from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import cast
 
 from bench.measure import Figure, one_core, timed
-from bench.programs import running
+from bench.programs import END_S, START_S, running
 from twodof.fcc.client import Client
 from twodof.fcc.line import Line
 from twodof.fcc.rates import profile
@@ -28,8 +29,11 @@ from twodof.link.transport import Transport
 FRAME_US = 15.0
 ADDED_MS = 0.3
 RATE_HZ = 250.0
-ATTITUDE, MANUAL_CONTROL, COMMAND_LONG = 30, 69, 76
+ATTITUDE, MANUAL_CONTROL, COMMAND_LONG, COMMAND_ACK = 30, 69, 76, 77
 MODULUS = 1 << 15  # what MANUAL_CONTROL carries there and back
+ANSWER_S = 0.3
+LAST_S = 10.0
+"""After so long without one more, what has not come is lost."""
 
 
 # What any asyncio program pays to pass on each packet by itself, with no MAVLink in it.
@@ -100,6 +104,7 @@ class Ends:
         self.sent: dict[int, float] = {}
         self.down: list[float] = []
         self.up: list[float] = []
+        self.granted = asyncio.Event()
 
     async def read_client(self) -> None:
         """What comes down."""
@@ -107,7 +112,9 @@ class Ends:
         while True:
             packet = await self.client.receive(1.0)
             for frame in parser.feed(packet.data, self.client.whole) if packet is not None else ():
-                if frame.message_id == ATTITUDE:
+                if frame.message_id == COMMAND_ACK:
+                    self.granted.set()
+                elif frame.message_id == ATTITUDE:
                     sent = self.sent.get(int.from_bytes(frame.payload[:4], "little"))
                     self.down += [] if sent is None else [time.perf_counter() - sent]
 
@@ -123,12 +130,20 @@ class Ends:
                     sent = self.sent.get(-int.from_bytes(frame.payload[:2], "little"))
                     self.up += [] if sent is None else [time.perf_counter() - sent]
 
-    async def exchange(self, seconds: float) -> None:
-        """ATTITUDE at 250 Hz down, MANUAL_CONTROL at 50 Hz up, both with the number that they are known by."""
+    async def subscribe(self) -> None:
+        """Asks the companion for ATTITUDE at 250 Hz until it is granted. Raises TimeoutError."""
+        asked = message("COMMAND_LONG", command=511, target_system=1, target_component=1, param1=ATTITUDE, param2=4000)
+        async with asyncio.timeout(START_S):
+            while not self.granted.is_set():
+                self.client.send(encode(asked, 200, 1, 0))
+                with suppress(TimeoutError):
+                    await asyncio.wait_for(self.granted.wait(), ANSWER_S)
+
+    async def exchange(self, count: int) -> None:
+        """`count` of ATTITUDE at 250 Hz down, a fifth of MANUAL_CONTROL up, with the number that they are known by."""
         loop = asyncio.get_running_loop()
-        start, number = loop.time(), 0
-        while loop.time() - start < seconds:
-            number += 1
+        start = loop.time()
+        for number in range(1, count + 1):
             self.sent[4 * number] = time.perf_counter()
             attitude = message("ATTITUDE", time_boot_ms=4 * number, yawspeed=1.0)
             self.vehicle.send(encode(attitude, 1, 1, number & 255))
@@ -137,7 +152,11 @@ class Ends:
                 stick = message("MANUAL_CONTROL", target=1, x=number % MODULUS, buttons=1)
                 self.client.send(encode(stick, 200, 1, number // 5 & 255))
             await asyncio.sleep(max(0.0, start + number / RATE_HZ - loop.time()))
-        await asyncio.sleep(0.2)
+        come, until = 0, loop.time() + LAST_S
+        while come < len(self.sent) and loop.time() < until:
+            if len(self.down) + len(self.up) > come:
+                come, until = len(self.down) + len(self.up), loop.time() + LAST_S
+            await asyncio.sleep(0.01)
 
 
 async def through(seconds: float, folder: Path) -> tuple[Ends, float]:
@@ -148,12 +167,9 @@ async def through(seconds: float, folder: Path) -> tuple[Ends, float]:
         client = await open_transport(program.urls[0].replace("udpin:", "udp:"))
         ends = Ends(vehicle, client)
         reading = [asyncio.create_task(ends.read_client()), asyncio.create_task(ends.read_vehicle())]
-        asked = message("COMMAND_LONG", command=511, target_system=1, target_component=1, param1=ATTITUDE, param2=4000)
-        for _ in range(3):
-            client.send(encode(asked, 200, 1, 0))
-            await asyncio.sleep(0.3)
+        await ends.subscribe()
         before = program.cpu_seconds()
-        await ends.exchange(seconds)
+        await ends.exchange(round(seconds * RATE_HZ))
         each = (program.cpu_seconds() - before) / max(len(ends.down) + len(ends.up), 1)
         for task in reading:
             task.cancel()
@@ -169,13 +185,16 @@ def bare(count: int) -> float:
         out.bind(("127.0.0.1", 0))
         ports = [str(one.getsockname()[1]) for one in (server, out)]
         with subprocess.Popen([sys.executable, "-c", BARE, *ports], stdout=subprocess.PIPE, text=True) as process:
-            server.settimeout(60.0)
-            with server.accept()[0] as vehicle:
-                start = time.perf_counter()
-                for number in range(count):
-                    vehicle.send(bytes(40))
-                    time.sleep(max(0.0, start + (number + 1) / RATE_HZ - time.perf_counter()))
-            return float(process.communicate(timeout=60.0)[0]) / count
+            try:
+                server.settimeout(START_S)
+                with server.accept()[0] as vehicle:
+                    start = time.perf_counter()
+                    for number in range(count):
+                        vehicle.send(bytes(40))
+                        time.sleep(max(0.0, start + (number + 1) / RATE_HZ - time.perf_counter()))
+                return float(process.communicate(timeout=END_S)[0]) / count
+            finally:
+                process.kill()  # one that never connected ends by nothing else
 
 
 def run(quick: bool) -> list[Figure]:

@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 
 from bench import latency
 from bench.measure import Figure
-from bench.programs import Running, running
+from bench.programs import START_S, Running, running
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.gcs.drone import Drone
 
@@ -77,7 +77,7 @@ async def fly_all(urls: list[str], seconds: float) -> tuple[list[float], int]:
                 while time.monotonic() < end:
                     await drone.set_pitch(theta, 0.4)
                     theta = -theta
-                    timing = await timings.next(drone.session.now + 2.0)
+                    timing = await timings.next(drone.session.now + START_S)
                     if timing is None:
                         raise RuntimeError(f"drone {number + 1} does not say how it keeps its time")
                     if before is None:

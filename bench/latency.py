@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from bench.drone_process import DroneProcess
+from bench.drone_process import START_S, DroneProcess
 from bench.measure import Figure
 from bench.programs import running
 from twodof.gcs.drone import Drone
@@ -35,9 +35,20 @@ def latencies(drone: DroneProcess, url: str, count: int) -> list[float]:
             sent[moment] = time.monotonic_ns()
             pilot.set_moment(moment, THRUST)
             time.sleep(rng.uniform(*BETWEEN_S))
-        time.sleep(0.1)
-        changes = drone.report()["changes"]
+        changes = until_acted(drone, moment)
     return lateness(sent, changes)
+
+
+def until_acted(drone: DroneProcess, moment: float) -> list[tuple[int, float]]:
+    """What it has noted up to the first change by `moment`. Raises RuntimeError if none comes."""
+    changes: list[tuple[int, float]] = []
+    end = time.monotonic() + START_S
+    while all(asked != moment for _, asked in changes):
+        if time.monotonic() > end:
+            raise RuntimeError(f"the motors have not followed the last of the set-points within {START_S:g} s")
+        time.sleep(0.1)
+        changes += drone.report()["changes"]
+    return changes
 
 
 def lateness(sent: dict[float, int], changes: list[tuple[int, float]]) -> list[float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import random
 import re
 import socket
 import subprocess
@@ -10,7 +11,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -19,6 +20,9 @@ START_S = 120.0
 
 END_S = 120.0
 """For logs to be written; what ends only then hangs."""
+
+FREE = (20_000, 32_000)
+"""Ports that can be waited for: those that Linux itself gives begin at 32768 (ip_local_port_range)."""
 
 TWODOF = Path(sys.executable).with_name("twodof")
 
@@ -100,8 +104,12 @@ def port(url: str) -> int:
 
 
 def free_port(kind: socket.SocketKind = socket.SOCK_STREAM) -> int:
-    """A port on this machine at which nobody listens."""
-    with socket.socket(socket.AF_INET, kind) as probe:
-        probe.bind(("127.0.0.1", 0))
-        found: int = probe.getsockname()[1]
-        return found
+    """A port on this machine at which nobody listens, and that the system gives to nobody who leaves the choice to it.
+
+    Raises RuntimeError if there is none.
+    """
+    for number in random.SystemRandom().sample(range(*FREE), 100):
+        with socket.socket(socket.AF_INET, kind) as probe, suppress(OSError):
+            probe.bind(("127.0.0.1", number))
+            return number
+    raise RuntimeError(f"a hundred ports from {FREE[0]} to {FREE[1]} are taken")

@@ -4,23 +4,19 @@ from __future__ import annotations
 
 import json
 import resource
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
 
 from tests.faults.test_clocks import Clock, signed
 from tests.faults.whole import Whole, run, silent, stands
-from twodof.errors import RecordingError
+from twodof.errors import LogError, ParameterError, RecordingError
 from twodof.flightlog.recovery import recover
 from twodof.link.key import Key
 from twodof.link.signing import Signing
 from twodof.link.stamps import Stamps
-
-# The threads that write live in real time: they get some for each second of the flight.
-REAL_S = 0.05
 
 
 @contextmanager
@@ -32,6 +28,13 @@ def full_disk(most: int) -> Iterator[None]:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def answered(*flushes: Callable[[], object]) -> None:
+    """The threads that write live in real time, and the flight waits here until they have tried."""
+    for flush in flushes:
+        with suppress(LogError, ParameterError):
+            flush()
 
 
 def test_a_disk_that_is_full_in_flight_stops_no_command_and_loses_nothing_written(tmp_path: Path) -> None:
@@ -47,7 +50,7 @@ def test_a_disk_that_is_full_in_flight_stops_no_command_and_loses_nothing_writte
         stamps = tmp_path / "stamps.json"
         signing = Signing(key, Stamps(stamps, clock))
         async with Whole(signing=signing, state=state) as whole:
-            log = whole.drone.assembly.log
+            log, store = whole.drone.assembly.log, whole.drone.assembly.store
             drone = await signed(whole, key, clock)
             await drone.run(0.5)
             records = drone.record(recorded)
@@ -56,19 +59,22 @@ def test_a_disk_that_is_full_in_flight_stops_no_command_and_loses_nothing_writte
             await drone.set_pitch(0.1, thrust=0.4)
             await drone.run(1.0)
             log.flush()
-            kept = recording.recorder.flush().samples
+            recorder = recording.recorder
+            kept = recorder.flush().samples
             first = whole.tick
             with full_disk(0):
                 await drone.parameters.set("ATT_KP", 9.0)
                 for turn in range(12):  # the stamps on the disk run 10 s ahead
                     await drone.set_pitch(0.1 * (-1) ** turn, thrust=0.4)
                     await drone.run(1.0)
-                    time.sleep(REAL_S)
+                    answered(log.flush, store.flush, recorder.flush)
                 assert signing.stamps.failure
                 assert silent(whole.since(first))
                 await drone.kill()
                 assert stands(whole.steps[-1])
                 await drone.release()
+                await drone.run(1.5)  # a flight's log ends a second after it
+                answered(log.flush)
                 assert recording.failure is not None
             with pytest.raises(RecordingError, match="File too large"):
                 await records.__aexit__(None, None, None)
@@ -76,9 +82,7 @@ def test_a_disk_that_is_full_in_flight_stops_no_command_and_loses_nothing_writte
             assert "no on-board log" in said
             assert "parameters are not stored" in said
             assert (signing.counts.repeated, signing.counts.stale) == (0, 0)
-            # There is room again; a flight's log ends a second after it.
-            await drone.run(2.0)
-            time.sleep(REAL_S)
+            await drone.run(0.5)  # there is room again
             await drone.arm()
             await drone.set_pitch(0.1, thrust=0.4)
             await drone.run(2.0)
