@@ -16,16 +16,24 @@ from twodof.errors import LinkError
 from twodof.link import ports
 
 
-@pytest.mark.parametrize(("kind", "type_"), [("TCP", socket.SOCK_STREAM), ("UDP", socket.SOCK_DGRAM)])
-def test_the_process_that_has_a_port_is_named(kind: str, type_: int) -> None:
-    with closing(socket.socket(type=type_)) as ours:
-        ours.bind(("127.0.0.1", 0))
-        port = ours.getsockname()[1]
-        if kind == "TCP":
-            assert holder(kind, port) == ""  # bound, and nobody can come
-            ours.listen(1)
-        assert holder(kind, port).startswith(f"process {os.getpid()} (")
-    assert holder(kind, port) == ""
+@pytest.mark.parametrize(
+    ("kind", "type_", "first"),
+    [
+        ("TCP", socket.SOCK_STREAM, ports.FLIGHT_CONTROLLER),
+        ("UDP", socket.SOCK_DGRAM, ports.COMPANION_ONBOARD),
+    ],
+)
+def test_the_process_that_has_a_port_is_named(kind: str, type_: int, first: int) -> None:
+    with free_numbers(1) as number:  # a port that nobody takes as soon as we have left it
+        port = first + number
+        with closing(socket.socket(type=type_)) as ours:
+            ours.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            ours.bind(("127.0.0.1", port))
+            if kind == "TCP":
+                assert holder(kind, port) == ""  # bound, and nobody can come
+                ours.listen(1)
+            assert holder(kind, port).startswith(f"process {os.getpid()} (")
+        assert holder(kind, port) == ""
 
 
 def test_descriptors_that_are_closed_meanwhile_hide_nobody() -> None:
