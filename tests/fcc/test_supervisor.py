@@ -13,7 +13,7 @@ import pytest
 
 from tests.fcc.scripted import until
 from tests.patience import PATIENCE_S
-from tests.processes import alive
+from tests.processes import alive, started
 from twodof.fcc.supervisor import LONGEST_LINE, MOST_LINES, Limits, Restarts, Supervisor
 
 QUICK = Restarts(first=0.05, longest=0.1, most=2)
@@ -145,7 +145,8 @@ def test_one_that_cleans_up_is_given_the_time(tmp_path: Path) -> None:
     """
 
     async def work() -> None:
-        running = asyncio.ensure_future(Supervisor(program(tmp_path, text), said.append, restarts=QUICK).run())
+        made = Supervisor(program(tmp_path, text), said.append, restarts=QUICK, stop_s=PATIENCE_S)
+        running = asyncio.ensure_future(made.run())
         await until(lambda: bool(said))
         running.cancel()
         await asyncio.wait({running}, timeout=PATIENCE_S)
@@ -161,7 +162,7 @@ def test_it_does_not_outlive_a_supervisor_that_was_killed(tmp_path: Path) -> Non
         from twodof.fcc.supervisor import Supervisor
         asyncio.run(Supervisor({command!r}, lambda line: print(line, flush=True)).run())
     """)
-    with subprocess.Popen([sys.executable, "-c", above], stdout=subprocess.PIPE, text=True) as supervisor:
+    with started([sys.executable, "-c", above], stdout=subprocess.PIPE, text=True) as supervisor:
         assert supervisor.stdout is not None
         child = int(supervisor.stdout.readline())
         assert alive(child)
