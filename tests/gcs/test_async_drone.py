@@ -78,6 +78,65 @@ def test_a_refusal_is_not_explained_by_what_was_said_of_another() -> None:
     fly(flight, Slow())
 
 
+def test_a_refusal_is_explained_by_words_that_come_late() -> None:
+    """They are a message of their own: a drone that stands still in between says nothing else either."""
+
+    class Halting(Peer):
+        def _command_long(self, got: Any, frame: Any) -> None:
+            if got.command != 400 or not self.beating or got.param1 == 0.0:
+                super()._command_long(got, frame)
+                return
+            self.send("COMMAND_ACK", command=got.command, result=1)
+            self.beating = False
+            asyncio.get_running_loop().call_later(2.0, self.go_on)
+
+        def go_on(self) -> None:
+            self.beating = True
+            self.send("STATUSTEXT", severity=4, text="the safety switch is on")
+
+    async def flight(peer: Peer, drone: AsyncDrone) -> None:
+        with pytest.raises(Rejected, match="the safety switch is on"):
+            await drone.arm()
+
+    fly(flight, Halting())
+
+
+def test_a_refusal_without_words_is_one_at_once() -> None:
+    async def flight(peer: Peer, drone: AsyncDrone) -> None:
+        peer.refuse[400] = (2, "")
+        began = asyncio.get_running_loop().time()
+        with pytest.raises(Rejected, match="denied"):
+            await drone.arm()
+        assert asyncio.get_running_loop().time() - began < 0.5
+        del peer.refuse[400]
+
+    fly(flight)
+
+
+def test_another_on_the_same_link_is_not_taken_for_the_one_that_is_sought() -> None:
+    """Whatever it says, before ours is heard or right behind: not its state, nor its time, which would be a restart."""
+
+    class Two(Peer):
+        def send(self, name: str, /, **fields: Any) -> None:
+            self.other("ATTITUDE", time_boot_ms=4_000_000)
+            super().send(name, **fields)
+            self.other("HEARTBEAT", type=2, autopilot=12, base_mode=129, system_status=4)
+
+        def other(self, name: str, **fields: Any) -> None:
+            if self._connection is not None and not self._connection.transport.closed:
+                self._connection.system = 2
+                self._connection.send(message(name, **fields))
+                self._connection.system = 1
+
+    async def flight(peer: Peer, drone: AsyncDrone) -> None:
+        assert not drone.state.armed
+        assert drone.tick < 10_000
+        await drone.run(2.0)
+        assert drone.messages == []
+
+    fly(flight, Two(), drone=1)
+
+
 def test_a_refusal_says_why() -> None:
     async def flight(peer: Peer, drone: AsyncDrone) -> None:
         peer.refuse[400] = (1, "the safety switch is on")

@@ -44,6 +44,11 @@ async def one() -> int:
     return 1
 
 
+def ends_s(finish: bool) -> float:
+    """How long work takes that is to finish though it is interrupted; what is to be broken off does not end before."""
+    return 0.05 if finish else PATIENCE_S
+
+
 def test_a_callback_that_wants_to_end_the_program_ends_nothing_and_is_reported() -> None:
     runner = Runner("test")
     reported: list[Any] = []
@@ -79,7 +84,7 @@ def test_what_is_to_finish_is_finished_though_ctrl_c_comes(finish: bool) -> None
 
     async def work() -> None:
         os.kill(os.getpid(), signal.SIGINT)
-        await asyncio.sleep(0.05)
+        await asyncio.sleep(ends_s(finish))
         done.append(True)
 
     try:
@@ -98,7 +103,7 @@ def test_and_when_it_comes_while_the_work_is_handed_over(
     runner, done = Runner("test"), []
 
     async def work() -> None:
-        await asyncio.sleep(0.05)
+        await asyncio.sleep(ends_s(finish))
         done.append(True)
 
     hand_over = runner._loop.call_soon_threadsafe
@@ -165,6 +170,50 @@ def test_a_lease_of_this_program_is_said_to_be_its_own() -> None:
         pytest.raises(Rejected, match="this program has it"),
     ):
         Drone.connect(there.url)
+
+
+class Forgetful(Peer):
+    """The first time that it is told so it does not hear that the lease is given up."""
+
+    def _twodof_lease(self, got: Any, frame: Any) -> None:
+        if got.action != 2 or self.count("TWODOF_LEASE") > 2:
+            super()._twodof_lease(got, frame)
+
+
+def test_the_lease_is_given_up_though_the_first_word_of_it_is_lost() -> None:
+    """Else the next script would have to wait until it ends by itself."""
+
+    async def work() -> None:
+        async with Forgetful() as peer:
+            async with await AsyncDrone.connect(peer.url) as drone:
+                mine = drone.session.connection.system
+                assert peer.holder == (mine, 190)
+            told = [got.action for got in peer.heard if got.get_type() == "TWODOF_LEASE"]
+            assert told == [1, 2, 2]
+            assert peer.holder == (0, 0)
+
+    run_virtual(work())
+
+
+class Standing(Peer):
+    """It stands disarmed. When it is killed a heartbeat of before is on its way, and comes first."""
+
+    def _command_long(self, got: Any, frame: Any) -> None:
+        if got.command == 400:
+            self.heartbeat()
+            asyncio.get_running_loop().call_later(0.2, super()._command_long, got, frame)
+        else:
+            super()._command_long(got, frame)
+
+
+def test_a_kill_of_one_that_stands_is_seen_by_what_it_says_of_the_kill() -> None:
+    async def work() -> None:
+        async with Standing() as peer, await AsyncDrone.connect(peer.url) as drone:
+            await drone.kill()
+            assert peer.killed
+            assert drone.state.killed
+
+    run_virtual(work())
 
 
 class Slow(Peer):

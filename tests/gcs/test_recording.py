@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
+from twodof.flightlog import read_log
 from twodof.gcs.recording import TOGETHER, Recording
 from twodof.link.messages import message
 from twodof.signals import TOPICS
@@ -17,3 +20,14 @@ def test_batches_that_carry_nothing_take_no_memory(tmp_path: Path) -> None:
         assert len(recording._waiting) < TOGETHER
     recording.finish()
     assert (recording.samples, recording.lost) == (0, 0)
+
+
+def test_a_true_state_that_comes_twice_is_one(tmp_path: Path) -> None:
+    """Where time is granted that of the present tick is asked for, and asked for again if the answer is slow."""
+    file = tmp_path / "truth.mcap"
+    recording = Recording(file, [row for row in TOPICS if not row.onboard], {}, wait=True)
+    for tick in (500, 500, 501, 500, 502):
+        recording.truth(message("TWODOF_TRUTH", time_usec=4000 * tick, step=tick, theta=0.001 * tick))
+    recording.finish()
+    assert recording.samples == 3 * len(recording.topics)
+    assert np.array_equal(read_log(file)["theta_true"].value, [0.5, 0.501, 0.502])

@@ -25,8 +25,8 @@ from twodof.gcs.telemetry import Signal
 CALL_S = 6.0
 # A call may notice at its next look, which is at most a second later; words for a refusal take .3 s.
 LATE_S = 1.5
-# Two subscriptions of 5 s each, and a second each to end them.
-RECORD_S = 12.0
+# Two subscriptions of 5 s each; a second for the end of the truth's, three for that of the rows: the last come then.
+RECORD_S = 14.0
 # Where time is granted: 5 s, and ten times the .6 s that are waited.
 WAIT_S = 11.0
 EXCITATION = Doublet(0.1, 0.2, unit="rad")
@@ -252,6 +252,7 @@ def test_a_server_that_accepts_and_says_nothing_holds_nobody_up() -> None:
     """The synchronous face, over TCP and in real time."""
     with socket.create_server(("127.0.0.1", 0)) as server:
         before = set(threading.enumerate())
-        with pytest.raises(LinkLost, match="no drone was heard"):
+        # Which of the two it was that the time did not suffice for depends on how fast this machine connects.
+        with pytest.raises(LinkLost, match=r"no drone was heard within|nobody answered within 0\.3 s"):
             Drone.connect(f"tcp://127.0.0.1:{server.getsockname()[1]}", timeout=0.3)
         assert set(threading.enumerate()) <= before

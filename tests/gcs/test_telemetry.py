@@ -66,6 +66,33 @@ def test_rows_count_what_is_lost_and_keep_each_tick_once() -> None:
     assert rows.lost == 15
 
 
+class Late(Peer):
+    """Ends a subscription two seconds after it is told to, and then sends first what it has left."""
+
+    def _command_long(self, got: Any, frame: Any) -> None:
+        if got.command == 511 and got.param2 == -1.0:
+            asyncio.get_running_loop().call_later(2.0, self.end, got, frame)
+        else:
+            super()._command_long(got, frame)
+
+    def end(self, got: Any, frame: Any) -> None:
+        (sent,) = batch(self.tick, channel_mask(["estimate.q"]), np.array([[0.5]], dtype=np.float32))
+        self.send("TWODOF_BATCH", **{name: getattr(sent, name) for name in sent.fieldnames})
+        super()._command_long(got, frame)
+
+
+def test_the_last_rows_are_waited_for() -> None:
+    """What waits on board when a subscription ends comes before the answer, over a bad link seconds later."""
+
+    async def work() -> None:
+        async with Late() as peer, await AsyncDrone.connect(peer.url) as drone:
+            async with drone.batch(["estimate.q"]) as rows:
+                await drone.run(0.1)
+            assert rows.values.tolist()[0] == [0.5]
+
+    run_virtual(work())
+
+
 def test_a_slow_reader_loses_the_oldest_and_holds_nobody_up() -> None:
     async def work() -> None:
         async with Peer() as peer, await AsyncDrone.connect(peer.url) as drone:

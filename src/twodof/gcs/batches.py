@@ -19,7 +19,8 @@ from twodof.link.tick import TICK_S
 
 MESSAGE = "TWODOF_BATCH"
 TIMEOUT_S = 5.0
-LEAVING_S = 1.0
+LEAVING_S = 3.0
+"""What waits on board is sent before the answer to this, so it is waited for until the drone would count as lost."""
 _IN_DOUBT = -1
 
 

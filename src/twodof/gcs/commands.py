@@ -114,13 +114,19 @@ class Commands:
         return Rejected(said or words, f"drone {self._session.system}, {deadline.doing}", _REMEDIES.get(result, ""))
 
     async def words(self, spoken: int, deadline: Deadline) -> str:
-        """What the drone said since it had said `spoken` lines, waiting a moment for it; "" if it says nothing."""
-        until = min(deadline.end, self._session.now + WORDS_S)
-        with self._session.listen("STATUSTEXT") as heard:
+        """What the drone said since it had said `spoken` lines, waiting a moment for it; "" if it says nothing.
+
+        It says nothing where something else is heard in that moment: one that stands still says neither.
+        """
+        session, before = self._session, self._session.taken
+        until = min(deadline.end, session.now + WORDS_S)
+        with session.listen("STATUSTEXT") as heard:
             try:
                 while not (lines := self._texts.since(spoken)):
                     if await heard.next(until) is None:
-                        return ""
+                        if session.taken > before or deadline.left <= 0.0:
+                            return ""
+                        until = min(deadline.end, session.now + WORDS_S)
             except (LinkLost, Timeout):
                 return ""
         return "; ".join(line.text for line in lines[-3:])

@@ -201,13 +201,14 @@ class Connected:
             return
         self._closed = True
         self.setpoints.stop()
+        deadline = self._deadline(timeout, "leaving")
         try:
             others = self.lease.holder is not None and not self.lease.ours  # it is theirs to disarm
             if self.commanding and not others and (self.state.armed or self._may_be_armed):
                 await self._stand(timeout)
             if self.lease.wanted:
                 with suppress(Timeout, LinkLost):  # it ends by itself
-                    await self.lease.give_up(timeout / 6)
+                    await self.lease.give_up(max(timeout / 6, deadline.left))
         finally:
             self.lease.stop()
             await self.session.close()
@@ -314,10 +315,14 @@ class Connected:
         await self._see(lambda: not self.state.killed, deadline)
 
     async def _insist(self, force: float, deadline: Deadline) -> None:
-        """Say that it is to disarm until it is seen to be, though the link may seem lost. Raises Timeout, LinkLost."""
+        """Say that it is to disarm until it is seen to be, though the link may seem lost. Raises Timeout, LinkLost.
+
+        A kill of one of ours is seen where it is said to hold: one that stood anyhow may have sent a heartbeat before.
+        """
         self.setpoints.stop()
         number = number_of("COMPONENT_ARM_DISARM")
         beats, attempt, acknowledged = self.watcher.heartbeats, 0, False
+        holds = self.ours and force == _FORCE
         with self.session.listen("HEARTBEAT", "COMMAND_ACK") as heard:
             while True:
                 self.session.send_anyway(self.commands.long(number, [0.0, force], attempt))
@@ -325,7 +330,8 @@ class Connected:
                 until = min(deadline.end, self.session.now + _KILL_RETRY_S)
                 while (got := await heard.next(until, though_lost=True)) is not None:
                     acknowledged |= got.get_type() == "COMMAND_ACK" and (got.command, got.result) == (number, ACCEPTED)
-                    seen = self.watcher.heartbeats > beats and not self.state.armed
+                    stands = not self.state.armed and (self.state.killed or not holds)
+                    seen = self.watcher.heartbeats > beats and stands
                     if acknowledged and not seen and self.clock.granting and self.session.lost is None:
                         await self.clock.run_until(self.tick + 1)
                     elif seen or (acknowledged and self.session.lockstep):  # there nothing turns while time stands

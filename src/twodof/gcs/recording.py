@@ -45,6 +45,8 @@ SAFETY = Stream(
 MOST_TEXTS = 1000
 TOGETHER = 32
 """Rows that are handed to the writer together: an eighth of a second, which a crash would cost besides."""
+MOST_TRUTHS = 1024
+"""True states that are known to have come: of four seconds."""
 _EVENTS = "openloop"
 _LATEST_US = 1 << 52
 _LATEST_S = 4e9
@@ -77,6 +79,7 @@ class Recording:
         self._seen: set[int] = set()
         self._first = self._last = -1
         self._rows = 0
+        self._truths: dict[int, None] = {}  # times [us] of the true states that came last
         self._open = _Open()
         self._names = frozenset(row.name for row in self.topics)
         self._time = 0.0  # the drone's, of the telemetry that came last [s]
@@ -175,8 +178,13 @@ class Recording:
         self._put(SAFETY.topic, stamps("", np.array([got.tick + self._shift], dtype=np.int64)), values)
 
     def truth(self, got: Any) -> None:
-        """A TWODOF_TRUTH."""
+        """A TWODOF_TRUTH; each once, though it may be asked for and sent twice."""
         since = min(got.time_usec, _LATEST_US) + self._shift * TICK_US
+        if since in self._truths:
+            return
+        self._truths[since] = None
+        if len(self._truths) > MOST_TRUTHS:
+            del self._truths[next(iter(self._truths))]
         time = np.array([round(BOOT * 1e9) + since * 1000], dtype=np.int64)
         for row in self.topics:
             if not row.onboard:

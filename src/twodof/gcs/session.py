@@ -83,11 +83,13 @@ class Session:
         self.system = 0
         self.component = AUTOPILOT
         self.lockstep = False
+        self.taken = 0  # messages of the vehicle's
         self.faults = 0  # handlers that raised
         self.signed_frames = 0  # of the vehicle's; before it was found, of everybody's
         self._kind = _ON_BOARD if on_board else _GROUND
         self._loop = asyncio.get_running_loop()
         self._peer: Hashable | None = None
+        self._sought: int | None = None
         self._last_heard = self._awake = self._loop.time()
         self.on_pause: Callable[[float], None] | None = None
         """What is done once this program has stood still for longer than SILENT_S, with that time [s]."""
@@ -117,13 +119,12 @@ class Session:
         Raises LinkLost if none comes within `timeout` [s].
         """
         deadline = Deadline(timeout, "looking for a drone", self.url)
+        self._sought = system
         with self.listen("HEARTBEAT") as heard:
-            while (got := await heard.next(deadline.end)) is not None:
-                ours = got.get_srcComponent() == AUTOPILOT and got.autopilot != NO_AUTOPILOT
-                if ours and system in (None, got.get_srcSystem()):
-                    self.system = got.get_srcSystem()
-                    self._last_heard = self.now
-                    return
+            while not self.system and await heard.next(deadline.end) is not None:
+                pass
+        if self.system:
+            return
         which = "no drone" if system is None else f"no drone {system}"
         refused, remedy = self._refused()
         raise LinkLost(f"{which} was heard within {timeout:.3g} s{refused}", self.url, remedy)
@@ -148,7 +149,7 @@ class Session:
         return "", "start it, correct the address or the key, or look with Drone.discover()"
 
     def on(self, handler: Handler, *names: str) -> None:
-        """Hand each message of these kinds from the vehicle to `handler`, which must be quick."""
+        """Hand each message of these kinds from the vehicle to `handler`, which must be quick; none before `find`."""
         for name in names:
             self._handlers.setdefault(name, []).append(handler)
 
@@ -276,14 +277,18 @@ class Session:
 
     def _take(self, received: Received) -> None:
         got, frame = received.message, received.frame
+        name = got.get_type()
+        if not self.system and name == "HEARTBEAT" and self._is_sought(got):
+            # At once: what others say behind it, in the same packet perhaps, is none of this vehicle's.
+            self.system = frame.system
         if self.system:
             if (frame.system, frame.component) != (self.system, self.component):
                 return
+            self.taken += 1
             self._last_heard = self.now
             self._peer = received.peer
         self.signed_frames += frame.signed
-        name = got.get_type()
-        for handler in self._handlers.get(name, ()):
+        for handler in self._handlers.get(name, ()) if self.system else ():
             try:
                 handler(got)
             except (ArithmeticError, LookupError, TypeError, ValueError, TwodofError) as fault:
@@ -293,6 +298,11 @@ class Session:
         for heard in self._listeners:
             if name in heard.names:
                 heard.take(got)
+
+    def _is_sought(self, beat: Any) -> bool:
+        """Whether it is the heartbeat of the vehicle that `find` waits for."""
+        flies = beat.get_srcComponent() == AUTOPILOT and beat.autopilot != NO_AUTOPILOT
+        return flies and self._sought in (None, beat.get_srcSystem())
 
     def end(self, reason: LinkLost) -> None:
         """The vehicle is lost: whoever waits and every call from now on says `reason`; the first one stays."""

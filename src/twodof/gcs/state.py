@@ -54,7 +54,12 @@ class Battery:
 
 @dataclass(frozen=True)
 class State:
-    """How the drone stood when it was last heard; `autopilot` is its MAV_AUTOPILOT in words ("px4")."""
+    """How the drone stood when it was last heard; `autopilot` is its MAV_AUTOPILOT in words ("px4").
+
+    Its parts come in messages of their own: `mode`, `armed`, `status` (and `killed`) in HEARTBEAT, `safety` in
+    TWODOF_SAFETY, `rig` in TWODOF_RIG. For a moment one may tell of what another does not yet: who waits for
+    `safety.action` to be "off" may still find `armed`. Wait for each that is to be looked at.
+    """
 
     mode: str = "unknown"
     armed: bool = False
