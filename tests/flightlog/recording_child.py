@@ -18,8 +18,8 @@ def gyro(k: np.ndarray) -> np.ndarray:
 
 
 def record_mcap(path: Path) -> None:
-    """Two topics, in blocks of 50 samples each; prints how many blocks are on the disk."""
-    with Recorder(path, ["imu.gyro", "estimate.theta"], {"seed": 7}, flush_s=0.01) as recorder:
+    """Two topics, in blocks of 50 samples each; prints how many blocks are on the disk, for which it waits."""
+    with Recorder(path, ["imu.gyro", "estimate.theta"], {"seed": 7}, flush_s=0.01, full="wait") as recorder:
         block = 0
         while True:
             k = np.arange(50 * block, 50 * (block + 1))
@@ -33,8 +33,8 @@ def record_mcap(path: Path) -> None:
 
 
 def record_ulog(path: Path) -> None:
-    """One topic; prints how many records are on the disk."""
-    with ULogWriter(path, FORMATS, flush_s=0.01) as writer:
+    """One topic; prints how many records are on the disk, for which it waits."""
+    with ULogWriter(path, FORMATS, flush_s=0.01, full="wait") as writer:
         k = 0
         while True:
             for row in gyro(np.arange(k, k + 50)):

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
+from tests.flightlog.conftest import SlowDisk
 from tests.flightlog.recording_child import PERIOD_NS, gyro
 from tests.patience import PATIENCE_S
 from twodof.errors import LogError, RecordingError
@@ -109,37 +110,6 @@ def test_what_does_not_fit_is_refused_and_not_recorded(tmp_path: Path) -> None:
     with pytest.raises(LogError, match="is recorded twice"):
         Recorder(tmp_path / "b.mcap", ["q", Stream("/own", "twodof_msgs/msg/Own", "q", "")])
     assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
-
-
-class SlowDisk:
-    """fsync waits while it stands still; `standing` says that somebody waits."""
-
-    def __init__(self) -> None:
-        self.standing, self._going, self._sync = threading.Event(), threading.Event(), os.fsync
-        self._going.set()
-
-    def sync(self, descriptor: int) -> None:
-        """In place of os.fsync."""
-        if not self._going.is_set():
-            self.standing.set()
-            assert self._going.wait(PATIENCE_S)
-        self._sync(descriptor)
-
-    def stop(self) -> None:
-        """From now on it stands still."""
-        self._going.clear()
-
-    def go(self) -> None:
-        """What waits goes on."""
-        self._going.set()
-
-
-@pytest.fixture
-def slow_disk(monkeypatch: pytest.MonkeyPatch) -> Iterator[SlowDisk]:
-    made = SlowDisk()
-    monkeypatch.setattr(os, "fsync", made.sync)
-    yield made
-    made.go()
 
 
 def test_what_a_slow_disk_cannot_take_is_counted(tmp_path: Path, slow_disk: SlowDisk) -> None:

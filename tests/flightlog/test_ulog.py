@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 from pyulog import ULog as TheirULog
 
+from tests.flightlog.conftest import SlowDisk
 from tests.flightlog.recording_child import FORMATS, gyro
 from tests.flightlog.test_recorder import kill, start
 from tests.flightlog.test_recovery import damaged
+from tests.patience import PATIENCE_S
 from twodof.cli.app import run
 from twodof.errors import LogError, RecordingError
 from twodof.flightlog import ulog_decoder
@@ -260,17 +262,20 @@ def test_killed_while_logging(tmp_path: Path) -> None:
     assert len(TheirULog(str(path)).data_list[0].data["timestamp"]) in (n, n + 1)
 
 
-def test_what_a_slow_disk_cannot_take_is_logged_as_a_dropout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_a_slow_disk_cannot_take_is_logged_as_a_dropout(tmp_path: Path, slow_disk: SlowDisk) -> None:
     path = tmp_path / "a.ulg"
-    with ULogWriter(path, FORMATS, flush_s=30.0, capacity_bytes=37 * 50) as writer:
-        taken = [writer.write("imu_gyro", 4000 * k, (1.0, 2.0, 3.0)) for k in range(70)]
-        first = taken.index(False)
-        while not writer.write("imu_gyro", 4000 * 100, (1.0, 2.0, 3.0)):
-            writer.flush()
-        dropped = writer.dropped
-    assert dropped >= taken.count(False) > 0
+    with ULogWriter(path, FORMATS, flush_s=0.01, capacity_bytes=37 * 50) as writer:
+        slow_disk.stop()
+        assert writer.write("imu_gyro", 0, (1.0, 2.0, 3.0))
+        assert slow_disk.standing.wait(PATIENCE_S)  # with the first; all others wait in memory, or do not
+        taken = [writer.write("imu_gyro", 4000 * k, (1.0, 2.0, 3.0)) for k in range(1, 71)]
+        assert taken == [True] * 50 + [False] * 20
+        slow_disk.go()
+        assert writer.flush().samples == 51
+        assert writer.write("imu_gyro", 4000 * 100, (1.0, 2.0, 3.0))
+        assert writer.dropped == 20
     (theirs,) = TheirULog(str(path)).dropouts
-    assert theirs.duration == 4 * (100 - first)
+    assert theirs.duration == 4 * (100 - 51)
     assert read_ulog(path).provenance["dropouts"]["count"] == 1
 
 

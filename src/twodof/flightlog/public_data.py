@@ -188,7 +188,9 @@ def download(row: PublicLog, folder: Path, deadline_s: float) -> Path:
     try:
         data = answer.get(timeout=deadline_s)
     except queue.Empty:
-        raise DownloadError(f"no answer within {deadline_s:g} s from {row.url}", row.name, remedy) from None
+        data = TimeoutError()
+    if isinstance(data, TimeoutError):
+        raise DownloadError(f"no answer within {deadline_s:g} s from {row.url}", row.name, remedy)
     if isinstance(data, Exception):
         raise DownloadError(f"cannot be downloaded from {row.url}: {data}", row.name, remedy) from data
     _verify(data, row, Path(row.url))
@@ -213,9 +215,10 @@ def _receive(url: str, deadline_s: float, answer: "queue.SimpleQueue[bytes | Exc
                 if size > MAX_BYTES:
                     raise ValueError(f"more than {MAX_BYTES} bytes")
                 if time.monotonic() > end:
-                    raise TimeoutError(f"only {size} bytes within {deadline_s:g} s")
+                    raise TimeoutError
     except (OSError, ValueError) as reason:  # URLError, HTTP errors and time-outs are kinds of OSError
-        answer.put(reason)
+        cause = getattr(reason, "reason", None)  # of a URLError: of a connection that did not come in time, say
+        answer.put(cause if isinstance(cause, TimeoutError) else reason)
     else:
         answer.put(b"".join(parts))
 
