@@ -395,14 +395,3 @@ def test_a_drone_that_goes_is_a_lost_link() -> None:
     with pytest.raises(LinkLost):
         drone.run(0.1)
     drone.close()
-
-
-def test_the_same_excitation_in_another_session_is_played_again() -> None:
-    """In real time nothing is reset between: the second must not be taken for a repetition of the first."""
-    impulse = Impulse(0.1, 0.05, unit="-")
-    with on_board(conditions={"rings": True}) as there:
-        for _ in range(2):
-            with Drone.connect(there.url) as drone:
-                drone.run(0.3)
-                drone.arm()
-                assert drone.excite(impulse, thrust=0.0).state == "done"

@@ -9,6 +9,7 @@ from tests.faults.virtual_time import VirtualLoop, run_virtual
 from tests.faults.whole import Whole, run
 from tests.gcs.peer import Peer
 from twodof.errors import LinkLost, Rejected
+from twodof.excitation import Impulse
 from twodof.gcs.async_drone import AsyncDrone
 
 
@@ -197,5 +198,23 @@ def test_a_drone_that_was_ended_and_begun_again_at_once_is_noticed() -> None:
                 assert told >= 2
                 numbers.add(number)
         assert len(numbers) == 2
+
+    run(work())
+
+
+def test_the_same_excitation_in_another_session_is_played_again() -> None:
+    """In real time nothing is reset between: the second must not be taken for a repetition of the first."""
+
+    async def work() -> None:
+        async with Whole() as whole:
+            for _ in range(2):
+                async with await whole.client(system=250) as drone:
+                    await drone.run(0.3)
+                    await drone.arm()
+                    played = await drone.excite(Impulse(0.1, 0.05, unit="-"), thrust=0.0)
+                    assert played.done
+                    flown = [step.M for step in whole.since(played.start_tick) if step.tick < played.end_tick]
+                    assert flown == [0.1] * len(flown)
+                    assert len(flown) > 10
 
     run(work())

@@ -1,6 +1,7 @@
 """A drone that asks for signatures: with the key everything works, without it nothing; and who is there at all."""
 
 import asyncio
+import socket
 from pathlib import Path
 
 import pytest
@@ -71,7 +72,11 @@ def test_a_key_that_others_may_read_is_refused(tmp_path: Path) -> None:
         Drone.connect("mem://nowhere", timeout=0.1, key=tmp_path / "drone.key")
 
 
-def test_a_host_that_is_unknown_is_an_error() -> None:
+def test_a_host_that_is_unknown_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    def unknown(*_: object, **__: object) -> None:
+        raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
+
+    monkeypatch.setattr(socket, "getaddrinfo", unknown)  # nobody's name server is waited for
     with pytest.raises(LinkError, match=r"no-such-host.invalid.*no host"):
         asyncio.run(discover(0.1, hosts=["no-such-host.invalid"], places=[]))
 
