@@ -211,8 +211,10 @@ def test_the_same_excitation_in_another_session_is_played_again() -> None:
                 async with await whole.client(system=250) as drone:
                     await drone.run(0.3)
                     await drone.arm()
+                    before = drone.tick
                     played = await drone.excite(Impulse(0.1, 0.05, unit="-"), thrust=0.0)
                     assert played.done
+                    assert played.start_tick >= before
                     flown = [step.M for step in whole.since(played.start_tick) if step.tick < played.end_tick]
                     assert flown == [0.1] * len(flown)
                     assert len(flown) > 10
