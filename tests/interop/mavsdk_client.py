@@ -8,37 +8,27 @@ step is a line of JSON. It runs in a process of its own, as a native library tha
 from __future__ import annotations
 
 import asyncio
-import json
 import math
 import sys
 from collections import deque
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
-from mavsdk.asyncio import Configuration, Mavsdk, System
+from mavsdk.asyncio import System
 from mavsdk.asyncio.plugins.action import ActionAsync
 from mavsdk.asyncio.plugins.info import InfoAsync
 from mavsdk.asyncio.plugins.log_files import LogFilesAsync
 from mavsdk.asyncio.plugins.offboard import Attitude, OffboardAsync
 from mavsdk.asyncio.plugins.param import ParamAsync
 from mavsdk.asyncio.plugins.telemetry import EulerAngle, TelemetryAsync
+from mavsdk_steps import DEADLINE_S, made, say, told, within
 
-DEADLINE_S = 100.0
 THETA = 0.1  # rad, the set-point
 THRUST = 0.4
 NEAR = 0.03  # rad
 
 T = TypeVar("T")
-
-
-def say(step: str, **saw: Any) -> None:
-    sys.stdout.write(json.dumps({"step": step} | saw) + "\n")
-    sys.stdout.flush()
-
-
-async def within(what: Awaitable[T]) -> T:
-    return await asyncio.wait_for(what, DEADLINE_S)
 
 
 async def some(stream: AsyncIterator[T], count: int) -> list[T]:
@@ -61,8 +51,8 @@ async def until(stream: AsyncIterator[T], holds: Callable[[T], bool]) -> T:
 async def look_around(system: System, name: str, value: float) -> None:
     """What needs no right to command but for the parameter."""
     info = InfoAsync(system)
-    version, product = await within(info.get_version()), await within(info.get_product())
-    uid = (await within(info.get_identification())).hardware_uid
+    version, product = await told(info.get_version), await told(info.get_product)
+    uid = (await told(info.get_identification)).hardware_uid
     software = [version.flight_sw_major, version.flight_sw_minor, version.flight_sw_patch]
     say("version", software=software, vendor=product.vendor_name, product=product.product_name, uid=uid)
     parameters = ParamAsync(system)
@@ -143,7 +133,7 @@ async def fetch(system: System, log: Path) -> None:
 
 
 async def main(url: str, name: str, value: float, log: Path, first: str) -> None:
-    async with Mavsdk(Configuration.create_manual(245, 190, True)) as mavsdk:
+    async with made() as mavsdk:
         await within(mavsdk.add_any_connection(url))
         system = await mavsdk.first_autopilot(timeout_s=DEADLINE_S)
         if system is None:

@@ -8,13 +8,10 @@ from __future__ import annotations
 
 import asyncio
 import base64
-import json
 import sys
-from collections.abc import Awaitable
 from pathlib import Path
-from typing import Any, TypeVar
 
-from mavsdk.asyncio import Configuration, Mavsdk, System
+from mavsdk.asyncio import System
 from mavsdk.asyncio.plugins.action import ActionAsync
 from mavsdk.asyncio.plugins.component_metadata import ComponentMetadataAsync
 from mavsdk.asyncio.plugins.events import EventsAsync
@@ -23,21 +20,10 @@ from mavsdk.asyncio.plugins.log_streaming import LogStreamingAsync
 from mavsdk.plugins.action import ActionError
 from mavsdk.plugins.events import HealthAndArmingCheckMode
 from mavsdk.plugins.ftp import FtpError
+from mavsdk_steps import DEADLINE_S, made, say, within
 
-DEADLINE_S = 100.0
 # Two parts of a log: the second before it began, and what came in the next quarter of one.
 STREAMED_BYTES = 300_000
-
-T = TypeVar("T")
-
-
-def say(step: str, **saw: Any) -> None:
-    sys.stdout.write(json.dumps({"step": step} | saw) + "\n")
-    sys.stdout.flush()
-
-
-async def within(what: Awaitable[T]) -> T:
-    return await asyncio.wait_for(what, DEADLINE_S)
 
 
 async def files(ftp: FtpAsync, folder: Path) -> None:
@@ -131,7 +117,7 @@ async def stream(system: System, target: Path) -> None:
 
 
 async def main(url: str, folder: Path) -> None:
-    async with Mavsdk(Configuration.create_manual(245, 190, True)) as mavsdk:
+    async with made() as mavsdk:
         await within(mavsdk.add_any_connection(url))
         system = await mavsdk.first_autopilot(timeout_s=DEADLINE_S)
         if system is None:
