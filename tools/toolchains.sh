@@ -34,8 +34,10 @@ packages=$(for row in "${absent[@]}"; do tr ' ' '\n' <<<"${row#* }"; done | sort
 if [[ $(id -u) -eq 0 ]] && command -v apt-get >/dev/null; then
     echo "tools: installing ${packages% }"
     export DEBIAN_FRONTEND=noninteractive
-    timeout 900 apt-get update -qq &&
-        timeout 900 apt-get install -y -qq --no-install-recommends $packages >/dev/null ||
+    # Somebody else may be installing, and a mirror may not answer the first time.
+    patience=(-o DPkg::Lock::Timeout=300 -o Acquire::Retries=3)
+    timeout 900 apt-get "${patience[@]}" update -qq &&
+        timeout 900 apt-get "${patience[@]}" install -y -qq --no-install-recommends $packages >/dev/null ||
         echo "tools: apt-get could not install them" >&2
     mapfile -t absent < <(missing)
 fi
