@@ -144,10 +144,12 @@ def test_readers_see_whole_sets_only() -> None:
 
     reader = threading.Thread(target=read)
     reader.start()
-    for k in range(3000):
-        values.update({"VEL_KP": k % 4, "VEL_KI": k % 4})
-    stop.set()
-    reader.join()
+    try:
+        for k in range(3000):
+            values.update({"VEL_KP": k % 4, "VEL_KI": k % 4})
+    finally:
+        stop.set()
+        reader.join()
     assert torn == []
 
 

@@ -1,6 +1,7 @@
 """The benchmark of the wire measures answers that came."""
 
 import asyncio
+import time
 
 from bench import link
 
@@ -15,4 +16,6 @@ def test_every_round_trip_is_answered() -> None:
 
 
 def test_the_dialect_s_load_is_timed() -> None:
-    assert 0.0 < link.load_seconds("twodof.link import dialect", "dialect.load()", 1) < 10.0
+    start = time.perf_counter()
+    load = link.load_seconds("twodof.link import dialect", "dialect.load()", 1)
+    assert 0.0 < load < time.perf_counter() - start  # a part of what its process took
