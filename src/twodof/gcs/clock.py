@@ -14,7 +14,7 @@ from twodof.link.tick import TICK_MS, TICK_S
 
 _STAMPED_MS = ("ATTITUDE", "ATTITUDE_TARGET", "LOCAL_POSITION_NED", "ATTITUDE_QUATERNION")
 _TICKED = ("TWODOF_SAFETY", "TWODOF_TIMING", "TWODOF_EXCITE_STATUS", "TWODOF_RIG", "TWODOF_TICK")
-# Real time of the drone's silence over its own time, after which it stands still.
+# Real time for which the drone speaks and is silent over its own time, after which it stands still.
 STANDS_STILL_S = 3.0
 # A drone's clock that runs slower than this is none.
 SLOWEST = 1.5
@@ -125,13 +125,17 @@ class Clock:
             while self.tick < tick and not (done is not None and done()):
                 if self.tick != seen:
                     moved, seen = session.now, self.tick
-                if session.now - moved > STANDS_STILL_S or session.now > end:
+                # By when it was heard: one that says nothing at all is lost.
+                if session.heard_at - moved > STANDS_STILL_S or session.heard_at > end:
                     raise Timeout(
                         f"the drone's time does not pass as ours does: it is at tick {self.tick}",
                         f"drone {session.system}",
                         "nothing that carries its time comes: subscribe to ATTITUDE, or look at the link",
                     )
-                await heard.next(session.now + SETPOINT_TICKS * TICK_S)
+                look = session.now + SETPOINT_TICKS * TICK_S
+                await heard.next(look)
+                stood = max(0.0, session.now - look)  # this program did, which is not the drone's fault
+                moved, end = moved + stood, end + stood
 
     def _started(self, got: Any) -> None:
         """Another number than before: in the first second of a drone its stamps do not show that it has restarted."""

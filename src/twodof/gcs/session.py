@@ -90,7 +90,8 @@ class Session:
         self._loop = asyncio.get_running_loop()
         self._peer: Hashable | None = None
         self._sought: int | None = None
-        self._last_heard = self._awake = self._loop.time()
+        self.heard_at = self._last_heard = self._awake = self._loop.time()
+        """When the vehicle was heard last, by the loop's clock [s]."""
         self.on_pause: Callable[[float], None] | None = None
         """What is done once this program has stood still for longer than SILENT_S, with that time [s]."""
         self._lost: LinkLost | None = None
@@ -285,7 +286,7 @@ class Session:
             if (frame.system, frame.component) != (self.system, self.component):
                 return
             self.taken += 1
-            self._last_heard = self.now
+            self.heard_at = self._last_heard = self.now
             self._peer = received.peer
         self.signed_frames += frame.signed
         for handler in self._handlers.get(name, ()) if self.system else ():
