@@ -11,7 +11,7 @@ PAGE = Path(__file__).resolve().parents[2] / "docs" / "clients.md"
 
 
 def test_the_script_on_the_page_flies(companion_port: int, tmp_path: Path) -> None:
-    """It arms, follows a pitch of .1 rad within .02, disarms; mavutil gives itself the component 0."""
+    """It arms, follows a pitch of .1 rad within .02 for a second, disarms; mavutil gives itself the component 0."""
     text = PAGE.read_text(encoding="utf-8").split("## pymavlink")[1].split("## node-mavlink")[0]
     (block,) = re.findall(r"```py\n(.*?)```", text, flags=re.DOTALL)
     script = tmp_path / "fly.py"
