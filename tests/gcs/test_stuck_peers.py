@@ -248,6 +248,28 @@ def test_one_that_answers_wrongly(tmp_path: Path, lockstep: bool, seed: int) -> 
     talk.check()
 
 
+@pytest.mark.parametrize("lockstep", [False, True])
+def test_time_that_stands_still_holds_no_call_up_that_lets_it_pass(lockstep: bool) -> None:
+    """One that refuses every mode is asked again .1 s later, of its own time: which never comes."""
+    stuck = False
+
+    def spoil(_: int, sent: Any) -> list[Any]:
+        if stuck and sent.get_type() == "COMMAND_ACK":
+            sent.result = 1
+        return [sent] if not stuck or sent.get_type() in ("COMMAND_ACK", "HEARTBEAT") else []
+
+    async def call() -> float:
+        nonlocal stuck
+        async with Peer(lockstep=lockstep, spoil=spoil) as peer, await AsyncDrone.connect(peer.url, CALL_S) as drone:
+            stuck, start = True, asyncio.get_running_loop().time()
+            with pytest.raises((Rejected, Timeout)):
+                await drone.set_velocity(0.1, timeout=2.0)
+            took, stuck = asyncio.get_running_loop().time() - start, False
+            return took
+
+    assert run_virtual(call()) == pytest.approx(2.0, abs=LATE_S)
+
+
 def test_a_server_that_accepts_and_says_nothing_holds_nobody_up() -> None:
     """The synchronous face, over TCP and in real time."""
     with socket.create_server(("127.0.0.1", 0)) as server:

@@ -148,7 +148,7 @@ class AsyncDrone(Connected):
                         raise self._not_taken(line.text, deadline) from None
                 if deadline.left < _MODE_RETRY_S:
                     raise
-                await self.run(_MODE_RETRY_S)
+                await self._pass(self.tick + ceil(_MODE_RETRY_S / TICK_S), None, deadline)
 
     def _not_killed(self, deadline: Deadline) -> None:
         """A drone that was killed takes set-points and flies none: raise Rejected."""
@@ -189,7 +189,7 @@ class AsyncDrone(Connected):
         if not condition():
             raise Timeout(f"the condition did not come within {timeout:g} s", f"drone {self.session.system}")
 
-    async def _pass(self, tick: int, condition: Callable[[], bool] | None) -> None:
+    async def _pass(self, tick: int, condition: Callable[[], bool] | None, within: Deadline | None = None) -> None:
         """Let its time pass up to a tick or until `condition()`; what is streamed to a drone that was killed ends."""
 
         def killed() -> bool:
@@ -198,7 +198,7 @@ class AsyncDrone(Connected):
         def done() -> bool:
             return killed() or (condition is not None and condition())
 
-        await self.clock.run_until(tick, condition if self.clock.granting else done)
+        await self.clock.run_until(tick, condition if self.clock.granting else done, within)
         if killed():
             self.setpoints.stop()
             self._not_killed(self._deadline(0.0, "flying"))

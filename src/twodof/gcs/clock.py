@@ -84,17 +84,20 @@ class Clock:
         finally:
             self._resets_until = self._session.now + RESET_SETTLES_S
 
-    async def run_until(self, tick: int, done: Callable[[], bool] | None = None) -> None:
+    async def run_until(
+        self, tick: int, done: Callable[[], bool] | None = None, within: Deadline | None = None
+    ) -> None:
         """Let the drone's time pass up to `tick` (not run yet), or until `done()`, asked each 20 ms of its time.
 
-        Raises LinkLost, Rejected if it is not ours to grant; Timeout if it stands still.
+        Raises LinkLost, Rejected if it is not ours to grant; Timeout if it stands still, or at the deadline of the
+        call that lets it pass (`within`).
         """
         if not self.granting:
-            await self._pass(tick, done)
+            await self._pass(tick, done, within)
             return
         step = SETPOINT_TICKS if done is not None else SLICE_TICKS
         wall = SLICE_WALL_S + SLOWEST_LOCKSTEP * max(0, tick - self.tick) * TICK_S
-        deadline = Deadline(wall, f"granting time up to tick {tick}", f"drone {self._session.system}")
+        deadline = within or Deadline(wall, f"granting time up to tick {tick}", f"drone {self._session.system}")
         for until in [*range(self.tick + step, tick, step), tick]:
             if self.tick >= tick or (done is not None and done()):
                 return
@@ -117,7 +120,7 @@ class Clock:
             deadline,
         )
 
-    async def _pass(self, tick: int, done: Callable[[], bool] | None) -> None:
+    async def _pass(self, tick: int, done: Callable[[], bool] | None, within: Deadline | None) -> None:
         session = self._session
         moved, seen = session.now, self.tick
         end = moved + STANDS_STILL_S + SLOWEST * max(0, tick - seen) * TICK_S
@@ -132,6 +135,8 @@ class Clock:
                         f"drone {session.system}",
                         "nothing that carries its time comes: subscribe to ATTITUDE, or look at the link",
                     )
+                if within is not None:
+                    within.check()
                 look = session.now + SETPOINT_TICKS * TICK_S
                 await heard.next(look)
                 stood = max(0.0, session.now - look)  # this program did, which is not the drone's fault

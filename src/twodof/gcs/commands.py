@@ -49,8 +49,8 @@ class Commands:
         """Whether its words come after its refusal, as one of ours says them; PX4 says them before."""
         self._spoken: dict[int, int] = {}  # lines that had come with the latest answer to each command
         session.on(self._answered, "COMMAND_ACK")
-        self.on_progress: Callable[[], Awaitable[None]] | None = None
-        """What makes the drone's time pass where it stands still while a command is in progress."""
+        self.on_progress: Callable[[Deadline], Awaitable[None]] | None = None
+        """What makes the drone's time pass, by a deadline, where it stands still while a command is in progress."""
 
     async def run(self, command: str, values: Sequence[float], timeout: float, doing: str) -> Any:
         """Send a command with up to seven `values` and return its COMMAND_ACK once it was accepted.
@@ -89,7 +89,7 @@ class Commands:
                             raise await self._refusal(got.result, spoken, deadline)
                         progress = True
                     if progress and self.on_progress is not None:
-                        await self.on_progress()
+                        await self.on_progress(deadline)
                     deadline.check()
                 deadline.check()
         raise deadline.error()

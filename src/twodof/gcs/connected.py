@@ -333,7 +333,7 @@ class Connected:
                     stands = not self.state.armed and (self.state.killed or not holds)
                     seen = self.watcher.heartbeats > beats and stands
                     if acknowledged and not seen and self.clock.granting and self.session.lost is None:
-                        await self.clock.run_until(self.tick + 1)
+                        await self.clock.run_until(self.tick + 1, within=deadline)
                     elif seen or (acknowledged and self.session.lockstep):  # there nothing turns while time stands
                         return
                     if deadline.left <= 0.0:
@@ -374,13 +374,13 @@ class Connected:
         with self.session.listen("HEARTBEAT") as heard:
             while not condition():
                 if self.clock.granting and self.tick < last:
-                    await self.clock.run_until(self.tick + 1)
+                    await self.clock.run_until(self.tick + 1, within=deadline)
                 elif await heard.next(deadline.end) is None:
                     raise deadline.error(remedy or "it acknowledged, but its heartbeat says otherwise")
 
-    async def _one_tick(self) -> None:
+    async def _one_tick(self, deadline: Deadline) -> None:
         if self.clock.granting:
-            await self.clock.run_until(self.tick + 1)
+            await self.clock.run_until(self.tick + 1, within=deadline)
 
     def _needs_ours(self, what: str, name: str) -> None:
         """Raise Rejected, at once, where the drone does not know the message `name`, since it is not one of ours."""
