@@ -22,7 +22,6 @@ from twodof.errors import CompileError, Rejected
 from twodof.flight.slot import simulator_slot
 from twodof.flight.starters import load_diagram, new_diagram, save_diagram, starter
 from twodof.flightlog.files import read_log
-from twodof.gcs import lease
 from twodof.gcs.drone import Drone
 
 
@@ -182,9 +181,8 @@ def test_a_drone_flies_what_is_flashed_and_keeps_it_over_a_restart(
 
 
 def test_a_drone_that_is_flown_refuses_in_words_for_the_shell(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(lease, "DURATION_MS", 30_000)  # it outlasts any pause of this process, which is its holder's
     with twodof_fcu("--rings", "--state", str(tmp_path)) as url, Drone.connect(url):
         assert run(["flash", "pid-attitude", "--to", url]) == 2
     said = capfd.readouterr().err
