@@ -104,9 +104,11 @@ class Lease:
 
     async def _renew(self) -> None:
         with suppress(LinkLost, Timeout):  # the next call says so
+            # Between two heartbeats, which began with the session: so the drone hears of us twice a second.
+            await asyncio.sleep(RENEW_S / 2)
             while True:
-                await asyncio.sleep(RENEW_S)
                 self.renew()
+                await asyncio.sleep(RENEW_S)
 
     def _message(self, action: int) -> Any:
         place = {"target_system": self._session.system, "target_component": self._session.component}

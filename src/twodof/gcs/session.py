@@ -180,6 +180,8 @@ class Session:
 
     def send_anyway(self, sent: Any) -> None:
         """Send although it may be lost: for what stops motors. Raises LinkLost where the link itself is gone."""
+        self._woke()
+        self._awake = self.now
         self.connection.send(sent, self._peer)
 
     async def ask(
@@ -228,7 +230,10 @@ class Session:
             raise LinkLost(lost.what, lost.where, lost.remedy)
 
     def _woke(self) -> None:
-        """Where this program stood still (a notebook's slow cell, a laptop that slept) the drone was not silent."""
+        """Where this program stood still (a notebook's slow cell, a laptop that slept) the drone was not silent.
+
+        How long is counted from our own last word: for so long the drone has heard nothing of us.
+        """
         paused = self.now - self._awake
         if paused > HEARTBEAT_S + SLACK_S and self._lost is None:
             self._last_heard = min(self.now, self._last_heard + paused - HEARTBEAT_S)
