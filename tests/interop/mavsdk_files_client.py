@@ -24,6 +24,9 @@ from mavsdk_steps import DEADLINE_S, made, say, within
 
 # Two parts of a log: the second before it began, and what came in the next quarter of one.
 STREAMED_BYTES = 300_000
+FORGOTTEN_S = 10.0
+ULOG = b"ULog\x01\x12\x35"
+"""What a log begins with."""
 
 
 async def files(ftp: FtpAsync, folder: Path) -> None:
@@ -102,15 +105,23 @@ async def events(system: System) -> None:
 
 
 async def stream(system: System, target: Path) -> None:
-    """The beginning of a log while it is written."""
+    """The beginning of a log while it is written.
+
+    MAVSDK forgets a stream when it has heard no heartbeat for 3 s, as where the drone's machine stood still: then it is
+    asked for again, which begins another log.
+    """
     plugin = LogStreamingAsync(system)
-    pieces = plugin.subscribe_log_streaming_raw()
-    first = asyncio.create_task(within(anext(pieces)))
-    await asyncio.sleep(0.1)
-    await within(plugin.start_log_streaming())
-    data = base64.b64decode((await first).data_base64)
+    data = b""
     while len(data) < STREAMED_BYTES:
-        data += base64.b64decode((await within(anext(pieces))).data_base64)
+        pieces = plugin.subscribe_log_streaming_raw()
+        following = asyncio.create_task(within(anext(pieces)))
+        await asyncio.sleep(0.1)
+        await within(plugin.start_log_streaming())
+        while len(data) < STREAMED_BYTES and (await asyncio.wait([following], timeout=FORGOTTEN_S))[0]:
+            data += base64.b64decode(following.result().data_base64)
+            data = data[max(0, data.rfind(ULOG)) :]
+            following = asyncio.create_task(within(anext(pieces)))
+        following.cancel()
     target.write_bytes(data)
     await within(plugin.stop_log_streaming())
     say("streamed", size=len(data))
