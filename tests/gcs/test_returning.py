@@ -75,7 +75,7 @@ def test_a_pilot_that_died_in_lockstep_is_followed_by_the_next_one() -> None:
 
 
 def test_a_lease_that_is_kept_is_refused_as_soon_as_that_is_seen() -> None:
-    """Its holder renews it each second, so two and a half are enough to know; the deadline would be thirty."""
+    """Its holder renews it all the time, so two and a half seconds are enough to know; the deadline would be thirty."""
 
     async def work() -> None:
         async with Whole() as whole:
