@@ -13,7 +13,7 @@ from twodof.link.messages import message
 
 DURATION_MS = 3000
 RENEW_S = 0.5
-"""More often than heartbeats: a pilot that stands still for 2 s was silent for less than the 3 s of the failsafe then."""
+"""More often than heartbeats: who stands still for 2 s was silent for less than the 3 s of the failsafe then."""
 LOOK_S = 0.25
 GRACE_S = 1.3
 """A lease that is not renewed ends when it says, or so much later: where time stands still it counts seconds."""
