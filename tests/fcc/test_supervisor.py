@@ -131,6 +131,23 @@ def test_nothing_is_left_of_one_that_does_not_want_to_end(tmp_path: Path, stop_s
     asyncio.run(until(lambda: not any(map(alive, pids))))
 
 
+def test_what_it_leaves_behind_in_a_session_of_its_own_does_not_hold_its_end_up(tmp_path: Path) -> None:
+    """A daemon of its own making keeps its pipe open: only what it says is waited for, and for a moment only."""
+    said: list[str] = []
+    text = """
+        import subprocess, sys
+        command = [sys.executable, "-I", "-S", "-c", "import time; time.sleep(600)"]
+        print(subprocess.Popen(command, start_new_session=True).pid)
+    """
+    made = Supervisor(program(tmp_path, text), said.append, restarts=QUICK)
+    try:
+        assert asyncio.run(asyncio.wait_for(made.run(), PATIENCE_S)) == 0
+        assert alive(int(said[0]))  # so its end was not what ended the wait
+    finally:
+        for line in said:
+            os.kill(int(line), signal.SIGKILL)
+
+
 def test_one_that_cleans_up_is_given_the_time(tmp_path: Path) -> None:
     said: list[str] = []
     text = """

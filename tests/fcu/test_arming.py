@@ -254,7 +254,7 @@ def test_what_the_failsafe_says_before_it_was_asked_is_no_answer() -> None:
         (BIT["tilted"] | BIT["not_idle"], 0, "not armed: not_idle, tilted"),
         (BIT["tilted"], BIT["not_idle"], "not armed: tilted"),
         (0, BIT["not_idle"], "not armed: not_idle"),
-        (0, 0, "not armed: the failsafe gives no reason"),
+        (0, 0, "not armed: it levelled or braked a moment ago"),
     ],
 )
 def test_its_refusal_is_told_in_its_words(reason: int, causes: int, words: str) -> None:

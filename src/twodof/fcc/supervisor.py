@@ -12,6 +12,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
+from io import FileIO
 from pathlib import Path
 
 from twodof.errors import shown
@@ -111,28 +112,50 @@ class Supervisor:
     async def _once(self) -> int:
         """One run of it, from start to the last of its processes."""
         self.starts += 1
+        try:
+            child, said = await self._start()
+        except OSError as error:
+            self._log(f"app: cannot be started: {error.strerror}")  # no memory or no process to be had now
+            return 1
+        reading = asyncio.ensure_future(self._listen(said))
+        try:
+            status = await child.wait()
+        finally:
+            try:
+                await self._end(child)
+                await asyncio.wait({reading}, timeout=PIPE_S)  # a daemon of its own making may hold the pipe
+            finally:
+                reading.cancel()
+        if reading.done():
+            reading.result()
+        return status if status >= 0 else 128 - status
+
+    async def _start(self) -> tuple[asyncio.subprocess.Process, FileIO]:
+        """The app, and what it says.
+
+        The pipe is ours: with one of asyncio's own an app would have ended only once nobody holds the pipe any more.
+        """
         limits = json.dumps(asdict(self._limits))
+        reader, writer = os.pipe()
+        said = FileIO(reader, "rb")
         try:
             child = await asyncio.create_subprocess_exec(
                 *(sys.executable, "-I", "-S", str(CONFINE), limits, str(os.getpid())),
                 *self.command,
                 stdin=asyncio.subprocess.DEVNULL,
-                stdout=asyncio.subprocess.PIPE,
+                stdout=writer,
                 stderr=asyncio.subprocess.STDOUT,
                 start_new_session=True,
                 env=None if self._environment is None else dict(self._environment),
             )
-        except OSError as error:
-            self._log(f"app: cannot be started: {error.strerror}")  # no memory or no process to be had now
-            return 1
-        reading = asyncio.ensure_future(self._listen(child))
-        try:
-            status = await child.wait()
+        except BaseException:
+            said.close()
+            raise
         finally:
-            await self._end(child, reading)
-        return status if status >= 0 else 128 - status
+            os.close(writer)
+        return child, said
 
-    async def _end(self, child: asyncio.subprocess.Process, reading: asyncio.Future[None]) -> None:
+    async def _end(self, child: asyncio.subprocess.Process) -> None:
         """Nothing of it is left within `stop_s` and a moment: asked, then killed, its children with it."""
         try:
             if child.returncode is None:
@@ -143,26 +166,26 @@ class Supervisor:
         finally:
             _signal(child.pid, signal.SIGKILL)
         await child.wait()
-        with suppress(TimeoutError):  # a grandchild in a session of its own may hold the pipe
-            async with asyncio.timeout(PIPE_S):
-                await reading
 
-    async def _listen(self, child: asyncio.subprocess.Process) -> None:
+    async def _listen(self, said: FileIO) -> None:
         """Its lines to the log, as they come; it is never held up, however much it says."""
-        stream = child.stdout
-        if stream is None:
-            return
-        rest = b""
-        while data := await stream.read(READ_BYTES):
-            *lines, rest = (rest + data).split(b"\n")
-            for line in lines:
-                self._say(line)
-            if len(rest) > LONGEST_LINE:
+        loop = asyncio.get_running_loop()
+        stream = asyncio.StreamReader()
+        transport, _ = await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(stream), said)
+        try:
+            rest = b""
+            while data := await stream.read(READ_BYTES):
+                *lines, rest = (rest + data).split(b"\n")
+                for line in lines:
+                    self._say(line)
+                if len(rest) > LONGEST_LINE:
+                    self._say(rest)
+                    rest = b""
+            if rest:
                 self._say(rest)
-                rest = b""
-        if rest:
-            self._say(rest)
-        self._tell_left_out()
+            self._tell_left_out()
+        finally:
+            transport.close()
 
     def _say(self, line: bytes) -> None:
         """One line of its to the log, unless there were too many."""

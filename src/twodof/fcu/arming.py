@@ -52,7 +52,8 @@ class Arming:
             self.answer = Verdict(ACCEPTED)
         elif step.state == REFUSED:
             self.word = False
-            causes = ", ".join(named_causes(step.reason or step.causes)) or "the failsafe gives no reason"
+            # Without a cause only what lingers (failsafe.py: level_lasts, brake_lasts) speaks against it.
+            causes = ", ".join(named_causes(step.reason or step.causes)) or "it levelled or braked a moment ago"
             self.answer = Verdict(TEMPORARILY_REJECTED, f"not armed: {causes}")
         elif step.tick >= self._from + PATIENCE:
             self.word = False
