@@ -34,10 +34,15 @@ packages=$(for row in "${absent[@]}"; do tr ' ' '\n' <<<"${row#* }"; done | sort
 if [[ $(id -u) -eq 0 ]] && command -v apt-get >/dev/null; then
     echo "tools: installing ${packages% }"
     export DEBIAN_FRONTEND=noninteractive
-    # Somebody else may be installing, and a mirror may not answer the first time.
+    # Somebody else may be installing or fetching the lists, and a mirror may not answer the first time.
     patience=(-o DPkg::Lock::Timeout=300 -o Acquire::Retries=3)
-    timeout 900 apt-get "${patience[@]}" update -qq &&
-        timeout 900 apt-get "${patience[@]}" install -y -qq --no-install-recommends $packages >/dev/null ||
+    for _ in {1..30}; do # that time-out is not for the lock of the lists
+        said=$(timeout 900 apt-get "${patience[@]}" update -qq 2>&1) && break
+        [[ $said == *"Could not get lock"* ]] || break
+        sleep 10
+    done
+    [[ -z $said ]] || echo "$said" >&2
+    timeout 900 apt-get "${patience[@]}" install -y -qq --no-install-recommends $packages >/dev/null ||
         echo "tools: apt-get could not install them" >&2
     mapfile -t absent < <(missing)
 fi

@@ -116,7 +116,7 @@ def made_safe(url: str, folder: Path) -> tuple[np.ndarray, bytes]:
 def first(rows: np.ndarray, true: np.ndarray, after: int) -> float:
     """How long after row `after` something is true first, that period included [ms]."""
     later = np.flatnonzero(true[after + 1 :])
-    assert len(later)
+    assert len(later), f"never; the failsafe's actions: {set(rows['action'])}, reasons: {set(rows['reason'])}"
     return PERIOD_MS * (later[0] + 1)
 
 
@@ -187,7 +187,8 @@ def test_a_users_program_that_is_killed_in_mid_experiment(stack: Stack) -> None:
             said += [*lines]
         acknowledged = max(int(line.split()[-1]) for line in said if line.split()[-1].isdecimal())
         rows, raw = made_safe(url, stack.folder)
-        word = last(rows["asked_link_new"][: last(rows["armed"] != 0)] != 0)
+        flown = rows[: last(rows["armed"] != 0) + 1]
+        word = last(flown["asked_link_new"][: last(flown["action"] != DESCEND) + 1] != 0)
         stands = (rows["fore"] == 0.0) & (rows["aft"] == 0.0)
         tell("user's program killed", "down after the last word", first(rows, rows["action"] == DESCEND, word), 3004)
         tell("user's program killed", "motors off after the last word", first(rows, stands, word), 4008)

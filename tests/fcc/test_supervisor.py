@@ -138,13 +138,15 @@ def test_what_it_leaves_behind_in_a_session_of_its_own_does_not_hold_its_end_up(
         import subprocess, sys
         command = [sys.executable, "-I", "-S", "-c", "import time; time.sleep(600)"]
         print(subprocess.Popen(command, start_new_session=True).pid)
+        sys.stdout.write("last words")
     """
     made = Supervisor(program(tmp_path, text), said.append, restarts=QUICK)
     try:
         assert asyncio.run(asyncio.wait_for(made.run(), PATIENCE_S)) == 0
         assert alive(int(said[0]))  # so its end was not what ended the wait
+        assert said[1:] == ["last words"]
     finally:
-        for line in said:
+        for line in said[:1]:
             os.kill(int(line), signal.SIGKILL)
 
 

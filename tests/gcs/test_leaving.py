@@ -206,14 +206,30 @@ class Standing(Peer):
             super()._command_long(got, frame)
 
 
-def test_a_kill_of_one_that_stands_is_seen_by_what_it_says_of_the_kill() -> None:
+@pytest.mark.parametrize("lockstep", [False, True])
+def test_a_kill_of_one_that_stands_is_seen_by_what_it_says_of_the_kill(lockstep: bool) -> None:
+    """In lockstep too, by one who may not let time pass; the first heartbeat that says it gets lost."""
+    lost = False
+
+    def spoil(_: int, sent: Any) -> list[Any]:
+        nonlocal lost
+        if sent.get_type() == "HEARTBEAT" and peer.killed and not lost:
+            lost = True
+            return []
+        return [sent]
+
     async def work() -> None:
-        async with Standing() as peer, await AsyncDrone.connect(peer.url) as drone:
+        async with (
+            peer,
+            await AsyncDrone.connect(peer.url, take_lease=not lockstep) as drone,
+        ):
             await drone.kill()
             assert peer.killed
             assert drone.state.killed
 
+    peer = Standing(lockstep=lockstep, spoil=spoil)
     run_virtual(work())
+    assert lost
 
 
 class Slow(Peer):

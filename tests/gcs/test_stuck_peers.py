@@ -270,6 +270,28 @@ def test_time_that_stands_still_holds_no_call_up_that_lets_it_pass(lockstep: boo
     assert run_virtual(call()) == pytest.approx(2.0, abs=LATE_S)
 
 
+def test_an_excitation_is_stopped_in_time_though_time_stands_still() -> None:
+    stuck = False
+
+    def spoil(_: int, sent: Any) -> list[Any]:
+        kind = sent.get_type()
+        over = kind == "TWODOF_EXCITE_STATUS" and sent.state == 4  # this peer's end at once
+        return [] if over or (stuck and kind not in ("COMMAND_ACK", "HEARTBEAT")) else [sent]
+
+    async def call() -> float:
+        nonlocal stuck
+        async with Peer(lockstep=True, spoil=spoil) as peer, await AsyncDrone.connect(peer.url, CALL_S) as drone:
+            await drone.arm()
+            await drone.excite(EXCITATION, thrust=0.4, wait=False)
+            stuck, start = True, asyncio.get_running_loop().time()
+            with pytest.raises(Timeout):
+                await drone.stop_excitation(2.0)
+            took, stuck = asyncio.get_running_loop().time() - start, False
+            return took
+
+    assert run_virtual(call()) == pytest.approx(2.0, abs=LATE_S)
+
+
 def test_a_server_that_accepts_and_says_nothing_holds_nobody_up() -> None:
     """The synchronous face, over TCP and in real time."""
     with socket.create_server(("127.0.0.1", 0)) as server:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import math
 import sys
+import time
 from collections import deque
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
@@ -19,7 +20,7 @@ from mavsdk.asyncio import System
 from mavsdk.asyncio.plugins.action import ActionAsync
 from mavsdk.asyncio.plugins.info import InfoAsync
 from mavsdk.asyncio.plugins.log_files import LogFilesAsync
-from mavsdk.asyncio.plugins.offboard import Attitude, OffboardAsync
+from mavsdk.asyncio.plugins.offboard import Attitude, OffboardAsync, OffboardError
 from mavsdk.asyncio.plugins.param import ParamAsync
 from mavsdk.asyncio.plugins.telemetry import EulerAngle, TelemetryAsync
 from mavsdk_steps import DEADLINE_S, made, say, told, within
@@ -96,6 +97,17 @@ async def reached(seen: TelemetryAsync, wanted: float) -> list[float]:
     return list(row)
 
 
+async def entered(offboard: OffboardAsync) -> None:
+    """Offboard is on; asked again where it is refused, as MAVSDK stood still and streamed no set-points meanwhile."""
+    end = time.monotonic() + DEADLINE_S
+    while True:
+        try:
+            return await within(offboard.start())
+        except OffboardError:
+            if time.monotonic() > end:
+                raise
+
+
 async def fly(system: System, seen: TelemetryAsync, arm_first: bool) -> None:
     action, offboard = ActionAsync(system), OffboardAsync(system)
 
@@ -107,7 +119,7 @@ async def fly(system: System, seen: TelemetryAsync, arm_first: bool) -> None:
     if arm_first:
         await arm()
     await offboard.set_attitude(Attitude(0.0, 0.0, 0.0, THRUST))
-    await within(offboard.start())
+    await entered(offboard)
     mode = await until(seen.subscribe_flight_mode(), lambda mode: mode.name == "OFFBOARD")
     say("offboard", active=await offboard.is_active(), mode=mode.name)
     if not arm_first:

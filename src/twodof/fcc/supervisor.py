@@ -126,7 +126,8 @@ class Supervisor:
                 await asyncio.wait({reading}, timeout=PIPE_S)  # a daemon of its own making may hold the pipe
             finally:
                 reading.cancel()
-        if reading.done():
+                await asyncio.wait({reading})  # it ends at once, and says before what is left
+        if not reading.cancelled():
             reading.result()
         return status if status >= 0 else 128 - status
 
@@ -172,8 +173,8 @@ class Supervisor:
         loop = asyncio.get_running_loop()
         stream = asyncio.StreamReader()
         transport, _ = await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(stream), said)
+        rest = b""
         try:
-            rest = b""
             while data := await stream.read(READ_BYTES):
                 *lines, rest = (rest + data).split(b"\n")
                 for line in lines:
@@ -181,11 +182,11 @@ class Supervisor:
                 if len(rest) > LONGEST_LINE:
                     self._say(rest)
                     rest = b""
+        finally:  # also where a daemon of its own making holds the pipe
+            transport.close()
             if rest:
                 self._say(rest)
             self._tell_left_out()
-        finally:
-            transport.close()
 
     def _say(self, line: bytes) -> None:
         """One line of its to the log, unless there were too many."""

@@ -334,8 +334,8 @@ class Connected:
                     seen = self.watcher.heartbeats > beats and stands
                     if acknowledged and not seen and self.clock.granting and self.session.lost is None:
                         await self.clock.run_until(self.tick + 1, within=deadline)
-                    elif seen or (acknowledged and self.session.lockstep):  # there nothing turns while time stands
-                        return
+                    elif seen or (acknowledged and self.session.lockstep and (self.state.killed or not holds)):
+                        return  # there nothing turns while time stands
                     if deadline.left <= 0.0:
                         break
                 if acknowledged and deadline.left <= 0.0:

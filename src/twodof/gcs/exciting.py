@@ -107,7 +107,7 @@ class Exciter:
             while playback.state not in _OVER:
                 session.send(asked)
                 if self._clock.granting:
-                    await self._clock.run_until(self._clock.tick + 1)
+                    await self._clock.run_until(self._clock.tick + 1, within=deadline)
                 until = min(deadline.end, session.now + RETRY_S)
                 while playback.state not in _OVER and (got := await heard.next(until)) is not None:
                     if got.state == _REFUSED and got.transfer != playback.transfer:
