@@ -4,6 +4,7 @@
 #   make sandbox what drones need to fly controllers of one's own: wasmtime and ziglang, into .venv
 #   make test    every test but the long versions          make soak   the long versions
 #   make check   format, lint, types, order of imports     make bench  figures against peers, in bench/results
+#   make shake   every test while their processes are stopped at random: what fails is flaky (SEED=2: others)
 #   make lock    pin the requirements again                make clean  remove what the above made, .venv apart
 #   make tools   install gcc, g++, arm-none-eabi-gcc, qemu-system-arm, node and npm for the tests (Debian, as root) or
 #                name them, and node-mavlink into .venv/node
@@ -21,7 +22,7 @@ TEST_JOBS ?= 3
 PYTEST := $(BIN)/python -m pytest -n $(TEST_JOBS) --dist worksteal
 
 .DEFAULT_GOAL := help
-.PHONY: help demo sandbox test check bench soak tools lock clean
+.PHONY: help demo sandbox test shake check bench soak tools lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -43,6 +44,10 @@ check: $(VENV)/ready-dev
 
 bench: $(VENV)/ready-dev tools
 	$(BIN)/python -m bench
+
+SEED ?= 1
+shake: $(VENV)/ready-dev tools
+	$(BIN)/python tools/shake.py $(SEED) $(PYTEST)
 
 soak: $(VENV)/ready-dev tools
 	$(PYTEST) -m soak
