@@ -40,6 +40,10 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         """Virtual time [s]."""
         return self._jumping.now
 
+    def stand_still(self, seconds: float) -> None:
+        """Time [s] goes by in which nothing here runs, as in a process that is stopped."""
+        self._jumping.now += seconds
+
     def run_in_executor(self, executor: Any, func: Callable[..., Any], *args: Any) -> Any:
         """Call it here and now: in another thread real time would pass, and the clock here would run away from it."""
         future = self.create_future()

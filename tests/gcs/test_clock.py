@@ -121,4 +121,4 @@ def stand_still(seconds: float) -> None:
     """As a process does that is stopped."""
     loop = asyncio.get_running_loop()
     assert isinstance(loop, VirtualLoop)
-    loop._jumping.now += seconds
+    loop.stand_still(seconds)

@@ -143,7 +143,7 @@ def test_a_program_that_stood_still_goes_on_unless_it_was_flying(watching: bool,
                 await drone.arm()
                 await drone.set_pitch(0.1)
             assert isinstance(loop, VirtualLoop)
-            loop._jumping.now += pause
+            loop.stand_still(pause)
             if armed and not watching and pause > 3.0:
                 sent = drone.setpoints.sent
                 with pytest.raises(LinkLost, match=r"stood still for 3\d\.\d s, and the drone was without its pilot"):
@@ -174,7 +174,7 @@ def test_a_pilot_that_stood_still_for_a_moment_flies_on(after: float) -> None:
             await drone.run(1.0 + after)
             loop = asyncio.get_running_loop()
             assert isinstance(loop, VirtualLoop)
-            loop._jumping.now += 2.4
+            loop.stand_still(2.4)
             await drone.run(2.0)
             assert drone.state.armed
             assert drone.messages == []

@@ -208,6 +208,7 @@ class Connected:
                 await self._stand(timeout)
             if self.lease.wanted:
                 with suppress(Timeout, LinkLost):  # it ends by itself
+                    # All that disarming has left, as the first word may get lost; some, if it has left nothing.
                     await self.lease.give_up(max(timeout / 6, deadline.left))
         finally:
             self.lease.stop()
