@@ -6,6 +6,7 @@
 #   make check   format, lint, types, order of imports     make bench  figures against peers, in bench/results
 #   make shake   every test while their processes are stopped at random: what fails is flaky (SEED=2: others)
 #   make lock    pin the requirements again                make clean  remove what the above made, .venv apart
+#   make sbom    list every pinned part, as CycloneDX, in out/sbom
 #   make tools   install gcc, g++, arm-none-eabi-gcc, qemu-system-arm, node and npm for the tests (Debian, as root) or
 #                name them, and node-mavlink into .venv/node
 
@@ -22,7 +23,7 @@ TEST_JOBS ?= 3
 PYTEST := $(BIN)/python -m pytest -n $(TEST_JOBS) --dist worksteal
 
 .DEFAULT_GOAL := help
-.PHONY: help demo sandbox test shake check bench soak tools lock clean
+.PHONY: help demo sandbox test shake check bench soak tools lock sbom clean
 .DELETE_ON_ERROR:
 
 help:
@@ -63,32 +64,56 @@ $(BIN)/python:
 		echo "$(PYTHON) cannot make virtual environments: install its venv module (Debian: apt-get install python3-venv)"; exit 1; }
 	"$(PYTHON)" -m venv $(VENV)
 
-# Hashes are required of everything that is downloaded; the package itself is built with the pinned back end.
-$(VENV)/ready-run: $(RUN_REQUIREMENTS) pyproject.toml | $(BIN)/python
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r $(RUN_REQUIREMENTS)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+# Hashes are required of everything that is downloaded: of pip too, which installs the rest, and of setuptools, which
+# builds a package that has no wheel for this machine. Without build isolation pip fetches nothing besides.
+INSTALL := -m pip install --quiet --disable-pip-version-check --no-build-isolation
+$(VENV)/ready-pip: requirements/pip.txt | $(BIN)/python
+	$(BIN)/python $(INSTALL) --require-hashes -r $<
+	@touch $@
+
+$(VENV)/ready-run: $(RUN_REQUIREMENTS) pyproject.toml $(VENV)/ready-pip
+	$(BIN)/python $(INSTALL) --require-hashes -r $(RUN_REQUIREMENTS)
+	$(BIN)/python $(INSTALL) --no-deps -e .
 	@touch $@
 
 $(VENV)/ready-sandbox: requirements/sandbox.txt $(VENV)/ready-run
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements/sandbox.txt
+	$(BIN)/python $(INSTALL) --require-hashes -r requirements/sandbox.txt
 	@touch $@
 
-$(VENV)/ready-dev: requirements/dev.txt pyproject.toml | $(BIN)/python
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements/dev.txt
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+$(VENV)/ready-dev: requirements/dev.txt pyproject.toml $(VENV)/ready-pip
+	$(BIN)/python $(INSTALL) --require-hashes -r requirements/dev.txt
+	$(BIN)/python $(INSTALL) --no-deps -e .
 	@touch $@ $(VENV)/ready-run $(VENV)/ready-sandbox
 
-# `dev` first: the three smaller files take their versions from it. No option names an index, so that the files
+# What maintains the pins has an environment of its own, so that nobody else installs it.
+MAINTAIN := $(VENV)/maintain
+$(MAINTAIN)/ready: requirements/maintain.txt requirements/pip.txt | $(BIN)/python
+	$(BIN)/python -m venv --clear $(MAINTAIN)
+	$(MAINTAIN)/bin/python $(INSTALL) --require-hashes -r requirements/pip.txt
+	$(MAINTAIN)/bin/python $(INSTALL) --require-hashes -r requirements/maintain.txt
+	@touch $@
+
+# `dev` first: the others take their versions from it. No option names an index, so that the files
 # hold for any. `UPGRADE=--upgrade` takes the newest of everything, otherwise what is pinned stays.
-LOCK := CUSTOM_COMPILE_COMMAND="make lock" $(BIN)/pip-compile --quiet --generate-hashes --allow-unsafe \
-	--strip-extras --no-annotate --no-emit-index-url --no-emit-find-links --no-emit-trusted-host \
-	--build-deps-for=editable $(UPGRADE)
-lock: $(VENV)/ready-dev
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check 'pip-tools >= 7.4'
-	$(LOCK) --extra dev -o requirements/dev.txt pyproject.toml
-	$(LOCK) -c requirements/dev.txt -o requirements/run.txt pyproject.toml
-	$(LOCK) -c requirements/dev.txt --extra compiler -o requirements/compiler.txt pyproject.toml
-	$(LOCK) -c requirements/dev.txt --extra wasm -o requirements/sandbox.txt pyproject.toml
+LOCK := CUSTOM_COMPILE_COMMAND="make lock" $(MAINTAIN)/bin/pip-compile --quiet --generate-hashes --allow-unsafe \
+	--strip-extras --no-annotate --no-emit-index-url --no-emit-find-links --no-emit-trusted-host $(UPGRADE)
+LOCK_PROJECT := $(LOCK) --build-deps-for=editable
+lock: $(MAINTAIN)/ready
+	$(LOCK_PROJECT) --extra dev -o requirements/dev.txt pyproject.toml
+	$(LOCK_PROJECT) -c requirements/dev.txt -o requirements/run.txt pyproject.toml
+	$(LOCK_PROJECT) -c requirements/dev.txt --extra compiler -o requirements/compiler.txt pyproject.toml
+	$(LOCK_PROJECT) -c requirements/dev.txt --extra wasm -o requirements/sandbox.txt pyproject.toml
+	$(LOCK) -o requirements/pip.txt requirements/pip.in
+	$(LOCK) -o requirements/maintain.txt requirements/maintain.in
+
+# One document for each file of pins: name, version, purl and hashes of every part, checked against CycloneDX's schema.
+sbom: $(MAINTAIN)/ready
+	@mkdir -p out/sbom
+	@for pins in run compiler sandbox dev maintain pip; do \
+		PYTHONWARNINGS=ignore $(MAINTAIN)/bin/cyclonedx-py requirements --validate --output-reproducible --short-PURLs \
+			--mc-type library --pyproject pyproject.toml -o out/sbom/$$pins.cdx.json requirements/$$pins.txt && \
+		[ $$(grep -c '^[^ #].*==' requirements/$$pins.txt) = $$(grep -c '"purl"' out/sbom/$$pins.cdx.json) ] && \
+		echo "written: out/sbom/$$pins.cdx.json" || { echo "out/sbom/$$pins.cdx.json: incomplete"; exit 1; }; done
 
 clean:
 	rm -rf out dist build .hypothesis .mypy_cache .pytest_cache .ruff_cache
