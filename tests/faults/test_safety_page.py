@@ -1,4 +1,4 @@
-"""The tables of hazards and faults in docs/safety.md: the tests that they name are there, and none is left out."""
+"""The tables of hazards, faults and threats in docs: the tests that they name are there, and none is left out."""
 
 from __future__ import annotations
 
@@ -6,8 +6,12 @@ import ast
 import re
 from pathlib import Path
 
+import pytest
+
 FOLDER = Path(__file__).resolve().parent
-PAGE = FOLDER.parents[1] / "docs" / "safety.md"
+TESTS = FOLDER.parent
+DOCS = TESTS.parent / "docs"
+PAGE = DOCS / "safety.md"
 
 
 def test_the_table_names_the_tests_that_there_are() -> None:
@@ -24,15 +28,18 @@ def test_the_table_names_the_tests_that_there_are() -> None:
     assert set(named) == there
 
 
-def test_the_table_of_hazards_names_tests_that_there_are() -> None:
-    section = PAGE.read_text(encoding="utf-8").partition("## Hazards")[2].partition("\n## ")[0]
-    rows = [row for row in section.splitlines() if row.startswith("| ") and not row.startswith("| hazard")]
-    assert len(rows) >= 20
+@pytest.mark.parametrize(
+    ("page", "heading", "least"),
+    [("safety.md", "## Hazards", 20), ("threat-model.md", "## How each threat is met, and where that is tested", 20)],
+)
+def test_each_row_of_hazards_and_of_threats_names_tests_that_there_are(page: str, heading: str, least: int) -> None:
+    section = (DOCS / page).read_text(encoding="utf-8").partition(f"{heading}\n")[2].partition("\n## ")[0]
+    rows = [row for row in section.splitlines() if row.startswith("| ")][1:]
+    assert len(rows) >= least
     named = [re.findall(r"`([\w/]+\.py)::(\w+)`", row.rpartition(" | ")[2]) for row in rows]
-    assert all(named), "each hazard has a test"
-    tests = FOLDER.parent
+    assert all(named), "each has a test"
     for file, name in (one for row in named for one in row):
-        path = next(found for found in (tests / "fcu" / file, tests / file) if found.is_file())
+        path = next(found for found in (TESTS / "fcu" / file, TESTS / file) if found.is_file())
         there = ast.parse(path.read_text(encoding="utf-8")).body
         names = {node.name for node in there if isinstance(node, ast.FunctionDef)}
         names |= {target.id for node in there if isinstance(node, ast.Assign) for target in _names(node)}
