@@ -99,7 +99,7 @@ class Controllers:
                 file.write(flies)
 
     def forget(self) -> None:
-        """Has nothing fly of what was uploaded, and nothing lie there. Raises DiagramError where the disk refuses."""
+        """Has nothing fly of what was uploaded, and nothing lie there. Raises as `restore`."""
         for slot in (self.uploads, self._kept):
             if slot is not None:
                 for kind in TEMPLATES:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from twodof.errors import LogError
+from twodof.flightlog.atomic import sync_folder
 from twodof.flightlog.provenance import MAX_FILE_BYTES
 
 MAX_BYTES = 2 << 30
@@ -90,6 +91,7 @@ class LogFolder:
         logs = [log for log in self.logs() if log.path != keep]
         for log in logs:
             _delete(log.path)
+        sync_folder(self.path)
         return len(logs)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import time
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -19,6 +20,8 @@ from twodof.parameters import PARAMETERS, ParameterSet
 HASH_NAME = "_HASH_CHECK"
 MOST_TUNED = 8
 """Controllers whose tuning is kept, those that fly now included."""
+SAVE_S = 5.0
+"""A disk that has not answered for so long has not stored."""
 Listener = Callable[[Mapping[str, float]], None]
 
 
@@ -180,6 +183,24 @@ class Store(Mapping[str, float]):
     def on_relist(self, listener: Callable[[], None]) -> None:
         """Calls `listener` after `carry` has changed which parameters there are."""
         self._relisted.append(listener)
+
+    def save(self) -> Callable[[], bool] | None:
+        """Has all values written now, without waiting; None where there is no file.
+
+        What it returns tells, whenever it is called, whether they are on the disk; it raises ParameterError where the
+        disk has refused, or has not answered within `SAVE_S`.
+        """
+        if self._file is None:
+            return None
+        file, number, end = self._file, self._file.ask(), time.monotonic() + SAVE_S
+
+        def stored() -> bool:
+            done = file.answered(number)
+            if not done and time.monotonic() > end:
+                raise file.silent(SAVE_S)
+            return done
+
+        return stored
 
     def flush(self, deadline_s: float = 10.0) -> None:
         """Waits until the file holds what is here. Raises ParameterError where the disk refuses or is silent."""

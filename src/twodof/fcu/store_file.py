@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from twodof.errors import ParameterError, TwodofError
-from twodof.flightlog.atomic import atomic_write
+from twodof.flightlog.atomic import atomic_write, make_folder
 
 VERSION = 1
 MAX_BYTES = 1 << 20
@@ -82,19 +82,38 @@ class StoreFile:
                 self._thread.start()
             self._changed.notify_all()
 
-    def flush(self, deadline_s: float) -> None:
-        """Waits until what was given is written. Raises ParameterError where the disk refuses or is silent."""
+    def ask(self) -> int:
+        """Has what was given written now, and returns at once a number for `answered`."""
         with self._changed:
-            goal = self._begun + 1  # one that is under way may be writing what was given before
             self._asked = self._wanted is not None
             self._changed.notify_all()
-            done = self._changed.wait_for(lambda: self._wanted is None or self._tries >= goal, deadline_s)
-            if self.failure is not None and self._wanted is not None:
+            return self._begun + 1  # one that is under way may be writing what was given before
+
+    def answered(self, number: int) -> bool:
+        """Whether what was given before `ask` gave `number` is in the file and on the disk; False: not yet.
+
+        Raises ParameterError where the disk has refused since.
+        """
+        with self._changed:
+            if self._wanted is None:
+                return True
+            done = self._tries >= number
+            if done and self.failure is not None:
                 raise ParameterError(self.failure.what, self.failure.where, "the values fly, but are not stored")
-            if not done:
-                raise ParameterError(
-                    f"the disk has not answered within {deadline_s:g} s", str(self.path), "store them on another disk"
-                )
+            return done
+
+    def flush(self, deadline_s: float) -> None:
+        """Waits until what was given is written. Raises ParameterError where the disk refuses or is silent."""
+        number = self.ask()
+        with self._changed:
+            if not self._changed.wait_for(lambda: self.answered(number), deadline_s):
+                raise self.silent(deadline_s)
+
+    def silent(self, deadline_s: float) -> ParameterError:
+        """That the disk has not answered within the deadline."""
+        return ParameterError(
+            f"the disk has not answered within {deadline_s:g} s", str(self.path), "store them on another disk"
+        )
 
     def close(self, deadline_s: float) -> None:
         """Writes what waits and ends the thread. Raises ParameterError as `flush`."""
@@ -139,7 +158,7 @@ class StoreFile:
 
     def _store(self, kept: Kept) -> TwodofError | None:
         try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
+            make_folder(self.path.parent)
             with atomic_write(self.path, "w") as file:
                 file.write(text_of(kept))
         except TwodofError as refusal:

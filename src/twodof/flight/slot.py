@@ -9,6 +9,7 @@ from twodof.blocks import Diagram
 from twodof.errors import DiagramError
 from twodof.flight.starters import load_diagram, save_diagram
 from twodof.flight.templates import TEMPLATES, check_template
+from twodof.flightlog.atomic import make_folder, sync_folder
 
 STOCK = {"attitude_control": "stock-attitude", "position_control": "stock-position", "motor_control": "stock-motor"}
 """The starter diagram that flies as the stock controller does, by template: what flies where nothing was flashed."""
@@ -78,7 +79,7 @@ class Slot:
         """
         path = self.file(check_template(diagram).name)
         try:
-            self.folder.mkdir(parents=True, exist_ok=True)
+            make_folder(self.folder)
         except OSError as reason:
             raise DiagramError(
                 f"cannot be made: {reason.strerror}", str(self.folder), "set TWODOF_DATA to a folder that is writable"
@@ -87,7 +88,10 @@ class Slot:
         return path
 
     def remove(self, kind: str) -> bool:
-        """Back to the stock controller of the template `kind`; says whether another one flew."""
+        """Back to the stock controller of the template `kind`; says whether another one flew.
+
+        Raises DiagramError or LogError where the file system refuses.
+        """
         path = self.file(kind)
         try:
             path.unlink()
@@ -95,6 +99,7 @@ class Slot:
             return False
         except OSError as reason:
             raise DiagramError(f"cannot be removed: {reason.strerror}", str(path), "make it writable") from reason
+        sync_folder(self.folder)
         return True
 
 

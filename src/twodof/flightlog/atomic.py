@@ -1,5 +1,6 @@
 """Files that are either there whole or not there: written beside their place, then renamed into it."""
 
+import errno
 import os
 import secrets
 from collections.abc import Iterator
@@ -15,7 +16,8 @@ def atomic_write(path: str | Path, mode: Literal["wb", "w"] = "wb") -> Iterator[
     """Opens a file for writing that takes the place of `path` only when the block ends well.
 
     Whatever ends the block otherwise, Ctrl-C included, leaves what was at `path` as it was and no other file
-    behind. Text is UTF-8 with `\\n` line ends. Raises LogError where the file system refuses.
+    behind. Text is UTF-8 with `\\n` line ends. When it returns, the file and its name are on the disk (fsync of the
+    file, then of its folder). Raises LogError where the file system refuses.
     """
     # A link is followed, so that what it points at is replaced and not the link.
     target = Path(path).resolve()
@@ -44,3 +46,32 @@ def atomic_write(path: str | Path, mode: Literal["wb", "w"] = "wb") -> Iterator[
     except BaseException:
         partial.unlink(missing_ok=True)
         raise
+    sync_folder(target.parent)
+
+
+def make_folder(folder: Path) -> None:
+    """Makes `folder` and those above it that are missing, and has them on the disk. Raises OSError, LogError."""
+    missing = [one for one in (folder, *folder.parents) if not one.exists()]
+    folder.mkdir(parents=True, exist_ok=True)
+    for one in missing:
+        sync_folder(one.parent)
+
+
+def sync_folder(folder: Path) -> None:
+    """Has what was renamed, made or deleted in `folder` on the disk. Raises LogError where the file system refuses."""
+    try:
+        try:
+            descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        except PermissionError:  # a folder that may be written and not read: all disks, then
+            os.sync()
+            return
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+    except OSError as refusal:
+        if refusal.errno in (errno.EINVAL, errno.ENOTSUP):  # a file system that cannot sync folders
+            return
+        raise LogError(
+            f"was changed, but may not outlast a power cut: {refusal.strerror}", str(folder), "write to another disk"
+        ) from refusal

@@ -8,7 +8,8 @@ import stat
 from dataclasses import dataclass
 from pathlib import Path
 
-from twodof.errors import LinkError
+from twodof.errors import LinkError, LogError
+from twodof.flightlog.atomic import sync_folder
 
 KEY_BYTES = 32
 SHORTEST_PASSPHRASE = 12
@@ -101,6 +102,8 @@ def write_key(path: str | Path, key: Key) -> None:
             file.write(key.secret.hex().encode() + b"\n")
             file.flush()
             os.fsync(file.fileno())
-    except OSError as error:
+        sync_folder(Path(path).resolve().parent)
+    except (OSError, LogError) as error:
         Path(path).unlink(missing_ok=True)  # half a key is none
-        raise LinkError(f"cannot be written: {error.strerror}", str(path), "make room on the disk") from error
+        why = error.strerror if isinstance(error, OSError) else error.what
+        raise LinkError(f"cannot be written: {why}", str(path), "make room on the disk") from error

@@ -15,7 +15,7 @@ from tests.fcu.services.test_on_board import Client
 from tests.patience import PATIENCE_S
 from twodof.blocks.schema import to_json
 from twodof.compile.wasm import ready
-from twodof.errors import CompileError
+from twodof.errors import CompileError, LogError
 from twodof.fcu.asked import ACCEPTED, FAILED, IN_PROGRESS, TEMPORARILY_REJECTED
 from twodof.fcu.controllers import Controllers
 from twodof.fcu.flight_code import FlightCode
@@ -186,6 +186,23 @@ def test_a_controller_that_could_not_replace_the_other_is_not_kept(
             gate.open.set()
             assert await answer(client) == FAILED
             assert drone.controller.code.controllers == ()
+        assert after_restart(tmp_path) == []
+
+    asyncio.run(session())
+
+
+def test_one_that_flies_and_cannot_be_stored_is_said_to_do_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(_: Controllers, _uploaded: object) -> None:
+        raise LogError("cannot be written: No space left on device", "flying", "nothing was changed")
+
+    async def session() -> None:
+        gate = Gate(monkeypatch)
+        monkeypatch.setattr(Controllers, "keep", full)
+        async with being_built(tmp_path, gate) as (drone, client):
+            gate.open.set()
+            told = await client.wait("STATUSTEXT", lambda text: "until a restart" in text.text)
+            assert told.text.startswith("it flies until a restart and is not stored: ")
+            assert [diagram.name for diagram in drone.controller.code.controllers] == [BUILT]
         assert after_restart(tmp_path) == []
 
     asyncio.run(session())

@@ -45,7 +45,7 @@ class Arming:
             return self._told_of_kill(command.source, verdict) if force else verdict
         return Verdict(DENIED, "arm is 1, disarm is 0")
 
-    def _armed(self) -> Verdict:
+    def _armed(self, _command: Command) -> Verdict:
         """What became of it, once that is known."""
         return self._told(self._commander.arming, by_lease=False)
 

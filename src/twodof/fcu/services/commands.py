@@ -37,6 +37,7 @@ class Command(NamedTuple):
 
 
 Handler = Callable[[Command], Verdict]
+Poll = Callable[[Command], Verdict]
 
 
 class Commands:
@@ -53,7 +54,7 @@ class Commands:
         self._lockstep = lockstep
         self._handlers: dict[int, Handler] = {}
         self._repetitions = Repetitions(lockstep)
-        self._polls: dict[int, Callable[[], Verdict]] = {}
+        self._polls: dict[int, Poll] = {}
         self._pending: dict[Hashable, tuple[Command, int]] = {}
         self._slow: set[int] = set()
         self._tick = 0
@@ -61,7 +62,7 @@ class Commands:
         self.carried_out: list[Callable[[], None]] = []
         self.explained: list[Callable[[int, str], None]] = []
 
-    def on(self, number: int, handler: Handler, poll: Callable[[], Verdict] | None = None, slow: bool = False) -> None:
+    def on(self, number: int, handler: Handler, poll: Poll | None = None, slow: bool = False) -> None:
         """Registers who carries out the command `number` (a MAV_CMD).
 
         A handler may answer IN_PROGRESS; then `poll` tells what became of it, after each control period, until it
@@ -106,7 +107,7 @@ class Commands:
     def poll(self) -> None:
         """Answers what was in progress and is done."""
         for what, (command, sequence) in [*self._pending.items()]:
-            verdict = self._polls[command.number]()
+            verdict = self._polls[command.number](command)
             if verdict.result != IN_PROGRESS:
                 del self._pending[what]
                 if verdict.accepted:

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 from twodof.errors import LogError
 from twodof.fcu.log_folder import LogFolder
-from twodof.flightlog.atomic import atomic_write
+from twodof.flightlog.atomic import atomic_write, make_folder, sync_folder
 
 EXTRAS, LOGS, CONTROLLERS = "/etc/extras", "/log", "/controllers"
 MAX_UPLOAD = 8 << 20
@@ -137,7 +137,7 @@ class FileTree:
         """Writes an upload, whole or not at all. Raises FileFault, LogError."""
         target = self.check_upload(path)
         try:
-            target.parent.mkdir(parents=True, exist_ok=True)
+            make_folder(target.parent)
         except OSError as refusal:
             raise FileFault(FAILED, f"cannot be written: {refusal.strerror}", path) from refusal
         if target.is_symlink():
@@ -146,14 +146,16 @@ class FileTree:
             file.write(content)
 
     def remove(self, path: str) -> None:
-        """Deletes an upload. Raises FileFault."""
+        """Deletes an upload, on the disk too when it returns. Raises FileFault, LogError."""
         folder, _, name = _normal(path).rpartition("/")
         if folder != CONTROLLERS:
             raise FileFault(PROTECTED, "only diagrams in /controllers are removed", path)
+        found = self._find(folder, name)
         try:
-            self._find(folder, name).unlink()
+            found.unlink()
         except OSError as refusal:
             raise FileFault(FAILED, f"cannot be removed: {refusal.strerror}", path) from refusal
+        sync_folder(found.parent)
 
     def _find(self, folder: str, name: str) -> Path:
         if folder == LOGS and self._logs is not None:

@@ -64,7 +64,7 @@ class PX4:
         self.streams = Streams(link, self.clients, self.commands, self.telemetry, changes, profile)
         self.parameters = Parameters(link, us, self.clients, self.commands, controller, commander, store)
         self.arming = Arming(self.commands, commander, restart)
-        self.storage = Storage(self.commands, commander, store)
+        self.storage = Storage(self.commands, commander, store, controller.lockstep)
         self.versions = Versions(self.requests, system, controller.hardware.name, capabilities)
         self.transactions = Transactions(link, us, self.commands, commander, self.parameters, store)
         self.batches = Batches(link, self.clients, commander)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import gc
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Protocol
 
+from twodof.blocks import Diagram
 from twodof.compile.wasm.ready import check_ready
 from twodof.errors import CompileError, TwodofError
 from twodof.fcu.asked import ACCEPTED, FAILED, IN_PROGRESS, TEMPORARILY_REJECTED, UNSUPPORTED, Source, Verdict
@@ -65,7 +66,7 @@ class Reload:
         self._task: asyncio.Task[None] | None = None
         self._verdict = Verdict(ACCEPTED)
         self._commands = commands
-        commands.on(RELOAD, self._reload, lambda: self._verdict, slow=True)
+        commands.on(RELOAD, self._reload, lambda _: self._verdict, slow=True)
 
     @property
     def building(self) -> bool:
@@ -94,8 +95,7 @@ class Reload:
             self._controller.replace(code)
             self._flies()
             # Only what flies is kept: else a restart would bring what this command refused.
-            await asyncio.to_thread(self._controllers.keep, uploaded)
-            made = Verdict(ACCEPTED)
+            made = await self._kept(uploaded)
             gc.collect()
             gc.freeze()  # see `Server`: not in flight
         except TwodofError as error:
@@ -106,6 +106,14 @@ class Reload:
                     await asyncio.to_thread(self._controllers.restore)
             self._verdict = made
             self._commands.poll()
+
+    async def _kept(self, uploaded: Mapping[str, Diagram]) -> Verdict:
+        """What is to be said of what flies now: that it is on the disk, or that it ends with the program."""
+        try:
+            await asyncio.to_thread(self._controllers.keep, uploaded)
+        except TwodofError as refusal:
+            return Verdict(FAILED, f"it flies until a restart and is not stored: {refusal}")
+        return Verdict(ACCEPTED)
 
 
 def _equipped() -> Verdict:
