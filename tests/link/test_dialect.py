@@ -11,7 +11,7 @@ import pytest
 from pymavlink.dialects.v20 import common
 
 from tests.patience import PATIENCE_S
-from twodof.compile import toolchain
+from twodof.compile import cache
 from twodof.errors import LinkError
 from twodof.fcu import excitation_player
 from twodof.flight.causes import ACTIONS, BIT
@@ -231,7 +231,7 @@ def test_a_damaged_entry_is_made_again(monkeypatch: pytest.MonkeyPatch, tmp_path
     (entry,) = tmp_path.iterdir()
     entry.write_bytes(entry.read_bytes()[:-100])
     assert dialect.build(FILES).MAVLINK_MSG_ID_TWODOF_TICK == 54208
-    assert toolchain.whole(entry)
+    assert cache.contents(entry)
 
 
 def test_a_sealed_entry_that_is_no_code_is_made_again(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -239,7 +239,7 @@ def test_a_sealed_entry_that_is_no_code_is_made_again(monkeypatch: pytest.Monkey
     dialect.build(FILES)
     (entry,) = tmp_path.iterdir()
     entry.write_bytes(b"none of Python's")
-    toolchain._seal(entry)
+    cache.seal(entry, entry.stem)
     assert dialect.build(FILES).MAVLINK_MSG_ID_TWODOF_TICK == 54208
 
 

@@ -1,4 +1,4 @@
-"""Compilers, and the cache of what they made: libraries, WebAssembly modules, images, by content."""
+"""Compilers, and what they make of C: libraries, WebAssembly modules, images."""
 
 from __future__ import annotations
 
@@ -9,17 +9,14 @@ import os
 import platform
 import shutil
 import signal
-import stat
 import subprocess
 import sys
-import tempfile
-import time
-import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from twodof.compile.cache import cached, cached_bytes
 from twodof.errors import CompileError
 
 if sys.platform == "linux":
@@ -36,11 +33,7 @@ FLAGS = (
     "-fno-tree-slp-vectorize",
     "-w",
 )
-CACHE_VERSION = "twodof-cache-2"
 BUILD_SECONDS = 600
-MOST_ENTRIES = 2000
-MOST_BYTES = 2 * 1024**3
-_SEAL = hashlib.sha256().digest_size
 
 
 @dataclass(frozen=True)
@@ -96,28 +89,6 @@ def processor() -> str:
     return f"{platform.machine()} {platform.system()} {hashlib.sha256(chr(10).join(lines).encode()).hexdigest()}"
 
 
-def cache_folder() -> Path:
-    """The user's folder of what was compiled: TWODOF_CACHE, or XDG_CACHE_HOME/twodof, or ~/.cache/twodof."""
-    named = os.environ.get("TWODOF_CACHE")
-    if named:
-        return Path(named)
-    base = os.environ.get("XDG_CACHE_HOME")
-    try:
-        return (Path(base) if base else Path.home() / ".cache") / "twodof"
-    except RuntimeError:  # no home
-        return _private_folder(Path(tempfile.gettempdir()) / f"twodof-{os.getuid()}")
-
-
-def _private_folder(folder: Path) -> Path:
-    """`folder`, made if it is not there; a fresh one instead if others could have put a library into it."""
-    try:
-        folder.mkdir(mode=0o700, exist_ok=True)
-        found = folder.lstat()
-    except OSError:
-        return Path(tempfile.mkdtemp(prefix="twodof-"))
-    return folder if stat.S_ISDIR(found.st_mode) and _ours(found) else Path(tempfile.mkdtemp(prefix="twodof-"))
-
-
 @contextmanager
 def compiled(
     source: str,
@@ -154,52 +125,6 @@ def _key(
 ) -> tuple[str, ...]:
     named = [part for item in sorted((files or {}).items()) for part in item]
     return (source, compiler.identity(), *options, depends, *named)
-
-
-@contextmanager
-def cached(key: Sequence[str], suffix: str, make: Callable[[Path], None], afresh: bool = False) -> Iterator[Path]:
-    """The sealed file that `make(path)` writes for what `key` says, from the cache if it is there.
-
-    It appears in the cache at once or not at all, so that several processes may make the same. `make` may leave other
-    files in the folder of its path. Where the cache cannot be written it is done without.
-    """
-    digest = hashlib.sha256("\0".join((CACHE_VERSION, *key)).encode()).hexdigest()
-    folder = cache_folder()
-    with suppress(OSError):
-        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-    trusted = _trusted(folder)
-    entry = folder / f"{digest}{suffix}"
-    if trusted and not afresh and whole(entry):
-        yield entry
-        return
-    try:
-        work = tempfile.TemporaryDirectory(dir=folder if trusted else None, prefix="build-")
-    except OSError:  # a cache that cannot be written is no reason not to run
-        work = tempfile.TemporaryDirectory(prefix="twodof-")
-    with work as name:
-        made = Path(name) / f"program{suffix}"
-        make(made)
-        _seal(made)
-        if trusted and made.parent.parent == folder:
-            made.replace(entry)  # atomic: another process sees the old file, none, or the whole new one
-            _prune(folder)
-            made = entry
-        yield made
-
-
-def cached_bytes(key: Sequence[str], suffix: str, make: Callable[[Path], None], afresh: bool = False) -> bytes:
-    """The bytes of the file that `cached` gives, without its seal.
-
-    They come also where another process makes room in the cache between our look at the file and our reading it.
-    """
-    with suppress(FileNotFoundError), cached(key, suffix, make, afresh) as file:
-        return _contents(file)
-    with cached(key, suffix, make, afresh=True) as file:
-        return _contents(file)
-
-
-def _contents(file: Path) -> bytes:
-    return file.read_bytes()[:-_SEAL]
 
 
 def compile_c(
@@ -252,62 +177,3 @@ def run_compiler(compiler: Compiler, arguments: Sequence[str], folder: Path) -> 
     except OSError as error:
         raise CompileError(f"it does not start: {error}", compiler.name, "install a working C compiler") from error
     return subprocess.CompletedProcess(command, process.returncode, None, said)
-
-
-def whole(file: Path) -> bool:
-    """Whether `file` is there and its seal is that of its bytes."""
-    try:
-        data = file.read_bytes()
-    except OSError:
-        return False
-    return len(data) > _SEAL and hashlib.sha256(data[:-_SEAL]).digest() == data[-_SEAL:]
-
-
-def _seal(file: Path) -> None:
-    """Append the digest of its bytes."""
-    data = file.read_bytes()
-    with file.open("ab") as stream:
-        stream.write(hashlib.sha256(data).digest())
-        stream.flush()
-        os.fsync(stream.fileno())
-
-
-def _ours(found: os.stat_result) -> bool:
-    """Whether only this user, or root, can write."""
-    return found.st_uid in (0, os.getuid()) and not found.st_mode & 0o022
-
-
-def _trusted(folder: Path) -> bool:
-    """Whether nobody else can put a file into `folder`, which this process would run: a seal is no signature.
-
-    Warns of a folder that is there and is not.
-    """
-    try:
-        found = folder.stat()
-    except OSError:
-        return False
-    if _ours(found):
-        return True
-    warnings.warn(
-        f"{folder}: others may write into this cache of compiled code, so it is not used; "
-        "make it yours alone (chmod go-w), or name another folder in TWODOF_CACHE",
-        RuntimeWarning,
-        stacklevel=2,
-    )
-    return False
-
-
-def _prune(folder: Path) -> None:
-    """Forget the oldest entries of a cache that has grown too large, and what ended builds have left."""
-    ages: list[tuple[int, int, Path]] = []
-    with suppress(OSError):
-        for item in folder.iterdir():
-            found = item.lstat()
-            if stat.S_ISREG(found.st_mode):
-                ages.append((found.st_mtime_ns, found.st_size, item))
-            elif item.name.startswith("build-") and time.time() - found.st_mtime > 2 * BUILD_SECONDS:
-                shutil.rmtree(item, ignore_errors=True)
-        if len(ages) <= MOST_ENTRIES and sum(size for _, size, _ in ages) <= MOST_BYTES:
-            return
-        for _, _, old in sorted(ages)[: max(1, len(ages) // 2)]:
-            old.unlink(missing_ok=True)

@@ -18,7 +18,7 @@ from typing import Any
 
 import pymavlink
 
-from twodof.compile import toolchain
+from twodof.compile import cache
 from twodof.errors import LinkError, listed, shown
 
 FILES = ("dialect.xml", "common.xml")
@@ -57,7 +57,7 @@ def build(files: Mapping[str, str]) -> ModuleType:
     generator = f"pymavlink {pymavlink.__version__} {importlib.util.MAGIC_NUMBER.hex()} {sys.implementation.cache_tag}"
     key = ("mavlink", generator, *(part for item in files.items() for part in item))
     for afresh in (False, True):
-        data = toolchain.cached_bytes(key, ".code", lambda made: _generate(files, made), afresh)
+        data = cache.cached_bytes(key, ".code", lambda made: _generate(files, made), afresh)
         try:
             code = marshal.loads(data)
         except (ValueError, EOFError, TypeError):  # sealed, and still none: another Python wrote it under our key

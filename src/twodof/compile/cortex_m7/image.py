@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from twodof.compile import freestanding, toolchain
+from twodof.compile import cache, freestanding, toolchain
 from twodof.compile.toolchain import Compiler
 from twodof.errors import CompileError
 
@@ -119,7 +119,7 @@ def build_image(
                 if (folder / name).exists():  # clang writes no .su, but a section
                     archive.write(folder / name, name)
 
-    with zipfile.ZipFile(io.BytesIO(toolchain.cached_bytes(key, ".m7", make))) as archive:
+    with zipfile.ZipFile(io.BytesIO(cache.cached_bytes(key, ".m7", make))) as archive:
         usage = "".join(archive.read(n).decode() for n in archive.namelist() if n.endswith(".su"))
         elf, *objects = (archive.read(n) for n in ("image.elf", *(f"{m}.o" for m in CALLED)))
     sizes = tuple(tuple(s) for _, s in programs)
