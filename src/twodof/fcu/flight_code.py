@@ -144,6 +144,8 @@ class FlightCode:
         if self.sandbox is None:
             outputs = self._stepper.step((*measured, *asked, rings, step_late, False))
         else:
+            if self.sandbox.rests and not self._armed and self.sandbox.wakes():
+                self.sandbox.resume(self._states())
             own = self.sandbox.step(sample, self._limited(asked), asked.in_reset or not self._own)
             late, fore, aft, moment, thrust = own[:5]
             *flown, self._own = self._stepper.step(
@@ -153,7 +155,7 @@ class FlightCode:
                 flown[_USED] = own[5:]  # the set-points in use are those of who flies
             outputs = tuple(flown)
         step = Step(tick, sample, asked, *outputs)
-        if self._armed and not step.armed and self.own_fault:
+        if self._armed and not step.armed and self._stopped:
             self._revive()
         self._armed = step.armed
         return step
@@ -195,7 +197,7 @@ class FlightCode:
                 self.machine.set_many(before)
                 raise
             self._own_values |= own
-            if self.sandbox.fault and not self._armed:
+            if self._stopped and not self._armed:
                 self._revive()
         self._read_limits()
 
@@ -224,13 +226,21 @@ class FlightCode:
         self._read_limits()
         self._revive()
 
+    @property
+    def _stopped(self) -> bool:
+        """Whether a user's controllers go on by a fresh instance only, and not by themselves."""
+        return self.sandbox is not None and bool(self.sandbox.fault) and not self.sandbox.rests
+
+    def _states(self) -> dict[str, Any]:
+        return {path: self.machine.state(path) for path in self.machine.program.states}
+
     def _revive(self) -> None:
         """The sandbox anew, with its own parameters, and the parameters and states that the native code has too."""
         if self.sandbox is not None:
             machine = self.machine
             self.sandbox.restart(
                 {path: machine.get(path) for path in machine.parameters} | self._own_values,
-                {path: machine.state(path) for path in machine.program.states},
+                self._states(),
             )
 
     def _read_limits(self) -> None:

@@ -19,6 +19,11 @@ from twodof.flight.core import PERIOD, core
 BUDGET_NS = 2_000_000
 """Processor time [ns] that a step in the sandbox may take in real time: half of the control period."""
 
+PAUSE, LONGEST_PAUSE = 250, 4000
+"""Ticks on the ground until what was too slow is tried again, the first time, and, doubled each time, at most."""
+GOOD = 1000
+"""Steps in a row that were in time, after which it is as if it had never been too slow."""
+
 INPUTS = tuple(name for name, _, _, _ in CORE_INPUTS)
 OUTPUTS = ("fore", "aft", "M", "T", "x0", "v0", "theta0", "q0")
 
@@ -47,8 +52,9 @@ class Sandbox:
     """The flight core with `controllers`, without failsafe, in WebAssembly; its commands go through the native gate.
 
     `fault` says what stopped it, "" while it runs; then every step is late until `restart`. A step in real time
-    (`timed`) that takes more than `BUDGET_NS` of the processor is late. Raises DiagramError for a controller that fits
-    no template, CompileError where the compiler for WebAssembly or wasmtime is not there.
+    (`timed`) that takes more than `BUDGET_NS` of the processor is late and stops it too, so that it makes no second
+    control period late; on the ground it may be tried again after a pause (`wakes`, `resume`). Raises DiagramError for
+    a controller that fits no template, CompileError where the compiler for WebAssembly or wasmtime is not there.
     """
 
     def __init__(
@@ -58,6 +64,8 @@ class Sandbox:
         precision: str = "float64",
         fuel: int | None = None,
     ) -> None:
+        controllers = tuple(controllers)
+        self.name = " and ".join(one.name for one in controllers)
         diagram = core(position_filter=position_filter, controllers=controllers)
         program = build(diagram, PERIOD, precision, target=Wasm(fuel=fuel))
         if not isinstance(program, Program):
@@ -66,23 +74,47 @@ class Sandbox:
         self.timed = False
         self.late_steps = 0
         self.fault = ""
-        self._spent = 0
+        self._spent = self._pause = self._rest = self._good = 0
+        self._tries = False
         self.machine = program.machine()
         self._stepper = Stepper(self.machine, INPUTS, OUTPUTS)
 
     def restart(self, parameters: Mapping[str, Any], states: Mapping[str, Any]) -> None:
         """A fresh instance with these parameters and states by path, as far as it has them; `fault` if it cannot be."""
         self.fault = ""
-        self._spent = 0
+        self._spent = self._pause = self._rest = self._good = 0
+        self._tries = False
         try:
             self.machine = self.program.machine()
             self._stepper = Stepper(self.machine, INPUTS, OUTPUTS)
             known = self.machine.parameters
             self.machine.set_many({path: value for path, value in parameters.items() if path in known})
-            self.machine.reset()  # a state may begin at a parameter
+            self._begin(states)
+        except ControllerFault as fault:
+            self.fault = str(fault)
+
+    @property
+    def rests(self) -> bool:
+        """Whether it was too slow and will be tried again; else what stopped it stopped it for good."""
+        return self._rest > 0
+
+    def wakes(self) -> bool:
+        """A tick on the ground in which it rests has passed: whether it is to be tried again now, by `resume`."""
+        self._spent = 0
+        self._rest -= 1
+        return self._rest == 0
+
+    def resume(self, states: Mapping[str, Any]) -> None:
+        """Goes on with these states: `fault` stays until a step was in time."""
+        try:
+            self._begin(states)
         except ControllerFault as fault:
             self.fault = str(fault)
             return
+        self._tries = True
+
+    def _begin(self, states: Mapping[str, Any]) -> None:
+        self.machine.reset()  # a state may begin at a parameter
         for path, value in states.items():
             if path in self.program.states:
                 self.machine.set_state(path, value)
@@ -103,8 +135,9 @@ class Sandbox:
 
     def step(self, sample: Sample, asked: Asked, in_reset: bool) -> Commands:
         """One control period, with set-points that are numbers within their limits."""
-        if self.fault:
+        if self.fault and not self._tries:
             return _NOTHING
+        tries, self._tries = self._tries, False
         began = time.thread_time_ns() if self.timed else 0
         try:
             asked_for = self._stepper.step(
@@ -117,7 +150,21 @@ class Sandbox:
         except ControllerFault as fault:
             self.fault = str(fault)
             return _NOTHING
-        late = self.timed and time.thread_time_ns() - began + self._spent > BUDGET_NS
+        used = time.thread_time_ns() - began + self._spent if self.timed else 0
         self._spent = 0
-        self.late_steps += late
-        return Commands(late, *asked_for)
+        if used > BUDGET_NS:
+            self._overran(used)
+            return Commands(True, *asked_for)
+        if tries:
+            self.fault = ""
+        self._good += 1
+        if self._good >= GOOD:
+            self._pause = 0
+        return Commands(False, *asked_for)
+
+    def _overran(self, used: int) -> None:
+        took = f"{self.name} took {used * 1e-6:.1f} ms of the processor for a step"
+        self.fault = self.fault or f"{took}, and {BUDGET_NS * 1e-6:g} ms are there for it"
+        self.late_steps += 1
+        self._good = 0
+        self._pause = self._rest = min(max(PAUSE, 2 * self._pause), LONGEST_PAUSE)
