@@ -24,6 +24,7 @@ NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")
 MAX_WIDTH = 1_000_000
 MAX_PORTS = 1000  # inputs, outputs, states or parameters of one block
 MAX_STEPS = 100_000_000
+_RANGES = {"int32": (-(2**31), 2**31 - 1), "uint32": (0, 2**32 - 1)}
 
 Values = Mapping[str, Any]
 
@@ -85,13 +86,16 @@ class State:
         _check_shape(self.kind, self.width, self.name, self.unit)
         if self.continuous and self.kind != "real":
             raise DiagramError(f"a continuous state of type {self.kind}", self.name, "continuous states are real")
+        if not isinstance(self.initial, str):
+            _declared(self.initial, self.kind, self.width, self.name)
 
 
 @dataclass(frozen=True)
 class Param:
     """A parameter: default `value` (a sequence if `width` is given), bounds `low` and `high` (inclusive), unit, text.
 
-    A parameter that is not `tunable` is fixed once the diagram runs (it may still be set before).
+    Raises DiagramError for a default that is not of its kind or not within the bounds, and for bounds that are none. A
+    parameter that is not `tunable` is fixed once the diagram runs (it may still be set before).
     """
 
     name: str
@@ -106,6 +110,50 @@ class Param:
 
     def __post_init__(self) -> None:
         _check_shape(self.kind, self.width, self.name, self.unit)
+        given = _declared(self.value, self.kind, self.width, self.name)
+        _check_limits(self)
+        free = self.kind == "bool" or (self.low == -math.inf and self.high == math.inf)
+        for value in () if free else given:
+            if not self.low <= value <= self.high:
+                raise DiagramError(f"the default {value} is outside [{self.low}, {self.high}]", self.name, "change one")
+
+
+def _declared(value: Any, kind: str, width: int | None, name: str) -> list[Any]:
+    """The numbers of a declared value, as given. Raises DiagramError for one that is not of its kind."""
+    try:
+        numeric(value, kind, width, name)
+    except OverflowError:
+        raise DiagramError(f"{shown(value)} is no real number", name, "make it smaller") from None
+    given = value.tolist() if isinstance(value, np.ndarray) else value
+    scalars = [*given] if isinstance(given, (list, tuple)) else [given]
+    plain = [one.value if isinstance(one, Integer) else one for one in scalars]
+    if kind in _RANGES:  # an integer that is computed wraps around, one that is written down is a slip of the pen
+        low, high = _RANGES[kind]
+        for one in plain:
+            if not fits(one, kind):
+                raise DiagramError(f"{one} is no {kind}", name, f"write a whole number from {low} to {high}")
+    return plain
+
+
+def fits(value: int, kind: str) -> bool:
+    """Whether a whole number, or a bool, is one of `kind` as it is, without wrapping around."""
+    low, high = _RANGES.get(kind, (0, 1))
+    return low <= value <= high
+
+
+def _check_limits(declared: Param) -> None:
+    """Raise DiagramError for bounds that are none."""
+    for bound in (declared.low, declared.high):
+        if isinstance(bound, (bool, np.bool_)) or not isinstance(bound, (int, float, np.number)) or math.isnan(bound):
+            raise DiagramError(
+                f"the bound {shown(bound)} is no number", declared.name, "leave it out, or give a number"
+            )
+        if declared.kind in _RANGES and math.isfinite(bound) and bound != int(bound):
+            raise DiagramError(f"the bound {bound} of whole numbers is not whole", declared.name, "round it")
+    if declared.low > declared.high:
+        raise DiagramError(
+            f"no value is within [{declared.low}, {declared.high}]", declared.name, "exchange the bounds"
+        )
 
 
 def narrowed(outer: Param, inner: Param, path: str) -> Param:
@@ -357,10 +405,6 @@ def check_declarations(block: Block, name: str) -> None:
                     name,
                     "name a parameter of the same type and width",
                 )
-        else:
-            numeric(s.initial, s.kind, s.width, f"{name}.{s.name}")
-    for p in block.params:
-        numeric(p.value, p.kind, p.width, f"{name}.{p.name}")
 
 
 def numeric(value: Any, kind: str, width: int | None, where: str) -> Any:

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from twodof.blocks import library
-from twodof.blocks.block import REGISTRY, Block, Param, Port, State
+from twodof.blocks.block import NAME, REGISTRY, Block, Param, Port, State
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.effort import COPIED, MAX_OPERATIONS, MAX_SIZE, Meter, too_large
 from twodof.blocks.expr import at_most
@@ -279,7 +279,11 @@ def _typed(cls: type, fields: Mapping[str, Any], where: str) -> Any:
     if "name" not in fields:
         raise DiagramError("a declaration has no name", where, "name it")
     _visible(fields.get("unit", ""), fields.get("text", ""), where)
-    return cls(**fields)
+    try:
+        return cls(**fields)
+    except DiagramError as error:
+        name = fields["name"] if NAME.fullmatch(fields["name"]) else ""
+        raise DiagramError(error.what, f"{where}.{name}".rstrip("."), error.remedy) from error
 
 
 def _visible(unit: str, remark: str, where: str) -> None:

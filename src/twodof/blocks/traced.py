@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from twodof.blocks.arrays import vector
-from twodof.blocks.block import SECTIONS, Block, Clock, Trace, check_name
+from twodof.blocks.block import SECTIONS, Block, Clock, Trace, check_name, fits
 from twodof.blocks.effort import MAX_LOOP_DEPTH, MAX_SIZE, Meter, too_large
 from twodof.blocks.elementary import FUNCTIONS
 from twodof.blocks.expr import KINDS, Expr, const, convert, leaf, node, tracing
@@ -174,7 +174,7 @@ def _node_from(row: Any, made: list[Expr], leaves: Mapping[str, Mapping[str, Exp
         kind, value = data
         if kind == "real":
             return const(float.fromhex(value), "real")
-        if kind not in KINDS or type(value) is not (bool if kind == "bool" else int):
+        if kind not in KINDS or type(value) is not (bool if kind == "bool" else int) or not fits(value, kind):
             raise ValueError("a constant of another type")
         return const(value, kind)
     if op in leaves:
