@@ -122,3 +122,41 @@ def stand_still(seconds: float) -> None:
     loop = asyncio.get_running_loop()
     assert isinstance(loop, VirtualLoop)
     loop.stand_still(seconds)
+
+
+class Standing(Peer):
+    """Its time stands still from a moment on, though it speaks."""
+
+    stands = False
+
+    def send(self, name: str, /, **fields: Any) -> None:
+        """As Peer's, but for what would tell of time."""
+        if not (self.stands and name == "TWODOF_TICK"):
+            super().send(name, **fields)
+
+    async def _stream(self) -> None:
+        while True:
+            await asyncio.sleep(0.02)
+            self.tick += 0 if self.stands else 5
+            self.send("ATTITUDE", time_boot_ms=4 * self.tick, pitch=0.1, pitchspeed=0.0)
+
+
+@pytest.mark.parametrize("lockstep", [False, True])
+@pytest.mark.parametrize(("timeout", "most"), [(0.5, 2.3), (2.0, 2.3), (60.0, 5.3)])
+def test_a_wait_where_the_drones_time_stands_still_ends_soon(lockstep: bool, timeout: float, most: float) -> None:
+    """It speaks on, and its time does not pass: a wait of .5 s of it is not one of 10 s of ours."""
+
+    async def work() -> None:
+        peer = Standing(lockstep=lockstep)
+        async with peer, await AsyncDrone.connect(peer.url) as drone:
+            await drone.run(0.1)
+            peer.stands = True
+            loop = asyncio.get_running_loop()
+            began = loop.time()
+            with pytest.raises(Timeout):
+                await drone.wait_until(lambda: False, timeout)
+            assert loop.time() - began <= most
+            peer.stands = False
+            await drone.run(0.1)
+
+    run_virtual(work())

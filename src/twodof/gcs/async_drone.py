@@ -184,12 +184,21 @@ class AsyncDrone(Connected):
         await self._pass(tick, None)
 
     async def wait_until(self, condition: Callable[[], bool], timeout: float) -> None:
-        """Let the drone's time pass until `condition()`, asked each 20 ms of it; Timeout after `timeout` [s] of it."""
-        await self._pass(self.tick + ceil(timeout / TICK_S), condition)
+        """Let the drone's time pass until `condition()`, asked each 20 ms of it; Timeout after `timeout` [s] of it.
+
+        Where its time stands still that is after as much of ours, but after 2 s at the soonest and 5 s at the latest.
+        """
+        await self._pass(self.tick + ceil(timeout / TICK_S), condition, patience=timeout)
         if not condition():
             raise Timeout(f"the condition did not come within {timeout:g} s", f"drone {self.session.system}")
 
-    async def _pass(self, tick: int, condition: Callable[[], bool] | None, within: Deadline | None = None) -> None:
+    async def _pass(
+        self,
+        tick: int,
+        condition: Callable[[], bool] | None,
+        within: Deadline | None = None,
+        patience: float | None = None,
+    ) -> None:
         """Let its time pass up to a tick or until `condition()`; what is streamed to a drone that was killed ends."""
 
         def killed() -> bool:
@@ -198,7 +207,7 @@ class AsyncDrone(Connected):
         def done() -> bool:
             return killed() or (condition is not None and condition())
 
-        await self.clock.run_until(tick, condition if self.clock.granting else done, within)
+        await self.clock.run_until(tick, condition if self.clock.granting else done, within, patience)
         if killed():
             self.setpoints.stop()
             self._not_killed(self._deadline(0.0, "flying"))

@@ -14,8 +14,9 @@ from twodof.link.tick import TICK_MS, TICK_S
 
 _STAMPED_MS = ("ATTITUDE", "ATTITUDE_TARGET", "LOCAL_POSITION_NED", "ATTITUDE_QUATERNION")
 _TICKED = ("TWODOF_SAFETY", "TWODOF_TIMING", "TWODOF_EXCITE_STATUS", "TWODOF_RIG", "TWODOF_TICK")
-# Real time for which the drone speaks and is silent over its own time, after which it stands still.
-STANDS_STILL_S = 3.0
+# Real time for which the drone speaks and is silent over its own time, after which it stands still. Who waits for less
+# of its time learns it sooner, but no sooner than a computer may pause.
+STANDS_STILL_S, SOONEST_S = 3.0, 2.0
 # A drone's clock that runs slower than this is none.
 SLOWEST = 1.5
 # Lockstep: real time that may go by, apart from and for each second of the drone's; its time that goes by in a slice.
@@ -85,15 +86,20 @@ class Clock:
             self._resets_until = self._session.now + RESET_SETTLES_S
 
     async def run_until(
-        self, tick: int, done: Callable[[], bool] | None = None, within: Deadline | None = None
+        self,
+        tick: int,
+        done: Callable[[], bool] | None = None,
+        within: Deadline | None = None,
+        patience: float | None = None,
     ) -> None:
         """Let the drone's time pass up to `tick` (not run yet), or until `done()`, asked each 20 ms of its time.
 
-        Raises LinkLost, Rejected if it is not ours to grant; Timeout if it stands still, or at the deadline of the
-        call that lets it pass (`within`).
+        Raises LinkLost, Rejected if it is not ours to grant; Timeout if it stands still, for `patience` [s] of ours at
+        most where that is at least SOONEST_S, or at the deadline of the call that lets it pass (`within`).
         """
+        most = inf if patience is None else max(SOONEST_S, patience)
         if not self.granting:
-            await self._pass(tick, done, within)
+            await self._pass(tick, done, within, min(STANDS_STILL_S, most))
             return
         step = SETPOINT_TICKS if done is not None else SLICE_TICKS
         wall = SLICE_WALL_S + SLOWEST_LOCKSTEP * max(0, tick - self.tick) * TICK_S
@@ -101,11 +107,14 @@ class Clock:
         for until in [*range(self.tick + step, tick, step), tick]:
             if self.tick >= tick or (done is not None and done()):
                 return
-            await self._grant(until, deadline)
+            await self._grant(until, deadline, inf if patience is None else min(SLICE_WALL_S, most))
 
-    async def _grant(self, until: int, deadline: Deadline) -> None:
+    async def _grant(self, until: int, deadline: Deadline, still: float) -> None:
         for prepare in self.before_slice:
             prepare(self.tick, until)
+        slowest = still + SLOWEST_LOCKSTEP * (until - self.tick) * TICK_S
+        if slowest < deadline.left:
+            deadline = Deadline(slowest, f"granting time up to tick {until}", deadline.where)
         await self._ask(until, deadline, until)
         self.tick = max(self.tick, until)  # another thread may have granted more meanwhile
 
@@ -120,16 +129,16 @@ class Clock:
             deadline,
         )
 
-    async def _pass(self, tick: int, done: Callable[[], bool] | None, within: Deadline | None) -> None:
+    async def _pass(self, tick: int, done: Callable[[], bool] | None, within: Deadline | None, still: float) -> None:
         session = self._session
         moved, seen = session.now, self.tick
-        end = moved + STANDS_STILL_S + SLOWEST * max(0, tick - seen) * TICK_S
+        end = moved + still + SLOWEST * max(0, tick - seen) * TICK_S
         with session.listen(*_STAMPED_MS, *_TICKED) as heard:
             while self.tick < tick and not (done is not None and done()):
                 if self.tick != seen:
                     moved, seen = session.now, self.tick
                 # By when it was heard: one that says nothing at all is lost.
-                if session.heard_at - moved > STANDS_STILL_S or session.heard_at > end:
+                if session.heard_at - moved > still or session.heard_at > end:
                     raise Timeout(
                         f"the drone's time does not pass as ours does: it is at tick {self.tick}",
                         f"drone {session.system}",
