@@ -123,6 +123,10 @@ def test_the_same_in_python() -> None:
                 State("k", value, kind=kind)
     with pytest.raises(DiagramError, match="no real number"):
         Param("k", 10**400)
+    for width in (None, 3):
+        with pytest.raises(DiagramError) as caught:
+            Diagram("d").param("k", [1.0, 2.0], width=width)
+        assert caught.value.where == "d.k"
 
 
 @pytest.mark.parametrize("value", [2**31, -(2**31) - 1])

@@ -91,14 +91,6 @@ def bound_to_another_type(d: Diagram) -> None:
     d.add("moment", Moment(), params={"k": "k"})
 
 
-def with_a_list_that_has_no_width(d: Diagram) -> None:
-    d.param("k", [1.0, 2.0])
-
-
-def with_a_list_of_another_width(d: Diagram) -> None:
-    d.param("k", [1.0, 2.0], width=3)
-
-
 def without_source(d: Diagram) -> None:
     d.output("z")
 
@@ -117,8 +109,6 @@ def without_source(d: Diagram) -> None:
         (enabled_by_a_real, "sub.part", "no bool"),
         (bound_to_nothing, "sub.gain", "no parameter 'nobody'"),
         (bound_to_another_type, "sub.moment.k", "another type"),
-        (with_a_list_that_has_no_width, "sub.k", "a list of 2"),
-        (with_a_list_of_another_width, "sub.k", "a list of 2"),
         (without_source, "sub.z", "not connected"),
     ],
 )

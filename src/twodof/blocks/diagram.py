@@ -100,7 +100,10 @@ class Diagram:
     ) -> str:
         """Declare a parameter of the diagram, to which parameters of its parts may be bound (see `add`)."""
         self._new(name)
-        self.params[name] = Param(name, value, kind, width, unit, low, high, text, tunable)
+        try:
+            self.params[name] = Param(name, value, kind, width, unit, low, high, text, tunable)
+        except DiagramError as error:
+            raise DiagramError(error.what, f"{self.name}.{name}", error.remedy) from error
         return name
 
     def add(

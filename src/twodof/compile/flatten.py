@@ -6,8 +6,6 @@ import heapq
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from twodof.blocks.block import Block, Param, Port, narrowed
 from twodof.blocks.diagram import BASE, MAX_NESTED, Diagram, Part, Rate
 from twodof.blocks.graph import leaves
@@ -137,10 +135,6 @@ class Flat:
 
     def _parameter(self, path: str, declared: Param, bound: Parameter | None) -> Parameter:
         if bound is None:
-            given = len(declared.value) if np.ndim(declared.value) else None
-            if given not in (None, declared.width):
-                wanted = "a number" if declared.width is None else f"a number or {declared.width} of them"
-                self.report(DiagramError(f"its default is a list of {given}", path, f"give {wanted}"))
             self.parameters[path] = Parameter(path, declared)
             return self.parameters[path]
         outer = bound.declared
