@@ -8,19 +8,20 @@ is first named.
 """
 
 import importlib
-import pkgutil
 from types import ModuleType
 
 __version__ = "0.1.0"
 
-_ROOMS = frozenset(module.name for module in pkgutil.iter_modules(__path__))
+
+def _rooms() -> frozenset[str]:
+    return frozenset(module.name for module in importlib.import_module("pkgutil").iter_modules(__path__))
 
 
 def __getattr__(name: str) -> ModuleType:
-    if name in _ROOMS:
+    if not name.startswith("_") and name in _rooms():
         return importlib.import_module(f"{__name__}.{name}")
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_ROOMS})
+    return sorted({*globals(), *_rooms()})

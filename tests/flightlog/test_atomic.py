@@ -72,7 +72,8 @@ def test_ctrl_c_in_a_running_program_leaves_no_file(tmp_path: Path) -> None:
         "with atomic_write(sys.argv[1], 'w') as file:\n"
         "    file.write('half')\n"
         "    file.flush()\n"
-        "    time.sleep(1000)\n"
+        "    while True:\n"  # a signal that comes just before a sleep does not end it
+        "        time.sleep(0.01)\n"
     )
     command = [sys.executable, "-c", program, str(tmp_path / "log.csv")]
     with started(command, stderr=subprocess.DEVNULL) as child:

@@ -3,8 +3,7 @@
 import importlib
 import sys
 
-# app.INTERRUPTED, which may not be there yet when Ctrl-C comes.
-_INTERRUPTED = 130
+from twodof.cli import interrupts
 
 
 def main() -> None:
@@ -12,8 +11,11 @@ def main() -> None:
 
     The rest of the package is imported here, so that Ctrl-C while it loads is met as at any later time.
     """
+    interrupts.begin()
     try:
         status = importlib.import_module("twodof.cli.app").run(sys.argv[1:])
     except KeyboardInterrupt:
-        status = _INTERRUPTED
+        status = interrupts.INTERRUPTED
+        interrupts.said()
+    interrupts.end()
     sys.exit(status)

@@ -12,10 +12,11 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
+from twodof.cli import interrupts
 from twodof.cli.output import print_error, print_json, reader_has_left
 from twodof.errors import CompileError, DownloadError, IdentificationError, TwodofError
 
-FINE, WENT_WRONG, CALLERS_MISTAKE, INTERRUPTED = 0, 1, 2, 130
+FINE, WENT_WRONG, CALLERS_MISTAKE = 0, 1, 2
 
 # Command -> (its module, one line of help): what `twodof --help` shows without importing numpy.
 COMMANDS = MappingProxyType(
@@ -56,6 +57,7 @@ class LazyGroup(TyperGroup):
         app = importlib.import_module(f"twodof.cli.{module}").app
         command = typer.main.get_command(app)
         command.name, command.help = cmd_name, command.help or text
+        interrupts.works()
         return command
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
@@ -74,8 +76,8 @@ class LazyGroup(TyperGroup):
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt:
-            sys.stderr.write("interrupted; no file was left half written\n")
-            raise SystemExit(INTERRUPTED) from None
+            interrupts.said()
+            raise SystemExit(interrupts.INTERRUPTED) from None
         except BrokenPipeError:
             reader_has_left()  # Python would complain again at exit
             raise SystemExit(WENT_WRONG) from None

@@ -6,6 +6,7 @@ import multiprocessing
 import signal
 import sys
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from multiprocessing.connection import Connection, wait
 
 from twodof.cli.own_drone import own_drone
@@ -38,9 +39,10 @@ def fly_series(rigs: Iterable[str], names: Sequence[str], seeds: Iterable[int]) 
         for rig in rigs:
             ours, theirs = spawning.Pipe(duplex=False)
             process = spawning.Process(target=_fly_all, args=(theirs, rig, list(names), seeds), name=f"rig {rig}")
-            process.start()
+            with _no_interrupt_for_children():
+                process.start()
+                processes.append(process)
             theirs.close()
-            processes.append(process)
             left[ours] = rig
         while left:
             ready = wait(list(left), FLIGHT_S)
@@ -58,6 +60,19 @@ def fly_series(rigs: Iterable[str], names: Sequence[str], seeds: Iterable[int]) 
             process.join()
         for connection in left:
             connection.close()
+
+
+@contextmanager
+def _no_interrupt_for_children() -> Iterator[None]:
+    """What is started meanwhile never gets Ctrl-C, from its first moment on; it is the parent's, who ends them.
+
+    One that comes meanwhile waits for the end of the block.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _taken(connection: Connection, left: dict[Connection, str]) -> Iterator[Flown]:
@@ -79,8 +94,8 @@ def _taken(connection: Connection, left: dict[Connection, str]) -> Iterator[Flow
 
 def _fly_all(connection: Connection, rig: str, names: list[str], seeds: list[int]) -> None:
     """The process of a rig."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's, who then ends us
     signal.signal(signal.SIGTERM, lambda *_: sys.exit())
+    sys.unraisablehook = lambda _: None  # where that cannot be raised nobody is to read of it
     try:
         laboratory = Laboratory(rig)
         with own_drone(rig) as url, Drone.connect(url) as drone:
