@@ -65,7 +65,7 @@ def interrupted(after_s: float, folder: Path, *arguments: str) -> str:
     return "" if right else f"after {after_s:.3f} s: status {process.returncode}, left {files}, said {said.decode()}"
 
 
-@pytest.mark.parametrize("after_s", [0.0, 0.3, 2.5])
+@pytest.mark.parametrize("after_s", [0.0, 0.3, 1.5])
 def test_the_demo_ends_in_a_line(tmp_path: Path, after_s: float) -> None:
     assert interrupted(after_s, tmp_path, "demo", "--repetitions", "3") == ""
 
