@@ -1,0 +1,92 @@
+"""Flies the rows in lanes: `python -m tests.fmea.fly [--seeds N] [text]` prints what the rows with `text` measured."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tests.fmea.loop import ONSET, compiled, fly, rig_values, settled
+from tests.fmea.rows import ROWS, SITUATIONS, Row
+from twodof.flight.causes import ACTIONS, named_causes
+from twodof.rig.parameters import NAMES
+
+BATCH = 1024
+"""Lanes that fly at once: they fit the processor's caches no worse than fewer, and one program serves any number."""
+
+AT_A_STOP = 300
+"""How long motors may be on once a stop was met, at a fault that can be seen [ms]."""
+
+
+@dataclass(frozen=True)
+class Flown:
+    """A row in one situation on one rig; what the witness saw by name, (seeds,) each."""
+
+    row: Row
+    situation: str
+    rig: str
+    seen: dict[str, NDArray[Any]]
+
+    @property
+    def breaks(self) -> bool:
+        """Whether the motors were on for longer than AT_A_STOP after a stop was met."""
+        return bool(self.seen["on_after"].max() > AT_A_STOP)
+
+    def line(self) -> str:
+        """As text, the worst of the seeds."""
+        seen = self.seen
+        did = " or ".join(ACTIONS[a] for a in sorted(set(seen["strongest"].tolist())))
+        causes = ", ".join(named_causes(int(np.bitwise_or.reduce(seen["reason"]))))
+        return (
+            f"{self.row.component} | {self.row.text} | {self.situation} | {self.rig} | {did} "
+            f"| {seen['strongest_at'].min()}..{seen['strongest_at'].max()} ms "
+            f"| theta {seen['theta'].max():.2f} x {seen['x'].max():.3f} "
+            f"| impact {seen['impact_q'].max():.1f} rad/s {seen['impact_v'].max():.2f} m/s "
+            f"| touched at {seen['touched_at'].min()}..{seen['touched_at'].max()} "
+            f"on at it {seen['at_stop'].max()} on after it {seen['on_after'].max()} ms "
+            f"| {causes}{' | BREAK' if self.breaks else ''}"
+        )
+
+
+def flown(rows: Sequence[Row], seeds: Sequence[int]) -> Iterator[Flown]:
+    """Each row in each of its situations on each rig, with all seeds."""
+    jobs = [(row, situation, rig) for row in rows for situation in row.situations for rig in NAMES]
+    rigs = {rig: rig_values(rig) for rig in NAMES}
+    lanes, changes = [], []
+    for row, situation, rig in jobs:
+        script = {f"script.{name}": value for name, value in SITUATIONS[situation].items() if name != "rings"}
+        for seed in seeds:
+            of_seed = {
+                "seed": seed,
+                "rings": SITUATIONS[situation]["rings"],
+                "rig.tof_phase": 0.37 * seed % 1.0,
+                "onset": ONSET if row.changes else ONSET + 53 * seed % 220,
+            }
+            lanes.append(rigs[rig] | script | of_seed | dict(row.faults))
+            changes.append(row.changes)
+    start, program = settled(), compiled(min(BATCH, len(lanes)))
+    parts = []
+    for begin in range(0, len(lanes), BATCH):
+        mine, later = lanes[begin : begin + BATCH], changes[begin : begin + BATCH]
+        count = len(mine)
+        mine, later = ([*part, *part[-1:] * (program.lanes - count)] for part in (mine, later))
+        parts.append({name: values[:count] for name, values in fly(program, mine, later, start).items()})
+    seen = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    for place, (row, situation, rig) in enumerate(jobs):
+        mine_of = slice(place * len(seeds), (place + 1) * len(seeds))
+        yield Flown(row, situation, rig, {name: values[mine_of] for name, values in seen.items()})
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("text", nargs="?", default="", help="of the component or the fault")
+    parser.add_argument("--seeds", type=int, default=2)
+    given = parser.parse_args()
+    chosen = [row for row in ROWS if given.text in f"{row.component} | {row.text}"]
+    for one in flown(chosen, range(1, given.seeds + 1)):
+        sys.stdout.write(f"{one.line()}\n")
