@@ -42,13 +42,21 @@ ALL = (ATTITUDE, HOLD, POSITION, VELOCITY)
 
 @dataclass(frozen=True)
 class Row:
-    """A fault: the component, what happens to it, the parameters of the loop that make it, where it is flown."""
+    """A fault: the component, what happens to it, the parameters of the loop that make it, where it is flown.
+
+    `changes` are parameters that are changed in flight.
+    """
 
     component: str
     text: str
     faults: Mapping[str, Any]
     situations: tuple[str, ...]
     changes: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """Component and fault, unique."""
+        return f"{self.component}: {self.text}"
 
 
 def number(channels: str | tuple[str, ...], kind: str, size: float = 0.0, period: int = 25) -> dict[str, Any]:

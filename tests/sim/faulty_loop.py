@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from math import inf
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tests.fmea.faults import FLAG_KINDS, KINDS, Fault, FlagFault, Noise
 from twodof.blocks import Block, Diagram, Param, Port, State, where
 from twodof.blocks.library.delays import ZeroOrderHold
 from twodof.compile import build
@@ -20,29 +22,9 @@ from twodof.rig.rig import BASE_DT, MEASUREMENTS, SAMPLE, TRUTH, rig
 
 TICKS = SAMPLE[0]
 PERIOD_MS = 1e3 * TICKS * BASE_DT
-FAULTS = (("imu_frozen", "bool"), ("range_silent", "bool"), ("sag", "real"))
 IMU = ("acc_x", "acc_z", "gyro_y")
-
-
-class Faults(Block):
-    """What the flight code gets of the rig's measurements: the frozen IMU repeats its last sample."""
-
-    inputs = (
-        *(Port(name) for name in (*IMU, "dist", "dist_age", "voltage")),
-        Port("dist_new", "bool"),
-        *(Port(name, kind) for name, kind in FAULTS),
-    )
-    outputs = (*(Port(name) for name in (*IMU, "dist", "dist_age", "voltage")), Port("dist_new", "bool"))
-    states = tuple(State(name) for name in IMU)
-
-    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-        imu = {name: where(u.imu_frozen, x[name], u[name]) for name in IMU}
-        passed = {name: u[name] for name in ("dist", "dist_age")}
-        return imu | passed | {"dist_new": u.dist_new & ~u.range_silent, "voltage": u.voltage - u.sag}
-
-    def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-        now = self.output(u, x, p, t)
-        return {name: now[name] for name in IMU}
+FAULTS: Mapping[str, tuple[str, ...]] = {"imu_frozen": IMU, "range_silent": ("dist_new",), "sag": ("voltage",)}
+"""What `fly` can be told to fail, and in which signals."""
 
 
 class Failing(Block):
@@ -86,14 +68,21 @@ class FaultyLoop:
         d.add("rig", rig())
         d.add("flight", core(controllers=[failing_controller()] if own else (), failsafe=True), rate=SAMPLE)
         self.inputs = [row for row in (*INPUTS, *SAFETY_INPUTS) if row[0] not in (*MEASUREMENTS, "voltage")]
-        for name, kind, unit in (*(row[:3] for row in self.inputs), *((name, kind, "") for name, kind in FAULTS)):
+        for name, kind, unit, _ in self.inputs:
             d.input(name, kind, unit=unit)
             d.add(f"{name}_held", ZeroOrderHold(kind=kind, unit=unit), rate=SAMPLE, u=name)
         d.add("voltage_held", ZeroOrderHold(unit="V"), rate=SAMPLE, u="rig.voltage")
         sources = {name: f"rig.{name}" for name in MEASUREMENTS} | {"voltage": "voltage_held"}
-        d.add("faults", Faults(), rate=SAMPLE, inputs=sources | {name: f"{name}_held" for name, _ in FAULTS})
-        for name in (*MEASUREMENTS, "voltage"):
-            d.connect(f"faults.{name}", f"flight.{name}")
+        d.add("noise", Noise(), rate=SAMPLE)
+        for name in (name for names in FAULTS.values() for name in names):
+            source = sources.pop(name)
+            if name == "dist_new":
+                d.add(name, FlagFault(), rate=SAMPLE, u=source)
+            else:
+                d.add(name, Fault(), rate=SAMPLE, u=source, partner=source, n="noise")
+            d.connect(name, f"flight.{name}")
+        for name, source in sources.items():
+            d.connect(source, f"flight.{name}")
         for name, *_ in self.inputs:
             d.connect(f"{name}_held", f"flight.{name}")
         for name in ("fore", "aft"):
@@ -108,16 +97,31 @@ class FaultyLoop:
         self.machine.reset()
         healthy = {"setpoint_new": True, "link_new": True, "imu_new": True, "rings": bool(values["rings"])}
         self.now: dict[str, Any] = {name: False if kind == "bool" else 0 for name, kind, *_ in self.inputs}
-        self.now |= {name: False if kind == "bool" else 0.0 for name, kind in FAULTS} | healthy
+        self.now |= healthy
 
     def fly(self, seconds: float, **changes: Any) -> dict[str, NDArray[Any]]:
-        """Flies on with inputs changed; one may be an array with a value for each step. Each signal, (steps,)."""
+        """Flies on with inputs changed; one may be an array with a value for each step. Each signal, (steps,).
+
+        `imu_frozen`, `range_silent` and `sag` [V], once told, begin with the first step and do not end.
+        """
         steps = round(seconds / (TICKS * BASE_DT))
+        for fault in FAULTS.keys() & changes.keys():
+            self._begin(fault, float(changes.pop(fault)))
         columns = {name: np.asarray(value) for name, value in changes.items()}
         self.now |= {name: c.item() if c.ndim == 0 else c[-1].item() for name, c in columns.items()}
         held = {name: np.repeat(c, TICKS) for name, c in columns.items() if c.ndim}
         out = self.machine.run(steps * TICKS, self.now | held)
         return {name: np.asarray(values[::TICKS]) for name, values in out.items()}
+
+    def _begin(self, fault: str, size: float) -> None:
+        """Puts a fault in, from now on."""
+        of_kind = {
+            "imu_frozen": {"kind": KINDS.index("frozen")},
+            "range_silent": {"kind": FLAG_KINDS.index("never")},
+            "sag": {"kind": KINDS.index("step"), "size": -size},
+        }[fault]
+        values = of_kind | {"onset": self.machine.tick}
+        self.machine.set_many({f"{name}.{key}": value for name in FAULTS[fault] for key, value in values.items()})
 
     def take_off(self, seconds: float = 3.0, **setpoints: Any) -> None:
         """Arms, then flies for `seconds`, in attitude mode with thrust .4 unless the set-points say otherwise."""
