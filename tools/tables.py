@@ -4,6 +4,7 @@ A table stands between `<!-- made: NAME -->` and `<!-- end -->`; the text around
 the pages with what this gives.
 """
 
+import csv
 import re
 import sys
 from collections.abc import Iterator, Mapping
@@ -38,6 +39,7 @@ DOCS = Path(__file__).resolve().parents[1] / "docs"
 PAGES = tuple(
     DOCS / f"{name}.md" for name in ("physics", "flight", "logs", "safety", "parameters", "topics", "services")
 )
+FMEA = DOCS.parent / "tests" / "fmea" / "measured.csv"
 UNITS = {
     "rate.kp": "s/rad",
     "rate.ki": "1/rad",
@@ -68,6 +70,7 @@ def render(text: str) -> str:
         "steps": _steps,
         "streams": _streams,
         "events": _events,
+        "fmea": _fmea,
     }
 
     def made(match: re.Match[str]) -> str:
@@ -162,6 +165,40 @@ def _safety() -> Iterator[str]:
         bounds = "" if declared.kind == "bool" else f"{declared.low:g} | {declared.high:g}"
         value = declared.value if declared.kind == "bool" else f"{declared.value:g}"
         yield f"| `{path}` | `{names[path]}` | {declared.unit} | {value} | {bounds or ' | '} | {declared.text} |"
+
+
+def _fmea() -> Iterator[str]:
+    with FMEA.open(encoding="utf-8", newline="") as file:
+        lines = list(csv.DictReader(file))
+    for component in dict.fromkeys(line["component"] for line in lines):
+        mine = [line for line in lines if line["component"] == component]
+        flown = ", ".join(dict.fromkeys(line["flown"] for line in mine))
+        yield from ("", f"**{component[0].upper()}{component[1:]}** (flown: {flown})", "")
+        yield "| fault | does | first seen as | within, s | pitch, rad | place, m | impact | on, s |"
+        yield "|---|---|---|---|---|---|---|---|"
+        for fault in dict.fromkeys(line["fault"] for line in mine):
+            yield _fault(fault, [line for line in mine if line["fault"] == fault])
+    yield ""
+
+
+def _fault(fault: str, lines: list[dict[str, str]]) -> str:
+    """A row of the hazard analysis: the worst of its flights."""
+
+    def most(column: str) -> float:
+        return max((float(line[column]) for line in lines if line[column]), default=0.0)
+
+    least = min((line["least"] for line in lines), key=ACTIONS.index)
+    strongest = max((line["most"] for line in lines), key=ACTIONS.index)
+    does = strongest if least == strongest else f"{least} to {strongest}"
+    first = {name for line in lines for name in line["first"].split()}
+    causes = ", ".join(f"`{cause.name}`" for cause in CAUSES if cause.name in first)
+    within = f"{most('within_ms') / 1e3:.2f}" if strongest != "none" else ""
+    impacts = ((most("impact_q"), "rad/s"), (most("impact_v"), "m/s"))
+    impact = ", ".join(f"{speed:g} {unit}" for speed, unit in impacts if speed)
+    on = f"{most('on_after_ms') / 1e3:.2f}" if most("on_after_ms") else ""
+    if lines[0]["expected"].startswith("cannot"):
+        fault, on = f"{fault} ({lines[0]['expected']})", f"**{on}**"
+    return f"| {fault} | {does} | {causes} | {within} | {most('theta'):g} | {most('x'):g} | {impact} | {on} |"
 
 
 def _vehicle() -> Iterator[str]:

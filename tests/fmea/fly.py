@@ -16,8 +16,8 @@ from tests.fmea.rows import ROWS, SITUATIONS, Row
 from twodof.flight.causes import ACTIONS, named_causes
 from twodof.rig.parameters import NAMES
 
-BATCH = 1024
-"""Lanes that fly at once: they fit the processor's caches no worse than fewer, and one program serves any number."""
+BATCH = 512
+"""Lanes that fly at once."""
 
 AT_A_STOP = 300
 """How long motors may be on once a stop was met, at a fault that can be seen [ms]."""
@@ -84,9 +84,9 @@ def flown(rows: Sequence[Row], seeds: Sequence[int]) -> Iterator[Flown]:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("text", nargs="?", default="", help="of the component or the fault")
+    parser.add_argument("text", nargs="?", default="", help="part of a row's name, component: fault")
     parser.add_argument("--seeds", type=int, default=2)
     given = parser.parse_args()
-    chosen = [row for row in ROWS if given.text in f"{row.component} | {row.text}"]
+    chosen = [row for row in ROWS if given.text in row.name]
     for one in flown(chosen, range(1, given.seeds + 1)):
         sys.stdout.write(f"{one.line()}\n")

@@ -1,0 +1,84 @@
+"""The hazard analysis: each row puts its fault into the compiled closed loop, on both rigs, and is judged."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import pytest
+
+from tests.flight.expr_arrays import tell
+from tests.fmea.expected import EXPECTED
+from tests.fmea.fly import AT_A_STOP, Flown, flown
+from tests.fmea.measured import SEEDS, kept, records
+from tests.fmea.rows import ROWS, SITUATIONS, Row
+from twodof.flight.causes import ACTIONS
+from twodof.rig.parameters import NAMES
+
+LEAST_FAULTS = 120
+"""Rows in their situations that are flown on each rig, at least."""
+
+
+@pytest.fixture(scope="module")
+def flights() -> list[Flown]:
+    return list(flown(ROWS, SEEDS))
+
+
+def judge(flights: Sequence[Flown]) -> list[str]:
+    """What is not as expected: a line each."""
+    wrong = []
+    for one in flights:
+        expected, seen = EXPECTED[one.row.name], one.seen
+        if seen["early"].any():
+            wrong.append(f"it acts before the fault: {one.line()}")
+        if expected.why:
+            continue
+        if one.breaks:
+            wrong.append(f"motors on for more than {AT_A_STOP} ms after a stop was met: {one.line()}")
+        if expected.action and not (
+            (seen["strongest"] >= ACTIONS.index(expected.action)) & (seen["strongest_at"] <= expected.within)
+        ).all():
+            wrong.append(f"not {expected.action} within {expected.within} ms: {one.line()}")
+    return wrong
+
+
+def test_each_row_states_what_is_expected_and_there_are_enough_of_them() -> None:
+    assert list(EXPECTED) == [row.name for row in ROWS]
+    faults = sum(len(row.situations) for row in ROWS)
+    tell(f"{len(ROWS)} rows, {faults} faults on each of {len(NAMES)} rigs, {len(SEEDS)} seeds")
+    assert faults >= LEAST_FAULTS
+
+
+def test_where_nothing_fails_nothing_acts_in_any_situation() -> None:
+    healthy = [Row("nothing", "fails", {}, (situation,)) for situation in SITUATIONS]
+    for one in flown(healthy, range(1, 9)):
+        assert not one.seen["early"].any(), one.line()
+        assert not one.seen["strongest"].any(), one.line()
+        assert (one.seen["touched_at"] < 0).all(), one.line()
+
+
+def test_a_fault_that_can_be_seen_ends_in_its_action_in_its_time_and_not_at_a_stop_with_motors_on(
+    flights: list[Flown],
+) -> None:
+    wrong = judge(flights)
+    assert not wrong, "\n".join(wrong)
+
+
+def test_a_fault_that_is_said_to_be_unseen_does_drive_the_rig_into_a_stop(flights: list[Flown]) -> None:
+    """Where it no longer does, tests/fmea/expected.py is to say what happens instead."""
+    named = {row.name for row in ROWS if EXPECTED[row.name].why}
+    assert {one.row.name for one in flights if one.breaks} >= named
+
+
+def test_the_figures_are_those_that_are_kept(flights: list[Flown]) -> None:
+    """The same bits on all machines; the table in docs/safety.md is made of them."""
+    now, before = list(records(flights)), kept()
+    assert now == before, "run `python -m tests.fmea.measured` and `python tools/tables.py`"
+
+
+@pytest.mark.soak
+def test_it_holds_over_a_hundred_thousand_flights() -> None:
+    """A hundred seeds for each row, in each situation, on each rig."""
+    wrong: list[str] = []
+    for begin in range(1000, 1100, 5):
+        wrong += judge(list(flown(ROWS, range(begin, begin + 5))))
+    assert not wrong, "\n".join(wrong)
