@@ -7,7 +7,7 @@ the pages with what this gives.
 import csv
 import re
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -174,8 +174,8 @@ def _fmea() -> Iterator[str]:
         mine = [line for line in lines if line["component"] == component]
         flown = ", ".join(dict.fromkeys(line["flown"] for line in mine))
         yield from ("", f"**{component[0].upper()}{component[1:]}** (flown: {flown})", "")
-        yield "| fault | does | first seen as | within, s | pitch, rad | place, m | impact | on, s |"
-        yield "|---|---|---|---|---|---|---|---|"
+        yield "| fault | first seen as | after, s | ends in | after, s | pitch, rad | place, m | impact | on, s |"
+        yield "|---|---|---|---|---|---|---|---|---|"
         for fault in dict.fromkeys(line["fault"] for line in mine):
             yield _fault(fault, [line for line in mine if line["fault"] == fault])
     yield ""
@@ -184,21 +184,25 @@ def _fmea() -> Iterator[str]:
 def _fault(fault: str, lines: list[dict[str, str]]) -> str:
     """A row of the hazard analysis: the worst of its flights."""
 
-    def most(column: str) -> float:
-        return max((float(line[column]) for line in lines if line[column]), default=0.0)
+    def most(column: str, of: Iterable[dict[str, str]] = lines) -> float:
+        return max((float(line[column]) for line in of if line[column]), default=0.0)
+
+    def after(column: str, of: Iterable[dict[str, str]] = lines) -> str:
+        return f"{most(column, of) / 1e3:.2f}" if strongest != "none" else ""
 
     least = min((line["least"] for line in lines), key=ACTIONS.index)
     strongest = max((line["most"] for line in lines), key=ACTIONS.index)
-    does = strongest if least == strongest else f"{least} to {strongest}"
+    ends = strongest if least == strongest else f"{least} to {strongest}"
+    last = [line for line in lines if line["most"] == strongest]
     first = {name for line in lines for name in line["first"].split()}
     causes = ", ".join(f"`{cause.name}`" for cause in CAUSES if cause.name in first)
-    within = f"{most('within_ms') / 1e3:.2f}" if strongest != "none" else ""
     impacts = ((most("impact_q"), "rad/s"), (most("impact_v"), "m/s"))
     impact = ", ".join(f"{speed:g} {unit}" for speed, unit in impacts if speed)
     on = f"{most('on_after_ms') / 1e3:.2f}" if most("on_after_ms") else ""
-    if lines[0]["expected"].startswith("cannot"):
-        fault, on = f"{fault} ({lines[0]['expected']})", f"**{on}**"
-    return f"| {fault} | {does} | {causes} | {within} | {most('theta'):g} | {most('x'):g} | {impact} | {on} |"
+    if lines[0]["why"]:
+        fault, on = f"{fault}. *{lines[0]['why']}*", f"**{on}**"
+    worst = f"{most('theta'):.2f} | {most('x'):.3f} | {impact} | {on}"
+    return f"| {fault} | {causes} | {after('first_ms')} | {ends} | {after('most_ms', last)} | {worst} |"
 
 
 def _vehicle() -> Iterator[str]:

@@ -8,11 +8,15 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Expected:
-    """`action` within `within` ms, or none where the rig stays off its stops by itself, or `why` neither can be had."""
+    """`action` or a stronger one within `within` ms, in each situation; without one the rig stays safe by itself.
+
+    `why` says why motors may be on for longer at a stop than the rule has it; `rarely` that it takes hundreds of seeds.
+    """
 
     action: str = ""
     within: int = 0
     why: str = ""
+    rarely: bool = False
 
 
 SAFE = Expected()

@@ -37,14 +37,20 @@ class Flown:
         """Whether the motors were on for longer than AT_A_STOP after a stop was met."""
         return bool(self.seen["on_after"].max() > AT_A_STOP)
 
+    def at(self, action: str) -> str:
+        """When an action or a stronger one was taken, the earliest and the latest of the seeds."""
+        times = self.seen[f"{action}_at"] if action in ACTIONS[1:] else np.array([-1])
+        taken = times[times >= 0]
+        return f"{taken.min()}..{taken.max()}" if taken.size else "-"
+
     def line(self) -> str:
         """As text, the worst of the seeds."""
         seen = self.seen
         did = " or ".join(ACTIONS[a] for a in sorted(set(seen["strongest"].tolist())))
         causes = ", ".join(named_causes(int(np.bitwise_or.reduce(seen["reason"]))))
         return (
-            f"{self.row.component} | {self.row.text} | {self.situation} | {self.rig} | {did} "
-            f"| {seen['strongest_at'].min()}..{seen['strongest_at'].max()} ms "
+            f"{self.row.component} | {self.row.text} | {self.situation} | {self.rig} "
+            f"| first at {self.at('level')} {did} at {self.at(ACTIONS[int(seen['strongest'].max())])} ms "
             f"| theta {seen['theta'].max():.2f} x {seen['x'].max():.3f} "
             f"| impact {seen['impact_q'].max():.1f} rad/s {seen['impact_v'].max():.2f} m/s "
             f"| touched at {seen['touched_at'].min()}..{seen['touched_at'].max()} "

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from tests.fmea.faults import Fault, FlagFault, Mirrored, Noise
@@ -13,6 +12,7 @@ from twodof.blocks import Block, Diagram, Param, Port, State, int32, maximum, to
 from twodof.blocks.library.delays import ZeroOrderHold
 from twodof.compile.lanes import Lanes, LanesProgram, build_lanes
 from twodof.flight.cascade import cascade
+from twodof.flight.causes import ACTIONS
 from twodof.flight.core import PreviousPitch, core
 from twodof.flight.mixer import Mixer
 from twodof.rig.parameters import load_rig
@@ -93,7 +93,11 @@ class Script(Block):
 
 
 class Witness(Block):
-    """What came of it, since the fault came; times in ms, -1 for never."""
+    """What came of it, since the fault came; times in ms, -1 for never.
+
+    `level_at` is that of level or a stronger action, and so on; `at_stop` how long motors were on near a stop, within
+    .02 rad or 5 mm, `on_after` how long after a stop was first met.
+    """
 
     crossing = True
     inputs = (
@@ -104,11 +108,9 @@ class Witness(Block):
     outputs = (Port("seen", "bool"),)
     states = (
         State("early", False, "bool"),
-        State("first_at", -1, "int32"),
-        State("first_action", 0, "int32"),
         State("first_reason", 0, "int32"),
         State("strongest", 0, "int32"),
-        State("strongest_at", -1, "int32"),
+        *(State(f"{action}_at", -1, "int32") for action in ACTIONS[1:]),
         State("reason", 0, "int32"),
         State("theta"),
         State("x"),
@@ -133,8 +135,7 @@ class Witness(Block):
         since = now - p.onset
         due = since >= int32(0)
         acts = u.action > int32(0)
-        begins = due & acts & (x.first_at < int32(0))
-        stronger = due & (u.action > x.strongest)
+        begins = due & acts & (x.strongest == int32(0))
         on = (u.fore > 0.0) | (u.aft > 0.0)
         # A stop is met within this tick, or the body rests on it or has just left it.
         pitch_hit = (abs(u.theta + u.q * BASE_DT) >= p.pitch_stop) & (u.theta * u.q > 0.0)
@@ -145,11 +146,15 @@ class Witness(Block):
         touched = hit | (x.touched_at >= int32(0))
         return {
             "early": x.early | (acts & ~due & (now > int32(GO))),
-            "first_at": where(begins, since, x.first_at),
-            "first_action": where(begins, u.action, x.first_action),
             "first_reason": where(begins, u.reason, x.first_reason),
-            "strongest": where(stronger, u.action, x.strongest),
-            "strongest_at": where(stronger, since, x.strongest_at),
+            "strongest": where(due & (u.action > x.strongest), u.action, x.strongest),
+            **{
+                f"{action}_at": where(
+                    due & (u.action >= int32(n)) & (x[f"{action}_at"] < int32(0)), since, x[f"{action}_at"]
+                )
+                for n, action in enumerate(ACTIONS)
+                if n
+            },
             "reason": where(due, x.reason | u.reason, x.reason),
             "theta": where(due, maximum(abs(u.theta), x.theta), x.theta),
             "x": where(due & ~p.rings, maximum(abs(u.x), x.x), x.x),
@@ -185,7 +190,7 @@ def faulty_loop() -> Diagram:
     sources["mirrored"] = "mirrored"
     for name in NUMBERS:
         d.add(name, Fault(), rate=SAMPLE, params={"onset": "onset"}, n="noise")
-    flags = {name: "script.yes" for name in ("imu_new", "setpoint_new", "link_new", "step")}
+    flags = dict.fromkeys(("imu_new", "setpoint_new", "link_new", "step"), "script.yes")
     flags |= {"dist_new": "rig.dist_new", "step_late": "script.no", "own_late": "script.no"}
     for name in FLAGS:
         d.add(name, FlagFault(), rate=SAMPLE, params={"onset": "onset"}, u=flags[name])
@@ -252,7 +257,10 @@ def fly(
     changes: Sequence[Mapping[str, Any]],
     start: Mapping[str, float],
 ) -> dict[str, NDArray[Any]]:
-    """Flies a set of parameters in each lane; `changes` come at ONSET, `start` are states. Returns what the witness saw, (lanes,) each."""
+    """Flies a set of parameters in each lane; `changes` come at ONSET, `start` are states.
+
+    Returns what the witness saw, (lanes,) each.
+    """
     machine = program.machine()
     _set(machine, lanes)
     machine.reset()

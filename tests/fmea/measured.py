@@ -22,12 +22,14 @@ COLUMNS = (
     "component",
     "fault",
     "expected",
+    "why",
     "flown",
     "rig",
+    "first",
+    "first_ms",
     "least",
     "most",
-    "within_ms",
-    "first",
+    "most_ms",
     "theta",
     "x",
     "impact_q",
@@ -35,26 +37,31 @@ COLUMNS = (
     "at_stop_ms",
     "on_after_ms",
 )
-"""Of the file: the weakest and the strongest action of the seeds, the latest time of the strongest, its first causes,
-and the largest of the rest."""
+"""Of the file. Of all seeds: the causes of the first action and its latest time, the weakest and the strongest of the
+actions in which they end, the latest time of the strongest, and the largest of the rest."""
 
 
 def record(one: Flown) -> tuple[str, ...]:
     """A line of the file."""
     seen = one.seen
-    acted = seen["strongest"] > 0
+    most = ACTIONS[seen["strongest"].max()]
     first = int(np.bitwise_or.reduce(seen["first_reason"]))
     return (
         one.row.component,
         one.row.text,
         told(EXPECTED[one.row.name]),
+        EXPECTED[one.row.name].why,
         one.situation,
         one.rig,
-        ACTIONS[seen["strongest"].min()],
-        ACTIONS[seen["strongest"].max()],
-        str(seen["strongest_at"].max()) if acted.any() else "",
         " ".join(named_causes(first)),
-        *(f"{seen[name].max():.{digits}f}" for name, digits in (("theta", 2), ("x", 3), ("impact_q", 1), ("impact_v", 2))),
+        str(seen["level_at"].max()) if most != "none" else "",
+        ACTIONS[seen["strongest"].min()],
+        most,
+        str(seen[f"{most}_at"].max()) if most != "none" else "",
+        *(
+            f"{seen[name].max():.{digits}f}"
+            for name, digits in (("theta", 2), ("x", 3), ("impact_q", 1), ("impact_v", 2))
+        ),
         str(seen["at_stop"].max()),
         str(seen["on_after"].max()),
     )
@@ -62,9 +69,7 @@ def record(one: Flown) -> tuple[str, ...]:
 
 def told(expected: Expected) -> str:
     """What is expected, in words."""
-    if expected.why:
-        return f"cannot be seen: {expected.why}"
-    return f"{expected.action} within {expected.within} ms" if expected.action else "safe"
+    return f"{expected.action} within {expected.within} ms" if expected.action else ""
 
 
 def records(flights: Iterable[Flown]) -> Iterator[tuple[str, ...]]:

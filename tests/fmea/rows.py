@@ -73,7 +73,9 @@ def flag(channels: str | tuple[str, ...], kind: str, period: int = 2) -> dict[st
     """The parameters of a fault in flags."""
     names = (channels,) if isinstance(channels, str) else channels
     return {
-        f"{name}.{key}": value for name in names for key, value in (("kind", FLAG_KINDS.index(kind)), ("period", period))
+        f"{name}.{key}": value
+        for name in names
+        for key, value in (("kind", FLAG_KINDS.index(kind)), ("period", period))
     }
 
 
