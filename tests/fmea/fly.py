@@ -59,10 +59,10 @@ class Flown:
         )
 
 
-def flown(rows: Sequence[Row], seeds: Sequence[int]) -> Iterator[Flown]:
-    """Each row in each of its situations on each rig, with all seeds."""
-    jobs = [(row, situation, rig) for row in rows for situation in row.situations for rig in NAMES]
-    rigs = {rig: rig_values(rig) for rig in NAMES}
+def flown(rows: Sequence[Row], seeds: Sequence[int], rigs: Sequence[str] = NAMES) -> Iterator[Flown]:
+    """Each row in each of its situations on each of the rigs, with all seeds."""
+    jobs = [(row, situation, rig) for row in rows for situation in row.situations for rig in rigs]
+    machine = {rig: rig_values(rig) for rig in rigs}
     lanes, changes = [], []
     for row, situation, rig in jobs:
         script = {f"script.{name}": value for name, value in SITUATIONS[situation].items() if name != "rings"}
@@ -73,7 +73,7 @@ def flown(rows: Sequence[Row], seeds: Sequence[int]) -> Iterator[Flown]:
                 "rig.tof_phase": 0.37 * seed % 1.0,
                 "onset": ONSET if row.changes else ONSET + 53 * seed % 220,
             }
-            lanes.append(rigs[rig] | script | of_seed | dict(row.faults))
+            lanes.append(machine[rig] | script | of_seed | dict(row.faults))
             changes.append(row.changes)
     start, program = settled(), compiled(min(BATCH, len(lanes)))
     parts = []
