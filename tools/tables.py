@@ -200,7 +200,7 @@ def _fault(fault: str, lines: list[dict[str, str]]) -> str:
     impact = ", ".join(f"{speed:g} {unit}" for speed, unit in impacts if speed)
     on = f"{most('on_after_ms') / 1e3:.2f}" if most("on_after_ms") else ""
     if lines[0]["why"]:
-        fault, on = f"{fault}. *{lines[0]['why']}*", f"**{on}**"
+        fault, on = f"{fault}. *{lines[0]['why']}*", f"**{on}**" if on else ""
     worst = f"{most('theta'):.2f} | {most('x'):.3f} | {impact} | {on}"
     return f"| {fault} | {causes} | {after('first_ms')} | {ends} | {after('most_ms', last)} | {worst} |"
 

@@ -15,9 +15,6 @@ from twodof.flight.causes import ACTIONS, named_causes
 
 FILE = Path(__file__).with_name("measured.csv")
 
-SEEDS = (1, 2)
-"""Those of which the figures are the worst."""
-
 COLUMNS = (
     "component",
     "fault",
@@ -37,7 +34,7 @@ COLUMNS = (
     "at_stop_ms",
     "on_after_ms",
 )
-"""Of the file. Of all seeds: the causes of the first action and its latest time, the weakest and the strongest of the
+"""Of the file: the causes of the first action and its latest time, the weakest and the strongest of the
 actions in which they end, the latest time of the strongest, and the largest of the rest."""
 
 
@@ -91,4 +88,4 @@ def write(lines: Iterable[Sequence[str]]) -> None:
 
 
 if __name__ == "__main__":
-    write(records(flown(ROWS, SEEDS)))
+    write(records(flown(ROWS, (0,))))

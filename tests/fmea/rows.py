@@ -79,6 +79,26 @@ def flag(channels: str | tuple[str, ...], kind: str, period: int = 2) -> dict[st
     }
 
 
+def _healthy() -> Iterator[Row]:
+    """Where nothing may act: no fault, or a rig that differs from the model by what a rig may."""
+    yield Row("no fault", "nothing fails", {}, tuple(SITUATIONS))
+
+    def row(text: str, **rig: float) -> Row:
+        return Row("no fault", text, {f"rig.{name}": value for name, value in rig.items()}, (HOLD, POSITION, STEPS))
+
+    yield row("the drone heavier by 15 %", mass_drone=1.15 * 0.374)
+    yield row("lighter by 15 %", mass_drone=0.85 * 0.374)
+    yield row("a trim moment of .01 N m", trim=0.01)
+    yield row("of -.01 N m", trim=-0.01)
+    yield row("the rail tilted by a degree", rail_force=0.09)
+    yield row("the range off by .02 m", tof_bias=0.02)
+    yield row("the range .06 s old", tof_age=0.06)
+    yield row("the accelerometer's gain off by 3 %", acc_scale=1.03)
+    yield row("the gyro's gain off by 3 %", gyro_scale=1.03)
+    yield row("a battery at .3", charge_start=0.3)
+    yield row("half as much noise again", noise=1.5)
+
+
 def _imu() -> Iterator[Row]:
     axes = ("acc_x", "acc_z", "gyro_y")
 
@@ -307,6 +327,7 @@ def _parameters() -> Iterator[Row]:
 
 
 ROWS: tuple[Row, ...] = (
+    *_healthy(),
     *_imu(),
     *_axis("gyro_y", "rad/s", (0.05, 0.2, 0.5, 2.0), 0.05, 34.9, 0.01),
     *_axis("acc_x", "m/s2", (0.5, 2.0, 5.0), 0.5, 78.5, 1.0),

@@ -9,8 +9,8 @@ import pytest
 from tests.flight.expr_arrays import tell
 from tests.fmea.expected import EXPECTED, Expected
 from tests.fmea.fly import AT_A_STOP, Flown, flown
-from tests.fmea.measured import COLUMNS, SEEDS, kept, record
-from tests.fmea.rows import ROWS, SITUATIONS, Row
+from tests.fmea.measured import COLUMNS, kept, records
+from tests.fmea.rows import ROWS
 from twodof.rig.parameters import NAMES
 
 LEAST_FAULTS = 120
@@ -33,39 +33,29 @@ def judge(flights: Sequence[Flown]) -> list[str]:
 
 def in_time(one: Flown, expected: Expected) -> bool:
     """Whether the expected action or a stronger one is taken with each seed, in its time."""
+    if expected.action == "none":
+        return not one.seen["strongest"].any() and bool((one.seen["touched_at"] < 0).all())
     at = one.seen[f"{expected.action}_at"]
     return bool(((at >= 0) & (at <= expected.within)).all())
 
 
 def test_each_row_states_what_is_expected_and_there_are_enough_of_them() -> None:
     assert list(EXPECTED) == [row.name for row in ROWS]
-    faults = sum(len(row.situations) for row in ROWS)
-    tell(f"{len(ROWS)} rows, {faults} faults on each of {len(NAMES)} rigs, {len(SEEDS)} seeds")
+    faults = sum(len(row.situations) for row in ROWS if row.component != "no fault")
+    tell(f"{len(ROWS)} rows, {faults} faults on each of {len(NAMES)} rigs")
     assert faults >= LEAST_FAULTS
 
 
-def test_where_nothing_fails_nothing_acts_in_any_situation() -> None:
-    healthy = [Row("nothing", "fails", {}, (situation,)) for situation in SITUATIONS]
-    for one in flown(healthy, range(1, 9)):
-        assert not one.seen["early"].any(), one.line()
-        assert not one.seen["strongest"].any(), one.line()
-        assert (one.seen["touched_at"] < 0).all(), one.line()
-
-
-@pytest.mark.parametrize("rig", NAMES)
-def test_each_fault_ends_as_expected_with_the_figures_that_are_kept(rig: str) -> None:
-    """In its action, in its time, and not at a stop with motors on.
+def test_each_fault_ends_as_expected_with_the_figures_that_are_kept() -> None:
+    """In its action, in its time, and not at a stop with motors on; where nothing fails nothing acts.
 
     The figures are the same bits on all machines; the table in docs/safety.md is made of them.
     """
-    flights = list(flown(ROWS, SEEDS, (rig,)))
+    flights = list(flown(ROWS, (0,)))
     wrong = judge(flights)
     assert not wrong, "\n".join(wrong)
-    place = COLUMNS.index("rig")
-    before = [line for line in kept() if line[place] == rig]
-    assert [record(one) for one in flights] == before, (
-        "run `python -m tests.fmea.measured` and `python tools/tables.py`"
-    )
+    now, before = list(records(flights)), kept()
+    assert now == before, "run `python -m tests.fmea.measured` and `python tools/tables.py`"
 
 
 def test_a_fault_that_is_said_to_be_beyond_help_does_end_at_a_stop_with_motors_on() -> None:
@@ -77,10 +67,10 @@ def test_a_fault_that_is_said_to_be_beyond_help_does_end_at_a_stop_with_motors_o
 
 @pytest.mark.soak
 def test_it_holds_over_a_hundred_thousand_flights() -> None:
-    """A hundred seeds for each row, in each situation, on each rig."""
+    """A hundred for each row, in each situation, on each rig."""
     wrong: list[str] = []
     broken: set[str] = set()
-    for begin in range(1000, 1100, 5):
+    for begin in range(1, 101, 5):
         flights = list(flown(ROWS, range(begin, begin + 5)))
         wrong += judge(flights)
         broken |= {one.row.name for one in flights if one.breaks}
