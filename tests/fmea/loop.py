@@ -243,19 +243,19 @@ def compiled(lanes: int) -> LanesProgram:
     return build_lanes(faulty_loop(), BASE_DT, lanes, optimise="-O2")
 
 
-def settled() -> dict[str, float]:
-    """The covariances to which the estimator settles at rest: no flight starts with a doubtful pitch."""
+def settled() -> dict[str, Any]:
+    """The estimator's states after a long rest: no flight starts with a doubtful pitch."""
     machine = compiled(4).machine()
     machine.skip(SETTLING)
     paths = [path for path in machine.program.states if path.startswith(f"{FILTER}.P_")]
-    return {path: float(machine.state(path)[0]) for path in paths}
+    return {path: float(machine.state(path)[0]) for path in paths} | {f"{FILTER}.started": True}
 
 
 def fly(
     program: LanesProgram,
     lanes: Sequence[Mapping[str, Any]],
     changes: Sequence[Mapping[str, Any]],
-    start: Mapping[str, float],
+    start: Mapping[str, Any],
 ) -> dict[str, NDArray[Any]]:
     """Flies a set of parameters in each lane; `changes` come at ONSET, `start` are states.
 
