@@ -89,9 +89,9 @@ def _healthy() -> Iterator[Row]:
         return Row("no fault", text, {f"rig.{name}": value for name, value in rig.items()}, where)
 
     yield row("the drone heavier by 15 %", mass_drone=1.15 * 0.374)
-    yield row("lighter by 15 %", mass_drone=0.85 * 0.374)
+    yield row("the drone lighter by 15 %", mass_drone=0.85 * 0.374)
     yield row("a trim moment of .01 N m", trim=0.01)
-    yield row("of -.01 N m", trim=-0.01)
+    yield row("a trim moment of -.01 N m", trim=-0.01)
     yield row("the rail tilted by a degree", rail_force=0.09)
     yield row("the range off by .02 m", tof_bias=0.02)
     yield row("the range .06 s old", tof_age=0.06)
@@ -159,7 +159,7 @@ def _range() -> Iterator[Row]:
     for size in (0.05, 0.1, 0.16, 0.2, 0.3):
         for sign in (1, -1):
             yield row(f"step of {sign * size:+g} m", number("dist", "step", sign * size))
-    for size in (0.01, 0.05, 0.2):
+    for size in (0.03, 0.05, 0.2):
         for sign in (1, -1):
             yield row(f"drift of {sign * size:+g} m a second", number("dist", "drift", sign * size))
     yield row("saturated at 4 m", number("dist", "stuck", 4.0))
@@ -186,7 +186,7 @@ def _voltage() -> Iterator[Row]:
     def row(text: str, faults: Mapping[str, Any]) -> Row:
         return Row("voltage", text, faults, (ATTITUDE, POSITION))
 
-    yield row("frozen", number("voltage", "frozen"))
+    yield row("frozen (an empty battery is not noticed)", number("voltage", "frozen"))
     yield row("zero", number("voltage", "stuck", 0.0))
     yield row("step of -1.3 V", number("voltage", "step", -1.3))
     yield row("step of -2.5 V", number("voltage", "step", -2.5))
@@ -266,7 +266,7 @@ def _link() -> Iterator[Row]:
     yield row("`v0` in turn 9 and -9, 1 s each", number("v0", "square", 9.0, 250), VELOCITY)
     yield row("`theta0` in turn 3 and -3, .1 s each", number("theta0", "square", 3.0, 25), ATTITUDE, HOLD)
     yield row("a mode that is none, 99", {"script.mode_after": 99}, ATTITUDE, POSITION)
-    yield row("a mode that is none, -5", {"script.mode_after": -5}, ATTITUDE, POSITION)
+    yield row("a mode that is none, -5 (taken for off)", {"script.mode_after": -5}, ATTITUDE, POSITION)
     yield row("a mode that moves the locked cart", {"script.mode_after": 4}, ATTITUDE)
     yield row("open loop where a loop was closed", {"script.mode_after": 1}, ATTITUDE, POSITION)
 
