@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from twodof.blocks import Block
+from twodof.flight.agreement import ForceAgreement, RateAgreement
 from twodof.flight.causes import BIT, CAUSES
 from twodof.flight.failsafe_machine import BRAKE, DESCEND, DISARMED, FLYING, LEVEL, OFF, REFUSED, Reasons
 from twodof.flight.gate import COMMANDS, Gate, Standby
@@ -47,15 +48,72 @@ class Meaning:
 
 
 def sensors(r: Row) -> dict[str, Any]:
-    numbers = all(math.isfinite(r[a]) for a in ("acc_x", "acc_z", "gyro_y"))
-    repeats = all(r[a] == r[f"last_{a}"] for a in ("acc_x", "acc_z", "gyro_y"))
-    off = abs(r["dist"] - 0.5 - r["x"])
+    axes = ("acc_x", "acc_z", "gyro_y")
+    sample = r["imu_new"] and all(math.isfinite(r[a]) for a in axes)
+    repeats = [r[a] == r[f"last_{a}"] and r["watch_bits"] for a in axes]
+    number = math.isfinite(r["dist"]) and 0.0 <= r["dist_age"] <= r["range_old"]
+    then = r["x"] - r["v"] * r["dist_age"]
+    good = r["dist_new"] and number and abs(r["dist"] - 0.5 - then) <= r["range_error"]
+    at_end = good and abs(r["dist"] - 0.5) >= r["range_end"]
+    taken = good or (r["dist_new"] and number and not r["arm"])
     return {
-        "output.imu_moves": r["imu_new"] and numbers and not (repeats and r["watch_bits"]),
-        "output.range_good": r["rings"] or (r["dist_new"] and off <= r["range_error"]),
+        "output.imu_moves": sample and not all(repeats),
+        "output.axes_move": sample and not any(repeats),
+        "output.range_good": r["rings"] or good,
         "output.range_moves": r["rings"] or (r["dist_new"] and not (r["dist"] == r["last_dist"] and r["watch_bits"])),
-        **{f"update.{a}": r[a] if r["imu_new"] else r[f"last_{a}"] for a in ("acc_x", "acc_z", "gyro_y")},
+        "output.range_end": at_end and r["last_at_end"] and not r["rings"],
+        "output.range_taken": taken,
+        "output.range_age": r["dist_age"] if taken else 0.0,
+        **{f"update.{a}": r[a] if r["imu_new"] else r[f"last_{a}"] for a in axes},
         "update.dist": r["dist"] if r["dist_new"] else r["last_dist"],
+        "update.at_end": at_end if r["dist_new"] else r["last_at_end"],
+    }
+
+
+def summed(total: float, excess: float, limit: float) -> tuple[float, bool]:
+    new = total + excess * 0.004
+    return (min(new, limit) if new > 0.0 else 0.0), new >= limit
+
+
+def force(r: Row) -> dict[str, Any]:
+    pull = r["pull"] * r["last_thrust"] * r["sine"]
+    free, slack, limit = pull + r["drag"] * r["v"], r["along_slack"] + r["pull_share"] * abs(pull), r["along_limit"]
+    if r["rings"]:
+        free, slack, limit = 0.0, r["along_slack"], 2.0 * r["along_limit"]
+    along = r["cosine"] * r["acc_x"] + r["sine"] * r["acc_z"] + free
+    down = r["cosine"] * r["acc_z"] - r["sine"] * r["acc_x"] + 9.81
+    sums = {
+        "forth": summed(r["last_forth"], along - slack, limit),
+        "back": summed(r["last_back"], -along - slack, limit),
+        "up": summed(r["last_up"], -down - r["up_slack"], r["up_limit"]),
+        "down": summed(r["last_down"], down - r["up_slack"], r["up_limit"]),
+    }
+    return {
+        "output.disagrees": any(reached for _, reached in sums.values()),
+        **{f"{section}.{name}": total for section in ("output", "update") for name, (total, _) in sums.items()},
+        "update.thrust": 0.5 * (r["fore"] + r["aft"]),
+    }
+
+
+def rate(r: Row) -> dict[str, Any]:
+    expected = r["turn"] * r["last_arrived"] - r["swing"] * r["sine"]
+    left = (r["gyro_y"] - r["last_gyro_y"]) * r["per_dt"] - expected
+    under_way = r["turn"] * abs(r["last_asked"] - r["last_arrived"])
+    slack = r["turn_slack"] + r["turn_share"] * abs(expected) + under_way
+    faster = summed(r["last_faster"], left - slack, r["turn_limit"])
+    slower = summed(r["last_slower"], -left - slack, r["turn_limit"])
+
+    def lift(command: float) -> float:
+        return command * ((1.0 - r["curve"]) + r["curve"] * command)
+
+    asked = lift(r["fore"]) - lift(r["aft"])
+    return {
+        "output.disagrees": faster[1] or slower[1],
+        **{f"{section}.faster": faster[0] for section in ("output", "update")},
+        **{f"{section}.slower": slower[0] for section in ("output", "update")},
+        "update.gyro_y": r["gyro_y"],
+        "update.asked": asked,
+        "update.arrived": r["last_arrived"] + r["per_answer"] * (asked - r["last_arrived"]),
     }
 
 
@@ -67,14 +125,14 @@ def place(r: Row) -> dict[str, Any]:
     rail_limit = r["rail_limit"] - r["rail_margin"] if r["last_rail_near"] else r["rail_limit"]
     believed = abs(r["theta"]) <= r["theta_bound"] and abs(r["q"]) <= r["q_bound"]
     believed = believed and math.isfinite(r["x"]) and math.isfinite(r["v"])
-    pitch_near, rail_near = not foreseen <= pitch_limit, not r["rings"] and not stop <= rail_limit
+    pitch_near, rail_near = foreseen > pitch_limit, not r["rings"] and stop > rail_limit
     return {
         "output.estimate_lost": not believed,
         "output.pitch_near": pitch_near,
-        "output.pitch_stop": not abs(r["theta"]) < r["pitch_end"],
+        "output.pitch_stop": abs(r["theta"]) >= r["pitch_end"],
         "output.rail_near": rail_near,
-        "output.rail_end": not r["rings"] and not abs(r["x"]) < r["rail_end"],
-        "output.tilted": not abs(r["theta"]) <= r["arm_tilt"],
+        "output.rail_end": not r["rings"] and abs(r["x"]) >= r["rail_end"],
+        "output.tilted": abs(r["theta"]) > r["arm_tilt"],
         "update.pitch_near": pitch_near,
         "update.rail_near": rail_near,
     }
@@ -82,7 +140,7 @@ def place(r: Row) -> dict[str, Any]:
 
 def battery(r: Row) -> dict[str, Any]:
     low, critical = (r[n] + r["margin"] if r[f"last_{n}"] else r[n] for n in ("low", "critical"))
-    full, usable = r["voltage"] >= low, r["voltage"] >= critical
+    full, usable = (level <= r["voltage"] <= r["high"] for level in (low, critical))
     return {"output.full": full, "output.usable": usable, "update.low": not full, "update.critical": not usable}
 
 
@@ -183,6 +241,7 @@ def reasons(r: Row) -> dict[str, Any]:
 
 STATES = (-1, 0, 1, 2, 3, 4, 5, 6, 7)
 SMALL = (-INF, -1.5, -1.0, -0.75, -0.5, -0.0, 0.0, 0.25, 1.0, 1.5, INF, NAN)
+SUMMED = MappingProxyType({"lt: le": "a sum of 0 is 0 in both branches"})
 EITHER = MappingProxyType({"lt: le": "minimum and maximum of two equals: either is taken"})
 
 MEANINGS = (
@@ -192,14 +251,79 @@ MEANINGS = (
             **dict.fromkeys(
                 ("acc_x", "acc_z", "gyro_y", "last_acc_x", "last_acc_z", "last_gyro_y"), (0.0, 1.0, NAN, INF)
             ),
-            **dict.fromkeys(("imu_new", "dist_new", "rings", "watch_bits"), BOOLS),
-            "dist": (0.5, 0.75, 0.25, above(0.75), below(0.25), 0.0, NAN, INF),
+            **dict.fromkeys(("imu_new", "rings", "watch_bits", "arm", "last_at_end"), BOOLS),
+            "dist_new": (False, True, True, True),
+            "dist": (
+                0.5,
+                0.75,
+                0.25,
+                above(0.75),
+                below(0.25),
+                0.9375,
+                0.0625,
+                below(0.9375),
+                above(0.0625),
+                NAN,
+                INF,
+                -INF,
+            ),
+            "dist_age": (0.0, 0.0, 0.0, 0.125, 0.25, above(0.25), -0.125, NAN, INF),
             "last_dist": (0.5, 0.75, 0.0, NAN),
-            "x": (0.0, 0.25, NAN),
+            "x": (0.0, 0.25, 0.375, -0.375, NAN),
+            "v": (0.0, 0.0, 1.0, -1.0, 2.0, NAN),
             "range_error": (0.25,),
+            "range_end": (0.4375,),
+            "range_old": (0.25,),
         },
         sensors,
         {},
+    ),
+    Meaning(
+        ForceAgreement(),
+        {
+            "acc_x": (0.0, 0.0, 0.5, 0.5, -0.5, -0.5, 1.0, -1.0, 40.0, -40.0, NAN, INF),
+            # Those beside -9.81 leave just the slack.
+            "acc_z": (-9.81, -9.81, 0.75 - 9.81, 0.75 - 9.81, -0.75 - 9.81, -0.75 - 9.81, 0.0, 40.0, -40.0, NAN, INF),
+            "sine": (0.0, 0.0, 0.0, 0.5, -0.5, 0.25, NAN),
+            "cosine": (1.0, 1.0, 1.0, 0.75),
+            "v": (0.0, 0.0, 0.5, -0.5, NAN),
+            **dict.fromkeys(("fore", "aft"), (0.0, 0.25, 1.0)),
+            "rings": BOOLS,
+            **dict.fromkeys(("last_forth", "last_back"), (0.0, 0.1, 0.125, below(0.125), 0.124, 0.25, 0.249, NAN)),
+            **dict.fromkeys(("last_up", "last_down"), (0.0, 0.3, 0.375, below(0.375), 0.374, NAN)),
+            "last_thrust": (0.0, 0.0, 0.5, 0.25),
+            "pull": (12.0,),
+            "pull_share": (0.25,),
+            "drag": (0.75,),
+            "along_slack": (0.5,),
+            "along_limit": (0.125,),
+            "up_slack": (0.75,),
+            "up_limit": (0.375,),
+        },
+        force,
+        SUMMED,
+    ),
+    Meaning(
+        RateAgreement(),
+        {
+            **dict.fromkeys(
+                ("gyro_y", "last_gyro_y"), (0.0, 0.0, 0.0, 0.024, 0.024, 0.125, -0.125, 1.0, -1.0, NAN, INF)
+            ),
+            "sine": (0.0, 0.0, 0.0, 0.5, -0.5, NAN),
+            **dict.fromkeys(("fore", "aft"), (0.0, 0.25, 0.5, 1.0)),
+            **dict.fromkeys(("last_faster", "last_slower"), (0.0, 0.5, 0.75, below(0.75), 0.74, 0.7, NAN)),
+            **dict.fromkeys(("last_asked", "last_arrived"), (0.0, 0.0, 0.0, 0.125, -0.125, 0.5)),
+            "turn": (128.0,),
+            "curve": (0.25,),
+            "swing": (8.0,),
+            "turn_slack": (6.0,),
+            "turn_share": (0.25,),
+            "turn_limit": (0.75,),
+            "per_answer": (0.25,),
+            "per_dt": (250.0,),
+        },
+        rate,
+        SUMMED,
     ),
     Meaning(
         PlaceFlags(),
@@ -228,11 +352,12 @@ MEANINGS = (
     Meaning(
         BatteryFlags(),
         {
-            "voltage": edge(11.0, 10.0, 11.25, 10.25),
+            "voltage": edge(11.0, 10.0, 11.25, 10.25, 13.0),
             **dict.fromkeys(("last_low", "last_critical"), BOOLS),
             "low": (11.0,),
             "critical": (10.0,),
             "margin": (0.25,),
+            "high": (13.0,),
         },
         battery,
         {},

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from twodof.blocks import Block
 from twodof.blocks.expr import Expr, const, node
 from twodof.blocks.graph import walk
+from twodof.flight.core import PERIOD
 
 Array = NDArray[Any]
 Columns = Mapping[Any, Any]
@@ -59,6 +60,8 @@ def on_arrays(graph: Graph, columns: Columns) -> dict[str, Array]:
         for item in walk(graph.values()):
             if item.op == "const":
                 values[id(item)] = DTYPES[item.kind](item.data)
+            elif item.op == "dt":
+                values[id(item)] = PERIOD
             elif item.op == "convert":
                 values[id(item)] = np.asarray(values[id(item.args[0])]).astype(DTYPES[item.kind])
             elif item.op in NUMPY:

@@ -15,7 +15,7 @@ from twodof.compile import build
 from twodof.compile.cortex_m7.report import measure
 from twodof.compile.lanes import build_lanes
 from twodof.errors import DiagramError
-from twodof.flight.causes import BIT, BRAKE, CAUSES, DESCEND, LEVEL, NONE, OFF
+from twodof.flight.causes import BIT, BRAKE, CAUSES, DESCEND, LEVEL, NONE, OFF, named_causes
 from twodof.flight.core import INPUTS, OUTPUTS, PERIOD, core
 from twodof.flight.failsafe import INPUTS as SAFETY_INPUTS
 from twodof.flight.failsafe import OUTPUTS as SAFETY_OUTPUTS
@@ -108,14 +108,20 @@ def test_whatever_comes_in_the_motors_get_numbers_in_0_to_1_and_only_when_armed(
     assert latched.sum() > 1000
 
 
+def imu_at_rest(rng: np.random.Generator, n: int) -> dict[str, NDArray[Any]]:
+    """What the IMU gives in n samples at rest and level: all three axes move."""
+    noise = {name: 0.01 * rng.standard_normal(n) for name in ("acc_x", "acc_z", "gyro_y")}
+    return noise | {"acc_z": noise["acc_z"] - 9.81}
+
+
 def test_what_passes_has_its_bits() -> None:
     rng = np.random.default_rng(2)
     n = 2000
     commands = {name: rng.random(n) for name in ("fore", "aft", "M", "T")}
-    healthy = {"setpoint_new": True, "link_new": True, "imu_new": True, "rings": True, "voltage": 12.0, "acc_z": -9.81}
+    healthy = {"setpoint_new": True, "link_new": True, "imu_new": True, "rings": True, "voltage": 12.0}
     late = np.arange(n)
     asked = {"arm": late > 0, "mode": np.where(late > 1, 3, 0), "thrust": np.where(late > 1, 0.4, 0.0)}
-    out = build(failsafe(), PERIOD).machine().run(n, healthy | asked | commands | {"gyro_y": rng.random(n)})
+    out = build(failsafe(), PERIOD).machine().run(n, healthy | asked | commands | imu_at_rest(rng, n))
     for name, given in commands.items():
         assert out[name][1:].tobytes() == given[1:].tobytes()
         assert out[name][0] == 0.0
@@ -126,9 +132,9 @@ def test_it_costs_less_than_a_percent_of_the_processors_time() -> None:
     program = build(failsafe(), PERIOD, "float32", target="cortex-m7")
     n = 500
     rng = np.random.default_rng(0)
-    healthy = {"setpoint_new": True, "link_new": True, "imu_new": True, "rings": True, "voltage": 12.0, "acc_z": -9.81}
+    healthy = {"setpoint_new": True, "link_new": True, "imu_new": True, "rings": True, "voltage": 12.0}
     asked = {"arm": np.arange(n) > 2, "mode": np.where(np.arange(n) > 4, 3, 0), "thrust": 0.4 * (np.arange(n) > 4)}
-    report = measure(program, n, healthy | asked | {"gyro_y": rng.random(n), "fore": 0.4, "aft": 0.4, "T": 0.4})
+    report = measure(program, n, healthy | asked | imu_at_rest(rng, n) | {"fore": 0.4, "aft": 0.4, "T": 0.4})
     tell(f"{report.instructions.mean():.0f} instructions a step, at most {report.instructions.max()}")
     tell(f"{report.step.flash} bytes of flash, {report.ram} of RAM, {report.stack} of stack")
     # 216 MHz (an STM32F7 of a Pixhawk 4; later boards are faster), 250 Hz, and at most two cycles an instruction.
@@ -155,6 +161,8 @@ ALONE: dict[str, tuple[dict[str, Any], int, int]] = {
     "command_stuck": ({"fore": 0.4, "aft": 0.4}, 127, OFF),
     "command_lost": ({"T": NAN}, 2, OFF),
     "battery_low": ({"voltage": 11.0}, 250, NONE),
+    "force_disagrees": ({"acc_x": 8.0}, 5, OFF),
+    "rate_disagrees": ({"gyro_y": 2.0}, 1, OFF),
 }
 """Cause -> what is wrong, from which tick of it on it acts (the first is 1), what it does.
 
@@ -172,7 +180,7 @@ def flown(steps: int, **changes: Any) -> dict[str, NDArray[Any]]:
         **{name: 0.4 + 0.01 * rng.standard_normal(n) for name in ("fore", "aft", "T", "own_fore", "own_aft", "own_T")},
         "arm": np.arange(n) >= 10,
         "mode": np.where(np.arange(n) >= 20, 5, 0),
-        "gyro_y": 0.01 * rng.standard_normal(n),
+        **imu_at_rest(rng, n),
         "dist": np.full(n, 0.5),
         "voltage": 12.0,
         "own_given": "own_T" in changes,
@@ -203,6 +211,45 @@ def test_each_cause_alone_gives_its_action_in_its_tick_and_says_so(cause: str) -
         assert not out["aft"][said[0] :].any()
 
 
+@pytest.mark.parametrize("axis", ["acc_x", "acc_z", "gyro_y"])
+def test_an_axis_of_the_imu_that_repeats_itself_alone_is_lost_in_a_tenth_of_a_second(axis: str) -> None:
+    out = flown(60, **{axis: -9.81 if axis == "acc_z" else 0.0})
+    begun = np.flatnonzero(out["action"] == OFF)
+    assert begun[0] + 1 == 26  # in its first tick it differs from the sample before
+    assert out["reason"][-1] == BIT["imu_lost"]
+
+
+@pytest.mark.parametrize("voltage", [13.6, 1e6, float("inf"), NAN, -1.0, -float("inf")])
+def test_a_voltage_that_the_pack_cannot_have_is_a_sensor_that_has_failed(voltage: float) -> None:
+    out = flown(130, voltage=voltage)
+    assert np.flatnonzero(out["action"] == DESCEND)[0] + 1 == 125
+    assert out["reason"][-1] & BIT["battery_critical"]
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"dist": NAN}, {"dist": float("inf")}, {"dist_age": NAN}, {"dist_age": -0.1}, {"dist_age": 0.3}]
+)
+def test_a_range_that_is_no_number_or_of_no_age_corrects_nothing_and_is_lost(wrong: dict[str, float]) -> None:
+    out = flown(70, **wrong)
+    assert not out["range_taken"].any()
+    assert not out["range_age"].any()
+    assert np.flatnonzero(out["action"] == DESCEND)[0] + 1 == 60
+    assert out["reason"][-1] == BIT["range_lost"]
+
+
+def test_a_range_that_is_not_believed_corrects_nothing_while_it_is_armed_only() -> None:
+    armed = flown(10, dist=0.65)
+    assert not armed["range_taken"].any()
+    assert flown(10, dist=0.65, arm=False)["range_taken"].all()
+    assert flown(10, dist=0.55)["range_taken"].all()
+
+
+def test_two_ranges_at_the_end_of_the_rail_stop_the_motors_wherever_the_estimate_is() -> None:
+    out = flown(10, x=0.33, dist=0.91)
+    assert np.flatnonzero(out["action"] == OFF)[0] + 1 == 2
+    assert out["reason"][-1] & BIT["rail_end"]
+
+
 def test_each_cause_of_the_table_is_tried() -> None:
     assert set(ALONE) == {cause.name for cause in CAUSES} - {"not_idle", "tilted"}
     for cause in CAUSES:
@@ -219,10 +266,10 @@ def test_commands_from_outside_fly_and_are_watched_like_those_inside() -> None:
     healthy = {**dict.fromkeys(("setpoint_new", "link_new", "imu_new", "rings"), True), "voltage": 12.0}
     flown = []
     for k in range(500):
-        asked = {"mode": 3 if k >= 20 else 0, "thrust": 0.4 if k >= 20 else 0.0, "theta0": 0.1}
+        asked = {"mode": 3 if k >= 20 else 0, "thrust": 0.4 if k >= 20 else 0.0}
         seen = {
             "acc_x": 0.1 * rng.standard_normal(),
-            "acc_z": -9.81,
+            "acc_z": -9.81 + 0.1 * rng.standard_normal(),
             "gyro_y": 0.01 * rng.standard_normal(),
             "dist": 0.5,
         }
@@ -241,3 +288,48 @@ def test_commands_from_outside_fly_and_are_watched_like_those_inside() -> None:
     assert len(set(flown[20:])) == 480
     with pytest.raises(DiagramError, match="failsafe=True"):
         core(outside=True)
+
+
+class AtRest:
+    """The flight code on a rig that does not move, stretch after stretch."""
+
+    def __init__(self, position_filter: str, precision: str) -> None:
+        self.machine = build(core(position_filter=position_filter, failsafe=True), PERIOD, precision).machine()
+        self.rng = np.random.default_rng(6)
+
+    def fly(self, seconds: float, arm: bool, **changes: Any) -> dict[str, NDArray[Any]]:
+        """`seconds` armed or not, with `changes`; nothing is asked for in the first ticks."""
+        n = round(seconds / PERIOD)
+        asked = arm & (np.arange(n) >= 5)
+        healthy = {**dict.fromkeys(("setpoint_new", "link_new", "imu_new", "rings"), True), "voltage": 12.0}
+        dist = {"dist": 0.5 + 0.004 * self.rng.standard_normal(n), "dist_new": np.arange(n) % 14 == 0, "dist_age": 0.0}
+        flown = {"arm": arm, "mode": np.where(asked, 3, 0), "thrust": np.where(asked, 0.4, 0.0)}
+        return self.machine.run(n, healthy | imu_at_rest(self.rng, n) | dist | flown | changes)
+
+
+@pytest.mark.parametrize(
+    ("position_filter", "precision"),
+    [("joint", "float64"), ("joint", "float32"), ("fixed-gain", "float64"), ("kalman", "float64")],
+)
+@pytest.mark.parametrize("wrong", ["acc_x", "acc_z", "gyro_y", "dist", "dist_age"])
+def test_numbers_that_are_none_stop_the_motors_and_when_they_are_numbers_again_it_arms_again(
+    wrong: str, position_filter: str, precision: str
+) -> None:
+    """3 s without numbers in one signal, in flight; what remembers them in estimator and loops begins anew."""
+    rig = AtRest(position_filter, precision)
+    rig.fly(1.0, False)
+    assert rig.fly(0.5, True)["fore"][-100:].min() > 0.2
+    for none in (NAN, float("inf"), -float("inf"), 1e30):
+        out = rig.fly(3.0 if np.isnan(none) else 0.5, True, **{wrong: none})
+        assert np.isfinite(out["fore"]).all()
+        if wrong in ("acc_x", "acc_z", "gyro_y"):  # the range is not needed where the rings lock the cart
+            assert not out["fore"].any()
+            assert out["state"][-1] == OFF_STATE
+            rig.fly(0.1, False, **{wrong: none})
+            refused = set(named_causes(int(rig.fly(0.1, True, **{wrong: none})["reason"][-1])))
+            assert refused >= {"imu_lost", "estimate_lost"} or none == 1e30
+            assert len(refused) == 2 or not np.isnan(none)  # NaN says just what is true of it
+        rig.fly(1.0, False)
+        again = rig.fly(0.5, True)
+        assert again["reason"][-1] == 0, named_causes(int(again["reason"][-1]))
+        assert again["fore"][-100:].min() > 0.2

@@ -16,7 +16,7 @@ from twodof.flight.failsafe import failsafe
 PREFIX = "flight.failsafe."
 """Of the parameters' paths in the closed loop; in the flight core alone it is `failsafe.`."""
 
-SILENT = ("sensors", "place", "machine", "safe")
+SILENT = ("force", "rate", "sensors", "place", "machine", "safe")
 WORDS = {
     "battery": "BAT",
     "critical": "CRIT",

@@ -40,9 +40,9 @@ CAUSES: tuple[Cause, ...] = (
     Cause("own_failed", LEVEL, "the user's controller gave no number, was out of time or stuck", inner=True),
     Cause("rail_near", BRAKE, "the cart is, or could only just be stopped, near the rail's end"),
     Cause("link_lost", DESCEND, "nothing came over the link for a while"),
-    Cause("battery_critical", DESCEND, "the voltage is critical"),
+    Cause("battery_critical", DESCEND, "the voltage is critical, or none that the pack can have"),
     Cause("range_lost", DESCEND, "the cart is free and its range sensor silent, stuck or far from the estimate"),
-    Cause("imu_lost", OFF, "the IMU is silent, or repeats itself to the bit"),
+    Cause("imu_lost", OFF, "the IMU is silent or gives no number, or an axis of it repeats itself to the bit"),
     Cause("estimate_lost", OFF, "an estimate is no number, or beyond what the rig can do"),
     Cause("pitch_stop", OFF, "the pitch is at its stop"),
     Cause("rail_end", OFF, "the cart is at the rail's end"),
@@ -50,9 +50,13 @@ CAUSES: tuple[Cause, ...] = (
     Cause("step_late", OFF, "the flight controller's step ran out of its time"),
     Cause("command_stuck", OFF, "the stock controller's commands do not move in a closed loop", inner=True),
     Cause("command_lost", OFF, "a command that was to fly is infinite or NaN", inner=True),
-    Cause("battery_low", NONE, "the voltage is low"),
+    Cause("battery_low", NONE, "the voltage is low, or none that the pack can have"),
     Cause("not_idle", NONE, "the set-points ask for thrust or moment"),
     Cause("tilted", NONE, "the pitch is far from level"),
+    Cause(
+        "force_disagrees", OFF, "the IMU feels what pitch and thrust do not explain: it has failed, or a stop is met"
+    ),
+    Cause("rate_disagrees", OFF, "the pitch rate does not answer the moment: gyro or rotor failed, or a stop is met"),
 )
 """The causes; the place in the tuple is the bit in a mask."""
 

@@ -120,8 +120,11 @@ def core(
     # Where the controllers read the mode and the set-points: as given, or as the failsafe lets them pass.
     given = {name: f"failsafe.safe_{name}" if failsafe else name for name in GIVEN}
     d.add("estimator", estimator(position_filter))
-    for name in ("acc_x", "acc_z", "gyro_y", "dist", "dist_new", "dist_age"):
+    for name in ("acc_x", "acc_z", "gyro_y", "dist"):
         d.connect(name, f"estimator.{name}")
+    # A range that the failsafe does not believe is none.
+    for name, believed in (("dist_new", "range_taken"), ("dist_age", "range_age")):
+        d.connect(f"failsafe.{believed}" if failsafe else name, f"estimator.{name}")
     d.add("previous", PreviousPitch(), theta="estimator.theta")
     d.add("arming", ArmingReset(), mode=given["mode"], thrust=given["thrust"], in_reset="in_reset")
     d.add(
@@ -188,7 +191,7 @@ def _failsafe(
     d.add("failsafe", failsafe_diagram())
     for name, _, _, _ in FAILSAFE_INPUTS:
         d.connect(name, f"failsafe.{name}")
-    for name in ("acc_x", "acc_z", "gyro_y", "dist", "dist_new", *GIVEN):
+    for name in ("acc_x", "acc_z", "gyro_y", "dist", "dist_new", "dist_age", *GIVEN):
         d.connect(name, f"failsafe.{name}")
     for name, source in (("theta", "theta"), ("q", "q"), ("x", "x_published"), ("v", "v_published")):
         d.connect(f"estimator.{source}", f"failsafe.{name}")

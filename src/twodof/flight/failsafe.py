@@ -5,7 +5,9 @@ from __future__ import annotations
 from types import MappingProxyType
 
 from twodof.blocks import Diagram
+from twodof.blocks.library.functions import Trigonometry
 from twodof.blocks.library.logic import Logic
+from twodof.flight.agreement import ForceAgreement, RateAgreement
 from twodof.flight.causes import ACTIONS, CAUSES, Classes
 from twodof.flight.failsafe_machine import STATES, Machine, Reasons
 from twodof.flight.gate import COMMANDS, Gate
@@ -55,6 +57,7 @@ TIMERS = MappingProxyType(
         "setpoint": Timeout(0.5, 0.02, 0.9, "silence of set-points after which it levels"),
         "link": Timeout(3.0, 0.1, 30.0, "silence of the link after which it descends (heartbeats come at 1 Hz)"),
         "imu": Timeout(0.02, 0.004, 0.1, "silence or repetition of the IMU after which the motors stop"),
+        "axis": Timeout(0.1, 0.02, 1.0, "repetition of an axis of the IMU after which the motors stop"),
         "range": Timeout(0.24, 0.06, 2.0, "time without a believed range after which it descends"),
         "range_stuck": Timeout(0.5, 0.06, 5.0, "time of one and the same range after which it descends"),
         "brake": Timeout(3.0, 0.1, 10.0, "longest time of braking, then the motors stop"),
@@ -72,6 +75,7 @@ _MEASURED = (
     ("gyro_y", "real", "rad/s"),
     ("dist", "real", "m"),
     ("dist_new", "bool", ""),
+    ("dist_age", "real", "s"),
 )
 _ESTIMATED = (("theta", "rad"), ("q", "rad/s"), ("x", "m"), ("v", "m/s"))
 _SAME = MappingProxyType({name: name for name, _ in SET_POINTS})
@@ -83,7 +87,8 @@ def failsafe() -> Diagram:
     Inputs: `INPUTS`; the measurements and estimates; `mode` and the set-points as given; the stock commands `fore`,
     `aft`, `M`, `T` and the user's `own_fore`, ..., where `own_given` says that there are any. Outputs: the mode and
     set-points for the controllers (`safe_mode`, `safe_x0`, ...) and `own`, which both depend on nothing behind the
-    controllers; `fore`, `aft`, `M`, `T` as they fly; and `OUTPUTS`.
+    controllers; `range_taken`, whether the range may correct the estimates, and `range_age`, which depend on no
+    estimate of this tick; `fore`, `aft`, `M`, `T` as they fly; and `OUTPUTS`.
     """
     d = Diagram("failsafe", "flags, timers, state machine, and the last gate to the motors")
     for name, kind, unit, _ in INPUTS:
@@ -111,12 +116,19 @@ def _flags(d: Diagram) -> None:
     d.add(
         "sensors",
         SensorFlags(),
-        inputs={name: name for name in (*(row[0] for row in _MEASURED), "imu_new", "x", "rings")},
+        inputs={name: name for name in (*(row[0] for row in _MEASURED), "imu_new", "x", "v", "rings", "arm")},
     )
     d.add("place", PlaceFlags(), inputs={name: name for name in (*(row[0] for row in _ESTIMATED), "rings")})
+    for name, function in (("sine", "sin"), ("cosine", "cos")):
+        d.add(name, Trigonometry(function, input_unit="rad"), u="theta")
+    turned = {"sine": "sine", "cosine": "cosine"}
+    d.add("force", ForceAgreement(), inputs=turned | {name: name for name in ("acc_x", "acc_z", "v", "rings")})
+    d.add("rate", RateAgreement(), gyro_y="gyro_y", sine="sine")
     d.add("battery", BatteryFlags(), voltage="voltage")
     d.add("asked", SetPointFlags(), mode="mode", setpoint_new="setpoint_new", rings="rings", inputs=_SAME)
     d.add("in_time", Logic("not"), a="step_late")
+    for name in ("range_taken", "range_age"):
+        d.output(name, f"sensors.{name}")
     d.add("commands", StuckCommands(), mode="safe.mode", imu_moves="sensors.imu_moves", stopped="machine.stopped")
 
 
@@ -127,6 +139,7 @@ def _timers(d: Diagram) -> None:
         ("setpoint", "asked.fed"),
         ("link", "link_new"),
         ("imu", "sensors.imu_moves"),
+        ("axis", "sensors.axes_move"),
         ("range", "sensors.range_good"),
         ("range_stuck", "sensors.range_moves"),
         ("battery_low", "battery.full"),
@@ -139,6 +152,8 @@ def _timers(d: Diagram) -> None:
 
 
 def _machine(d: Diagram) -> None:
+    d.add("imu_lost", Logic("or"), a="imu", b="axis")
+    d.add("rail_end", Logic("or"), a="place.rail_end", b="sensors.range_end")
     d.add("range_lost", Logic("or"), a="range", b="range_stuck")
     d.add(
         "classes",
@@ -151,15 +166,17 @@ def _machine(d: Diagram) -> None:
         link_lost="link",
         battery_critical="battery_critical",
         range_lost="range_lost",
-        imu_lost="imu",
+        imu_lost="imu_lost",
         estimate_lost="place.estimate_lost",
         pitch_stop="place.pitch_stop",
-        rail_end="place.rail_end",
+        rail_end="rail_end",
         brake_failed="brake",
         step_late="late",
         battery_low="battery_low",
         not_idle="asked.active",
         tilted="place.tilted",
+        force_disagrees="force.disagrees",
+        rate_disagrees="rate.disagrees",
     )
     for name, text in (("level", "levelling lasts at least"), ("brake", "braking lasts at least")):
         d.add(f"{name}_lasts", Linger(0.5, 0.02, 5.0, text), flag=f"classes.{name}")
@@ -219,4 +236,4 @@ def _gate(d: Diagram) -> None:
         d.connect(f"own_{name}", f"gate.own_{name}")
         d.output(name, f"gate.{name}")
     for name in ("fore", "aft"):
-        d.connect(f"gate.{name}", f"commands.{name}")
+        d.connect(f"gate.{name}", *(f"{part}.{name}" for part in ("commands", "force", "rate")))

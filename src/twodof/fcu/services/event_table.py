@@ -118,7 +118,12 @@ KILL = Event(
 )
 RELEASED = Event(9, "released", "Released by system {1}, component {2}", WARNING, _WHO, said=("released by ",))
 
-_UNHEALTHY = frozenset({"range_lost", "imu_lost", "step_late", "own_failed", "command_stuck", "command_lost"})
+_UNHEALTHY = frozenset(
+    {
+        *("range_lost", "imu_lost", "force_disagrees", "rate_disagrees"),
+        *("step_late", "own_failed", "command_stuck", "command_lost"),
+    }
+)
 """Causes that say that a part has failed; the others only keep from arming."""
 
 _CHECKED = Argument("modes", "navigation_mode_group_t"), Argument("health_component_index", "uint8_t")
