@@ -6,6 +6,7 @@ from typing import Any
 
 from twodof.blocks import Block, Param, Port, State, where
 from twodof.blocks.elementary import atan2, cos, sin
+from twodof.flight.finite import restarted
 from twodof.flight.position_filter import RAIL_CENTRE
 
 STATES = ("theta", "bias", "x", "v")
@@ -24,6 +25,8 @@ class LongitudinalFilter(Block):
     x - v s + v' s^2 / 2, where the cart was then. A tilt error d makes a false acceleration g d, so the range corrects
     the tilt within seconds, and the cart's own acceleration is not taken for tilt. A weak measurement 0 = v' + noise
     keeps the pitch where the range sensor is silent. The first sample sets theta = atan2(f_x, -f_z).
+
+    After a sample that cannot be, such as NaN, it starts anew with the next one (`finite.restarted`).
 
     The defaults are those with which theta, x and v come closest to the drone's own estimates on its logs: it weighs
     the range as if its noise were four times its 4 mm.
@@ -135,7 +138,9 @@ class LongitudinalFilter(Block):
 
     def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
         new = self.output(u, x, p, t)
-        return {name: value for name, value in new.items() if name != "q"} | {"started": True}
+        new = {name: value for name, value in new.items() if name != "q"} | {"started": True}
+        first = {f"P_{n}_{n}": p[f"P_{n}_{n}_0"] for n in STATES}
+        return restarted(new, first | {"started": False})
 
 
 def _at(cov: Matrix, a: str, b: str) -> Any:

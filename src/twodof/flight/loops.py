@@ -9,6 +9,7 @@ from typing import Any
 
 from twodof.blocks import Block, Param, Port, State, maximum, minimum, where
 from twodof.blocks.elementary import atan, cos
+from twodof.flight.finite import finite
 
 
 def limited(value: Any, limit: Any) -> Any:
@@ -179,4 +180,6 @@ class RateLoop(Block):
 
     def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
         integral, carry, _ = self._integral(u, x, p)
-        return {"sum": integral, "carry": carry, "slope": self._slope(u, x, p), "error": u.q0 - u.q}
+        slope = self._slope(u, x, p)
+        # Never reset, it would else be none for ever after one rate that is no number.
+        return {"sum": integral, "carry": carry, "slope": where(finite(slope), slope, 0.0), "error": u.q0 - u.q}

@@ -6,6 +6,7 @@ from typing import Any
 
 from twodof.blocks import Block, Param, Port, State, where
 from twodof.blocks.elementary import atan2, cos, sin
+from twodof.flight.finite import restarted
 
 GRAVITY = 9.81  # [m/s2]
 
@@ -17,6 +18,7 @@ class PitchFilter(Block):
     no horizontal part but the cart's acceleration, which is taken for white noise of `sigma_acc`,
         0 = cos(theta) f_x + sin(theta) f_z + noise,
     whose derivative by theta, at f = (g sin, -g cos), is -g. The first sample sets theta = atan2(f_x, -f_z).
+    After a sample that cannot be, such as NaN, it starts anew with the next one (`finite.restarted`).
     `variance` is that of theta, (rad)^2; `covariance` and `bias_variance` complete the matrix.
     """
 
@@ -85,4 +87,5 @@ class PitchFilter(Block):
 
     def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
         new = self.output(u, x, p, t)
-        return {name: value for name, value in new.items() if name != "q"} | {"started": True}
+        new = {name: value for name, value in new.items() if name != "q"} | {"started": True}
+        return restarted(new, {n: p[f"{n}_0"] for n in ("variance", "bias_variance")} | {"started": False})

@@ -9,6 +9,7 @@ from typing import Any
 
 from twodof.blocks import Block, Param, Port, State, where
 from twodof.blocks.elementary import cos, sin
+from twodof.flight.finite import restarted
 
 RAIL_CENTRE = 0.50  # range of the time-of-flight sensor at x = 0 [m]
 
@@ -77,7 +78,8 @@ class FixedGainPosition(Block):
         }
 
     def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-        return self.output(u, x, p, t) | {"started": x.started | u.dist_new}
+        new = self.output(u, x, p, t) | {"started": x.started | u.dist_new}
+        return restarted(new, {"started": False})
 
 
 _PAIRS = ("xx", "xv", "xb", "vv", "vb", "bb")
@@ -185,4 +187,5 @@ class KalmanPosition(Block):
 
     def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
         new = self.output(u, x, p, t)
-        return {n: v for n, v in new.items() if not n.startswith("innovation")} | {"started": x.started | u.dist_new}
+        new = {n: v for n, v in new.items() if not n.startswith("innovation")} | {"started": x.started | u.dist_new}
+        return restarted(new, {f"P_{n}": p[f"P_{n}_0"] for n in ("xx", "vv", "bb")} | {"started": False})
