@@ -22,7 +22,7 @@ ATTITUDE, HOLD, RATE, OPEN, POSITION, STEPS, VELOCITY, OWN, OWN_POSITION = (
 )
 SITUATIONS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
     {
-        ATTITUDE: {"mode": 3, "thrust": 0.4, "theta0": 0.5, "half": 1500, "rings": True},
+        ATTITUDE: {"mode": 3, "thrust": 0.4, "theta0": 0.4, "half": 1500, "rings": True},
         HOLD: {"mode": 3, "thrust": 0.4, "rings": False},
         RATE: {"mode": 2, "thrust": 0.4, "rings": True},
         OPEN: {"mode": 1, "thrust": 0.1, "rings": True},
