@@ -18,6 +18,7 @@ from twodof.experiment.script import script
 from twodof.flight.causes import BIT
 from twodof.rig.rig import BASE_DT, SAMPLE
 from twodof.sim.closed_loop import closed_loop
+from twodof.sim.start import Start
 
 TICKS = SAMPLE[0]
 SUMS = {
@@ -75,21 +76,27 @@ def used(rig: str, flight: tuple[dict[str, Any], dict[str, NDArray[Any]]], seeds
     values = dict(laboratory(rig).parameters.snapshot()) | conditions
     machine.set_many({f"rig.{name}": value for name, value in values.items()} | {"rig.seed": seeds})
     machine.reset()
+    start = conditions.get("x_start", 0.0)
+    states = Start(x=start).flight_states("joint", ())
+    for path, value in states.items():
+        machine.set_state(f"flight.{path}", value)
     healthy = {"setpoint_new": True, "link_new": True, "imu_new": True, "rings": conditions["rings"]}
     limits = {path: float(machine.get(f"flight.failsafe.{limit}")[0]) for path, limit in SUMS.items()}
     if conditions["rings"]:
         limits |= {path: 2.0 * limits[path] for path in ("force.forth", "force.back")}
     limits["range"] = float(machine.get("flight.failsafe.sensors.range_error")[0])
-    largest = dict.fromkeys(limits, 0.0)
+    largest, flown = dict.fromkeys(limits, 0.0), np.zeros(len(seeds), np.bool_)
     for begin in range(0, len(columns["arm"]), CHUNK):
         part = {name: np.repeat(column[begin : begin + CHUNK], TICKS) for name, column in columns.items()}
         out = {k: v[::TICKS] for k, v in machine.run(len(part["arm"]), healthy | part).items()}
         armed = out["armed"]
-        assert not (out["reason"][armed] & NEW_CAUSES).any()
+        flown |= armed.any(axis=0)
+        assert not (out["reason"] & NEW_CAUSES)[armed].any()
         for path, limit in limits.items():
             away = np.where(out["dist_new"], np.abs(out["dist"] - 0.5 - out["x"]), 0.0)
             column = away if path == "range" else out[f"flight.failsafe.{path}"]
             largest[path] = max(largest[path], float(np.where(armed, column, 0.0).max()) / limit)
+    assert flown.all()
     return largest
 
 

@@ -70,7 +70,7 @@ def test_what_keeps_from_arming_is_reported_when_it_changes_and_every_two_second
     }
     assert reader.failing() == {
         "The cart is free and its range sensor silent, stuck or far from the estimate": "distance_sensor",
-        "The voltage is low": "battery",
+        TEXTS["battery_low"].capitalize(): "battery",
     }
     assert not any(group.can_arm for group in reader.checks._mode_groups)
     parts = reader.checks.health_components

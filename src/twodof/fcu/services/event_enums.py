@@ -66,8 +66,8 @@ _COMPONENTS: tuple[tuple[str, int, str, tuple[str, ...]], ...] = (
     ("position_controller", 15, "Place on the rail", ("rail_near", "rail_end", "brake_failed", "rings_wrong")),
     ("attitude_estimate", 16, "Estimate", ("estimate_lost",)),
     ("system", 20, "System", ("step_late", "pitch_near", "pitch_stop", "tilted")),
-    ("accel", 28, "Accelerometer", ("imu_lost",)),
-    ("gyro", 29, "Gyroscope", ()),
+    ("accel", 28, "Accelerometer", ("imu_lost", "force_disagrees")),
+    ("gyro", 29, "Gyroscope", ("rate_disagrees",)),
 )
 
 COMPONENT_INDEX = MappingProxyType({name: place for name, place, _, _ in _COMPONENTS})
