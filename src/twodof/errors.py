@@ -19,6 +19,11 @@ def listed(names: Iterable[str], most: int = 20) -> str:
     return ", ".join(rows[:most]) + (" and more" if len(rows) > most else "") if rows else "none"
 
 
+def printable(text: object) -> str:
+    """What somebody else's file or the wire says, without what a terminal would act on; lines stay lines."""
+    return "".join(c if c.isprintable() or c == "\n" else " " for c in str(text))
+
+
 class TwodofError(Exception):
     """Base of every error that a caller of twodof can meet.
 
@@ -34,7 +39,8 @@ class TwodofError(Exception):
 
     def __str__(self) -> str:
         text = f"{self.where}: {self.what}" if self.where else self.what
-        return f"{text} ({self.remedy})" if self.remedy else text
+        # Names in it may come from a file, and a traceback goes to a terminal too.
+        return printable(f"{text} ({self.remedy})" if self.remedy else text)
 
 
 class DiagramError(TwodofError):

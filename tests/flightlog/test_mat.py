@@ -157,11 +157,11 @@ def test_foreign_files_are_named(tmp_path: Path) -> None:
 
 
 def test_an_inflating_file_is_refused_before_it_inflates(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("twodof.flightlog.mat_check.MAX_INFLATED_BYTES", 1 << 20)
+    monkeypatch.setattr("twodof.flightlog.budget.BASE_BYTES", 1 << 20)
     bomb = zlib.compress(bytes(16 << 20))
     head = bytes(124) + b"\x00\x01IM" + (15).to_bytes(4, "little") + len(bomb).to_bytes(4, "little")
     (tmp_path / "bomb.mat").write_bytes(head + bomb)
-    with pytest.raises(LogError, match="inflates to more than"):
+    with pytest.raises(LogError, match="asks for more than 1 MiB"):
         read_mat(tmp_path / "bomb.mat")
 
 

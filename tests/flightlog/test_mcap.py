@@ -15,7 +15,7 @@ from scipy.io import loadmat
 
 from tests.flightlog.synthetic import attitude_steps, same_bits
 from twodof.errors import LogError
-from twodof.flightlog import mcap_decoder, mcap_records
+from twodof.flightlog import budget, mcap_records
 from twodof.flightlog.files import convert, read_log
 from twodof.flightlog.log import Channel, FlightLog
 from twodof.flightlog.mcap import attachments, read_mcap, write_mcap
@@ -224,11 +224,11 @@ def test_foreign_and_hostile_files_are_named(tmp_path: Path, monkeypatch: pytest
         write_mcap(FlightLog({"q": Channel([-1.0], [0.0])}), path)
     encoder = Encoder([stream_of(topic("q"))])
     bomb = encoder.head({}) + encoder.chunk({0: Samples(np.arange(100_000, dtype=np.uint64), np.zeros((100_000, 1)))})
-    monkeypatch.setattr(mcap_decoder, "MAX_INFLATED_BYTES", 1 << 20)
+    monkeypatch.setattr(budget, "BASE_BYTES", 1 << 20)
     for salvage in (False, True):
-        with pytest.raises(LogError, match="inflates to more than 1048576 bytes"):
+        with pytest.raises(LogError, match="asks for more than 1 MiB of memory"):
             scan(bomb, "bomb.mcap", salvage)
     monkeypatch.setattr(mcap_records, "MAX_CHUNK_BYTES", 1 << 10)
-    monkeypatch.setattr(mcap_decoder, "MAX_INFLATED_BYTES", 1 << 30)
+    monkeypatch.setattr(budget, "BASE_BYTES", 1 << 30)
     with pytest.raises(LogError, match="a chunk of 4300000 bytes"):
         scan(bomb, "bomb.mcap")

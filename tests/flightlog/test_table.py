@@ -162,12 +162,13 @@ def test_wrong_parquet_tables(tmp_path: Path) -> None:
 def test_absurd_sizes_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for suffix in (".csv", ".parquet"):
         write_log(attitude_steps(), tmp_path / f"a{suffix}")
-    monkeypatch.setattr("twodof.flightlog.table.MAX_CELLS", 1000)
+    monkeypatch.setattr("twodof.flightlog.budget.BASE_BYTES", 1000)
+    monkeypatch.setattr("twodof.flightlog.budget.PER_BYTE", 1)
     for suffix in (".csv", ".parquet"):
-        with pytest.raises(LogError, match="at most 1000 cells are read"):
+        with pytest.raises(LogError, match="asks for more than 0 MiB"):
             read_log(tmp_path / f"a{suffix}")
     monkeypatch.setattr("twodof.flightlog.provenance.MAX_FILE_BYTES", 1000)
-    with pytest.raises(LogError, match="a log of at most 1000 bytes is read"):
+    with pytest.raises(LogError, match="at most 1000 bytes are read"):
         read_log(tmp_path / "a.csv")
 
 

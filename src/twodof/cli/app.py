@@ -13,7 +13,7 @@ import typer
 from typer.core import TyperGroup
 
 from twodof.cli import interrupts
-from twodof.cli.output import print_error, print_json, reader_has_left
+from twodof.cli.output import print_error, print_json, reader_has_left, say_line
 from twodof.errors import CompileError, DownloadError, IdentificationError, TwodofError
 
 FINE, WENT_WRONG, CALLERS_MISTAKE = 0, 1, 2
@@ -104,8 +104,9 @@ def twodof(version: bool = typer.Option(False, "--version", callback=_version, i
     """An open control laboratory around the 2DoF Drone."""
 
 
-def _note(message: Warning | str, *_: Any, **__: Any) -> None:
-    sys.stderr.write(f"note: {message}\n")
+def show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
+    """A warning as a note, without the place in the code."""
+    say_line(f"note: {message}")
 
 
 def run(arguments: Sequence[str]) -> int:
@@ -116,7 +117,7 @@ def run(arguments: Sequence[str]) -> int:
     """
     try:
         with warnings.catch_warnings():
-            warnings.showwarning = _note
+            warnings.showwarning = show_warning
             app(args=list(arguments), prog_name="twodof")
     except TwodofError as error:
         print_error(error)

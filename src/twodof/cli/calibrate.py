@@ -81,4 +81,4 @@ def _print(found: Calibration, out: Path | None) -> None:
     console.print(fits)
     console.print("converged" if found.converged else "NOT converged: the best set seen is given")
     if out is not None:
-        console.print(f"written: {out}", markup=False)
+        console.print(f"written: {out}")

@@ -15,7 +15,7 @@ import typer
 
 from twodof.cli.drone_options import Index
 from twodof.cli.holder import naming_holder
-from twodof.cli.output import Json, print_json_line
+from twodof.cli.output import Json, print_json_line, say_line
 from twodof.cli.ports import MOST_DRONES
 from twodof.errors import LinkError
 from twodof.fcc.companion import Companion, Serve, px4_links
@@ -187,5 +187,4 @@ def _tell(asked: _Asked, made: Companion) -> None:
 
 
 def _log(line: str) -> None:
-    sys.stderr.write(f"{line}\n")
-    sys.stderr.flush()
+    say_line(line)

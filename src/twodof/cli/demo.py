@@ -153,7 +153,7 @@ def _print(machines: list[Machine], logs: int, out: Path, seconds: float) -> Non
         console.print()
     if not logs:
         console.print(f"The real drone's logs are not at hand; {VARIABLE} names the folder that holds them.")
-    console.print(f"Report: {out.resolve()} ({seconds:.0f} s)", markup=False)
+    console.print(f"Report: {out.resolve()} ({seconds:.0f} s)")
 
 
 def _cells(row: ParameterRow) -> list[str]:

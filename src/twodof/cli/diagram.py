@@ -64,7 +64,7 @@ def new(
 ) -> None:
     """Write a starter diagram to a file, to be changed."""
     made = new_diagram(starter, file, overwrite)
-    table_console().print(f"{file}: {made.name}, {made.text}", markup=False)
+    table_console().print(f"{file}: {made.name}, {made.text}")
 
 
 @app.command()
@@ -97,7 +97,7 @@ def _print_findings(found: Findings, dt: float) -> None:
         if items:
             console.print(f"\n{title}:")
             for item in items:
-                console.print(f"  {item.where}: {item.what} ({item.remedy})", markup=False)
+                console.print(f"  {item.where}: {item.what} ({item.remedy})")
 
     if not found.fine:
         count = len(found.problems)
@@ -116,9 +116,9 @@ def _print_findings(found: Findings, dt: float) -> None:
     if found.feedthrough:
         console.print("\nin the same tick:")
         for output, inputs in found.feedthrough.items():
-            console.print(f"  {output} <- {', '.join(inputs) or 'no input'}", markup=False)
+            console.print(f"  {output} <- {', '.join(inputs) or 'no input'}")
     if found.unread:
-        console.print(f"\noutputs that nobody reads: {', '.join(found.unread)}", markup=False)
+        console.print(f"\noutputs that nobody reads: {', '.join(found.unread)}")
     rows("remarks", found.remarks)
 
 
@@ -160,7 +160,7 @@ def code(
         _print_code(found, block)
     else:
         written = ", ".join(str(file) for file in (out, html) if file is not None)
-        table_console().print(f"written: {written}", markup=False)
+        table_console().print(f"written: {written}")
 
 
 def _print_code(found: SourceMap, block: str | None) -> None:
@@ -173,11 +173,11 @@ def _print_code(found: SourceMap, block: str | None) -> None:
         name = line.block or line.role
         shown = name if (line.part, name) != before else ""
         before = line.part, name
-        console.print(f"{shown[-width:]:{width}} {line.number:5d}  {line.text}".rstrip(), markup=False)
+        console.print(f"{shown[-width:]:{width}} {line.number:5d}  {line.text}".rstrip())
     if block in found.left_out:
         console.print("nothing of it runs: nobody needs it")
     elif block is None and found.left_out:
-        console.print(f"\nleft out, as nobody needs them: {', '.join(found.left_out)}", markup=False)
+        console.print(f"\nleft out, as nobody needs them: {', '.join(found.left_out)}")
 
 
 def _worth(line: Line) -> bool:
@@ -202,7 +202,7 @@ def render(
         return
     with atomic_write(out, "w") as file:
         file.write(picture)
-    table_console().print(f"written: {out}", markup=False)
+    table_console().print(f"written: {out}")
 
 
 @app.command()
@@ -262,7 +262,7 @@ def _print_model(found: LinearModel) -> None:
     console = table_console()
     kind = "dx/dt" if found.dt is None else f"x[k+1], one step is {found.dt:g} s"
     n, m, p = len(found.states), len(found.inputs), len(found.outputs)
-    console.print(f"{found.name}: {kind}; {n} states, {m} inputs, {p} outputs", markup=False)
+    console.print(f"{found.name}: {kind}; {n} states, {m} inputs, {p} outputs")
     for letter, matrix, rows, columns in (
         ("A", found.a, found.states, found.states),
         ("B", found.b, found.states, found.inputs),
@@ -277,7 +277,7 @@ def _print_model(found: LinearModel) -> None:
         for pole in sorted(found.poles(), key=lambda q: (abs(q), q.imag)):
             console.print(f"  {_pole(complex(pole), found.dt)}")
     for name, why in found.left_out.items():
-        console.print(f"left out: {name} ({why})", markup=False)
+        console.print(f"left out: {name} ({why})")
 
 
 def _matrix(matrix: Array, rows: tuple[str, ...], columns: tuple[str, ...]) -> Table:

@@ -140,25 +140,25 @@ def flash(
         )
         return
     console = table_console()
-    console.print(f"{new.name} fits {kind}; {precision}, {1.0 / PERIOD:g} Hz", markup=False)
+    console.print(f"{new.name} fits {kind}; {precision}, {1.0 / PERIOD:g} Hz")
     _print_costs(console, cost)
     _print_changes(console, changes, origin)
     for remark in remarks:
-        console.print(f"remark: {remark}", markup=False)
+        console.print(f"remark: {remark}")
     for warning in warnings:
-        console.print(f"warning: {warning}", markup=False)
+        console.print(f"warning: {warning}")
     if dry_run:
         console.print("nothing was flashed (--dry-run)")
     elif to == SIM:
-        console.print(f"flashed: {place}", markup=False)
+        console.print(f"flashed: {place}")
         console.print("fly it: twodof simulate EXPERIMENT --controller flashed")
     elif to != PX4:
-        console.print(f"flashed: {place}", markup=False)
+        console.print(f"flashed: {place}")
         if to_json(new) != to_json(starter(STOCK[kind])):
             url = DEFAULT_URL if to == FCU else to
-            console.print(f"tune it: twodof parameters --url {url} {kind}.NAME=VALUE", markup=False)
+            console.print(f"tune it: twodof parameters --url {url} {kind}.NAME=VALUE")
     else:
-        console.print(f"written: {place}, whose README.md says how to build it into PX4", markup=False)
+        console.print(f"written: {place}, whose README.md says how to build it into PX4")
 
 
 def _checked(diagram: Diagram, px4: Path) -> list[str]:
@@ -178,7 +178,7 @@ def _print_costs(console: Console, cost: Costs) -> None:
         f"parameters {cost.parameters} bytes, states {cost.states} bytes, inputs {cost.inputs}, outputs {cost.outputs}"
     )
     if cost.m7 is None:
-        console.print(f"code: not measured for the Cortex-M7: {cost.m7_missing}", markup=False)
+        console.print(f"code: not measured for the Cortex-M7: {cost.m7_missing}")
         return
     m7 = cost.m7
     stack = m7["stack_bytes_bound"]
@@ -194,12 +194,12 @@ def _print_costs(console: Console, cost: Costs) -> None:
 
 def _print_changes(console: Console, changes: Difference, origin: str) -> None:
     if not changes:
-        console.print(f"nothing changes against {origin}", markup=False)
+        console.print(f"nothing changes against {origin}")
         return
     rows = changes.changes
     counts = ", ".join(f"{sum(row.kind == kind for row in rows)} {kind}" for kind in ("changed", "added", "removed"))
-    console.print(f"changes against {origin} ({counts}):", markup=False)
+    console.print(f"changes against {origin} ({counts}):")
     for row in rows[:_LINES]:
-        console.print(f"  {row}", markup=False)
+        console.print(f"  {row}")
     if len(rows) > _LINES:
         console.print(f"  and {len(rows) - _LINES} more, which --json lists")

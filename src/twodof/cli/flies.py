@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from twodof.errors import printable
+
 STOCK = "stock"
 FLIES = "flies "
 
 
 def flies_in_words(controller: str, changed: int) -> str:
     """`flies my_attitude; 3 parameters differ from their defaults`; `controller` as TWODOF_RIG names it."""
-    what = "the stock controllers" if controller == STOCK else controller
+    what = "the stock controllers" if controller == STOCK else printable(controller)
     if not changed:
         return f"{FLIES}{what}; all parameters are at their defaults"
     differ = (

@@ -12,7 +12,7 @@ import typer
 
 from twodof.cli.connect import connect
 from twodof.cli.flies import flies_in_words
-from twodof.cli.output import Json, print_json, progress, table_console
+from twodof.cli.output import Json, print_json, progress, say_line, table_console
 from twodof.cli.own_drone import own_drone
 from twodof.cli.plot import Plot, draw
 from twodof.errors import LinkLost
@@ -79,7 +79,7 @@ def fly(
         def interrupted(flight: Flight) -> None:
             if out is not None:
                 write_log(flight.log, out)
-                sys.stderr.write(f"written: {out}, up to the interruption\n")
+                say_line(f"written: {out}, up to the interruption")
 
         flight = fly_experiment(
             asked,
@@ -133,6 +133,6 @@ def _print(flight: Flight, rig: str, *written: Path | None) -> None:
     console = table_console()
     console.print(f"{flight.experiment.name} flown on {rig}, seed {flight.seed}, start x = {flight.x_start:+.3f} m")
     for check in flight.checks:
-        console.print(f"  {'ok    ' if check.passed else 'FAILED'} {check.name}: {check.seen}", markup=False)
+        console.print(f"  {'ok    ' if check.passed else 'FAILED'} {check.name}: {check.seen}")
     for path in filter(None, written):
-        console.print(f"written: {path}", markup=False)
+        console.print(f"written: {path}")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json as json_text
 import math
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from enum import StrEnum
@@ -13,7 +12,7 @@ from typing import Annotated
 
 import typer
 
-from twodof.cli.output import Json, print_json, table_console
+from twodof.cli.output import Json, print_json, say_line, table_console
 from twodof.errors import LogError, ParameterError
 from twodof.flightlog.files import read_log
 from twodof.flightlog.log import FlightLog
@@ -130,9 +129,9 @@ def identify(
     if json:
         print_json({"experiment": asked.value, "method": method.value, **document})
     else:
-        table_console().print(text, markup=False)
+        table_console().print(text)
     if not converged:
-        sys.stderr.write("note: the search did not converge; try other first guesses with --value\n")
+        say_line("note: the search did not converge; try other first guesses with --value")
         raise typer.Exit(1)
 
 

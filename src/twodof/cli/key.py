@@ -28,4 +28,4 @@ def key(
     if json:
         print_json({"file": str(file), "fingerprint": made.fingerprint})
     else:
-        table_console().print(f"written: {file}, fingerprint {made.fingerprint}", markup=False)
+        table_console().print(f"written: {file}, fingerprint {made.fingerprint}")

@@ -40,7 +40,7 @@ def kill(
     else:
         was = f"it was armed, in mode {before.mode}" if before.armed else "it was not armed"
         until = f", and held so until released: twodof kill --release --url {url}" if there.state.killed else ""
-        table_console().print(f"motors off ({was}){until}", markup=False, soft_wrap=True)
+        table_console().print(f"motors off ({was}){until}", soft_wrap=True)
 
 
 def _release(url: str, drone: int | None, key: Path | None, json: bool) -> None:
@@ -51,4 +51,4 @@ def _release(url: str, drone: int | None, key: Path | None, json: bool) -> None:
     if json:
         print_json({"url": url, "was_held": before.killed, "held": there.state.killed})
     else:
-        table_console().print("released: it may be armed again" if before.killed else "it was not killed", markup=False)
+        table_console().print("released: it may be armed again" if before.killed else "it was not killed")

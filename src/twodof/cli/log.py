@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from twodof.cli.output import Json, print_json, printable, table_console
+from twodof.cli.output import Json, one_line, print_json, table_console
 from twodof.cli.plot import draw
 from twodof.errors import LogError
 from twodof.flightlog.contents import describe
@@ -18,6 +18,7 @@ from twodof.flightlog.files import convert as convert_log
 from twodof.flightlog.files import read_log
 from twodof.flightlog.log import FlightLog
 from twodof.flightlog.public_data import PUBLIC_LOGS, find
+from twodof.flightlog.recovery import Recovered
 from twodof.flightlog.recovery import recover as recover_log
 from twodof.report.flight_view import SUFFIXES, check_place, failsafe_bands
 
@@ -51,13 +52,13 @@ def info(
         table.add_row(row["name"], row["unit"] or "-", str(row["samples"]), rate, str(row["missing"] or ""), gap)
     console.print(table)
     if found["modes_unclear"]:
-        console.print(f"modes unknown: {found['modes_unclear']}", markup=False)
+        console.print(f"modes unknown: {found['modes_unclear']}")
     for start, end in found["armed_s"]:
         console.print(f"thrust on: {start:.3f} to {end:.3f} s")
     for line in _flown(log):
-        console.print(line, markup=False, soft_wrap=True)
+        console.print(line, soft_wrap=True)
     for band in found["failsafe"][:_ROWS]:
-        console.print(f"failsafe: {band['start']:.3f} to {band['stop']:.3f} s  {band['label']}", markup=False)
+        console.print(f"failsafe: {band['start']:.3f} to {band['stop']:.3f} s  {band['label']}")
     for event in found["events"][:_ROWS]:
         console.print(
             f"{event['time']:10.3f} s  {event['kind']} {event['channel']}: {event['before']:g} to {event['after']:g}"
@@ -66,7 +67,7 @@ def info(
         console.print(f"... and {len(found['events']) - _ROWS} more events")
     said = [*_said(log)]
     for line in said[:_ROWS]:
-        console.print(line, markup=False, soft_wrap=True)
+        console.print(line, soft_wrap=True)
     if len(said) > _ROWS:
         console.print(f"... and {len(said) - _ROWS} more lines that the drone said")
 
@@ -77,9 +78,9 @@ def _flown(log: FlightLog) -> Iterator[str]:
     flown, drone = (found if isinstance(found, dict) else {} for found in (flown, drone))
     controller = flown.get("controller") or drone.get("controller")
     if controller:
-        yield f"controller: {printable(controller)}"
+        yield f"controller: {one_line(controller)}"
     if flown.get("reason"):
-        yield f"broken off: {printable(flown['reason'])}"
+        yield f"broken off: {one_line(flown['reason'])}"
 
 
 def _said(log: FlightLog) -> Iterator[str]:
@@ -88,7 +89,7 @@ def _said(log: FlightLog) -> Iterator[str]:
     for row in texts if isinstance(texts, list) else ():
         match row:
             case [int() | float() as time, str() | int() as severity, str() as text]:
-                yield f"{time:10.3f} s  {printable(severity)}: {printable(text)}"
+                yield f"{time:10.3f} s  {one_line(severity)}: {one_line(text)}"
 
 
 def _experiment(found: dict[str, Any]) -> str:
@@ -125,8 +126,8 @@ def plot(
         return
     console = table_console()
     for note in notes:
-        console.print(f"note: {note}", markup=False)
-    console.print(f"written: {target}", markup=False)
+        console.print(f"note: {note}")
+    console.print(f"written: {target}")
 
 
 @app.command()
@@ -140,7 +141,7 @@ def convert(
     if json:
         print_json({"file": str(target), "channels": list(log.channels)})
     else:
-        table_console().print(f"{target}: {len(log.channels)} channels", markup=False)
+        table_console().print(f"{target}: {len(log.channels)} channels")
 
 
 @app.command()
@@ -151,7 +152,10 @@ def recover(
     ] = None,
     json: Json = False,
 ) -> None:
-    """Write what is sound of a recording as a complete .mcap file; FILE stays as it is."""
+    """Write what is sound of a recording as a complete .mcap file; FILE stays as it is.
+
+    Exit status 1: it is written, and no checksum vouches for something in it, which is named here and in the file.
+    """
     target = out if out is not None else file.with_name(f"{file.stem}.recovered.mcap")
     if target.suffix.lower() != ".mcap":
         raise LogError(f"{target.suffix!r} is not what is written", str(target), "name an .mcap file")
@@ -164,12 +168,22 @@ def recover(
     start, end = found.log.span
     if json:
         kept = {"file": str(target), "samples": samples, "span_s": [start, end]}
-        print_json({**kept, "lost_bytes": found.lost_bytes, "what": list(found.what)})
-        return
+        told = {"lost_bytes": found.lost_bytes, "what": list(found.what), "unverified": list(found.unverified)}
+        print_json(kept | told)
+    else:
+        _print_recovered(found, target, samples, (start, end))
+    if found.unverified:
+        raise typer.Exit(1)
+
+
+def _print_recovered(found: Recovered, target: Path, samples: int, span: tuple[float, float]) -> None:
+    start, end = span
     console = table_console()
-    console.print(f"{target}: {samples} samples from {start:.3f} to {end:.3f} s", markup=False, soft_wrap=True)
+    console.print(f"{target}: {samples} samples from {start:.3f} to {end:.3f} s", soft_wrap=True)
     for line in found.what[:_ROWS] or ("nothing was wrong with it",):
-        console.print(line, markup=False, soft_wrap=True)
+        console.print(line, soft_wrap=True)
+    if len(found.what) > _ROWS:
+        console.print(f"... and {len(found.what) - _ROWS} more")
     console.print(f"{found.lost_bytes} bytes could not be used")
 
 
@@ -186,6 +200,6 @@ def fetch(
     for name in names or PUBLIC_LOGS:
         found[name] = find(name, deadline)
         if not json:
-            table_console().print(f"{name}: {found[name]}", markup=False, soft_wrap=True)
+            table_console().print(f"{name}: {found[name]}", soft_wrap=True)
     if json:
         print_json({name: str(path) for name, path in found.items()})

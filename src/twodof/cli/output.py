@@ -13,8 +13,9 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.text import Text
 
-from twodof.errors import TwodofError
+from twodof.errors import TwodofError, printable
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else on stdout.")]
 
@@ -37,9 +38,15 @@ def print_json_line(document: Any) -> None:
         reader_has_left()
 
 
-def printable(text: object) -> str:
-    """What somebody else's file says, on one line and without what a terminal would act on."""
-    return "".join(c if c.isprintable() else " " for c in str(text))
+def say_line(text: object) -> None:
+    """A line on stderr, whoever's words are in it."""
+    sys.stderr.write(f"{printable(text)}\n")
+    sys.stderr.flush()
+
+
+def one_line(text: object) -> str:
+    """What somebody else's file says, on one line."""
+    return " ".join(printable(text).splitlines())
 
 
 def reader_has_left() -> None:
@@ -47,7 +54,21 @@ def reader_has_left() -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-class _TableConsole(Console):
+class _PlainConsole(Console):
+    """A console for which every text is just that, wherever it comes from: nothing in it is markup or a control code.
+
+    Colour is what the code asks for by `style`.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(markup=False, emoji=False, highlight=False, **options)
+
+    def render_str(self, text: str, **options: Any) -> Text:
+        """What print and tables make of a string."""
+        return super().render_str(printable(text), **options)
+
+
+class _TableConsole(_PlainConsole):
     """A console whose command ends with its own status when the reader leaves before the end."""
 
     def on_broken_pipe(self) -> None:
@@ -67,19 +88,19 @@ def _plain(value: Any) -> Any:
 
 def print_error(error: TwodofError) -> None:
     """What went wrong, where, and what to do about it, on stderr; to a terminal in colour."""
-    console = Console(stderr=True, highlight=False, soft_wrap=True)
+    console = _PlainConsole(stderr=True, soft_wrap=True)
     console.print("error:", style="bold red", end=" ")
-    console.print(error.what, markup=False)
+    console.print(error.what)
     if error.where:
-        console.print(f"  where: {error.where}", markup=False)
+        console.print(f"  where: {error.where}")
     if error.remedy:
-        console.print(f"  remedy: {error.remedy}", markup=False)
+        console.print(f"  remedy: {error.remedy}")
 
 
 def table_console() -> Console:
     """The console for tables: as wide as the terminal, or wide enough for any table where there is none."""
     width = None if sys.stdout.isatty() else 1000
-    return _TableConsole(highlight=False, soft_wrap=True, width=width)
+    return _TableConsole(soft_wrap=True, width=width)
 
 
 @contextmanager
@@ -89,10 +110,10 @@ def progress() -> Iterator[Callable[[str, float], None]]:
     Without a terminal nothing is drawn.
     """
     bar = Progress(
-        TextColumn("{task.description:<44}"),
+        TextColumn("{task.description:<44}", markup=False),
         BarColumn(),
         TimeElapsedColumn(),
-        console=Console(stderr=True),
+        console=_PlainConsole(stderr=True),
         transient=True,
         disable=not sys.stderr.isatty(),
     )
@@ -100,6 +121,6 @@ def progress() -> Iterator[Callable[[str, float], None]]:
         task = bar.add_task("", total=1.0)
 
         def report(text: str, share: float) -> None:
-            bar.update(task, description=text, completed=share)
+            bar.update(task, description=printable(text), completed=share)
 
         yield report

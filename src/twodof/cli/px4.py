@@ -59,17 +59,17 @@ def export(
         )
         return
     console = table_console()
-    console.print(f"{out_dir}: module {module.names.module}, {len(module.files)} files", markup=False)
+    console.print(f"{out_dir}: module {module.names.module}, {len(module.files)} files")
     table = Table("parameter in PX4", "in the diagram", box=None, pad_edge=False)
     for row in module.parameters:
         element = "" if row.index is None else f"[{row.index}]"
         table.add_row(row.name, f"{row.path}{element}" if row.path else "(the module's own)")
-    console.print(table, markup=False)
+    console.print(table)
     for kept in module.kept:
-        console.print(f"not in PX4: {kept.path}: {kept.reason}", markup=False)
-    console.print(f"reads {', '.join(module.role.reads)}", markup=False)
-    console.print(f"writes {', '.join(module.role.writes)}; stops {', '.join(module.role.stops)}", markup=False)
-    console.print(f"next: twodof px4 check PX4_DIR {out_dir}; then README.md there", markup=False)
+        console.print(f"not in PX4: {kept.path}: {kept.reason}")
+    console.print(f"reads {', '.join(module.role.reads)}")
+    console.print(f"writes {', '.join(module.role.writes)}; stops {', '.join(module.role.stops)}")
+    console.print(f"next: twodof px4 check PX4_DIR {out_dir}; then README.md there")
 
 
 @app.command()
@@ -89,8 +89,8 @@ def check(
     else:
         console = table_console()
         for row in found.rows:
-            console.print(f"{row.level}: {row.where}: {row.what} ({row.remedy})", markup=False)
+            console.print(f"{row.level}: {row.where}: {row.what} ({row.remedy})")
         verdict = "fits" if found.fits else "does not fit"
-        console.print(f"{found.module} {verdict} {px4_dir}, version {found.version}", markup=False)
+        console.print(f"{found.module} {verdict} {px4_dir}, version {found.version}")
     if not found.fits:
         raise typer.Exit(1)

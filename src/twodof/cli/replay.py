@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -10,7 +9,7 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from twodof.cli.output import Json, print_json, printable, table_console
+from twodof.cli.output import Json, one_line, print_json, say_line, table_console
 from twodof.flight.gains import Gains, load_gains
 from twodof.flightlog.files import read_log
 from twodof.report.flight_view import failsafe_bands
@@ -52,14 +51,14 @@ def replay(
     drone = log.provenance.get("drone")
     own = log.provenance.get("controllers") or (drone.get("controllers") if isinstance(drone, dict) else None)
     if own:
-        names = printable(", ".join(map(str, own)) if isinstance(own, dict | list) else own)
-        sys.stderr.write(f"note: a controller of one's own flew ({names}), and the stock cascade is compared\n")
+        names = one_line(", ".join(map(str, own)) if isinstance(own, dict | list) else own)
+        say_line(f"note: a controller of one's own flew ({names}), and the stock cascade is compared")
     bands = failsafe_bands(log)
     if bands:
         what = ", ".join(f"{band.start:.2f} to {band.stop:.2f} s {band.label}" for band in bands[:_SHOWN])
-        sys.stderr.write(f"note: the failsafe acted, whose set-points are not in the log: {what}\n")
+        say_line(f"note: the failsafe acted, whose set-points are not in the log: {what}")
     elif any(difference > _OTHER_GAINS for difference in result.nrms.values()):
-        sys.stderr.write(f"note: not the gains it was flown with? these are: {gains}; --gains takes others\n")
+        say_line(f"note: not the gains it was flown with? these are: {gains}; --gains takes others")
     if json:
         print_json(result.to_json())
         return

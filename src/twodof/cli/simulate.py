@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,7 +11,7 @@ from rich.table import Table
 
 from twodof.blocks import Diagram
 from twodof.cli.diagram_argument import DIAGRAM_HELP, read_diagram
-from twodof.cli.output import Json, print_json, table_console
+from twodof.cli.output import Json, print_json, say_line, table_console
 from twodof.cli.plot import Plot, draw
 from twodof.errors import ParameterError
 from twodof.experiment.flight import Laboratory
@@ -103,7 +102,7 @@ def _fly_like(like: Path, rig: str, gains: str | None, window: tuple[float, floa
     if known is not None and (gains is None or window is None):
         taken = [f"its gains ({known.gains})"] if gains is None else []
         taken += [f"its window ({known.window[0]:g} to {known.window[1]:g} s)"] if window is None else []
-        sys.stderr.write(f"note: this is the public log {known.name}: {' and '.join(taken)} taken\n")
+        say_line(f"note: this is the public log {known.name}: {' and '.join(taken)} taken")
         gains, window = gains or known.gains, window or known.window
     result = simulate_like(log, load_rig(rig), load_gains(gains or "default"), window)
     if json:
@@ -188,12 +187,12 @@ def _fly(laboratory: Laboratory, experiment: str, seed: int, out: Path | None, p
         console = table_console()
         console.print(f"{experiment} on the rig {rig}, seed {seed}, start x = {flight.x_start:+.3f} m")
         for kind, made in controllers.items():
-            console.print(f"{kind}: {made['name']}, in place of the stock one; its parameters:", markup=False)
+            console.print(f"{kind}: {made['name']}, in place of the stock one; its parameters:")
             _print_parameters(console, laboratory, kind)
         for check in flight.checks:
-            console.print(f"  {'ok    ' if check.passed else 'FAILED'} {check.name}: {check.seen}", markup=False)
+            console.print(f"  {'ok    ' if check.passed else 'FAILED'} {check.name}: {check.seen}")
         for path in filter(None, (out, plot)):
-            console.print(f"written: {path}", markup=False)
+            console.print(f"written: {path}")
     if not flight.good:
         raise typer.Exit(1)
 
@@ -207,6 +206,6 @@ def _print_parameters(console: Console, laboratory: Laboratory, kind: str) -> No
         numbers = ", ".join(f"{v:.6g}" for v in value) if isinstance(value, list) else f"{value:.6g}"
         bounds = f"{declared.low:g} to {declared.high:g}"
         unit = f" {declared.unit}" if declared.unit else ""
-        console.print(f"  {path} = {numbers}{unit} ({bounds}): {declared.text}", markup=False)
+        console.print(f"  {path} = {numbers}{unit} ({bounds}): {declared.text}")
     if len(rows) > len(shown):
-        console.print(f"  and {len(rows) - len(shown)} more without a description; --json lists them", markup=False)
+        console.print(f"  and {len(rows) - len(shown)} more without a description; --json lists them")

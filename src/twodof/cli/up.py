@@ -17,7 +17,7 @@ import typer
 from twodof.cli import drone_options as options
 from twodof.cli.children import MOST_RESTARTS, WITHIN_S, Child, Children
 from twodof.cli.flies import STOCK, flies_in_words
-from twodof.cli.output import Json, print_json_line
+from twodof.cli.output import Json, print_json_line, say_line
 from twodof.cli.ports import MOST_DRONES, check_free
 from twodof.errors import LinkError
 from twodof.flight.slot import data_folder
@@ -244,7 +244,7 @@ async def heard(url: str, system: int, timeout: float, key: Key | None = None) -
 
 
 def _tell(line: str) -> None:
-    sys.stderr.write(f"{datetime.now():%H:%M:%S} {line}\n")
+    say_line(f"{datetime.now():%H:%M:%S} {line}")
 
 
 def say(places: list[Place], lockstep: bool, json: bool, flown: Mapping[int, Flown] = NOTHING_KNOWN) -> None:

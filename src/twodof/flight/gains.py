@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from twodof.errors import ParameterError
+from twodof.errors import LogError, ParameterError
+from twodof.flightlog.provenance import read_bytes
 from twodof.parameters import PARAMETERS, PRESETS
 
 _NAMES = ("RATE_KP", "RATE_KI", "RATE_KD", "ATT_KP", "VEL_KP", "VEL_KI", "POS_KP")
@@ -121,6 +122,9 @@ def _preset(name: str) -> Gains:
 NAMED: Mapping[str, Gains] = MappingProxyType({name: _preset(name) for name in PRESETS})
 """The sets the drone was flown with: its own, and one designed by loop shaping in the course."""
 
+MAX_BYTES = 1 << 20
+"""Of a file of gains."""
+
 DEFAULT, STUDENT = NAMED["default"], NAMED["student"]
 
 
@@ -129,12 +133,10 @@ def load_gains(source: str | Path) -> Gains:
     if str(source) in NAMED:
         return NAMED[str(source)]
     try:
-        data = json.loads(Path(source).read_text(encoding="utf-8"))
-    except OSError as reason:
-        raise ParameterError(
-            f"cannot be read: {reason.strerror}", str(source), f"name a file or one of {', '.join(NAMED)}"
-        ) from reason
-    except ValueError as reason:
+        data = json.loads(read_bytes(source, MAX_BYTES))
+    except LogError as reason:
+        raise ParameterError(reason.what, str(source), f"name a file or one of {', '.join(NAMED)}") from reason
+    except (ValueError, RecursionError) as reason:
         raise ParameterError(f"is no JSON: {reason}", str(source), f"write {_SHAPE}") from reason
     return Gains.from_json(data, str(source))
 

@@ -1,11 +1,13 @@
 """What a log holds, in one table: channels, gaps, stretches with thrust, events, and which experiment it looks like."""
 
-from collections.abc import Sequence
+from bisect import bisect_left, bisect_right
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
-from itertools import pairwise
+from itertools import islice, pairwise
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twodof.errors import LogError
 from twodof.flightlog.events import (
@@ -18,7 +20,10 @@ from twodof.flightlog.events import (
     thrust_edges,
     window,
 )
-from twodof.flightlog.log import FlightLog
+from twodof.flightlog.log import FlightLog, Gap
+
+MAX_LISTED = 1000
+"""Most gaps that are listed one by one."""
 
 # A sweep is sent as a new set-point every 20 to 60 ms; nobody steps by hand that often.
 _SWEEP_CHANGES = 20
@@ -46,9 +51,10 @@ class Excitation:
 def excitations(log: FlightLog) -> list[Excitation]:
     """Every excitation found in a log, in order of time. Raises LogError if `T`, `q0` or `theta0` is missing."""
     found = []
+    edges = openloop_edges(log) if "lmnf" in log else []
     for stretch in modes(log):
         if stretch.mode == "open-loop":
-            excitation = _open_loop(log, stretch)
+            excitation = _open_loop(log, stretch, edges)
         elif stretch.mode in SETPOINTS:
             excitation = _closed_loop(log, stretch)
         else:
@@ -76,16 +82,17 @@ def describe(log: FlightLog) -> dict[str, Any]:
     """A log in figures, as JSON values.
 
     Keys: `source`, `provenance`, `span_s`, `duration_s`; `channels` (name, unit, fields, samples, rate_hz, span_s,
-    gaps, gaps_armed, missing, longest_gap_s); `gaps`; `armed_s`; `modes`; `modes_unclear` (why
+    gaps, gaps_armed, missing, longest_gap_s); `gaps` (the first MAX_LISTED); `armed_s`; `modes`; `modes_unclear` (why
     none could be found, or ""); `events`; `excitations`; `experiment`
     (the longest excitation, or None). What a log lacks the channels for is an empty list.
     """
-    gaps = {name: log.gaps(name) for name in log}
+    gaps = {name: log.gap_table(name) for name in log}
+    listed = [Gap(name, *row) for name, table in gaps.items() for row in islice(_rows(table), MAX_LISTED)][:MAX_LISTED]
     start, end = log.span
     channels = []
     for name, channel in log.channels.items():
         period = channel.period()
-        lost = gaps[name]
+        t0, t1, lost, armed = gaps[name]
         channels.append(
             {
                 "name": name,
@@ -95,9 +102,9 @@ def describe(log: FlightLog) -> dict[str, Any]:
                 "rate_hz": 1.0 / period if np.isfinite(period) else None,
                 "span_s": [float(channel.time[0]), float(channel.time[-1])] if len(channel) else None,
                 "gaps": len(lost),
-                "gaps_armed": sum(gap.armed for gap in lost),
-                "missing": sum(gap.missing for gap in lost),
-                "longest_gap_s": max((gap.duration for gap in lost), default=0.0),
+                "gaps_armed": int(armed.sum()),
+                "missing": sum(lost.tolist()),
+                "longest_gap_s": float(np.max(t1 - t0, initial=0.0)),
             }
         )
     loops = all(name in log for name in ("T", "q0", "theta0"))
@@ -114,7 +121,7 @@ def describe(log: FlightLog) -> dict[str, Any]:
         "span_s": [start, end],
         "duration_s": end - start,
         "channels": channels,
-        "gaps": [asdict(gap) for name in log for gap in gaps[name]],
+        "gaps": [asdict(gap) for gap in listed],
         "armed_s": [list(stretch) for stretch in log.armed()] if "T" in log else [],
         "modes": [asdict(stretch) for stretch in flown],
         "modes_unclear": unclear,
@@ -122,6 +129,10 @@ def describe(log: FlightLog) -> dict[str, Any]:
         "excitations": [asdict(excitation) for excitation in found],
         "experiment": asdict(max(found, key=_length)) if found else None,
     }
+
+
+def _rows(table: tuple[NDArray[Any], ...]) -> Iterator[tuple[Any, ...]]:
+    return zip(*(column[:MAX_LISTED].tolist() for column in table), strict=True)
 
 
 def _length(excitation: Excitation) -> float:
@@ -137,21 +148,21 @@ def _events(log: FlightLog, found: Sequence[Excitation]) -> list[Event]:
     return sorted(events, key=lambda event: event.time)
 
 
-def _open_loop(log: FlightLog, stretch: Stretch) -> Excitation | None:
-    if "lmnf" not in log:
-        return None
+def _open_loop(log: FlightLog, stretch: Stretch, edges: Sequence[Event]) -> Excitation | None:
     # The message that opened the loop is up to 20 ms older than the first M made from it.
-    steps = [
-        event
-        for event in openloop_edges(log)
-        if event.channel == "lmnf.M" and stretch.t0 - 0.02 <= event.time <= stretch.t1
-    ]
+    first = bisect_left(edges, stretch.t0 - 0.02, key=_time)
+    last = bisect_right(edges, stretch.t1, key=_time)
+    steps = [event for event in edges[first:last] if event.channel == "lmnf.M"]
     if not steps:
         return None
     shape = _shape(steps, stretch.t1)
     bounds = window(log, steps)
     # What follows an impulse is what it was flown for.
     return _excitation("open-loop", shape, steps, (bounds[0], stretch.t1) if shape == "impulse" else bounds)
+
+
+def _time(event: Event) -> float:
+    return event.time
 
 
 def _closed_loop(log: FlightLog, stretch: Stretch) -> Excitation | None:

@@ -1,5 +1,6 @@
 """What happened when: thrust switched, set-points stepped, the loop opened; which loop was closed."""
 
+from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -8,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twodof.errors import LogError
-from twodof.flightlog.log import FlightLog
+from twodof.flightlog.log import MAX_STRETCHES, FlightLog
 from twodof.signals import MODES
 
 # A set-point that comes from outside is sent at 50 Hz and held for 20 ms or more; one that a loop computes
@@ -18,6 +19,9 @@ HELD_S = 0.015
 SHORTEST_MODE_S = 0.1
 # The message and M reach the log in float32 and float64: half a unit in the last place of float32 at 1.
 _SAME_M = 1e-7
+
+MAX_EVENTS = 100_000
+"""Most events of one kind: one a second in a flight of a day."""
 
 SETPOINTS = {"rate": "q0", "attitude": "theta0", "velocity": "v0", "position": "x0"}
 """The channel that a closed loop's set-point from outside is in, by mode."""
@@ -52,6 +56,7 @@ def thrust_edges(log: FlightLog) -> list[Event]:
     """Where thrust was switched on and off. Raises LogError without channel `T`."""
     channel = log["T"]
     edges = np.flatnonzero(np.diff((channel.value > 0.0).astype(np.int8))) + 1
+    _check_count(edges.size, "changes of the thrust", f"{log.source}: T")
     return [
         Event(
             float(channel.time[k]),
@@ -75,6 +80,7 @@ def setpoint_steps(log: FlightLog, name: str, held_s: float = 0.1, minimum: floa
     first = _run_starts(channel.value)
     ends = np.append(channel.time[first[1:]], channel.time[-1])
     levels = first[ends - channel.time[first] >= held_s]
+    _check_count(levels.size, "steps", f"{log.source}: {name}")
     return [
         Event(float(channel.time[b]), "step", name, float(channel.value[a]), float(channel.value[b]))
         for a, b in pairwise(levels)
@@ -90,18 +96,18 @@ def openloop_edges(log: FlightLog) -> list[Event]:
     channel = log["lmnf"]
     opened = channel.field("openloop") > 0.0
     found = []
-    for k in range(len(channel)):
-        was = bool(opened[k - 1]) if k else False
-        if opened[k] != was:
-            kind = "loop opened" if opened[k] else "loop closed"
-            found.append(Event(float(channel.time[k]), kind, "lmnf.openloop", float(was), float(opened[k])))
-        for part in ("M", "T") if k and was and opened[k] else ():
-            value = channel.field(part)
-            if value[k] != value[k - 1]:
-                found.append(
-                    Event(float(channel.time[k]), "step", f"lmnf.{part}", float(value[k - 1]), float(value[k]))
-                )
-    return found
+    for k in np.flatnonzero(opened != np.append(False, opened[:-1])):
+        kind = "loop opened" if opened[k] else "loop closed"
+        found.append(Event(float(channel.time[k]), kind, "lmnf.openloop", float(not opened[k]), float(opened[k])))
+        _check_count(len(found), "openings", f"{log.source}: lmnf")
+    for part in ("M", "T"):
+        value = channel.field(part)
+        changed = np.flatnonzero(opened[1:] & opened[:-1] & (value[1:] != value[:-1])) + 1
+        _check_count(changed.size, "steps", f"{log.source}: lmnf")
+        found += [
+            Event(float(channel.time[k]), "step", f"lmnf.{part}", float(value[k - 1]), float(value[k])) for k in changed
+        ]
+    return sorted(found, key=lambda event: event.time)
 
 
 def modes(log: FlightLog) -> list[Stretch]:
@@ -121,6 +127,7 @@ def modes(log: FlightLog) -> list[Stretch]:
     if not time.size:
         raise LogError("no set-point was logged", f"{log.source}: q0")
     starts = _run_starts(code)
+    _check_count(starts.size, "changes of the mode", log.source)
     ends = np.append(time[starts[1:]], time[-1])
     merged: list[Stretch] = []
     for start, end in zip(starts, ends, strict=True):
@@ -132,6 +139,8 @@ def modes(log: FlightLog) -> list[Stretch]:
             merged[-1] = Stretch(merged[-1].t0, float(end), mode)
         else:
             merged.append(Stretch(float(time[start]), float(end), mode))
+    if len(merged) > MAX_STRETCHES:
+        raise LogError(f"{len(merged)} stretches of one mode", log.source, "this is not a flight log")
     return merged
 
 
@@ -155,18 +164,21 @@ def window(log: FlightLog, events: Sequence[Event], before: float = 0.3, after: 
         raise LogError("no event to put a window around", log.source, "describe(log) lists the log's events")
     first, last = events[0].time, events[-1].time
     start, end = log.span
-    for a, b in log.armed():
-        if a <= first <= b:
-            start, end = a, b
+    armed = log.armed()
+    at = bisect_right(armed, (first, np.inf)) - 1
+    if at >= 0 and armed[at][0] <= first <= armed[at][1]:
+        start, end = armed[at]
     return max(first - before, start), min(last + after, end)
 
 
 def _mode_codes(log: FlightLog) -> NDArray[np.intp]:
     time = log["q0"].time
     on = np.zeros(time.shape, dtype=bool)
-    for start, end in log.armed():
-        # T's sample is a few microseconds older than the set-points' of the same step.
-        on |= (time >= start) & (time <= end + HELD_S / 5)
+    stretches = np.array(log.armed()).reshape(-1, 2)
+    # T's sample is a few microseconds older than the set-points' of the same step.
+    ends = np.searchsorted(time, stretches[:, 1] + HELD_S / 5, side="right")
+    for start, end in zip(np.searchsorted(time, stretches[:, 0]), ends, strict=True):
+        on[start:end] = True
     held = {mode: _held(log, channel, time) for mode, channel in SETPOINTS.items()}
     code = np.select(
         [~on, held["rate"], held["attitude"], held["velocity"]],
@@ -208,6 +220,11 @@ def _open(log: FlightLog, time: NDArray[np.float64], on: NDArray[np.bool_]) -> N
     opened = said[:, message.fields.index("openloop")] > 0.0
     same = np.abs(moment.value[np.maximum(sample, 0)] - said[:, message.fields.index("M")]) <= _SAME_M
     return opened & same & (sample >= 0) & (made >= 0)
+
+
+def _check_count(count: int, what: str, where: str) -> None:
+    if count > MAX_EVENTS:
+        raise LogError(f"more than {MAX_EVENTS} {what}", where, "this is not a flight log")
 
 
 def _run_starts(values: NDArray[np.generic]) -> NDArray[np.intp]:

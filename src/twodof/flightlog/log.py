@@ -2,18 +2,25 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from twodof.errors import LogError
+from twodof.errors import LogError, shown
 from twodof.signals import BY_MAT
 
 How = Literal["hold", "next", "nearest", "linear"]
 
 MAX_SAMPLES = 50_000_000
 """Longest channel accepted: more than two days at 250 Hz."""
+
+MAX_NAME = 1000
+"""Longest name of a channel or field, and longest unit."""
+MAX_CHANNELS = 5000
+MAX_STRETCHES = 10_000
+"""Most stretches (armed, of one mode) in a log: a drone is not armed ten times a second for a quarter of an hour."""
 
 # A sample is missing where an interval exceeds this many periods: half a period more than one, since the
 # drone's own intervals stray by up to a third of a period (x and v) and a lost sample doubles one.
@@ -145,6 +152,12 @@ class FlightLog:
             name: channel if channel.name == name else replace(channel, name=name)
             for name, channel in self.channels.items()
         }
+        if len(named) > MAX_CHANNELS:
+            raise LogError(f"{len(named)} channels", self.source, f"at most {MAX_CHANNELS} are accepted")
+        for name, channel in named.items():
+            for one in (name, channel.unit, *channel.fields):
+                if len(one) > MAX_NAME or not _is_text(one):
+                    raise LogError(f"the name or unit {shown(one)}", shown(name), f"at most {MAX_NAME} letters of text")
         object.__setattr__(self, "channels", named)
         object.__setattr__(self, "provenance", dict(self.provenance))
 
@@ -236,33 +249,49 @@ class FlightLog:
         A channel that is sent on events (`lmnf`), or is too irregular to have a period, has no gaps. `armed`
         says that the gap touches a stretch with thrust (False where the log has no `T`).
         """
+        t0, t1, missing, armed = self.gap_table(name)
+        rows = zip(t0.tolist(), t1.tolist(), missing.tolist(), armed.tolist(), strict=True)
+        return [Gap(name, *row) for row in rows]
+
+    def gap_table(
+        self, name: str
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64], NDArray[np.bool_]]:
+        """`gaps` as arrays (n,): t0, t1, missing, armed."""
         channel = self[name]
         row = BY_MAT.get(name)
+        none = np.empty(0), np.empty(0), np.empty(0, np.int64), np.empty(0, np.bool_)
         if len(channel) < 3 or (row is not None and row.rate_hz == 0.0):
-            return []
+            return none
         steps = np.diff(channel.time)
         period = channel.period()
         wide = np.flatnonzero(steps > GAP_FACTOR * period)
         # Messages on events come in bursts: a tenth of the intervals lost is no longer a stream with gaps.
         if row is None and wide.size > 0.1 * steps.size:
-            return []
-        armed = self.armed() if "T" in self else []
-        found = []
-        for k in wide:
-            t0, t1 = float(channel.time[k]), float(channel.time[k + 1])
-            lost = max(1, round((t1 - t0) / period) - 1)
-            found.append(Gap(name, t0, t1, lost, any(t0 < end and t1 > start for start, end in armed)))
-        return found
+            return none
+        t0, t1 = channel.time[wide], channel.time[wide + 1]
+        lost = np.maximum(1.0, np.minimum(np.rint((t1 - t0) / period) - 1.0, 2.0**62)).astype(np.int64)
+        bounds = np.array(self.armed() if "T" in self else []).reshape(-1, 2)
+        # The stretches are in order: the first that ends behind the gap's start has begun before its end, or none has.
+        first = np.searchsorted(bounds[:, 1], t0, side="right")
+        starts = np.append(bounds[:, 0], np.inf)
+        return t0, t1, lost, starts[first] < t1
 
     def armed(self) -> list[tuple[float, float]]:
         """Stretches with thrust: stamps [s] of the first and last sample with T > 0. Raises LogError without `T`.
 
-        An experiment flown with the rotors off (the free response) has none.
+        An experiment flown with the rotors off (the free response) has none. Raises LogError for more than
+        MAX_STRETCHES: such a log is of something else.
         """
+        return list(self._armed)
+
+    @cached_property
+    def _armed(self) -> list[tuple[float, float]]:
         channel = self["T"]
         on = np.concatenate(([False], channel.value > 0.0, [False])).astype(np.int8)
         edges = np.diff(on)
         first, last = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1
+        if len(first) > MAX_STRETCHES:
+            raise LogError(f"{len(first)} stretches with thrust", f"{self.source}: T", "this is not a flight log")
         return [(float(channel.time[a]), float(channel.time[b])) for a, b in zip(first, last, strict=True)]
 
 
@@ -278,9 +307,19 @@ def _floats(values: ArrayLike, where: str) -> NDArray[np.float64]:
     return copy
 
 
+def _is_text(text: str) -> bool:
+    """Whether any file can hold it: half of a surrogate pair is not a letter."""
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
 def _check_finite(values: NDArray[np.float64], where: str, time: NDArray[np.float64], what: str) -> None:
-    bad = np.argwhere(~np.isfinite(values))
-    if bad.size:
+    finite = np.isfinite(values)
+    if not finite.all():
+        bad = np.argwhere(~finite)
         k = int(bad[0][0])
         raise LogError(
             f"{what} is {values[tuple(bad[0])]!s} at sample {k} (time {time[k]!s} s), {len(bad)} such in all",

@@ -17,6 +17,7 @@ from scipy.io.matlab import MatReadError
 from twodof.errors import LogError
 from twodof.flightlog import provenance
 from twodof.flightlog.atomic import atomic_write
+from twodof.flightlog.budget import Budget
 from twodof.flightlog.log import Channel, FlightLog
 from twodof.flightlog.mat_check import Variable, variables
 from twodof.signals import BY_MAT
@@ -36,7 +37,8 @@ def read_mat(path: str | Path) -> FlightLog:
     """
     data = provenance.read_bytes(path)
     where = str(path)
-    held = variables(data, where)
+    budget = Budget(len(data), where)
+    held = variables(data, where, budget)
     wanted = [variable for variable in held if _is_channel(variable, where)]
     if not wanted:
         names = ", ".join(variable.name for variable in held) or "nothing"
@@ -45,12 +47,17 @@ def read_mat(path: str | Path) -> FlightLog:
         )
     texts = [variable.name for variable in held if variable.text and variable.name == _NOTE]
     chosen = [*(variable.name for variable in wanted), *texts]
+    for variable in held:
+        if variable.name in chosen:
+            # Inflated once more, and a float64 of each number, before it becomes samples; letters are four bytes.
+            budget.take(16 * (variable.numbers + variable.letters))
+            budget.samples(variable.numbers, 0)
     try:
         loaded = loadmat(BytesIO(data), mat_dtype=True, chars_as_strings=True, variable_names=chosen)
     except (MatReadError, ValueError, TypeError, KeyError, OSError, OverflowError) as reason:
         raise LogError(f"cannot be read: {reason}", where, "export it again as a MATLAB v7 file") from reason
     note = loaded[_NOTE] if texts else np.empty(0)
-    kept = provenance.from_json(str(note[0]), where) if note.size else {}
+    kept = provenance.from_json(str(note[0]), where, budget) if note.size else {}
     kept["file"] = provenance.of_file(path, data, "mat")
     ignored = [variable.name for variable in held if variable.name not in chosen]
     if ignored:

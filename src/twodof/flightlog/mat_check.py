@@ -11,9 +11,9 @@ from math import prod
 from struct import Struct
 
 from twodof.errors import LogError
+from twodof.flightlog.budget import Budget
 
 HEADER_BYTES = 128
-MAX_INFLATED_BYTES = 2 << 30
 MAX_VARIABLES = 1000
 MAX_FIELDS = 100
 
@@ -23,38 +23,46 @@ _STRUCT, _CHAR = 2, 4
 # double, single, int8, uint8, int16, uint16, int32, uint32: all exact in float64
 _NUMERIC = frozenset({6, 7, 8, 9, 10, 11, 12, 13})
 _COMPLEX_FLAG = 0x0800
+_PART_BYTES = 1 << 20
 _ITEM_BYTES = {1: 1, 2: 1, 3: 2, 4: 2, 5: 4, 6: 4, 7: 4, 9: 8}
 
 
 @dataclass(frozen=True)
 class Variable:
-    """One variable of a file: `fields` has the dimensions of each field of a 1 x 1 struct of real numbers."""
+    """One variable of a file: `fields` has the dimensions of each field of a 1 x 1 struct of real numbers.
+
+    `text` says that it is one line of text, of `letters` letters.
+    """
 
     name: str
     text: bool
     fields: dict[str, tuple[int, ...]] | None
+    letters: int = 0
+
+    @property
+    def numbers(self) -> int:
+        """Numbers in all fields."""
+        return sum(prod(dims) for dims in (self.fields or {}).values())
 
 
-def variables(data: bytes, where: str) -> list[Variable]:
+def variables(data: bytes, where: str, budget: Budget) -> list[Variable]:
     """What a MATLAB v5 file holds. Raises LogError, with the byte, for a file that is truncated or foreign."""
     order = _byte_order(data, where)
     found: list[Variable] = []
-    budget = MAX_INFLATED_BYTES
-    for kind, start, end in _elements(data, HEADER_BYTES, order, where):
+    for kind, start, end in _elements(data, HEADER_BYTES, order, where, budget):
         place = f"{where}, byte {start}"
         body = memoryview(data)[start:end]
         if kind == _COMPRESSED:
             body = memoryview(_inflate(body, budget, place))
-            budget -= len(body)
-            inner = list(_elements(body, 0, order, place))
+            inner = list(_elements(body, 0, order, place, budget))
             if [element[0] for element in inner] != [_MATRIX]:
                 raise LogError("a compressed element holds no single variable", place, "export it again")
             body = body[inner[0][1] : inner[0][2]]
         elif kind != _MATRIX:
             raise LogError(f"unknown element of type {kind}", place, "export it again as a MATLAB v7 file")
-        found.append(_variable(body, order, place))
+        found.append(_variable(body, order, place, budget))
         if len(found) > MAX_VARIABLES:
-            raise LogError(f"more than {MAX_VARIABLES} variables", where, "this is no flight log")
+            raise LogError(f"more than {MAX_VARIABLES} variables", where, "this is not a flight log")
     names = [variable.name for variable in found]
     for name in names:
         if names.count(name) > 1:
@@ -75,10 +83,13 @@ def _byte_order(data: bytes, where: str) -> str:
     return order
 
 
-def _elements(data: bytes | memoryview, at: int, order: str, where: str) -> Iterator[tuple[int, int, int]]:
+def _elements(
+    data: bytes | memoryview, at: int, order: str, where: str, budget: Budget
+) -> Iterator[tuple[int, int, int]]:
     """Type, first byte and end of each data element from byte `at` on."""
     word = Struct(order + "I")
     while at < len(data):
+        budget.record()
         if len(data) - at < 8:
             raise LogError(f"truncated in the tag at byte {at}", where, "record or download it again")
         kind = word.unpack_from(data, at)[0]
@@ -99,23 +110,28 @@ def _elements(data: bytes | memoryview, at: int, order: str, where: str) -> Iter
         at = after
 
 
-def _inflate(body: memoryview, budget: int, where: str) -> bytes:
+def _inflate(body: memoryview, budget: Budget, where: str) -> bytes:
     engine = zlib.decompressobj()
+    parts: list[bytes] = []
+    rest: bytes | memoryview = body
     try:
-        plain = engine.decompress(body, budget)
+        while rest and not engine.eof:
+            # Twice: the parts, and the whole that they become.
+            budget.take(2 * _PART_BYTES)
+            parts.append(engine.decompress(rest, _PART_BYTES))
+            rest = engine.unconsumed_tail
     except zlib.error as reason:
         raise LogError(f"a compressed variable is damaged: {reason}", where, "download it again") from reason
-    if engine.unconsumed_tail:
-        raise LogError(f"inflates to more than {MAX_INFLATED_BYTES} bytes", where, "this is no flight log")
     if not engine.eof:
         raise LogError("a compressed variable is truncated", where, "record or download it again")
-    return plain
+    return b"".join(parts)
 
 
-def _variable(body: memoryview, order: str, where: str) -> Variable:
-    flags, dims, name, rest = _array(body, order, where)
+def _variable(body: memoryview, order: str, where: str, budget: Budget) -> Variable:
+    flags, dims, name, rest = _array(body, order, where, budget)
     if flags & 0xFF == _CHAR and len(dims) == 2 and len(rest) == 1:
-        return Variable(name, text=True, fields=None)
+        line = dims[0] == 1 and dims[1] <= rest[0][2] - rest[0][1]
+        return Variable(name, text=line, fields=None, letters=dims[1] if line else 0)
     if flags & 0xFF != _STRUCT or dims != (1, 1) or len(rest) < 2:
         return Variable(name, text=False, fields=None)
     where = f"{where}: {name}"
@@ -131,7 +147,7 @@ def _variable(body: memoryview, order: str, where: str) -> Variable:
             raise LogError(f"field {field!r} is no array", where, "export it again")
         if start == end:
             return Variable(name, text=False, fields=None)
-        field_flags, field_dims, _, parts = _array(body[start:end], order, f"{where}.{field}")
+        field_flags, field_dims, _, parts = _array(body[start:end], order, f"{where}.{field}", budget)
         if field_flags & 0xFF not in _NUMERIC or field_flags & _COMPLEX_FLAG or len(field_dims) != 2:
             return Variable(name, text=False, fields=None)
         _check_numbers(field_dims, parts, f"{where}.{field}")
@@ -139,9 +155,11 @@ def _variable(body: memoryview, order: str, where: str) -> Variable:
     return Variable(name, text=False, fields=fields)
 
 
-def _array(body: memoryview, order: str, where: str) -> tuple[int, tuple[int, ...], str, list[tuple[int, int, int]]]:
+def _array(
+    body: memoryview, order: str, where: str, budget: Budget
+) -> tuple[int, tuple[int, ...], str, list[tuple[int, int, int]]]:
     """Flags, dimensions, name and further elements of a matrix."""
-    parts = list(_elements(body, 0, order, where))
+    parts = list(_elements(body, 0, order, where, budget))
     kinds = [kind for kind, _, _ in parts[:3]]
     if kinds != [_UINT32, _INT32, _INT8] or parts[0][2] - parts[0][1] != 8:
         raise LogError("an array lacks its flags, dimensions or name", where, "export it again")

@@ -4,7 +4,6 @@
 `recovery.recover` reads what such a recording left when it was cut off.
 """
 
-from itertools import pairwise
 from pathlib import Path
 from typing import IO, Any
 
@@ -14,8 +13,9 @@ from numpy.typing import NDArray
 from twodof.errors import LogError
 from twodof.flightlog import provenance
 from twodof.flightlog.atomic import atomic_write
+from twodof.flightlog.budget import Budget
 from twodof.flightlog.log import FlightLog
-from twodof.flightlog.mcap_decoder import Contents, scan
+from twodof.flightlog.mcap_decoder import UNVERIFIED_NOTE, Contents, scan
 from twodof.flightlog.mcap_encoder import Attachment, Encoder, Samples
 from twodof.flightlog.mcap_stream import nanoseconds, seconds, streams_of
 from twodof.flightlog.settle import noted, settle
@@ -35,7 +35,9 @@ def read_mcap(path: str | Path) -> FlightLog:
     out and counted in provenance["left_out"]; those that the recorder could not take are in provenance["dropped"].
     """
     data = provenance.read_bytes(path)
-    return to_log(scan(data, str(path)), provenance.of_file(path, data, "mcap"), str(path))
+    budget = Budget(len(data), str(path))
+    contents = scan(data, str(path), budget=budget)
+    return to_log(contents, provenance.of_file(path, data, "mcap"), str(path), budget)
 
 
 def write_mcap(log: FlightLog, path: str | Path) -> None:
@@ -64,22 +66,22 @@ def write_contents(contents: Contents, file: IO[bytes]) -> None:
         some = contents.joined(number)
         sorted_by_time[k] = some.part(np.argsort(some.time_ns, kind="stable"))
     widest = max((contents.streams[number].record_bytes for number in numbers), default=1)
-    each = max(1, min(CHUNK_SAMPLES, CHUNK_BYTES // widest))
-    for start, end in _windows([some.time_ns for some in sorted_by_time.values()], each):
-        parts = {}
-        for k, some in sorted_by_time.items():
-            a, b = np.searchsorted(some.time_ns, np.array([start, end], dtype=np.uint64))
-            parts[k] = some.part(slice(int(a), int(b)))
-        file.write(encoder.chunk(parts))
+    # Of many streams each is to have some samples in a chunk.
+    each = max(1, min(max(CHUNK_SAMPLES, 100 * len(numbers)), CHUNK_BYTES // widest))
+    bounds = _bounds([some.time_ns for some in sorted_by_time.values()], each)
+    edges = {k: np.searchsorted(some.time_ns, bounds).tolist() for k, some in sorted_by_time.items()}
+    for n in range(len(bounds) - 1):
+        ends = {k: (at[n], at[n + 1]) for k, at in edges.items() if at[n] < at[n + 1]}
+        file.write(encoder.chunk({k: sorted_by_time[k].part(slice(a, b)) for k, (a, b) in ends.items()}))
     file.write(encoder.tail())
 
 
-def to_log(contents: Contents, file: dict[str, Any], where: str) -> FlightLog:
+def to_log(contents: Contents, file: dict[str, Any], where: str, budget: Budget) -> FlightLog:
     """The log that a file holds. Raises LogError if none of its topics is ours."""
     if not contents.streams:
         others = ", ".join(list(contents.ignored)[:10]) or "none"
         raise LogError(f"no topic of a flight log is in it; topics: {others}", where, "give a recording of twodof")
-    kept = _provenance(contents, where)
+    kept = _provenance(contents, where, budget)
     keep_empty = any(rows.get("empty") == "kept" for name, rows in contents.metadata if name == NOTE)
     channels, counts = {}, {}
     for number, stream in contents.streams.items():
@@ -102,23 +104,21 @@ def attachments(path: str | Path) -> list[Attachment]:
     return scan(provenance.read_bytes(path), str(path)).attachments
 
 
-def _provenance(contents: Contents, where: str) -> dict[str, Any]:
+def _provenance(contents: Contents, where: str, budget: Budget) -> dict[str, Any]:
     kept: dict[str, Any] = {}
     for name, rows in contents.metadata:
         if name == NOTE and "provenance" in rows:
-            kept |= provenance.from_json(rows["provenance"], where)
+            kept |= provenance.from_json(rows["provenance"], where, budget)
         elif name == END_NOTE and "noted" in rows:
-            kept |= provenance.from_json(rows["noted"], where)
+            kept |= provenance.from_json(rows["noted"], where, budget)
         elif name == RECOVERED_NOTE:
             kept["recovered"] = rows
+        elif name == UNVERIFIED_NOTE:
+            kept.setdefault("unverified", []).append(rows)
     return kept
 
 
-def _windows(times: list[NDArray[np.uint64]], each: int) -> list[tuple[int, int]]:
-    """Stretches of time [ns], each with about `each` samples."""
+def _bounds(times: list[NDArray[np.uint64]], each: int) -> NDArray[np.uint64]:
+    """Times [ns] that cut all samples into stretches of about `each`; the last is after the last sample."""
     every = np.sort(np.concatenate(times)) if times else np.empty(0, np.uint64)
-    if not every.size:
-        return []
-    edges = np.unique(every[::each])
-    bounds = [*edges.tolist(), int(every[-1]) + 1]
-    return list(pairwise(bounds))
+    return np.append(np.unique(every[::each]), every[-1:] + np.uint64(1))

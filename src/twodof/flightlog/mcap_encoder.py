@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import twodof
-from twodof.flightlog.mcap_records import CHUNK_HEAD, MAGIC, Op, counts, deflate, mapping, record, text
+from twodof.flightlog.mcap_records import CHUNK_HEAD, MAGIC, Op, checked, counts, deflate, mapping, record, text
 from twodof.flightlog.mcap_stream import CDR_LITTLE_ENDIAN, Stream
 
 PROFILE = "ros2"
@@ -79,8 +79,8 @@ class Encoder:
         return made + b"".join(map(self._attachment, attachments))
 
     def metadata(self, name: str, rows: Mapping[str, str]) -> bytes:
-        """A table of texts."""
-        made = record(Op.METADATA, text(name) + mapping(rows))
+        """A table of texts, with its checksum: what a crash or a bad disk leaves of the file has no other."""
+        made = record(Op.METADATA, text(name) + mapping(checked(text(name), rows)))
         index = record(Op.METADATA_INDEX, _INDEX.pack(self._now.position, len(made)) + text(name))
         self._now = replace(self._now, metadata=(*self._now.metadata, index))
         return self._made(made)
@@ -215,5 +215,5 @@ class Encoder:
 
     def _channel(self, k: int) -> bytes:
         stream = self._streams[k]
-        ids = Struct("<HH").pack(k + 1, k + 1)
-        return record(Op.CHANNEL, ids + text(stream.topic) + text("cdr") + mapping(stream.metadata))
+        head = Struct("<HH").pack(k + 1, k + 1) + text(stream.topic) + text("cdr")
+        return record(Op.CHANNEL, head + mapping(checked(head, stream.metadata)))

@@ -5,13 +5,14 @@ length of its content (u64) and its content.
 """
 
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from enum import IntEnum
 from struct import Struct
 
 import pyarrow as pa
 
 from twodof.errors import LogError
+from twodof.flightlog.budget import Budget
 from twodof.flightlog.settle import RECOVER
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -22,6 +23,8 @@ MAX_CHUNK_BYTES = 1 << 26
 """Largest chunk that is inflated."""
 MAX_TEXT_BYTES = 1 << 24
 """Largest string in a record: the provenance of a log, its diagram included, is far below it."""
+CHECK = "crc32"
+"""The row, the last, of a table or of a channel's metadata that has the checksum of what stands before it."""
 # pyarrow's "lz4" is the frame format, which is what MCAP calls lz4.
 CODECS = ("zstd", "lz4")
 
@@ -63,20 +66,25 @@ def mapping(rows: Mapping[str, str]) -> bytes:
     return len(raw).to_bytes(4, "little") + raw
 
 
+def checked(head: bytes, rows: Mapping[str, str]) -> dict[str, str]:
+    """`rows` and the row with their checksum and that of `head`, which is what stands before them in their record."""
+    crc = zlib.crc32(head + mapping(rows))
+    return {**rows, CHECK: f"{crc:08x}"}
+
+
+def unchecked(head: bytes, rows: Mapping[str, str]) -> tuple[dict[str, str], bool | None]:
+    """The rows without that of their checksum, and whether it holds; None without one, as earlier versions wrote."""
+    plain = {key: value for key, value in rows.items() if key != CHECK}
+    if CHECK not in rows:
+        return plain, None
+    return plain, list(checked(head, plain).items()) == list(rows.items())
+
+
 def counts(rows: Mapping[int, int]) -> bytes:
     """A map from u16 to u64, with its length in bytes."""
     pair = Struct("<HQ")
     raw = b"".join(pair.pack(key, value) for key, value in rows.items())
     return len(raw).to_bytes(4, "little") + raw
-
-
-def records(data: memoryview, where: str) -> Iterator[tuple[int, int, int]]:
-    """Opcode, first byte and end of the content of each record. Raises LogError where one has no end."""
-    at = 0
-    while at < len(data):
-        op, start, end = frame(data, at, where)
-        yield op, start, end
-        at = end
 
 
 def frame(data: memoryview, at: int, where: str) -> tuple[int, int, int]:
@@ -127,8 +135,8 @@ def deflate(codec: str, plain: bytes) -> bytes:
 class Cursor:
     """Reads the parts of one record's content in order; every length is held against what is there."""
 
-    def __init__(self, data: memoryview, start: int, end: int, where: str) -> None:
-        self._data, self._at, self._end, self._where = data, start, end, where
+    def __init__(self, data: memoryview, start: int, end: int, where: str, budget: Budget) -> None:
+        self._data, self._at, self._end, self._where, self._budget = data, start, end, where, budget
 
     def number(self, size: int) -> int:
         """An unsigned integer of `size` bytes. Raises LogError."""
@@ -146,23 +154,45 @@ class Cursor:
         """A string. Raises LogError for one that is not UTF-8 or longer than MAX_TEXT_BYTES."""
         size = self.number(4)
         if size > MAX_TEXT_BYTES:
-            raise LogError(f"a text of {size} bytes at byte {self._at}", self._where, "this is no flight log")
+            raise LogError(f"a text of {size} bytes at byte {self._at}", self._where, "this is not a flight log")
+        self._budget.text(size)
         try:
             return str(self.raw(size), "utf-8")
         except UnicodeDecodeError as reason:
             raise LogError(f"a text before byte {self._at} is not UTF-8", self._where, RECOVER) from reason
 
+    def skip_texts(self, count: int) -> None:
+        """Passes over texts that are not used. Raises LogError for one that is not sound."""
+        for _ in range(count):
+            self.text()
+
     def mapping(self) -> dict[str, str]:
         """A map of strings. Raises LogError."""
         size = self.number(4)
         end = self._at + size
-        inner = Cursor(self._data, self._at, end if size <= self._end - self._at else self._end, self._where)
+        inner = Cursor(
+            self._data, self._at, end if size <= self._end - self._at else self._end, self._where, self._budget
+        )
         self.raw(size)
         rows = {}
         while inner.left:
             key = inner.text()
             rows[key] = inner.text()
         return rows
+
+    @property
+    def at(self) -> int:
+        """The byte that is read next."""
+        return self._at
+
+    def since(self, at: int) -> bytes:
+        """The bytes from byte `at` to the one that is read next."""
+        return bytes(self._data[at : self._at])
+
+    def end(self) -> None:
+        """Raises LogError if the record goes on."""
+        if self.left:
+            raise LogError(f"{self.left} bytes too many at byte {self._at}", self._where, RECOVER)
 
     @property
     def left(self) -> int:

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twodof.errors import LogError, listed, shown
+from twodof.flightlog.budget import Budget
 from twodof.flightlog.log import Channel, FlightLog
 from twodof.flightlog.mcap_records import MESSAGE_HEAD, RECORD_HEAD
 from twodof.flightlog.settle import RECOVER
@@ -81,7 +82,7 @@ class Stream:
     def metadata(self) -> dict[str, str]:
         """What the channel's record keeps besides."""
         kept = {"name": self.mat, "unit": self.unit, "fields": self.fields, "width": self.width}
-        return {KEY: json.dumps({**kept, "stamped": self.stamped, "about": self.about})}
+        return {KEY: json.dumps({**kept, "stamped": self.stamped, "about": self.about, "schema": self.schema})}
 
 
 def stream_of(row: Topic) -> Stream:
@@ -140,18 +141,24 @@ def streams_of(log: FlightLog) -> dict[str, Stream]:
     return found
 
 
-def parse(topic_name: str, schema: str, encoding: str, metadata: dict[str, str], where: str) -> Stream | None:
-    """The stream that a channel's record describes; None for a topic that is not ours. Raises LogError."""
+def parse(
+    topic_name: str, schema: str, encoding: str, metadata: dict[str, str], where: str, budget: Budget
+) -> Stream | None:
+    """The stream that a channel's record describes; None for a topic that is not ours. Raises LogError.
+
+    `schema` is the name of its schema for files of earlier versions, which do not have it in the description.
+    """
     if KEY not in metadata or encoding != "cdr":
         return None
+    budget.json(len(metadata[KEY]))
     try:
         kept = json.loads(metadata[KEY])
         name, unit, fields, width = (kept[key] for key in ("name", "unit", "fields", "width"))
-        stamped, about = kept["stamped"], kept["about"]
+        stamped, about, schema = kept["stamped"], kept["about"], kept.get("schema", schema)
     except (ValueError, KeyError, TypeError, RecursionError) as reason:
         raise LogError(f"the description of topic {shown(topic_name)} is damaged", where, RECOVER) from reason
     sound = (
-        all(isinstance(one, str) for one in (name, unit, about))
+        all(isinstance(one, str) for one in (name, unit, about, schema))
         and isinstance(fields, list)
         and all(isinstance(one, str) for one in fields)
         and type(width) is int

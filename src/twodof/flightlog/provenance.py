@@ -2,8 +2,10 @@
 
 import hashlib
 import json
+import os
 import platform
-from collections.abc import Mapping
+import stat
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +13,13 @@ import numpy as np
 
 import twodof
 from twodof.errors import LogError
+from twodof.flightlog.budget import Budget
 from twodof.flightlog.log import FlightLog
 
 MAX_FILE_BYTES = 1 << 29
 """Largest log file that is read, in bytes."""
+MAX_DEPTH = 32
+"""Deepest nesting of provenance: each level is indented where it is printed."""
 
 
 def versions() -> dict[str, str]:
@@ -22,15 +27,25 @@ def versions() -> dict[str, str]:
     return {"twodof": twodof.__version__, "python": platform.python_version(), "numpy": np.__version__}
 
 
-def read_bytes(path: str | Path) -> bytes:
-    """A whole file. Raises LogError if it is missing, unreadable, empty or over MAX_FILE_BYTES."""
+def read_bytes(path: str | Path, most: int | None = None) -> bytes:
+    """A whole file. Raises LogError for one that is missing, unreadable, empty, over `most` bytes, not regular."""
+    most = MAX_FILE_BYTES if most is None else most
     try:
-        size = Path(path).stat().st_size
-        if size > MAX_FILE_BYTES:
-            raise LogError(f"{size} bytes", str(path), f"a log of at most {MAX_FILE_BYTES} bytes is read")
-        data = Path(path).read_bytes()
-    except OSError as refusal:
-        raise LogError(f"cannot be read: {refusal.strerror}", str(path), "check the name and the rights") from refusal
+        # A pipe would wait for who writes to it, and a device has no end.
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+        try:
+            found = os.fstat(descriptor)
+            if not stat.S_ISREG(found.st_mode):
+                raise LogError("is not a regular file", str(path), "name a file on a disk")
+            if found.st_size > most:
+                raise LogError(f"{found.st_size} bytes", str(path), f"at most {most} bytes are read")
+            with os.fdopen(descriptor, "rb", closefd=False) as file:
+                data = file.read(found.st_size)
+        finally:
+            os.close(descriptor)
+    except (OSError, ValueError) as refusal:
+        why = refusal.strerror if isinstance(refusal, OSError) else refusal  # a name with a null character
+        raise LogError(f"cannot be read: {why}", str(path), "check the name and the rights") from refusal
     if not data:
         raise LogError("the file is empty", str(path), "record or download it again")
     return data
@@ -71,12 +86,22 @@ def kept_json(entries: Mapping[str, Any], where: str) -> str:
         ) from reason
 
 
-def from_json(text: str, where: str) -> dict[str, Any]:
+def from_json(text: str, where: str, budget: Budget) -> dict[str, Any]:
     """The reverse of `to_json`. Raises LogError."""
+    budget.json(len(text))
     try:
         kept = json.loads(text)
     except (ValueError, RecursionError) as reason:
         raise LogError(f"the provenance kept in the file is not JSON: {reason}", where) from reason
     if not isinstance(kept, dict) or not isinstance(kept.get("history", []), list):
         raise LogError("the provenance kept in the file is not a table of entries", where)
+    level: list[Any] = [kept]
+    for _ in range(MAX_DEPTH):
+        level = [inner for one in level if isinstance(one, list | dict) for inner in _members(one)]
+    if level:
+        raise LogError(f"the provenance kept in the file is nested over {MAX_DEPTH} deep", where)
     return kept
+
+
+def _members(one: list[Any] | dict[str, Any]) -> Iterable[Any]:
+    return one.values() if isinstance(one, dict) else one

@@ -24,16 +24,20 @@ from numpy.typing import NDArray
 from twodof.errors import LogError
 from twodof.flightlog import provenance
 from twodof.flightlog.atomic import atomic_write
-from twodof.flightlog.log import Channel, FlightLog
+from twodof.flightlog.budget import Budget
+from twodof.flightlog.log import MAX_NAME, Channel, FlightLog
+from twodof.flightlog.parquet_check import check_pages
 from twodof.signals import BY_MAT, unit_of
 
 _META = "twodof.flightlog"
 _VERSION = 1
 _TIDY = ("channel", "field", "time", "value")
+# The table, the columns and codes that are made of it, and what is sorted; of a tidy one its channels too.
+_CELL_BYTES = 40
 _HEADING = re.compile(r"\s*(?P<name>[^\[\]]*?)\s*(?:\[(?P<unit>[^\[\]]*)\])?\s*")
 
-MAX_CELLS = 100_000_000
 MAX_COLUMNS = 1000
+MAX_COMMENTS = 1000
 
 
 def write_parquet(log: FlightLog, path: str | Path) -> None:
@@ -58,33 +62,43 @@ def read_parquet(path: str | Path) -> FlightLog:
     """Reads a tidy or wide Parquet table. Raises LogError for what is no log, damaged or too large."""
     data = provenance.read_bytes(path)
     where = str(path)
+    budget = Budget(len(data), where)
     try:
-        file = pq.ParquetFile(BytesIO(data), page_checksum_verification=True)
-        _check_size(file.metadata.num_rows, file.metadata.num_columns, where)
-        table = file.read()
+        heads = pq.read_metadata(BytesIO(data))
+        # Names as a dictionary: a long one that is repeated is there once.
+        names = [name for name in _TIDY[:2] if name in heads.schema.names]
+        file = pq.ParquetFile(BytesIO(data), metadata=heads, page_checksum_verification=True, read_dictionary=names)
+        _check_size(file.metadata.num_rows, file.metadata.num_columns, where, budget)
+        check_pages(file, data, where, budget)
+        table = file.read(use_threads=False)
         _check_names(table.column_names, where)
     except (pa.ArrowException, OSError, UnicodeDecodeError) as reason:
         raise LogError(f"is no Parquet file or is damaged: {_line(reason)}", where, "write it again") from reason
     meta = (table.schema.metadata or {}).get(_META.encode())
-    return _log(table, meta, provenance.of_file(path, data, "parquet"), where)
+    return _log(table, meta, provenance.of_file(path, data, "parquet"), where, budget)
 
 
 def read_csv(path: str | Path) -> FlightLog:
     """Reads a tidy or wide CSV table. Raises LogError for what is no log, damaged or too large."""
     data = provenance.read_bytes(path)
     where = str(path)
+    budget = Budget(len(data), where)
     comments, at, meta = 0, 0, None
     while data[at : at + 1] == b"#":
         end = data.find(b"\n", at) + 1 or len(data)
         if data[at:end].startswith(f"# {_META} ".encode()):
             meta = data[at + len(_META) + 3 : end]
         comments, at = comments + 1, end
+        if comments > MAX_COMMENTS:
+            raise LogError(f"more than {MAX_COMMENTS} lines of comments", where, "remove them")
     if meta is not None and not data.endswith(b"\n"):
         raise LogError("truncated: the last line has no end", where, "write it again")
     end = data.find(b"\n", at) + 1 or len(data)
+    if data.count(b",", at, end) >= MAX_COLUMNS:
+        raise LogError(f"more than {MAX_COLUMNS} columns", where, "this is not a flight log")
     heading = data[at:end].decode("utf-8-sig", "replace").strip()
     names = [cell.strip().strip('"') for cell in heading.split(",")]
-    _check_size(data.count(b"\n", end), len(names), where)
+    _check_size(data.count(b"\n", end) + data.count(b"\r", end) + 1, len(names), where, budget)
     _check_names(names, where)
     texts = {"channel": pa.string(), "field": pa.string()} if set(_TIDY) <= set(names) else {}
     try:
@@ -101,7 +115,7 @@ def read_csv(path: str | Path) -> FlightLog:
         raise LogError(
             f"is no table of numbers: {_line(reason)}", where, "give a header line and numbers below it"
         ) from reason
-    return _log(table, meta, provenance.of_file(path, data, "csv"), where)
+    return _log(table, meta, provenance.of_file(path, data, "csv"), where, budget)
 
 
 def _meta(log: FlightLog) -> str:
@@ -133,13 +147,13 @@ def _tidy(log: FlightLog) -> pa.Table:
     ).combine_chunks()
 
 
-def _log(table: pa.Table, meta: bytes | None, file: dict[str, Any], where: str) -> FlightLog:
+def _log(table: pa.Table, meta: bytes | None, file: dict[str, Any], where: str, budget: Budget) -> FlightLog:
     names = table.column_names
-    described, kept = _described(meta, where)
+    described, kept = _described(meta, where, budget)
     if set(_TIDY) <= set(names):
         channels = _from_tidy(table, described, where)
     elif "time" in {_split(name)[0] for name in names}:
-        channels = _from_wide(table, where)
+        channels = _from_wide(table, where, budget)
     else:
         raise LogError(
             f"no column 'time' among: {', '.join(names)[:200]}", where, "name the column of time stamps 'time'"
@@ -153,11 +167,11 @@ def _log(table: pa.Table, meta: bytes | None, file: dict[str, Any], where: str) 
     return FlightLog(channels, {**kept, "file": file})
 
 
-def _described(meta: bytes | None, where: str) -> tuple[dict[str, dict[str, Any]], dict[str, Any]]:
+def _described(meta: bytes | None, where: str, budget: Budget) -> tuple[dict[str, dict[str, Any]], dict[str, Any]]:
     """Rows of channels by name and the provenance, from the line of JSON; empty without one."""
     if meta is None:
         return {}, {}
-    head = provenance.from_json(meta.decode("utf-8", "replace"), where)
+    head = provenance.from_json(meta.decode("utf-8", "replace"), where, budget)
     if head.get("version") != _VERSION:
         raise LogError(f"is of layout version {head.get('version')!r}, not {_VERSION}", where, "use a newer twodof")
     rows = head.get("channels")
@@ -183,11 +197,11 @@ def _from_tidy(table: pa.Table, described: Mapping[str, dict[str, Any]], where: 
     channel_code, channel_names = _codes(table, "channel", where)
     field_code, field_names = _codes(table, "field", where)
     found = {}
+    of_channel = dict(zip(channel_names, _groups(channel_code, len(channel_names)), strict=True))
     for name in dict.fromkeys([*described, *channel_names]):
-        code = channel_names.index(name) if name in channel_names else -1
-        rows = np.flatnonzero(channel_code == code)
-        codes = list(dict.fromkeys(field_code[rows].tolist()))
-        columns = {field_names[one]: rows[field_code[rows] == one] for one in codes}
+        rows = of_channel.get(name, np.empty(0, np.intp))
+        of_field = zip(field_names, _groups(field_code[rows], len(field_names)), strict=True)
+        columns = {label: rows[at] for label, at in sorted(of_field, key=_first) if at.size}
         unit, fields = _unit_and_fields(name, set(columns), described)
         chosen = [columns.pop(label, rows[:0]) for label in fields or tuple(columns) or ("",)]
         stamps = time[chosen[0]]
@@ -208,7 +222,7 @@ def _unit_and_fields(
     return unit_of(name), known if set(known) == labels else ()
 
 
-def _from_wide(table: pa.Table, where: str) -> dict[str, Channel]:
+def _from_wide(table: pa.Table, where: str, budget: Budget) -> dict[str, Channel]:
     heads = {column: _split(column) for column in table.column_names}
     stamp = next(column for column, (name, _) in heads.items() if name == "time")
     time = _stamps(table, stamp, where)
@@ -220,6 +234,7 @@ def _from_wide(table: pa.Table, where: str) -> dict[str, Channel]:
             raise LogError(f"two columns are called {name!r}", where, "rename one")
         value = _numbers(table, column, where, nulls=True)
         there = np.asarray(table.column(column).is_valid())
+        budget.samples(int(there.sum()))
         found[name] = Channel(time[there], value[there], unit or unit_of(name), (), f"{where}: {name}")
     if not found:
         raise LogError("no column beside 'time'", where, "give a column per channel")
@@ -255,13 +270,30 @@ def _codes(table: pa.Table, column: str, where: str) -> tuple[NDArray[np.intp], 
     if cells.null_count:
         raise LogError(f"{cells.null_count} empty cells in column {column!r}", where, "write it again")
     try:
-        coded = cells.cast(pa.string()).combine_chunks().dictionary_encode()
-        names = coded.dictionary[: MAX_COLUMNS + 1].to_pylist()
+        coded = _dictionary(cells)
+        names = [str(name)[: MAX_NAME + 1] for name in coded.dictionary[: MAX_COLUMNS + 1].to_pylist()]
     except (pa.ArrowException, UnicodeDecodeError) as reason:
         raise LogError(f"column {column!r} is not of names: {_line(reason)}", where) from reason
-    if len(names) > MAX_COLUMNS:
-        raise LogError(f"more than {MAX_COLUMNS} names in column {column!r}", where, "this is no flight log")
+    if len(names) > MAX_COLUMNS or len(set(names)) < len(names):
+        raise LogError(f"more than {MAX_COLUMNS} names in column {column!r}", where, "this is not a flight log")
     return np.asarray(coded.indices, dtype=np.intp), names
+
+
+def _dictionary(cells: pa.ChunkedArray) -> pa.DictionaryArray:
+    """Names as codes and the names, each once."""
+    if pa.types.is_dictionary(cells.type):
+        return pa.chunked_array(cells.unify_dictionaries().chunks, cells.type).combine_chunks()
+    return cells.cast(pa.string()).combine_chunks().dictionary_encode()
+
+
+def _groups(codes: NDArray[np.intp], count: int) -> list[NDArray[np.intp]]:
+    """For each code from 0 to `count` - 1 the places where it stands, in order."""
+    order = np.argsort(codes, kind="stable")
+    return np.split(order, np.searchsorted(codes[order], np.arange(1, count))) if count else []
+
+
+def _first(field: tuple[str, NDArray[np.intp]]) -> int:
+    return int(field[1][0]) if field[1].size else -1
 
 
 def _split(heading: str) -> tuple[str, str]:
@@ -275,9 +307,10 @@ def _check_names(names: Sequence[str], where: str) -> None:
         raise LogError(f"two columns have one name: {', '.join(names)[:200]}", where, "rename one")
 
 
-def _check_size(rows: int, columns: int, where: str) -> None:
-    if columns > MAX_COLUMNS or rows * columns > MAX_CELLS:
-        raise LogError(f"{rows} rows of {columns} columns", where, f"at most {MAX_CELLS} cells are read")
+def _check_size(rows: int, columns: int, where: str, budget: Budget) -> None:
+    if columns > MAX_COLUMNS:
+        raise LogError(f"{columns} columns", where, f"at most {MAX_COLUMNS} are read")
+    budget.take(_CELL_BYTES * rows * columns)
 
 
 def _line(reason: BaseException) -> str:

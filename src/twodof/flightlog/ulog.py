@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from twodof.errors import LogError
 from twodof.flightlog import provenance
+from twodof.flightlog.budget import Budget
 from twodof.flightlog.log import Channel, FlightLog
 from twodof.flightlog.settle import noted, settle
 from twodof.flightlog.steps import ASKED, BOOT, PERIOD, STEP_TOPIC, safety_channel, step_channels
@@ -93,10 +94,11 @@ def read_ulog(path: str | Path) -> FlightLog:
     """
     data = provenance.read_bytes(path)
     where = str(path)
-    return ulog_to_log(scan_ulog(data, where), provenance.of_file(path, data, "ulog"), where)
+    budget = Budget(len(data), where)
+    return ulog_to_log(scan_ulog(data, where, budget=budget), provenance.of_file(path, data, "ulog"), where, budget)
 
 
-def ulog_to_log(found: ULog, file: dict[str, Any], where: str) -> FlightLog:
+def ulog_to_log(found: ULog, file: dict[str, Any], where: str, budget: Budget) -> FlightLog:
     """The channels of a log. Raises LogError if none of its topics becomes one."""
     channels: dict[str, Channel] = {}
     counts: dict[str, dict[str, int]] = {}
@@ -105,6 +107,7 @@ def ulog_to_log(found: ULog, file: dict[str, Any], where: str) -> FlightLog:
     steps = found.topic(STEP_TOPIC) if own else None
     rows = _own_topics(found) if own else {**_px4_topics(found), **_modules(found)}
     if steps is not None and len(steps.rows):
+        budget.samples(len(steps.rows), 2 * len(TOPICS))
         channels, rows = _of_steps(steps, where), {}
         used = {one.name for one in found.topics}
     for name, (logged, value) in rows.items():
@@ -112,6 +115,7 @@ def ulog_to_log(found: ULog, file: dict[str, Any], where: str) -> FlightLog:
             continue
         known = BY_MAT.get(name)
         unit, fields = (known.unit, known.fields) if known else ("", ())
+        budget.samples(len(logged.rows), known.width if known else 1)
         try:
             # A NaN or infinity in a quaternion is no pitch: such samples are counted below.
             with np.errstate(invalid="ignore", over="ignore"):

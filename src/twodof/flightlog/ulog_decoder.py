@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twodof.errors import LogError, shown
+from twodof.flightlog.budget import Budget
 from twodof.flightlog.settle import RECOVER, Loss
 from twodof.flightlog.ulog_format import (
     BASIC,
@@ -24,13 +25,15 @@ from twodof.flightlog.ulog_format import (
 )
 
 MAX_LOGGED = 5000
-MAX_MESSAGES = 50_000_000
 MAX_TEXTS = 100_000
 MAX_DROPOUTS = 1_000_000
 # The specification's bit 0 of the incompatible flags: data is appended, at offsets that the message holds.
 _APPENDED = 1
 _SYNC_MESSAGE = MESSAGE.pack(len(SYNC), ord("S")) + SYNC
 _ADD = Struct("<BH")
+# A field of a format is 7 bytes and some 200 of objects; a value of a byte is a pointer, one of eight an object more.
+_FORMAT_FACTOR = 12
+_VALUE_FACTOR = 3
 # In the information of our own logs, which have a mark at the end of each part that reached the disk.
 _MARKED = b"\x10char[6] sys_nametwodof"
 
@@ -67,11 +70,13 @@ class ULog:
 
 
 class _Walk:
-    def __init__(self, data: bytes, where: str, salvage: bool) -> None:
-        self.data, self.where, self.salvage = data, where, salvage
+    def __init__(self, data: bytes, where: str, salvage: bool, budget: Budget) -> None:
+        self.data, self.where, self.salvage, self.budget = data, where, salvage, budget
         self.found = ULog()
         self.formats: dict[str, list[Field]] = {}
         self.names: dict[int, tuple[str, int, np.dtype[np.void]]] = {}
+        self.layouts: dict[tuple[str, int], np.dtype[np.void]] = {}
+        self.made: dict[str, np.dtype[np.void]] = {}
         self.payloads: dict[tuple[str, int], list[bytes]] = {}
         self.started = False
         self.now_us = 0
@@ -91,14 +96,12 @@ class _Walk:
     def _stretches(self, at: int) -> Iterator[tuple[int, int]]:
         """Parts of the file whose messages follow each other without a break."""
         data, size = self.data, len(self.data)
-        start, synced, marked, messages = at, 0, False, 0
+        start, synced, marked = at, 0, False
         while at < size:
             length, letter = MESSAGE.unpack_from(data, at) if size - at >= MESSAGE.size else (size, 0)
             after = at + MESSAGE.size + length
             if after <= size and letter in LETTERS:
-                messages += 1
-                if messages > MAX_MESSAGES:
-                    raise LogError(f"more than {MAX_MESSAGES} messages", self.where, "this is no flight log")
+                self.budget.record()
                 if letter == ord("S"):
                     synced = after
                 marked = marked or data[at + MESSAGE.size : after] == _MARKED
@@ -168,7 +171,7 @@ class _Walk:
             elif letter == "O" and len(body) == 2 and len(self.found.dropouts_ms) < MAX_DROPOUTS:
                 self.found.dropouts_ms.append(int.from_bytes(body, "little"))
         except LogError as reason:
-            if not self.salvage:
+            if not self.salvage or self.budget.spent:
                 raise
             self._lose(at, at + MESSAGE.size + len(body), reason.what)
 
@@ -180,9 +183,12 @@ class _Walk:
         name, colon, description = body.decode("ascii", "replace").partition(":")
         if not colon or len(self.formats) >= MAX_FORMATS:
             raise LogError(f"a format that is none: {shown(name)}", self.where, RECOVER)
+        self.budget.text(_FORMAT_FACTOR * len(body))
         self.formats[name] = fields_of(description, f"{self.where}: {name[:80]}")
+        self.made.clear()
 
     def _value(self, letter: str, body: bytes) -> None:
+        self.budget.text(_VALUE_FACTOR * len(body))
         size = body[0] if body else 0
         found = fields_of(body[1 : 1 + size].decode("ascii", "replace"), self.where)
         kind, count, name = found[0]
@@ -193,6 +199,7 @@ class _Walk:
         if kind == "char":
             value: Any = raw.rstrip(b"\0").decode("utf-8", "replace")
         else:
+            self.budget.record(max(count, 1))
             value = np.frombuffer(raw, BASIC[kind]).tolist()
             value = value if count else value[0]
         if letter == "I":
@@ -207,11 +214,12 @@ class _Walk:
             raise LogError("a topic without a name", self.where, RECOVER)
         instance, number = _ADD.unpack_from(body)
         name = body[_ADD.size :].decode("ascii", "replace")
-        layout = record_type(name, self.formats, self.where)
+        layout = self.made.get(name)
+        if layout is None:
+            layout = self.made[name] = record_type(name, self.formats, self.where, self.budget)
         if number not in self.names and len(self.names) >= MAX_LOGGED:
-            raise LogError(f"more than {MAX_LOGGED} topics", self.where, "this is no flight log")
-        known = {one[:2]: one[2] for one in self.names.values()}
-        if known.get((name, instance), layout) != layout:
+            raise LogError(f"more than {MAX_LOGGED} topics", self.where, "this is not a flight log")
+        if self.layouts.setdefault((name, instance), layout) != layout:
             raise LogError(f"topic {shown(name)} has two layouts", self.where, RECOVER)
         self.started = True
         self.names[number] = (name, instance, layout)
@@ -224,15 +232,16 @@ class _Walk:
             self.found.texts.append((body[0], stamp, body[at:].decode("utf-8", "replace")))
 
     def _tables(self) -> None:
-        layouts = {one[:2]: one[2] for one in self.names.values()}
-        for (name, instance), layout in layouts.items():
-            rows = np.frombuffer(b"".join(self.payloads.get((name, instance), [])), layout)
+        for (name, instance), layout in self.layouts.items():
+            parts = self.payloads.pop((name, instance), [])
+            self.budget.take(len(parts) * layout.itemsize)
+            rows = np.frombuffer(b"".join(parts), layout)
             self.found.topics.append(Logged(name, instance, rows))
 
 
-def scan_ulog(data: bytes, where: str, salvage: bool = False) -> ULog:
+def scan_ulog(data: bytes, where: str, salvage: bool = False, budget: Budget | None = None) -> ULog:
     """What a ULog file holds. A cut last message is named in `lost`, as on a flight controller it is the rule.
 
     Raises LogError for what is no ULog and, without `salvage`, for any other damage.
     """
-    return _Walk(data, where, salvage).run()
+    return _Walk(data, where, salvage, budget or Budget(len(data), where)).run()

@@ -13,6 +13,7 @@ from types import MappingProxyType
 import numpy as np
 
 from twodof.errors import LogError, shown
+from twodof.flightlog.budget import Budget
 from twodof.flightlog.settle import RECOVER
 
 MAGIC = b"ULog\x01\x12\x35"
@@ -65,17 +66,23 @@ def fields_of(description: str, where: str) -> list[Field]:
     return found
 
 
-def record_type(name: str, formats: Mapping[str, Sequence[Field]], where: str) -> np.dtype[np.void]:
+def record_type(name: str, formats: Mapping[str, Sequence[Field]], where: str, budget: Budget) -> np.dtype[np.void]:
     """The layout of the records called `name`, without padding at their end. Raises LogError."""
     fields = list(formats.get(name, ()))
     while fields and fields[-1][2].startswith("_padding"):
         fields.pop()
-    return _layout(name, fields, formats, where, 0)
+    return _layout(name, fields, formats, where, budget, 0)
 
 
 def _layout(
-    name: str, fields: Sequence[Field], formats: Mapping[str, Sequence[Field]], where: str, depth: int
+    name: str,
+    fields: Sequence[Field],
+    formats: Mapping[str, Sequence[Field]],
+    where: str,
+    budget: Budget,
+    depth: int,
 ) -> np.dtype[np.void]:
+    budget.record(1 + len(fields))
     if not fields:
         raise LogError(f"no format {shown(name)}", where, RECOVER)
     if depth > MAX_DEPTH:
@@ -84,7 +91,9 @@ def _layout(
     size = 0
     for kind, count, field in fields:
         one = (
-            np.dtype(BASIC[kind]) if kind in BASIC else _layout(kind, formats.get(kind, ()), formats, where, depth + 1)
+            np.dtype(BASIC[kind])
+            if kind in BASIC
+            else _layout(kind, formats.get(kind, ()), formats, where, budget, depth + 1)
         )
         if kind == "char" and count:
             one, count = np.dtype(f"S{count}"), 0

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twodof.errors import LogError, shown
+from twodof.flightlog.budget import Budget
 from twodof.flightlog.spool import Full, Spool
 from twodof.flightlog.ulog import OWN
 from twodof.flightlog.ulog_format import (
@@ -85,7 +86,8 @@ class ULogWriter(Spool):
             head += _message("F", f"{name}:{description}".encode("ascii", "replace"))
             added += _message("A", Struct("<BH").pack(0, number) + name.encode())
             self._records[name] = (number, *_layout(name, description, self._where))
-            self._layouts[name] = record_type(name, {name: fields_of(description, self._where)}, self._where)
+            fields = {name: fields_of(description, self._where)}
+            self._layouts[name] = record_type(name, fields, self._where, Budget(0, self._where))
         for key, value in {"sys_name": OWN, **(info or {})}.items():
             head += self._info(key, value)
         head += b"".join(self._parameter(name, value) for name, value in (parameters or {}).items())

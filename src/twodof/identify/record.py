@@ -14,6 +14,9 @@ from twodof.flightlog.log import FlightLog
 
 Array = NDArray[np.float64]
 
+MAX_STEPS = 1_000_000
+"""Longest record: more than an hour at 250 Hz."""
+
 
 @dataclass(frozen=True, eq=False)
 class Samples:
@@ -114,6 +117,10 @@ class Record:
             )
         step, origin = _grid(clock, dt)
         steps = round((clock[-1] - origin) / step) + 1
+        if steps > MAX_STEPS:
+            raise IdentificationError(
+                f"{steps} steps of {step:g} s", f"record '{name}'", f"give a window of at most {MAX_STEPS} steps"
+            )
         held = {}
         for channel in inputs:
             time, value = checked[channel]

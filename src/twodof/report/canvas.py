@@ -54,6 +54,7 @@ def settings(colours: Colours) -> Any:
     """For `matplotlib.rc_context`."""
     return {
         "svg.fonttype": "none",
+        "text.parse_math": False,  # a name may hold a dollar sign
         "figure.facecolor": "none",
         "axes.facecolor": "none",
         "font.size": 9.5,

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.errors import LogError
+from twodof.errors import LogError, printable
 from twodof.flight.causes import ACTIONS, CAUSES, named_causes
 from twodof.flightlog.contents import excitations
-from twodof.flightlog.events import modes
+from twodof.flightlog.events import MAX_EVENTS, modes
 from twodof.flightlog.files import check_folder
 from twodof.flightlog.log import Channel, FlightLog
 from twodof.report.content import Span
@@ -28,6 +28,9 @@ SUFFIXES = (".png", ".svg", ".pdf", ".html")
 
 MOST_POINTS = 4000
 """Of a line; of a longer one each stretch is drawn from its lowest to its highest sample, so that nothing is missed."""
+
+MOST_BANDS = 200
+"""Above a plot: of modes, acts of the failsafe and excitations each."""
 
 STILL = 0.02
 """A cart that is said to move by less than this [m] stands still, as far as the range sensor can tell (4 mm noise)."""
@@ -112,14 +115,14 @@ def flight_view(
     if not views:
         raise LogError("nothing of a flight is in it", log.source or title, f"name topics: {', '.join(log)}")
     return FlightView(
-        title=title or log.source,
+        title=printable(title or log.source),
         about=_about(log),
         span=span,
         views=tuple({view.label: view for view in views}.values()),
-        modes=flown,
-        failsafe=failsafe_bands(log, span),
-        excitations=_excitations(log, span),
-        notes=tuple(notes),
+        modes=_few("modes", flown, notes),
+        failsafe=_few("acts of the failsafe", failsafe_bands(log, span), notes),
+        excitations=_few("excitations", _excitations(log, span), notes),
+        notes=tuple(map(printable, notes)),
     )
 
 
@@ -166,11 +169,11 @@ def _own(log: FlightLog, name: str, flown: Sequence[Span], span: tuple[float, fl
     labels = there.fields or alone
     held = row is not None and row.rate_hz == 0.0
     curves = tuple(
-        Curve(label, channel, *_cut(log, channel, there.time, values[:, k], span), held)
+        Curve(printable(label), channel, *_cut(log, channel, there.time, values[:, k], span), held)
         for k, label in enumerate(labels)
     )
     unit = f" [{_unit(there)}]" if _unit(there) else ""
-    return View(f"{row.name if row else channel}{unit}", curves)
+    return View(printable(f"{row.name if row else channel}{unit}"), curves)
 
 
 def _unit(channel: Channel) -> str:
@@ -199,8 +202,9 @@ def _where(time: Array, value: Array, bands: Sequence[Span] | None) -> Array:
     if bands is None:
         return value
     inside = np.zeros(time.shape, dtype=bool)
-    for band in bands:
-        inside |= (time >= band.start) & (time < band.stop)
+    edges = np.searchsorted(time, np.array([(band.start, band.stop) for band in bands]).reshape(-1, 2))
+    for start, stop in edges:
+        inside[start:stop] = True
     return np.where(inside, value, np.nan)
 
 
@@ -210,10 +214,11 @@ def _cut(log: FlightLog, channel: str, time: Array, value: Array, span: tuple[fl
     first, last = np.searchsorted(time, span[0]) - 1, np.searchsorted(time, span[1], side="right") + 1
     part = slice(max(0, int(first)), int(last))
     time, value = time[part], value[part]
-    gaps = [gap for gap in log.gaps(channel) if gap.t1 > span[0] and gap.t0 < span[1]]
-    if gaps:
-        at = np.searchsorted(time, [gap.t1 for gap in gaps])
-        time = np.insert(time, at, [0.5 * (gap.t0 + gap.t1) for gap in gaps])
+    before, after, _, _ = log.gap_table(channel)
+    inside = (after > span[0]) & (before < span[1])
+    if inside.any():
+        at = np.searchsorted(time, after[inside])
+        time = np.insert(time, at, 0.5 * (before[inside] + after[inside]))
         value = np.insert(value, at, np.nan)
     return _thinned(time, value)
 
@@ -232,6 +237,13 @@ def _thinned(time: Array, value: Array) -> tuple[Array, Array]:
         kept += [start + int(hole) for hole in np.flatnonzero(np.isnan(value[part]))[:1]]
     index = np.unique(kept)
     return time[index], value[index]
+
+
+def _few(what: str, bands: tuple[Span, ...], notes: list[str]) -> tuple[Span, ...]:
+    """No more bands than one can tell apart."""
+    if len(bands) > MOST_BANDS:
+        notes.append(f"only the first {MOST_BANDS} of {len(bands)} {what} are shown: draw a shorter window")
+    return bands[:MOST_BANDS]
 
 
 def _clipped(start: float, stop: float, label: str, span: tuple[float, float]) -> list[Span]:
@@ -265,21 +277,24 @@ def failsafe_bands(log: FlightLog, span: tuple[float, float] | None = None) -> t
     if "safety" not in log or "action" not in log["safety"].fields or not len(log["safety"]):
         return ()
     told = log["safety"]
-    action = told.field("action").astype(int)
-    if "reasons" in told.fields:
-        causes = [", ".join(named_causes(int(mask))) for mask in told.field("reasons")]
-    else:
-        places = told.field("reason").astype(int) if "reason" in told.fields else np.full(len(told), -1)
-        causes = [CAUSES[place].name if 0 <= place < len(CAUSES) else "" for place in places]
-    states = list(zip(action.tolist(), causes, strict=True))
-    starts = [k for k in range(len(states)) if k == 0 or states[k] != states[k - 1]]
-    ends = [*(float(told.time[k]) for k in starts[1:]), log.span[1]]
-    bands = []
-    for k, end in zip(starts, ends, strict=True):
-        number, why = states[k]
-        if 0 < number < len(ACTIONS) and why:
-            label = f"{ACTIONS[number]}: {why.replace('_', ' ')}"
-            bands += _clipped(float(told.time[k]), end, label, span)
+    # Masks of 2^53 and more are not ours, and what is not a whole number neither.
+    masked = "reasons" in told.fields
+    why = told.field("reasons") if masked else told.field("reason") if "reason" in told.fields else -np.ones(len(told))
+    states = np.clip(np.column_stack([told.field("action"), why]), -1.0, 2.0**53).astype(np.int64)
+    starts = np.flatnonzero(np.append(True, (states[1:] != states[:-1]).any(axis=1)))
+    if len(starts) > MAX_EVENTS:
+        raise LogError(f"more than {MAX_EVENTS} acts of the failsafe", f"{log.source}: safety", "not a flight log")
+    ends = [*told.time[starts[1:]].tolist(), log.span[1]]
+    bands: list[Span] = []
+    for k, end in zip(starts.tolist(), ends, strict=True):
+        number, reason = states[k].tolist()
+        causes = named_causes(max(reason, 0)) if masked else [CAUSES[reason].name] if 0 <= reason < len(CAUSES) else []
+        if 0 < number < len(ACTIONS) and (said := ", ".join(causes)):
+            label = f"{ACTIONS[number]}: {said.replace('_', ' ')}"
+            start = float(told.time[k])
+            if bands and (bands[-1].label, bands[-1].stop) == (label, start):  # of masks with bits that mean nothing
+                start = bands.pop().start
+            bands += _clipped(start, end, label, span)
     return tuple(bands)
 
 
@@ -294,4 +309,4 @@ def _about(log: FlightLog) -> str:
     if isinstance(flown, dict):
         parts.append("flown over MAVLink")
         parts += [f"broken off: {flown['reason']}"] if flown.get("reason") else []
-    return ", ".join(parts)[:200]
+    return printable(", ".join(parts))[:200]

@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
 
-from twodof.errors import ParameterError
+from twodof.errors import LogError, ParameterError
 from twodof.flightlog.atomic import atomic_write
+from twodof.flightlog.provenance import read_bytes
 from twodof.models.plant import PAPER_PITCH_RATE, PAPER_VELOCITY_GREYBOX
 from twodof.parameters import Parameter, ParameterSet
 from twodof.rig.rig import rig_params
@@ -154,6 +155,7 @@ TABLE: tuple[Parameter, ...] = tuple(
 
 LAB_FILE = Path(__file__).with_name("lab.json")
 NAMES = ("paper", "lab")
+MAX_BYTES = 1 << 20
 
 
 def paper() -> ParameterSet:
@@ -183,12 +185,10 @@ def load_rig(source: str | Path) -> ParameterSet:
         return paper()
     path = LAB_FILE if source == "lab" else Path(source)
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, ValueError) as reason:
-        why = reason.strerror if isinstance(reason, OSError) else "it is no text"
-        raise ParameterError(
-            f"cannot be read: {why}", str(path), f"name a JSON file or one of {', '.join(NAMES)}"
-        ) from reason
+        text = read_bytes(path, MAX_BYTES).decode("utf-8")
+    except (LogError, ValueError) as reason:
+        why = reason.what if isinstance(reason, LogError) else "cannot be read: it is no text"
+        raise ParameterError(why, str(path), f"name a JSON file or one of {', '.join(NAMES)}") from reason
     values = ParameterSet(table=TABLE)
     try:
         values.load_json(text)

@@ -22,6 +22,9 @@ PERIOD = 0.004
 BEFORE, AFTER = 0.3, 2.0
 """Default window [s]: from before the first set-point step to after the last."""
 
+MAX_STEPS = 450_000
+"""Longest window that is simulated: half an hour."""
+
 HISTORY = 24
 """Control steps before the window whose commands fill the delay lines: more than the longest delay."""
 
@@ -166,6 +169,12 @@ def _grid(log: FlightLog, t0: float, t1: float) -> Floats:
     period, origin = np.polyfit(index, stamps, 1)
     first = int(np.ceil((t0 - origin) / period))
     last = int(np.floor((t1 - origin) / period))
+    if last - first > MAX_STEPS:
+        raise LogError(
+            f"{last - first} control steps from {t0:g} to {t1:g} s",
+            log.source,
+            f"give a window of at most {MAX_STEPS * PERIOD:g} s",
+        )
     return np.asarray(origin + period * np.arange(first, last + 1), dtype=np.float64)
 
 

@@ -1,0 +1,113 @@
+"""What files and the wire say reaches a terminal as text: no escape sequence, no markup, no turned line."""
+
+import io
+import re
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from rich.table import Table
+
+from tests.flightlog.synthetic import attitude_steps
+from twodof.cli.app import run, show_warning
+from twodof.cli.output import print_error, progress, say_line, table_console
+from twodof.errors import LinkError, LogError, TwodofError
+from twodof.flightlog.files import write_log
+from twodof.flightlog.log import Channel, FlightLog
+
+EVIL = "\x1b]0;title\x07\x1b[31m[red]q[/red][link=http://a.b]x[/link]\x9b2J\u202ebackwards\r\x08:smile:"
+
+
+def clean(said: str) -> None:
+    assert [c for c in said if not c.isprintable() and c != "\n"] == []
+
+
+def evil_log() -> FlightLog:
+    log = attitude_steps()
+    time = log["q"].time
+    channels = {**log.channels, EVIL: Channel(time, np.zeros((len(time), 2)), EVIL, (EVIL, EVIL + "2"))}
+    texts = [[1.0, EVIL, EVIL]]
+    return FlightLog(
+        channels, {"controllers": {EVIL: 1}, "flown": {"controller": EVIL, "reason": EVIL}, "texts": texts}
+    )
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".parquet"])
+def test_names_in_a_log(suffix: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / f"a{suffix}"
+    write_log(evil_log(), path)
+    assert run(["log", "info", str(path)]) == 0
+    said = capsys.readouterr()
+    clean(said.out + said.err)
+    # As it stands, not as rich would read it.
+    assert said.out.count("[red]q[/red][link=http://a.b]x[/link]") >= 4
+    assert ":smile:" in said.out
+    for arguments in (
+        ["log", "plot", str(path), "--topics", "none"],
+        ["log", "convert", str(path), str(tmp_path / "b.mat")],
+        ["log", "convert", str(path), str(tmp_path / f"b{EVIL.replace('/', '')}.mcap")],
+        ["replay", str(path), "--gains", "none"],
+        ["identify", str(path), "--experiment", "doublet"],
+    ):
+        run(arguments)
+        said = capsys.readouterr()
+        assert said.out + said.err
+        clean(said.out + said.err)
+
+
+@pytest.mark.parametrize("suffix", [".svg", ".html"])
+def test_names_in_a_picture(suffix: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    name = f"<script>alert(1)</script>&$\\frac{{$ {EVIL}"
+    log = attitude_steps()
+    channels = {"q": log["q"], name: Channel(log["q"].time, log["q"].value, f"</svg>{name}")}
+    write_log(FlightLog(channels, {"experiment": name, "rig": name}), tmp_path / "a.parquet")
+    out = tmp_path / f"a{suffix}"
+    assert run(["log", "plot", str(tmp_path / "a.parquet"), "--topics", name, "--out", str(out)]) == 0
+    clean(capsys.readouterr().out)
+    text = out.read_text(encoding="utf-8")
+    assert "<script" not in text
+    assert re.search(r"&lt;script&gt;", text)
+    if suffix == ".svg":
+        ElementTree.fromstring(text)
+
+
+def test_all_ways_to_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    console = table_console()
+    table = Table("[b]head[/b]" + EVIL)
+    table.add_row(EVIL)
+    console.print(table)
+    console.print(EVIL)
+    console.print(EVIL, style="bold")
+    print_error(LogError(EVIL, EVIL, EVIL))
+    say_line(EVIL)
+    with progress() as report:
+        report(EVIL, 0.5)
+    said = capsys.readouterr()
+    clean(said.out + said.err)
+    assert "[b]head[/b]" in said.out
+    assert said.out.count("[red]") == 3
+    assert said.err.count("[red]") == 4
+
+
+def test_colour_is_still_ours(monkeypatch: pytest.MonkeyPatch) -> None:
+    """To a terminal our own colour goes through, and nobody else's."""
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("TERM", "xterm")
+    file = io.StringIO()
+    monkeypatch.setattr("sys.stderr", file)
+    print_error(LogError("what\x1b[32m"))
+    assert file.getvalue().count("\x1b[") == 2
+    assert "\x1b[32m" not in file.getvalue()
+
+
+def test_an_error_of_ours_as_text() -> None:
+    """Where no command prints it: in a traceback, in another program."""
+    for kind in (TwodofError, LinkError):
+        clean(str(kind(EVIL, EVIL, EVIL)))
+    assert str(LinkError("one\ntwo")) == "one\ntwo"
+
+
+def test_a_warning(capsys: pytest.CaptureFixture[str]) -> None:
+    show_warning(EVIL)
+    clean(capsys.readouterr().err)

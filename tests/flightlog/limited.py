@@ -1,0 +1,114 @@
+"""Runs commands in processes of their own that are told what they may use, and says what each of them used.
+
+As a program: reads one JSON list of arguments a line, runs `twodof` with it in a fork, and writes one line of JSON.
+A fork, so that what all of them import is imported once.
+"""
+
+import contextlib
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+ADDRESSES = 12 << 30
+"""So that a failing test fails and takes no machine with it [bytes]."""
+CPU_S = 60
+
+
+@dataclass(frozen=True)
+class Used:
+    """What a command used: its exit status (negative: a signal), what it said on stderr, CPU time [s], memory [MiB]."""
+
+    status: int
+    said: str
+    cpu_s: float
+    peak_mib: float
+
+
+class Limited:
+    """The process that forks; `run` one command after the other."""
+
+    def __init__(self, process: "subprocess.Popen[str]") -> None:
+        self._process = process
+
+    def run(self, *arguments: str | Path) -> Used:
+        """Runs `twodof` with these arguments."""
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._process.stdin.write(json.dumps([str(one) for one in arguments]) + "\n")
+        self._process.stdin.flush()
+        return Used(*json.loads(self._process.stdout.readline()))
+
+
+@contextmanager
+def limited() -> Iterator[Limited]:
+    """A process that runs commands as long as the block lasts."""
+    with subprocess.Popen(
+        [sys.executable, "-m", "tests.flightlog.limited"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        # Threads of numpy's own do not survive a fork, and the time of all of them counts.
+        env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
+        cwd=Path(__file__).resolve().parents[2],
+    ) as process:
+        try:
+            yield Limited(process)
+        finally:
+            process.kill()
+
+
+def _child(arguments: list[str], said: Path) -> int:
+    resource.setrlimit(resource.RLIMIT_AS, (ADDRESSES, ADDRESSES))
+    resource.setrlimit(resource.RLIMIT_CPU, (CPU_S, CPU_S))
+    from twodof.cli.app import run
+
+    with said.open("w") as file, Path(os.devnull).open("w") as nowhere:
+        os.dup2(file.fileno(), 2)
+        os.dup2(nowhere.fileno(), 1)
+        status = 99
+        with contextlib.suppress(SystemExit):
+            status = run(arguments)
+        sys.stderr.flush()
+        sys.stdout.flush()
+    return status
+
+
+def _serve(lines: Iterable[str]) -> None:
+    import twodof.cli.identify
+    import twodof.cli.log
+    import twodof.cli.plot
+    import twodof.cli.replay
+    import twodof.cli.simulate
+    import twodof.report.flight_plot  # noqa: F401
+
+    assert threading.active_count() == 1
+    with tempfile.TemporaryDirectory() as folder:
+        said = Path(folder, "said")
+        for line in lines:
+            said.write_text("")
+            child = os.fork()
+            if not child:
+                status = 98
+                try:
+                    status = _child(json.loads(line), said)
+                except BaseException as reason:  # noqa: BLE001
+                    said.write_text(f"not caught: {reason!r:.2000}")
+                finally:
+                    os._exit(status)
+            _, ended, used = os.wait4(child, 0)
+            cpu = used.ru_utime + used.ru_stime
+            found = (os.waitstatus_to_exitcode(ended), said.read_text()[-3000:], cpu, used.ru_maxrss / 1024)
+            sys.stdout.write(json.dumps(found) + "\n")
+            sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    _serve(sys.stdin)
