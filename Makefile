@@ -4,6 +4,7 @@
 #   make sandbox what drones need to fly controllers of one's own: wasmtime and ziglang, into .venv
 #   make test    every test but the long versions          make soak   the long versions
 #   make check   format, lint, types, order of imports     make bench  figures against peers, in bench/results
+#   make fuzz    coverage-guided fuzzing of what reads files and packets (SECONDS=3600: of each)
 #   make shake   every test while their processes are stopped at random: what fails is flaky (SEED=2: others)
 #   make lock    pin the requirements again                make clean  remove what the above made, .venv apart
 #   make sbom    list every pinned part, as CycloneDX, in out/sbom
@@ -23,7 +24,7 @@ TEST_JOBS ?= 3
 PYTEST := $(BIN)/python -m pytest -n $(TEST_JOBS) --dist worksteal
 
 .DEFAULT_GOAL := help
-.PHONY: help demo sandbox test shake check bench soak tools lock sbom clean
+.PHONY: help demo sandbox test shake check bench soak tools lock sbom clean fuzz
 .DELETE_ON_ERROR:
 
 help:
@@ -45,6 +46,10 @@ check: $(VENV)/ready-dev
 
 bench: $(VENV)/ready-dev tools
 	$(BIN)/python -m bench
+
+SECONDS ?= 60
+fuzz: $(VENV)/ready-dev
+	$(BIN)/python -m tests.fuzz.runner all --seconds $(SECONDS)
 
 SEED ?= 1
 shake: $(VENV)/ready-dev tools

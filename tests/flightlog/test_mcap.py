@@ -225,6 +225,7 @@ def test_foreign_and_hostile_files_are_named(tmp_path: Path, monkeypatch: pytest
     encoder = Encoder([stream_of(topic("q"))])
     bomb = encoder.head({}) + encoder.chunk({0: Samples(np.arange(100_000, dtype=np.uint64), np.zeros((100_000, 1)))})
     monkeypatch.setattr(budget, "BASE_BYTES", 1 << 20)
+    monkeypatch.setattr(budget, "PER_BYTE", 0)
     for salvage in (False, True):
         with pytest.raises(LogError, match="asks for more than 1 MiB of memory"):
             scan(bomb, "bomb.mcap", salvage)

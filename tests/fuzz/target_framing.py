@@ -1,0 +1,41 @@
+"""The frame parser: however bytes come, it raises nothing, keeps less than a frame, and finds the same frames."""
+
+from itertools import pairwise
+
+from tests.fuzz.target import Target
+from twodof.link import dialect
+from twodof.link.framing import LONGEST_FRAME, Parser
+
+
+def seeds() -> list[bytes]:
+    """Frames of both versions, signed and not, and one that is cut."""
+    module = dialect.load()
+    link = module.MAVLink(None, srcSystem=1, srcComponent=1)
+    heartbeat = link.heartbeat_encode(2, 12, 0, 0, 3)
+    text = link.statustext_encode(6, b"hello")
+    plain = heartbeat.pack(link) + text.pack(link)
+    link.signing.secret_key, link.signing.sign_outgoing, link.signing.link_id = bytes(32), True, 1
+    signed = heartbeat.pack(link)
+    old = link.heartbeat_encode(2, 12, 0, 0, 3).pack(link, force_mavlink1=True)
+    return [plain, signed, bytes(old), plain[:-3] + signed, b"\xfd" * 300, b"\xfe\xff" + plain]
+
+
+def attempt(data: bytes) -> None:
+    """Whole, and in pieces whose lengths are the first bytes."""
+    stream = Parser()
+    frames = stream.feed(data)
+    assert stream.waiting < LONGEST_FRAME
+    assert all(frame.raw in data for frame in frames)
+    pieces = Parser()
+    places = sorted({0, len(data), *(at % (len(data) + 1) for at in data[:4])})
+    again = [frame for a, b in pairwise(places) for frame in pieces.feed(data[a:b])]
+    # For a message that the dialect lacks nothing but its place vouches, which depends on what has come so far.
+    if all(frame.known for frame in [*frames, *again]):
+        assert [frame.raw for frame in again] == [frame.raw for frame in frames]
+    assert pieces.waiting < LONGEST_FRAME
+    datagram = Parser(mavlink1=False)
+    assert all(frame.version == 2 for frame in datagram.feed(data, whole=True))
+    assert datagram.waiting == 0
+
+
+TARGET = Target("framing", ("twodof.link.framing",), seeds, attempt, 2000)
