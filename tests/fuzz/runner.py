@@ -22,6 +22,7 @@ from pathlib import Path
 from tests.fuzz.target import Target
 
 NAMES = ("framing", "mcap", "mat", "ulog", "diagram", "ftp")
+GUIDING = ("twodof.flightlog", "twodof.link", "twodof.blocks", "twodof.fcu.services")
 CORPUS = Path(__file__).with_name("corpus")
 MEMORY_MIB = 2048
 ONE_INPUT_S = 10

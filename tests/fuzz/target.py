@@ -11,12 +11,11 @@ from pathlib import Path
 class Target:
     """One door of the product.
 
-    `modules` are those whose branches guide the search; `attempt` raises for a finding; `longest` is the length of the
+    `attempt` raises for a finding; `longest` is the length of the
     longest input [bytes].
     """
 
     name: str
-    modules: tuple[str, ...]
     seeds: Callable[[], list[bytes]]
     attempt: Callable[[bytes], None]
     longest: int

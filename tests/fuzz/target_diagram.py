@@ -26,4 +26,4 @@ def attempt(data: bytes) -> None:
     assert to_json(from_json(text)) == text
 
 
-TARGET = Target("diagram", ("twodof.blocks",), seeds, attempt, 4000)
+TARGET = Target("diagram", seeds, attempt, 4000)

@@ -9,4 +9,4 @@ def attempt(data: bytes) -> None:
         raise RuntimeError("the fault")
 
 
-TARGET = Target("faulty", (), lambda: [b"Fa", b"F"[:0]], attempt, 10)
+TARGET = Target("faulty", lambda: [b"Fa", b"F"[:0]], attempt, 10)

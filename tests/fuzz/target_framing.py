@@ -38,4 +38,4 @@ def attempt(data: bytes) -> None:
     assert datagram.waiting == 0
 
 
-TARGET = Target("framing", ("twodof.link.framing",), seeds, attempt, 2000)
+TARGET = Target("framing", seeds, attempt, 2000)

@@ -46,4 +46,4 @@ def attempt(data: bytes) -> None:
     assert {path.name for path in there.controllers.parents[1].iterdir()} <= {"log", "state"}
 
 
-TARGET = Target("ftp", ("twodof.fcu.services", "twodof.link.ftp"), seeds, attempt, 1000)
+TARGET = Target("ftp", seeds, attempt, 1000)

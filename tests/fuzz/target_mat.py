@@ -31,4 +31,4 @@ def attempt(data: bytes) -> None:
         assert all(np.isfinite(channel.value).all() for channel in log.channels.values())
 
 
-TARGET = Target("mat", ("twodof.flightlog",), seeds, attempt, 4000)
+TARGET = Target("mat", seeds, attempt, 4000)

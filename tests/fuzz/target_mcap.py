@@ -43,4 +43,4 @@ def attempt(data: bytes) -> None:
     assert sum(map(len, again.channels.values())) == found.samples
 
 
-TARGET = Target("mcap", ("twodof.flightlog",), seeds, attempt, 8000)
+TARGET = Target("mcap", seeds, attempt, 8000)

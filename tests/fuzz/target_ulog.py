@@ -28,4 +28,4 @@ def attempt(data: bytes) -> None:
         recover(path)
 
 
-TARGET = Target("ulog", ("twodof.flightlog",), seeds, attempt, 8000)
+TARGET = Target("ulog", seeds, attempt, 8000)

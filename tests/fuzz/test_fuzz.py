@@ -13,7 +13,7 @@ from tests.fuzz.runner import NAMES, fuzz, is_guided, kept, load
 
 SOAK_S = float(os.environ.get("TWODOF_FUZZ_SECONDS", "1200"))
 # Of a second or two each.
-RUNS = {"framing": 4000, "mcap": 150, "mat": 500, "ulog": 150, "diagram": 500, "ftp": 150}
+RUNS = {"framing": 1000, "mcap": 100, "mat": 300, "ulog": 60, "diagram": 200, "ftp": 50}
 
 
 @pytest.mark.parametrize("name", NAMES)
