@@ -101,7 +101,8 @@ def _guided(name: str, runs: int, seconds: float, seed: int, findings: Path) -> 
     for number, data in enumerate([*target.seeds(), *(path.read_bytes() for path in kept(name))]):
         (found / f"{number}").write_bytes(data)
     findings.mkdir(parents=True, exist_ok=True)
-    options = [f"-runs={min(runs, 2**31 - 1)}", f"-seed={seed}", f"-max_len={target.longest}", f"-rss_limit_mb={MEMORY_MIB}"]
+    runs = min(runs, 2**31 - 1)
+    options = [f"-runs={runs}", f"-seed={seed}", f"-max_len={target.longest}", f"-rss_limit_mb={MEMORY_MIB}"]
     options += [f"-max_total_time={max(1, int(seconds))}", f"-timeout={ONE_INPUT_S}", "-print_final_stats=1"]
     atheris.Setup([sys.argv[0], *options, f"-artifact_prefix={findings}/{name}-", str(found)], target.attempt)
     atheris.Fuzz()
