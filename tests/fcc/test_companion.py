@@ -29,8 +29,11 @@ from twodof.fcc.companion import (
 )
 from twodof.fcc.component import ACTIVE, CRITICAL
 from twodof.link.framing import Parser, encode
+from twodof.link.key import Key
 from twodof.link.messages import message
 from twodof.link.opening import open_transport
+from twodof.link.signing import Signing, Verdict
+from twodof.link.stamps import Stamps
 from twodof.link.tcp import TcpTransport
 from twodof.link.transport import MOST_OUT_BYTES
 from twodof.link.url import parse
@@ -229,6 +232,42 @@ def test_strangers_take_all_places_of_one_link_and_keep_nobody_from_a_kill(monke
                 await until(lambda: len(client.heard("ATTITUDE")) > 2)
             for stranger in strangers:
                 await stranger.close()
+
+    run_virtual(work())
+
+
+def test_with_a_key_what_is_not_signed_freshly_ends_here_and_who_is_behind_is_told_the_time() -> None:
+    key, clock = Key.fresh(), [10**12]
+    beat = message("HEARTBEAT", type=6, autopilot=8)
+
+    async def work() -> None:
+        ours, theirs = (Signing(key, Stamps(None, lambda: clock[0]), link) for link in (191, 5))
+        async with (
+            Vehicle(await open_transport("memin://fcu")) as vehicle,
+            Companion("mem://fcu", [Serve("memin://one", "none")], signing=ours) as companion,
+        ):
+            client = await open_transport("mem://one")
+            fresh = encode(beat, 24, 190, 0, theirs.outgoing())
+            for raw in (
+                encode(beat, 25, 190, 0),
+                encode(beat, 25, 190, 0, Signing(Key.fresh(), Stamps(None)).outgoing()),
+            ):
+                client.send(raw)
+            client.send(fresh)
+            await until(lambda: bool(vehicle.heard("HEARTBEAT", system=24)))
+            for _ in range(5):
+                client.send(fresh)  # replayed
+            await asyncio.sleep(1.0)
+            assert [len(vehicle.heard("HEARTBEAT", system=number)) for number in (24, 25)] == [1, 0]
+            assert (ours.counts.forged, ours.counts.repeated, ours.counts.accepted) == (1, 5, 1)
+            assert [one.identities.keys() for one in companion.clients] == [{(24, 190)}]
+            assert companion.router.counts.from_vehicle == 0  # its words are not signed
+            told = []
+            while (packet := client.receive_now()) is not None:
+                told += [frame for frame in Parser().feed(packet.data) if frame.message_id == 111]
+            assert len(told) == 1  # ten times a second at most
+            assert theirs.check(told[0]) is Verdict.ACCEPTED
+            await client.close()
 
     run_virtual(work())
 

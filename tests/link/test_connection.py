@@ -10,7 +10,7 @@ from tests.faults.transport import Faults, FaultyTransport
 from tests.faults.virtual_time import run_virtual
 from tests.link.ends import SOON, run
 from twodof.errors import LinkError, LinkLost
-from twodof.link import dialect
+from twodof.link import dialect, udp
 from twodof.link.connection import Connection
 from twodof.link.framing import encode
 from twodof.link.key import Key
@@ -215,13 +215,43 @@ def test_an_unsigned_stranger_over_udp_gets_no_telemetry() -> None:
         drone = Connection(at, 1, 1, Signing(Key.fresh(), Stamps(None)))
         stranger = Connection(await open_transport(f"udp://127.0.0.1:{at.port}"), 255, 190)
         stranger.send(message("HEARTBEAT"))
+        stranger.send(
+            message("RADIO_STATUS", rssi=1)
+        )  # a radio's own word, which has no signature anywhere else either
         assert await drone.receive(0.1) is None
-        stranger.send(message("RADIO_STATUS", rssi=1))  # taken in unsigned, and still a stranger's
-        assert await drone.receive(SOON) is not None
+        assert not drone.statistics.senders
         drone.send(message("HEARTBEAT"))
         assert await stranger.receive(0.1) is None
         await stranger.close()
         await drone.close()
+
+    run(work())
+
+
+def test_what_is_not_signed_keeps_nobodys_place(monkeypatch: pytest.MonkeyPatch) -> None:
+    """From the very address of one who has gone: its place goes to the next who signs."""
+    monkeypatch.setattr(udp, "MOST_PEERS", 1)
+    monkeypatch.setattr(udp, "SILENT_S", 0.2)
+    key = Key.fresh()
+
+    async def work() -> None:
+        at = await open_transport("udpin://:0")
+        assert isinstance(at, UdpTransport)
+        async with (
+            Connection(at, 1, 1, Signing(key, Stamps(None))) as drone,
+            Connection(await open_transport(f"udp://127.0.0.1:{at.port}"), 9, 9, Signing(key, Stamps(None))) as gone,
+            Connection(await open_transport(f"udp://127.0.0.1:{at.port}"), 8, 8, Signing(key, Stamps(None))) as new,
+        ):
+            gone.send(message("HEARTBEAT"))
+            assert await drone.receive(SOON) is not None
+            (place,) = at.peers
+            for _ in range(5):
+                gone.transport.send(encode(message("HEARTBEAT"), 9, 9, 0))
+                assert await drone.receive(0.1) is None
+            new.send(message("HEARTBEAT"))
+            assert await drone.receive(SOON) is not None
+            assert len(at.peers) == 1
+            assert at.peers != (place,)
 
     run(work())
 

@@ -73,7 +73,7 @@ def companion(
     open_: Annotated[bool, typer.Option("--open", help="Let other machines in, not this one alone.")] = False,
     key: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Sign what it says itself with this key; all else passes as it is."),
+        typer.Option(metavar="FILE", help="Sign what it says itself with this key, and let nothing else through."),
     ] = None,
     line_rate: Annotated[
         float | None, typer.Option(min=100.0, help="What the line to the flight controller carries [byte/s].")

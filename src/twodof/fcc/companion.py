@@ -16,7 +16,7 @@ from twodof.fcc.router import Router
 from twodof.link import ports
 from twodof.link.framing import Frame, Parser
 from twodof.link.opening import open_transport
-from twodof.link.signing import Signing
+from twodof.link.signing import Signing, Verdict
 from twodof.link.tcp import TcpTransport
 from twodof.link.transport import Packet, Transport
 from twodof.link.udp import UdpTransport
@@ -34,6 +34,8 @@ OPEN_S = 2.0
 # How often it is repeated that the flight controller is not there.
 REMIND_S = 60.0
 FIRST_BACK_OFF_S, LONGEST_BACK_OFF_S = 0.1, 2.0
+# Whose time stamps are of before is told our time, so often at most: a replayed packet looks the same.
+TELL_S = 0.1
 
 
 @dataclass(frozen=True)
@@ -60,8 +62,9 @@ def px4_links(index: int = 0, open_to_all: bool = False) -> tuple[Serve, ...]:
 class _Port:
     """One link that clients come to, and who is there."""
 
-    def __init__(self, transport: Transport, serve: Serve) -> None:
+    def __init__(self, transport: Transport, serve: Serve, mavlink1: bool) -> None:
         self.transport = transport
+        self.mavlink1 = mavlink1
         self.url = serve.url
         self.rates = profile(serve.rates)
         self.clients: dict[Hashable, Client] = {}
@@ -84,7 +87,7 @@ class _Port:
         """The frames that end in a packet."""
         key: Hashable = None if self.transport.whole else packet.peer
         known = self.parsers.get(key)
-        parser = known[0] if known is not None else Parser()
+        parser = known[0] if known is not None else Parser(self.mavlink1)
         self.parsers[key] = (parser, now)
         return parser.feed(packet.data, self.transport.whole)
 
@@ -92,7 +95,9 @@ class _Port:
 class Companion:
     """Routes between the flight controller at `vehicle` (a URL) and clients at `serve`; a context manager.
 
-    `system` is the vehicle's system id (1 to 255), `signing` what its own messages are signed with. `line_rate`
+    `system` is the vehicle's system id (1 to 255). With `signing` its own messages are signed, and nothing else than
+    what is signed with that key passes or influences it, from either side; without, signed frames pass untouched.
+    `line_rate`
     [byte/s] bounds what is sent to the flight controller: unless said, what a serial line's baud rate carries, and
     1 Mbyte/s over a network. In memory nothing is bounded. `tell` is called with a line for people when the flight
     controller is not reached, each minute as long as it is not, and when it is heard then.
@@ -120,7 +125,8 @@ class Companion:
         self._system = system
         self._ports: list[_Port] = []
         self._tasks: list[asyncio.Task[None]] = []
-        self._parser = Parser()
+        self._parser = self._new_parser()
+        self._told = -TELL_S
         self._fed = self._last_frame = 0.0
         self._there = False
         self._tell = tell
@@ -135,7 +141,7 @@ class Companion:
         self.component = Component(self.router, self._loop.time, Computer(self._traffic, self._loop.time))
         try:
             for one in self.serve:
-                self._ports.append(_Port(await open_transport(one.url), one))
+                self._ports.append(_Port(await open_transport(one.url), one, self._signing is None))
         except LinkError:
             await self.close()
             raise
@@ -188,6 +194,21 @@ class Companion:
         """Whether the drone has said that it was killed, and not yet that it was released."""
         return self.router.killed
 
+    def _new_parser(self) -> Parser:
+        return Parser(mavlink1=self._signing is None)
+
+    def _let_in(self, frame: Frame, peer: Hashable = None, port: _Port | None = None) -> bool:
+        """Whether a frame is signed as it must be; who signs rightly with an old stamp, at a port, is told the time."""
+        if self._signing is None:
+            return True
+        verdict = self._signing.check(frame)
+        now = self._loop.time()
+        if port is not None and verdict in (Verdict.REPEATED, Verdict.STALE) and now - self._told >= TELL_S:
+            self._told = now
+            with suppress(LinkError):  # it is gone, or we have no stamps left
+                port.transport.send(self.component.time(), peer)
+        return verdict is Verdict.ACCEPTED
+
     # The line to the flight controller.
 
     async def _keep_line(self) -> None:
@@ -204,7 +225,7 @@ class Companion:
                 await asyncio.sleep(wait)
                 wait = min(2.0 * wait, LONGEST_BACK_OFF_S)
                 continue
-            self._parser = Parser()
+            self._parser = self._new_parser()
             self.line.connect(transport)
             self.router.started()
             opened = self._opened = self._loop.time()
@@ -243,6 +264,8 @@ class Companion:
         transport = self.line.transport
         whole = transport is not None and transport.whole
         for frame in self._parser.feed(packet.data, whole):
+            if not self._let_in(frame):
+                continue
             if frame.known:
                 if transport is not None:
                     transport.confirm(packet.peer)
@@ -283,6 +306,8 @@ class Companion:
 
     def _from_client(self, port: _Port, packet: Packet) -> None:
         for frame in port.frames(packet, self._loop.time()):
+            if not self._let_in(frame, packet.peer, port):
+                continue
             client = port.clients.get(packet.peer)
             if client is None:
                 if not frame.known:  # its checksum cannot be known, and a stranger is not believed
@@ -350,14 +375,17 @@ class Companion:
             self.router.follow(now)
             if now - self._fed > BROKEN_OFF_S and self._parser.waiting:
                 for frame in self._parser.feed(b"", whole=True):
-                    self.router.from_vehicle(frame)
+                    if self._let_in(frame):
+                        self.router.from_vehicle(frame)
             if self.line.transport is not None:
                 if self._there and now - self._last_frame > VEHICLE_SILENT_S:
                     self._heard(False, f"flight controller silent for {VEHICLE_SILENT_S:g} s")
                     self.router.started()  # it may come back as one that was started anew
                 if not self._there and now - max(self._opened, self._last_frame) > VEHICLE_SILENT_S:
-                    what = "the link stands, and no heartbeat comes"
-                    self._complain(LinkError(what, self.vehicle, "see that it runs, and at this baud rate or address"))
+                    what, remedy = "the link stands, and no heartbeat comes", "see that it runs, and at this baud rate"
+                    if self._signing is not None and self._signing.counts.refused:
+                        remedy += ", and with this key"
+                    self._complain(LinkError(what, self.vehicle, f"{remedy} or address"))
                 self.router.subscriptions.asking.poll(now)
             self._pump()
 
@@ -376,7 +404,8 @@ class Companion:
         for peer, (parser, fed) in [*port.parsers.items()]:
             if parser.waiting and now - fed > BROKEN_OFF_S and peer in port.clients:
                 for frame in parser.feed(b"", whole=True):
-                    self.router.from_client(port.clients[peer], frame)
+                    if self._let_in(frame, peer, port):
+                        self.router.from_client(port.clients[peer], frame)
             if peer is not None and peer not in port.clients:
                 del port.parsers[peer]
 

@@ -49,6 +49,10 @@ class Component:
         for part in statustext(text, severity, self._texts):
             self._router.tell(part, vehicle=False)
 
+    def time(self) -> bytes:
+        """A signed word to who may hear no other of us yet: a question for its time, which tells ours."""
+        return self._router.said(message("TIMESYNC", ts1=max(1, int(self._clock() * 1e9))))
+
     def handle(self, frame: Frame, client: Client | None) -> None:
         """A frame that is for the companion, from a client or (None) from the vehicle."""
         there = {"target_system": frame.system, "target_component": frame.component}

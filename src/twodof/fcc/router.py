@@ -46,7 +46,8 @@ class RouterCounts:
 
 
 class Router:
-    """Passes frames on for the vehicle `system`. `clock` gives seconds; `signing` signs what is sent in our own name.
+    """Passes frames on for the vehicle `system`. `clock` gives seconds; `signing` signs what is sent in our own name:
+    with it all that arrives was signed with its key.
 
     `own` takes the frames that are for the companion itself: called with the client it came from, None for the vehicle.
     """
@@ -57,7 +58,7 @@ class Router:
         self.streams = Streams()
         self.answers = Answers()
         self.batches = Batches(self._as_vehicle, self._deliver)
-        wires = (self._ask, self._as_vehicle, clock, signing)
+        wires = (self._ask, self._as_vehicle, clock, signing is not None)
         self.subscriptions = Subscriptions(self.streams, self.batches, self.answers, *wires)
         self.counts = RouterCounts()
         self.own: Callable[[Frame, Client | None], None] = lambda frame, client: None
@@ -225,6 +226,10 @@ class Router:
     def answer(self, client: Client, sent: Any) -> None:
         """Say something to one client in the companion's own name."""
         client.write(self._encoded(sent, COMPANION, client.number((self.system, COMPANION))))
+
+    def said(self, sent: Any) -> bytes:
+        """What the companion says to who is no client."""
+        return self._encoded(sent, COMPANION, 0)
 
     def _came_round(self, client: Client, frame: Frame, now: float) -> bool:
         """Whether the very frame came just now from one client and then again and again from others: links make a

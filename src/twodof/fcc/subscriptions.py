@@ -14,7 +14,6 @@ from twodof.fcc.rates import EVERY, OFF, group
 from twodof.fcc.streams import Streams, events, settled
 from twodof.link.framing import Frame
 from twodof.link.messages import BATCH_VALUES, message
-from twodof.link.signing import Signing, Verdict
 from twodof.link.tick import TICK_US
 
 ACCEPTED, TEMPORARILY_REJECTED, DENIED = 0, 1, 2
@@ -26,7 +25,8 @@ MOST_TOLD = 0xFFFF  # MESSAGE_INTERVAL's field for the message has two bytes
 class Subscriptions:
     """Keeps what each client wants, and asks the vehicle for what they want together.
 
-    `ask(message id, wish)` sends to the vehicle, `say(client, message)` to a client in the vehicle's name.
+    `ask(message id, wish)` sends to the vehicle, `say(client, message)` to a client in the vehicle's name; with `signs`
+    it is signed.
     """
 
     def __init__(
@@ -37,7 +37,7 @@ class Subscriptions:
         ask: Callable[[int, Wish], None],
         say: Callable[[Client, Any], None],
         clock: Callable[[], float],
-        signing: Signing | None,
+        signs: bool,
     ) -> None:
         self.streams = streams
         self.asking = Asking(ask, self._settled)
@@ -45,7 +45,7 @@ class Subscriptions:
         self._answers = answers
         self._say = say
         self._clock = clock
-        self._signing = signing
+        self._signs = signs
 
     def refresh(self) -> None:
         """Ask the vehicle anew for whatever the clients that are there want together."""
@@ -110,7 +110,7 @@ class Subscriptions:
         fits, wish = _wish(number, params)
         if not self._answerable(frame):
             # What the vehicle is told now holds for all. We keep what this client asked for, lest it be thinned out.
-            if self._signing is None and fits:
+            if fits:
                 self.streams.set(client, number, wish)
             return False
         if number == wire.BATCH:
@@ -138,10 +138,8 @@ class Subscriptions:
         return True
 
     def _answerable(self, frame: Frame) -> bool:
-        """Whether we can answer in the vehicle's name: to who does not sign, or who signs with the key that we have."""
-        if self._signing is None:
-            return not frame.signed
-        return self._signing.check(frame) is Verdict.ACCEPTED
+        """Whether we can answer in the vehicle's name: to who does not sign, and with a key to all that was let in."""
+        return self._signs or not frame.signed
 
     def _acknowledge(self, client: Client, command: int, to: Identity, result: int) -> None:
         there = {"target_system": to[0], "target_component": to[1]}

@@ -42,8 +42,8 @@ class Received(NamedTuple):
 class Connection:
     """Messages over `transport` as `system` and `component` (1 to 255 each).
 
-    With `signing` everything sent is signed and nothing else is taken in, MAVLink 1 included (exceptions:
-    `signing.UNSIGNED_ALLOWED`). `clock` gives seconds for statistics and round trips. Closing it closes the transport.
+    With `signing` everything sent is signed, and nothing that is not signed with its key is taken in: it is counted,
+    and influences nothing else. `clock` gives seconds for statistics and round trips. Closing it closes the transport.
     """
 
     def __init__(
@@ -209,9 +209,9 @@ class Connection:
             verdict = self.signing.check(frame) if self.signing is not None else Verdict.ACCEPTED
             if verdict in (Verdict.REPEATED, Verdict.STALE):
                 self._tell_time(peer)
-            if verdict not in (Verdict.ACCEPTED, Verdict.EXCEPTED):
+            if verdict is not Verdict.ACCEPTED:
                 continue
-            if frame.known and verdict is Verdict.ACCEPTED:
+            if frame.known:
                 self.transport.confirm(peer)
             self.statistics.count(frame, self._clock())
             if frame.message_id not in (_TIMESYNC, _PING) or not self._answer(frame, peer):

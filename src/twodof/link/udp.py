@@ -38,7 +38,7 @@ class UdpTransport(Transport):
         self._learns = address.listens or self._broadcast or bool(address.bind_name)
         self._loop = asyncio.get_running_loop()
         self._socket = opened
-        self._heard: dict[Hashable, float] = {}  # peer -> when last heard
+        self._heard: dict[Hashable, float] = {}  # peer -> when a sound packet of it came last
         self._server = there
         self._flood = Flood(opened, self._loop, lambda: self.peers)
         self._loop.add_reader(opened.fileno(), self._readable)
@@ -61,10 +61,10 @@ class UdpTransport(Transport):
 
     def confirm(self, peer: Hashable) -> None:
         """Make room for `peer` if need be, by forgetting one that has been silent for SILENT_S."""
-        if not self._learns or peer in self._heard or peer == self._server:
+        if not self._learns or peer == self._server:
             return
         now = self._loop.time()
-        if len(self._heard) >= MOST_PEERS:
+        if peer not in self._heard and len(self._heard) >= MOST_PEERS:
             oldest = min(self._heard, key=self._heard.__getitem__)
             if now - self._heard[oldest] < SILENT_S:
                 return
@@ -99,8 +99,6 @@ class UdpTransport(Transport):
             elif not self._flood.came(peer, data):
                 self.counts.dropped_in += 1
                 continue
-            elif peer in self._heard:
-                self._heard[peer] = now
             if len(data) > LONGEST_DATAGRAM:
                 self.counts.dropped_in += 1
             else:
