@@ -14,7 +14,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from bench import closed_loop, companion, cortex_m7, flight_stack, greybox, lanes, link, start_up, targets
+from bench import closed_loop, companion, cortex_m7, flight_stack, greybox, kill_latency, lanes, link, start_up, targets
 from bench.measure import Figure, machine
 from twodof.flightlog.atomic import atomic_write
 
@@ -24,6 +24,7 @@ BENCHMARKS: Mapping[str, Callable[[bool], list[Figure]]] = {
     "cortex_m7": cortex_m7.run,
     "flight_stack": flight_stack.run,
     "greybox": greybox.run,
+    "kill_latency": kill_latency.run,
     "lanes": lanes.run,
     "link": link.run,
     "start_up": start_up.run,

@@ -235,6 +235,7 @@ def test_a_program_on_board_is_not_told_the_truth() -> None:
     ends = Ends("onboard", "onboard")
     ends.settle()
     app, ground = ends.clients
+    app.on_board = True
     for command in (511, 512, 510):
         ends.says(app, "COMMAND_LONG", 1, 192, command=command, param1=float(TRUTH), param2=4000.0, **TO)
         (answer,) = ends.heard(app)

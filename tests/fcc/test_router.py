@@ -100,6 +100,7 @@ def test_what_a_client_sends_to_itself_does_not_come_back() -> None:
 
 def test_a_component_of_the_drone_that_is_not_there_is_not_taken_for_another() -> None:
     ends = Ends("none")
+    ends.clients[0].on_board = True
     ends.says(ends.clients[0], "HEARTBEAT", SYSTEM, 192)
     ends.settle()
     ends.vehicle("COMMAND_ACK", command=400, target_system=SYSTEM, target_component=195)
@@ -129,8 +130,22 @@ def test_a_kill_is_known_until_it_is_released() -> None:
         assert ends.router.killed is killed
 
 
+@pytest.mark.parametrize("name", ["ATTITUDE", "STATUSTEXT", "HEARTBEAT"])
+def test_what_is_not_on_board_says_nothing_as_the_drones_own_system(name: str) -> None:
+    """Whatever its component: clients that go by the system would take it for the drone's."""
+    ends = Ends("none", "none")
+    ends.settle()
+    for component in range(256):
+        ends.says(ends.clients[0], name, SYSTEM, component)
+    assert ends.heard(ends.clients[1]) == []
+    assert ends.up.sent == []
+    assert ends.clients[0].counts.impostors == 256
+    assert not ends.clients[0].identities
+
+
 def test_a_program_on_board_speaks_to_everybody() -> None:
     ends = Ends("none", "none")
+    ends.clients[0].on_board = True
     ends.settle()
     ends.says(ends.clients[0], "STATUSTEXT", SYSTEM, 195, text="landed")
     assert names(ends.heard(ends.clients[1])) == ["STATUSTEXT"]

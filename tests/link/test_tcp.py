@@ -7,6 +7,7 @@ import socket
 import threading
 import time
 from contextlib import suppress
+from typing import cast
 
 import pytest
 
@@ -92,7 +93,7 @@ def test_a_tcp_client_that_floods_keeps_no_other_waiting() -> None:
                 while (packet := await there.receive(SOON)) is not None and packet.data != b"kill":
                     ahead += len(packet.data)
                 assert packet is not None
-                assert 0 < ahead <= 2 * tcp.WINDOW_BYTES
+                assert 0 < ahead <= 2 * tcp.WINDOW_SHARES * tcp.ROUND_BYTES
 
     run(work())
 
@@ -138,6 +139,72 @@ def test_tcp_clients_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
                     assert await there.receive(SOON) is not None
                 assert len(there.peers) == 2
                 assert there.counts.errors == 1
+
+    run(work())
+
+
+async def _come(there: TcpTransport, count: int, source: str = "127.0.0.1") -> list[socket.socket]:
+    """So many more clients from an address of this machine, each once the one before has its place."""
+    came = []
+    for _ in range(count):
+        one = socket.create_connection(("127.0.0.1", there.port), SOON, (source, 0))
+        name = f"{source}:{one.getsockname()[1]}"
+        end = asyncio.get_running_loop().time() + 0.5
+        while not any(stream.name == name for stream in there._streams) and asyncio.get_running_loop().time() < end:
+            await asyncio.sleep(0.005)
+        came.append(one)
+    return came
+
+
+def _names(there: TcpTransport) -> set[int]:
+    """The ports of those that have a place."""
+    return {int(stream.name.rpartition(":")[2]) for stream in there._streams}
+
+
+def test_idle_clients_lock_no_port_and_who_speaks_or_is_kept_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tcp, "MOST_CLIENTS", 4)
+    monkeypatch.setattr(tcp, "SPEAKS_S", 0.0)
+    monkeypatch.setattr(tcp, "SILENT_S", 0.3)
+
+    async def work() -> None:
+        async with await open_transport("tcpin://:0") as there:
+            assert isinstance(there, TcpTransport)
+            ends = await _come(there, 4)
+            ports = [one.getsockname()[1] for one in ends]
+            (talker,) = (stream for stream in there._streams if stream.name.endswith(f":{ports[0]}"))
+            there.keeps = lambda peer: cast(tcp._Stream, peer).name.endswith(f":{ports[1]}")
+            there.confirm(talker)
+            (new,) = await _come(there, 1)  # of those that never spoke the first goes, but not who is kept
+            assert _names(there) == {ports[0], ports[1], ports[3], new.getsockname()[1]}
+            for stream in there._streams:
+                there.confirm(stream)
+            (late,) = await _come(there, 1)
+            assert late.getsockname()[1] not in _names(there)
+            await asyncio.sleep(0.35)
+            there.confirm(talker)
+            (later,) = await _come(there, 1)  # the longest silent goes
+            assert later.getsockname()[1] in _names(there)
+            assert {ports[0], ports[1]} <= _names(there)
+            for one in (*ends, new, late, later):
+                one.close()
+
+    run(work())
+
+
+def test_one_address_takes_not_all_places_from_another(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tcp, "MOST_CLIENTS", 4)
+
+    async def work() -> None:
+        async with await open_transport("tcpin://:0") as there:
+            assert isinstance(there, TcpTransport)
+            greedy = await _come(there, 4)
+            for stream in there._streams:
+                there.confirm(stream)
+            others = await _come(there, 3, "127.0.0.2")
+            assert [one.getsockname()[1] in _names(there) for one in greedy] == [True, True, False, False]
+            assert [one.getsockname()[1] in _names(there) for one in others] == [True, True, False]
+            for one in (*greedy, *others):
+                one.close()
 
     run(work())
 

@@ -170,7 +170,28 @@ def test_a_datagram_longer_than_a_network_carries_is_dropped() -> None:
     run(work())
 
 
-def test_peers_take_turns_and_keep_their_order() -> None:
+def test_peers_take_turns_by_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Six packets of 50 bytes weigh as much as one of 300, and who had 3000 at once waits for ten turns."""
+    monkeypatch.setattr(bounds, "TURN_BYTES", 300)
+
+    async def work() -> None:
+        inbox = Inbox(TransportCounts())
+        for number in range(24):
+            inbox.put(Packet(b"%50d" % number, "pilot"))
+        for _ in range(4):
+            inbox.put(Packet(bytes(300), "flooder"))
+            inbox.put(Packet(bytes(3000), "worse"))
+        taken = ""
+        while (packet := inbox.take()) is not None:
+            taken += str(packet.peer)[0]
+        assert taken == "ppppppfw" + 3 * "ppppppf" + "www"
+
+    run(work())
+
+
+def test_peers_take_turns_and_keep_their_order(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bounds, "TURN_BYTES", 1)  # a packet each
+
     async def work() -> None:
         inbox = Inbox(TransportCounts())
         for number in range(3):
@@ -219,6 +240,67 @@ def test_a_newcomer_has_room_where_each_of_many_has_one(monkeypatch: pytest.Monk
         while (packet := inbox.take()) is not None:
             taken.append(packet.data)
         assert taken == [b"x"] * 99 + [b"kill"]
+
+    run(work())
+
+
+@pytest.mark.parametrize("kind", ["tcp", "udp"])
+@pytest.mark.parametrize("signed", [False, True], ids=["plain", "signed"])
+def test_a_kill_waits_behind_nothing_that_came_before_it_and_acts_once(kind: str, signed: bool) -> None:
+    """Behind its own sender's other words, whole or in two pieces; what was signed before it and waits is void."""
+    key = Key.fresh()
+    kill = message("COMMAND_LONG", command=400, param2=21196.0, target_system=1, target_component=1)
+
+    def signing() -> Signing | None:
+        return Signing(key, Stamps(None)) if signed else None
+
+    async def work() -> None:
+        there = await open_transport(f"{kind}in://:0")
+        assert isinstance(there, TcpTransport | UdpTransport)
+        pilot = Connection(await open_transport(f"{kind}://127.0.0.1:{there.port}"), 250, 190, signing())
+        async with Connection(there, 1, 1, signing()) as drone, pilot:
+            for number in range(12):
+                pilot.send(message("TWODOF_TICK", tick=number))
+            pilot.send(kill)
+            await asyncio.sleep(0.2)
+            heard = []
+            while (got := await drone.receive(0.2)) is not None:
+                heard.append(got.message.get_type())
+            assert heard == ["COMMAND_LONG"] + ["TWODOF_TICK"] * (0 if signed else 12)
+            raw = encode(kill, 250, 190, 77, *((drone.signing.outgoing(),) if drone.signing is not None else ()))
+            for piece in (raw[:20], raw[20:]) if kind == "tcp" else (raw,):
+                pilot.transport.send(piece)
+                await asyncio.sleep(0.05)
+            assert (await drone.receive(SOON)).frame.raw == raw  # type: ignore[union-attr]
+            assert await drone.receive(0.2) is None
+
+    run(work())
+
+
+def test_a_kill_behind_thirty_floods_acts_before_their_first_frame() -> None:
+    """Counted in what was taken before it, not in time: 30 connections' worth waits, and the kill comes last of all."""
+    beats = b"".join(encode(message("HEARTBEAT"), 9, 9, number & 255) for number in range(400))
+
+    async def work() -> None:
+        async with await open_transport("tcpin://:0") as there:
+            assert isinstance(there, TcpTransport)
+            drone = Connection(there, 1, 1)
+            floods = [await open_transport(f"tcp://127.0.0.1:{there.port}") for _ in range(30)]
+            other = await open_transport(f"tcp://127.0.0.1:{there.port}")
+            while len(there.peers) < 31:
+                await asyncio.sleep(0.01)
+            for one in floods:
+                one.send(beats)
+            await asyncio.sleep(0.2)
+            other.send(encode(message("COMMAND_LONG", command=400, param2=21196.0), 8, 8, 0))
+            await asyncio.sleep(0.2)  # meanwhile whoever receives is busy
+            before = 0
+            while (got := await drone.receive(SOON)) is not None and got.message.get_type() != "COMMAND_LONG":
+                before += 1
+            assert got is not None
+            assert before == 0
+            for one in (*floods, other):
+                await one.close()
 
     run(work())
 

@@ -28,7 +28,7 @@ from twodof.link.stamps import Stamps
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
 # Where the app comes to: this machine only, at a port that is free.
-APP_LINK = Serve("tcpin://127.0.0.1:0", "onboard")
+APP_LINK = Serve("tcpin://127.0.0.1:0", "onboard", on_board=True)
 # Streams of signatures are told apart by it: what we answer in the vehicle's name is not its own.
 LINK_ID = COMPANION
 MIB = 1 << 20

@@ -49,7 +49,8 @@ class Client:
     """One peer of one transport. `defaults` is what it gets unasked (`rates.profile`), `heard` when it last spoke [s],
     `came` when it did first.
 
-    `stays`: it is sent to even if it never speaks, as PX4's links send to their default address.
+    `on_board`: it is a program of the drone's own. `stays`: it is sent to even if it never speaks, as PX4's links send
+    to their default address.
     """
 
     name: str
@@ -59,6 +60,7 @@ class Client:
     heard: float
     stays: bool = False
     came: float = 0.0
+    on_board: bool = False
     identities: dict[Identity, float] = field(default_factory=dict)
     wishes: dict[int, Wish] = field(default_factory=dict)
     due_once: dict[int, int] = field(default_factory=dict)  # message -> how many it has asked for by 512

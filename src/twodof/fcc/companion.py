@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 from twodof.errors import LinkError, LinkLost
-from twodof.fcc.client import SILENT_S, Client
+from twodof.fcc.client import SILENT_S, Client, Identity
 from twodof.fcc.component import Component
 from twodof.fcc.computer import Computer, Traffic
 from twodof.fcc.line import BITS_A_BYTE, NETWORK_FRAME, NETWORK_RATE, Line
@@ -40,10 +40,14 @@ TELL_S = 0.1
 
 @dataclass(frozen=True)
 class Serve:
-    """Where clients come to, and the rates (`rates.PROFILES`) that they get unasked."""
+    """Where clients come to, and the rates (`rates.PROFILES`) that they get unasked.
+
+    `on_board`: only the drone's own programs come there, which may speak as its own system; nobody else may.
+    """
 
     url: str
     rates: str = "onboard"
+    on_board: bool = False
 
 
 def px4_links(index: int = 0, open_to_all: bool = False) -> tuple[Serve, ...]:
@@ -67,6 +71,7 @@ class _Port:
         self.mavlink1 = mavlink1
         self.url = serve.url
         self.rates = profile(serve.rates)
+        self.on_board = serve.on_board
         self.clients: dict[Hashable, Client] = {}
         self.parsers: dict[Hashable, tuple[Parser, float]] = {}
         kind = parse(serve.url).kind
@@ -82,6 +87,15 @@ class _Port:
         if address.bind_name:
             return str(replace(address, bind_port=transport.port))
         return str(replace(address, port=transport.port)) if address.listens else str(address)
+
+    def keep(self, pilot: Callable[[], Identity | None]) -> None:
+        """The place of a client behind which the pilot is goes to nobody else."""
+
+        def keeps(peer: Hashable) -> bool:
+            client = self.clients.get(peer)
+            return client is not None and pilot() in client.identities
+
+        self.transport.keeps = keeps
 
     def frames(self, packet: Packet, now: float) -> list[Frame]:
         """The frames that end in a packet."""
@@ -146,6 +160,7 @@ class Companion:
             await self.close()
             raise
         for port in self._ports:
+            port.keep(lambda: self.router.pilot)
             self._sweep_port(port, self._loop.time())
         self._fault = self._loop.create_future()
         works = [self._keep_line(), self._sweep(), self._beat(), *(self._serve(port) for port in self._ports)]
@@ -302,9 +317,15 @@ class Companion:
             wait = min(2.0 * wait, LONGEST_BACK_OFF_S)
             with suppress(LinkError):
                 port.transport = await open_transport(port.url, OPEN_S)
+                port.keep(lambda: self.router.pilot)
                 wait = FIRST_BACK_OFF_S
 
     def _from_client(self, port: _Port, packet: Packet) -> None:
+        with self.line.together():
+            self._take(port, packet)
+        self._pump()
+
+    def _take(self, port: _Port, packet: Packet) -> None:
         for frame in port.frames(packet, self._loop.time()):
             if not self._let_in(frame, packet.peer, port):
                 continue
@@ -319,7 +340,6 @@ class Companion:
             if frame.known:
                 port.transport.confirm(packet.peer)
             self.router.from_client(client, frame)
-        self._pump()
 
     def _welcome(self, port: _Port, peer: Hashable, stays: bool = False) -> Client | None:
         """A new client; None where there are too many, and none of them is silent."""
@@ -331,7 +351,9 @@ class Companion:
             if silent is None or now - silent.heard < SWEEP_S * 100:
                 return None
             self._dismiss(silent)
-        client = Client(f"{port.transport.url} {peer}", port.transport, peer, port.rates, now, stays, now)
+        client = Client(
+            f"{port.transport.url} {peer}", port.transport, peer, port.rates, now, stays, now, port.on_board
+        )
         port.clients[peer] = client
         self.router.add(client)
         return client

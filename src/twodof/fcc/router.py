@@ -65,6 +65,8 @@ class Router:
         self.clock = clock
         self.killed = False
         """Whether the vehicle has said that it was killed, and not yet that it was released."""
+        self.pilot: Identity | None = None
+        """Who has the lease, as the vehicle said last."""
         self.vehicle: dict[Identity, int] = {(system, AUTOPILOT): -1}  # who is behind the line -> its last sequence
         self.lost: dict[Identity, int] = {}
         self._signing = signing
@@ -138,7 +140,7 @@ class Router:
         self.counts.from_clients += 1
         client.counts.received += 1
         identity = (frame.system, frame.component)
-        if not self._may_say(frame):
+        if not self._may_say(frame, client.on_board):
             client.counts.impostors += 1
             self.counts.impostors += 1
             return
@@ -199,6 +201,9 @@ class Router:
             return
         if autopilot and frame.message_id == wire.HEARTBEAT:
             self.killed = wire.system_status(frame) == wire.TERMINATED
+        if autopilot and frame.message_id == wire.LEASE:
+            holder = wire.lease_holder(frame)
+            self.pilot = holder if holder[0] else None
         if frame.message_id == wire.TICK:
             self.batches.flush_all()
         if system:
@@ -244,12 +249,15 @@ class Router:
             del self._passed[next(iter(self._passed))]
         return first is not client and rounds > MOST_ROUNDS
 
-    def _may_say(self, frame: Frame) -> bool:
-        """Whether it may come from outside: nobody there speaks for the vehicle or for us."""
+    def _may_say(self, frame: Frame, on_board: bool = False) -> bool:
+        """Whether it may come from a client: none speaks for the vehicle or for us, and with the drone's own system
+        only what is `on_board`. Else anybody's ATTITUDE would be the drone's to all others.
+        """
         identity = (frame.system, frame.component)
-        theirs = identity[0] == self.system and identity in self.vehicle
+        if frame.system == self.system:
+            return on_board and identity not in self.vehicle and frame.component != COMPANION
         beside = self.clock() - self._beside.get(identity, -BESIDE_S) < BESIDE_S
-        return not theirs and not beside and identity != (self.system, COMPANION) and bool(frame.system)
+        return not beside and bool(frame.system)
 
     def _deliver(self, client: Client, frame: Frame) -> None:
         client.deliver(frame, self.lost.get((frame.system, frame.component), 0))

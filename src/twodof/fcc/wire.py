@@ -17,7 +17,7 @@ HEARTBEAT = 0
 PARAM_REQUEST_READ, PARAM_REQUEST_LIST, PARAM_VALUE, PARAM_SET = 20, 21, 22, 23
 REQUEST_DATA_STREAM, COMMAND_INT, COMMAND_LONG, COMMAND_ACK = 66, 75, 76, 77
 LOG_REQUEST_LIST, LOG_ENTRY, LOG_REQUEST_DATA, LOG_DATA, LOG_ERASE, LOG_REQUEST_END = 117, 118, 119, 120, 121, 122
-ATTITUDE, MESSAGE_INTERVAL, BATCH, TRUTH, TICK, PARAM_TRANSACTION = 30, 244, 54203, 54205, 54208, 54212
+ATTITUDE, MESSAGE_INTERVAL, BATCH, TRUTH, TICK, LEASE, PARAM_TRANSACTION = 30, 244, 54203, 54205, 54208, 54209, 54212
 ARM_DISARM, FLIGHT_TERMINATION = 400, 185
 TERMINATED = 8  # MAV_STATE_FLIGHT_TERMINATION
 FORCE = 21196.0  # param2 of a disarm that is meant in flight too
@@ -54,12 +54,19 @@ def places() -> dict[int, Places]:
     return {number: _places(kind) for number, kind in dialect.load().mavlink_map.items()}
 
 
-def _places(kind: Any) -> Places:
+def _starts(kind: Any) -> dict[str, int]:
+    """Where each field of a message begins in its payload."""
     types = dict(zip(kind.fieldnames, kind.fieldtypes, strict=True))
     at, starts = 0, {}
     for name, count in zip(kind.ordered_fieldnames, kind.lengths, strict=True):
         starts[name] = at
         at += _SIZES.get(types[name], 8) * count
+    return starts
+
+
+def _places(kind: Any) -> Places:
+    types = dict(zip(kind.fieldnames, kind.fieldtypes, strict=True))
+    starts = _starts(kind)
     time = next((name for name in _TIMES if name in starts), None)
     return Places(
         starts.get("target_system", starts.get("target", -1)),
@@ -98,6 +105,13 @@ def time_us(frame: Frame) -> int:
 def system_status(heartbeat: Frame) -> int:
     """MAV_STATE of a HEARTBEAT's sender, 0 if it says none."""
     return heartbeat.payload[_SYSTEM_STATUS] if len(heartbeat.payload) > _SYSTEM_STATUS else 0
+
+
+def lease_holder(lease: Frame) -> tuple[int, int]:
+    """System and component that have the lease by a TWODOF_LEASE, 0 for nobody."""
+    at = _starts(dialect.load().mavlink_map[LEASE])
+    payload = lease.payload.ljust(max(at.values()) + 1, b"\0")
+    return payload[at["holder_system"]], payload[at["holder_component"]]
 
 
 def command(frame: Frame) -> Command | None:

@@ -72,6 +72,7 @@ class Assembly:
         self.commander = commander = Commander(hardware, lambda: self.store["THRUST_BAR"], lockstep)
         self.controller = controller = FlightController(hardware, code, commander, lockstep)
         self.server = server = Server(controller, system, signing)
+        server.pilot = lambda: commander.lease.holder
         self.store.listen(lambda _: self._fly_with(self.store.flying() | self.store.own()))
         self.log: OnboardLog | None = None
         self._state = state

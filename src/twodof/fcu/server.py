@@ -70,7 +70,9 @@ class Server:
         self._idle: list[Callable[[], None]] = []
         self._tasks: set[asyncio.Task[None]] = set()
         self._failed: asyncio.Event = asyncio.Event()
-        self._peers: set[Peer] = set()
+        self._peers: dict[Peer, tuple[int, int]] = {}  # as whom it spoke last
+        self.pilot: Callable[[], tuple[int, int] | None] = lambda: None
+        """Who commands: its place on a link goes to nobody else."""
         self._time = asyncio.Lock()
 
     async def __aenter__(self) -> Self:
@@ -207,8 +209,13 @@ class Server:
 
     async def _open(self, url: str) -> Connection:
         connection = Connection(await open_transport(url), self.system, AUTOPILOT, self.signing)
+        connection.transport.keeps = lambda there: self._is_pilots(Peer(connection, there))
         self.connections.append(connection)
         return connection
+
+    def _is_pilots(self, peer: Peer) -> bool:
+        pilot = self.pilot()
+        return pilot is not None and self._peers.get(peer) == pilot
 
     async def _serve(self, connection: Connection, url: str) -> None:
         """Takes in what comes over a link; one that was lost is opened again until it is there."""
@@ -239,7 +246,7 @@ class Server:
                 self.ignored += 1
                 return
         else:
-            self._peers.add(peer)
+            self._peers[peer] = received.frame.system, received.frame.component
         received = received._replace(peer=peer)
         for service in self.services:
             if service.handle(received):
@@ -252,6 +259,6 @@ class Server:
 
     def _look_for_gone(self) -> None:
         for peer in [peer for peer in self._peers if not self.alive(peer)]:
-            self._peers.discard(peer)
+            del self._peers[peer]
             for gone in self._gone:
                 gone(peer)

@@ -20,6 +20,8 @@ from twodof.link.transport import Packet, Transport
 
 # A parser holds at most one frame.
 MOST_PARSERS = 64
+# Frames of one peer that were taken before their turn and have not come in it yet.
+MOST_AGAIN = 64
 # What has begun and is not followed for this long is no frame: 280 bytes take 49 ms at 57600 baud.
 BROKEN_OFF_S = 0.1
 # A stream is looked through in pieces, and for so long before others get a turn: in bytes, in which a packet, a
@@ -65,9 +67,11 @@ class Connection:
         self._sequences: OrderedDict[Hashable, int] = OrderedDict()
         self._frames: deque[tuple[Frame, Hashable]] = deque()
         self._rest: Packet | None = None  # of a stream, not looked through yet
+        self._again: dict[Hashable, list[bytes]] = {}  # taken before their turn, in which they come once more
         self._tired = False  # whether a look ended before all was looked through
         self._answers = 0
         self._told = -TELL_S
+        transport.let_stops_go_first()
 
     async def __aenter__(self) -> Self:
         return self
@@ -177,6 +181,8 @@ class Connection:
     def _next_frame(self) -> tuple[Frame, Hashable] | None:
         """The next frame; None where none is there, or where none was found before others must have their turn."""
         looked, self._tired = 0, False
+        while (packet := self.transport.receive_ahead()) is not None:
+            self._take_ahead(packet)
         while not self._frames:
             if looked > MOST_LOOKED_THROUGH:
                 self._tired = True
@@ -184,8 +190,11 @@ class Connection:
             packet = self._rest or self.transport.receive_now()
             if packet is None:
                 return None
-            data, peer = packet
             self._rest = None
+            if packet.ahead:
+                self._take_ahead(packet)
+                continue
+            data, peer, _ = packet
             if len(data) > PIECE and not self.transport.whole:
                 data, self._rest = data[:PIECE], Packet(data[PIECE:], peer)
             answers = self._answers
@@ -204,19 +213,39 @@ class Connection:
                 self._forget(self._parsers.popitem(last=False)[1])
         else:
             self._parsers.move_to_end(key)
-        bad = parser.counts.bad_checksum
+        bad, again = parser.counts.bad_checksum, self._again.get(peer)
         for frame in parser.feed(data, whole):
-            verdict = self.signing.check(frame) if self.signing is not None else Verdict.ACCEPTED
-            if verdict in (Verdict.REPEATED, Verdict.STALE):
-                self._tell_time(peer)
-            if verdict is not Verdict.ACCEPTED:
-                continue
-            if frame.known:
-                self.transport.confirm(peer)
-            self.statistics.count(frame, self._clock())
-            if frame.message_id not in (_TIMESYNC, _PING) or not self._answer(frame, peer):
+            if again and frame.raw in again:
+                again.remove(frame.raw)
+            elif self._lets_in(frame, peer):
                 self._frames.append((frame, peer))
+        if again == []:
+            del self._again[peer]
         return parser.counts.bad_checksum - bad
+
+    def _take_ahead(self, packet: Packet) -> None:
+        """A frame that stops motors, before all that came earlier, of its peer too."""
+        again = self._again.setdefault(packet.peer, [])
+        again.append(packet.data)
+        if len(again) > MOST_AGAIN:  # a stream that breaks off in them: they will not come
+            del again[0]
+        if len(self._again) > MOST_PARSERS:
+            del self._again[next(iter(self._again))]
+        for frame in Parser(mavlink1=self.signing is None).feed(packet.data, whole=True):
+            if self._lets_in(frame, packet.peer):
+                self._frames.appendleft((frame, packet.peer))
+
+    def _lets_in(self, frame: Frame, peer: Hashable) -> bool:
+        """Whether a frame is for who receives: signed as it must be, and no question about time that is answered."""
+        verdict = self.signing.check(frame) if self.signing is not None else Verdict.ACCEPTED
+        if verdict in (Verdict.REPEATED, Verdict.STALE):
+            self._tell_time(peer)
+        if verdict is not Verdict.ACCEPTED:
+            return False
+        if frame.known:
+            self.transport.confirm(peer)
+        self.statistics.count(frame, self._clock())
+        return frame.message_id not in (_TIMESYNC, _PING) or not self._answer(frame, peer)
 
     def _tell_time(self, peer: Hashable) -> None:
         """Say something signed to a peer, whose time follows the stamp: over UDP it may hear nothing else of us."""

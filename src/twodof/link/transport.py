@@ -8,7 +8,7 @@ deadline). UDP is never lost: who is silent may come back, and silence is for th
 
 import asyncio
 from abc import ABC, abstractmethod
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -20,13 +20,21 @@ MOST_PACKETS = 8192
 MOST_BYTES = 4 << 20
 MOST_OUT_BYTES = 256 << 10
 READ_BYTES = 65_536
+# A turn is for as many bytes as the longest frame has, of which a packet takes so many at least.
+TURN_BYTES, LEAST_BYTES = 280, 32
+# Frames of one peer that go before all turns at once.
+MOST_AHEAD = 4
 
 
 class Packet(NamedTuple):
-    """Bytes that arrived, and who sent them: what `Transport.send` takes as `to`."""
+    """Bytes that arrived, and who sent them: what `Transport.send` takes as `to`.
+
+    `ahead`: a frame that stops motors, taken before its turn; it comes once more, in its turn.
+    """
 
     data: bytes
     peer: Hashable
+    ahead: bool = False
 
 
 @dataclass(slots=True)
@@ -45,7 +53,8 @@ class TransportCounts:
 class Inbox:
     """Packets that arrived and were not taken: bounded, the oldest dropped and counted; put from any thread.
 
-    Peers take turns, so that one that floods keeps no other waiting; of one peer they stay in their order.
+    Peers take turns by bytes (deficit round robin), so that one that floods keeps no other waiting; of one peer they
+    stay in their order. What stops motors goes before all turns.
     """
 
     def __init__(self, counts: TransportCounts) -> None:
@@ -53,10 +62,14 @@ class Inbox:
         self._counts = counts
         self._queues: dict[Hashable, deque[bytes]] = {}  # by peer, in the order of their turns; none is empty
         self._of: dict[Hashable, int] = {}  # bytes that wait, by peer
+        self._credit: dict[Hashable, int] = {}  # bytes left of a peer's turn; below 0 it has had too much
         self._packets = self._bytes = 0
+        self._ahead: deque[Packet] = deque()
+        self._ahead_of: Counter[Hashable] = Counter()
         self._fullest: Hashable = None  # the peer of which most packets wait, as far as it is known
         self._waiter: asyncio.Future[None] | None = None
         self._end: LinkLost | None = None
+        self.stops_first = False
         self.on_room: Callable[[], None] | None = None
         self.on_taken: Callable[[Hashable], None] | None = None
         self.taker: Callable[[Packet], None] | None = None
@@ -69,7 +82,7 @@ class Inbox:
 
     def put(self, packet: Packet) -> None:
         """Add a packet; where there is no room the oldest is dropped, of the peer of which most packets wait."""
-        data, peer = packet
+        data, peer, _ = packet
         self._counts.packets_in += 1
         self._counts.bytes_in += len(data)
         if self.taker is not None:
@@ -89,21 +102,53 @@ class Inbox:
             self._counts.dropped_in += 1
         self._wake()
 
+    def put_ahead(self, raw: bytes, peer: Hashable) -> None:
+        """Add a frame that stops motors, and that is `put` too; of one peer few wait so, the rest only in its turn."""
+        if self._ahead_of[peer] < MOST_AHEAD:
+            self._ahead_of[peer] += 1
+            self._ahead.append(Packet(raw, peer, ahead=True))
+            self._wake()
+
+    def take_ahead(self) -> Packet | None:
+        """The oldest of these, None if there is none."""
+        if not self._ahead:
+            return None
+        packet = self._ahead.popleft()
+        self._ahead_of[packet.peer] -= 1
+        if not self._ahead_of[packet.peer]:
+            del self._ahead_of[packet.peer]
+        return packet
+
     def waits_of(self, peer: Hashable) -> int:
         """Bytes of `peer` that wait."""
         return self._of.get(peer, 0)
 
+    def _next(self) -> Hashable:
+        """The peer whose turn it is: one that has used up its bytes waits for as many turns as it has had too much."""
+        while True:
+            peer = next(iter(self._queues))
+            credit = self._credit.get(peer, 0)
+            if credit > 0:
+                return peer
+            self._credit[peer] = credit + TURN_BYTES
+            if credit + TURN_BYTES <= 0:
+                self._queues[peer] = self._queues.pop(peer)
+
     def _oldest(self, peer: Hashable) -> Packet:
-        """Take the oldest packet of `peer`, whose turn is over."""
-        queue = self._queues.pop(peer)
+        """Take the oldest packet of `peer`; its turn is over once it has used up its bytes."""
+        queue = self._queues[peer]
         packet = Packet(queue.popleft(), peer)
+        size = len(packet.data)
         self._packets -= 1
-        self._bytes -= len(packet.data)
+        self._bytes -= size
         if queue:
-            self._queues[peer] = queue
-            self._of[peer] -= len(packet.data)
+            self._of[peer] -= size
+            self._credit[peer] = self._credit.get(peer, 0) - max(size, LEAST_BYTES)
+            if self._credit[peer] <= 0:
+                self._queues[peer] = self._queues.pop(peer)
         else:
-            del self._of[peer]
+            del self._queues[peer], self._of[peer]
+            self._credit.pop(peer, None)
         return packet
 
     def put_from_anywhere(self, packet: Packet) -> None:
@@ -135,12 +180,14 @@ class Inbox:
 
     def waiting(self) -> Packet | None:
         """The oldest packet, None if there is none now."""
-        return self.take() if self._queues else None
+        return self.take() if self._queues or self._ahead else None
 
     def take(self) -> Packet | None:
         """The oldest packet, None if there is none now. Raises LinkLost if none will come."""
+        if self._ahead:
+            return self.take_ahead()
         if self._queues:
-            packet = self._oldest(next(iter(self._queues)))
+            packet = self._oldest(self._next())
             if self.on_taken is not None:
                 self.on_taken(packet.peer)
             if self.on_room is not None and not self._queues:
@@ -195,6 +242,8 @@ class Transport(ABC):
         self.url = url
         self.counts = TransportCounts()
         self._inbox = Inbox(self.counts)
+        self.keeps: Callable[[Hashable], bool] = lambda peer: False
+        """Whether a peer's place goes to nobody else: the pilot's."""
         self._closed = False
 
     async def __aenter__(self) -> "Transport":
@@ -253,6 +302,14 @@ class Transport(ABC):
     def receive_now(self) -> Packet | None:
         """The next packet if one is there. Raises LinkLost as `receive`."""
         return self._inbox.take()
+
+    def let_stops_go_first(self) -> None:
+        """From now on frames that stop motors are received before all else that has arrived, `Packet.ahead`."""
+        self._inbox.stops_first = True
+
+    def receive_ahead(self) -> Packet | None:
+        """One of these, if one has come that was not taken."""
+        return self._inbox.take_ahead()
 
     def hand_to(self, taker: Callable[[Packet], None], on_end: Callable[[LinkLost], None]) -> None:
         """Hand each packet to `taker` as it comes, from now on, with those that wait: nobody `receive`s any more.

@@ -11,6 +11,7 @@ from contextlib import suppress
 from typing import Any, cast
 
 from twodof.errors import LinkError
+from twodof.link.ahead import stops
 from twodof.link.flood import Flood
 from twodof.link.transport import Packet, Transport
 from twodof.link.url import Address
@@ -102,6 +103,8 @@ class UdpTransport(Transport):
             if len(data) > LONGEST_DATAGRAM:
                 self.counts.dropped_in += 1
             else:
+                for raw in stops(data) if self._inbox.stops_first else ():
+                    self._inbox.put_ahead(raw, peer)
                 self._inbox.put(Packet(data, peer))
             if self._closed:
                 return
