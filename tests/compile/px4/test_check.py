@@ -50,7 +50,7 @@ def git(root: Path, *arguments: str) -> None:
 
 @pytest.fixture(scope="session")
 def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A tree with all that is looked at in PX4, in a git repository with the tag v1.16.1-rc2."""
+    """A tree with all that is looked at in PX4, in a git repository with the tag v1.16.1."""
     root = tmp_path_factory.mktemp("source") / "PX4"
     for path in _NEEDED:
         put(root, path)
@@ -78,7 +78,7 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     put(root, "ROMFS/px4fmu_common/init.d-posix/airframes/4001_gz_x500")
     for topic, fields in FIELDS.items():
         folder = "msg/versioned" if topic == "vehicle_attitude" else "msg"
-        text = "".join(f"{kind} {name}  # what it is\n" for name, kind in fields.items())
+        text = "".join(f"{kind.partition(' or ')[0]} {name}  # what it is\n" for name, kind in fields.items())
         topics = f"# TOPICS {topic} {topic}_virtual\n" if topic.endswith("torque_setpoint") else ""
         put(root, f"{folder}/{camel(topic)}.msg", f"{text}uint8 A_CONSTANT = 3\n{topics}")
     put(root, ".gitmodules", "".join(f'[submodule "{p}"]\n\tpath = {p}\n\turl = x\n' for p in SUBMODULES))
@@ -87,7 +87,7 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     git(root, "init", "-q")
     git(root, "add", "-A")
     git(root, "commit", "-q", "-m", "all")
-    git(root, "tag", "v1.16.1-rc2")
+    git(root, "tag", "v1.16.1")
     return root
 
 
@@ -119,7 +119,7 @@ def test_a_px4_that_fits(px4: Path, exported: Path) -> None:
     found = check(px4, exported)
     assert found.rows == ()
     assert found.fits
-    assert (found.module, found.version) == ("twodof_pitch", "v1.16.1-rc2")
+    assert (found.module, found.version) == ("twodof_pitch", "v1.16.1")
     assert listing(px4) == before
 
 
@@ -152,7 +152,14 @@ SPOILED: list[tuple[Callable[[Path], object], str]] = [
     ),
     (lambda p: put(p, "src/a/a_params.c", "PARAM_DEFINE_INT32(TPI_LIVE, 1);"), "has a parameter TPI_LIVE already"),
     (lambda p: put(p, "src/a/module.yaml", "d:\n  TPI_LIVE:\n    type: int32\n"), "has a parameter TPI_LIVE already"),
-    (lambda p: put(p, "src/a/module.yaml", "d:\n  TPI_DAMP_GAINS_${i}:\n"), "has a parameter TPI_DAMP_GAINS_0 already"),
+    (
+        lambda p: put(p, "src/a/module.yaml", "d:\n  TPI_DAMP_GAINS_${i}:\n"),
+        "has parameters TPI_DAMP_GAINS_0, TPI_DAMP_GAINS_1",
+    ),
+    (
+        lambda p: put(p, "src/a/module.yaml", "outputs:\n  - param_prefix: TPI\n"),
+        "TPI_DAMPE_INTEGR and 4 more already",
+    ),
     (lambda p: put(p, "CMakeLists.txt", "project(px4)\n"), "knows no external modules"),
     (lambda p: put(p, "msg/CMakeLists.txt", "set(msg_files)\n"), "knows no messages of external modules"),
     (lambda p: put(p, "src/modules/logger/messages.h", "char format[300];"), "room for 300 characters"),
@@ -164,7 +171,7 @@ SPOILED: list[tuple[Callable[[Path], object], str]] = [
 @pytest.mark.parametrize(("spoil", "what"), SPOILED, ids=[what for _, what in SPOILED])
 def test_what_does_not_fit_is_said(px4: Path, exported: Path, spoil: Callable[[Path], object], what: str) -> None:
     if "is PX4" in what:
-        git(px4, "tag", "-d", "v1.16.1-rc2")
+        git(px4, "tag", "-d", "v1.16.1")
     spoil(px4)
     found = check(px4, exported)
     assert not found.fits
@@ -175,7 +182,7 @@ def test_what_does_not_fit_is_said(px4: Path, exported: Path, spoil: Callable[[P
 WARNED: list[tuple[Callable[[Path], object], str]] = [
     (lambda p: shutil.rmtree(p / "platforms/nuttx/NuttX/nuttx"), "builds for the simulator only"),
     (lambda p: shutil.rmtree(p / ".git"), "its version is unknown (there is no .git folder)"),
-    (lambda p: git(p, "tag", "-d", "v1.16.1-rc2"), "its version is unknown (git describe says: fatal: No names found"),
+    (lambda p: git(p, "tag", "-d", "v1.16.1"), "its version is unknown (git describe says: fatal: No names found"),
     (
         lambda p: shutil.rmtree(p / "src/modules/mc_rate_control"),
         "has no mc_rate_control, whose place the module takes",
@@ -193,7 +200,7 @@ def test_what_may_not_fit_is_a_warning(px4: Path, exported: Path, spoil: Callabl
 
 
 def test_another_version_is_a_warning(px4: Path, exported: Path) -> None:
-    git(px4, "tag", "-d", "v1.16.1-rc2")
+    git(px4, "tag", "-d", "v1.16.1")
     git(px4, "tag", "v1.15.4")
     found = check(px4, exported)
     assert found.fits
@@ -207,6 +214,69 @@ def test_an_airframe_of_the_same_number_is_a_warning(px4: Path, exported: Path) 
     assert check(px4, exported).rows == ()
     (px4 / folder / f"{number}_twodof_pitch").rename(px4 / folder / f"{number}_mine")
     assert f"has an airframe {number} already" in said(check(px4, exported), WARNING)
+
+
+def another(folder: Path, name: str = "pile", prefix: str = "TPI") -> Path:
+    """The export of another diagram, whose parameters begin like those of `pitch`."""
+    diagram = pitch()
+    diagram.name = name
+    export(diagram, folder, prefix=prefix)
+    return folder
+
+
+def put_together(into: Path, other: Path) -> None:
+    """What docs/px4.md says of two modules: the one's sources and message into the other's folders."""
+    shutil.copytree(other / "src/modules", into / "src/modules", dirs_exist_ok=True)
+    shutil.copytree(other / "etc", into / "etc", dirs_exist_ok=True)
+    for message in (other / "msg").glob("*.msg"):
+        shutil.copy(message, into / "msg")
+
+
+def test_two_modules_in_one_folder_whose_parameters_are_called_alike_do_not_fit(
+    px4: Path, exported: Path, tmp_path: Path
+) -> None:
+    put_together(exported, another(tmp_path / "other"))
+    found = check(px4, exported)
+    assert not found.fits
+    errors = said(found, ERROR)
+    assert "twodof_pile/module.yaml: has parameters TPI_DAMP_GAINS_0" in errors
+    assert "export one of the two again with another --prefix" in errors
+
+
+def test_two_modules_in_one_folder_with_prefixes_of_their_own_fit(px4: Path, exported: Path, tmp_path: Path) -> None:
+    put_together(exported, another(tmp_path / "other", prefix="TQ"))
+    found = check(px4, exported)
+    assert found.fits, said(found, ERROR)
+
+
+def test_a_module_that_was_copied_into_px4_is_seen(px4: Path, exported: Path, tmp_path: Path) -> None:
+    put_together(px4, another(tmp_path / "other"))
+    errors = said(check(px4, exported), ERROR)
+    assert f"{px4}/src/modules/twodof_pile/module.yaml: has parameters TPI_DAMP_GAINS_0" in errors
+
+
+def test_a_module_that_another_build_of_this_px4_has_taken_is_a_warning(
+    px4: Path, exported: Path, tmp_path: Path
+) -> None:
+    other = another(tmp_path / "other")
+    cache = "build/px4_sitl_default/CMakeCache.txt"
+    put(px4, cache, f"CMAKE_AR:FILEPATH=/usr/bin/ar\nEXTERNAL_MODULES_LOCATION:STRING={other}\n")
+    found = check(px4, exported)
+    assert found.fits, said(found, ERROR)
+    warnings = said(found, WARNING)
+    assert f"{other}/src/modules/twodof_pile/module.yaml: has parameters TPI_DAMP_GAINS_0" in warnings
+    assert "px4_sitl_default was built with it, and in one folder the two do not build" in warnings
+    for mine in (exported, tmp_path / "gone"):
+        put(px4, cache, f"EXTERNAL_MODULES_LOCATION:STRING={mine}\n")
+        assert check(px4, exported).rows == ()
+
+
+def test_an_airframe_of_the_same_number_in_one_folder_is_a_warning(px4: Path, exported: Path, tmp_path: Path) -> None:
+    number = json.loads((exported / MANIFEST).read_text())["airframe"]
+    put_together(exported, another(tmp_path / "other", prefix="TQ"))
+    frames = exported / "etc/init.d-posix/airframes"
+    next(frames.glob("*_twodof_pile")).rename(frames / f"{number}_twodof_pile")
+    assert f"{number}_twodof_pile: has an airframe {number} already" in said(check(px4, exported), WARNING)
 
 
 def test_a_read_only_px4_is_refused(px4: Path, exported: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -92,7 +92,7 @@ def check(px4: str | Path, folder: str | Path) -> Findings:
         return Findings(facts.module, "unknown", tuple(rows))
     version, reason = tree.version
     rows += [*_checked_out(tree, missing), *_version(tree, version, reason), *_interfaces(tree, facts)]
-    rows += [*_topics(tree, facts), *_clashes(tree, facts)]
+    rows += [*_topics(tree, facts), *_clashes(tree, facts), *_neighbours(tree, facts, export.resolve())]
     return Findings(facts.module, str(version) if version else f"unknown ({reason})", tuple(rows))
 
 
@@ -198,27 +198,48 @@ def _topics(tree: SourceTree, facts: _Facts) -> Iterator[Finding]:
             yield Finding(ERROR, f"has no topic {topic}", str(tree.root / "msg"), "use another version of PX4")
             continue
         for name, kind in FIELDS.get(topic, {}).items():
-            if fields.get(name) != kind:
+            if fields.get(name) not in kind.split(" or "):
                 has = f"is {fields[name]}" if name in fields else "is missing"
                 what = f"{topic}.{name} {has}, where {kind} is used"
                 yield Finding(ERROR, what, str(tree.root / "msg"), "use another version of PX4")
 
 
-def _clashes(tree: SourceTree, facts: _Facts) -> Iterator[Finding]:
+def _clashes(tree: SourceTree, facts: _Facts, own: bool = False) -> Iterator[Finding]:
+    """What in `tree` has a name of the module. Where the module is the tree's `own`, it is not meant itself."""
+    mine = (tree.root / "src" / "modules" / facts.module, tree.root / "msg" / f"{facts.message}.msg")
+
+    def others(paths: list[Path]) -> list[Path]:
+        return [path for path in paths if not own or not any(path.is_relative_to(place) for place in mine)]
+
     rename = "rename the diagram and export again"
-    if facts.module in tree.commands:
-        yield Finding(ERROR, f"has a module {facts.module} already", str(tree.commands[facts.module]), rename)
-    if facts.message.lower() in tree.message_files:
-        place = tree.message_files[facts.message.lower()]
-        yield Finding(ERROR, f"has a message {facts.message} already", str(place), rename)
-    elif facts.module in tree.messages:
+    for path in others(tree.commands.get(facts.module, [])):
+        yield Finding(ERROR, f"has a module {facts.module} already", str(path), rename)
+    messages = others(tree.message_files.get(facts.message.lower(), []))
+    for path in messages:
+        yield Finding(ERROR, f"has a message {facts.message} already", str(path), rename)
+    if not messages and facts.module in tree.messages and not own:
         yield Finding(ERROR, f"has a topic {facts.module} already", str(tree.root / "msg"), rename)
-    names, patterns = tree.parameters
+    defined: dict[Path, list[str]] = {}
     for name in facts.parameters:
-        defined = names.get(name) or next((path for pattern, path in patterns if pattern.fullmatch(name)), None)
-        if defined is not None:
-            yield Finding(ERROR, f"has a parameter {name} already", str(defined), "export again with another --prefix")
-    other = tree.airframes.get(facts.airframe)
-    if other is not None and other.name != f"{facts.airframe}_{facts.module}":
-        what = f"has an airframe {facts.airframe} already"
-        yield Finding(WARNING, what, str(other), "give the exported airframe's file another number")
+        for path in others(tree.parameters(name)):
+            defined.setdefault(path, []).append(name)
+    for path, names in defined.items():
+        what = f"has {'a parameter' if len(names) == 1 else 'parameters'} {_some(names)} already"
+        yield Finding(ERROR, what, str(path), "export one of the two again with another --prefix")
+    for other in tree.airframes.get(facts.airframe, []):
+        if other.name != f"{facts.airframe}_{facts.module}":
+            what = f"has an airframe {facts.airframe} already"
+            yield Finding(WARNING, what, str(other), "give the exported airframe's file another number")
+
+
+def _neighbours(tree: SourceTree, facts: _Facts, folder: Path) -> Iterator[Finding]:
+    """Clashes with the modules beside this one: in its folder, or in those that builds of this PX4 have used."""
+    yield from _clashes(SourceTree(folder), facts, own=True)
+    seen = {folder}
+    for place, cache in tree.external_modules:
+        if place in seen:
+            continue
+        seen.add(place)
+        for row in _clashes(SourceTree(place), facts, own=True):
+            what = f"{row.what}; {cache.parent.name} was built with it, and in one folder the two do not build"
+            yield Finding(WARNING, what, row.where, row.remedy)

@@ -100,39 +100,62 @@ class SourceTree:
         return found
 
     @cached_property
-    def message_files(self) -> dict[str, Path]:
-        """Name in small letters -> file, of all messages."""
-        return {path.stem.lower(): path for path in self.files("msg", r".*\.msg")}
-
-    @cached_property
-    def commands(self) -> dict[str, Path]:
-        """Name of a module's command -> its CMakeLists.txt."""
-        found: dict[str, Path] = {}
-        for path in self.files("src", r"CMakeLists\.txt"):
-            for name in re.findall(r"\bMAIN\s+([A-Za-z0-9_]+)", self.text(path)):
-                found.setdefault(name, path)
+    def message_files(self) -> dict[str, list[Path]]:
+        """Name in small letters -> files, of all messages."""
+        found: dict[str, list[Path]] = {}
+        for path in self.files("msg", r".*\.msg"):
+            found.setdefault(path.stem.lower(), []).append(path)
         return found
 
     @cached_property
-    def parameters(self) -> tuple[dict[str, Path], list[tuple[re.Pattern[str], Path]]]:
-        """Parameter -> where it is defined; and patterns of those that are defined once for several instances."""
-        names: dict[str, Path] = {}
+    def commands(self) -> dict[str, list[Path]]:
+        """Name of a module's command -> its CMakeLists.txt; more than one where modules clash."""
+        found: dict[str, list[Path]] = {}
+        for path in self.files("src", r"CMakeLists\.txt"):
+            for name in re.findall(r"\bMAIN\s+([A-Za-z0-9_]+)", self.text(path)):
+                found.setdefault(name, []).append(path)
+        return found
+
+    def parameters(self, name: str) -> list[Path]:
+        """Where a parameter is defined."""
+        names, patterns = self._parameters
+        return names.get(name, []) + [path for pattern, path in patterns if pattern.fullmatch(name)]
+
+    @cached_property
+    def _parameters(self) -> tuple[dict[str, list[Path]], list[tuple[re.Pattern[str], Path]]]:
+        """Parameter -> its files; and patterns of those that are defined once for several instances."""
+        names: dict[str, list[Path]] = {}
         patterns: list[tuple[re.Pattern[str], Path]] = []
         for path in self.files("src", r".*param.*\.c"):
             for name in re.findall(r"\bPARAM_DEFINE_\w+\s*\(\s*([A-Z0-9_]+)", self.text(path)):
-                names.setdefault(name, path)
+                names.setdefault(name, []).append(path)
         for path in self.files("src", r".*\.ya?ml"):
-            for name in re.findall(r"^\s+([A-Z0-9_]+(?:\$\{i\}[A-Z0-9_]*)?):\s*$", self.text(path), re.MULTILINE):
+            text = self.text(path)
+            for name in re.findall(r"^\s+([A-Z0-9_]+(?:\$\{i\}[A-Z0-9_]*)?):\s*$", text, re.MULTILINE):
                 if "$" in name:
                     patterns.append((re.compile(name.replace("${i}", r"\d+")), path))
                 else:
-                    names.setdefault(name, path)
+                    names.setdefault(name, []).append(path)
+            # Outputs get parameters by a rule: PWM_MAIN_FUNC1, PWM_MAIN_MIN1, PWM_MAIN_REV and others.
+            prefixes = re.findall(r"^[\s-]+param_prefix:\s*([A-Z0-9_]+)\s*$", text, re.MULTILINE)
+            patterns += [(re.compile(rf"{prefix}_[A-Z0-9_]+"), path) for prefix in prefixes]
         return names, patterns
 
     @cached_property
-    def airframes(self) -> dict[int, Path]:
-        """SYS_AUTOSTART -> the airframe's file."""
-        found: dict[int, Path] = {}
-        for path in self.files("ROMFS", r"\d+_[^.]+"):
-            found.setdefault(int(path.name.partition("_")[0]), path)
+    def external_modules(self) -> list[tuple[Path, Path]]:
+        """The folders from which the builds inside take external modules, each with the file that says so."""
+        found = []
+        for cache in sorted((self.root / "build").glob("*/CMakeCache.txt")):
+            place = re.search(r"^EXTERNAL_MODULES_LOCATION:\w+=(.+)$", self.text(cache), re.MULTILINE)
+            if place and Path(place[1]).is_dir():
+                found.append((Path(place[1]).resolve(), cache))
+        return found
+
+    @cached_property
+    def airframes(self) -> dict[int, list[Path]]:
+        """SYS_AUTOSTART -> the airframes' files, of PX4 or of exports."""
+        found: dict[int, list[Path]] = {}
+        for folder in ("ROMFS", "etc/init.d-posix/airframes"):
+            for path in self.files(folder, r"\d+_[^.]+"):
+                found.setdefault(int(path.name.partition("_")[0]), []).append(path)
         return found
