@@ -43,13 +43,18 @@ _TYPES = {
 }
 
 
+_CONSTANTS = {"vehicle_command": {"VEHICLE_CMD_COMPONENT_ARM_DISARM": 400}}
+
+
 def topic_header(topic: str, rows: list[tuple[str, str]], constants: dict[str, int]) -> str:
     """uORB/topics/TOPIC.h, as PX4's generator would make it of a message with these fields."""
     members = ""
     for kind, name in rows:
-        base, _, width = kind.partition("[")
+        base, _, width = kind.partition(" or ")[0].partition("[")
         members += f"\t{_TYPES[base]} {name}{'[' + width if width else ''};\n"
-    values = "".join(f"\tstatic constexpr uint8_t {name} = {value};\n" for name, value in constants.items())
+    values = ""
+    for name, value in constants.items():
+        values += f"\tstatic constexpr {'uint8_t' if value < 256 else 'uint32_t'} {name} = {value};\n"
     return (
         f"#pragma once\n#include <stdint.h>\n#include <uORB/uORB.h>\nstruct {topic}_s {{\n{members}{values}}};\n"
         f'static const orb_metadata orb_{topic}{{"{topic}"}};\n'
@@ -75,7 +80,9 @@ def lay_out(module: Module, folder: Path) -> Path:
     topics = folder / "include" / "uORB" / "topics"
     topics.mkdir(parents=True)
     for topic, rows in FIELDS.items():
-        (topics / f"{topic}.h").write_text(topic_header(topic, [(k, n) for n, k in rows.items()], {}))
+        (topics / f"{topic}.h").write_text(
+            topic_header(topic, [(k, n) for n, k in rows.items()], _CONSTANTS.get(topic, {}))
+        )
     text = module.files[f"msg/{module.names.class_name}.msg"]
     (topics / f"{module.names.module}.h").write_text(topic_header(module.names.module, *parse_message(text)))
     return folder / "export" / "src" / "modules" / module.names.module
@@ -111,7 +118,7 @@ def dtype_of(rows: Iterable[tuple[str, str]]) -> np.dtype[Any]:
     """The numpy type of a topic's struct with these fields (type, name)."""
     formats: list[tuple[str, Any]] = []
     for kind, name in rows:
-        base, _, width = kind.partition("[")
+        base, _, width = kind.partition(" or ")[0].partition("[")
         formats.append((name, np.dtype((base, (int(width[:-1]),))) if width else np.dtype(base)))
     return np.dtype(formats, align=True)
 
@@ -172,6 +179,22 @@ class Bench:
         assert set(values) <= set(row.dtype.names or ())
         self.script.append(f"{'publish' if at_once else 'queue'} {topic} {row.tobytes().hex()}")
 
+    def advertise(self, topic: str) -> None:
+        """Another's publication of a topic begins."""
+        self.script.append(f"advertise {topic}")
+
+    def end(self, topic: str) -> None:
+        """Another's publication of a topic ends."""
+        self.script.append(f"end {topic}")
+
+    def read(self, name: str) -> None:
+        """The ground reads a parameter; `Events.read` says what."""
+        self.script.append(f"read {name}")
+
+    def obey(self) -> None:
+        """From now on PX4 disarms when it is asked to."""
+        self.script.append("obey")
+
     def command(self, *words: str) -> None:
         """The module's command."""
         self.script.append(f"command {' '.join(words)}")
@@ -200,6 +223,18 @@ class Events:
         """All that was published of a topic, as an array of structs."""
         data = b"".join(bytes.fromhex(rest) for what, rest in self.rows if what == name)
         return np.frombuffer(data, self.dtypes[name])
+
+    def lost(self) -> list[str]:
+        """The topics of what was published and could be read by nobody."""
+        return [rest.split()[0] for what, rest in self.rows if what == "lost"]
+
+    def read(self) -> list[tuple[str, float]]:
+        """What the ground read."""
+        return [(rest.split()[0], float(rest.split()[1])) for what, rest in self.rows if what == "read"]
+
+    def told(self) -> list[str]:
+        """What the pilot was told."""
+        return [text.removeprefix("critical ") for text in self.said() if text.startswith("critical ")]
 
     def said(self) -> list[str]:
         """What the module printed."""

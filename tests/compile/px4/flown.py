@@ -13,7 +13,7 @@ from twodof.compile import build
 from twodof.compile.px4.controller import DT
 
 PERIOD = 4000
-STALE, NOT_FINITE, REFUSED, NO_SETPOINT = 1, 2, 4, 8
+STALE, NOT_FINITE, REFUSED, NO_SETPOINT, SHARED = 1, 2, 4, 8, 16
 SQRT2 = np.float32(math.sqrt(2.0))
 
 

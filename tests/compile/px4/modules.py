@@ -83,3 +83,16 @@ def rail() -> Diagram:
     d.output("thrust", "hover")
     d.output("theta_0", "pitch")
     return d
+
+
+def overflowing() -> Diagram:
+    """M grows by 1e12 at each step, and so is infinite at the fourth."""
+    d = Diagram("overflow")
+    d.input("q", unit="rad/s")
+    d.add("grow", lib.UnitDelay(1.0))
+    d.add("gain", lib.Gain(1e12), u="grow")
+    d.add("zero", lib.Gain(0.0), u="q")
+    d.add("sum", lib.Sum("++"), a="gain", b="zero")
+    d.connect("sum", "grow.u")
+    d.output("M", "sum")
+    return d

@@ -67,7 +67,7 @@ LOG = [f"new.{name}" for name in NAMES if name not in ("OK", "int")][:40]
 
 # What a text of code would leave behind outside of comments, strings and documents.
 MARKS = (
-    "system",
+    "system(",
     "include </etc",
     "define float",
     "exec",

@@ -20,7 +20,7 @@ from tests.compile.px4.flown import (
     quaternion,
     replayed,
 )
-from tests.compile.px4.modules import rail
+from tests.compile.px4.modules import overflowing, rail
 from twodof.blocks import Diagram
 from twodof.blocks import library as lib
 from twodof.compile.px4.export import make_module
@@ -44,19 +44,6 @@ def test_a_command_that_is_not_finite_stops_the_motors_and_the_controller_starts
     assert not events.topic("vehicle_thrust_setpoint")["xyz"][lost].any()
     assert torque["xyz"][~lost, 1].all()
     assert (np.abs(torque["xyz"][:, 1]) <= SQRT2).all()
-
-
-def overflowing() -> Diagram:
-    """M grows by 1e12 at each step, and so is infinite at the fourth."""
-    d = Diagram("overflow")
-    d.input("q", unit="rad/s")
-    d.add("grow", lib.UnitDelay(1.0))
-    d.add("gain", lib.Gain(1e12), u="grow")
-    d.add("zero", lib.Gain(0.0), u="q")
-    d.add("sum", lib.Sum("++"), a="gain", b="zero")
-    d.connect("sum", "grow.u")
-    d.output("M", "sum")
-    return d
 
 
 def test_a_position_module_commands_attitude_and_thrust_only_along_the_rail(

@@ -68,8 +68,8 @@ def test_parameters_of_all_types() -> None:
     assert rows["TPI_DAMP_GAINS_1"] == {
         "description": {
             "short": "damper.gains[1]: of pitch and pitch rate",
-            "long": "damper.gains[1]: of pitch and pitch rate. 0.0 to 4.0; another value is refused, with all that "
-            "changed beside it. A change acts at the next step.",
+            "long": "damper.gains[1]: of pitch and pitch rate. 0.0 to 4.0; another value is put back to the one "
+            "that flies. A change acts at the next step.",
         },
         "type": "float",
         "decimal": 5,

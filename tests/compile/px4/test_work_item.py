@@ -199,27 +199,6 @@ def test_the_command_starts_once_and_stops(built: Bench) -> None:
     assert "usage: twodof_pitch" in said
 
 
-@pytest.mark.parametrize("queued", [False, True], ids=["alone", "with a run asked for before"])
-def test_a_stop_in_flight_leaves_no_command_behind(bench: Bench, queued: bool) -> None:
-    mode(bench)
-    fly(bench, 5)
-    if queued:
-        bench.publish("vehicle_angular_velocity", at_once=False)
-    bench.command("stop")
-    fly(bench, 5)
-    events = bench.run()
-    torque, thrust = (events.topic(f"vehicle_{what}_setpoint")["xyz"] for what in ("torque", "thrust"))
-    assert len(torque) == len(thrust) == 6
-    assert torque[4].any()
-    assert thrust[4].any()
-    assert not torque[5].any()
-    assert not thrust[5].any()
-    # PX4's allocator runs after the module on the same queue, and reads nothing of a topic without a publication.
-    for topic in ("vehicle_torque_setpoint", "vehicle_thrust_setpoint"):
-        assert events.withdrawn()[topic] >= events.topic(topic)["timestamp"][5] + 5 * PERIOD
-    assert events.returned() == [0, 0]
-
-
 def test_it_does_not_start_without_a_gyro(built: Bench) -> None:
     built.fresh()
     built.script.append("deaf")

@@ -77,20 +77,21 @@ typedef struct {{
 {_members(found.outputs)}
 }} {n}_Outputs;
 
-/* A parameter in PX4: its name, its type (f float, i integer, b boolean) and its bounds. A fixed one is read when the
-   module starts. */
+typedef union {{
+    float real;
+    int32_t integer;
+}} {n}_Value;
+
+/* A parameter in PX4: its name, its type (f float, i integer, b boolean), its bounds and its default. A fixed one is
+   read when the module starts. */
 typedef struct {{
     const char *name;
     char type;
     bool fixed;
     float low, high;
     int32_t least, most;
+    {n}_Value standard;
 }} {n}_Parameter;
-
-typedef union {{
-    float real;
-    int32_t integer;
-}} {n}_Value;
 
 enum {{
     {n}_PARAMETERS = {len(rows)},
@@ -110,6 +111,9 @@ void {n}_begin({n}_Controller *c);
 
 /* Initial states; the parameters stay. */
 void {n}_reset({n}_Controller *c);
+
+/* Whether a value is within the bounds of the parameter at `place`. A NaN is in no bounds. */
+bool {n}_within(int32_t place, {n}_Value value);
 
 /* Takes {n}_PARAMETERS values over, those of fixed parameters only when `starting`. Returns -1, or, if one is out of
    bounds, its place; then none is changed. */
@@ -201,9 +205,9 @@ void {n}_reset({n}_Controller *c)
     {n}_init(&inside(c)->p, &inside(c)->s);
 }}
 
-static bool within(const {n}_Parameter *row, {n}_Value value)
+bool {n}_within(int32_t place, {n}_Value value)
 {{
-    /* A NaN is in no bounds. */
+    const {n}_Parameter *const row = &{n}_parameters[place];
     return row->type == 'f' ? value.real >= row->low && value.real <= row->high
                             : value.integer >= row->least && value.integer <= row->most;
 }}
@@ -212,7 +216,7 @@ int32_t {n}_change({n}_Controller *c, const {n}_Value *values, bool starting)
 {{
     for (int32_t i = 0; i < {n}_PARAMETERS; i++) {{
         const bool taken = starting || !{n}_parameters[i].fixed;
-        if (taken && !within(&{n}_parameters[i], values[i]))
+        if (taken && !{n}_within(i, values[i]))
             return i;
     }}
     {n}_Inside *const own = inside(c);
@@ -248,11 +252,12 @@ def _table(names: ModuleNames, rows: Sequence[Exported]) -> str:
     for row in rows:
         fixed = "true" if row.fixed else "false"
         if row.kind == "real":
-            bounds = f"{_float(row.low)}, {_float(row.high)}, 0, 0"
+            bounds, standard = f"{_float(row.low)}, {_float(row.high)}, 0, 0", f".real = {_float(row.default)}"
         else:
             bounds = f"0.0f, 0.0f, {_integer(row.low)}, {_integer(row.high)}"
+            standard = f".integer = {_integer(row.default)}"
         kind = {"real": "f", "bool": "b"}.get(row.kind, "i")
-        lines.append(f"    {{\"{row.name}\", '{kind}', {fixed}, {bounds}}},")
+        lines.append(f"    {{\"{row.name}\", '{kind}', {fixed}, {bounds}, {{{standard}}}}},")
     n = names.module
     return "\n".join([f"const {n}_Parameter {n}_parameters[{n}_PARAMETERS] = {{", *lines, "};", ""])
 

@@ -84,7 +84,7 @@ def make_module(diagram: Diagram, log: Iterable[str] = (), prefix: str = "") -> 
         "parameters": [row.name for row in rows],
         "units": sorted({UNITS[row.unit] for row in rows if row.unit in UNITS}),
         "description": found.description + len(names.module) + 1,
-        "reads": list(part.reads),
+        "reads": [*part.reads, *part.asides],
         "writes": list(part.writes),
         "stops": list(part.stops),
         "log": list(log),

@@ -19,8 +19,9 @@ LARGEST = 1000  # bytes; the topic's queue holds 16 of them
 FAULTS = (
     (1, "STALE", "a measurement is missing, invalid or too old: the controller waits, the commands are 0"),
     (2, "NOT_FINITE", "the controller gave a command that is not finite: it starts again, the commands are 0"),
-    (4, "REFUSED", "a parameter is out of bounds, or missing in PX4: no parameter was changed"),
+    (4, "REFUSED", "a parameter was out of bounds and was put back, or it is missing in PX4"),
     (8, "NO_SETPOINT", "a set-point is missing, not finite or old: a neutral one stands in for it"),
+    (16, "SHARED", "another module publishes a topic of the commands too, or has ended its publication"),
 )
 
 HEAD = (
@@ -31,7 +32,7 @@ HEAD = (
     ("uint32", "overruns", "steps that took longer than a period"),
     ("uint32", "step_time", "duration of this step [us]"),
     ("uint32", "parameter_revision", "how often parameters have been taken over"),
-    ("int32", "refused_parameter", "place in module.yaml of the parameter that is out of bounds, or -1"),
+    ("int32", "refused_parameter", "place in module.yaml of the parameter that was put back last, or -1"),
     ("uint8", "faults", "a sum of FAULT_"),
     ("bool", "active", "the commands are in use: armed, in a mode that wants this controller, and without a fault"),
 )

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
+
 from twodof.compile.px4.message import Fields
 from twodof.compile.px4.names import ModuleNames
 from twodof.compile.px4.topics import MOTORS, Role
@@ -9,9 +12,64 @@ from twodof.compile.px4.topics import MOTORS, Role
 ACTUATORS = 12  # elements of actuator_motors.control
 
 
-def publications_text(role: Role) -> str:
+# What the commands are in use for: the vehicle is armed, and its mode leaves them to this controller.
+_WANTED: Mapping[str, str] = MappingProxyType(
+    {
+        "torque": "_armed.armed && _mode.flag_control_rates_enabled",
+        "attitude": "_armed.armed && (_mode.flag_control_velocity_enabled || _mode.flag_control_position_enabled)",
+        "motors": "_armed.armed",
+    }
+)
+
+
+def output_class(names: ModuleNames) -> str:
+    """The class of a topic that is commanded."""
+    return f"""/**
+ * A topic of the commands. PX4 has one flag for all who publish a topic: whoever of them ends clears it, and then
+ * nobody reads what the others publish.
+ */
+template<typename T>
+class {names.class_name}Output
+{{
+public:
+    explicit {names.class_name}Output(const orb_metadata *topic) : _topic(topic), _pub(topic), _sub(topic) {{}}
+
+    bool advertise() {{ return _pub.advertise(); }}
+
+    /** Publishes; false if another has published since the last time, or has cleared the flag, which is set again. */
+    bool publish(const T &value, hrt_abstime now)
+    {{
+        const bool cleared = _pub.advertised() && !_sub.advertised();
+        const bool another = now < _last + TOGETHER && _sub.updated();
+
+        if (cleared) {{
+            orb_advertise(_topic, nullptr);
+        }}
+
+        _pub.publish(value);
+        T latest;
+        _sub.copy(&latest);
+        _last = now;
+        return !cleared && !another;
+    }}
+
+    const char *name() const {{ return _topic->o_name; }}
+
+private:
+    static constexpr hrt_abstime TOGETHER = 100000;  // after a longer pause another's publication is no rival
+
+    const orb_metadata *_topic;
+    uORB::Publication<T> _pub;
+    uORB::Subscription _sub;
+    hrt_abstime _last{{0}};
+}};
+"""
+
+
+def publications_text(names: ModuleNames, role: Role) -> str:
     """The publications among the class's members."""
-    return "\n".join(f"    uORB::Publication<{topic}_s> _{topic}_pub{{ORB_ID({topic})}};" for topic in role.writes)
+    output = f"{names.class_name}Output"
+    return "\n".join(f"    {output}<{topic}_s> _{topic}_pub{{ORB_ID({topic})}};" for topic in role.writes)
 
 
 def commands_text(names: ModuleNames, role: Role, found: Fields) -> str:
@@ -30,9 +88,14 @@ static float limited(float value, float low, float high)
     return value < low ? low : value > high ? high : value;
 }}
 
+bool {c}::wanted() const
+{{
+    return {_WANTED[role.commands]};
+}}
+
 void {c}::command(hrt_abstime sample)
 {{
-    const bool sound = (_faults & (STALE | NOT_FINITE)) == 0;
+    _active = wanted() && (_faults & (STALE | NOT_FINITE)) == 0;
 {body}}}
 """
 
@@ -50,8 +113,7 @@ def _torque(role: Role, members: dict[str, str]) -> str:
             "(_mode.flag_control_velocity_enabled || _mode.flag_control_position_enabled)\n"
             f"                 ? {members['thrust']} : _thrust_setpoint"
         )
-    return f"""    _active = sound && _armed.armed && _mode.flag_control_rates_enabled;
-
+    return f"""
     if (!_mode.flag_control_rates_enabled) {{
         return; // another module commands torque and thrust, or nobody does
     }}
@@ -63,19 +125,18 @@ def _torque(role: Role, members: dict[str, str]) -> str:
     thrust_setpoint.timestamp_sample = sample;
     thrust_setpoint.xyz[2] = _active ? -limited(thrust, 0.f, 1.f) : 0.f;
     thrust_setpoint.timestamp = hrt_absolute_time();
-    _vehicle_thrust_setpoint_pub.publish(thrust_setpoint);
+    send(_vehicle_thrust_setpoint_pub, thrust_setpoint);
 
     vehicle_torque_setpoint_s torque_setpoint{{}};
     torque_setpoint.timestamp_sample = sample;
     torque_setpoint.xyz[1] = _active ? _torque_scale * limited({members["M"]}, -1.f, 1.f) : 0.f;
     torque_setpoint.timestamp = hrt_absolute_time();
-    _vehicle_torque_setpoint_pub.publish(torque_setpoint);
+    send(_vehicle_torque_setpoint_pub, torque_setpoint);
 """
 
 
 def _attitude(role: Role, members: dict[str, str]) -> str:
     return f"""    const bool along_rail = _mode.flag_control_velocity_enabled || _mode.flag_control_position_enabled;
-    _active = sound && _armed.armed && along_rail;
     (void)sample;
 
     if (!along_rail) {{
@@ -95,7 +156,7 @@ def _attitude(role: Role, members: dict[str, str]) -> str:
     attitude_setpoint.q_d[3] = z * cosf(half);
     attitude_setpoint.thrust_body[2] = _active ? -limited({members["thrust"]}, 0.f, 1.f) : 0.f;
     attitude_setpoint.timestamp = hrt_absolute_time();
-    _vehicle_attitude_setpoint_pub.publish(attitude_setpoint);
+    send(_vehicle_attitude_setpoint_pub, attitude_setpoint);
 """
 
 
@@ -104,8 +165,7 @@ def _motors(role: Role, members: dict[str, str]) -> str:
         f"    motors.control[{i}] = _active ? limited({members[name]}, 0.f, 1.f) : NAN;"
         for i, name in enumerate(MOTORS)
     )
-    return f"""    _active = sound && _armed.armed;
-
+    return f"""
     actuator_motors_s motors{{}}; // NaN stops a motor
     motors.timestamp_sample = sample;
 {lines}
@@ -115,5 +175,5 @@ def _motors(role: Role, members: dict[str, str]) -> str:
     }}
 
     motors.timestamp = hrt_absolute_time();
-    _actuator_motors_pub.publish(motors);
+    send(_actuator_motors_pub, motors);
 """

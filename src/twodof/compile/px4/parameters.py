@@ -224,7 +224,7 @@ def _long(row: Exported) -> str:
     text = ": ".join(filter(None, (row.place, row.text)))
     when = "Read when the module starts." if row.fixed else "A change acts at the next step."
     bounds = row.bounds[0].upper() + row.bounds[1:]
-    return f"{text}. {bounds}; another value is refused, with all that changed beside it. {when}"
+    return f"{text}. {bounds}; another value is put back to the one that flies. {when}"
 
 
 def _quoted(text: str, longest: int) -> str:

@@ -73,7 +73,9 @@ def _use(names: ModuleNames, role: Role) -> str:
    not run. If the card has such files already, add the lines.
    `logger_topics.txt` replaces PX4's own choice of topics; take the file away for that.
 4. `{n} status` in PX4's console says whether it runs and commands; `{n} stop` ends it.
-   Its last command is torque and thrust 0 (motors stopped); then nobody commands until {stops} is started.
+   Its last command is {_ZERO[role.commands]}; then nobody commands until {stops} is started.
+   It does not start while armed, nor while {stops} or another module commands the same.
+   It does not stop while armed; `{n} stop -f` does, and has PX4 disarm.
 
 The module steps every 4 ms. PX4 runs it on each gyro sample (`vehicle_angular_velocity`); a sample is used when it is
 the first of its period of 4000 us, up to 500 us early, so the gyro may come at any rate from 250 Hz
@@ -132,9 +134,9 @@ def _parameters(names: ModuleNames, rows: Sequence[Exported], kept: Sequence[Kep
 
 {_table(head, table)}
 A change acts at the next step. Changes that come together act together; to change several over a link, which sends
-them one by one, set `{names.prefix}_LIVE` to 0, change them, and set it to 1. If one is out of bounds none of the
-changes is taken, the old values fly on, PX4 warns once, and the message says which (`refused_parameter`). Fixed
-parameters are read when the module starts; if any is out of bounds then, the diagram's defaults fly.
+them one by one, set `{names.prefix}_LIVE` to 0, change them, and set it to 1. A value out of bounds is put back in PX4
+to the one that flies, so that the ground reads that; the ground is told, the message says which (`refused_parameter`),
+and the others are taken all the same. Fixed parameters are read when the module starts.
 """
     if kept:
         text += "\nThese are not parameters of PX4 and keep the diagram's defaults:\n\n"
@@ -142,21 +144,26 @@ parameters are read when the module starts; if any is out of bounds then, the di
     return text
 
 
+_ZERO = {
+    "torque": "torque and thrust 0",
+    "attitude": "level pitch and thrust 0",
+    "motors": "all motors stopped",
+}
+
+
 def _doubt(role: Role) -> str:
     faults = _table(("bit", "fault", "what"), [(str(bit), name, _cell(text)) for bit, name, text in FAULTS])
-    zero = {
-        "torque": "torque and thrust 0",
-        "attitude": "level pitch and thrust 0",
-        "motors": "all motors stopped",
-    }[role.commands]
     return f"""## In doubt
 
-A drone on rails cannot fall, so in doubt the motors stop: {zero}. Do not fly this module off the rig.
+A drone on rails cannot fall, so in doubt the motors stop: {_ZERO[role.commands]}. Do not fly this module off the rig.
 
 {faults}
 A measurement is stale 50 ms (position: 200 ms) after its last message, the gyro after 20 ms. A set-point that is not
 finite or older than 1 s is replaced: position by the present one, all others by 0. After STALE or NOT_FINITE the
-controller starts from its initial states, and `tick` from 0. Moments are limited to -1..1, thrust and motors to 0..1,
+controller starts from its initial states, and `tick` from 0. Where that stops the motors of an armed vehicle the ground
+is told at once, and after .5 s PX4 is asked to disarm, in flight too: it never says armed for long while nobody flies.
+PX4 has one flag for all who publish a topic, which any of them clears when it ends; the module sets it again (SHARED),
+and says when another publishes the same. Moments are limited to -1..1, thrust and motors to 0..1,
 after `out_`. Keep the kill switch at hand, and try the module in the simulator first.
 """
 

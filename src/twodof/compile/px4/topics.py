@@ -20,7 +20,8 @@ class Reading:
     text: str
 
 
-# The fields of each topic that a module may touch, with their types as the .msg files write them.
+# The fields of each topic that a module may touch, with their types as the .msg files write them; "or" stands between
+# those of different versions.
 FIELDS: Mapping[str, Mapping[str, str]] = MappingProxyType(
     {
         "vehicle_angular_velocity": {"timestamp_sample": "uint64", "xyz": "float32[3]"},
@@ -56,6 +57,28 @@ FIELDS: Mapping[str, Mapping[str, str]] = MappingProxyType(
         "vehicle_thrust_setpoint": {"timestamp": "uint64", "timestamp_sample": "uint64", "xyz": "float32[3]"},
         "vehicle_torque_setpoint": {"timestamp": "uint64", "timestamp_sample": "uint64", "xyz": "float32[3]"},
         "actuator_motors": {"timestamp": "uint64", "timestamp_sample": "uint64", "control": "float32[12]"},
+        "vehicle_command": {
+            "timestamp": "uint64",
+            "param1": "float32",
+            "param2": "float32",
+            "command": "uint32",
+            "target_system": "uint8",
+            "target_component": "uint8",
+            "source_system": "uint8",
+            "source_component": "uint16 or uint8",
+        },
+        "vehicle_status": {"system_id": "uint8", "component_id": "uint8"},
+        "rate_ctrl_status": {"timestamp": "uint64"},
+        "takeoff_status": {"timestamp": "uint64"},
+    }
+)
+
+# A module of PX4 -> the topic that it alone advertises, from its start to its end.
+SIGNS: Mapping[str, str] = MappingProxyType(
+    {
+        "mc_rate_control": "rate_ctrl_status",
+        "mc_pos_control": "takeoff_status",
+        "control_allocator": "actuator_motors",
     }
 )
 
@@ -130,6 +153,21 @@ class Role:
         if self.commands == "attitude":
             topics.add("vehicle_attitude")
         return tuple(sorted(topics))
+
+    @property
+    def signs(self) -> dict[str, str]:
+        """Topic -> who advertises it; the module does not start beside one of them.
+
+        `vehicle_attitude_setpoint` is not among them: mavlink and mc_att_control publish it too, and never end.
+        """
+        signs = {SIGNS[module]: module for module in self.stops}
+        others = () if self.commands == "attitude" else self.writes
+        return {**dict.fromkeys(others, "another module"), **signs}
+
+    @property
+    def asides(self) -> tuple[str, ...]:
+        """What else is used: to see who else commands, and to ask PX4 to disarm."""
+        return tuple(sorted({*self.signs, "vehicle_command", "vehicle_status"}))
 
     @property
     def writes(self) -> tuple[str, ...]:

@@ -1,6 +1,7 @@
 // Drives a module by lines on stdin: a clock, topics, parameters and commands; tells what it publishes and says.
 #include "stand_in.hpp"
 
+#include <algorithm>
 #include <cstdlib>
 #include <iostream>
 #include <sstream>
@@ -48,6 +49,7 @@ int main()
         if (what == "queue") { // as publish, but the listeners do not run yet
             line >> name >> value;
             const std::vector<uint8_t> bytes = bytes_of(value);
+            stand_in::topics[name].advertised = true;
             stand_in::publish(name.c_str(), bytes.data(), bytes.size());
             continue;
         }
@@ -58,6 +60,7 @@ int main()
         } else if (what == "publish") {
             line >> name >> value;
             const std::vector<uint8_t> bytes = bytes_of(value);
+            stand_in::topics[name].advertised = true;
             stand_in::publish(name.c_str(), bytes.data(), bytes.size());
 
         } else if (what == "parameter") {
@@ -73,6 +76,28 @@ int main()
             p.integer = kind == 'i';
             p.real = static_cast<float>(number);
             p.whole = p.integer ? static_cast<int32_t>(number) : 0;
+
+        } else if (what == "advertise" || what == "end") { // another's publication begins or ends
+            line >> name;
+            stand_in::topics[name].advertised = what == "advertise";
+
+        } else if (what == "read") { // as the ground does
+            line >> name;
+            const stand_in::Parameter &p = stand_in::parameters[name];
+            std::cout << "read " << name << ' ' << (p.integer ? static_cast<double>(p.whole) : static_cast<double>(p.real))
+                      << std::endl;
+
+        } else if (what == "flag") {
+            line >> name;
+            std::cout << "flag " << stand_in::topics[name].advertised << std::endl;
+
+        } else if (what == "forget") { // a parameter
+            line >> name;
+            auto &order = stand_in::parameter_order;
+            order.erase(std::remove(order.begin(), order.end(), name), order.end());
+
+        } else if (what == "obey") {
+            stand_in::obedient = true;
 
         } else if (what == "deaf") {
             stand_in::lockable = false;

@@ -5,6 +5,7 @@
 #include <px4_platform_common/log.h>
 #include <px4_platform_common/px4_work_queue/ScheduledWorkItem.hpp>
 #include <px4_platform_common/time.h>
+#include <uORB/uORB.h>
 
 #include <cstdarg>
 #include <cstdio>
@@ -14,6 +15,7 @@ namespace stand_in
 {
 uint64_t now = 1000000;
 bool lockable = true;
+bool obedient = false;
 std::map<std::string, Topic> topics;
 std::map<std::string, Parameter> parameters;
 std::vector<std::string> parameter_order;
@@ -21,10 +23,18 @@ std::vector<px4::WorkItem *> ready;
 std::map<px4::WorkItem *, uint64_t> delayed;
 std::vector<std::string> said;
 
+static void disarm()
+{
+    Topic &t = topics["actuator_armed"];
+    t.value.assign(t.value.size(), 0);
+    t.generation++;
+}
+
 void publish(const char *topic, const void *value, size_t size)
 {
     Topic &t = topics[topic];
-    printf("%s ", topic);
+    // Without the flag no subscriber finds anything.
+    printf("%s%s ", t.advertised ? "" : "lost ", topic);
 
     for (size_t i = 0; i < size; i++) {
         printf("%02x", static_cast<unsigned>(static_cast<const uint8_t *>(value)[i]));
@@ -39,10 +49,15 @@ void publish(const char *topic, const void *value, size_t size)
     for (px4::WorkItem *item : t.listeners) {
         ready.push_back(item);
     }
+
+    if (obedient && std::string("vehicle_command") == topic) {
+        disarm();
+    }
 }
 
 void withdraw(const char *topic)
 {
+    topics[topic].advertised = false;
     printf("withdrawn %s %llu\n", topic, static_cast<unsigned long long>(now));
     fflush(stdout);
 }
@@ -102,6 +117,34 @@ static const stand_in::Parameter *parameter(param_t param, bool integer)
 
     const stand_in::Parameter &p = stand_in::parameters[stand_in::parameter_order[param]];
     return p.integer == integer ? &p : nullptr;
+}
+
+int param_set_no_notification(param_t param, const void *value)
+{
+    if (param >= stand_in::parameter_order.size()) {
+        return -1;
+    }
+
+    stand_in::Parameter &p = stand_in::parameters[stand_in::parameter_order[param]];
+    p.integer ? memcpy(&p.whole, value, sizeof p.whole) : memcpy(&p.real, value, sizeof p.real);
+    return 0;
+}
+
+void param_notify_changes()
+{
+    stand_in::topics["parameter_update"].advertised = true;
+    stand_in::publish("parameter_update", &stand_in::now, sizeof stand_in::now);
+}
+
+orb_advert_t orb_advertise(const orb_metadata *meta, const void *)
+{
+    stand_in::topics[meta->o_name].advertised = true;
+    return &stand_in::topics[meta->o_name];
+}
+
+int orb_exists(const orb_metadata *meta, int)
+{
+    return stand_in::topics[meta->o_name].advertised ? 0 : -1;
 }
 
 int param_get(param_t param, float *value)

@@ -8,13 +8,14 @@ class Subscription
 {
 public:
     explicit Subscription(const orb_metadata *meta) : _meta(meta) {}
-    bool updated() const { return stand_in::topics[_meta->o_name].generation != _seen; }
+    bool advertised() const { return stand_in::topics[_meta->o_name].advertised; }
+    bool updated() const { return advertised() && stand_in::topics[_meta->o_name].generation != _seen; }
     bool update(void *to) { return updated() && copy(to); }
     bool copy(void *to)
     {
         stand_in::Topic &topic = stand_in::topics[_meta->o_name];
 
-        if (topic.generation == 0) {
+        if (!topic.advertised || topic.generation == 0) {
             return false;
         }
 

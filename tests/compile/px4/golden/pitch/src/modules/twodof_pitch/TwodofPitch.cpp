@@ -16,11 +16,15 @@ static constexpr hrt_abstime SILENCE = 5 * PERIOD;      // without a gyro sample
 static constexpr hrt_abstime ATTITUDE_AGE = 50000;      // measurements older than this are not used
 static constexpr hrt_abstime POSITION_AGE = 200000;
 static constexpr hrt_abstime SETPOINT_AGE = 1000000;    // PX4 leaves Offboard after as long
+static constexpr hrt_abstime DISARM_AFTER = 500000;     // of motors that are off while armed
+static constexpr hrt_abstime LONGEST_END = 1000000;     // that a stop waits for PX4 to disarm
+static constexpr hrt_abstime TELL_AGAIN = 5000000;
 
 static constexpr uint8_t STALE = twodof_pitch_s::FAULT_STALE;
 static constexpr uint8_t NOT_FINITE = twodof_pitch_s::FAULT_NOT_FINITE;
 static constexpr uint8_t REFUSED = twodof_pitch_s::FAULT_REFUSED;
 static constexpr uint8_t NO_SETPOINT = twodof_pitch_s::FAULT_NO_SETPOINT;
+static constexpr uint8_t SHARED = twodof_pitch_s::FAULT_SHARED;
 
 static pthread_mutex_t instance_lock = PTHREAD_MUTEX_INITIALIZER;
 px4::atomic<TwodofPitch *> TwodofPitch::instance{nullptr};
@@ -29,61 +33,24 @@ TwodofPitch::TwodofPitch() :
     ScheduledWorkItem(MODULE_NAME, px4::wq_configurations::rate_ctrl)
 {
     twodof_pitch_begin(&_controller);
+
+    for (int32_t i = 0; i < twodof_pitch_PARAMETERS; i++) {
+        _flying[i] = twodof_pitch_parameters[i].standard;
+    }
+
     take_parameters(true);
     twodof_pitch_reset(&_controller);
 }
 
 bool TwodofPitch::start()
 {
-    return _angular_velocity_sub.registerCallback();
+    return _angular_velocity_sub.registerCallback() && _vehicle_thrust_setpoint_pub.advertise() && _vehicle_torque_setpoint_pub.advertise();
 }
 
 void TwodofPitch::request_stop()
 {
     _should_stop.store(true);
     ScheduleNow();
-}
-
-int32_t TwodofPitch::read_parameters(twodof_pitch_Value *values)
-{
-    for (int32_t i = 0; i < twodof_pitch_PARAMETERS; i++) {
-        const param_t handle = param_find(twodof_pitch_parameters[i].name);
-        const int failed = twodof_pitch_parameters[i].type == 'f' ? param_get(handle, &values[i].real)
-                           : param_get(handle, &values[i].integer);
-
-        if (failed) {
-            return i;
-        }
-    }
-
-    return -1;
-}
-
-void TwodofPitch::take_parameters(bool starting)
-{
-    static twodof_pitch_Value values[twodof_pitch_PARAMETERS];  // one item at a time takes them; too many for the queue's stack
-    int32_t refused = read_parameters(values);
-
-    if (refused < 0) {
-        if (!starting && values[twodof_pitch_LIVE].integer == 0) {
-            return; // changes wait until it is 1 again
-        }
-
-        refused = twodof_pitch_change(&_controller, values, starting);
-    }
-
-    if (refused >= 0) {
-        if (refused != _refused_parameter) {
-            PX4_WARN("%s is out of bounds or missing: no parameter was changed", twodof_pitch_parameters[refused].name);
-        }
-
-        _refused_parameter = refused;
-        return;
-    }
-
-    _refused_parameter = -1;
-    _parameter_revision++;
-    _torque_scale = values[twodof_pitch_TORQUE].real;
 }
 
 bool TwodofPitch::due(hrt_abstime sample)
@@ -108,29 +75,7 @@ bool TwodofPitch::due(hrt_abstime sample)
 void TwodofPitch::Run()
 {
     if (_should_stop.load()) {
-        const hrt_abstime now = hrt_absolute_time();
-
-        if (_stopping_since == 0) {
-            // The last command would stand for ever: what is safe takes its place.
-            _stopping_since = now;
-            _angular_velocity_sub.unregisterCallback();
-            _faults = STALE;
-            read_topics();
-            command(now);
-        }
-
-        // The item outlives its last command by a while, as nobody reads a topic whose publication has gone; a run that
-        // was already asked for comes sooner.
-        if (now < _stopping_since + SILENCE) {
-            ScheduleDelayed(SILENCE);
-            return;
-        }
-
-        ScheduleClear();
-        pthread_mutex_lock(&instance_lock);
-        instance.store(nullptr);
-        pthread_mutex_unlock(&instance_lock);
-        delete this;
+        end();
         return;
     }
 
@@ -141,8 +86,10 @@ void TwodofPitch::Run()
         if (_last_sample != 0 && begin >= _last_sample + SILENCE) {
             _faults = STALE;
             _waiting = true;
+            _silent = true;
             read_topics();
             command(begin);
+            judge(begin);
             report(begin, begin);
         }
 
@@ -162,7 +109,9 @@ void TwodofPitch::Run()
         take_parameters(false);
     }
 
-    _faults = _refused_parameter >= 0 ? REFUSED : 0;
+    _faults = _refused ? REFUSED : 0;
+    _refused = false;
+    _silent = false;
     read_topics();
     read_inputs(rates);
 
@@ -187,7 +136,49 @@ void TwodofPitch::Run()
     }
 
     command(rates.timestamp_sample);
+    judge(begin);
     report(rates.timestamp_sample, begin);
+}
+
+void TwodofPitch::end()
+{
+    const hrt_abstime now = hrt_absolute_time();
+    const bool first = _stopping_since == 0;
+    read_topics();
+
+    if (first) {
+        _stopping_since = now;
+        _angular_velocity_sub.unregisterCallback();
+
+        if (_armed.armed) {
+            tell(STALE, "motors off: ", "stopped while armed");
+            ask_to_disarm();
+        }
+    }
+
+    // The last command would stand for ever: what is safe takes its place, and again until PX4 has disarmed.
+    if (first || (_armed.armed && now >= _commanded + SILENCE && now < _stopping_since + LONGEST_END)) {
+        _commanded = now;
+        _faults = STALE;
+        command(now);
+    }
+
+    // The item outlives its last command by a while, as nobody reads a topic whose publication has gone; a run that
+    // was already asked for comes sooner.
+    if (now < _commanded + SILENCE) {
+        ScheduleDelayed(SILENCE);
+        return;
+    }
+
+    if (_armed.armed) {
+        mavlink_log_critical(&_mavlink_log, MODULE_NAME ": has ended, PX4 is armed and nobody commands");
+    }
+
+    ScheduleClear();
+    pthread_mutex_lock(&instance_lock);
+    instance.store(nullptr);
+    pthread_mutex_unlock(&instance_lock);
+    delete this;
 }
 
 static bool fresh(hrt_abstime stamp, hrt_abstime now, hrt_abstime oldest)
@@ -258,10 +249,14 @@ static float limited(float value, float low, float high)
     return value < low ? low : value > high ? high : value;
 }
 
+bool TwodofPitch::wanted() const
+{
+    return _armed.armed && _mode.flag_control_rates_enabled;
+}
+
 void TwodofPitch::command(hrt_abstime sample)
 {
-    const bool sound = (_faults & (STALE | NOT_FINITE)) == 0;
-    _active = sound && _armed.armed && _mode.flag_control_rates_enabled;
+    _active = wanted() && (_faults & (STALE | NOT_FINITE)) == 0;
 
     if (!_mode.flag_control_rates_enabled) {
         return; // another module commands torque and thrust, or nobody does
@@ -274,13 +269,114 @@ void TwodofPitch::command(hrt_abstime sample)
     thrust_setpoint.timestamp_sample = sample;
     thrust_setpoint.xyz[2] = _active ? -limited(thrust, 0.f, 1.f) : 0.f;
     thrust_setpoint.timestamp = hrt_absolute_time();
-    _vehicle_thrust_setpoint_pub.publish(thrust_setpoint);
+    send(_vehicle_thrust_setpoint_pub, thrust_setpoint);
 
     vehicle_torque_setpoint_s torque_setpoint{};
     torque_setpoint.timestamp_sample = sample;
     torque_setpoint.xyz[1] = _active ? _torque_scale * limited(_out.out_m, -1.f, 1.f) : 0.f;
     torque_setpoint.timestamp = hrt_absolute_time();
-    _vehicle_torque_setpoint_pub.publish(torque_setpoint);
+    send(_vehicle_torque_setpoint_pub, torque_setpoint);
+}
+
+void TwodofPitch::tell(uint8_t what, const char *text, const char *more)
+{
+    const hrt_abstime now = hrt_absolute_time();
+
+    if (what == _told && now < _told_at + TELL_AGAIN) {
+        return;
+    }
+
+    _told = what;
+    _told_at = now;
+    mavlink_log_critical(&_mavlink_log, MODULE_NAME ": %s%s", text, more);
+}
+
+void TwodofPitch::ask_to_disarm()
+{
+    // To this vehicle alone: mavlink would send a command without an address to all that are connected.
+    vehicle_status_s status{};
+    _status_sub.copy(&status);
+
+    vehicle_command_s command{};
+    command.command = vehicle_command_s::VEHICLE_CMD_COMPONENT_ARM_DISARM;
+    command.param1 = 0.f;
+    command.param2 = 21196.f; // in flight too
+    command.target_system = status.system_id;
+    command.target_component = status.component_id;
+    command.source_system = status.system_id;
+    command.source_component = status.component_id;
+    command.timestamp = hrt_absolute_time();
+    _command_pub.publish(command);
+    mavlink_log_critical(&_mavlink_log, MODULE_NAME ": asks to disarm, as the motors are off");
+}
+
+void TwodofPitch::judge(hrt_abstime now)
+{
+    if (_active || !wanted()) {
+        _doubt_since = 0;
+
+    } else if (_doubt_since == 0) {
+        _doubt_since = now;
+        tell(_faults & (STALE | NOT_FINITE), "motors off: ", (_faults & NOT_FINITE) ? "a command is not finite"
+             : _silent ? "the gyro is silent" : "no sound measurement");
+
+    } else if (now >= _doubt_since + DISARM_AFTER) {
+        _doubt_since = now;
+        ask_to_disarm();
+    }
+}
+
+bool TwodofPitch::read_parameter(int32_t place, twodof_pitch_Value *value)
+{
+    const param_t handle = param_find(twodof_pitch_parameters[place].name);
+    const int failed = twodof_pitch_parameters[place].type == 'f' ? param_get(handle, &value->real)
+                       : param_get(handle, &value->integer);
+    return !failed && twodof_pitch_within(place, *value);
+}
+
+void TwodofPitch::take_parameters(bool starting)
+{
+    static twodof_pitch_Value values[twodof_pitch_PARAMETERS];  // one item at a time takes them; too many for the queue's stack
+    bool put_back = false;
+
+    for (int32_t i = 0; i < twodof_pitch_PARAMETERS; i++) {
+        if (read_parameter(i, &values[i])) {
+            continue;
+        }
+
+        // The others are taken all the same, and the ground reads what flies.
+        values[i] = _flying[i];
+        _refused_parameter = i;
+        _refused = true;
+
+        if (param_set_no_notification(param_find(twodof_pitch_parameters[i].name), &_flying[i]) == 0) {
+            put_back = true;
+            mavlink_log_critical(&_mavlink_log, "%s was out of bounds and is put back", twodof_pitch_parameters[i].name);
+
+        } else {
+            mavlink_log_critical(&_mavlink_log, "%s is missing in PX4", twodof_pitch_parameters[i].name);
+        }
+    }
+
+    if (put_back) {
+        param_notify_changes();
+    }
+
+    if (!starting && values[twodof_pitch_LIVE].integer == 0) {
+        _flying[twodof_pitch_LIVE] = values[twodof_pitch_LIVE];
+        return; // changes wait until it is 1 again
+    }
+
+    twodof_pitch_change(&_controller, values, starting);
+
+    for (int32_t i = 0; i < twodof_pitch_PARAMETERS; i++) {
+        if (starting || !twodof_pitch_parameters[i].fixed) {
+            _flying[i] = values[i];
+        }
+    }
+
+    _parameter_revision++;
+    _torque_scale = values[twodof_pitch_TORQUE].real;
 }
 
 void TwodofPitch::report(hrt_abstime sample, hrt_abstime begin)
@@ -321,7 +417,7 @@ void TwodofPitch::print_status() const
          static_cast<unsigned long>(_missed), static_cast<unsigned long>(_overruns), static_cast<unsigned>(_faults));
 
     if (_refused_parameter >= 0) {
-        PX4_INFO("%s is out of bounds or missing: no parameter is taken over", twodof_pitch_parameters[_refused_parameter].name);
+        PX4_INFO("%s was out of bounds or missing", twodof_pitch_parameters[_refused_parameter].name);
     }
 }
 
@@ -344,17 +440,16 @@ int TwodofPitch::replay(const char *input, const char *output)
 
     if (s != nullptr) {
         twodof_pitch_begin(&s->controller);
-        int32_t refused = read_parameters(s->values);
 
-        if (refused < 0) {
-            refused = twodof_pitch_change(&s->controller, s->values, true);
+        for (int32_t i = 0; i < twodof_pitch_PARAMETERS; i++) {
+            if (!read_parameter(i, &s->values[i])) {
+                s->values[i] = twodof_pitch_parameters[i].standard;
+                PX4_WARN("%s is out of bounds or missing: its default is used", twodof_pitch_parameters[i].name);
+            }
         }
 
+        twodof_pitch_change(&s->controller, s->values, true);
         twodof_pitch_reset(&s->controller);
-
-        if (refused >= 0) {
-            PX4_WARN("%s is out of bounds or missing: the defaults are used", twodof_pitch_parameters[refused].name);
-        }
 
         while (written && fread(s->in_words, sizeof(uint32_t), twodof_pitch_INPUT_WORDS, from) == twodof_pitch_INPUT_WORDS) {
             twodof_pitch_unpack(s->in_words, &s->in);
@@ -385,13 +480,50 @@ int TwodofPitch::replay(const char *input, const char *output)
     return 0;
 }
 
+static bool armed()
+{
+    uORB::Subscription subscription{ORB_ID(actuator_armed)};
+    actuator_armed_s state{};
+    return subscription.copy(&state) && state.armed;
+}
+
+/** Who else commands, or nullptr. */
+static const char *rival()
+{
+    static const struct {
+        const orb_metadata *topic;
+        const char *who;
+    } rivals[] = {
+        {ORB_ID(rate_ctrl_status), "mc_rate_control runs or has left rate_ctrl_status: stop it"},
+        {ORB_ID(vehicle_thrust_setpoint), "another module runs or has left vehicle_thrust_setpoint: stop it"},
+        {ORB_ID(vehicle_torque_setpoint), "another module runs or has left vehicle_torque_setpoint: stop it"},
+    };
+
+    for (const auto &r : rivals) {
+        if (orb_exists(r.topic, 0) == 0) {
+            return r.who;
+        }
+    }
+
+    return nullptr;
+}
+
 static int start_item()
 {
     int result = 0;
     pthread_mutex_lock(&instance_lock);
+    const char *const another = rival();
 
     if (TwodofPitch::instance.load() != nullptr) {
         PX4_ERR("already running");
+        result = -1;
+
+    } else if (armed()) {
+        PX4_ERR("not started while armed: disarm first");
+        result = -1;
+
+    } else if (another != nullptr) {
+        PX4_ERR("not started: %s", another);
         result = -1;
 
     } else {
@@ -415,8 +547,13 @@ static int start_item()
     return result;
 }
 
-static int stop_item()
+static int stop_item(bool forced)
 {
+    if (armed() && !forced) {
+        PX4_ERR("not stopped while armed: disarm first, or `twodof_pitch stop -f`, which stops the motors and disarms");
+        return -1;
+    }
+
     pthread_mutex_lock(&instance_lock);
     TwodofPitch *const item = TwodofPitch::instance.load();
 
@@ -462,7 +599,7 @@ extern "C" __EXPORT int twodof_pitch_main(int argc, char *argv[])
         return start_item();
 
     } else if (strcmp(what, "stop") == 0) {
-        return stop_item();
+        return stop_item(argc > 2 && strcmp(argv[2], "-f") == 0);
 
     } else if (strcmp(what, "status") == 0) {
         return print_status();
@@ -471,6 +608,6 @@ extern "C" __EXPORT int twodof_pitch_main(int argc, char *argv[])
         return TwodofPitch::replay(argv[2], argv[3]);
     }
 
-    PX4_INFO("usage: twodof_pitch start | stop | status | replay INPUT OUTPUT");
+    PX4_INFO("usage: twodof_pitch start | stop [-f] | status | replay INPUT OUTPUT");
     return -1;
 }

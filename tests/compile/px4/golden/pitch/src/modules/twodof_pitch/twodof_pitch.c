@@ -134,15 +134,15 @@ _Static_assert(sizeof(twodof_pitch_Inside) <= sizeof(twodof_pitch_Controller), "
 _Static_assert(sizeof(real) == 4, "the controller computes in float32");
 
 const twodof_pitch_Parameter twodof_pitch_parameters[twodof_pitch_PARAMETERS] = {
-    {"TPI_DAMP_GAINS_0", 'f', false, 0x0.0p+0f, 0x1.0000000000000p+2f, 0, 0},
-    {"TPI_DAMP_GAINS_1", 'f', false, 0x0.0p+0f, 0x1.0000000000000p+2f, 0, 0},
-    {"TPI_DAMPER_KI", 'f', false, 0x0.0p+0f, 0x1.4000000000000p+2f, 0, 0},
-    {"TPI_DAMPER_SHARE", 'i', false, 0.0f, 0.0f, 1, 16},
-    {"TPI_DAMPE_INTEGR", 'b', false, 0.0f, 0.0f, 0, 1},
-    {"TPI_DAMPER_SUM_0", 'f', true, -0x1.0000000000000p+0f, 0x1.0000000000000p+0f, 0, 0},
-    {"TPI_FEED_K", 'f', false, -0x1.fffffep+127f, 0x1.fffffep+127f, 0, 0},
-    {"TPI_LIVE", 'b', false, 0.0f, 0.0f, 0, 1},
-    {"TPI_TORQUE", 'f', false, 0x0.0p+0f, 0x1.4000000000000p+3f, 0, 0},
+    {"TPI_DAMP_GAINS_0", 'f', false, 0x0.0p+0f, 0x1.0000000000000p+2f, 0, 0, {.real = 0x1.0000000000000p-1f}},
+    {"TPI_DAMP_GAINS_1", 'f', false, 0x0.0p+0f, 0x1.0000000000000p+2f, 0, 0, {.real = 0x1.47ae140000000p-4f}},
+    {"TPI_DAMPER_KI", 'f', false, 0x0.0p+0f, 0x1.4000000000000p+2f, 0, 0, {.real = 0x1.3333340000000p-2f}},
+    {"TPI_DAMPER_SHARE", 'i', false, 0.0f, 0.0f, 1, 16, {.integer = 4}},
+    {"TPI_DAMPE_INTEGR", 'b', false, 0.0f, 0.0f, 0, 1, {.integer = 1}},
+    {"TPI_DAMPER_SUM_0", 'f', true, -0x1.0000000000000p+0f, 0x1.0000000000000p+0f, 0, 0, {.real = 0x0.0p+0f}},
+    {"TPI_FEED_K", 'f', false, -0x1.fffffep+127f, 0x1.fffffep+127f, 0, 0, {.real = 0x1.47ae140000000p-7f}},
+    {"TPI_LIVE", 'b', false, 0.0f, 0.0f, 0, 1, {.integer = 1}},
+    {"TPI_TORQUE", 'f', false, 0x0.0p+0f, 0x1.4000000000000p+3f, 0, 0, {.real = 0x1.6a09e60000000p+0f}},
 };
 
 static twodof_pitch_Inside *inside(twodof_pitch_Controller *c)
@@ -163,9 +163,9 @@ void twodof_pitch_reset(twodof_pitch_Controller *c)
     twodof_pitch_init(&inside(c)->p, &inside(c)->s);
 }
 
-static bool within(const twodof_pitch_Parameter *row, twodof_pitch_Value value)
+bool twodof_pitch_within(int32_t place, twodof_pitch_Value value)
 {
-    /* A NaN is in no bounds. */
+    const twodof_pitch_Parameter *const row = &twodof_pitch_parameters[place];
     return row->type == 'f' ? value.real >= row->low && value.real <= row->high
                             : value.integer >= row->least && value.integer <= row->most;
 }
@@ -174,7 +174,7 @@ int32_t twodof_pitch_change(twodof_pitch_Controller *c, const twodof_pitch_Value
 {
     for (int32_t i = 0; i < twodof_pitch_PARAMETERS; i++) {
         const bool taken = starting || !twodof_pitch_parameters[i].fixed;
-        if (taken && !within(&twodof_pitch_parameters[i], values[i]))
+        if (taken && !twodof_pitch_within(i, values[i]))
             return i;
     }
     twodof_pitch_Inside *const own = inside(c);

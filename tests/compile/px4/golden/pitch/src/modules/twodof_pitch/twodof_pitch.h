@@ -25,20 +25,21 @@ typedef struct {
     int32_t log_damper_count; /* damper.count */
 } twodof_pitch_Outputs;
 
-/* A parameter in PX4: its name, its type (f float, i integer, b boolean) and its bounds. A fixed one is read when the
-   module starts. */
+typedef union {
+    float real;
+    int32_t integer;
+} twodof_pitch_Value;
+
+/* A parameter in PX4: its name, its type (f float, i integer, b boolean), its bounds and its default. A fixed one is
+   read when the module starts. */
 typedef struct {
     const char *name;
     char type;
     bool fixed;
     float low, high;
     int32_t least, most;
+    twodof_pitch_Value standard;
 } twodof_pitch_Parameter;
-
-typedef union {
-    float real;
-    int32_t integer;
-} twodof_pitch_Value;
 
 enum {
     twodof_pitch_PARAMETERS = 9,
@@ -60,6 +61,9 @@ void twodof_pitch_begin(twodof_pitch_Controller *c);
 
 /* Initial states; the parameters stay. */
 void twodof_pitch_reset(twodof_pitch_Controller *c);
+
+/* Whether a value is within the bounds of the parameter at `place`. A NaN is in no bounds. */
+bool twodof_pitch_within(int32_t place, twodof_pitch_Value value);
 
 /* Takes twodof_pitch_PARAMETERS values over, those of fixed parameters only when `starting`. Returns -1, or, if one is out of
    bounds, its place; then none is changed. */

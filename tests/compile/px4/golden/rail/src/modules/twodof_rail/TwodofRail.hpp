@@ -8,18 +8,62 @@
 #include <px4_platform_common/px4_config.h>
 #include <px4_platform_common/atomic.h>
 #include <px4_platform_common/px4_work_queue/ScheduledWorkItem.hpp>
+#include <systemlib/mavlink_log.h>
 #include <uORB/Publication.hpp>
 #include <uORB/Subscription.hpp>
 #include <uORB/SubscriptionCallback.hpp>
 #include <uORB/topics/actuator_armed.h>
 #include <uORB/topics/parameter_update.h>
+#include <uORB/topics/takeoff_status.h>
 #include <uORB/topics/trajectory_setpoint.h>
 #include <uORB/topics/twodof_rail.h>
 #include <uORB/topics/vehicle_angular_velocity.h>
 #include <uORB/topics/vehicle_attitude.h>
 #include <uORB/topics/vehicle_attitude_setpoint.h>
+#include <uORB/topics/vehicle_command.h>
 #include <uORB/topics/vehicle_control_mode.h>
 #include <uORB/topics/vehicle_local_position.h>
+#include <uORB/topics/vehicle_status.h>
+
+/**
+ * A topic of the commands. PX4 has one flag for all who publish a topic: whoever of them ends clears it, and then
+ * nobody reads what the others publish.
+ */
+template<typename T>
+class TwodofRailOutput
+{
+public:
+    explicit TwodofRailOutput(const orb_metadata *topic) : _topic(topic), _pub(topic), _sub(topic) {}
+
+    bool advertise() { return _pub.advertise(); }
+
+    /** Publishes; false if another has published since the last time, or has cleared the flag, which is set again. */
+    bool publish(const T &value, hrt_abstime now)
+    {
+        const bool cleared = _pub.advertised() && !_sub.advertised();
+        const bool another = now < _last + TOGETHER && _sub.updated();
+
+        if (cleared) {
+            orb_advertise(_topic, nullptr);
+        }
+
+        _pub.publish(value);
+        T latest;
+        _sub.copy(&latest);
+        _last = now;
+        return !cleared && !another;
+    }
+
+    const char *name() const { return _topic->o_name; }
+
+private:
+    static constexpr hrt_abstime TOGETHER = 100000;  // after a longer pause another's publication is no rival
+
+    const orb_metadata *_topic;
+    uORB::Publication<T> _pub;
+    uORB::Subscription _sub;
+    hrt_abstime _last{0};
+};
 
 class TwodofRail : public px4::ScheduledWorkItem
 {
@@ -35,8 +79,8 @@ public:
 
     void print_status() const;
 
-    /** PX4's present values, in the order of twodof_rail_parameters; returns -1, or the place of one PX4 does not know. */
-    static int32_t read_parameters(twodof_rail_Value *values);
+    /** PX4's present value of a parameter of twodof_rail_parameters; false if it is out of bounds or missing. */
+    static bool read_parameter(int32_t place, twodof_rail_Value *value);
 
     /** Feeds rows of words from one file to a fresh controller with the present parameters, its outputs to another. */
     static int replay(const char *input, const char *output);
@@ -49,22 +93,51 @@ private:
 
     /** Whether a step is due at a gyro sample; counts those that were missed. */
     bool due(hrt_abstime sample);
+
+    /** Takes what is within its bounds, and puts back in PX4 what is not. */
     void take_parameters(bool starting);
     bool measurements_are_sound() const;
     void read_topics();
     void read_inputs(const vehicle_angular_velocity_s &rates);
     bool commands_are_finite() const;
+
+    /** Whether the commands count: armed, in a mode that wants this controller. */
+    bool wanted() const;
     void command(hrt_abstime sample);
     void report(hrt_abstime sample, hrt_abstime begin);
+
+    template<typename T>
+    void send(TwodofRailOutput<T> &output, const T &value)
+    {
+        if (!output.publish(value, value.timestamp)) {
+            _faults |= twodof_rail_s::FAULT_SHARED;
+            tell(twodof_rail_s::FAULT_SHARED, "another module publishes too, or has stopped: ", output.name());
+        }
+    }
+
+    /** Says that the motors are off while armed, and asks PX4 to disarm if they are so for long. */
+    void judge(hrt_abstime now);
+    void ask_to_disarm();
+
+    /** Tells the pilot; the same again only after a while. */
+    void tell(uint8_t what, const char *text, const char *more);
+
+    /** The last commands, until PX4 is disarmed; then the item's end. */
+    void end();
 
     twodof_rail_Controller _controller{};
     twodof_rail_Inputs _in{};
     twodof_rail_Outputs _out{};
     twodof_rail_s _message{};  // too large for the queue's stack
+    twodof_rail_Value _flying[twodof_rail_PARAMETERS] {};
 
     hrt_abstime _due{0};
     hrt_abstime _last_sample{0};
     hrt_abstime _stopping_since{0};
+    hrt_abstime _commanded{0};
+    hrt_abstime _doubt_since{0};
+    hrt_abstime _told_at{0};
+    uint8_t _told{0};
     px4::atomic_bool _should_stop{false};
     uint32_t _steps{0};
     uint32_t _tick{0};
@@ -75,6 +148,9 @@ private:
     uint8_t _faults{0};
     bool _active{false};
     bool _waiting{false};
+    bool _refused{false};
+    bool _silent{false};
+    orb_advert_t _mavlink_log{nullptr};
     float _torque_scale{1.41421356f};
 
     hrt_abstime _now{0};
@@ -91,8 +167,10 @@ private:
 
     float setpoint(float value, hrt_abstime stamp, float neutral, bool wanted);
     uORB::Subscription _parameter_update_sub{ORB_ID(parameter_update)};
+    uORB::Subscription _status_sub{ORB_ID(vehicle_status)};
     uORB::SubscriptionCallbackWorkItem _angular_velocity_sub{this, ORB_ID(vehicle_angular_velocity)};
 
-    uORB::Publication<vehicle_attitude_setpoint_s> _vehicle_attitude_setpoint_pub{ORB_ID(vehicle_attitude_setpoint)};
+    TwodofRailOutput<vehicle_attitude_setpoint_s> _vehicle_attitude_setpoint_pub{ORB_ID(vehicle_attitude_setpoint)};
+    uORB::Publication<vehicle_command_s> _command_pub{ORB_ID(vehicle_command)};
     uORB::Publication<twodof_rail_s> _report_pub{ORB_ID(twodof_rail)};
 };

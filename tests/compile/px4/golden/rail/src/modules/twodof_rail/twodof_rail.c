@@ -115,10 +115,10 @@ _Static_assert(sizeof(twodof_rail_Inside) <= sizeof(twodof_rail_Controller), "tw
 _Static_assert(sizeof(real) == 4, "the controller computes in float32");
 
 const twodof_rail_Parameter twodof_rail_parameters[twodof_rail_PARAMETERS] = {
-    {"TRA_KP", 'f', false, 0x0.0p+0f, 0x1.4000000000000p+3f, 0, 0},
-    {"TRA_K_PITCH", 'f', false, -0x1.0000000000000p+1f, 0x0.0p+0f, 0, 0},
-    {"TRA_HOVER_VALUE", 'f', false, -0x1.fffffep+127f, 0x1.fffffep+127f, 0, 0},
-    {"TRA_LIVE", 'b', false, 0.0f, 0.0f, 0, 1},
+    {"TRA_KP", 'f', false, 0x0.0p+0f, 0x1.4000000000000p+3f, 0, 0, {.real = 0x1.8000000000000p+0f}},
+    {"TRA_K_PITCH", 'f', false, -0x1.0000000000000p+1f, 0x0.0p+0f, 0, 0, {.real = -0x1.0000000000000p-2f}},
+    {"TRA_HOVER_VALUE", 'f', false, -0x1.fffffep+127f, 0x1.fffffep+127f, 0, 0, {.real = 0x1.99999a0000000p-2f}},
+    {"TRA_LIVE", 'b', false, 0.0f, 0.0f, 0, 1, {.integer = 1}},
 };
 
 static twodof_rail_Inside *inside(twodof_rail_Controller *c)
@@ -139,9 +139,9 @@ void twodof_rail_reset(twodof_rail_Controller *c)
     twodof_rail_init(&inside(c)->p, &inside(c)->s);
 }
 
-static bool within(const twodof_rail_Parameter *row, twodof_rail_Value value)
+bool twodof_rail_within(int32_t place, twodof_rail_Value value)
 {
-    /* A NaN is in no bounds. */
+    const twodof_rail_Parameter *const row = &twodof_rail_parameters[place];
     return row->type == 'f' ? value.real >= row->low && value.real <= row->high
                             : value.integer >= row->least && value.integer <= row->most;
 }
@@ -150,7 +150,7 @@ int32_t twodof_rail_change(twodof_rail_Controller *c, const twodof_rail_Value *v
 {
     for (int32_t i = 0; i < twodof_rail_PARAMETERS; i++) {
         const bool taken = starting || !twodof_rail_parameters[i].fixed;
-        if (taken && !within(&twodof_rail_parameters[i], values[i]))
+        if (taken && !twodof_rail_within(i, values[i]))
             return i;
     }
     twodof_rail_Inside *const own = inside(c);

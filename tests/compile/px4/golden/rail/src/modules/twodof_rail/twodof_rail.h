@@ -25,20 +25,21 @@ typedef struct {
     float out_theta_0; /* theta_0 */
 } twodof_rail_Outputs;
 
-/* A parameter in PX4: its name, its type (f float, i integer, b boolean) and its bounds. A fixed one is read when the
-   module starts. */
+typedef union {
+    float real;
+    int32_t integer;
+} twodof_rail_Value;
+
+/* A parameter in PX4: its name, its type (f float, i integer, b boolean), its bounds and its default. A fixed one is
+   read when the module starts. */
 typedef struct {
     const char *name;
     char type;
     bool fixed;
     float low, high;
     int32_t least, most;
+    twodof_rail_Value standard;
 } twodof_rail_Parameter;
-
-typedef union {
-    float real;
-    int32_t integer;
-} twodof_rail_Value;
 
 enum {
     twodof_rail_PARAMETERS = 4,
@@ -59,6 +60,9 @@ void twodof_rail_begin(twodof_rail_Controller *c);
 
 /* Initial states; the parameters stay. */
 void twodof_rail_reset(twodof_rail_Controller *c);
+
+/* Whether a value is within the bounds of the parameter at `place`. A NaN is in no bounds. */
+bool twodof_rail_within(int32_t place, twodof_rail_Value value);
 
 /* Takes twodof_rail_PARAMETERS values over, those of fixed parameters only when `starting`. Returns -1, or, if one is out of
    bounds, its place; then none is changed. */

@@ -1,0 +1,230 @@
+"""What PX4 does around a work item that flies: others publish, someone stops it, the gyro falls silent."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.compile.px4.build import Bench, Events
+from tests.compile.px4.flown import NOT_FINITE, PERIOD, SHARED, STALE, fly, mode
+from tests.compile.px4.modules import overflowing, rail
+from twodof.compile.px4.export import make_module
+
+DISARM, FORCED = 400, 21196
+COMMANDS = ("vehicle_thrust_setpoint", "vehicle_torque_setpoint")
+
+
+def silence(bench: Bench, seconds: float, armed: bool = True) -> None:
+    """Time without a sample of the gyro, in which all else goes on."""
+    for _ in range(round(seconds / 0.02)):
+        bench.at(bench.now + 5 * PERIOD)
+        mode(bench, armed)
+
+
+def asked(events: Events) -> list[float]:
+    """When [s] PX4 was asked to disarm, in flight too; the test fails if it was asked anything else."""
+    rows = events.topic("vehicle_command")
+    assert {(int(r["command"]), float(r["param1"]), float(r["param2"])) for r in rows} <= {(DISARM, 0.0, FORCED)}
+    return [float(row["timestamp"]) * 1e-6 for row in rows]
+
+
+@pytest.mark.parametrize("topic", ["rate_ctrl_status", "vehicle_torque_setpoint", "vehicle_thrust_setpoint"])
+def test_it_does_not_start_beside_another_that_commands(built: Bench, topic: str) -> None:
+    built.fresh()
+    built.advertise(topic)
+    built.command("start")
+    built.end(topic)  # as mc_rate_control does when it stops
+    built.command("start")
+    events = built.run()
+    assert events.returned() == [-1, 0]
+    assert topic in " ".join(events.said())
+
+
+def test_it_does_not_start_while_armed(built: Bench) -> None:
+    built.fresh()
+    mode(built)
+    built.command("start")
+    mode(built, armed=False)
+    built.command("start")
+    events = built.run()
+    assert events.returned() == [-1, 0]
+    assert "not started while armed: disarm first" in " ".join(events.said())
+
+
+@pytest.mark.parametrize("topic", COMMANDS)
+def test_another_that_ends_takes_no_command_away(bench: Bench, topic: str) -> None:
+    mode(bench)
+    fly(bench, 10)
+    bench.end(topic)
+    fly(bench, 10)
+    events = bench.run()
+    assert events.lost() == []
+    assert len(events.topic(topic)) == 20
+    rows = events.topic("twodof_pitch")
+    assert list(rows["faults"]) == [0] * 10 + [SHARED] + [0] * 9
+    assert rows["active"].all()
+    assert len([text for text in events.told() if topic in text]) == 1
+
+
+def test_another_that_commands_too_is_told_once_and_seen_all_the_time(bench: Bench) -> None:
+    mode(bench)
+    fly(bench, 5)
+    for _ in range(50):
+        bench.publish("vehicle_torque_setpoint", xyz=[0.0, 0.3, 0.0])
+        fly(bench, 1)
+    fly(bench, 5)
+    events = bench.run()
+    assert list(events.topic("twodof_pitch")["faults"]) == [0] * 5 + [SHARED] * 50 + [0] * 5
+    assert len([text for text in events.told() if "vehicle_torque_setpoint" in text]) == 1
+
+
+def test_it_does_not_stop_in_flight(bench: Bench) -> None:
+    mode(bench)
+    fly(bench, 5)
+    bench.command("stop")
+    fly(bench, 5)
+    events = bench.run()
+    assert events.returned() == [0, -1]
+    assert events.topic("vehicle_torque_setpoint")["xyz"][:, 1].all()
+    assert events.topic("twodof_pitch")["active"].all()
+    assert "not stopped while armed: disarm first, or `twodof_pitch stop -f`" in " ".join(events.said())
+
+
+@pytest.mark.parametrize("queued", [False, True], ids=["alone", "with a run asked for before"])
+def test_a_forced_stop_in_flight_disarms_and_leaves_no_command_behind(bench: Bench, queued: bool) -> None:
+    bench.publish("vehicle_status", system_id=7, component_id=1)
+    mode(bench)
+    fly(bench, 5)
+    bench.obey()
+    if queued:
+        bench.publish("vehicle_angular_velocity", at_once=False)
+    bench.command("stop", "-f")
+    fly(bench, 5)
+    events = bench.run()
+    assert events.returned() == [0, 0]
+    assert len(asked(events)) == 1
+    command = events.topic("vehicle_command")[0]
+    for part, number in (("system", 7), ("component", 1)):  # else mavlink would send it to other vehicles
+        assert command[f"target_{part}"] == command[f"source_{part}"] == number
+    assert any("stopped while armed" in text for text in events.told())
+    torque, thrust = (events.topic(f"vehicle_{what}_setpoint")["xyz"] for what in ("torque", "thrust"))
+    assert len(torque) == len(thrust) == 6
+    assert torque[4].any()
+    assert thrust[4].any()
+    assert not torque[5].any()
+    assert not thrust[5].any()
+    # PX4's allocator runs after the module on the same queue, and reads nothing of a topic without a publication.
+    for topic in COMMANDS:
+        assert events.withdrawn()[topic] >= events.topic(topic)["timestamp"][5] + 5 * PERIOD
+
+
+def test_a_forced_stop_commands_nothing_to_move_until_px4_has_disarmed(bench: Bench) -> None:
+    mode(bench)
+    fly(bench, 5)
+    begin = bench.now
+    bench.command("stop", "-f")
+    events = bench.run()
+    end = events.withdrawn()["vehicle_torque_setpoint"]
+    assert 1_000_000 <= end - begin <= 1_100_000
+    rows = events.topic("vehicle_torque_setpoint")[5:]
+    assert not rows["xyz"].any()
+    assert np.diff(rows["timestamp"].astype(np.int64)).max() <= 6 * PERIOD
+    assert any("PX4 is armed and nobody commands" in text for text in events.told())
+
+
+def test_disarmed_it_stops_at_once_and_without_a_word(bench: Bench) -> None:
+    mode(bench, armed=False)
+    fly(bench, 5)
+    bench.command("stop")
+    events = bench.run()
+    assert events.returned() == [0, 0]
+    assert events.told() == []
+    assert len(events.topic("vehicle_command")) == 0
+    assert len(events.topic("vehicle_torque_setpoint")) == 6
+
+
+def test_a_gyro_that_falls_silent_in_flight_is_told_and_px4_is_asked_to_disarm(bench: Bench) -> None:
+    mode(bench)
+    fly(bench, 50)
+    begin = bench.now
+    silence(bench, 1.2)
+    events = bench.run()
+    assert [text for text in events.told() if "motors off" in text] == ["twodof_pitch: motors off: the gyro is silent"]
+    first, second = (round(t - begin * 1e-6, 3) for t in asked(events))
+    assert 0.5 <= first <= 0.56
+    assert 0.5 <= second - first <= 0.52
+    assert not events.topic("vehicle_torque_setpoint")["xyz"][50:].any()
+
+
+def test_once_px4_has_disarmed_it_is_not_asked_again(bench: Bench) -> None:
+    mode(bench)
+    fly(bench, 5)
+    silence(bench, 0.6)
+    silence(bench, 2.0, armed=False)
+    assert len(asked(bench.run())) == 1
+
+
+def test_a_short_silence_is_told_and_flown_through(bench: Bench) -> None:
+    mode(bench)
+    fly(bench, 50)
+    silence(bench, 0.3)
+    fly(bench, 50)
+    events = bench.run()
+    assert asked(events) == []
+    assert len(events.told()) == 1
+    rows = events.topic("twodof_pitch")
+    assert rows["active"][-50:].all()
+
+
+def test_a_gyro_that_is_silent_while_disarmed_is_nobodys_business(bench: Bench) -> None:
+    mode(bench, armed=False)
+    fly(bench, 50)
+    silence(bench, 2.0, armed=False)
+    events = bench.run()
+    assert events.told() == []
+    assert asked(events) == []
+
+
+def test_an_attitude_that_stays_away_is_told_and_px4_is_asked_to_disarm(bench: Bench) -> None:
+    mode(bench)
+    fly(bench, 10)
+    for _ in range(200):
+        bench.at(bench.now + PERIOD)
+        bench.publish("vehicle_angular_velocity")
+    events = bench.run()
+    assert [text for text in events.told() if "motors off" in text] == [
+        "twodof_pitch: motors off: no sound measurement"
+    ]
+    assert len(asked(events)) == 1
+    assert set(events.topic("twodof_pitch")["faults"][-100:]) == {STALE}
+
+
+def test_single_commands_that_are_not_finite_are_told_once_and_do_not_disarm(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    bench = Bench(make_module(overflowing()), tmp_path_factory.mktemp("module"))
+    bench.command("start")
+    mode(bench)
+    fly(bench, 400)
+    events = bench.run()
+    assert ((events.topic("twodof_overflow")["faults"] & NOT_FINITE) != 0).sum() == 100
+    assert [text for text in events.told() if "motors off" in text] == [
+        "twodof_overflow: motors off: a command is not finite"
+    ]
+    assert asked(events) == []
+
+
+def test_a_position_module_leaves_the_attitude_set_point_to_the_others_when_it_ends(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    bench = Bench(make_module(rail()), tmp_path_factory.mktemp("module"))
+    bench.publish("vehicle_attitude_setpoint")  # mavlink does in Offboard, and goes on
+    bench.command("start")
+    bench.command("stop")
+    bench.script.append("flag vehicle_attitude_setpoint")
+    bench.advertise("takeoff_status")
+    bench.command("start")
+    events = bench.run()
+    assert events.returned() == [0, 0, -1]
+    assert [rest for what, rest in events.rows if what == "flag"] == ["1"]
+    assert "mc_pos_control" in " ".join(events.said())
