@@ -43,13 +43,32 @@ def test_both_of_px4s_ways_to_name_a_topic_agree(name: str) -> None:
         ("attitude_control", "twodof_attitude_control", "TwodofAttitudeControl", "TAC"),
         ("PID", "twodof_pid", "TwodofPid", "TPI"),
         ("a", "twodof_a", "TwodofA", "TA"),
-        ("a_b_controller_2", "twodof_ab_controller2", "TwodofAbController2", "TAC"),
+        ("a_b_controller_2", "twodof_ab_controller2", "TwodofAbController2", "TAC2"),
+        ("attitude_v12", "twodof_attitude_v12", "TwodofAttitudeV12", "TAV12"),
+        ("my_own_pitch_law_v3", "twodof_my_own_pitch_law_v3", "TwodofMyOwnPitchLawV3", "TMOP3"),
+        ("pitch_2024", "twodof_pitch2024", "TwodofPitch2024", "TPI24"),
+        ("x2", "twodof_x2", "TwodofX2", "TX2"),
         ("x__y", "twodof_xy", "TwodofXy", "TXY"),
     ],
 )
 def test_a_diagrams_name_becomes_a_modules(diagram: str, module: str, class_name: str, prefix: str) -> None:
     names = module_names(diagram)
     assert (names.module, names.class_name, names.prefix) == (module, class_name, prefix)
+
+
+def test_the_variants_of_a_diagram_have_prefixes_of_their_own() -> None:
+    variants = [
+        f"{name}{end}" for name in ("attitude", "my_attitude") for end in ("", "_2", "_v2", "_v3", "_fast", "10")
+    ]
+    prefixes = [module_names(name).prefix for name in variants]
+    assert len(set(prefixes)) == len(variants)
+    assert all(re.fullmatch(r"T[A-Z0-9]{1,4}", prefix) for prefix in prefixes)
+
+
+@given(NAMES)
+def test_every_diagram_has_a_legal_prefix(name: str) -> None:
+    prefix = module_names(name).prefix
+    assert module_names(name, prefix).prefix == prefix
 
 
 def test_long_names_are_cut_and_stay_apart() -> None:

@@ -14,6 +14,7 @@ from zlib import crc32
 from twodof.errors import DiagramError
 
 LONGEST_PARAMETER = 16  # what MAVLink carries
+LONGEST_PREFIX = 5
 LONGEST_STEM = 24
 LONGEST_FIELD = 48
 PREFIX = re.compile(r"[A-Z][A-Z0-9]{0,4}")
@@ -52,8 +53,9 @@ def module_names(diagram: str, prefix: str = "") -> ModuleNames:
 
     The stem is the diagram's name in small letters, at most LONGEST_STEM long; a longer one ends with a digest. A word
     of one letter joins the one before it, since PX4 makes a topic's name from the capitals of the message's. Without
-    `prefix` it is T and the first letters of the first two words, or the first two letters of the only one. Raises
-    DiagramError for a prefix that is not 1 to 5 capitals and digits.
+    `prefix` it is T, the first letters of the words, or the first two letters of the only one, and the number at the
+    end, so that variants of a diagram differ: five characters at most. Raises DiagramError for a prefix that is not 1
+    to 5 capitals and digits.
     """
     words: list[str] = []
     for word in re.findall(r"[a-z0-9]+", diagram.lower()):
@@ -67,10 +69,16 @@ def module_names(diagram: str, prefix: str = "") -> ModuleNames:
     if len(stem) > LONGEST_STEM:
         stem = re.sub(r"_+$", "", stem[: LONGEST_STEM - 4]) + digest(diagram).lower()
     if not prefix:
-        prefix = "T" + (words[0][0] + words[1][0] if len(words) > 1 else words[0][:2]).upper()
+        prefix = _prefix(words)
     if not PREFIX.fullmatch(prefix):
         raise DiagramError(f"{prefix!r:.40} is no prefix", "prefix", "give 1 to 5 capitals or digits, a capital first")
     return ModuleNames(stem, prefix)
+
+
+def _prefix(words: Sequence[str]) -> str:
+    number = re.sub(r"^.*?([0-9]{0,2})$", r"\1", words[-1])
+    letters = "".join(word[0] for word in words) if len(words) > 1 else words[0].rstrip("0123456789")[:2]
+    return "T" + (letters[: LONGEST_PREFIX - 1 - len(number)] + number).upper()
 
 
 def parameter_names(
