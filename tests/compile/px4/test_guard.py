@@ -149,7 +149,7 @@ def test_a_gyro_that_falls_silent_in_flight_is_told_and_px4_is_asked_to_disarm(b
     begin = bench.now
     silence(bench, 1.2)
     events = bench.run()
-    assert [text for text in events.told() if "motors off" in text] == ["twodof_pitch: motors off: the gyro is silent"]
+    assert [text for text in events.told() if "motors off" in text] == ["twodof_pitch: motors off: gyro silent"]
     first, second = (round(t - begin * 1e-6, 3) for t in asked(events))
     assert 0.5 <= first <= 0.56
     assert 0.5 <= second - first <= 0.52
@@ -208,9 +208,7 @@ def test_single_commands_that_are_not_finite_are_told_once_and_do_not_disarm(
     fly(bench, 400)
     events = bench.run()
     assert ((events.topic("twodof_overflow")["faults"] & NOT_FINITE) != 0).sum() == 100
-    assert [text for text in events.told() if "motors off" in text] == [
-        "twodof_overflow: motors off: a command is not finite"
-    ]
+    assert [t for t in events.told() if "off" in t] == ["twodof_overflow: motors off: command not finite"]
     assert asked(events) == []
 
 

@@ -8,10 +8,8 @@ from twodof.compile.px4.topics import Role
 
 def entry_text(names: ModuleNames, role: Role) -> str:
     """The functions behind the command, and its entry."""
-    rivals = "\n".join(
-        f'        {{ORB_ID({topic}), "{who} runs or has left {topic}: stop it"}},'
-        for topic, who in sorted(role.signs.items())
-    )
+    signs = sorted(role.signs.items())
+    rivals = "\n".join(f'        {{ORB_ID({topic}), "{who} publishes {topic}"}},' for topic, who in signs)
     text = _REPLAY + _COMMAND.replace("RIVALS", rivals)
     return text.replace("CLASS", names.class_name).replace("MODULE", names.module)
 
@@ -118,7 +116,7 @@ static int start_item()
         result = -1;
 
     } else if (another != nullptr) {
-        PX4_ERR("not started: %s", another);
+        PX4_ERR("not started: %s; stop it first", another);
         result = -1;
 
     } else {
@@ -145,7 +143,7 @@ static int start_item()
 static int stop_item(bool forced)
 {
     if (armed() && !forced) {
-        PX4_ERR("not stopped while armed: disarm first, or `MODULE stop -f`, which stops the motors and disarms");
+        PX4_ERR("not stopped while armed: disarm first, or `MODULE stop -f`, which disarms");
         return -1;
     }
 

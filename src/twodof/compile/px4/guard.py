@@ -46,7 +46,7 @@ void CLASS::ask_to_disarm()
     command.source_component = status.component_id;
     command.timestamp = hrt_absolute_time();
     _command_pub.publish(command);
-    mavlink_log_critical(&_mavlink_log, MODULE_NAME ": asks to disarm, as the motors are off");
+    mavlink_log_critical(&_mavlink_log, MODULE_NAME ": asks PX4 to disarm");
 }
 
 void CLASS::judge(hrt_abstime now)
@@ -56,8 +56,8 @@ void CLASS::judge(hrt_abstime now)
 
     } else if (_doubt_since == 0) {
         _doubt_since = now;
-        tell(_faults & (STALE | NOT_FINITE), "motors off: ", (_faults & NOT_FINITE) ? "a command is not finite"
-             : _silent ? "the gyro is silent" : "no sound measurement");
+        tell(_faults & (STALE | NOT_FINITE), "motors off: ", (_faults & NOT_FINITE) ? "command not finite"
+             : _silent ? "gyro silent" : "no sound measurement");
 
     } else if (now >= _doubt_since + DISARM_AFTER) {
         _doubt_since = now;

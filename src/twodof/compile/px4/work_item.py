@@ -84,7 +84,7 @@ private:
     {{
         if (!output.publish(value, value.timestamp)) {{
             _faults |= {n}_s::FAULT_SHARED;
-            tell({n}_s::FAULT_SHARED, "another module publishes too, or has stopped: ", output.name());
+            tell({n}_s::FAULT_SHARED, "not alone on ", output.name());
         }}
     }}
 

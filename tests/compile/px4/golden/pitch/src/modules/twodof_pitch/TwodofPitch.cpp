@@ -307,7 +307,7 @@ void TwodofPitch::ask_to_disarm()
     command.source_component = status.component_id;
     command.timestamp = hrt_absolute_time();
     _command_pub.publish(command);
-    mavlink_log_critical(&_mavlink_log, MODULE_NAME ": asks to disarm, as the motors are off");
+    mavlink_log_critical(&_mavlink_log, MODULE_NAME ": asks PX4 to disarm");
 }
 
 void TwodofPitch::judge(hrt_abstime now)
@@ -317,8 +317,8 @@ void TwodofPitch::judge(hrt_abstime now)
 
     } else if (_doubt_since == 0) {
         _doubt_since = now;
-        tell(_faults & (STALE | NOT_FINITE), "motors off: ", (_faults & NOT_FINITE) ? "a command is not finite"
-             : _silent ? "the gyro is silent" : "no sound measurement");
+        tell(_faults & (STALE | NOT_FINITE), "motors off: ", (_faults & NOT_FINITE) ? "command not finite"
+             : _silent ? "gyro silent" : "no sound measurement");
 
     } else if (now >= _doubt_since + DISARM_AFTER) {
         _doubt_since = now;
@@ -494,9 +494,9 @@ static const char *rival()
         const orb_metadata *topic;
         const char *who;
     } rivals[] = {
-        {ORB_ID(rate_ctrl_status), "mc_rate_control runs or has left rate_ctrl_status: stop it"},
-        {ORB_ID(vehicle_thrust_setpoint), "another module runs or has left vehicle_thrust_setpoint: stop it"},
-        {ORB_ID(vehicle_torque_setpoint), "another module runs or has left vehicle_torque_setpoint: stop it"},
+        {ORB_ID(rate_ctrl_status), "mc_rate_control publishes rate_ctrl_status"},
+        {ORB_ID(vehicle_thrust_setpoint), "another module publishes vehicle_thrust_setpoint"},
+        {ORB_ID(vehicle_torque_setpoint), "another module publishes vehicle_torque_setpoint"},
     };
 
     for (const auto &r : rivals) {
@@ -523,7 +523,7 @@ static int start_item()
         result = -1;
 
     } else if (another != nullptr) {
-        PX4_ERR("not started: %s", another);
+        PX4_ERR("not started: %s; stop it first", another);
         result = -1;
 
     } else {
@@ -550,7 +550,7 @@ static int start_item()
 static int stop_item(bool forced)
 {
     if (armed() && !forced) {
-        PX4_ERR("not stopped while armed: disarm first, or `twodof_pitch stop -f`, which stops the motors and disarms");
+        PX4_ERR("not stopped while armed: disarm first, or `twodof_pitch stop -f`, which disarms");
         return -1;
     }
 

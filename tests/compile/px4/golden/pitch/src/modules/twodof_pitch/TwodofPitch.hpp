@@ -112,7 +112,7 @@ private:
     {
         if (!output.publish(value, value.timestamp)) {
             _faults |= twodof_pitch_s::FAULT_SHARED;
-            tell(twodof_pitch_s::FAULT_SHARED, "another module publishes too, or has stopped: ", output.name());
+            tell(twodof_pitch_s::FAULT_SHARED, "not alone on ", output.name());
         }
     }
 

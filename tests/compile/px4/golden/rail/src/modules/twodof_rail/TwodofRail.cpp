@@ -308,7 +308,7 @@ void TwodofRail::ask_to_disarm()
     command.source_component = status.component_id;
     command.timestamp = hrt_absolute_time();
     _command_pub.publish(command);
-    mavlink_log_critical(&_mavlink_log, MODULE_NAME ": asks to disarm, as the motors are off");
+    mavlink_log_critical(&_mavlink_log, MODULE_NAME ": asks PX4 to disarm");
 }
 
 void TwodofRail::judge(hrt_abstime now)
@@ -318,8 +318,8 @@ void TwodofRail::judge(hrt_abstime now)
 
     } else if (_doubt_since == 0) {
         _doubt_since = now;
-        tell(_faults & (STALE | NOT_FINITE), "motors off: ", (_faults & NOT_FINITE) ? "a command is not finite"
-             : _silent ? "the gyro is silent" : "no sound measurement");
+        tell(_faults & (STALE | NOT_FINITE), "motors off: ", (_faults & NOT_FINITE) ? "command not finite"
+             : _silent ? "gyro silent" : "no sound measurement");
 
     } else if (now >= _doubt_since + DISARM_AFTER) {
         _doubt_since = now;
@@ -494,7 +494,7 @@ static const char *rival()
         const orb_metadata *topic;
         const char *who;
     } rivals[] = {
-        {ORB_ID(takeoff_status), "mc_pos_control runs or has left takeoff_status: stop it"},
+        {ORB_ID(takeoff_status), "mc_pos_control publishes takeoff_status"},
     };
 
     for (const auto &r : rivals) {
@@ -521,7 +521,7 @@ static int start_item()
         result = -1;
 
     } else if (another != nullptr) {
-        PX4_ERR("not started: %s", another);
+        PX4_ERR("not started: %s; stop it first", another);
         result = -1;
 
     } else {
@@ -548,7 +548,7 @@ static int start_item()
 static int stop_item(bool forced)
 {
     if (armed() && !forced) {
-        PX4_ERR("not stopped while armed: disarm first, or `twodof_rail stop -f`, which stops the motors and disarms");
+        PX4_ERR("not stopped while armed: disarm first, or `twodof_rail stop -f`, which disarms");
         return -1;
     }
 

@@ -111,7 +111,7 @@ private:
     {
         if (!output.publish(value, value.timestamp)) {
             _faults |= twodof_rail_s::FAULT_SHARED;
-            tell(twodof_rail_s::FAULT_SHARED, "another module publishes too, or has stopped: ", output.name());
+            tell(twodof_rail_s::FAULT_SHARED, "not alone on ", output.name());
         }
     }
 
