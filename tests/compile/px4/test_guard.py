@@ -40,15 +40,30 @@ def test_it_does_not_start_beside_another_that_commands(built: Bench, topic: str
     assert topic in " ".join(events.said())
 
 
-def test_it_does_not_start_while_armed(built: Bench) -> None:
+def test_it_does_not_start_while_armed_and_leaves_the_flight_to_who_commands(built: Bench) -> None:
     built.fresh()
+    built.advertise("rate_ctrl_status")
     mode(built)
+    built.command("disarmed")
     built.command("start")
     mode(built, armed=False)
+    built.end("rate_ctrl_status")
+    built.command("disarmed")
     built.command("start")
     events = built.run()
-    assert events.returned() == [-1, 0]
-    assert "not started while armed: disarm first" in " ".join(events.said())
+    assert events.returned() == [-1, -1, 0, 0]
+    assert set(events.told()) == {"twodof_pitch: not started while armed"}
+    assert asked(events) == []
+
+
+@pytest.mark.parametrize("rates", [True, False], ids=["that it would control", "that is another's"])
+def test_a_start_in_a_flight_that_nobody_controls_disarms(built: Bench, rates: bool) -> None:
+    built.fresh()
+    mode(built, rates=rates)
+    built.command("start")
+    events = built.run()
+    assert events.returned() == [-1]
+    assert len(asked(events)) == rates
 
 
 @pytest.mark.parametrize("topic", COMMANDS)

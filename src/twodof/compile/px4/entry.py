@@ -75,11 +75,23 @@ _REPLAY = """int CLASS::replay(const char *input, const char *output)
 
 """
 
-_COMMAND = """static bool armed()
+_COMMAND = """static actuator_armed_s arming()
 {
     uORB::Subscription subscription{ORB_ID(actuator_armed)};
     actuator_armed_s state{};
-    return subscription.copy(&state) && state.armed;
+    subscription.copy(&state);
+    return state;
+}
+
+/** Whether PX4 is disarmed: what a script asks before it stops the module whose place this one takes. */
+static int disarmed()
+{
+    if (arming().armed) {
+        mavlink_log_critical(&mavlink_log, "MODULE: not started while armed");
+        return -1;
+    }
+
+    return 0;
 }
 
 /** Who else commands, or nullptr. */
@@ -111,8 +123,15 @@ static int start_item()
         PX4_ERR("already running");
         result = -1;
 
-    } else if (armed()) {
-        PX4_ERR("not started while armed: disarm first");
+    } else if (disarmed() != 0) {
+        uORB::Subscription subscription{ORB_ID(vehicle_control_mode)};
+        vehicle_control_mode_s mode{};
+        subscription.copy(&mode);
+
+        if (another == nullptr && CLASS::wanted(arming(), mode)) {
+            CLASS::ask_to_disarm(); // nobody commands, and the motors keep what was commanded last
+        }
+
         result = -1;
 
     } else if (another != nullptr) {
@@ -142,7 +161,7 @@ static int start_item()
 
 static int stop_item(bool forced)
 {
-    if (armed() && !forced) {
+    if (arming().armed && !forced) {
         PX4_ERR("not stopped while armed: disarm first, or `MODULE stop -f`, which disarms");
         return -1;
     }
@@ -194,6 +213,9 @@ extern "C" __EXPORT int MODULE_main(int argc, char *argv[])
     } else if (strcmp(what, "stop") == 0) {
         return stop_item(argc > 2 && strcmp(argv[2], "-f") == 0);
 
+    } else if (strcmp(what, "disarmed") == 0) {
+        return disarmed();
+
     } else if (strcmp(what, "status") == 0) {
         return print_status();
 
@@ -201,7 +223,7 @@ extern "C" __EXPORT int MODULE_main(int argc, char *argv[])
         return CLASS::replay(argv[2], argv[3]);
     }
 
-    PX4_INFO("usage: MODULE start | stop [-f] | status | replay INPUT OUTPUT");
+    PX4_INFO("usage: MODULE start | stop [-f] | disarmed | status | replay INPUT OUTPUT");
     return -1;
 }
 """

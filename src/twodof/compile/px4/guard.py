@@ -10,11 +10,7 @@ def guard_text(names: ModuleNames, role: Role) -> str:
     """The functions that take parameters, judge the commands that were given, and tell the pilot."""
     torque = f"\n    _torque_scale = values[{names.module}_TORQUE].real;" if role.commands == "torque" else ""
     text = _TEXT.replace("TORQUE_SCALE", torque)
-    return (
-        text.replace("CLASS", names.class_name)
-        .replace("MODULE_", f"{names.module}_")
-        .replace(f"{names.module}_NAME", "MODULE_NAME")
-    )
+    return text.replace("CLASS", names.class_name).replace("MODULE", names.module)
 
 
 _TEXT = """void CLASS::tell(uint8_t what, const char *text, const char *more)
@@ -27,14 +23,15 @@ _TEXT = """void CLASS::tell(uint8_t what, const char *text, const char *more)
 
     _told = what;
     _told_at = now;
-    mavlink_log_critical(&_mavlink_log, MODULE_NAME ": %s%s", text, more);
+    mavlink_log_critical(&mavlink_log, "MODULE: %s%s", text, more);
 }
 
 void CLASS::ask_to_disarm()
 {
     // To this vehicle alone: mavlink would send a command without an address to all that are connected.
+    uORB::Subscription subscription{ORB_ID(vehicle_status)};
     vehicle_status_s status{};
-    _status_sub.copy(&status);
+    subscription.copy(&status);
 
     vehicle_command_s command{};
     command.command = vehicle_command_s::VEHICLE_CMD_COMPONENT_ARM_DISARM;
@@ -45,13 +42,14 @@ void CLASS::ask_to_disarm()
     command.source_system = status.system_id;
     command.source_component = status.component_id;
     command.timestamp = hrt_absolute_time();
-    _command_pub.publish(command);
-    mavlink_log_critical(&_mavlink_log, MODULE_NAME ": asks PX4 to disarm");
+    uORB::Publication<vehicle_command_s> publication{ORB_ID(vehicle_command)};
+    publication.publish(command);
+    mavlink_log_critical(&mavlink_log, "MODULE: asks PX4 to disarm");
 }
 
 void CLASS::judge(hrt_abstime now)
 {
-    if (_active || !wanted()) {
+    if (_active || !wanted(_armed, _mode)) {
         _doubt_since = 0;
 
     } else if (_doubt_since == 0) {
@@ -90,10 +88,10 @@ void CLASS::take_parameters(bool starting)
 
         if (param_set_no_notification(param_find(MODULE_parameters[i].name), &_flying[i]) == 0) {
             put_back = true;
-            mavlink_log_critical(&_mavlink_log, "%s was out of bounds and is put back", MODULE_parameters[i].name);
+            mavlink_log_critical(&mavlink_log, "%s was out of bounds and is put back", MODULE_parameters[i].name);
 
         } else {
-            mavlink_log_critical(&_mavlink_log, "%s is missing in PX4", MODULE_parameters[i].name);
+            mavlink_log_critical(&mavlink_log, "%s is missing in PX4", MODULE_parameters[i].name);
         }
     }
 

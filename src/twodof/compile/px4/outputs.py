@@ -15,9 +15,9 @@ ACTUATORS = 12  # elements of actuator_motors.control
 # What the commands are in use for: the vehicle is armed, and its mode leaves them to this controller.
 _WANTED: Mapping[str, str] = MappingProxyType(
     {
-        "torque": "_armed.armed && _mode.flag_control_rates_enabled",
-        "attitude": "_armed.armed && (_mode.flag_control_velocity_enabled || _mode.flag_control_position_enabled)",
-        "motors": "_armed.armed",
+        "torque": "armed.armed && mode.flag_control_rates_enabled",
+        "attitude": "armed.armed && (mode.flag_control_velocity_enabled || mode.flag_control_position_enabled)",
+        "motors": "armed.armed",
     }
 )
 
@@ -75,6 +75,7 @@ def publications_text(names: ModuleNames, role: Role) -> str:
 def commands_text(names: ModuleNames, role: Role, found: Fields) -> str:
     """The functions that judge the commands and publish them."""
     c = names.class_name
+    ignored = "" if "mode." in _WANTED[role.commands] else "    (void)mode;\n"
     members = {f.path: f"_out.{f.name}" for f in found.outputs if f.name.startswith("out_")}
     finite = " && ".join(f"PX4_ISFINITE({members[name]})" for name in role.outputs if _used(role, name))
     body = {"torque": _torque, "attitude": _attitude, "motors": _motors}[role.commands](role, members)
@@ -88,14 +89,14 @@ static float limited(float value, float low, float high)
     return value < low ? low : value > high ? high : value;
 }}
 
-bool {c}::wanted() const
+bool {c}::wanted(const actuator_armed_s &armed, const vehicle_control_mode_s &mode)
 {{
-    return {_WANTED[role.commands]};
+{ignored}    return {_WANTED[role.commands]};
 }}
 
 void {c}::command(hrt_abstime sample)
 {{
-    _active = wanted() && (_faults & (STALE | NOT_FINITE)) == 0;
+    _active = wanted(_armed, _mode) && (_faults & (STALE | NOT_FINITE)) == 0;
 {body}}}
 """
 

@@ -67,15 +67,15 @@ def _use(names: ModuleNames, role: Role) -> str:
 3. Simulator: copy `etc/init.d-posix/airframes/{file}`
    and its `.post` into `build/px4_sitl_default/etc/init.d-posix/airframes/`, and `etc/logging/logger_topics.txt` into
    `etc/logging/` of the folder in which PX4 runs; start PX4 with `PX4_SYS_AUTOSTART={airframe_id(names)}`. The `.post`
-   stops {stops} and starts `{n}`.
+   stops {stops} and starts `{n}`, unless PX4 is armed by then.
    Board: choose an airframe of a quadrotor X, assign the motors' outputs, and copy the folder `sdcard` onto the card:
    its `etc/config.txt` sets the airframe's parameters, its `etc/extras.txt` does what the `.post` does, which boards do
    not run. If the card has such files already, add the lines.
    `logger_topics.txt` replaces PX4's own choice of topics; take the file away for that.
 4. `{n} status` in PX4's console says whether it runs and commands; `{n} stop` ends it.
    Its last command is {_ZERO[role.commands]}; then nobody commands until {stops} is started.
-   It does not start while armed, nor while {stops} or another module commands the same.
-   It does not stop while armed; `{n} stop -f` does, and has PX4 disarm.
+   It does not start while armed, nor while {stops} or another module commands the same: `{n} disarmed`
+   succeeds where it may. It does not stop while armed; `{n} stop -f` does, and has PX4 disarm.
 
 The module steps every 4 ms. PX4 runs it on each gyro sample (`vehicle_angular_velocity`); a sample is used when it is
 the first of its period of 4000 us, up to 500 us early, so the gyro may come at any rate from 250 Hz

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 # With what the starters' modules were built, some of them flown, and with what they were compiled only.
 TESTED = "v1.16.1"
-COMPILED = ("v1.14.4", "v1.15.4", "v1.17.0-alpha1", "main of 2026-08-13 (bb59c637)")
+COMPILED = ("v1.14.4", "v1.15.4", "v1.17.0-beta1", "main of 2026-06-06 (8ae02ec4)")
 FIRST, LAST = (1, 14), (1, 17)
 
 _SINCE = re.compile(r"(?:^|-)(\d{1,7})-g[0-9a-f]+$")

@@ -58,6 +58,12 @@ public:
     /** Feeds rows of words from one file to a fresh controller with the present parameters, its outputs to another. */
     static int replay(const char *input, const char *output);
 
+    /** Whether the commands count: armed, in a mode that wants this controller. */
+    static bool wanted(const actuator_armed_s &armed, const vehicle_control_mode_s &mode);
+
+    /** Asks PX4 to disarm, in flight too. */
+    static void ask_to_disarm();
+
     /** The item that runs, or nullptr. */
     static px4::atomic<{c} *> instance;
 
@@ -74,8 +80,6 @@ private:
     void read_inputs(const vehicle_angular_velocity_s &rates);
     bool commands_are_finite() const;
 
-    /** Whether the commands count: armed, in a mode that wants this controller. */
-    bool wanted() const;
     void command(hrt_abstime sample);
     void report(hrt_abstime sample, hrt_abstime begin);
 
@@ -90,7 +94,6 @@ private:
 
     /** Says that the motors are off while armed, and asks PX4 to disarm if they are so for long. */
     void judge(hrt_abstime now);
-    void ask_to_disarm();
 
     /** Tells the pilot; the same again only after a while. */
     void tell(uint8_t what, const char *text, const char *more);
@@ -123,16 +126,13 @@ private:
     bool _waiting{{false}};
     bool _refused{{false}};
     bool _silent{{false}};
-    orb_advert_t _mavlink_log{{nullptr}};
     float _torque_scale{{1.41421356f}};
 
 {members_text(role)}
     uORB::Subscription _parameter_update_sub{{ORB_ID(parameter_update)}};
-    uORB::Subscription _status_sub{{ORB_ID(vehicle_status)}};
     uORB::SubscriptionCallbackWorkItem _angular_velocity_sub{{this, ORB_ID(vehicle_angular_velocity)}};
 
 {publications_text(names, role)}
-    uORB::Publication<vehicle_command_s> _command_pub{{ORB_ID(vehicle_command)}};
     uORB::Publication<{n}_s> _report_pub{{ORB_ID({n})}};
 }};
 """
@@ -169,6 +169,7 @@ static constexpr hrt_abstime TELL_AGAIN = 5000000;
 
 {faults}
 
+static orb_advert_t mavlink_log{{nullptr}};
 static pthread_mutex_t instance_lock = PTHREAD_MUTEX_INITIALIZER;
 px4::atomic<{c} *> {c}::instance{{nullptr}};
 
@@ -314,7 +315,7 @@ void {c}::end()
     }}
 
     if (_armed.armed) {{
-        mavlink_log_critical(&_mavlink_log, MODULE_NAME ": has ended, PX4 is armed and nobody commands");
+        mavlink_log_critical(&mavlink_log, MODULE_NAME ": has ended, PX4 is armed and nobody commands");
     }}
 
     ScheduleClear();

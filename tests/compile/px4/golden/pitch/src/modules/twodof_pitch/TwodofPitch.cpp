@@ -26,6 +26,7 @@ static constexpr uint8_t REFUSED = twodof_pitch_s::FAULT_REFUSED;
 static constexpr uint8_t NO_SETPOINT = twodof_pitch_s::FAULT_NO_SETPOINT;
 static constexpr uint8_t SHARED = twodof_pitch_s::FAULT_SHARED;
 
+static orb_advert_t mavlink_log{nullptr};
 static pthread_mutex_t instance_lock = PTHREAD_MUTEX_INITIALIZER;
 px4::atomic<TwodofPitch *> TwodofPitch::instance{nullptr};
 
@@ -171,7 +172,7 @@ void TwodofPitch::end()
     }
 
     if (_armed.armed) {
-        mavlink_log_critical(&_mavlink_log, MODULE_NAME ": has ended, PX4 is armed and nobody commands");
+        mavlink_log_critical(&mavlink_log, MODULE_NAME ": has ended, PX4 is armed and nobody commands");
     }
 
     ScheduleClear();
@@ -249,14 +250,14 @@ static float limited(float value, float low, float high)
     return value < low ? low : value > high ? high : value;
 }
 
-bool TwodofPitch::wanted() const
+bool TwodofPitch::wanted(const actuator_armed_s &armed, const vehicle_control_mode_s &mode)
 {
-    return _armed.armed && _mode.flag_control_rates_enabled;
+    return armed.armed && mode.flag_control_rates_enabled;
 }
 
 void TwodofPitch::command(hrt_abstime sample)
 {
-    _active = wanted() && (_faults & (STALE | NOT_FINITE)) == 0;
+    _active = wanted(_armed, _mode) && (_faults & (STALE | NOT_FINITE)) == 0;
 
     if (!_mode.flag_control_rates_enabled) {
         return; // another module commands torque and thrust, or nobody does
@@ -288,14 +289,15 @@ void TwodofPitch::tell(uint8_t what, const char *text, const char *more)
 
     _told = what;
     _told_at = now;
-    mavlink_log_critical(&_mavlink_log, MODULE_NAME ": %s%s", text, more);
+    mavlink_log_critical(&mavlink_log, "twodof_pitch: %s%s", text, more);
 }
 
 void TwodofPitch::ask_to_disarm()
 {
     // To this vehicle alone: mavlink would send a command without an address to all that are connected.
+    uORB::Subscription subscription{ORB_ID(vehicle_status)};
     vehicle_status_s status{};
-    _status_sub.copy(&status);
+    subscription.copy(&status);
 
     vehicle_command_s command{};
     command.command = vehicle_command_s::VEHICLE_CMD_COMPONENT_ARM_DISARM;
@@ -306,13 +308,14 @@ void TwodofPitch::ask_to_disarm()
     command.source_system = status.system_id;
     command.source_component = status.component_id;
     command.timestamp = hrt_absolute_time();
-    _command_pub.publish(command);
-    mavlink_log_critical(&_mavlink_log, MODULE_NAME ": asks PX4 to disarm");
+    uORB::Publication<vehicle_command_s> publication{ORB_ID(vehicle_command)};
+    publication.publish(command);
+    mavlink_log_critical(&mavlink_log, "twodof_pitch: asks PX4 to disarm");
 }
 
 void TwodofPitch::judge(hrt_abstime now)
 {
-    if (_active || !wanted()) {
+    if (_active || !wanted(_armed, _mode)) {
         _doubt_since = 0;
 
     } else if (_doubt_since == 0) {
@@ -351,10 +354,10 @@ void TwodofPitch::take_parameters(bool starting)
 
         if (param_set_no_notification(param_find(twodof_pitch_parameters[i].name), &_flying[i]) == 0) {
             put_back = true;
-            mavlink_log_critical(&_mavlink_log, "%s was out of bounds and is put back", twodof_pitch_parameters[i].name);
+            mavlink_log_critical(&mavlink_log, "%s was out of bounds and is put back", twodof_pitch_parameters[i].name);
 
         } else {
-            mavlink_log_critical(&_mavlink_log, "%s is missing in PX4", twodof_pitch_parameters[i].name);
+            mavlink_log_critical(&mavlink_log, "%s is missing in PX4", twodof_pitch_parameters[i].name);
         }
     }
 
@@ -480,11 +483,23 @@ int TwodofPitch::replay(const char *input, const char *output)
     return 0;
 }
 
-static bool armed()
+static actuator_armed_s arming()
 {
     uORB::Subscription subscription{ORB_ID(actuator_armed)};
     actuator_armed_s state{};
-    return subscription.copy(&state) && state.armed;
+    subscription.copy(&state);
+    return state;
+}
+
+/** Whether PX4 is disarmed: what a script asks before it stops the module whose place this one takes. */
+static int disarmed()
+{
+    if (arming().armed) {
+        mavlink_log_critical(&mavlink_log, "twodof_pitch: not started while armed");
+        return -1;
+    }
+
+    return 0;
 }
 
 /** Who else commands, or nullptr. */
@@ -518,8 +533,15 @@ static int start_item()
         PX4_ERR("already running");
         result = -1;
 
-    } else if (armed()) {
-        PX4_ERR("not started while armed: disarm first");
+    } else if (disarmed() != 0) {
+        uORB::Subscription subscription{ORB_ID(vehicle_control_mode)};
+        vehicle_control_mode_s mode{};
+        subscription.copy(&mode);
+
+        if (another == nullptr && TwodofPitch::wanted(arming(), mode)) {
+            TwodofPitch::ask_to_disarm(); // nobody commands, and the motors keep what was commanded last
+        }
+
         result = -1;
 
     } else if (another != nullptr) {
@@ -549,7 +571,7 @@ static int start_item()
 
 static int stop_item(bool forced)
 {
-    if (armed() && !forced) {
+    if (arming().armed && !forced) {
         PX4_ERR("not stopped while armed: disarm first, or `twodof_pitch stop -f`, which disarms");
         return -1;
     }
@@ -601,6 +623,9 @@ extern "C" __EXPORT int twodof_pitch_main(int argc, char *argv[])
     } else if (strcmp(what, "stop") == 0) {
         return stop_item(argc > 2 && strcmp(argv[2], "-f") == 0);
 
+    } else if (strcmp(what, "disarmed") == 0) {
+        return disarmed();
+
     } else if (strcmp(what, "status") == 0) {
         return print_status();
 
@@ -608,6 +633,6 @@ extern "C" __EXPORT int twodof_pitch_main(int argc, char *argv[])
         return TwodofPitch::replay(argv[2], argv[3]);
     }
 
-    PX4_INFO("usage: twodof_pitch start | stop [-f] | status | replay INPUT OUTPUT");
+    PX4_INFO("usage: twodof_pitch start | stop [-f] | disarmed | status | replay INPUT OUTPUT");
     return -1;
 }

@@ -85,6 +85,12 @@ public:
     /** Feeds rows of words from one file to a fresh controller with the present parameters, its outputs to another. */
     static int replay(const char *input, const char *output);
 
+    /** Whether the commands count: armed, in a mode that wants this controller. */
+    static bool wanted(const actuator_armed_s &armed, const vehicle_control_mode_s &mode);
+
+    /** Asks PX4 to disarm, in flight too. */
+    static void ask_to_disarm();
+
     /** The item that runs, or nullptr. */
     static px4::atomic<TwodofRail *> instance;
 
@@ -101,8 +107,6 @@ private:
     void read_inputs(const vehicle_angular_velocity_s &rates);
     bool commands_are_finite() const;
 
-    /** Whether the commands count: armed, in a mode that wants this controller. */
-    bool wanted() const;
     void command(hrt_abstime sample);
     void report(hrt_abstime sample, hrt_abstime begin);
 
@@ -117,7 +121,6 @@ private:
 
     /** Says that the motors are off while armed, and asks PX4 to disarm if they are so for long. */
     void judge(hrt_abstime now);
-    void ask_to_disarm();
 
     /** Tells the pilot; the same again only after a while. */
     void tell(uint8_t what, const char *text, const char *more);
@@ -150,7 +153,6 @@ private:
     bool _waiting{false};
     bool _refused{false};
     bool _silent{false};
-    orb_advert_t _mavlink_log{nullptr};
     float _torque_scale{1.41421356f};
 
     hrt_abstime _now{0};
@@ -167,10 +169,8 @@ private:
 
     float setpoint(float value, hrt_abstime stamp, float neutral, bool wanted);
     uORB::Subscription _parameter_update_sub{ORB_ID(parameter_update)};
-    uORB::Subscription _status_sub{ORB_ID(vehicle_status)};
     uORB::SubscriptionCallbackWorkItem _angular_velocity_sub{this, ORB_ID(vehicle_angular_velocity)};
 
     TwodofRailOutput<vehicle_attitude_setpoint_s> _vehicle_attitude_setpoint_pub{ORB_ID(vehicle_attitude_setpoint)};
-    uORB::Publication<vehicle_command_s> _command_pub{ORB_ID(vehicle_command)};
     uORB::Publication<twodof_rail_s> _report_pub{ORB_ID(twodof_rail)};
 };
