@@ -130,14 +130,14 @@ def test_what_px4_cannot_hold_stays_at_its_default_and_is_listed() -> None:
         assert f"`{kept.path}`: {kept.reason}" in readme
 
 
-def test_integer_bounds_lie_within_the_diagrams() -> None:
-    rows = definitions(with_params(Param("n", 2, "int32", low=1.5, high=3.7), Param("m", -5, "int32")))
+def test_integer_bounds_are_the_diagrams() -> None:
+    rows = definitions(with_params(Param("n", 2, "int32", low=2, high=3.0), Param("m", -5, "int32")))
     assert (rows["TMA_B_N"]["min"], rows["TMA_B_N"]["max"]) == (2, 3)
     assert "min" not in rows["TMA_B_M"]
 
 
 def test_a_default_out_of_bounds_is_refused() -> None:
-    with pytest.raises(DiagramError, match=r"its default 2 is outside \[0, 1\]"):
+    with pytest.raises(DiagramError, match=r"default 2\.0 is outside \[0\.0, 1\.0\]"):
         with_params(Param("a", 2.0, low=0.0, high=1.0))
 
 
