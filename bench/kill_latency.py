@@ -48,12 +48,14 @@ class Process:
             [sys.executable, "-m", *arguments], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1
         )
         self.said: queue.Queue[str] = queue.Queue()
-        threading.Thread(target=self._read, daemon=True).start()
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
 
     def _read(self) -> None:
         assert self.process.stdout is not None
-        for line in self.process.stdout:
-            self.said.put(line)
+        with self.process.stdout:
+            for line in self.process.stdout:
+                self.said.put(line)
 
     def tell(self, line: str) -> None:
         """One line on its standard input."""
@@ -69,6 +71,8 @@ class Process:
             self.process.wait(START_S)
         finally:
             self.process.kill()
+            self.process.wait()
+            self._reader.join()
 
 
 @contextmanager
@@ -223,5 +227,5 @@ def run(quick: bool) -> list[Figure]:
     loads = ("idle", "flight controller flooded", "companion flooded")
     for signed in (False,) if quick else (False, True):
         with TemporaryDirectory() as folder:
-            figures += cells(signed, (2, 0) if quick else (100, 20), loads[:1] if quick else loads, Path(folder))
+            figures += cells(signed, (2, 0) if quick else (100, 50), loads[:1] if quick else loads, Path(folder))
     return figures

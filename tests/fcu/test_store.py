@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from twodof.errors import ParameterError
+from twodof.errors import ParameterError, printable
 from twodof.fcu.parameter_row import Row
 from twodof.fcu.parameter_table import own_rows, wire_rows
 from twodof.fcu.store import Store
@@ -53,7 +53,7 @@ def test_a_change_is_whole_or_nothing(rounds: list[tuple[list[tuple[str, float]]
         if faulty:
             with pytest.raises(ParameterError) as raised:
                 store.update(wanted)
-            assert all(name in str(raised.value) for name in dict(bad))
+            assert all(printable(name) in str(raised.value) for name in dict(bad))
             assert (dict(store), store.revision, len(heard)) == (states[-1], revision, count)
             continue
         store.update(wanted)

@@ -14,7 +14,7 @@ from tests.patience import PATIENCE_S
 from twodof.compile import cache
 from twodof.errors import LinkError
 from twodof.fcu import excitation_player
-from twodof.flight.causes import ACTIONS, BIT
+from twodof.flight.causes import ACTIONS, BIT, CAUSES
 from twodof.link import dialect
 from twodof.link.messages import channel_bits
 from twodof.signals import TOPICS
@@ -162,6 +162,8 @@ def spelled(enum: str) -> dict[str, int]:
 
 def test_the_failsafes_words_are_in_the_dialect() -> None:
     assert spelled("TWODOF_CAUSE") == dict(BIT)
+    said = dialect.load().enums["TWODOF_CAUSE"]
+    assert {cause.name: said[BIT[cause.name]].description for cause in CAUSES} == {c.name: c.text for c in CAUSES}
     assert spelled("TWODOF_ACTION") == {name: place for place, name in enumerate(ACTIONS)}
 
 

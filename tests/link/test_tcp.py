@@ -6,7 +6,7 @@ import select
 import socket
 import threading
 import time
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from typing import cast
 
 import pytest
@@ -63,6 +63,38 @@ def test_a_slow_tcp_reader_slows_its_sender_and_loses_nothing(monkeypatch: pytes
             assert await gather(there, size) == data
             pouring.join(SOON)
             assert there.counts.dropped_in == 0
+
+    run(work())
+
+
+def test_of_many_that_flood_no_more_is_read_than_leaves_the_reader_time() -> None:
+    """Eight that send what they can for half a second: a round of all for each seven rests, and what was there before.
+
+    A machine that is slow reads less. Without rests a hundred times as much is read.
+    """
+    floods, seconds = 8, 0.5
+
+    async def work() -> None:
+        async with await open_transport("tcpin://:0") as there:
+            assert isinstance(there, TcpTransport)
+            with ExitStack() as stack:
+                links = [socket.create_connection(("127.0.0.1", there.port), timeout=SOON) for _ in range(floods)]
+                for link in links:
+                    stack.callback(link.close)
+                    link.setblocking(False)
+                while len(there.peers) < floods:
+                    await asyncio.sleep(0.001)
+                began = asyncio.get_running_loop().time()
+                while (now := asyncio.get_running_loop().time()) < began + seconds:
+                    for link in links:
+                        with suppress(BlockingIOError):
+                            link.send(b"x" * 100_000)
+                    with suppress(TimeoutError):
+                        await there.receive(0.0)
+                    await asyncio.sleep(0)
+                rounds = (now - began) / ((floods - 1) * tcp.REST_S)
+                # The first round is read before anybody is known to flood, and one may be amid its rest at either end.
+                assert floods * tcp.LEAST_BYTES <= there.counts.bytes_in <= (rounds + 3) * tcp.ROUND_BYTES
 
     run(work())
 

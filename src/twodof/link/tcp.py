@@ -18,9 +18,9 @@ MOST_CLIENTS = 32
 ROUND_BYTES, LEAST_BYTES = 4 << 10, 128
 # Shares that may wait of one stream; then its sender is stopped, and it alone.
 WINDOW_SHARES = 4
-# A stream that fills its share rests for so long [s] for each stream that there is: of many that flood the reader takes
-# no more than leaves it time, and the processor comes to it at once when somebody else speaks. One alone never rests.
-REST_S = 0.003
+# A stream that fills its share rests for so long [s] for each other one that did so within FILLED_S: of many that flood
+# the reader takes no more than leaves it time, and comes at once to who speaks little. One alone never rests.
+REST_S, FILLED_S = 0.003, 0.25
 # What the system keeps for who listens, and for who sends to one that does: no kill can overtake what waits there.
 RECEIVED_BYTES, SENT_BYTES = 4 << 10, 4 << 10
 # Of who waits to be taken in, and of who is refused once in so long [s].
@@ -50,6 +50,7 @@ class _Stream(asyncio.BufferedProtocol):
         self.name = self.address = ""
         self.paused = self.rests = False
         self.came, self.sound = 0.0, -1.0  # when it came, when it last said something sound
+        self.filled = -FILLED_S  # when it last filled its share
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """A connection stands."""
@@ -210,6 +211,20 @@ class TcpTransport(Transport):
         ):
             stream.paused = True
             stream.socket.pause_reading()
+        if len(data) >= self._share(stream):
+            self._rest(stream)
+
+    def _rest(self, stream: _Stream) -> None:
+        now = stream.filled = self._loop.time()
+        others = sum(now - one.filled < FILLED_S for one in self._streams) - 1
+        if others > 0 and stream.socket is not None and not stream.rests:
+            stream.rests = True
+            stream.socket.pause_reading()
+            self._loop.call_later(REST_S * others, self._rested, stream)
+
+    def _rested(self, stream: _Stream) -> None:
+        stream.rests = False
+        self._go_on(stream)
 
     def _resume(self, peer: Hashable) -> None:
         stream = cast(_Stream, peer)
