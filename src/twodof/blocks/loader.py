@@ -85,7 +85,11 @@ class Loader:
             p = self._declaration(Param, form, path)
             fields = {k: v for k, v in vars(p).items() if k not in ("name", "value")}
             d.param(p.name, p.value, **fields)
-        for form in member(data, "parts", list, path, []):
+        parts = member(data, "parts", list, path, [])
+        self.parts += len(parts)
+        if self.parts > MAX_PARTS:  # counted before the first is made, which costs more than reading them
+            raise DiagramError(f"more than {MAX_PARTS} parts", path, "make the diagram smaller")
+        for form in parts:
             self._part(d, form, path, depth)
         for pair in member(data, "connections", list, path, []):
             if not (isinstance(pair, list) and len(pair) == 2 and all(isinstance(s, str) for s in pair)):
@@ -113,9 +117,6 @@ class Loader:
         name = member(form, "name", str, path)
         where = f"{path}.{name:.80}"
         only(form, _PART, where)
-        self.parts += 1
-        if self.parts > MAX_PARTS:
-            raise DiagramError(f"more than {MAX_PARTS} parts", where, "make the diagram smaller")
         item: Block | Diagram
         if "diagram" in form:
             item = self.diagram(member(form, "diagram", dict, where), where, depth + 1)
