@@ -270,7 +270,8 @@ class Transport(ABC):
     def confirm(self, peer: Hashable) -> None:
         """What came from `peer` was sound: from now on it is among `peers`.
 
-        Only UDP that listens asks for it, so that rubbish from a forged address draws no telemetry to that address.
+        UDP that listens sends to nobody else, so that rubbish from a forged address draws no telemetry to that address;
+        TCP that listens gives the place of who never said anything sound to a newcomer first.
         """
         return
 
