@@ -1,4 +1,4 @@
-"""docs/physics.md against the code: its tables, its laws derived another way, the road to the paper's models."""
+"""docs/explanation/physics.md against the code: its tables, its laws derived anew, the road to the paper's models."""
 
 from __future__ import annotations
 

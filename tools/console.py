@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 PROJECT = Path(__file__).resolve().parents[1]
-PAGES = [page for page in sorted((PROJECT / "docs").glob("*.md")) if "```console" in page.read_text(encoding="utf-8")]
+PAGES = [page for page in sorted((PROJECT / "docs").rglob("*.md")) if "```console" in page.read_text(encoding="utf-8")]
 # A command compiles once and flies or fits for a second; on a loaded machine several times that.
 DEADLINE_S = 120
 

@@ -1,4 +1,4 @@
-"""Writes docs/library.md from the docstrings of the library's blocks: `python tools/library_docs.py`.
+"""Writes docs/reference/blocks.md from the docstrings of the library's blocks: `python tools/library_docs.py`.
 
 A test compares the page with what this gives.
 """
@@ -13,14 +13,14 @@ from twodof.blocks import library
 from twodof.blocks.block import REGISTRY, Block, Param, Port
 from twodof.blocks.library.custom import function_block
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "library.md"
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "blocks.md"
 ROOMS = ("sources", "waveforms", "random", "playback", "math", "functions", "nonlinear", "logic", "routing", "delays")
 MORE_ROOMS = ("discrete", "filters", "control", "continuous")
 
 INTRODUCTION = """# The library of blocks
 
-Made by `tools/library_docs.py` from the docstrings; do not edit. [language.md](language.md) says how blocks are written
-and run.
+Made by `tools/library_docs.py` from the docstrings; do not edit.
+[The block language](../explanation/language.md) says how blocks are written and run.
 
 All blocks are imported from `twodof.blocks.library`. The arguments in parentheses are those of the constructor, and
 what a diagram's JSON keeps beside the type's name; the tables show a block made with the defaults. Ports and parameters

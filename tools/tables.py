@@ -36,9 +36,7 @@ from twodof.rig.rotors import HOVER
 from twodof.signals import TOPICS
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
-PAGES = tuple(
-    DOCS / f"{name}.md" for name in ("physics", "flight", "logs", "safety", "parameters", "topics", "services")
-)
+PAGES = tuple(sorted(page for page in DOCS.rglob("*.md") if "<!-- made: " in page.read_text(encoding="utf-8")))
 FMEA = DOCS.parent / "tests" / "fmea" / "measured.csv"
 UNITS = {
     "rate.kp": "s/rad",
@@ -81,7 +79,7 @@ def render(text: str) -> str:
 
 
 def models(rig: Mapping[str, float]) -> dict[str, tuple[float, str, str]]:
-    """Value, unit and equation of what the paper's models call the rig's parameters; docs/physics.md section 8."""
+    """Value, unit and equation of the rig's parameters as in the paper's models; docs/explanation/physics.md, 8."""
     known = model_parameters(rig)
     pulse = rotor_moment(rig, PULSE, 0.0) / (PULSE * rig["inertia"])
     return {

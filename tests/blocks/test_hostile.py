@@ -1,4 +1,4 @@
-"""A hostile diagram file is refused at the door with a reason, in bounded time and memory (docs/language.md, 5)."""
+"""A hostile diagram file is refused with a reason, in bounded time and memory (docs/explanation/language.md, 5)."""
 
 from __future__ import annotations
 

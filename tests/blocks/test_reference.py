@@ -1,4 +1,4 @@
-"""The reference's step, clause by clause of docs/language.md section 4."""
+"""The reference's step, clause by clause of docs/explanation/language.md section 4."""
 
 from collections.abc import Callable
 from typing import Any

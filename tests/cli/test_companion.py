@@ -109,7 +109,7 @@ def test_a_mistake_is_told_with_its_remedy(
 
 
 def test_its_options_are_documented() -> None:
-    page = (Path(__file__).resolve().parents[2] / "docs" / "companion.md").read_text()
+    page = (Path(__file__).resolve().parents[2] / "docs" / "how-to" / "companion.md").read_text()
     result = CliRunner().invoke(app, ["companion", "--help"], env={"COLUMNS": "200"})
     options = {word for word in textwrap.dedent(result.output).split() if word.startswith("--")}
     assert options - {"--help", "--json"} <= {word.strip("`[],;.:()") for word in page.split()} | {"--help"}

@@ -10,7 +10,7 @@ from twodof.blocks.library import FractionalDelay, Gain, Integrator, Sum, UnitDe
 
 
 class LimitedIntegrator(Block):
-    """Integral of u by backward Euler within +-limit: the example of docs/language.md."""
+    """Integral of u by backward Euler within +-limit: the example of docs/explanation/language.md."""
 
     inputs = (Port("u", unit="rad/s"),)
     outputs = (Port("y", unit="rad"),)

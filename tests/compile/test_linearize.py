@@ -45,7 +45,7 @@ def test_trim_finds_where_the_moment_holds_it() -> None:
 
 
 def test_the_rig_at_hover() -> None:
-    """The equations of docs/physics.md for small angles, solved for the accelerations by hand."""
+    """The equations of docs/explanation/physics.md for small angles, solved for the accelerations by hand."""
     d = Diagram("hover")
     for name in ("thrust", "moment", "gust", "running"):
         d.input(name)

@@ -1,4 +1,4 @@
-"""Compiled programs: closed forms, the reference's bits, and the interface that docs/language.md section 6 promises."""
+"""Compiled programs: closed forms, the reference's bits, the interface of docs/explanation/language.md, section 6."""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""The same bits on every target: random diagrams, every block of the library, the flight core. Docs: docs/targets.md.
+"""The same bits on every target: random diagrams, every block of the library, the flight core.
+
+See docs/explanation/targets.md.
 
 A test is a group of diagrams in one precision on all targets: the reference, which takes longest, runs once for them.
 """

@@ -1,4 +1,4 @@
-"""Wall clocks that jump: the monotonic one rules, and time stamps of signatures follow the rule of docs/protocol.md."""
+"""Wall clocks that jump: the monotonic one rules, and stamps of signatures follow docs/reference/protocol.md."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ import pytest
 
 FOLDER = Path(__file__).resolve().parent
 TESTS = FOLDER.parent
-DOCS = TESTS.parent / "docs"
+DOCS = TESTS.parent / "docs" / "explanation"
 PAGE = DOCS / "safety.md"
 
 

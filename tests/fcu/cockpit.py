@@ -35,7 +35,7 @@ class Rig:
 
 
 class Failsafe:
-    """The failsafe's state machine as docs/safety.md has it, told its causes by the test."""
+    """The failsafe's state machine as docs/explanation/safety.md has it, told its causes by the test."""
 
     def __init__(self) -> None:
         self.state = DISARMED

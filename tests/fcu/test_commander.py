@@ -199,7 +199,7 @@ def test_a_stick_forward_lowers_the_nose_and_goes_to_plus_x(mode: int, flown: in
 
 
 def test_the_ends_of_the_sticks_are_those_of_the_page() -> None:
-    """docs/protocol.md, "Modes": 1.75 rad/s, .35 rad, .3 m/s."""
+    """docs/reference/protocol.md, "Modes": 1.75 rad/s, .35 rad, .3 m/s."""
     assert (RATE_AT_FULL, PITCH_AT_FULL, VELOCITY_AT_FULL) == (1.75, 0.35, 0.3)
 
 

@@ -80,7 +80,7 @@ def test_who_takes_it_by_arming_and_falls_silent_at_once_has_it_for_three_second
 
 
 def test_the_times_are_those_of_the_page() -> None:
-    """docs/protocol.md, in ticks of 4 ms: 2 s, 3 s, 30 s; set-points above 2 Hz; a minute ahead at most; 256 wait."""
+    """docs/reference/protocol.md in ticks of 4 ms: 2 s, 3 s, 30 s; set-points above 2 Hz; a minute ahead; 256 wait."""
     assert (COMMANDING, HEARD, LONGEST, FRESH, HORIZON, CAPACITY) == (500, 750, 7500, 125, 15_000, 256)
     assert (PATIENCE, MOST_GRANTED, MOST_EFFORT) == (25, 25_000, 1e8)
     commander = Cockpit(talking=()).commander

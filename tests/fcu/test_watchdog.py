@@ -64,7 +64,7 @@ def test_a_beat_before_the_fifth_look_is_enough(watchdog: Watchdog, stops: list[
 
 
 def test_a_tenth_of_a_second() -> None:
-    """docs/safety.md; a pause in which the thread stands too, for collecting garbage say, is one look, however long."""
+    """docs/explanation/safety.md; a pause in which this thread stands too, to collect garbage say, is one look."""
     assert (LOOK_S, LOOKS) == (0.02, 5)
     assert signature(Watchdog).parameters["look_s"].default == LOOK_S
 

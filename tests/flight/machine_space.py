@@ -34,7 +34,7 @@ def cases() -> dict[str, Array]:
 
 
 def meant(state: int, timer: int, own_failed: bool, now: Mapping[str, bool], limits: Mapping[str, int]) -> list[Any]:
-    """The state machine as docs/safety.md tells it, with plain ifs: its outputs, then its next states."""
+    """The state machine as docs/explanation/safety.md tells it, with plain ifs: its outputs, then its next states."""
     own_flew = now["own_given"] and not own_failed and state == FLYING
     may_turn = state in (FLYING, LEVEL, BRAKE, DESCEND)
     stuck_off = may_turn and now["stuck"] and not own_flew

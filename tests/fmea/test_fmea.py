@@ -49,7 +49,7 @@ def test_each_row_states_what_is_expected_and_there_are_enough_of_them() -> None
 def test_each_fault_ends_as_expected_with_the_figures_that_are_kept() -> None:
     """In its action, in its time, and not at a stop with motors on; where nothing fails nothing acts.
 
-    The figures are the same bits on all machines; the table in docs/safety.md is made of them.
+    The figures are the same bits on all machines; the table in docs/explanation/safety.md is made of them.
     """
     flights = list(flown(ROWS, (0,)))
     wrong = judge(flights)

@@ -8,7 +8,7 @@ from pathlib import Path
 from tests.patience import PATIENCE_S
 from twodof.gcs.drone import Drone
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "gcs.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "fly-from-python.md"
 # It starts five virtual drones, each in about a second; on a loaded machine several times that.
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from tests.patience import PATIENCE_S
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "clients.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "connect-clients.md"
 
 
 def test_the_script_on_the_page_flies(companion_port: int, tmp_path: Path) -> None:

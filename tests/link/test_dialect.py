@@ -190,7 +190,7 @@ def test_our_own_messages_and_their_fields_are_described() -> None:
 
 
 def test_the_page_lists_every_one_of_our_messages() -> None:
-    page = (Path(__file__).resolve().parents[2] / "docs" / "protocol.md").read_text()
+    page = (Path(__file__).resolve().parents[2] / "docs" / "reference" / "protocol.md").read_text()
     own = [kind.msgname for number, kind in dialect.load().mavlink_map.items() if number >= dialect.FIRST_OWN_ID]
     assert [name for name in own if f"`{name}`" not in page] == []
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from tests.patience import PATIENCE_S
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "protocol.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "reference" / "protocol.md"
 
 
 def test_the_code_on_the_page_runs(tmp_path: Path) -> None:

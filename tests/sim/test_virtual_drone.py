@@ -19,7 +19,7 @@ from twodof.flight.starters import starter
 from twodof.flight.templates import ATTITUDE
 from twodof.sim.virtual_drone import VirtualDrone
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "fcu.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "explanation" / "flight-controller.md"
 
 
 def test_parameters_of_the_store_fly_and_are_there_after_a_restart(tmp_path: Path) -> None:

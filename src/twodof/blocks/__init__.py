@@ -1,4 +1,4 @@
-"""The block language: write a block once, interpret it, compile it. See docs/language.md."""
+"""The block language: write a block once, interpret it, compile it. See docs/explanation/language.md."""
 
 from twodof.blocks.arrays import build, fold, store, vector
 from twodof.blocks.block import Block, Param, Port, State

@@ -222,7 +222,7 @@ class Block:
     """Subclass this: set `inputs`, `outputs`, `states`, `params`, `derived` (class attributes, or in `__init__`).
 
     `u`, `x`, `p` are the inputs, states and parameters by attribute, `t` is a `Clock`. Each method returns a mapping
-    from names to values; a method with one name to give may return the bare value. See docs/language.md.
+    from names to values; a method with one name to give may return the bare value. See docs/explanation/language.md.
     """
 
     inputs: Sequence[Port] = ()

@@ -36,7 +36,8 @@ def member(data: Mapping[str, Any], key: str, kind: type | tuple[type, ...], whe
     """`data[key]` (or `default`) if it is of the type `kind`; else DiagramError."""
     value = data.get(key, default)
     if not isinstance(value, kind) or (isinstance(value, bool) and kind is int):
-        raise DiagramError(f"{key!r} is missing or of the wrong kind", where, "see docs/language.md, section 5")
+        remedy = "see docs/explanation/language.md, section 5"
+        raise DiagramError(f"{key!r} is missing or of the wrong kind", where, remedy)
     return value
 
 
@@ -161,7 +162,8 @@ class Loader:
             except TwodofError as error:
                 raise DiagramError(error.what, where, error.remedy) from error
             except (TypeError, ValueError, ArithmeticError, LookupError) as error:
-                raise DiagramError(f"{kind} cannot be made: {error!s:.200}", where, "see docs/library.md") from error
+                problem = f"{kind} cannot be made: {error!s:.200}"
+                raise DiagramError(problem, where, "see docs/reference/blocks.md") from error
             for item in declared:
                 _visible(item.unit, getattr(item, "text", ""), where)
         else:
@@ -169,7 +171,7 @@ class Loader:
             raise DiagramError(
                 f"unknown block type {shown(kind)}",
                 where,
-                f"see docs/library.md for those of {library.__name__}; like it: {near}",
+                f"see docs/reference/blocks.md for those of {library.__name__}; like it: {near}",
             )
         try:
             self._measure(block)
@@ -276,7 +278,7 @@ _FIELD_TYPES: dict[str, tuple[type, ...]] = {
 def _typed(cls: type, fields: Mapping[str, Any], where: str) -> Any:
     for key, value in fields.items():
         if not isinstance(value, _FIELD_TYPES[key]) or (isinstance(value, list) and not _flat(value)):
-            raise DiagramError(f"{key!r} is {shown(value)}", where, "see docs/language.md, section 5")
+            raise DiagramError(f"{key!r} is {shown(value)}", where, "see docs/explanation/language.md, section 5")
     if "name" not in fields:
         raise DiagramError("a declaration has no name", where, "name it")
     _visible(fields.get("unit", ""), fields.get("text", ""), where)

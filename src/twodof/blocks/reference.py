@@ -1,7 +1,7 @@
 """The reference: a diagram interpreted on plain numbers, by its hierarchy, one block after the other.
 
 It is the judge of every compiled target and shares no code with the compiler's lowering. What a step is says
-docs/language.md, section 4.
+docs/explanation/language.md, section 4.
 """
 
 from __future__ import annotations

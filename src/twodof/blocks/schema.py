@@ -1,6 +1,6 @@
 """The JSON form of a diagram. A custom block travels as its traced expressions; loading a file runs nothing of it.
 
-What comes in is bounded before it is used; docs/language.md section 5 describes the form and lists the limits.
+What comes in is bounded before it is used. docs/explanation/language.md, section 5, describes the form and the limits.
 """
 
 from __future__ import annotations
@@ -35,7 +35,8 @@ def from_json(text: str | bytes) -> Diagram:
     """The diagram in `text`. Raises DiagramError, naming the place, for what is no diagram of this version.
 
     Nothing of the file is executed, and what it makes is bounded in memory, in what is to be compiled and in what a
-    step computes (docs/language.md, section 5). Connections are checked when the diagram is compiled or interpreted.
+    step computes (docs/explanation/language.md, section 5). Connections are checked when the diagram is compiled or
+    interpreted.
     """
     if len(text) > MAX_BYTES:
         raise DiagramError(f"{len(text)} bytes of diagram", "file", f"at most {MAX_BYTES} are read")

@@ -14,7 +14,7 @@ MOST_DRONES = ports.GROUND_STATION - ports.ONBOARD
 """The next one's port for clients on board is QGroundControl's."""
 
 _LOOPBACK = "127.0.0.1"
-# What is listened at, with drone 0's port (docs/protocol.md).
+# What is listened at, with drone 0's port (docs/reference/protocol.md).
 _LISTENED = (
     ("TCP", ports.FLIGHT_CONTROLLER, "the flight controller"),
     ("TCP", ports.COMPANION_TCP, "the companion"),

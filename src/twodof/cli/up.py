@@ -56,7 +56,7 @@ NOTHING_KNOWN: Mapping[int, Flown] = MappingProxyType({})
 
 @dataclass(frozen=True)
 class Place:
-    """The drone `index`: its ports (docs/protocol.md), all on this machine, its seed, where it keeps what, its key."""
+    """The drone `index`: its ports on this machine (docs/reference/protocol.md), its seed, its folders and its key."""
 
     index: int
     seed: int = 1

@@ -1,4 +1,7 @@
-"""From a diagram to C99 and to machine code. See docs/language.md section 6 and docs/compilation.md."""
+"""From a diagram to C99 and to machine code.
+
+See docs/explanation/language.md, section 6, and docs/reference/compilation.md.
+"""
 
 from twodof.compile.machine import Machine
 from twodof.compile.program import Program, build

@@ -1,6 +1,7 @@
 """Readable C99 from a program: `prepare`, `init`, `step` and `run` on the structs P, S, U and Y.
 
-No globals but constant tables, no malloc, no libm. `real` is double or float. docs/language.md says what a step is.
+No globals but constant tables, no malloc, no libm. `real` is double or float. What a step is stands in
+docs/explanation/language.md.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """linearize: the exact A, B, C, D of a diagram at a point, by differentiating its expression graph.
 
-docs/diagram.md says what is assumed: which model it is, what happens to delays, counters, noise and kinks.
+docs/how-to/check-a-diagram.md says what is assumed: which model it is, and what happens to delays, counters, noise
+and kinks.
 """
 
 from __future__ import annotations

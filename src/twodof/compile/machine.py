@@ -22,7 +22,7 @@ class Machine:
     """One running instance: parameters, states and inputs of its own, in the memory of the C structs.
 
     `instance` is what the target gave: the structs, and the calls on them. Where the target can fault (see
-    docs/compilation.md), any method that computes may raise ControllerFault.
+    docs/reference/compilation.md), any method that computes may raise ControllerFault.
     One thread at a time may use it: for changes from another, queue them and apply them between two steps.
     """
 

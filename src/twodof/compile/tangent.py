@@ -1,4 +1,4 @@
-"""One step of a program with its derivatives: what docs/language.md section 4 says, on numbers that carry slopes."""
+"""One step of a program with its derivatives: docs/explanation/language.md, section 4, on numbers that carry slopes."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """A user's program on board as a child process: limited, listened to, started again if it crashes, never left behind.
 
 Nothing here speaks to the vehicle. When the app dies its link goes silent, and the flight controller lets the lease
-lapse by its own rules (docs/safety.md).
+lapse by its own rules (docs/explanation/safety.md).
 """
 
 import asyncio

@@ -1,6 +1,7 @@
 """The commander: who may command, and whether what is commanded is done. No I/O, and no clock but the ticks it is told.
 
-Every command is answered by a Verdict. The rules are in docs/protocol.md: lease, modes, set-points, excitation.
+Every command is answered by a Verdict. The rules of lease, modes, set-points and excitation are in
+docs/reference/protocol.md.
 """
 
 from __future__ import annotations

@@ -95,7 +95,7 @@ class FlightCode:
     `controllers` are diagrams that fly in place of the stock ones of their templates. Where they are `trusted` they
     are part of the native code; else they run in a sandbox of WebAssembly with bounded memory and a bounded number of
     instructions a step, and their commands pass the same gate. Either way the gate replaces them by the stock ones as
-    docs/safety.md says. `fuel` is what a step in the sandbox may use, None what the program's size allows.
+    docs/explanation/safety.md says. `fuel` is what a step in the sandbox may use, None what the program's size allows.
 
     Raises DiagramError for a controller that fits no template, CompileError where the tool chain is not there.
     """

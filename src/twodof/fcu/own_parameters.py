@@ -1,7 +1,8 @@
 """The parameters of a user's own controller that flies: its diagram's, as rows of the vehicle's list.
 
-A name is the one that the parameter has in the diagram's PX4 module (docs/targets.md), so that a ground station's file
-fits both. A value at the default flies as the diagram has it, to the last bit, though float32 carries less.
+A name is the one that the parameter has in the diagram's PX4 module (docs/explanation/targets.md), so that a ground
+station's file fits both. A value at the default flies as the diagram has it, to the last bit, though float32 carries
+less.
 """
 
 from __future__ import annotations

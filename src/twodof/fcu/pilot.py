@@ -1,4 +1,7 @@
-"""The pilot: who may command, and whether the drone hears it. The rules are those of the lease (docs/protocol.md)."""
+"""The pilot: who may command, and whether the drone hears it.
+
+The rules are those of the lease (docs/reference/protocol.md).
+"""
 
 from __future__ import annotations
 

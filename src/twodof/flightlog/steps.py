@@ -24,7 +24,7 @@ STEP_TOPIC = "twodof_step"
 """The ULog topic with every step of the flight code; what was asked for has names that begin with `ASKED`."""
 ASKED = "asked_"
 
-# Stamps against that of the moment M of the same step, as the real logs have them (docs/physics.md, sensors).
+# Stamps against that of the moment M of the same step, as the real logs have them (docs/explanation/physics.md).
 _AGE = {"acc": 1.1e-3, "gyr": 1.1e-3, "dist": 1.0e-3, "q": Q_AGE, "lmnf": 1.5e-3}
 _LATER = {"theta": 0.33e-3, "x": 1.3e-3, "v": 1.3e-3, "q0": 3e-6, "theta0": 5e-6, "v0": 7e-6, "x0": 9e-6, "T": 11e-6}
 _LATER |= {"thrust0": 13e-6, "mode": 15e-6}

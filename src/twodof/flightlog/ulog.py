@@ -131,7 +131,8 @@ def ulog_to_log(found: ULog, file: dict[str, Any], where: str, budget: Budget) -
             channels[name] = channel
     if not channels:
         there = ", ".join(sorted({one.name for one in found.topics})[:20]) or "none"
-        raise LogError(f"no topic in it becomes a channel; topics: {there}", where, "log those that docs/logs.md names")
+        remedy = "log those that docs/reference/logs.md names"
+        raise LogError(f"no topic in it becomes a channel; topics: {there}", where, remedy)
     kept: dict[str, Any] = {"ulog": {"start_s": found.start_us / 1e6, "info": _plain(found.info)}}
     kept["parameters"] = _plain(found.parameters)
     if own and found.changes:

@@ -388,7 +388,8 @@ class Connected:
         if not self.ours:
             self.session.must_stand()
             missing = f"{what}: it is not one of ours but {self.state.autopilot}, which has no {name}"
-            raise Rejected(missing, f"drone {self.session.system}", "docs/clients.md says what works there")
+            remedy = "docs/how-to/connect-clients.md says what works there"
+            raise Rejected(missing, f"drone {self.session.system}", remedy)
 
     def _deadline(self, timeout: float, doing: str) -> Deadline:
         return Deadline(timeout, doing, f"drone {self.session.system}")

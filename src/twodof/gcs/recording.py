@@ -274,7 +274,8 @@ def chosen(topics: Iterable[str] | None, truth: bool, ours: bool = True) -> list
         return [row for row in TOPICS if (row.onboard or truth) and (ours or not row.mavlink.startswith("TWODOF_"))]
     rows = [topic(name) for name in topics]
     if not ours and (unknown := [row.name for row in rows if row.mavlink.startswith("TWODOF_")]):
-        raise LogError("only a drone of ours sends it", unknown[0], "leave it out; docs/clients.md says what there is")
+        remedy = "leave it out; docs/how-to/connect-clients.md says what there is"
+        raise LogError("only a drone of ours sends it", unknown[0], remedy)
     if not truth and (unknown := [row.name for row in rows if not row.onboard]):
         raise LogError("nobody on board, and nobody with a real drone, knows the truth", unknown[0], "leave it out")
     return rows

@@ -26,7 +26,7 @@ def sine_cosine(angle: Any) -> tuple[Any, Any]:
 
 
 class Dynamics(Block):
-    """theta, q, x, v of the drone on its cart; docs/physics.md, equations (1) to (4).
+    """theta, q, x, v of the drone on its cart; docs/explanation/physics.md, equations (1) to (4).
 
         J q' + m_d d cos(theta) v' = moment + gust - m_d g d sin(theta) - k_1 theta - k_3 theta^3 - c q - friction
         m v' + m_d d cos(theta) q' = m_d d sin(theta) q^2 - thrust sin(theta) + f - c_x v - friction

@@ -47,7 +47,7 @@ def velocity_damping(rig: Mapping[str, float]) -> float:
 
 
 def model_parameters(rig: Mapping[str, float]) -> dict[str, float]:
-    """What the paper's models call the rig's parameters, for small angles: docs/physics.md section 8, SI.
+    """What the paper's models call the rig's parameters, for small angles: docs/explanation/physics.md section 8, SI.
 
     w_n, xi and mu, tau of the pitch (rotors at rest: xi, coulomb; running: xi_run, coulomb_run; mu at the hover's
     thrust), k_v and p_v of the velocity, dry friction (coulomb, coulomb_run, rail_coulomb) and hardening over the moved

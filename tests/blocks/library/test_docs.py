@@ -1,4 +1,4 @@
-"""docs/library.md is what the docstrings say."""
+"""docs/reference/blocks.md is what the docstrings say."""
 
 from tools.library_docs import PAGE, render
 from twodof.blocks.library import __all__

@@ -120,7 +120,7 @@ def test_sums_over_elements_are_numpys() -> None:
 )
 def test_functions_of_one_argument(block: Block, function: Callable[[Any], Any], domain: float) -> None:
     u = np.linspace(-domain, domain, 41)
-    # 2.5 ulp of ours (docs/language.md) and 1 of numpy's.
+    # 2.5 ulp of ours (docs/explanation/language.md) and 1 of numpy's.
     np.testing.assert_allclose(run_y(block, u), function(u), rtol=8e-16, atol=1e-16)
 
 

@@ -225,7 +225,7 @@ def another(folder: Path, name: str = "pile", prefix: str = "TPI") -> Path:
 
 
 def put_together(into: Path, other: Path) -> None:
-    """What docs/px4.md says of two modules: the one's sources and message into the other's folders."""
+    """What docs/how-to/export-to-px4.md says of two modules: the one's sources and message into the other's folders."""
     shutil.copytree(other / "src/modules", into / "src/modules", dirs_exist_ok=True)
     shutil.copytree(other / "etc", into / "etc", dirs_exist_ok=True)
     for message in (other / "msg").glob("*.msg"):

@@ -98,6 +98,6 @@ def test_an_output_of_another_type_is_refused() -> None:
 
 
 def test_the_page_names_every_port() -> None:
-    page = (Path(__file__).parents[3] / "docs" / "px4.md").read_text()
+    page = (Path(__file__).parents[3] / "docs" / "how-to" / "export-to-px4.md").read_text()
     missing = [name for name in {*INPUTS, *OUTPUTS} - {"motor_2", "motor_3"} if f"`{name}`" not in page]
     assert missing == []

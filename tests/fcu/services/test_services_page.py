@@ -1,4 +1,4 @@
-"""docs/services.md says what the program answers: every command and message it has, and no other."""
+"""docs/reference/services.md says what the program answers: every command and message it has, and no other."""
 
 import re
 from pathlib import Path
@@ -9,7 +9,7 @@ from twodof.fcu.services.px4 import PX4
 from twodof.link import dialect
 from twodof.sim.virtual_drone import VirtualDrone
 
-PAGE = (Path(__file__).resolve().parents[3] / "docs" / "services.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).resolve().parents[3] / "docs" / "reference" / "services.md").read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="module")

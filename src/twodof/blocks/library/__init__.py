@@ -1,4 +1,4 @@
-"""The library of blocks; docs/library.md lists them with their ports and parameters."""
+"""The library of blocks; docs/reference/blocks.md lists them with their ports and parameters."""
 
 from twodof.blocks.library.continuous import (
     FirstOrder,

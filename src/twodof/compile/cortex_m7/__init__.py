@@ -1,1 +1,1 @@
-"""Cortex-M7 machine code on an emulated processor. See docs/targets.md."""
+"""Cortex-M7 machine code on an emulated processor. See docs/explanation/targets.md."""

@@ -17,11 +17,12 @@ do not edit what is here.
 
 _UNPROTECTED = """## What does not protect here
 
-The failsafe of twodof's own flight controller (its docs/safety.md) is not in this module. Nothing here levels the drone
-when set-points fall silent, except that one older than 1 s counts as 0; nothing brakes before the rail's ends, limits
-pitch or set-points, watches the battery or the range sensor, or lets a stock controller take over from a diagram that
-misbehaves with finite numbers. There are the rules above, and PX4's own arming checks, failsafes and kill switch: set
-their parameters (`COM_*`, `NAV_*`) before you arm. Modules like this were flown in the simulator only.
+The failsafe of twodof's own flight controller (its docs/explanation/safety.md) is not in this module. Nothing here
+levels the drone when set-points fall silent, except that one older than 1 s counts as 0. Nothing brakes before the
+rail's ends, limits pitch or set-points, watches the battery or the range sensor, or lets a stock controller take over
+from a diagram that misbehaves with finite numbers. There are the rules above, and PX4's own arming checks, failsafes
+and kill switch: set their parameters (`COM_*`, `NAV_*`) before you arm. Modules like this were flown in the simulator
+only.
 """
 
 

@@ -73,7 +73,7 @@ class Module:
     places: Mapping[str, Places]
 
     def interface(self, name: str | None = None) -> dict[str, Any]:
-        """What a host must know to run the program `name` (the only one, if None): see docs/compilation.md.
+        """What a host must know to run the program `name` (the only one, if None): see docs/reference/compilation.md.
 
         It can be written as JSON: a bound that is infinite is None. Addresses are in the module's memory, in bytes.
         """
