@@ -15,16 +15,16 @@ from typing import cast
 
 from bench.measure import Figure, one_core, timed
 from bench.programs import END_S, START_S, running
-from twodof.fcc.client import Client
-from twodof.fcc.line import Line
-from twodof.fcc.rates import profile
+from twodof.fcc.client import CompanionClient
+from twodof.fcc.rate_profiles import profile
 from twodof.fcc.router import Router
-from twodof.link.components import COMPANION
-from twodof.link.framing import Parser, encode
-from twodof.link.messages import message
-from twodof.link.opening import open_transport
-from twodof.link.tcp import TcpTransport
-from twodof.link.transport import Transport
+from twodof.fcc.uplink_queue import UplinkQueue
+from twodof.link.mavlink.components import COMPANION
+from twodof.link.mavlink.framing import Parser, encode
+from twodof.link.mavlink.messages import message
+from twodof.link.transport.base import Transport
+from twodof.link.transport.open_transport import open_transport
+from twodof.link.transport.tcp import TcpTransport
 
 FRAME_US = 15.0
 ADDED_MS = 0.3
@@ -66,11 +66,11 @@ class Nowhere:
 def own_share(clients: int, count: int, repeats: int) -> tuple[float, float]:
     """CPU time [s] of a frame down to one client, and of a frame up, without system calls."""
     nowhere = cast(Transport, Nowhere())
-    line = Line()
+    line = UplinkQueue()
     line.connect(nowhere)
     router = Router(1, line, lambda: 0.0)
     for number in range(clients):
-        router.add(Client(f"{number}", nowhere, number, profile("none"), 0.0))
+        router.add(CompanionClient(f"{number}", nowhere, number, profile("none"), 0.0))
         asked = message("COMMAND_LONG", command=511, target_system=1, target_component=1, param1=ATTITUDE, param2=4000)
         for frame in Parser().feed(encode(asked, 200 + number, 1, 0)):
             router.from_client(router.clients[-1], frame)

@@ -11,8 +11,8 @@ import socket
 import sys
 import time
 
-from twodof.link.framing import encode
-from twodof.link.messages import message
+from twodof.link.mavlink.framing import encode
+from twodof.link.mavlink.messages import message
 
 PIECE = 16 << 10
 AGAIN_S = 0.05

@@ -22,12 +22,12 @@ from typing import Any
 
 from bench.measure import Figure
 from bench.programs import START_S, port, running
-from twodof.link.components import GROUND_STATION
-from twodof.link.framing import encode
-from twodof.link.key import Key, write_key
-from twodof.link.messages import message
-from twodof.link.signing import Signing
-from twodof.link.stamps import Stamps
+from twodof.link.mavlink.components import GROUND_STATION
+from twodof.link.mavlink.framing import encode
+from twodof.link.mavlink.messages import message
+from twodof.link.signing.frame_signing import Signing
+from twodof.link.signing.key import Key, write_key
+from twodof.link.signing.time_stamps import Stamps
 
 CONNECTIONS, PROCESSES = 50, 4
 IDLE_S, FLOODED_S = 0.05, 0.3

@@ -13,10 +13,10 @@ from pathlib import Path
 
 from bench.drone_process import say
 from twodof.fcu.flight_code import Step
-from twodof.link.components import GROUND_STATION
-from twodof.link.key import read_key
-from twodof.link.signing import Signing
-from twodof.link.stamps import Stamps
+from twodof.link.mavlink.components import GROUND_STATION
+from twodof.link.signing.frame_signing import Signing
+from twodof.link.signing.key import read_key
+from twodof.link.signing.time_stamps import Stamps
 from twodof.sim.virtual_drone import VirtualDrone
 
 ALIVE_TICKS = 12

@@ -9,16 +9,16 @@ import sys
 import time
 
 from bench.measure import Figure, one_core, timed
-from twodof.link import dialect
 from twodof.link.connection import Connection
-from twodof.link.framing import Parser, decode, encode
-from twodof.link.key import Key
-from twodof.link.memory import memory_pair
-from twodof.link.messages import message
-from twodof.link.opening import open_transport
-from twodof.link.signing import Signing
-from twodof.link.stamps import Stamps
-from twodof.link.udp import UdpTransport
+from twodof.link.mavlink import dialect
+from twodof.link.mavlink.framing import Parser, decode, encode
+from twodof.link.mavlink.messages import message
+from twodof.link.signing.frame_signing import Signing
+from twodof.link.signing.key import Key
+from twodof.link.signing.time_stamps import Stamps
+from twodof.link.transport.memory import memory_pair
+from twodof.link.transport.open_transport import open_transport
+from twodof.link.transport.udp import UdpTransport
 
 # DESIGN section 6.
 LOAD_SECONDS = 0.1

@@ -58,9 +58,9 @@ from twodof.flight.templates import PERIOD
 from twodof.flightlog.files import read_log, write_log
 from twodof.flightlog.log import FlightLog
 from twodof.gcs.async_drone import AsyncDrone
-from twodof.link.framing import Parser
-from twodof.link.opening import open_transport
-from twodof.link.transport import Transport
+from twodof.link.mavlink.framing import Parser
+from twodof.link.transport.base import Transport
+from twodof.link.transport.open_transport import open_transport
 from twodof.rig.parameters import load_rig
 from twodof.rig.rig import BASE_DT
 from twodof.signals import MODES

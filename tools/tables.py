@@ -25,10 +25,10 @@ from twodof.flight.starters import STARTERS, starter
 from twodof.flight.templates import TEMPLATES, kind_of
 from twodof.flightlog.mcap_stream import stream_of
 from twodof.flightlog.ulog import PX4_SOURCES
-from twodof.gcs.recording import SAFETY
-from twodof.link import dialect
-from twodof.link.dialect import FILES
-from twodof.link.rates import GROUND, ONBOARD
+from twodof.gcs.telemetry.recording import SAFETY
+from twodof.link.mavlink import dialect
+from twodof.link.mavlink.dialect import FILES
+from twodof.link.mavlink.rates import GROUND, ONBOARD
 from twodof.rig.parameters import CONDITIONS, NAMES, TABLE, load_rig, origins
 from twodof.rig.predict import model_parameters, rotor_moment
 from twodof.rig.rig import PARTS, rig_params

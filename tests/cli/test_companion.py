@@ -14,9 +14,9 @@ from typer.testing import CliRunner
 from tests.fcc.scripted import Listener, Vehicle, until
 from tests.patience import PATIENCE_S
 from twodof.cli.app import app, run
-from twodof.link.opening import open_transport
-from twodof.link.tcp import TcpTransport
-from twodof.link.url import parse
+from twodof.link.transport.open_transport import open_transport
+from twodof.link.transport.tcp import TcpTransport
+from twodof.link.transport.url import parse
 
 
 async def started(*arguments: str) -> asyncio.subprocess.Process:

@@ -8,7 +8,7 @@ from tests.gcs.virtual import on_board
 from tests.patience import patiently
 from twodof.cli import drones
 from twodof.cli.app import run
-from twodof.gcs.discovery import Found, discover
+from twodof.gcs.discovery import FoundDrone, discover
 
 
 @pytest.fixture
@@ -16,7 +16,7 @@ def only(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Places that are looked at, instead of the ports that somebody else may use while this test runs."""
     places: list[str] = []
 
-    async def look(timeout: float, hosts: list[str]) -> list[Found]:
+    async def look(timeout: float, hosts: list[str]) -> list[FoundDrone]:
         return await discover(timeout, hosts, places=places)
 
     monkeypatch.setattr(drones, "discover", look)
@@ -27,7 +27,7 @@ def only(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 def patient(only: list[str], monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """The same, looked at until each has told all: how soon it does is not what is asked here."""
 
-    async def look(timeout: float, hosts: list[str]) -> list[Found]:
+    async def look(timeout: float, hosts: list[str]) -> list[FoundDrone]:
         for _ in patiently():
             found = await discover(timeout, hosts, places=only)
             if len(found) == len(only) and all(one.changed is not None for one in found):

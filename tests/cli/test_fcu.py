@@ -17,7 +17,7 @@ from twodof.cli.fcu import serve
 from twodof.errors import LinkError, LinkLost
 from twodof.flightlog.files import read_log
 from twodof.gcs.drone import Drone
-from twodof.link.key import Key, write_key
+from twodof.link.signing.key import Key, write_key
 from twodof.sim.virtual_drone import VirtualDrone
 
 

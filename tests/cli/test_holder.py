@@ -13,7 +13,7 @@ from tests.cli.numbers import free_numbers
 from twodof.cli.app import run
 from twodof.cli.holder import holder, naming_holder
 from twodof.errors import LinkError
-from twodof.link import ports
+from twodof.link.transport import ports
 
 
 @pytest.mark.parametrize(

@@ -26,7 +26,7 @@ from twodof.cli.said import error_of
 from twodof.cli.up import Place, say
 from twodof.errors import Rejected
 from twodof.gcs.drone import Drone
-from twodof.link.key import Key, write_key
+from twodof.link.signing.key import Key, write_key
 
 
 @pytest.fixture

@@ -26,7 +26,7 @@ from twodof.flight.starters import starter
 from twodof.flightlog.steps import ASKED
 from twodof.flightlog.ulog_decoder import ULog, scan_ulog
 from twodof.gcs.drone import Drone
-from twodof.link.tick import TICK_US
+from twodof.link.control_period import TICK_US
 from twodof.rig.parameters import lab
 from twodof.sim.rig_host import VirtualRig
 from twodof.sim.start import Start

@@ -7,9 +7,9 @@ import struct
 from collections.abc import Callable
 from functools import cache
 
-from tests.link.test_framing import random_message, repaired
-from twodof.link import dialect
-from twodof.link.framing import encode
+from tests.link.mavlink.test_framing import random_message, repaired
+from twodof.link.mavlink import dialect
+from twodof.link.mavlink.framing import encode
 
 HEADER, CHECKSUM = 10, 2
 FLOATS = [struct.pack("<f", value) for value in (0.0, -0.0, 1.0, -1.0, 3e38, 1e-42, float("inf"), float("nan"))]

@@ -14,13 +14,13 @@ from twodof.excitation import Doublet
 from twodof.flightlog.files import read_log
 from twodof.flightlog.steps import BOOT, shift
 from twodof.flightlog.ulog_decoder import scan_ulog
-from twodof.gcs import batches
 from twodof.gcs.async_drone import AsyncDrone
-from twodof.link.framing import Parser, decode
-from twodof.link.key import Key
-from twodof.link.opening import open_transport
-from twodof.link.signing import Signing
-from twodof.link.stamps import Stamps
+from twodof.gcs.telemetry import full_rate
+from twodof.link.mavlink.framing import Parser, decode
+from twodof.link.signing.frame_signing import Signing
+from twodof.link.signing.key import Key
+from twodof.link.signing.time_stamps import Stamps
+from twodof.link.transport.open_transport import open_transport
 
 # On both ways between client and companion; for the last one the line to the flight controller is bad, too.
 NETWORKS = {
@@ -40,7 +40,7 @@ LEVEL_RAD = 0.06  # as in tests/sim/test_failsafe_flights.py: the wake alone mov
 @pytest.mark.parametrize("name", NETWORKS)
 def test_a_flight_over_a_bad_network_loses_nothing(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # All calls get a minute: in the 5 s of a subscription are ten tries, of which with .51^10 none comes through.
-    monkeypatch.setattr(batches, "TIMEOUT_S", 60.0)
+    monkeypatch.setattr(full_rate, "TIMEOUT_S", 60.0)
     faults = NETWORKS[name]
 
     async def work() -> None:

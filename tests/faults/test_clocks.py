@@ -12,9 +12,9 @@ from tests.faults.whole import DESCEND, LEVEL, Whole, acts, run, silent, stands,
 from twodof.errors import LinkLost
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.link.connection import Connection
-from twodof.link.key import Key
-from twodof.link.signing import Signing
-from twodof.link.stamps import PER_SECOND, Stamps
+from twodof.link.signing.frame_signing import Signing
+from twodof.link.signing.key import Key
+from twodof.link.signing.time_stamps import PER_SECOND, Stamps
 
 START = 300_000_000 * PER_SECOND  # in 2024
 HOUR, DAY = 3600.0, 86400.0

@@ -14,9 +14,9 @@ from tests.faults.test_clocks import Clock, signed
 from tests.faults.whole import Whole, run, silent, stands
 from twodof.errors import LogError, ParameterError, RecordingError
 from twodof.flightlog.recovery import recover
-from twodof.link.key import Key
-from twodof.link.signing import Signing
-from twodof.link.stamps import Stamps
+from twodof.link.signing.frame_signing import Signing
+from twodof.link.signing.key import Key
+from twodof.link.signing.time_stamps import Stamps
 
 
 @contextmanager

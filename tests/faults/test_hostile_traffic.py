@@ -26,10 +26,10 @@ from twodof.excitation import Doublet
 from twodof.fcc.companion import Companion, Serve
 from twodof.fcu.services.ftp import MOST_GUESTS
 from twodof.fcu.services.ftp_guest import MOST_SESSIONS
-from twodof.link import dialect
-from twodof.link.framing import encode
-from twodof.link.messages import message
-from twodof.link.opening import open_transport
+from twodof.link.mavlink import dialect
+from twodof.link.mavlink.framing import encode
+from twodof.link.mavlink.messages import message
+from twodof.link.transport.open_transport import open_transport
 
 Campaign = Callable[[int, int, Path], None]
 PILOT = (250, GROUND)

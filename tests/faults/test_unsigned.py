@@ -14,19 +14,19 @@ from unittest.mock import patch
 import pytest
 
 from tests.faults.whole import GROUND, Seen, Whole, run, tell
-from tests.link.test_framing import random_message
+from tests.link.mavlink.test_framing import random_message
 from twodof.errors import LinkLost
-from twodof.fcc.computer import Computer
+from twodof.fcc.computer import ComputerStatus
 from twodof.gcs.async_drone import AsyncDrone
-from twodof.link import dialect
 from twodof.link.connection import Connection
-from twodof.link.framing import encode
-from twodof.link.key import Key
-from twodof.link.messages import message
-from twodof.link.opening import open_transport
-from twodof.link.signing import Signing
-from twodof.link.stamps import Stamps
-from twodof.link.transport import Packet, Transport
+from twodof.link.mavlink import dialect
+from twodof.link.mavlink.framing import encode
+from twodof.link.mavlink.messages import message
+from twodof.link.signing.frame_signing import Signing
+from twodof.link.signing.key import Key
+from twodof.link.signing.time_stamps import Stamps
+from twodof.link.transport.base import Packet, Transport
+from twodof.link.transport.open_transport import open_transport
 
 KEY, OTHER_KEY = Key(bytes(range(32))), Key(bytes(32))
 PILOT, DRONE, COMPANION = (250, GROUND), (1, 1), (1, 191)
@@ -190,7 +190,7 @@ def the_same_each_time() -> Iterator[None]:
         stack.enter_context(patch("secrets.randbelow", lambda _: 7))
         stack.enter_context(patch("time.time", lambda: 1.7e9))
         stack.enter_context(patch("time.thread_time_ns", lambda: 0))
-        stack.enter_context(patch.object(Computer, "status", lambda _: message("ONBOARD_COMPUTER_STATUS")))
+        stack.enter_context(patch.object(ComputerStatus, "status", lambda _: message("ONBOARD_COMPUTER_STATUS")))
         yield
 
 

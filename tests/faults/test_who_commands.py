@@ -9,14 +9,14 @@ import pytest
 from tests.faults.whole import GROUND, Whole, run, silent, stands
 from twodof.errors import LinkLost, Rejected
 from twodof.gcs.async_drone import AsyncDrone
-from twodof.gcs.setpoints import pitch
-from twodof.link.framing import encode
-from twodof.link.key import Key
-from twodof.link.messages import message
-from twodof.link.opening import open_transport
-from twodof.link.signing import Signing
-from twodof.link.stamps import Stamps
-from twodof.link.transport import Transport
+from twodof.gcs.control.setpoints import pitch
+from twodof.link.mavlink.framing import encode
+from twodof.link.mavlink.messages import message
+from twodof.link.signing.frame_signing import Signing
+from twodof.link.signing.key import Key
+from twodof.link.signing.time_stamps import Stamps
+from twodof.link.transport.base import Transport
+from twodof.link.transport.open_transport import open_transport
 
 ARM = {"command": 400, "param1": 1.0, "target_system": 1, "target_component": 1}
 UNSIGNED = 25  # commands

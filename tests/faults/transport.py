@@ -8,7 +8,7 @@ from heapq import heappop, heappush
 from itertools import count
 
 from twodof.errors import LinkLost
-from twodof.link.transport import Transport
+from twodof.link.transport.base import Transport
 
 
 @dataclass(frozen=True)

@@ -26,9 +26,9 @@ from twodof.fcu.services.background import Background
 from twodof.fcu.watchdog import Watchdog
 from twodof.flight.causes import ACTIONS
 from twodof.gcs.async_drone import AsyncDrone
-from twodof.link.opening import open_transport
-from twodof.link.signing import Signing
-from twodof.link.transport import Transport
+from twodof.link.signing.frame_signing import Signing
+from twodof.link.transport.base import Transport
+from twodof.link.transport.open_transport import open_transport
 from twodof.sim.virtual_drone import VirtualDrone
 
 PERIOD_S = 0.004

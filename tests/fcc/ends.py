@@ -4,14 +4,14 @@ import random
 from collections.abc import Hashable
 from typing import Any, cast
 
-from twodof.fcc.client import Client
-from twodof.fcc.line import Line
-from twodof.fcc.rates import profile
+from twodof.fcc.client import CompanionClient
+from twodof.fcc.rate_profiles import profile
 from twodof.fcc.router import Router
-from twodof.link import dialect
-from twodof.link.framing import Frame, Parser, decode, encode
-from twodof.link.messages import message
-from twodof.link.transport import Transport
+from twodof.fcc.uplink_queue import UplinkQueue
+from twodof.link.mavlink import dialect
+from twodof.link.mavlink.framing import Frame, Parser, decode, encode
+from twodof.link.mavlink.messages import message
+from twodof.link.transport.base import Transport
 
 SYSTEM = 1
 
@@ -73,18 +73,20 @@ class Ends:
     def __init__(self, *rates: str, line_rate: float | None = None) -> None:
         self.now = 100.0
         self.up = Sink()
-        self.line = Line(line_rate)
+        self.line = UplinkQueue(line_rate)
         self.line.connect(cast(Transport, self.up))
         self.router = Router(SYSTEM, self.line, lambda: self.now)
-        self.sinks: dict[Client, Sink] = {}
+        self.sinks: dict[CompanionClient, Sink] = {}
         self.clients = [self.join(one) for one in rates]
         self._sequence = 0
         self.answer()
 
-    def join(self, rates: str = "onboard") -> Client:
+    def join(self, rates: str = "onboard") -> CompanionClient:
         """One more client."""
         sink = Sink()
-        client = Client(f"client {len(self.sinks)}", cast(Transport, sink), len(self.sinks), profile(rates), self.now)
+        client = CompanionClient(
+            f"client {len(self.sinks)}", cast(Transport, sink), len(self.sinks), profile(rates), self.now
+        )
         self.sinks[client] = sink
         self.router.add(client)
         return client
@@ -106,11 +108,11 @@ class Ends:
         self.router.from_vehicle(frame(name, SYSTEM, component, self._sequence, **fields))
         self._sequence = (self._sequence + 1) & 0xFF
 
-    def says(self, client: Client, name: str, system: int, component: int = 190, **fields: Any) -> None:
+    def says(self, client: CompanionClient, name: str, system: int, component: int = 190, **fields: Any) -> None:
         """A client sends a message."""
         self.router.from_client(client, frame(name, system, component, **fields))
 
-    def heard(self, client: Client) -> list[Frame]:
+    def heard(self, client: CompanionClient) -> list[Frame]:
         """What a client was sent since the last call."""
         return self.sinks[client].take()
 

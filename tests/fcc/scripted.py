@@ -7,8 +7,8 @@ from typing import Any, Self
 from tests.patience import PATIENCE_S
 from twodof.errors import LinkLost
 from twodof.link.connection import Connection, Received
-from twodof.link.messages import message
-from twodof.link.transport import Transport
+from twodof.link.mavlink.messages import message
+from twodof.link.transport.base import Transport
 
 PERIOD_S = 0.004
 

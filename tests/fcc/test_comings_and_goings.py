@@ -14,16 +14,16 @@ from tests.faults.virtual_time import run_virtual
 from tests.fcc.ends import Ends, frame
 from tests.fcc.scripted import Listener, Vehicle, until
 from tests.link.ends import run
-from twodof.fcc import batches
+from twodof.fcc import batch_repacking
 from twodof.fcc.client import MOST_SENDERS, SILENT_S
 from twodof.fcc.companion import Companion, Serve
 from twodof.fcc.router import BESIDE_S, MOST_PASSED, MOST_ROUNDS, MOVED_S
-from twodof.fcc.streams import MOST_TAPS, settled
-from twodof.link.framing import Frame, encode
-from twodof.link.messages import message
-from twodof.link.opening import open_transport
-from twodof.link.tcp import GONE_S, TcpTransport
-from twodof.link.url import parse
+from twodof.fcc.stream_thinning import MOST_TAPS, settled
+from twodof.link.mavlink.framing import Frame, encode
+from twodof.link.mavlink.messages import message
+from twodof.link.transport.open_transport import open_transport
+from twodof.link.transport.tcp import GONE_S, TcpTransport
+from twodof.link.transport.url import parse
 
 ATTITUDE, TRUTH = 30, 54205
 TO = {"target_system": 1, "target_component": 1}
@@ -68,8 +68,8 @@ def test_who_asks_for_everything_and_goes_leaves_nothing_behind(answers: bool, r
 
 def test_masks_of_batches_leave_nothing_behind() -> None:
     for mask in range(1, 1000):
-        batches._columns(0xFFFF, mask)
-    assert batches._columns.cache_info().currsize <= 256
+        batch_repacking._columns(0xFFFF, mask)
+    assert batch_repacking._columns.cache_info().currsize <= 256
 
 
 def test_senders_that_are_passed_on_to_a_client_are_bounded() -> None:

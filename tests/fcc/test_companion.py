@@ -16,7 +16,7 @@ from tests.fcc.scripted import Listener, Vehicle, until
 from tests.patience import PATIENCE_S
 from twodof.errors import LinkError
 from twodof.fcc import companion as companion_module
-from twodof.fcc import line as line_module
+from twodof.fcc import uplink_queue as line_module
 from twodof.fcc.client import SILENT_S
 from twodof.fcc.companion import (
     LONGEST_BACK_OFF_S,
@@ -28,15 +28,15 @@ from twodof.fcc.companion import (
     px4_links,
 )
 from twodof.fcc.component import ACTIVE, CRITICAL
-from twodof.link.framing import Parser, encode
-from twodof.link.key import Key
-from twodof.link.messages import message
-from twodof.link.opening import open_transport
-from twodof.link.signing import Signing, Verdict
-from twodof.link.stamps import Stamps
-from twodof.link.tcp import TcpTransport
-from twodof.link.transport import MOST_OUT_BYTES
-from twodof.link.url import parse
+from twodof.link.mavlink.framing import Parser, encode
+from twodof.link.mavlink.messages import message
+from twodof.link.signing.frame_signing import Signing, SigningVerdict
+from twodof.link.signing.key import Key
+from twodof.link.signing.time_stamps import Stamps
+from twodof.link.transport.base import MOST_OUT_BYTES
+from twodof.link.transport.open_transport import open_transport
+from twodof.link.transport.tcp import TcpTransport
+from twodof.link.transport.url import parse
 
 CLIENTS = (Serve("memin://clients", "onboard"),)
 
@@ -266,7 +266,7 @@ def test_with_a_key_what_is_not_signed_freshly_ends_here_and_who_is_behind_is_to
             while (packet := client.receive_now()) is not None:
                 told += [frame for frame in Parser().feed(packet.data) if frame.message_id == 111]
             assert len(told) == 1  # ten times a second at most
-            assert theirs.check(told[0]) is Verdict.ACCEPTED
+            assert theirs.check(told[0]) is SigningVerdict.ACCEPTED
             await client.close()
 
     run_virtual(work())

@@ -6,16 +6,16 @@ import pytest
 
 from tests.fcc.ends import SYSTEM, Ends, drawn
 from twodof.fcc.client import MOST_IDENTITIES, MOST_WISHES
-from twodof.fcc.component import Component
-from twodof.fcc.computer import Computer
+from twodof.fcc.component import CompanionComponent
+from twodof.fcc.computer import ComputerStatus
 from twodof.fcc.router import MOST_IDENTITIES as MOST_OF_THE_VEHICLE
 from twodof.fcc.router import Router
-from twodof.link import dialect
-from twodof.link.framing import Frame, Parser, decode, encode
-from twodof.link.key import Key
-from twodof.link.messages import message
-from twodof.link.signing import Signing
-from twodof.link.stamps import Stamps
+from twodof.link.mavlink import dialect
+from twodof.link.mavlink.framing import Frame, Parser, decode, encode
+from twodof.link.mavlink.messages import message
+from twodof.link.signing.frame_signing import Signing
+from twodof.link.signing.key import Key
+from twodof.link.signing.time_stamps import Stamps
 
 SEEDS = 4
 
@@ -44,7 +44,7 @@ def test_no_frame_stops_the_router_or_makes_it_grow(seed: int, keyed: bool) -> N
         ends.router = Router(SYSTEM, ends.line, lambda: ends.now, Signing(Key.fresh(), Stamps(None)))
         for client in clients:
             ends.router.add(client)
-    Component(ends.router, lambda: ends.now, Computer())
+    CompanionComponent(ends.router, lambda: ends.now, ComputerStatus())
     for number in range(3000):
         ends.now += chance.random() * 0.02
         if chance.random() < 0.5:

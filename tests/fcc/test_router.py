@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 
 from tests.fcc.ends import SYSTEM, Ends, frame, names
 from twodof.fcc.client import MOST_IDENTITIES
-from twodof.link.components import COMPANION
-from twodof.link.framing import Parser, decode, encode
-from twodof.link.messages import message
+from twodof.link.mavlink.components import COMPANION
+from twodof.link.mavlink.framing import Parser, decode, encode
+from twodof.link.mavlink.messages import message
 
 IDENTITIES = [(250, 190), (250, 191), (255, 190), (245, 190), (9, 1)]
 SPEAKERS = st.lists(st.tuples(st.integers(0, 2), st.sampled_from(IDENTITIES)), max_size=12)

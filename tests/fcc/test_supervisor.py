@@ -14,9 +14,9 @@ import pytest
 from tests.fcc.scripted import until
 from tests.patience import PATIENCE_S
 from tests.processes import alive, started
-from twodof.fcc.supervisor import LONGEST_LINE, MOST_LINES, Limits, Restarts, Supervisor
+from twodof.fcc.supervisor import LONGEST_LINE, MOST_LINES, AppLimits, AppSupervisor, RestartPolicy
 
-QUICK = Restarts(first=0.05, longest=0.1, most=2)
+QUICK = RestartPolicy(first=0.05, longest=0.1, most=2)
 
 
 def program(folder: Path, text: str) -> list[str]:
@@ -28,7 +28,7 @@ def program(folder: Path, text: str) -> list[str]:
 
 def test_what_ends_by_itself_is_not_started_again(tmp_path: Path) -> None:
     said: list[str] = []
-    made = Supervisor(program(tmp_path, "print('all well')"), said.append, restarts=QUICK)
+    made = AppSupervisor(program(tmp_path, "print('all well')"), said.append, restarts=QUICK)
     assert asyncio.run(made.run()) == 0
     assert (made.starts, said) == (1, ["all well"])
 
@@ -43,7 +43,7 @@ def test_what_ends_by_itself_is_not_started_again(tmp_path: Path) -> None:
 )
 def test_what_crashes_is_started_again_so_often_and_no_more(tmp_path: Path, text: str, status: int, words: str) -> None:
     said: list[str] = []
-    made = Supervisor(program(tmp_path, text), said.append, restarts=QUICK)
+    made = AppSupervisor(program(tmp_path, text), said.append, restarts=QUICK)
     assert asyncio.run(made.run()) == status
     assert made.starts == 1 + QUICK.most
     ours = [line for line in said if line.startswith("app: ")]
@@ -60,7 +60,9 @@ def test_what_crashed_is_not_started_again_while_its_drone_is_killed(tmp_path: P
     async def work() -> None:
         said: list[str] = []
         killed = [True]
-        made = Supervisor(program(tmp_path, "raise ValueError"), said.append, restarts=QUICK, killed=lambda: killed[0])
+        made = AppSupervisor(
+            program(tmp_path, "raise ValueError"), said.append, restarts=QUICK, killed=lambda: killed[0]
+        )
         running = asyncio.ensure_future(made.run())
         await until(lambda: any("was killed" in line for line in said), PATIENCE_S)
         for _ in range(5):
@@ -75,13 +77,15 @@ def test_what_crashed_is_not_started_again_while_its_drone_is_killed(tmp_path: P
 
 
 def test_a_mistake_of_the_caller_is_not_tried_again(tmp_path: Path) -> None:
-    made = Supervisor(program(tmp_path, "raise SystemExit(2)"), lambda line: None, restarts=QUICK)
+    made = AppSupervisor(program(tmp_path, "raise SystemExit(2)"), lambda line: None, restarts=QUICK)
     assert asyncio.run(made.run()) == 2
     assert made.starts == 1
 
 
 def test_the_lease_has_lapsed_before_it_starts_again() -> None:
-    assert Restarts().first > 3.0  # docs/reference/protocol.md: an armed drone's lease lives 3 s without its holder
+    assert (
+        RestartPolicy().first > 3.0
+    )  # docs/reference/protocol.md: an armed drone's lease lives 3 s without its holder
 
 
 def test_a_flood_of_words_is_cut_and_does_not_hold_it_up(tmp_path: Path) -> None:
@@ -93,7 +97,7 @@ def test_a_flood_of_words_is_cut_and_does_not_hold_it_up(tmp_path: Path) -> None
             sys.stdout.write(f"line {number} \\x1b[31m\\n")
         sys.stdout.buffer.write(bytes(range(128, 256)))
     """
-    made = Supervisor(program(tmp_path, text), said.append, restarts=QUICK)
+    made = AppSupervisor(program(tmp_path, text), said.append, restarts=QUICK)
     assert asyncio.run(made.run()) == 0
     assert MOST_LINES - 1 <= len(said) <= MOST_LINES + 1000  # a slow machine gives it seconds
     assert made.lines_left_out > 15_000
@@ -116,7 +120,7 @@ def test_nothing_is_left_of_one_that_does_not_want_to_end(tmp_path: Path, stop_s
 
     async def work() -> list[int]:
         running = asyncio.ensure_future(
-            Supervisor(program(tmp_path, STUBBORN), said.append, restarts=QUICK, stop_s=stop_s).run()
+            AppSupervisor(program(tmp_path, STUBBORN), said.append, restarts=QUICK, stop_s=stop_s).run()
         )
         await until(lambda: bool(said))
         pids = [int(word) for word in said[0].split()[1:]]
@@ -140,7 +144,7 @@ def test_what_it_leaves_behind_in_a_session_of_its_own_does_not_hold_its_end_up(
         print(subprocess.Popen(command, start_new_session=True).pid)
         sys.stdout.write("last words")
     """
-    made = Supervisor(program(tmp_path, text), said.append, restarts=QUICK)
+    made = AppSupervisor(program(tmp_path, text), said.append, restarts=QUICK)
     try:
         assert asyncio.run(asyncio.wait_for(made.run(), PATIENCE_S)) == 0
         assert alive(int(said[0]))  # so its end was not what ended the wait
@@ -164,7 +168,7 @@ def test_one_that_cleans_up_is_given_the_time(tmp_path: Path) -> None:
     """
 
     async def work() -> None:
-        made = Supervisor(program(tmp_path, text), said.append, restarts=QUICK, stop_s=PATIENCE_S)
+        made = AppSupervisor(program(tmp_path, text), said.append, restarts=QUICK, stop_s=PATIENCE_S)
         running = asyncio.ensure_future(made.run())
         await until(lambda: bool(said))
         running.cancel()
@@ -178,8 +182,8 @@ def test_it_does_not_outlive_a_supervisor_that_was_killed(tmp_path: Path) -> Non
     command = program(tmp_path, "import os, time; print(os.getpid()); time.sleep(600)")
     above = textwrap.dedent(f"""
         import asyncio
-        from twodof.fcc.supervisor import Supervisor
-        asyncio.run(Supervisor({command!r}, lambda line: print(line, flush=True)).run())
+        from twodof.fcc.supervisor import AppSupervisor
+        asyncio.run(AppSupervisor({command!r}, lambda line: print(line, flush=True)).run())
     """)
     with started([sys.executable, "-c", above], stdout=subprocess.PIPE, text=True) as supervisor:
         assert supervisor.stdout is not None
@@ -193,15 +197,15 @@ def test_it_does_not_outlive_a_supervisor_that_was_killed(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("text", "limits", "shows"),
     [
-        ("bytes(800 << 20)", Limits(memory=256 << 20), lambda said: "MemoryError" in said),
-        ("open(0 and '' or __file__ + '.big', 'wb').write(bytes(3 << 20))", Limits(file=1 << 20), lambda said: True),
-        ("files = [open('/dev/null') for _ in range(100)]", Limits(files=32), lambda said: "Too many open" in said),
+        ("bytes(800 << 20)", AppLimits(memory=256 << 20), lambda said: "MemoryError" in said),
+        ("open(0 and '' or __file__ + '.big', 'wb').write(bytes(3 << 20))", AppLimits(file=1 << 20), lambda said: True),
+        ("files = [open('/dev/null') for _ in range(100)]", AppLimits(files=32), lambda said: "Too many open" in said),
     ],
     ids=["memory", "file", "files"],
 )
-def test_its_limits_hold(tmp_path: Path, text: str, limits: Limits, shows: Callable[[str], bool]) -> None:
+def test_its_limits_hold(tmp_path: Path, text: str, limits: AppLimits, shows: Callable[[str], bool]) -> None:
     said: list[str] = []
-    made = Supervisor(program(tmp_path, text), said.append, limits, Restarts(most=0))
+    made = AppSupervisor(program(tmp_path, text), said.append, limits, RestartPolicy(most=0))
     assert asyncio.run(made.run()) != 0
     assert shows("\n".join(said))
     assert all(file.stat().st_size <= limits.file for file in tmp_path.iterdir())
@@ -210,6 +214,6 @@ def test_its_limits_hold(tmp_path: Path, text: str, limits: Limits, shows: Calla
 def test_it_stands_back_and_leaves_no_core(tmp_path: Path) -> None:
     said: list[str] = []
     text = "import os, resource; print(os.nice(0), resource.getrlimit(resource.RLIMIT_CORE))"
-    made = Supervisor(program(tmp_path, text), said.append, Limits(niceness=3))
+    made = AppSupervisor(program(tmp_path, text), said.append, AppLimits(niceness=3))
     assert asyncio.run(made.run()) == 0
     assert said == [f"{min(os.nice(0) + 3, 19)} (0, 0)"]

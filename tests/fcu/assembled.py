@@ -9,8 +9,8 @@ from tests.fcu.cockpit import ME
 from twodof.fcu.asked import Source
 from twodof.fcu.flight_code import Step
 from twodof.link.connection import Received
-from twodof.link.framing import Parser, decode, encode
-from twodof.link.messages import message
+from twodof.link.mavlink.framing import Parser, decode, encode
+from twodof.link.mavlink.messages import message
 from twodof.sim.virtual_drone import VirtualDrone
 
 TARGET = {"target_system": 1, "target_component": 1}

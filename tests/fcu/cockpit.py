@@ -12,7 +12,7 @@ from twodof.fcu.hardware import Sample
 from twodof.fcu.setpoints import ATTITUDE, SetPoint
 from twodof.flight.causes import ACTIONS, BIT
 from twodof.flight.failsafe_machine import BRAKE, DESCEND, DISARMED, FLYING, LEVEL, MAY_TURN, OFF, REFUSED
-from twodof.link import modes
+from twodof.link.mavlink import modes
 
 ME: Source = (250, 190)
 OTHER: Source = (245, 190)

@@ -11,7 +11,7 @@ from twodof.flight.causes import BIT
 from twodof.flight.failsafe_machine import DISARMED, FLYING, LEVEL
 from twodof.flight.failsafe_machine import OFF as STOPPED_BY_FAILSAFE
 from twodof.flight.failsafe_machine import REFUSED as REFUSED_BY_FAILSAFE
-from twodof.link import modes
+from twodof.link.mavlink import modes
 
 # Arming.
 

@@ -6,7 +6,7 @@ import pytest
 
 from tests.fcu.assembled import INTERVAL, Assembled
 from twodof.fcu.store import Store
-from twodof.link.dialect import message_id
+from twodof.link.mavlink.dialect import message_id
 
 
 def test_who_wants_to_know_what_flies_in_every_period_takes_no_time_to_fly(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,7 +16,7 @@ from twodof.fcu.sticks import PITCH_AT_FULL, RATE_AT_FULL, VELOCITY_AT_FULL
 from twodof.flight.causes import BIT
 from twodof.flight.failsafe_machine import BRAKE, DESCEND, FLYING, LEVEL
 from twodof.flight.failsafe_machine import OFF as STOPPED_BY_FAILSAFE
-from twodof.link import modes
+from twodof.link.mavlink import modes
 
 # Set-points and offboard.
 

@@ -31,7 +31,7 @@ from twodof.flight.causes import BIT
 from twodof.flight.core import PERIOD
 from twodof.flight.failsafe_machine import BRAKE
 from twodof.flight.failsafe_machine import OFF as STOPPED_BY_FAILSAFE
-from twodof.link import modes
+from twodof.link.mavlink import modes
 
 M, Q, THETA, V, X = range(5)
 PULSE = Impulse(0.1, 0.02, lead=0.008, settle=0.02)  # 12 ticks

@@ -22,8 +22,8 @@ from twodof.fcu.services.transactions import BEGIN, COMMIT, UNDO
 from twodof.fcu.setpoints import ATTITUDE, OFF, OPEN_LOOP, POSITION, VELOCITY, SetPoint
 from twodof.flight.causes import BIT
 from twodof.flight.failsafe_machine import BRAKE, DESCEND, LEVEL
-from twodof.link import modes
-from twodof.link.messages import float_of_int, message
+from twodof.link.mavlink import modes
+from twodof.link.mavlink.messages import float_of_int, message
 
 PULSE = written_out(Impulse(0.1, 0.02, settle=0.4))
 PITCHED = SetPoint(ATTITUDE, theta0=0.3, thrust=0.5)

@@ -9,8 +9,8 @@ from pathlib import Path
 from tests.patience import PATIENCE_S
 from twodof.flightlog.ulog_decoder import scan_ulog
 from twodof.link.connection import Connection
-from twodof.link.messages import message
-from twodof.link.opening import open_transport
+from twodof.link.mavlink.messages import message
+from twodof.link.transport.open_transport import open_transport
 from twodof.sim.virtual_drone import VirtualDrone
 
 ARM, REAL32, INT32 = 400, 9, 6

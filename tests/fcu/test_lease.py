@@ -17,7 +17,7 @@ from twodof.fcu.loop import MOST_GRANTED
 from twodof.fcu.schedule import CAPACITY, HORIZON
 from twodof.fcu.setpoints import ATTITUDE, SetPoint
 from twodof.flight.failsafe_machine import OFF
-from twodof.link import modes
+from twodof.link.mavlink import modes
 
 CLIENTS = (ME, OTHER, COMPANION)
 MANY = 400  # one example is some milliseconds

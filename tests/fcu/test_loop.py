@@ -17,7 +17,7 @@ from twodof.fcu.hardware import Sample
 from twodof.fcu.loop import MOST_GRANTED, REMEDY, FlightController
 from twodof.flight.causes import BIT
 from twodof.flight.failsafe_machine import DISARMED
-from twodof.link.tick import TICK_NS
+from twodof.link.control_period import TICK_NS
 from twodof.rig.parameters import lab
 from twodof.sim.rig_host import VirtualRig
 

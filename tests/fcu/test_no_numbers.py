@@ -13,10 +13,10 @@ from typing import Any
 import pytest
 
 from tests.fcu.assembled import ARM, OFFBOARD, SET_MODE, TARGET, Assembled
-from tests.link.test_framing import NAMES
+from tests.link.mavlink.test_framing import NAMES
 from twodof.flight.failsafe_machine import FLYING
-from twodof.link import dialect
-from twodof.link.messages import message
+from twodof.link.mavlink import dialect
+from twodof.link.mavlink.messages import message
 
 NO_NUMBERS = (nan, inf, -inf)
 TERMINATE, DISARM = 185, (ARM, 0.0)

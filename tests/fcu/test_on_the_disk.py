@@ -14,7 +14,7 @@ from twodof.fcu.services.file_tree import FileTree
 from twodof.flight.slot import Slot
 from twodof.flight.starters import starter
 from twodof.flightlog.atomic import atomic_write
-from twodof.link.key import Key, write_key
+from twodof.link.signing.key import Key, write_key
 
 
 def saved(folder: Path) -> None:

@@ -14,7 +14,7 @@ from twodof.fcu.excitation_player import READY, REFUSED, written_out
 from twodof.fcu.schedule import HORIZON
 from twodof.fcu.setpoints import ATTITUDE, POSITION, SetPoint
 from twodof.flight.causes import BIT
-from twodof.link import modes
+from twodof.link.mavlink import modes
 
 WHO = "system 250, component 190 holds"
 PULSE = written_out(Impulse(0.1, 0.02, settle=0.4))

@@ -13,8 +13,8 @@ from tests.fcu.assembled import INTERVAL, TARGET, Assembled
 from twodof.excitation import Impulse
 from twodof.fcu.helm import FRESH
 from twodof.fcu.services.wire_tick import RUN_OVER, RUN_OVER_MS, acts_at, acts_at_ms, meant
-from twodof.link.dialect import message_id
-from twodof.link.messages import excite, message
+from twodof.link.mavlink.dialect import message_id
+from twodof.link.mavlink.messages import excite, message
 
 MASK_32 = 2**32 - 1
 BEFORE, AFTER = 170, 140  # ticks of the flight before and after the moment

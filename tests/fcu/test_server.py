@@ -14,13 +14,13 @@ from tests.patience import PATIENCE_S
 from twodof.fcu.flight_code import FlightCode, Step
 from twodof.fcu.loop import MOST_GRANTED
 from twodof.fcu.server import Peer, Server
-from twodof.link import udp
 from twodof.link.connection import Connection, Received
-from twodof.link.key import Key
-from twodof.link.messages import message
-from twodof.link.opening import open_transport
-from twodof.link.signing import Signing
-from twodof.link.stamps import Stamps
+from twodof.link.mavlink.messages import message
+from twodof.link.signing.frame_signing import Signing
+from twodof.link.signing.key import Key
+from twodof.link.signing.time_stamps import Stamps
+from twodof.link.transport import udp
+from twodof.link.transport.open_transport import open_transport
 
 CLIENT = 250
 

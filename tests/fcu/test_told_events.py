@@ -15,7 +15,7 @@ from twodof.errors import Rejected
 from twodof.fcu.services.file_tree import EXTRAS
 from twodof.flight.causes import CAUSES
 from twodof.gcs.async_drone import AsyncDrone
-from twodof.link.modes import MODES, POSITION
+from twodof.link.mavlink.modes import MODES, POSITION
 from twodof.sim.virtual_drone import VirtualDrone
 
 TAB = "\t"

@@ -8,10 +8,10 @@ import pytest
 
 from tests.faults.virtual_time import run_virtual
 from twodof.excitation import Impulse
-from twodof.link import modes, setpoints
 from twodof.link.connection import Connection
-from twodof.link.messages import excite, message
-from twodof.link.opening import open_transport
+from twodof.link.mavlink import modes, setpoints
+from twodof.link.mavlink.messages import excite, message
+from twodof.link.transport.open_transport import open_transport
 from twodof.sim.virtual_drone import VirtualDrone
 
 DRONE = {"target_system": 1, "target_component": 1}

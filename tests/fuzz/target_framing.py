@@ -3,8 +3,8 @@
 from itertools import pairwise
 
 from tests.fuzz.target import Target
-from twodof.link import dialect
-from twodof.link.framing import LONGEST_FRAME, Parser
+from twodof.link.mavlink import dialect
+from twodof.link.mavlink.framing import LONGEST_FRAME, Parser
 
 
 def seeds() -> list[bytes]:

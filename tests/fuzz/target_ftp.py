@@ -7,7 +7,7 @@ from pathlib import Path
 
 from tests.fcu.services.test_ftp import Server
 from tests.fuzz.target import Target
-from twodof.link.ftp import Op, read_packet
+from twodof.link.mavlink.ftp import FtpOperation, read_packet
 
 PACKET = 12
 
@@ -26,15 +26,27 @@ def packet(op: int, data: bytes = b"", session: int = 0, offset: int = 0) -> byt
 
 def seeds() -> list[bytes]:
     """A session that reads, one that writes, one that asks for what is not there."""
-    read = packet(Op.LIST, b"/log") + packet(Op.OPEN_RO, b"/etc/extras/all.bin") + packet(Op.READ, b"", 0, 9)
-    write = packet(Op.CREATE, b"/controllers/a.json") + packet(Op.WRITE, b"{}") + packet(Op.TERMINATE)
-    return [read + packet(Op.BURST, b"\x50") + packet(Op.TERMINATE), write, packet(Op.REMOVE, b"/../etc/passwd")]
+    read = (
+        packet(FtpOperation.LIST, b"/log")
+        + packet(FtpOperation.OPEN_RO, b"/etc/extras/all.bin")
+        + packet(FtpOperation.READ, b"", 0, 9)
+    )
+    write = (
+        packet(FtpOperation.CREATE, b"/controllers/a.json")
+        + packet(FtpOperation.WRITE, b"{}")
+        + packet(FtpOperation.TERMINATE)
+    )
+    return [
+        read + packet(FtpOperation.BURST, b"\x50") + packet(FtpOperation.TERMINATE),
+        write,
+        packet(FtpOperation.REMOVE, b"/../etc/passwd"),
+    ]
 
 
 def attempt(data: bytes) -> None:
     """The packets one after the other."""
     there = server()
-    there.raw(struct.pack("<HBBBBBxI", 0, 0, Op.RESET, 0, 0, 0, 0))
+    there.raw(struct.pack("<HBBBBBxI", 0, 0, FtpOperation.RESET, 0, 0, 0, 0))
     at = 0
     while at < len(data):
         payload = data[at + 1 : at + 1 + data[at]]
@@ -42,7 +54,7 @@ def attempt(data: bytes) -> None:
         read_packet(payload.ljust(251, b"\0"))
         there.now += 0.1
         for answer in there.raw(payload[:251]):
-            assert answer.op in (Op.ACK, Op.NAK)
+            assert answer.op in (FtpOperation.ACK, FtpOperation.NAK)
     assert {path.name for path in there.controllers.parents[1].iterdir()} <= {"log", "state"}
 
 

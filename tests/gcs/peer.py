@@ -8,11 +8,11 @@ from typing import Any, Self
 
 from twodof.errors import LinkLost
 from twodof.link.connection import Connection, Received
-from twodof.link.ftp import Fault, Op, packed, read_packet
-from twodof.link.messages import ExcitationReceiver, float_of_int, int_of_float, message
-from twodof.link.modes import MANUAL
-from twodof.link.opening import open_transport
-from twodof.link.transport import Transport
+from twodof.link.mavlink.ftp import FtpError, FtpOperation, packed, read_packet
+from twodof.link.mavlink.messages import ExcitationReceiver, float_of_int, int_of_float, message
+from twodof.link.mavlink.modes import MANUAL
+from twodof.link.transport.base import Transport
+from twodof.link.transport.open_transport import open_transport
 
 _names = itertools.count(1)
 PARAMETERS = {"ATT_KP": 11.0, "RATE_KP": 0.0854, "THRUST_BAR": 0.4, "SYS_AUTOSTART": 4001}
@@ -263,24 +263,24 @@ class Peer:
 
     def _file_transfer_protocol(self, got: Any, frame: Any) -> None:
         asked, data = read_packet(bytes(got.payload)), b""
-        if asked.op in (Op.CREATE, Op.OPEN_RO):
+        if asked.op in (FtpOperation.CREATE, FtpOperation.OPEN_RO):
             self._file = asked.text
         content = self.files.get(self._file, b"")
-        if asked.op == Op.CREATE:
+        if asked.op == FtpOperation.CREATE:
             self.files[self._file] = b""
-        elif asked.op == Op.OPEN_RO:
+        elif asked.op == FtpOperation.OPEN_RO:
             data = len(content).to_bytes(4, "little")
-        elif asked.op == Op.WRITE:
+        elif asked.op == FtpOperation.WRITE:
             self.files[self._file] = content[: asked.offset] + asked.data[: asked.size]
-        elif asked.op == Op.READ:
+        elif asked.op == FtpOperation.READ:
             data = content[asked.offset :][: asked.size]
-        elif asked.op == Op.LIST:
+        elif asked.op == FtpOperation.LIST:
             names = [f"F{name}\t{len(self.files[name])}\0" for name in self.files][asked.offset :]
             if not names:
-                answer = packed(asked.nak(Fault.END), frame.system, frame.component)
+                answer = packed(asked.nak(FtpError.END), frame.system, frame.component)
                 self.send("FILE_TRANSFER_PROTOCOL", payload=answer.payload)
                 return
             data = names[0].encode()
-        elif asked.op == Op.REMOVE:
+        elif asked.op == FtpOperation.REMOVE:
             self.files.pop(asked.text, None)
         self.send("FILE_TRANSFER_PROTOCOL", payload=packed(asked.ack(data), frame.system, frame.component).payload)

@@ -12,8 +12,8 @@ from tests.gcs.peer import Peer
 from twodof.errors import LinkLost, ParameterError, Rejected, Timeout
 from twodof.excitation import Impulse
 from twodof.gcs.async_drone import AsyncDrone
-from twodof.gcs.identity import OWN_SYSTEMS
-from twodof.link.messages import message
+from twodof.gcs.mavlink.identity import OWN_SYSTEMS
+from twodof.link.mavlink.messages import message
 
 Flight = Callable[[Peer, AsyncDrone], Coroutine[Any, Any, None]]
 

@@ -20,10 +20,10 @@ from twodof.errors import LinkLost, Rejected
 from twodof.excitation import Doublet
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.gcs.drone import Drone
-from twodof.gcs.runner import Runner
+from twodof.gcs.loop_thread import LoopThread
 
 
-def ended(runner: Runner, work: Callable[[], Coroutine[Any, Any, Any]]) -> Any:
+def ended(runner: LoopThread, work: Callable[[], Coroutine[Any, Any, Any]]) -> Any:
     """What `work` returns in the runner, or SystemExit, in a thread that is given up if it hangs."""
     found: list[Any] = []
 
@@ -50,7 +50,7 @@ def ends_s(finish: bool) -> float:
 
 
 def test_a_callback_that_wants_to_end_the_program_ends_nothing_and_is_reported() -> None:
-    runner = Runner("test")
+    runner = LoopThread("test")
     reported: list[Any] = []
     try:
         loop = runner._loop
@@ -64,7 +64,7 @@ def test_a_callback_that_wants_to_end_the_program_ends_nothing_and_is_reported()
 
 def test_a_condition_that_ends_the_program_does() -> None:
     """What is waited for in the script's own thread may end it."""
-    runner = Runner("test")
+    runner = LoopThread("test")
 
     async def work() -> None:
         sys.exit(3)
@@ -80,7 +80,7 @@ def test_a_condition_that_ends_the_program_does() -> None:
 @pytest.mark.parametrize("finish", [True, False])
 def test_what_is_to_finish_is_finished_though_ctrl_c_comes(finish: bool) -> None:
     """Leaving is: an impatient second Ctrl-C must not keep the drone armed."""
-    runner, done = Runner("test"), []
+    runner, done = LoopThread("test"), []
 
     async def work() -> None:
         os.kill(os.getpid(), signal.SIGINT)
@@ -100,7 +100,7 @@ def test_what_is_to_finish_is_finished_though_ctrl_c_comes(finish: bool) -> None
 def test_and_when_it_comes_while_the_work_is_handed_over(
     handed_over: bool, finish: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    runner, done = Runner("test"), []
+    runner, done = LoopThread("test"), []
 
     async def work() -> None:
         await asyncio.sleep(ends_s(finish))

@@ -10,7 +10,7 @@ import numpy as np
 from twodof.fcu.flight_code import Step
 from twodof.flightlog.log import Channel
 from twodof.flightlog.steps import step_channels
-from twodof.gcs.runner import Runner
+from twodof.gcs.loop_thread import LoopThread
 from twodof.sim.virtual_drone import VirtualDrone
 
 
@@ -40,7 +40,7 @@ class OnBoard:
 @contextmanager
 def on_board(listen: str = "tcpin://127.0.0.1:0", state: Path | None = None, **options: Any) -> Iterator[OnBoard]:
     """A virtual drone that listens, meanwhile."""
-    runner = Runner("virtual drone")
+    runner = LoopThread("virtual drone")
     try:
 
         async def start() -> OnBoard:

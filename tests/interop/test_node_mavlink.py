@@ -17,7 +17,7 @@ from bench.programs import port
 from tests.interop.raw_session import RawSession
 from tests.patience import PATIENCE_S
 from tests.toolchains import need_node_package
-from twodof.link import dialect
+from twodof.link.mavlink import dialect
 
 SCRIPT = Path(__file__).with_name("decode.cjs")
 # Our own, and those of `common` that the definitions of node-mavlink 2.3.0 do not have: COMPONENT_METADATA, EVENT and

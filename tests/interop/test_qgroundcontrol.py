@@ -17,9 +17,9 @@ import pytest
 
 from tests.patience import PATIENCE_S
 from twodof.link.connection import Connection
-from twodof.link.framing import encode
-from twodof.link.messages import message
-from twodof.link.opening import open_transport
+from twodof.link.mavlink.framing import encode
+from twodof.link.mavlink.messages import message
+from twodof.link.transport.open_transport import open_transport
 
 CANNOT_MISS = {
     *("BAT_LOW_THR", "BAT_CRIT_THR", "BAT_EMERGEN_THR", "CAL_ACC0_ID", "CAL_GYRO0_ID", "SENS_BOARD_ROT"),

@@ -5,7 +5,7 @@ from collections.abc import Coroutine
 from typing import Any
 
 from tests.patience import PATIENCE_S
-from twodof.link.transport import Transport
+from twodof.link.transport.base import Transport
 
 # What a packet on loopback needs is under a millisecond; it is waited for until it must have been lost.
 SOON = PATIENCE_S / 4

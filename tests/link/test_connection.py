@@ -10,17 +10,18 @@ from tests.faults.transport import Faults, FaultyTransport
 from tests.faults.virtual_time import run_virtual
 from tests.link.ends import SOON, run
 from twodof.errors import LinkError, LinkLost
-from twodof.link import dialect, udp
 from twodof.link.connection import Connection
-from twodof.link.framing import encode
-from twodof.link.key import Key
-from twodof.link.memory import memory_pair
-from twodof.link.messages import message
-from twodof.link.opening import open_transport
-from twodof.link.signing import Signing
-from twodof.link.stamps import Stamps
-from twodof.link.tcp import TcpTransport
-from twodof.link.udp import UdpTransport
+from twodof.link.mavlink import dialect
+from twodof.link.mavlink.framing import encode
+from twodof.link.mavlink.messages import message
+from twodof.link.signing.frame_signing import Signing
+from twodof.link.signing.key import Key
+from twodof.link.signing.time_stamps import Stamps
+from twodof.link.transport import udp
+from twodof.link.transport.memory import memory_pair
+from twodof.link.transport.open_transport import open_transport
+from twodof.link.transport.tcp import TcpTransport
+from twodof.link.transport.udp import UdpTransport
 
 
 @pytest.mark.parametrize("kind", ["udp", "tcp", "mem"])

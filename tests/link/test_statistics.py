@@ -4,8 +4,8 @@ import random
 
 import pytest
 
-from twodof.link.framing import Frame
-from twodof.link.statistics import MOST_SENDERS, LinkStatistics, Rate, RoundTrips, SenderCounts
+from twodof.link.mavlink.framing import Frame
+from twodof.link.statistics import MOST_SENDERS, LinkStatistics, MessageRate, RoundTrips, SenderCounts
 
 
 def counted(sequences: list[int]) -> SenderCounts:
@@ -70,7 +70,7 @@ def test_against_a_channel_whose_losses_are_known(seed: int) -> None:
 
 
 def test_rates_over_the_last_second() -> None:
-    rate = Rate()
+    rate = MessageRate()
     for step in range(500):
         rate.add(step * 0.004)
     # A window is closed by the first message after it: 250 or 251 fall into one.

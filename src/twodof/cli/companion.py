@@ -19,12 +19,12 @@ from twodof.cli.output import Json, print_json_line, say_line
 from twodof.cli.ports import MOST_DRONES
 from twodof.errors import LinkError
 from twodof.fcc.companion import Companion, Serve, px4_links
-from twodof.fcc.supervisor import MISTAKE, Limits, Restarts, Supervisor
-from twodof.link.components import COMPANION
-from twodof.link.key import read_key
-from twodof.link.ports import FLIGHT_CONTROLLER
-from twodof.link.signing import Signing
-from twodof.link.stamps import Stamps
+from twodof.fcc.supervisor import MISTAKE, AppLimits, AppSupervisor, RestartPolicy
+from twodof.link.mavlink.components import COMPANION
+from twodof.link.signing.frame_signing import Signing
+from twodof.link.signing.key import read_key
+from twodof.link.signing.time_stamps import Stamps
+from twodof.link.transport.ports import FLIGHT_CONTROLLER
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
 # Where the app comes to: this machine only, at a port that is free.
@@ -68,7 +68,8 @@ def companion(
         typer.Option(metavar="URL", help="Serve clients there with onboard rates; may be repeated."),
     ] = None,
     ground: Annotated[
-        list[str] | None, typer.Option(metavar="URL", help="Serve clients there with ground rates; may be repeated.")
+        list[str] | None,
+        typer.Option(metavar="URL", help="Serve clients there with ground rates; may be repeated."),
     ] = None,
     open_: Annotated[bool, typer.Option("--open", help="Let other machines in, not this one alone.")] = False,
     key: Annotated[
@@ -91,7 +92,10 @@ def companion(
             f"drones 0 to {MOST_DRONES - 1} have ports of their own: say where this one serves, --onboard or --ground",
             param_hint="--index",
         )
-    chosen = [*(Serve(url, "onboard") for url in onboard or ()), *(Serve(url, "ground") for url in ground or ())]
+    chosen = [
+        *(Serve(url, "onboard") for url in onboard or ()),
+        *(Serve(url, "ground") for url in ground or ()),
+    ]
     serve = tuple(chosen) or px4_links(index, open_)
     asked = _Asked(fcu or f"tcp://127.0.0.1:{FLIGHT_CONTROLLER + index}", serve, index + 1, key, line_rate, json)
     context.obj = asked
@@ -112,7 +116,7 @@ def run(
 
     Exit status: 0 it ended by itself, 1 it crashed too often, 2 it is no app.
     """
-    supervised = (program, Restarts(most=restarts), Limits(memory=memory * MIB))
+    supervised = (program, RestartPolicy(most=restarts), AppLimits(memory=memory * MIB))
     raise typer.Exit(asyncio.run(_until_told(_fly(context.obj, *supervised))))
 
 
@@ -151,7 +155,7 @@ async def _route(asked: _Asked) -> int:
     return 0
 
 
-async def _fly(asked: _Asked, program: Path, restarts: Restarts, limits: Limits) -> int:
+async def _fly(asked: _Asked, program: Path, restarts: RestartPolicy, limits: AppLimits) -> int:
     """Route until the app has ended; its exit status as ours."""
     asked = replace(asked, serve=(*asked.serve, APP_LINK))
     async with _opened(asked) as made:
@@ -160,7 +164,7 @@ async def _fly(asked: _Asked, program: Path, restarts: Restarts, limits: Limits)
         command = [sys.executable, "-u", "-m", "twodof.gcs.app", str(program), "--url", url]
         command += ["--key", str(asked.key)] if asked.key is not None else []
         supervised = asyncio.ensure_future(
-            Supervisor(command, _log, limits, restarts, killed=lambda: made.killed).run()
+            AppSupervisor(command, _log, limits, restarts, killed=lambda: made.killed).run()
         )
         routing = asyncio.ensure_future(made.run())
         try:

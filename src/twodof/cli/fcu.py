@@ -18,10 +18,10 @@ from twodof.cli.holder import naming_holder
 from twodof.cli.output import Json, print_json_line
 from twodof.errors import LinkError
 from twodof.flight.slot import data_folder
-from twodof.link.key import read_key
-from twodof.link.ports import FLIGHT_CONTROLLER
-from twodof.link.signing import Signing
-from twodof.link.stamps import Stamps
+from twodof.link.signing.frame_signing import Signing
+from twodof.link.signing.key import read_key
+from twodof.link.signing.time_stamps import Stamps
+from twodof.link.transport.ports import FLIGHT_CONTROLLER
 from twodof.sim.virtual_drone import VirtualDrone
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)

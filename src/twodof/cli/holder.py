@@ -9,7 +9,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from twodof.errors import LinkError
-from twodof.link.url import parse
+from twodof.link.transport.url import parse
 
 _PROC = Path("/proc")
 _TABLES = MappingProxyType({"TCP": ("tcp", "tcp6"), "UDP": ("udp", "udp6")})

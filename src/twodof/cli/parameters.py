@@ -14,8 +14,8 @@ from twodof.cli.connect import connect
 from twodof.cli.output import Json, print_json, table_console
 from twodof.errors import ParameterError, shown
 from twodof.gcs.async_drone import DEFAULT_URL
+from twodof.gcs.control.parameter_entry import ParameterDescription, ParameterEntry
 from twodof.gcs.drone import Drone
-from twodof.gcs.parameter_entry import Described, Entry
 from twodof.parameters import Parameter
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
@@ -88,7 +88,7 @@ def _asked(wanted: Iterable[str]) -> tuple[list[str], dict[str, float]]:
 
 
 def _rows(
-    drone: Drone, names: Iterable[str], changes: Mapping[str, float], described: Mapping[str, Described]
+    drone: Drone, names: Iterable[str], changes: Mapping[str, float], described: Mapping[str, ParameterDescription]
 ) -> list[dict[str, Any]]:
     """Sets what is to be set, and says how those of `names`, or all, stand then."""
     if changes:
@@ -100,7 +100,7 @@ def _rows(
     return [_row(name, value, described.get(name)) for name, value in values.items()]
 
 
-def _listed(entry: Entry, described: Mapping[str, Described]) -> dict[str, Any]:
+def _listed(entry: ParameterEntry, described: Mapping[str, ParameterDescription]) -> dict[str, Any]:
     return _row(entry.name, entry.value, described.get(entry.name) or entry.row)
 
 
@@ -114,7 +114,7 @@ def _row(name: str, value: float, row: Parameter | None) -> dict[str, Any]:
         "high": None if row is None else row.high,
         "unit": "" if row is None else row.unit,
         "text": "" if row is None else row.text,
-        "path": row.path if isinstance(row, Described) else "",
+        "path": row.path if isinstance(row, ParameterDescription) else "",
     }
 
 

@@ -8,7 +8,7 @@ from contextlib import closing
 
 from twodof.cli.holder import holder
 from twodof.errors import LinkError
-from twodof.link import ports
+from twodof.link.transport import ports
 
 MOST_DRONES = ports.GROUND_STATION - ports.ONBOARD
 """The next one's port for clients on board is QGroundControl's."""

@@ -21,15 +21,15 @@ from twodof.cli.output import Json, print_json_line, say_line
 from twodof.cli.ports import MOST_DRONES, check_free
 from twodof.errors import LinkError
 from twodof.flight.slot import data_folder
-from twodof.link import ports
-from twodof.link.components import AUTOPILOT
 from twodof.link.connection import Connection
-from twodof.link.dialect import message_id
-from twodof.link.key import Key, read_key
-from twodof.link.messages import message
-from twodof.link.opening import open_transport
-from twodof.link.signing import Signing
-from twodof.link.stamps import Stamps
+from twodof.link.mavlink.components import AUTOPILOT
+from twodof.link.mavlink.dialect import message_id
+from twodof.link.mavlink.messages import message
+from twodof.link.signing.frame_signing import Signing
+from twodof.link.signing.key import Key, read_key
+from twodof.link.signing.time_stamps import Stamps
+from twodof.link.transport import ports
+from twodof.link.transport.open_transport import open_transport
 from twodof.sim.rig_host import SEEDS
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)

@@ -17,11 +17,11 @@ from twodof.experiment.received import COLUMNS, Samples, safety_in
 from twodof.experiment.script import Script, on_wire, script
 from twodof.flight.core import PERIOD
 from twodof.flightlog.provenance import versions
+from twodof.gcs.control.active_controller import ActiveController
 from twodof.gcs.drone import Drone
-from twodof.gcs.faces import DroneRows
-from twodof.gcs.flies import Flies
-from twodof.gcs.recording import safety_row, seconds
-from twodof.gcs.texts import Text
+from twodof.gcs.sync_parts import DroneRows
+from twodof.gcs.telemetry.recording import safety_row, seconds
+from twodof.gcs.telemetry.status_texts import StatusText
 from twodof.rig.parameters import NAMES
 
 Progress = Callable[[str, float], None]
@@ -155,11 +155,11 @@ def _truth(drone: Drone) -> Iterator[DroneRows[np.float64] | None]:
         yield rows
 
 
-def _flies(drone: Drone) -> Flies:
+def _flies(drone: Drone) -> ActiveController:
     """What flies on it; it is flown all the same where it does not tell."""
     with suppress(Rejected, Timeout):
-        return drone.flies()
-    return Flies(known=False)
+        return drone.active_controller()
+    return ActiveController(known=False)
 
 
 class _Heard(NamedTuple):
@@ -173,7 +173,7 @@ class _Heard(NamedTuple):
 def _listening(drone: Drone) -> Iterator[_Heard]:
     heard, there = _Heard([], []), drone.there
 
-    def said(line: Text) -> None:
+    def said(line: StatusText) -> None:
         heard.texts.append((seconds(there.tick), line.severity, line.text))
 
     def safety(got: Any) -> None:

@@ -4,11 +4,11 @@ from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field
 
 from twodof.errors import LinkLost
-from twodof.fcc.rates import OFF
-from twodof.fcc.wire import renumbered
-from twodof.link.dialect import FIRST_OWN_ID, LAST_OWN_ID
-from twodof.link.framing import Frame
-from twodof.link.transport import Transport
+from twodof.fcc.frame_fields import renumbered
+from twodof.fcc.rate_profiles import OFF
+from twodof.link.mavlink.dialect import FIRST_OWN_ID, LAST_OWN_ID
+from twodof.link.mavlink.framing import Frame
+from twodof.link.transport.base import Transport
 
 Identity = tuple[int, int]  # a system and a component
 # A ground station speaks for itself and perhaps a camera or two.
@@ -45,7 +45,7 @@ class Wish:
 
 
 @dataclass(eq=False)
-class Client:
+class CompanionClient:
     """One peer of one transport. `defaults` is what it gets unasked (`rates.profile`), `heard` when it last spoke [s],
     `came` when it did first.
 
@@ -86,7 +86,7 @@ class Client:
         self.due_once.clear()
         self.knows_ours = False
 
-    def follow(self, before: "Client") -> None:
+    def follow(self, before: "CompanionClient") -> None:
         """It is `before`, which speaks from another address now: it goes on getting what it had asked for."""
         self.wishes = before.wishes | self.wishes
         self.due_once = before.due_once | self.due_once

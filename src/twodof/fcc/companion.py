@@ -7,20 +7,20 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 from twodof.errors import LinkError, LinkLost
-from twodof.fcc.client import SILENT_S, Client, Identity
-from twodof.fcc.component import Component
-from twodof.fcc.computer import Computer, Traffic
-from twodof.fcc.line import BITS_A_BYTE, NETWORK_FRAME, NETWORK_RATE, Line
-from twodof.fcc.rates import profile
+from twodof.fcc.client import SILENT_S, CompanionClient, Identity
+from twodof.fcc.component import CompanionComponent
+from twodof.fcc.computer import ComputerStatus, Traffic
+from twodof.fcc.rate_profiles import profile
 from twodof.fcc.router import Router
-from twodof.link import ports
-from twodof.link.framing import Frame, Parser
-from twodof.link.opening import open_transport
-from twodof.link.signing import Signing, Verdict
-from twodof.link.tcp import TcpTransport
-from twodof.link.transport import Packet, Transport
-from twodof.link.udp import UdpTransport
-from twodof.link.url import parse
+from twodof.fcc.uplink_queue import BITS_A_BYTE, NETWORK_FRAME, NETWORK_RATE, UplinkQueue
+from twodof.link.mavlink.framing import Frame, Parser
+from twodof.link.signing.frame_signing import Signing, SigningVerdict
+from twodof.link.transport import ports
+from twodof.link.transport.base import Packet, Transport
+from twodof.link.transport.open_transport import open_transport
+from twodof.link.transport.tcp import TcpTransport
+from twodof.link.transport.udp import UdpTransport
+from twodof.link.transport.url import parse
 
 # Of one link, so that strangers on one leave room on the others.
 MOST_CLIENTS = 32
@@ -72,7 +72,7 @@ class _Port:
         self.url = serve.url
         self.rates = profile(serve.rates)
         self.on_board = serve.on_board
-        self.clients: dict[Hashable, Client] = {}
+        self.clients: dict[Hashable, CompanionClient] = {}
         self.parsers: dict[Hashable, tuple[Parser, float]] = {}
         kind = parse(serve.url).kind
         self.datagrams = kind in ("udp", "udpin", "udpbcast")  # nobody says when a peer has gone
@@ -133,7 +133,7 @@ class Companion:
             line_rate = address.baud / BITS_A_BYTE if address.kind == "serial" else NETWORK_RATE
         self.vehicle = vehicle
         self.serve = tuple(serve)
-        self.line = Line(line_rate, overhead)
+        self.line = UplinkQueue(line_rate, overhead)
         self.lost = 0
         self._signing = signing
         self._system = system
@@ -152,7 +152,9 @@ class Companion:
     async def __aenter__(self) -> Self:
         self._loop = asyncio.get_running_loop()
         self.router = Router(self._system, self.line, self._loop.time, self._signing)
-        self.component = Component(self.router, self._loop.time, Computer(self._traffic, self._loop.time))
+        self.component = CompanionComponent(
+            self.router, self._loop.time, ComputerStatus(self._traffic, self._loop.time)
+        )
         try:
             for one in self.serve:
                 self._ports.append(_Port(await open_transport(one.url), one, self._signing is None))
@@ -200,7 +202,7 @@ class Companion:
         return [(port.open_url, one.rates) for port, one in zip(self._ports, self.serve, strict=True)]
 
     @property
-    def clients(self) -> list[Client]:
+    def clients(self) -> list[CompanionClient]:
         """Who is there."""
         return [*self.router.clients]
 
@@ -218,11 +220,15 @@ class Companion:
             return True
         verdict = self._signing.check(frame)
         now = self._loop.time()
-        if port is not None and verdict in (Verdict.REPEATED, Verdict.STALE) and now - self._told >= TELL_S:
+        if (
+            port is not None
+            and verdict in (SigningVerdict.REPEATED, SigningVerdict.STALE)
+            and now - self._told >= TELL_S
+        ):
             self._told = now
             with suppress(LinkError):  # it is gone, or we have no stamps left
                 port.transport.send(self.component.time(), peer)
-        return verdict is Verdict.ACCEPTED
+        return verdict is SigningVerdict.ACCEPTED
 
     # The line to the flight controller.
 
@@ -341,7 +347,7 @@ class Companion:
                 port.transport.confirm(packet.peer)
             self.router.from_client(client, frame)
 
-    def _welcome(self, port: _Port, peer: Hashable, stays: bool = False) -> Client | None:
+    def _welcome(self, port: _Port, peer: Hashable, stays: bool = False) -> CompanionClient | None:
         """A new client; None where there are too many, and none of them is silent."""
         now = self._loop.time()
         if len(port.clients) >= MOST_CLIENTS:
@@ -351,14 +357,14 @@ class Companion:
             if silent is None or now - silent.heard < SWEEP_S * 100:
                 return None
             self._dismiss(silent)
-        client = Client(
+        client = CompanionClient(
             f"{port.transport.url} {peer}", port.transport, peer, port.rates, now, stays, now, port.on_board
         )
         port.clients[peer] = client
         self.router.add(client)
         return client
 
-    def _dismiss(self, client: Client) -> None:
+    def _dismiss(self, client: CompanionClient) -> None:
         for port in self._ports:
             if port.clients.get(client.peer) is client:
                 del port.clients[client.peer]

@@ -4,13 +4,13 @@ import struct
 from collections.abc import Callable
 from typing import Any
 
-from twodof.fcc import wire
-from twodof.fcc.client import Client
-from twodof.fcc.computer import Computer
+from twodof.fcc import frame_fields
+from twodof.fcc.client import CompanionClient
+from twodof.fcc.computer import ComputerStatus
 from twodof.fcc.router import Router
-from twodof.link.components import COMPANION, NO_AUTOPILOT
-from twodof.link.framing import Frame
-from twodof.link.messages import message, statustext
+from twodof.link.mavlink.components import COMPANION, NO_AUTOPILOT
+from twodof.link.mavlink.framing import Frame
+from twodof.link.mavlink.messages import message, statustext
 
 ONBOARD_CONTROLLER = 18
 BOOTING, ACTIVE, CRITICAL = 1, 4, 5
@@ -21,10 +21,10 @@ VERSION = 1 << 24 | 255  # 1.0.0, a release
 _TIMESYNC, _PING = 111, 4
 
 
-class Component:
+class CompanionComponent:
     """What the companion says of itself, through `router`. `clock` gives seconds."""
 
-    def __init__(self, router: Router, clock: Callable[[], float], computer: Computer) -> None:
+    def __init__(self, router: Router, clock: Callable[[], float], computer: ComputerStatus) -> None:
         self.state = BOOTING
         self._router = router
         self._clock = clock
@@ -53,10 +53,10 @@ class Component:
         """A signed word to who may hear no other of us yet: a question for its time, which tells ours."""
         return self._router.said(message("TIMESYNC", ts1=max(1, int(self._clock() * 1e9))))
 
-    def handle(self, frame: Frame, client: Client | None) -> None:
+    def handle(self, frame: Frame, client: CompanionClient | None) -> None:
         """A frame that is for the companion, from a client or (None) from the vehicle."""
         there = {"target_system": frame.system, "target_component": frame.component}
-        asked = wire.command(frame)
+        asked = frame_fields.command(frame)
         if asked is not None and (asked.system, asked.component) == (self._router.system, COMPANION):
             what = self._asked(asked)
             result = UNSUPPORTED if what is None else ACCEPTED
@@ -69,15 +69,15 @@ class Component:
                 now = max(1, int(self._clock() * 1e9))
                 self._reply(client, message("TIMESYNC", tc1=now, ts1=ours, **there))
 
-    def _asked(self, asked: wire.Command) -> Any | None:
+    def _asked(self, asked: frame_fields.CommandFields) -> Any | None:
         """What a command asks for, None if it is nothing that we have."""
         answers: dict[int, Callable[[], Any]] = {0: self._heartbeat, 148: self._version, 390: self._computer.status}
-        if asked.command != wire.REQUEST_MESSAGE:
+        if asked.command != frame_fields.REQUEST_MESSAGE:
             return None
         answer = answers.get(int(asked.params[0]) if 0.0 <= asked.params[0] < 65536.0 else -1)
         return answer() if answer is not None else None
 
-    def _reply(self, client: Client | None, sent: Any) -> None:
+    def _reply(self, client: CompanionClient | None, sent: Any) -> None:
         if client is not None:
             self._router.answer(client, sent)
         else:

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from twodof.link.messages import message
+from twodof.link.mavlink.messages import message
 
 MOST_CORES, MOST_LINKS = 8, 6
 NO_CORE, NO_NUMBER, NO_TEMPERATURE, NO_FAN = 255, 2**32 - 1, 127, 32767
@@ -20,7 +20,7 @@ class Traffic(NamedTuple):
     most: float = 0.0
 
 
-class Computer:
+class ComputerStatus:
     """Reads /proc (`root` in its place, for tests); rates are those since it was last asked. `clock` gives seconds."""
 
     def __init__(

@@ -8,17 +8,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from twodof.fcc import wire
-from twodof.fcc.answers import Answers
-from twodof.fcc.batches import Batches
-from twodof.fcc.client import SILENT_S, Client, Identity, Wish
-from twodof.fcc.line import Line
-from twodof.fcc.streams import Streams
+from twodof.fcc import frame_fields
+from twodof.fcc.batch_repacking import BatchRepacker
+from twodof.fcc.client import SILENT_S, CompanionClient, Identity, Wish
+from twodof.fcc.reply_routing import ReplyRouting
+from twodof.fcc.stream_thinning import ClientStreams
 from twodof.fcc.subscriptions import Subscriptions
-from twodof.link.components import AUTOPILOT, COMPANION
-from twodof.link.framing import Frame, encode
-from twodof.link.messages import message
-from twodof.link.signing import Signing
+from twodof.fcc.uplink_queue import UplinkQueue
+from twodof.link.mavlink.components import AUTOPILOT, COMPANION
+from twodof.link.mavlink.framing import Frame, encode
+from twodof.link.mavlink.messages import message
+from twodof.link.signing.frame_signing import Signing
 
 MOST_IDENTITIES = 32
 # Who has spoken from a new address for so long, and not from its old one, has moved: it beats once a second.
@@ -52,16 +52,18 @@ class Router:
     `own` takes the frames that are for the companion itself: called with the client it came from, None for the vehicle.
     """
 
-    def __init__(self, system: int, line: Line, clock: Callable[[], float], signing: Signing | None = None) -> None:
+    def __init__(
+        self, system: int, line: UplinkQueue, clock: Callable[[], float], signing: Signing | None = None
+    ) -> None:
         self.system = system
         self.line = line
-        self.streams = Streams()
-        self.answers = Answers()
-        self.batches = Batches(self._as_vehicle, self._deliver)
+        self.streams = ClientStreams()
+        self.answers = ReplyRouting()
+        self.batches = BatchRepacker(self._as_vehicle, self._deliver)
         wires = (self._ask, self._as_vehicle, clock, signing is not None)
         self.subscriptions = Subscriptions(self.streams, self.batches, self.answers, *wires)
         self.counts = RouterCounts()
-        self.own: Callable[[Frame, Client | None], None] = lambda frame, client: None
+        self.own: Callable[[Frame, CompanionClient | None], None] = lambda frame, client: None
         self.clock = clock
         self.killed = False
         """Whether the vehicle has said that it was killed, and not yet that it was released."""
@@ -74,21 +76,21 @@ class Router:
         self._time = -1
         self._beside: dict[Identity, float] = {}  # of these who is of another system -> when last heard
         self._passed: dict[
-            bytes, tuple[Client, float, int]
+            bytes, tuple[CompanionClient, float, int]
         ] = {}  # frames of clients: from whom and when first, how often since
         self._jumped = False  # its sequence had a gap since its time was last seen to go on
 
     @property
-    def clients(self) -> list[Client]:
+    def clients(self) -> list[CompanionClient]:
         """Those that are there."""
         return self.streams.clients
 
-    def add(self, client: Client) -> None:
+    def add(self, client: CompanionClient) -> None:
         """A client has come: from now on it gets what it wants."""
         self.clients.append(client)
         self.subscriptions.refresh()
 
-    def remove(self, client: Client) -> None:
+    def remove(self, client: CompanionClient) -> None:
         """A client has gone: nobody asks the vehicle in its name any more."""
         self.clients.remove(client)
         self.answers.forget(client)
@@ -110,7 +112,7 @@ class Router:
                     self.subscriptions.refresh()
                     break
 
-    def forget(self, client: Client) -> None:
+    def forget(self, client: CompanionClient) -> None:
         """A client whose place stays has fallen silent."""
         client.forget()
         self.subscriptions.refresh()
@@ -120,7 +122,7 @@ class Router:
         self._time = -1
         self.subscriptions.restart()
 
-    def behind(self, system: int, component: int) -> list[Client]:
+    def behind(self, system: int, component: int) -> list[CompanionClient]:
         """The clients behind which this system and component is, or, if that one is unknown, its system.
 
         Of our own system only the very component, as the vehicle's others are behind the line.
@@ -134,7 +136,7 @@ class Router:
         """Whether this very component has spoken through a client."""
         return any(identity in client.identities for client in self.clients)
 
-    def from_client(self, client: Client, frame: Frame) -> None:
+    def from_client(self, client: CompanionClient, frame: Frame) -> None:
         """A frame that a client sent."""
         now = self.clock()
         self.counts.from_clients += 1
@@ -148,20 +150,20 @@ class Router:
         if self._came_round(client, frame, now):
             self.counts.echoes += 1
             return
-        system, component = wire.target(frame)
+        system, component = frame_fields.target(frame)
         urgent = None
-        asked = wire.command(frame)
+        asked = frame_fields.command(frame)
         if not client.knows_ours:
             self.subscriptions.notice(client, frame, asked)
         if (system, component) == (self.system, COMPANION):
             self.own(frame, client)
             return
         if asked is not None:
-            urgent = wire.stop(asked)
+            urgent = frame_fields.stop(asked)
             to_vehicle = system in (0, self.system) and component in (0, AUTOPILOT)
             if to_vehicle and self.subscriptions.take(client, frame, asked, on_board=frame.system == self.system):
                 return
-        elif frame.message_id == wire.REQUEST_DATA_STREAM and system in (0, self.system):
+        elif frame.message_id == frame_fields.REQUEST_DATA_STREAM and system in (0, self.system):
             self.subscriptions.take_group(client, frame)
             return
         if system:
@@ -180,15 +182,15 @@ class Router:
 
     def from_stranger(self, frame: Frame) -> None:
         """A frame of somebody for whom there is no room among the clients: what stops motors passes nevertheless."""
-        asked = wire.command(frame)
-        urgent = wire.stop(asked) if asked is not None else None
+        asked = frame_fields.command(frame)
+        urgent = frame_fields.stop(asked) if asked is not None else None
         if asked is not None and urgent is not None and asked.system in (0, self.system) and self._may_say(frame):
             self.line.offer(_STRANGERS, frame.raw, self.clock(), urgent)
 
     def from_vehicle(self, frame: Frame) -> None:
         """A frame that came over the line."""
         self.counts.from_vehicle += 1
-        system, component = wire.target(frame)
+        system, component = frame_fields.target(frame)
         identity = (frame.system, frame.component)
         autopilot = identity == (self.system, AUTOPILOT)
         came_back = not autopilot and not system and self.behind_client(identity)
@@ -196,22 +198,22 @@ class Router:
             self.counts.echoes += 1
             return
         self._account(frame)
-        if frame.message_id == wire.BATCH:
+        if frame.message_id == frame_fields.BATCH:
             self.batches.take(frame, self.clients, not frame.signed or self._signing is not None)
             return
-        if autopilot and frame.message_id == wire.HEARTBEAT:
-            self.killed = wire.system_status(frame) == wire.TERMINATED
-        if autopilot and frame.message_id == wire.LEASE:
-            holder = wire.lease_holder(frame)
+        if autopilot and frame.message_id == frame_fields.HEARTBEAT:
+            self.killed = frame_fields.system_status(frame) == frame_fields.TERMINATED
+        if autopilot and frame.message_id == frame_fields.LEASE:
+            holder = frame_fields.lease_holder(frame)
             self.pilot = holder if holder[0] else None
-        if frame.message_id == wire.TICK:
+        if frame.message_id == frame_fields.TICK:
             self.batches.flush_all()
         if system:
             if system == self.system and component in (0, COMPANION):
                 self._for_us(frame)
                 if component:
                     return
-            receivers: Sequence[Client] = self.behind(system, component)
+            receivers: Sequence[CompanionClient] = self.behind(system, component)
             if not receivers:
                 self.counts.nobody += 1
         else:
@@ -228,7 +230,7 @@ class Router:
         if vehicle:
             self._to_vehicle(sent)
 
-    def answer(self, client: Client, sent: Any) -> None:
+    def answer(self, client: CompanionClient, sent: Any) -> None:
         """Say something to one client in the companion's own name."""
         client.write(self._encoded(sent, COMPANION, client.number((self.system, COMPANION))))
 
@@ -236,7 +238,7 @@ class Router:
         """What the companion says to who is no client."""
         return self._encoded(sent, COMPANION, 0)
 
-    def _came_round(self, client: Client, frame: Frame, now: float) -> bool:
+    def _came_round(self, client: CompanionClient, frame: Frame, now: float) -> bool:
         """Whether the very frame came just now from one client and then again and again from others: links make a
         circle, in which it would go for ever. Who sent it first may say it as often as it likes.
         """
@@ -259,7 +261,7 @@ class Router:
         beside = self.clock() - self._beside.get(identity, -BESIDE_S) < BESIDE_S
         return not beside and bool(frame.system)
 
-    def _deliver(self, client: Client, frame: Frame) -> None:
+    def _deliver(self, client: CompanionClient, frame: Frame) -> None:
         client.deliver(frame, self.lost.get((frame.system, frame.component), 0))
 
     def _account(self, frame: Frame) -> None:
@@ -284,7 +286,7 @@ class Router:
         self._jumped = self._jumped or ahead > 0
         if not self._jumped and frame.sequence & _NOW_AND_THEN:
             return
-        time = wire.time_us(frame)
+        time = frame_fields.time_us(frame)
         if time >= 0:
             # Time alone goes back in a reset of the rig too, which leaves the streams as they are.
             started, self._time, self._jumped = self._jumped and time < self._time, time, False
@@ -303,18 +305,18 @@ class Router:
 
     def _ask(self, message_id: int, wish: Wish) -> None:
         fields = {"param1": message_id, "param2": wish.interval, "param3": wish.mask & 0xFFFF}
-        fields |= {"param4": wish.mask >> 16, "command": wire.SET_MESSAGE_INTERVAL}
+        fields |= {"param4": wish.mask >> 16, "command": frame_fields.SET_MESSAGE_INTERVAL}
         self._to_vehicle(message("COMMAND_LONG", target_system=self.system, target_component=AUTOPILOT, **fields))
 
-    def _as_vehicle(self, client: Client, sent: Any) -> None:
+    def _as_vehicle(self, client: CompanionClient, sent: Any) -> None:
         """Answer in the vehicle's name: it is whom the client asked."""
         identity = (self.system, AUTOPILOT)
         client.write(self._encoded(sent, AUTOPILOT, client.number(identity, self.lost.get(identity, 0))))
 
     def _for_us(self, frame: Frame) -> None:
-        if frame.message_id == wire.COMMAND_ACK:
+        if frame.message_id == frame_fields.COMMAND_ACK:
             number, result = struct.unpack("<HB", frame.payload.ljust(3, b"\0")[:3])
-            if number == wire.SET_MESSAGE_INTERVAL:
+            if number == frame_fields.SET_MESSAGE_INTERVAL:
                 self.subscriptions.asking.answered(result, self.clock())
             return
         self.own(frame, None)

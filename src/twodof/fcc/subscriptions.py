@@ -5,19 +5,19 @@ from collections.abc import Callable
 from math import isfinite
 from typing import Any
 
-from twodof.fcc import wire
-from twodof.fcc.answers import Answers
-from twodof.fcc.asking import Asking
-from twodof.fcc.batches import Batches
-from twodof.fcc.client import Client, Identity, Wish, is_ours
-from twodof.fcc.rates import EVERY, OFF, group
-from twodof.fcc.streams import Streams, events, settled
-from twodof.link.framing import Frame
-from twodof.link.messages import BATCH_VALUES, message
-from twodof.link.tick import TICK_US
+from twodof.fcc import frame_fields
+from twodof.fcc.batch_repacking import BatchRepacker
+from twodof.fcc.client import CompanionClient, Identity, Wish, is_ours
+from twodof.fcc.interval_requests import IntervalRequests
+from twodof.fcc.rate_profiles import EVERY, OFF, group
+from twodof.fcc.reply_routing import ReplyRouting
+from twodof.fcc.stream_thinning import ClientStreams, events, settled
+from twodof.link.control_period import TICK_US
+from twodof.link.mavlink.framing import Frame
+from twodof.link.mavlink.messages import BATCH_VALUES, message
 
 ACCEPTED, TEMPORARILY_REJECTED, DENIED = 0, 1, 2
-_ABOUT_MESSAGES = (wire.SET_MESSAGE_INTERVAL, wire.GET_MESSAGE_INTERVAL, wire.REQUEST_MESSAGE)
+_ABOUT_MESSAGES = (frame_fields.SET_MESSAGE_INTERVAL, frame_fields.GET_MESSAGE_INTERVAL, frame_fields.REQUEST_MESSAGE)
 LONGEST_US = 2**31 - 1
 MOST_TOLD = 0xFFFF  # MESSAGE_INTERVAL's field for the message has two bytes
 
@@ -31,16 +31,16 @@ class Subscriptions:
 
     def __init__(
         self,
-        streams: Streams,
-        batches: Batches,
-        answers: Answers,
+        streams: ClientStreams,
+        batches: BatchRepacker,
+        answers: ReplyRouting,
         ask: Callable[[int, Wish], None],
-        say: Callable[[Client, Any], None],
+        say: Callable[[CompanionClient, Any], None],
         clock: Callable[[], float],
         signs: bool,
     ) -> None:
         self.streams = streams
-        self.asking = Asking(ask, self._settled)
+        self.asking = IntervalRequests(ask, self._settled)
         self._batches = batches
         self._answers = answers
         self._say = say
@@ -66,14 +66,16 @@ class Subscriptions:
         self.streams.at.clear()
         self.refresh()
 
-    def notice(self, client: Client, frame: Frame, asked: wire.Command | None) -> None:
+    def notice(self, client: CompanionClient, frame: Frame, asked: frame_fields.CommandFields | None) -> None:
         """See whether a client knows twodof's own messages: it sends one, or asks about one."""
         about = asked is not None and asked.command in _ABOUT_MESSAGES and is_ours(_whole(asked.params[0]))
         if about or is_ours(frame.message_id):
             client.knows_ours = True
             self.refresh()
 
-    def take(self, client: Client, frame: Frame, asked: wire.Command, on_board: bool = False) -> bool:
+    def take(
+        self, client: CompanionClient, frame: Frame, asked: frame_fields.CommandFields, on_board: bool = False
+    ) -> bool:
         """A command of a client to the vehicle; whether it was ours to answer, and is not to be passed on.
 
         `on_board`: it is a program of the drone's own, which must not know the truth.
@@ -81,20 +83,20 @@ class Subscriptions:
         if asked.command not in _ABOUT_MESSAGES:
             return False
         number = _whole(asked.params[0])
-        if on_board and number == wire.TRUTH:
+        if on_board and number == frame_fields.TRUTH:
             self._acknowledge(client, asked.command, (frame.system, frame.component), DENIED)
             return True
-        if asked.command == wire.SET_MESSAGE_INTERVAL:
+        if asked.command == frame_fields.SET_MESSAGE_INTERVAL:
             return self._set(client, frame, number, asked.params)
-        if asked.command == wire.GET_MESSAGE_INTERVAL:
+        if asked.command == frame_fields.GET_MESSAGE_INTERVAL:
             return self._get(client, frame, number, asked.command)
-        if number == wire.MESSAGE_INTERVAL:
+        if number == frame_fields.MESSAGE_INTERVAL:
             return self._get(client, frame, _whole(asked.params[1]), asked.command)
-        if number in wire.places():
+        if number in frame_fields.places():
             client.due_once[number] = 1
         return False
 
-    def take_group(self, client: Client, frame: Frame) -> None:
+    def take_group(self, client: CompanionClient, frame: Frame) -> None:
         """REQUEST_DATA_STREAM, which ArduPilot's clients send; it has no answer."""
         rate, _, _, number, start = struct.unpack("<HBBBB", frame.payload.ljust(6, b"\0")[:6])
         if start and not rate:
@@ -105,7 +107,7 @@ class Subscriptions:
                 self.streams.set(client, each, Wish(round(1e6 / rate)) if start else Wish(OFF))
                 self.asking.want(each, self.streams.wanted(each), self._clock())
 
-    def _set(self, client: Client, frame: Frame, number: int, params: tuple[float, ...]) -> bool:
+    def _set(self, client: CompanionClient, frame: Frame, number: int, params: tuple[float, ...]) -> bool:
         source = (frame.system, frame.component)
         fits, wish = _wish(number, params)
         if not self._answerable(frame):
@@ -113,22 +115,24 @@ class Subscriptions:
             if fits:
                 self.streams.set(client, number, wish)
             return False
-        if number == wire.BATCH:
+        if number == frame_fields.BATCH:
             self._batches.flush(client)
         before = client.wishes.get(number)
         if not fits or not self.streams.set(client, number, wish):
-            self._acknowledge(client, wire.SET_MESSAGE_INTERVAL, source, TEMPORARILY_REJECTED if fits else DENIED)
+            self._acknowledge(
+                client, frame_fields.SET_MESSAGE_INTERVAL, source, TEMPORARILY_REJECTED if fits else DENIED
+            )
             return True
 
         def then(result: int) -> None:
             if result and client.wishes.get(number) == wish:
                 self.streams.set(client, number, before)
-            self._acknowledge(client, wire.SET_MESSAGE_INTERVAL, source, result)
+            self._acknowledge(client, frame_fields.SET_MESSAGE_INTERVAL, source, result)
 
         self.asking.want(number, self.streams.wanted(number), self._clock(), then)
         return True
 
-    def _get(self, client: Client, frame: Frame, number: int, command: int) -> bool:
+    def _get(self, client: CompanionClient, frame: Frame, number: int, command: int) -> bool:
         ours = 0 <= number <= MOST_TOLD and self.streams.chosen(number) and client.wish(number) != EVERY
         if not ours or not self._answerable(frame):
             self._answers.interval(client, self._clock())
@@ -141,7 +145,7 @@ class Subscriptions:
         """Whether we can answer in the vehicle's name: to who does not sign, and with a key to all that was let in."""
         return self._signs or not frame.signed
 
-    def _acknowledge(self, client: Client, command: int, to: Identity, result: int) -> None:
+    def _acknowledge(self, client: CompanionClient, command: int, to: Identity, result: int) -> None:
         there = {"target_system": to[0], "target_component": to[1]}
         self._say(client, message("COMMAND_ACK", command=command, result=result, **there))
 
@@ -155,7 +159,7 @@ def _wish(number: int, params: tuple[float, ...]) -> tuple[bool, Wish | None]:
     if not isfinite(interval) or number in events() or not 0 <= number < 1 << 24:
         return False, None
     every = round(min(max(interval, -1.0), LONGEST_US))
-    if number == wire.BATCH:
+    if number == frame_fields.BATCH:
         mask = max(_whole(params[2]), 0) & 0xFFFF | (max(_whole(params[3]), 0) & 0xFFFF) << 16
         if every == OFF:
             return True, Wish(OFF)

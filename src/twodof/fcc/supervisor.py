@@ -17,7 +17,7 @@ from pathlib import Path
 
 from twodof.errors import shown
 
-CONFINE = Path(__file__).with_name("confine.py")
+CONFINE = Path(__file__).with_name("process_limits.py")
 LONGEST_LINE = 2000
 READ_BYTES = 65_536
 FINE, MISTAKE = 0, 2
@@ -28,7 +28,7 @@ MOST_LINES, LINES_PER_SECOND = 200.0, 50.0
 
 
 @dataclass(frozen=True)
-class Limits:
+class AppLimits:
     """What an app may use: memory and the largest file [byte], open files, and by how much it stands back."""
 
     memory: int = 4 << 30
@@ -38,7 +38,7 @@ class Limits:
 
 
 @dataclass(frozen=True)
-class Restarts:
+class RestartPolicy:
     """When an app that crashed is started again.
 
     After `first` [s], which is longer than a lease lives without its holder (3 s), so that what flew has come to rest;
@@ -51,7 +51,7 @@ class Restarts:
     good: float = 60.0
 
 
-class Supervisor:
+class AppSupervisor:
     """Runs `command` until it ends by itself, is given up or the task is cancelled; `log` gets its lines and ours.
 
     While `killed` says that its drone is, it is not started again.
@@ -61,8 +61,8 @@ class Supervisor:
         self,
         command: Sequence[str],
         log: Callable[[str], None],
-        limits: Limits = Limits(),
-        restarts: Restarts = Restarts(),
+        limits: AppLimits = AppLimits(),
+        restarts: RestartPolicy = RestartPolicy(),
         environment: Mapping[str, str] | None = None,
         stop_s: float = 5.0,
         killed: Callable[[], bool] = lambda: False,

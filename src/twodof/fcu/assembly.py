@@ -29,8 +29,8 @@ from twodof.fcu.services.px4 import PX4
 from twodof.fcu.services.reload import Reload
 from twodof.fcu.services.setpoints import SetPoints
 from twodof.fcu.store import Store
-from twodof.link.rates import ONBOARD
-from twodof.link.signing import Signing
+from twodof.link.mavlink.rates import ONBOARD
+from twodof.link.signing.frame_signing import Signing
 
 WARNING = 4
 """MAV_SEVERITY."""
@@ -40,7 +40,7 @@ class Assembly:
     """The program of a drone: MAVLink system `system` on `hardware`.
 
     `state` is the folder of what it keeps: parameters.json, logs/, controllers/ (uploads); None keeps nothing.
-    `rates` are those of the streams that every client gets (link/rates.py). `signing` is asked of every
+    `rates` are those of the streams that every client gets (link/mavlink/rates.py). `signing` is asked of every
     client. `fresh` begins with all parameters at their defaults and without what was uploaded. `close` ends what stands
     outside the event loop; the server closes by itself.
     """

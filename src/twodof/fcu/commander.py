@@ -22,7 +22,7 @@ from twodof.fcu.setpoints import ATTITUDE, OPEN_LOOP, OPENLOOP, STICKS, TARGET, 
 from twodof.fcu.sticks import stick_setpoint
 from twodof.flight.causes import BIT, named_causes
 from twodof.flight.failsafe_machine import BRAKE, DESCEND, DISARMED, FLYING, LEVEL, STATES
-from twodof.link import modes
+from twodof.link.mavlink import modes
 
 ACTING = (LEVEL, BRAKE, DESCEND)
 """States in which the failsafe flies."""
@@ -93,7 +93,7 @@ class Commander:
         return self._helm.openloop
 
     @property
-    def modes(self) -> tuple[modes.Mode, ...]:
+    def modes(self) -> tuple[modes.FlightMode, ...]:
         """What `set_mode` knows."""
         return modes.MODES
 

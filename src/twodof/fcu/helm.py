@@ -8,7 +8,7 @@ from twodof.fcu.schedule import Schedule
 from twodof.fcu.setpoints import ATTITUDE, NOTHING, OFF, OPEN_LOOP, OPENLOOP, STICKS, TARGET, OpenLoop, SetPoint, Values
 from twodof.fcu.sticks import stick_setpoint
 from twodof.flight.core import PERIOD
-from twodof.link import modes
+from twodof.link.mavlink import modes
 
 FRESH = round(0.5 / PERIOD)
 """Set-points must come above 2 Hz, as PX4 asks: the last one at most so many ticks ago."""

@@ -12,7 +12,7 @@ from twodof.fcu.asked import Asked
 from twodof.fcu.flight_code import FlightCode, Step
 from twodof.fcu.hardware import Hardware, VirtualHardware
 from twodof.fcu.timing import Timing
-from twodof.link.tick import TICK_NS
+from twodof.link.control_period import TICK_NS
 
 CRITICAL = 2
 """MAV_SEVERITY."""

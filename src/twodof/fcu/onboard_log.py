@@ -21,7 +21,7 @@ from twodof.fcu.log_writer import LogWriter
 from twodof.fcu.step_row import ROW, pack
 from twodof.fcu.store import Store
 from twodof.flightlog.spool import DEADLINE_S
-from twodof.link.tick import TICK_US
+from twodof.link.control_period import TICK_US
 
 LONGEST_QUEUE = 20_000
 """Rows that may wait for the disk, 6 MB: 80 s of real time."""

@@ -15,13 +15,13 @@ from twodof.fcu.loop import FlightController
 from twodof.fcu.pacing import Pacer
 from twodof.fcu.service import Service
 from twodof.fcu.watchdog import Watchdog
-from twodof.link.components import AUTOPILOT
 from twodof.link.connection import Connection, Received
-from twodof.link.flood import looks_like_a_stop
-from twodof.link.opening import open_transport
-from twodof.link.signing import Signing
-from twodof.link.tick import TICK_NS
-from twodof.link.url import parse
+from twodof.link.control_period import TICK_NS
+from twodof.link.mavlink.components import AUTOPILOT
+from twodof.link.signing.frame_signing import Signing
+from twodof.link.transport.flood_filter import looks_like_a_stop
+from twodof.link.transport.open_transport import open_transport
+from twodof.link.transport.url import parse
 
 RESPONSIVE_S = 0.004
 """In lockstep the loop lets others run after so much work [s]."""

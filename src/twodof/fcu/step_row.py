@@ -13,7 +13,7 @@ from twodof.fcu.asked import Asked
 from twodof.fcu.flight_code import Step
 from twodof.fcu.hardware import Sample
 from twodof.flightlog.steps import ASKED, STEP_TOPIC
-from twodof.link.tick import TICK_US
+from twodof.link.control_period import TICK_US
 
 __all__ = ["FORMAT", "ROW", "STEP_TOPIC", "pack", "row_names"]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from twodof.fcu.setpoints import ATTITUDE, OPEN_LOOP, POSITION, RATE, VELOCITY, SetPoint, Values
-from twodof.link import modes
+from twodof.link.mavlink import modes
 
 RATE_AT_FULL = 1.75
 """Pitch rate at full stick [rad/s] (100 deg/s)."""

@@ -11,20 +11,20 @@ from typing import Any
 
 from twodof.errors import ExperimentError, LogError, ParameterError, Rejected, Timeout, shown
 from twodof.excitation import Excitation
-from twodof.gcs import setpoints
-from twodof.gcs.batches import BatchRows
 from twodof.gcs.connected import DEFAULT_URL as DEFAULT_URL
 from twodof.gcs.connected import TIMEOUT_S, Connected
-from twodof.gcs.deadline import Deadline
-from twodof.gcs.exciting import Playback
-from twodof.gcs.flies import Flies, flies
-from twodof.gcs.recording import Recording
-from twodof.gcs.setpoints import Setpoint
-from twodof.gcs.truth import TruthRows
-from twodof.link import dialect
-from twodof.link.messages import channel_mask, message
-from twodof.link.modes import custom_mode
-from twodof.link.tick import TICK_S
+from twodof.gcs.control import setpoints
+from twodof.gcs.control.active_controller import ActiveController, read_active_controller
+from twodof.gcs.control.excitation_player import ExcitationPlayback
+from twodof.gcs.control.setpoints import Setpoint
+from twodof.gcs.mavlink.deadline import Deadline
+from twodof.gcs.telemetry.full_rate import BatchRows
+from twodof.gcs.telemetry.recording import Recording
+from twodof.gcs.telemetry.truth import TruthRows
+from twodof.link.control_period import TICK_S
+from twodof.link.mavlink import dialect
+from twodof.link.mavlink.messages import channel_mask, message
+from twodof.link.mavlink.modes import custom_mode
 
 HOVER = "THRUST_BAR"
 # Offboard is refused until set-points have come for a while; they are sent meanwhile.
@@ -220,7 +220,7 @@ class AsyncDrone(Connected):
         at: int | None = None,
         wait: bool = True,
         timeout: float = TIMEOUT_S,
-    ) -> Playback:
+    ) -> ExcitationPlayback:
         """Play an excitation on board, added to what `loop` ("M", "q", "theta", "v", "x") follows.
 
         `loop` None is that of the excitation's unit; `thrust` 0 to 1, None: as it is; `at` is the tick at which it
@@ -261,13 +261,13 @@ class AsyncDrone(Connected):
             raise Rejected(f"the rig's true state: {why}", f"drone {self.session.system}", "go by the estimates")
         return self.rig_truth.rows()
 
-    async def flies(self, timeout: float = TIMEOUT_S) -> Flies:
+    async def active_controller(self, timeout: float = TIMEOUT_S) -> ActiveController:
         """Which parameters are not at their defaults, and which diagrams fly in place of the stock controllers.
 
         Raises LinkLost, Timeout.
         """
         self._needs_ours("what flies", "folder of controllers")
-        return await flies(self.parameters, self.files, self._deadline(timeout, "asking what flies"))
+        return await read_active_controller(self.parameters, self.files, self._deadline(timeout, "asking what flies"))
 
     def record(
         self,
@@ -297,7 +297,7 @@ class AsyncDrone(Connected):
             topics,
             self.state,
             {"drone": {**about, **link}, **(provenance or {})},
-            self.flies if self.ours else None,
+            self.active_controller if self.ours else None,
         )
 
     async def reset(

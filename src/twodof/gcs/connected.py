@@ -9,31 +9,32 @@ from pathlib import Path
 from typing import Any, Self
 
 from twodof.errors import LinkLost, Rejected, Timeout, TwodofError
-from twodof.gcs.batches import Batches
-from twodof.gcs.clock import Clock
-from twodof.gcs.commands import ACCEPTED, IN_PROGRESS, Commands, number_of
-from twodof.gcs.deadline import Deadline
-from twodof.gcs.exciting import Exciter
-from twodof.gcs.files import Files
-from twodof.gcs.identity import drawn, identity
-from twodof.gcs.lease import Lease
-from twodof.gcs.log_download import Logs
-from twodof.gcs.parameters import AsyncParameters
-from twodof.gcs.recording import Recordings
-from twodof.gcs.session import Session
-from twodof.gcs.setpoints import Setpoints
-from twodof.gcs.state import Battery, State, Watcher
-from twodof.gcs.telemetry import Telemetry
-from twodof.gcs.texts import Text, Texts
-from twodof.gcs.truth import Truth
-from twodof.gcs.version import Version, version_of
-from twodof.link import dialect, ports
-from twodof.link.components import GROUND_STATION
+from twodof.gcs.control.excitation_player import ExcitationPlayer
+from twodof.gcs.control.parameters import AsyncParameters
+from twodof.gcs.control.setpoints import SetpointStream
+from twodof.gcs.mavlink.clock import DroneClock
+from twodof.gcs.mavlink.commands import ACCEPTED, IN_PROGRESS, CommandSender, number_of
+from twodof.gcs.mavlink.deadline import Deadline
+from twodof.gcs.mavlink.files import AsyncFiles
+from twodof.gcs.mavlink.identity import drawn, identity
+from twodof.gcs.mavlink.lease import LeaseClient
+from twodof.gcs.mavlink.log_download import AsyncLogs
+from twodof.gcs.mavlink.session import DroneSession
+from twodof.gcs.mavlink.version import DroneVersion, version_of
+from twodof.gcs.telemetry.drone_state import BatteryState, DroneState, StateTracker
+from twodof.gcs.telemetry.full_rate import FullRateSubscription
+from twodof.gcs.telemetry.recording import Recordings
+from twodof.gcs.telemetry.signals import Telemetry
+from twodof.gcs.telemetry.status_texts import StatusText, StatusTexts
+from twodof.gcs.telemetry.truth import TruthSubscription
 from twodof.link.connection import Connection
-from twodof.link.key import Key, read_key
-from twodof.link.opening import open_transport
+from twodof.link.mavlink import dialect
+from twodof.link.mavlink.components import GROUND_STATION
+from twodof.link.signing.key import Key, read_key
 from twodof.link.statistics import LinkStatistics
-from twodof.link.transport import Transport
+from twodof.link.transport import ports
+from twodof.link.transport.base import Transport
+from twodof.link.transport.open_transport import open_transport
 
 DEFAULT_URL = f"udpin://127.0.0.1:{ports.ONBOARD}"
 TIMEOUT_S = 5.0
@@ -50,23 +51,23 @@ _TICKS_FOR_AN_ANSWER = 250
 class Connected:
     """A drone over one link; made by `connect` or `over`, for `async with`: leaving disarms it."""
 
-    def __init__(self, session: Session, commanding: bool) -> None:
+    def __init__(self, session: DroneSession, commanding: bool) -> None:
         self.session = session
         self.commanding = commanding
-        self.texts = Texts(session)
-        self.watcher = Watcher(session)
-        self.clock = Clock(session)
-        self.commands = Commands(session, self.texts)
-        self.lease = Lease(session, self.commands)
-        self.files = Files(session, self.texts)
+        self.texts = StatusTexts(session)
+        self.watcher = StateTracker(session)
+        self.clock = DroneClock(session)
+        self.commands = CommandSender(session, self.texts)
+        self.lease = LeaseClient(session, self.commands)
+        self.files = AsyncFiles(session, self.texts)
         self.parameters = AsyncParameters(session, self.files, self.texts)
         self.telemetry = Telemetry(session)
-        self.setpoints = Setpoints(session, self.clock)
-        self.exciter = Exciter(session, self.clock)
-        self.batches = Batches(session, self.commands)
-        self.rig_truth = Truth(session, self.commands)
+        self.setpoints = SetpointStream(session, self.clock)
+        self.exciter = ExcitationPlayer(session, self.clock)
+        self.batches = FullRateSubscription(session, self.commands)
+        self.rig_truth = TruthSubscription(session, self.commands)
         self.recordings = Recordings(session, self.batches, self.rig_truth, self.texts, self.clock)
-        self.logs = Logs(session)
+        self.logs = AsyncLogs(session)
         self.commands.on_progress = self._one_tick
         self.clock.on_restart = self._restarted
         session.on_pause = self._stood_still
@@ -118,13 +119,13 @@ class Connected:
     ) -> Self:
         """As `connect`, over a transport that is open; it is closed with the drone, or where connecting fails."""
         deadline = Deadline(timeout, "connecting", transport.url)
-        session: Session | None = None
+        session: DroneSession | None = None
         made: Self | None = None
         try:
             on_board = component != GROUND_STATION
             number, signing = identity(system, on_board, key)
             connection = Connection(transport, number, component, signing)
-            session = Session(connection, on_board)
+            session = DroneSession(connection, on_board)
             made = cls(session, take_lease)
             await session.find(drone, deadline.left)
             connection.system = number or session.system
@@ -235,11 +236,11 @@ class Connected:
             raise
 
     @property
-    def state(self) -> State:
+    def state(self) -> DroneState:
         """How it stands, as last heard."""
         return self.watcher.state
 
-    async def version(self, timeout: float = TIMEOUT_S) -> Version:
+    async def version(self, timeout: float = TIMEOUT_S) -> DroneVersion:
         """What flies it: autopilot, version, the machine's number. Raises LinkLost, Timeout."""
         asking = self._deadline(timeout, "asking for its version")
         number, request = dialect.message_id("AUTOPILOT_VERSION"), number_of("REQUEST_MESSAGE")
@@ -278,12 +279,12 @@ class Connected:
         return value[0] if isinstance(value, tuple) else value
 
     @property
-    def messages(self) -> list[Text]:
+    def messages(self) -> list[StatusText]:
         """What it said in words, the last 1000 lines."""
         return list(self.texts.lines)
 
     @property
-    def battery(self) -> Battery:
+    def battery(self) -> BatteryState:
         """Voltage [V] and charge, 0 to 1; NaN while unknown."""
         return self.state.battery
 

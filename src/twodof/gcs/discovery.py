@@ -9,13 +9,13 @@ from contextlib import suppress
 from typing import Any, NamedTuple
 
 from twodof.errors import LinkError, LinkLost, shown
-from twodof.gcs.state import word_of
-from twodof.link import ports
-from twodof.link.components import AUTOPILOT, GROUND_STATION, NO_AUTOPILOT
+from twodof.gcs.telemetry.drone_state import word_of
 from twodof.link.connection import Connection
-from twodof.link.messages import message
-from twodof.link.modes import mode_name
-from twodof.link.opening import open_transport
+from twodof.link.mavlink.components import AUTOPILOT, GROUND_STATION, NO_AUTOPILOT
+from twodof.link.mavlink.messages import message
+from twodof.link.mavlink.modes import mode_name
+from twodof.link.transport import ports
+from twodof.link.transport.open_transport import open_transport
 
 LISTENED = (
     ("udp", ports.COMPANION_ONBOARD),
@@ -30,7 +30,7 @@ SYSTEM = 241
 """What we call ourselves meanwhile: none that other clients use."""
 
 
-class Found(NamedTuple):
+class FoundDrone(NamedTuple):
     """A drone that was heard: its system id, the URL to connect to, how it stands, its autopilot in words.
 
     Of one of ours also the controller that flies, and how many parameters differ from their defaults.
@@ -57,7 +57,9 @@ def urls(hosts: Iterable[str] = (), drones: int = DRONES) -> list[str]:
     return [*places, f"udpin://127.0.0.1:{ports.GROUND_STATION}"]
 
 
-async def discover(timeout: float = 3.0, hosts: Iterable[str] = (), places: Iterable[str] | None = None) -> list[Found]:
+async def discover(
+    timeout: float = 3.0, hosts: Iterable[str] = (), places: Iterable[str] | None = None
+) -> list[FoundDrone]:
     """The drones that are heard within `timeout` [s], by system id, each with a URL of its own where it has one.
 
     Listens at the ports of this machine at which drones send; of `hosts` the ports are asked at which they listen.
@@ -68,9 +70,9 @@ async def discover(timeout: float = 3.0, hosts: Iterable[str] = (), places: Iter
     for host in hosts:
         await _known(host)
     looked = list(urls(hosts) if places is None else places)
-    heard: dict[tuple[int, str], Found] = {}
+    heard: dict[tuple[int, str], FoundDrone] = {}
     await asyncio.gather(*(_look(url, timeout, heard) for url in looked))
-    best: dict[int, Found] = {}
+    best: dict[int, FoundDrone] = {}
     drones = Counter(url for _, url in heard)  # where several are heard, connecting finds any of them
     for found in sorted(heard.values(), key=lambda one: (drones[one.url] > 1, looked.index(one.url)), reverse=True):
         best[found.system] = found
@@ -84,12 +86,12 @@ async def _known(host: str) -> None:
         raise LinkError("is no host that is known here", shown(host), "correct its name, or give its number") from error
 
 
-def _note(heard: dict[tuple[int, str], Found], connection: Connection, url: str, system: int, got: Any) -> None:
+def _note(heard: dict[tuple[int, str], FoundDrone], connection: Connection, url: str, system: int, got: Any) -> None:
     """Takes in what an autopilot says."""
     before = heard.get((system, url))
     if got.get_type() == "HEARTBEAT" and got.autopilot != NO_AUTOPILOT:
         word = word_of("MAV_AUTOPILOT", got.autopilot)
-        found = Found(system, url, mode_name(got.custom_mode), bool(got.base_mode & 128), word)
+        found = FoundDrone(system, url, mode_name(got.custom_mode), bool(got.base_mode & 128), word)
         if before is None:
             asked = message(
                 "COMMAND_LONG", command=REQUEST_MESSAGE, param1=RIG, target_system=system, target_component=1
@@ -102,7 +104,7 @@ def _note(heard: dict[tuple[int, str], Found], connection: Connection, url: str,
         heard[system, url] = before._replace(controller=got.controller, changed=got.changed)
 
 
-async def _look(url: str, timeout: float, heard: dict[tuple[int, str], Found]) -> None:
+async def _look(url: str, timeout: float, heard: dict[tuple[int, str], FoundDrone]) -> None:
     loop = asyncio.get_running_loop()
     end = loop.time() + timeout
     with suppress(LinkError):

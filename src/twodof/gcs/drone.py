@@ -14,17 +14,17 @@ from twodof.errors import Rejected, TwodofError
 from twodof.excitation import Excitation
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.gcs.connected import DEFAULT_URL, LEAVING_S, TIMEOUT_S
-from twodof.gcs.discovery import Found, discover
-from twodof.gcs.exciting import Playback
-from twodof.gcs.faces import DroneFiles, DroneLogs, DroneRows, DroneSignal, Parameters
-from twodof.gcs.flies import Flies
-from twodof.gcs.recording import Recording
-from twodof.gcs.rows import Kind, Rows
-from twodof.gcs.runner import Runner
-from twodof.gcs.state import Battery, State
-from twodof.gcs.texts import Text
-from twodof.gcs.version import Version
-from twodof.link.key import Key
+from twodof.gcs.control.active_controller import ActiveController
+from twodof.gcs.control.excitation_player import ExcitationPlayback
+from twodof.gcs.discovery import FoundDrone, discover
+from twodof.gcs.loop_thread import LoopThread
+from twodof.gcs.mavlink.version import DroneVersion
+from twodof.gcs.sync_parts import DroneFiles, DroneLogs, DroneParameters, DroneRows, DroneSignal
+from twodof.gcs.telemetry.drone_state import BatteryState, DroneState
+from twodof.gcs.telemetry.recording import Recording
+from twodof.gcs.telemetry.sample_rows import Kind, SampleRows
+from twodof.gcs.telemetry.status_texts import StatusText
+from twodof.link.signing.key import Key
 from twodof.link.statistics import LinkStatistics
 
 T = TypeVar("T")
@@ -39,10 +39,10 @@ class Drone:
 
     _open: ClassVar[WeakSet[Drone]] = WeakSet()
 
-    def __init__(self, there: AsyncDrone, runner: Runner) -> None:
+    def __init__(self, there: AsyncDrone, runner: LoopThread) -> None:
         self.there = there
         self._runner = runner
-        self.parameters = Parameters(there.parameters, runner)
+        self.parameters = DroneParameters(there.parameters, runner)
         self.logs = DroneLogs(there.logs, runner)
         self.files = DroneFiles(there.files, runner)
 
@@ -57,7 +57,7 @@ class Drone:
         drone: int | None = None,
     ) -> Self:
         """Find the drone at `url` and, with `take_lease`, become the one who commands it. As AsyncDrone.connect."""
-        runner = Runner(url)
+        runner = LoopThread(url)
         try:
             there = runner.run(AsyncDrone.connect(url, timeout, system, key, take_lease, drone))
         except Rejected as refusal:
@@ -82,12 +82,12 @@ class Drone:
         return self.there.lease.ours and holder is not None and f"{holder[0]}/{holder[1]} holds" in refusal.what
 
     @staticmethod
-    def discover(timeout: float = 3.0, hosts: Iterable[str] = ()) -> list[Found]:
+    def discover(timeout: float = 3.0, hosts: Iterable[str] = ()) -> list[FoundDrone]:
         """The drones that are heard at the usual ports of this machine, and answer at those of `hosts`.
 
         Listens for `timeout` [s]; each has the `url` to connect to. Raises LinkError for a host that is unknown.
         """
-        runner = Runner("discovery")
+        runner = LoopThread("discovery")
         try:
             return runner.run(discover(timeout, hosts))
         finally:
@@ -116,7 +116,7 @@ class Drone:
             self._runner.close()
 
     @property
-    def state(self) -> State:
+    def state(self) -> DroneState:
         """How it stands, as last heard: mode, armed, failsafe, rig, battery."""
         return self.there.state
 
@@ -126,7 +126,7 @@ class Drone:
         return self.there.tick
 
     @property
-    def messages(self) -> list[Text]:
+    def messages(self) -> list[StatusText]:
         """What it said in words, the last 1000 lines."""
         return self.there.messages
 
@@ -136,7 +136,7 @@ class Drone:
         return self.there.session.url
 
     @property
-    def battery(self) -> Battery:
+    def battery(self) -> BatteryState:
         """Voltage [V] and charge, 0 to 1; NaN while unknown."""
         return self.state.battery
 
@@ -145,7 +145,7 @@ class Drone:
         """What the link is worth: loss, round trips, rates."""
         return self.there.statistics
 
-    def version(self, timeout: float = TIMEOUT_S) -> Version:
+    def version(self, timeout: float = TIMEOUT_S) -> DroneVersion:
         """What flies it: autopilot, version of its program, the machine's number. Raises LinkLost, Timeout."""
         return self._runner.run(self.there.version(timeout))
 
@@ -243,7 +243,7 @@ class Drone:
         at: int | None = None,
         wait: bool = True,
         timeout: float = TIMEOUT_S,
-    ) -> Playback:
+    ) -> ExcitationPlayback:
         """Play an excitation on board, added to what `loop` ("M", "q", "theta", "v", "x") follows.
 
         As AsyncDrone.excite: with `wait` the drone's time passes until it is over; `timeout` is until it begins.
@@ -259,13 +259,13 @@ class Drone:
         return self._rows(self.there.batch(columns))
 
     @contextmanager
-    def _rows(self, manager: AbstractAsyncContextManager[Rows[Kind]]) -> Iterator[DroneRows[Kind]]:
+    def _rows(self, manager: AbstractAsyncContextManager[SampleRows[Kind]]) -> Iterator[DroneRows[Kind]]:
         with self._within(manager) as rows:
             yield DroneRows(rows, self._runner)
 
-    def flies(self, timeout: float = TIMEOUT_S) -> Flies:
+    def active_controller(self, timeout: float = TIMEOUT_S) -> ActiveController:
         """Which parameters are not at their defaults, and which diagrams fly in place of the stock controllers."""
-        return self._runner.run(self.there.flies(timeout))
+        return self._runner.run(self.there.active_controller(timeout))
 
     def truth(self) -> AbstractContextManager[DroneRows[np.float64]]:
         """The true theta, q, x, v of a virtual rig at the full rate, for `with`. Raises Rejected by a real drone."""

@@ -12,11 +12,11 @@ from contextlib import suppress
 from typing import Any, NamedTuple, Self
 
 from twodof.errors import LinkError, LinkLost
-from twodof.link.framing import Frame, Parser, decode, encode
-from twodof.link.messages import message
-from twodof.link.signing import Signing, Verdict
+from twodof.link.mavlink.framing import Frame, Parser, decode, encode
+from twodof.link.mavlink.messages import message
+from twodof.link.signing.frame_signing import Signing, SigningVerdict
 from twodof.link.statistics import LinkStatistics
-from twodof.link.transport import Packet, Transport
+from twodof.link.transport.base import Packet, Transport
 
 # A parser holds at most one frame.
 MOST_PARSERS = 64
@@ -237,10 +237,10 @@ class Connection:
 
     def _lets_in(self, frame: Frame, peer: Hashable) -> bool:
         """Whether a frame is for who receives: signed as it must be, and no question about time that is answered."""
-        verdict = self.signing.check(frame) if self.signing is not None else Verdict.ACCEPTED
-        if verdict in (Verdict.REPEATED, Verdict.STALE):
+        verdict = self.signing.check(frame) if self.signing is not None else SigningVerdict.ACCEPTED
+        if verdict in (SigningVerdict.REPEATED, SigningVerdict.STALE):
             self._tell_time(peer)
-        if verdict is not Verdict.ACCEPTED:
+        if verdict is not SigningVerdict.ACCEPTED:
             return False
         if frame.known:
             self.transport.confirm(peer)

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from twodof.link.framing import Frame
+from twodof.link.mavlink.framing import Frame
 
 # A sequence number is one byte: what is behind by more than half of its range is ahead.
 _RANGE, _HALF = 256, 128
@@ -56,7 +56,7 @@ class SenderCounts:
 
 
 @dataclass(slots=True)
-class Rate:
+class MessageRate:
     """How often one message comes: in all, and per second over the last whole window."""
 
     count: int = 0
@@ -121,7 +121,7 @@ class LinkStatistics:
 
     def __init__(self) -> None:
         self.senders: dict[tuple[int, int], SenderCounts] = {}
-        self.messages: dict[int, Rate] = {}
+        self.messages: dict[int, MessageRate] = {}
         self.round_trips = RoundTrips()
 
     def __repr__(self) -> str:
@@ -139,7 +139,7 @@ class LinkStatistics:
         if frame.known:
             rate = self.messages.get(frame.message_id)
             if rate is None:
-                rate = self.messages[frame.message_id] = Rate()
+                rate = self.messages[frame.message_id] = MessageRate()
             rate.add(now)
 
     @property

@@ -16,8 +16,8 @@ from twodof.fcu.controllers import Controllers
 from twodof.fcu.loop import FlightController
 from twodof.fcu.server import Server
 from twodof.fcu.services.own_telemetry import Flown
-from twodof.link.rates import PROFILES
-from twodof.link.signing import Signing
+from twodof.link.mavlink.rates import PROFILES
+from twodof.link.signing.frame_signing import Signing
 from twodof.parameters import ParameterSet
 from twodof.rig.parameters import load_rig
 from twodof.sim.rig_host import VirtualRig

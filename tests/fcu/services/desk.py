@@ -19,8 +19,8 @@ from twodof.fcu.services.lockstep import Lockstep
 from twodof.fcu.services.own_telemetry import Flown, rig
 from twodof.fcu.services.setpoints import SetPoints
 from twodof.link.connection import Received
-from twodof.link.framing import Parser, decode, encode
-from twodof.link.messages import message
+from twodof.link.mavlink.framing import Parser, decode, encode
+from twodof.link.mavlink.messages import message
 
 SYSTEM = 1
 TARGET = {"target_system": SYSTEM, "target_component": 1}

@@ -12,7 +12,7 @@ from tests.fcu.services.world import World
 from twodof.fcu.asked import ACCEPTED, DENIED
 from twodof.fcu.services.batches import BATCH, LATEST_TICKS, published, readers
 from twodof.flightlog.steps import is_published
-from twodof.link.messages import batch_rows, channel_bits, channel_mask
+from twodof.link.mavlink.messages import batch_rows, channel_bits, channel_mask
 from twodof.signals import TOPICS
 
 ALL = sum(channel_bits().values())

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from tests.fcu.services.world import CLIENT, World
 from twodof.fcu.asked import ACCEPTED, DENIED, IN_PROGRESS, TEMPORARILY_REJECTED, UNSUPPORTED, Verdict
-from twodof.link import modes
-from twodof.link.messages import message
+from twodof.link.mavlink import modes
+from twodof.link.mavlink.messages import message
 
 REFUSED = Verdict(TEMPORARILY_REJECTED, "somebody else holds the lease")
 US = {"target_system": 1, "target_component": 1}
@@ -273,7 +273,7 @@ def test_restart() -> None:
 
 
 @pytest.mark.parametrize("mode", modes.MODES, ids=lambda mode: mode.name)
-def test_a_mode_is_set_by_command_and_by_set_mode(mode: modes.Mode) -> None:
+def test_a_mode_is_set_by_command_and_by_set_mode(mode: modes.FlightMode) -> None:
     world = World()
     assert world.command(176, 1.0, mode.main, mode.sub) == ACCEPTED
     # With the bit for armed, as MAVSDK sends it.

@@ -20,7 +20,7 @@ from twodof.fcu.services.event_definitions import definitions
 from twodof.fcu.services.event_enums import ABOUT, COMPONENT_INDEX, ENUMERATIONS, OBSTACLES
 from twodof.fcu.services.event_table import CHECKS, DENIED, EVENTS, MOST_BYTES, Event
 from twodof.flight.causes import ACTIONS, CAUSES
-from twodof.link.modes import MODES
+from twodof.link.mavlink.modes import MODES
 
 WIDTHS = {"uint8_t": 1, "uint16_t": 2, "uint32_t": 4}
 GIVEN = json.loads(definitions())

@@ -12,7 +12,7 @@ from twodof.fcu.services.event_definitions import definitions
 from twodof.fcu.services.events import KEPT, LOOK_TICKS, MOST_AGAIN, REPORT_TICKS
 from twodof.flight import failsafe_machine
 from twodof.flight.causes import BIT, CAUSES, DESCEND, LEVEL, OFF
-from twodof.link.messages import message
+from twodof.link.mavlink.messages import message
 
 TEXTS = {cause.name: cause.text for cause in CAUSES}
 US = {"target_system": 1, "target_component": 1}

@@ -18,7 +18,7 @@ from tests.patience import patiently
 from twodof.excitation import Impulse, Multisine
 from twodof.fcu.excitation_player import DONE, PLAYING, READY, RECEIVING, REFUSED, STOPPED
 from twodof.flight.core import PERIOD
-from twodof.link.messages import excite, message
+from twodof.link.mavlink.messages import excite, message
 
 LONG = Multisine.schroeder(0.1, 1.0, range(1, 30))  # some pieces
 VALUES = LONG.at(np.arange(250) * PERIOD)

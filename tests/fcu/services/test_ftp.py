@@ -22,8 +22,8 @@ from twodof.fcu.services.file_tree import MAX_UPLOAD, MOST_UPLOADS, FileTree, ma
 from twodof.fcu.services.ftp import MOST_GUESTS, UPLOAD_S, FileTransfer
 from twodof.fcu.services.ftp_guest import BURST_BYTES, MOST_SESSIONS
 from twodof.fcu.store import Store
-from twodof.link.ftp import Fault, Op, Packet, read_packet
-from twodof.link.messages import message
+from twodof.link.mavlink.ftp import FtpError, FtpOperation, FtpPacket, read_packet
+from twodof.link.mavlink.messages import message
 
 ALL = bytes(range(256)) * 300
 MADE = {"all.bin": ALL, "empty.json": b"", "small.json": b"{}"}
@@ -45,19 +45,19 @@ class Server(World):
         self.services.append(self.ftp)
         self.sequence = 0
 
-    def ask(self, op: int, data: bytes = b"", session: int = 0, offset: int = 0, **options: Any) -> list[Packet]:
+    def ask(self, op: int, data: bytes = b"", session: int = 0, offset: int = 0, **options: Any) -> list[FtpPacket]:
         """A request; its answers."""
         self.sequence += 1
         size = options.pop("size", len(data))
         head = struct.pack("<HBBBBBxI", self.sequence & 0xFFFF, session, op, size, 0, 0, offset)
         return self.raw(head + data, **options)
 
-    def raw(self, payload: bytes, **options: Any) -> list[Packet]:
+    def raw(self, payload: bytes, **options: Any) -> list[FtpPacket]:
         """A payload as it is; the answers."""
         self.say(message("FILE_TRANSFER_PROTOCOL", target_system=1, target_component=1, payload=payload), **options)
         return [read_packet(bytes(one.payload)) for one in self.taken("FILE_TRANSFER_PROTOCOL")]
 
-    def one(self, *arguments: Any, **options: Any) -> Packet:
+    def one(self, *arguments: Any, **options: Any) -> FtpPacket:
         """A request with one answer."""
         (answer,) = self.ask(*arguments, **options)
         assert answer.sequence == (self.sequence + 1) & 0xFFFF
@@ -66,13 +66,13 @@ class Server(World):
     def fault(self, *arguments: Any, **options: Any) -> int:
         """The error with which a request is refused."""
         answer = self.one(*arguments, **options)
-        assert answer.op == Op.NAK
+        assert answer.op == FtpOperation.NAK
         return answer.data[0]
 
     def opened(self, path: str) -> tuple[int, int]:
         """Session and size of a file that was opened."""
-        answer = self.one(Op.OPEN_RO, path.encode())
-        assert answer.op == Op.ACK
+        answer = self.one(FtpOperation.OPEN_RO, path.encode())
+        assert answer.op == FtpOperation.ACK
         return answer.session, struct.unpack_from("<I", answer.data)[0]
 
 
@@ -106,10 +106,10 @@ def server(tmp_path: Path) -> Server:
 def test_the_whole_tree_is_seen(server: Server) -> None:
     def names(path: str) -> list[bytes]:
         found, at = [], 0
-        while (answer := server.one(Op.LIST, path.encode(), offset=at)).op == Op.ACK:
+        while (answer := server.one(FtpOperation.LIST, path.encode(), offset=at)).op == FtpOperation.ACK:
             lines = answer.data[: answer.size].rstrip(b"\0").split(b"\0")
             found, at = found + lines, at + len(lines)
-        assert answer.data[0] == Fault.END
+        assert answer.data[0] == FtpError.END
         return found
 
     assert names("/") == [b"Dcontrollers", b"Detc", b"Dlog"]
@@ -124,7 +124,7 @@ def test_the_whole_tree_is_seen(server: Server) -> None:
 def test_a_long_list_comes_in_parts(server: Server) -> None:
     server.ftp.tree.made |= {f"{k:03d}{'n' * 40}": b"" for k in range(100)}
     found, at = b"", 0
-    while (answer := server.one(Op.LIST, b"/etc/extras", offset=at)).op == Op.ACK:
+    while (answer := server.one(FtpOperation.LIST, b"/etc/extras", offset=at)).op == FtpOperation.ACK:
         found, at = found + answer.data[: answer.size], at + answer.data[: answer.size].count(b"\0")
     assert at == 100 + len(MADE) == found.count(b"\0")
 
@@ -132,15 +132,15 @@ def test_a_long_list_comes_in_parts(server: Server) -> None:
 def test_reading_in_pieces_and_in_bursts_gives_the_file(server: Server) -> None:
     session, size = server.opened("/etc/extras/all.bin")
     assert size == len(ALL)
-    pieces = [server.one(Op.READ, session=session, offset=at, size=100) for at in range(0, size, 100)]
+    pieces = [server.one(FtpOperation.READ, session=session, offset=at, size=100) for at in range(0, size, 100)]
     assert b"".join(piece.data[: piece.size] for piece in pieces) == ALL
-    assert server.fault(Op.READ, session=session, offset=size) == Fault.END
+    assert server.fault(FtpOperation.READ, session=session, offset=size) == FtpError.END
 
 
-def burst(server: Server, session: int, offset: int, chunk: int) -> list[Packet]:
+def burst(server: Server, session: int, offset: int, chunk: int) -> list[FtpPacket]:
     """The answers to a burst request; in lockstep without an event loop each look sends a portion."""
-    answers = server.ask(Op.BURST, session=session, offset=offset, size=chunk)
-    while not (answers[-1].complete or answers[-1].op == Op.NAK):
+    answers = server.ask(FtpOperation.BURST, session=session, offset=offset, size=chunk)
+    while not (answers[-1].complete or answers[-1].op == FtpOperation.NAK):
         server.ftp._send_bursts()
         answers += [read_packet(bytes(one.payload)) for one in server.taken("FILE_TRANSFER_PROTOCOL")]
     return answers
@@ -154,16 +154,16 @@ def test_a_burst_is_bounded_numbered_and_ends(server: Server, chunk: int) -> Non
         answers = burst(server, session, len(found), chunk)
         rounds += 1
         assert [one.sequence for one in answers] == [server.sequence + 1 + k for k in range(len(answers))]
-        parts = [one for one in answers if one.op == Op.ACK]
+        parts = [one for one in answers if one.op == FtpOperation.ACK]
         assert [one.offset for one in parts] == [len(found) + k * (chunk or 239) for k in range(len(parts))]
         assert sum(one.size for one in parts) <= BURST_BYTES
         found += b"".join(one.data[: one.size] for one in parts)
     assert found == ALL
-    assert answers[-1].op == Op.NAK
-    assert answers[-1].data[0] == Fault.END
+    assert answers[-1].op == FtpOperation.NAK
+    assert answers[-1].data[0] == FtpError.END
     assert rounds == -(-size // BURST_BYTES)
     (end,) = burst(server, session, size, chunk)
-    assert (end.op, end.data[0]) == (Op.NAK, Fault.END)
+    assert (end.op, end.data[0]) == (FtpOperation.NAK, FtpError.END)
 
 
 def test_pymavlinks_client_reads_checks_and_sends(server: Server, tmp_path: Path) -> None:
@@ -187,7 +187,7 @@ def test_pymavlinks_client_reads_checks_and_sends(server: Server, tmp_path: Path
 
 
 def test_the_checksum_is_the_one_that_clients_compute(server: Server) -> None:
-    answer = server.one(Op.CRC32, b"/etc/extras/all.bin")
+    answer = server.one(FtpOperation.CRC32, b"/etc/extras/all.bin")
     crc = 0
     for byte in ALL:  # bit by bit, begun with 0, not inverted: MAVLink guide
         crc ^= byte
@@ -197,32 +197,35 @@ def test_the_checksum_is_the_one_that_clients_compute(server: Server) -> None:
     assert crc != zlib.crc32(ALL)
 
 
-def upload(server: Server, path: str, content: bytes) -> Packet:
-    created = server.one(Op.CREATE, path.encode())
-    if created.op != Op.ACK:
+def upload(server: Server, path: str, content: bytes) -> FtpPacket:
+    created = server.one(FtpOperation.CREATE, path.encode())
+    if created.op != FtpOperation.ACK:
         return created
     for at in range(0, len(content), 200):
-        assert server.one(Op.WRITE, content[at : at + 200], session=created.session, offset=at).op == Op.ACK
-    return server.one(Op.TERMINATE, session=created.session)
+        assert (
+            server.one(FtpOperation.WRITE, content[at : at + 200], session=created.session, offset=at).op
+            == FtpOperation.ACK
+        )
+    return server.one(FtpOperation.TERMINATE, session=created.session)
 
 
 def test_an_upload_is_there_whole_when_its_session_ends_and_not_before(server: Server) -> None:
-    created = server.one(Op.CREATE, b"/controllers/a.json")
-    server.one(Op.WRITE, b"half", session=created.session)
+    created = server.one(FtpOperation.CREATE, b"/controllers/a.json")
+    server.one(FtpOperation.WRITE, b"half", session=created.session)
     assert not server.controllers.exists()
-    server.one(Op.WRITE, b"HA", session=created.session)
-    server.one(Op.TERMINATE, session=created.session)
+    server.one(FtpOperation.WRITE, b"HA", session=created.session)
+    server.one(FtpOperation.TERMINATE, session=created.session)
     assert (server.controllers / "a.json").read_bytes() == b"HAlf"
     upload(server, "/controllers/a.json", b"other")
     assert [path.read_bytes() for path in server.controllers.iterdir()] == [b"other"]
-    server.one(Op.REMOVE, b"/controllers/a.json")
+    server.one(FtpOperation.REMOVE, b"/controllers/a.json")
     assert [*server.controllers.iterdir()] == []
 
 
-@pytest.mark.parametrize("ends", [Op.RESET, "gone"])
+@pytest.mark.parametrize("ends", [FtpOperation.RESET, "gone"])
 def test_an_upload_that_is_given_up_leaves_nothing(server: Server, ends: Any) -> None:
-    created = server.one(Op.CREATE, b"/controllers/a.json")
-    server.one(Op.WRITE, b"half", session=created.session)
+    created = server.one(FtpOperation.CREATE, b"/controllers/a.json")
+    server.one(FtpOperation.WRITE, b"half", session=created.session)
     if ends == "gone":
         server.ftp.gone("client")
     else:
@@ -232,49 +235,49 @@ def test_an_upload_that_is_given_up_leaves_nothing(server: Server, ends: Any) ->
 
 
 def test_an_upload_with_a_hole_is_not_kept(server: Server) -> None:
-    session = server.one(Op.CREATE, b"/controllers/a.json").session
-    assert server.fault(Op.WRITE, b"x", session=session, offset=5) == Fault.FAIL
-    assert server.fault(Op.TERMINATE, session=session) == Fault.FAIL
+    session = server.one(FtpOperation.CREATE, b"/controllers/a.json").session
+    assert server.fault(FtpOperation.WRITE, b"x", session=session, offset=5) == FtpError.FAIL
+    assert server.fault(FtpOperation.TERMINATE, session=session) == FtpError.FAIL
     assert not server.controllers.exists()
 
 
 def test_uploads_are_bounded(server: Server) -> None:
-    session = server.one(Op.CREATE, b"/controllers/a.json").session
-    assert server.fault(Op.WRITE, b"x", session=session, offset=MAX_UPLOAD) == Fault.FAIL
-    assert server.one(Op.CREATE, b"/controllers/b.json").op == Op.ACK
-    assert server.fault(Op.CREATE, b"/controllers/c.json") == Fault.NO_SESSIONS
-    server.one(Op.RESET)
+    session = server.one(FtpOperation.CREATE, b"/controllers/a.json").session
+    assert server.fault(FtpOperation.WRITE, b"x", session=session, offset=MAX_UPLOAD) == FtpError.FAIL
+    assert server.one(FtpOperation.CREATE, b"/controllers/b.json").op == FtpOperation.ACK
+    assert server.fault(FtpOperation.CREATE, b"/controllers/c.json") == FtpError.NO_SESSIONS
+    server.one(FtpOperation.RESET)
     for k in range(MOST_UPLOADS):
-        assert upload(server, f"/controllers/{k}.json", b"{}").op == Op.ACK
-    assert upload(server, "/controllers/more.json", b"{}").op == Op.NAK
-    assert upload(server, "/controllers/7.json", b"[]").op == Op.ACK
+        assert upload(server, f"/controllers/{k}.json", b"{}").op == FtpOperation.ACK
+    assert upload(server, "/controllers/more.json", b"{}").op == FtpOperation.NAK
+    assert upload(server, "/controllers/7.json", b"[]").op == FtpOperation.ACK
 
 
 def test_uploads_that_nobody_goes_on_with_make_room(server: Server) -> None:
     """Over UDP a client that is gone says nothing: two of them stopped everybody's uploads for good."""
     for name in (b"a", b"b"):
-        server.one(Op.CREATE, b"/controllers/%s.json" % name, source=(251, 190), peer="gone")
+        server.one(FtpOperation.CREATE, b"/controllers/%s.json" % name, source=(251, 190), peer="gone")
     server.now += UPLOAD_S / 2
-    assert server.one(Op.WRITE, b"x", session=1, source=(251, 190), peer="gone").op == Op.ACK
+    assert server.one(FtpOperation.WRITE, b"x", session=1, source=(251, 190), peer="gone").op == FtpOperation.ACK
     server.now += UPLOAD_S / 2
-    assert server.fault(Op.CREATE, b"/controllers/c.json") == Fault.NO_SESSIONS, "none is abandoned yet"
+    assert server.fault(FtpOperation.CREATE, b"/controllers/c.json") == FtpError.NO_SESSIONS, "none is abandoned yet"
     server.now += 1.0
-    session = server.one(Op.CREATE, b"/controllers/c.json").session
-    assert server.fault(Op.CREATE, b"/controllers/d.json") == Fault.NO_SESSIONS, "one was gone on with"
+    session = server.one(FtpOperation.CREATE, b"/controllers/c.json").session
+    assert server.fault(FtpOperation.CREATE, b"/controllers/d.json") == FtpError.NO_SESSIONS, "one was gone on with"
     server.now += UPLOAD_S - 1.0
-    assert server.one(Op.WRITE, b"{}", session=session).op == Op.ACK
+    assert server.one(FtpOperation.WRITE, b"{}", session=session).op == FtpOperation.ACK
     server.now += UPLOAD_S - 1.0
-    assert server.one(Op.TERMINATE, session=session).op == Op.ACK
+    assert server.one(FtpOperation.TERMINATE, session=session).op == FtpOperation.ACK
     assert (server.controllers / "c.json").read_bytes() == b"{}"
-    assert server.fault(Op.WRITE, b"x", session=0, source=(251, 190), peer="gone") == Fault.SESSION
+    assert server.fault(FtpOperation.WRITE, b"x", session=0, source=(251, 190), peer="gone") == FtpError.SESSION
 
 
 def test_writing_needs_the_lease_and_reading_does_not(server: Server) -> None:
-    session = server.one(Op.CREATE, b"/controllers/a.json").session
+    session = server.one(FtpOperation.CREATE, b"/controllers/a.json").session
     server.commander.verdict = Verdict(TEMPORARILY_REJECTED, "another holds the lease")
-    assert server.fault(Op.CREATE, b"/controllers/b.json") == Fault.PROTECTED
-    assert server.fault(Op.REMOVE, b"/controllers/a.json") == Fault.PROTECTED
-    assert server.fault(Op.TERMINATE, session=session) == Fault.PROTECTED
+    assert server.fault(FtpOperation.CREATE, b"/controllers/b.json") == FtpError.PROTECTED
+    assert server.fault(FtpOperation.REMOVE, b"/controllers/a.json") == FtpError.PROTECTED
+    assert server.fault(FtpOperation.TERMINATE, session=session) == FtpError.PROTECTED
     assert "lease" in server.texts()
     assert not server.controllers.exists()
     server.opened("/etc/extras/small.json")
@@ -312,33 +315,41 @@ def test_there_is_no_way_out(server: Server, tmp_path: Path, path: str) -> None:
     (server.controllers / "link.json").symlink_to(secret)
     if path == "/etc/extras/all.bin/":  # the same file: a slash at the end says nothing
         return
-    for op in (Op.OPEN_RO, Op.CRC32, Op.REMOVE):
-        assert server.fault(op, path.encode()) in (Fault.NOT_FOUND, Fault.PROTECTED), op
-    if upload(server, path, b"overwritten").op == Op.ACK:
+    for op in (FtpOperation.OPEN_RO, FtpOperation.CRC32, FtpOperation.REMOVE):
+        assert server.fault(op, path.encode()) in (FtpError.NOT_FOUND, FtpError.PROTECTED), op
+    if upload(server, path, b"overwritten").op == FtpOperation.ACK:
         pytest.fail(f"{path!r} was written")
     assert secret.read_text() == "secret"
     assert (server.controllers / "link.json").is_symlink()
 
 
 def test_what_does_not_exist_here_is_refused(server: Server) -> None:
-    for op in (Op.CREATE_FOLDER, Op.REMOVE_FOLDER, Op.OPEN_WO, Op.TRUNCATE, Op.RENAME):
-        assert server.fault(op, b"/controllers/x") == Fault.PROTECTED
-    assert server.fault(77) == Fault.UNKNOWN
-    assert server.fault(Op.READ, session=9) == Fault.SESSION
-    assert server.fault(Op.BURST, session=9) == Fault.SESSION
-    assert server.fault(Op.WRITE, b"x", session=9) == Fault.SESSION
-    assert server.fault(Op.TERMINATE, session=9) == Fault.SESSION
-    assert server.fault(Op.READ, size=240) == Fault.DATA_SIZE
-    assert server.one(Op.NONE).op == Op.ACK
-    assert server.ask(Op.ACK) == server.ask(Op.NAK) == []  # no answer to an answer, or two servers never stop
+    for op in (
+        FtpOperation.CREATE_FOLDER,
+        FtpOperation.REMOVE_FOLDER,
+        FtpOperation.OPEN_WO,
+        FtpOperation.TRUNCATE,
+        FtpOperation.RENAME,
+    ):
+        assert server.fault(op, b"/controllers/x") == FtpError.PROTECTED
+    assert server.fault(77) == FtpError.UNKNOWN
+    assert server.fault(FtpOperation.READ, session=9) == FtpError.SESSION
+    assert server.fault(FtpOperation.BURST, session=9) == FtpError.SESSION
+    assert server.fault(FtpOperation.WRITE, b"x", session=9) == FtpError.SESSION
+    assert server.fault(FtpOperation.TERMINATE, session=9) == FtpError.SESSION
+    assert server.fault(FtpOperation.READ, size=240) == FtpError.DATA_SIZE
+    assert server.one(FtpOperation.NONE).op == FtpOperation.ACK
+    assert (
+        server.ask(FtpOperation.ACK) == server.ask(FtpOperation.NAK) == []
+    )  # no answer to an answer, or two servers never stop
 
 
 def test_a_request_that_comes_again_is_not_carried_out_again(server: Server) -> None:
-    request = struct.pack("<HBBBBBxI", 9, 0, Op.OPEN_RO, 22, 0, 0, 0) + b"/etc/extras/small.json"
+    request = struct.pack("<HBBBBBxI", 9, 0, FtpOperation.OPEN_RO, 22, 0, 0, 0) + b"/etc/extras/small.json"
     assert server.raw(request) == server.raw(request)
     assert server.ftp.sessions == 1
-    ending = struct.pack("<HBBBBBxI", 10, 0, Op.TERMINATE, 0, 0, 0, 0)
-    assert server.raw(ending)[0].op == server.raw(ending)[0].op == Op.ACK
+    ending = struct.pack("<HBBBBBxI", 10, 0, FtpOperation.TERMINATE, 0, 0, 0, 0)
+    assert server.raw(ending)[0].op == server.raw(ending)[0].op == FtpOperation.ACK
 
 
 def open_files(folder: Path) -> int:
@@ -353,10 +364,10 @@ def open_files(folder: Path) -> int:
 def test_sessions_and_clients_are_bounded_and_files_are_let_go(server: Server, tmp_path: Path) -> None:
     log = b"/log/log_00001.ulg"
     for _ in range(3 * MOST_SESSIONS):
-        assert server.one(Op.OPEN_RO, log).op == Op.ACK
+        assert server.one(FtpOperation.OPEN_RO, log).op == FtpOperation.ACK
     assert server.ftp.sessions == MOST_SESSIONS
     for client in range(3 * MOST_GUESTS):
-        server.ask(Op.OPEN_RO, log, peer=f"client {client}")
+        server.ask(FtpOperation.OPEN_RO, log, peer=f"client {client}")
     assert server.ftp.sessions <= MOST_GUESTS + MOST_SESSIONS
     assert 0 < open_files(tmp_path) <= MOST_GUESTS + MOST_SESSIONS
     for client in range(3 * MOST_GUESTS):
@@ -387,31 +398,31 @@ def test_any_bytes_are_answered_once_and_break_nothing(server: Server, payloads:
             answers += [read_packet(bytes(one.payload)) for one in server.taken("FILE_TRANSFER_PROTOCOL")]
         answers += [read_packet(bytes(one.payload)) for one in server.taken("FILE_TRANSFER_PROTOCOL")]
         asked = read_packet(payload.ljust(251, b"\0"))
-        if asked.op in (Op.ACK, Op.NAK):
+        if asked.op in (FtpOperation.ACK, FtpOperation.NAK):
             assert answers == []
-        elif asked.op == Op.BURST:
+        elif asked.op == FtpOperation.BURST:
             assert answers
         else:
             assert len(answers) == 1
     server.ftp.gone("stranger")
     assert {path.name for path in server.controllers.glob("*")} <= {"a.json"}
-    assert server.one(Op.NONE).op == Op.ACK
+    assert server.one(FtpOperation.NONE).op == FtpOperation.ACK
 
 
 def test_in_real_time_another_thread_reads_and_the_order_stays(tmp_path: Path) -> None:
     server = Server(tmp_path, lockstep=False)
     content = ALL[:2000]
     # pymavlink's client does not wait for the answer to CREATE before it writes.
-    server.ask(Op.CREATE, b"/controllers/a.json", session=3)
+    server.ask(FtpOperation.CREATE, b"/controllers/a.json", session=3)
     for at in range(0, len(content), 200):
-        server.ask(Op.WRITE, content[at : at + 200], session=3, offset=at)
-    server.ask(Op.TERMINATE, session=3)
-    answers: list[Packet] = []
+        server.ask(FtpOperation.WRITE, content[at : at + 200], session=3, offset=at)
+    server.ask(FtpOperation.TERMINATE, session=3)
+    answers: list[FtpPacket] = []
     for _ in patiently():
         server.run(1)
         answers += [read_packet(bytes(one.payload)) for one in server.taken("FILE_TRANSFER_PROTOCOL")]
         if len(answers) == 12:
             break
-    assert [one.asked for one in answers] == [Op.CREATE, *[Op.WRITE] * 10, Op.TERMINATE]
-    assert all(one.op == Op.ACK for one in answers)
+    assert [one.asked for one in answers] == [FtpOperation.CREATE, *[FtpOperation.WRITE] * 10, FtpOperation.TERMINATE]
+    assert all(one.op == FtpOperation.ACK for one in answers)
     assert (server.controllers / "a.json").read_bytes() == content

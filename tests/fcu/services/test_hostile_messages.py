@@ -4,8 +4,8 @@ import random
 from itertools import count
 
 from tests.fcu.services.world import World
-from tests.link.test_framing import NAMES, random_message
-from twodof.link.messages import message
+from tests.link.mavlink.test_framing import NAMES, random_message
+from twodof.link.mavlink.messages import message
 
 EACH = 20
 

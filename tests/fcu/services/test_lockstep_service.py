@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from tests.fcu.cockpit import ME, OTHER
 from tests.fcu.services.desk import TARGET, Desk
 from twodof.fcu.loop import MOST_GRANTED
-from twodof.link import setpoints
-from twodof.link.messages import message
+from twodof.link.mavlink import setpoints
+from twodof.link.mavlink.messages import message
 
 
 def grant(until: int, number: int = 1) -> Any:

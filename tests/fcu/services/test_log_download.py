@@ -17,7 +17,7 @@ from twodof.fcu.asked import TEMPORARILY_REJECTED, Verdict
 from twodof.fcu.onboard_log import OnboardLog
 from twodof.fcu.services.addressing import Us
 from twodof.fcu.services.log_download import A_TICK_ARMED, MOST_READERS, PART, LogDownload
-from twodof.link.messages import message
+from twodof.link.mavlink.messages import message
 
 US = {"target_system": 1, "target_component": 1}
 MAVSDK_CHUNK = 512 * PART

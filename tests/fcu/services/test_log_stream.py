@@ -18,7 +18,7 @@ from twodof.fcu.services.log_stream import START, STOP, LogStream
 from twodof.flightlog.ulog_decoder import scan_ulog
 from twodof.flightlog.ulog_format import LETTERS, MESSAGE
 from twodof.flightlog.ulog_pieces import NO_MESSAGE
-from twodof.link.messages import message
+from twodof.link.mavlink.messages import message
 
 ACCEPTED, TEMPORARILY_REJECTED, DENIED = 0, 1, 2
 ACKED = "LOGGING_DATA_ACKED"

@@ -8,21 +8,21 @@ from typing import Any
 from tests.fcu.services.test_ftp import Server
 from twodof.fcu.services.file_tree import mavlink_crc32
 from twodof.fcu.services.metadata import COMPONENT_METADATA, Metadata
-from twodof.link.ftp import Op
+from twodof.link.mavlink.ftp import FtpOperation
 
 REQUEST_MESSAGE = 512
 
 
 def fetched(server: Server, uri: str) -> bytes:
     assert uri.startswith("mftp://")
-    answer = server.one(Op.OPEN_RO, uri.removeprefix("mftp://").encode())
-    assert answer.op == Op.ACK
+    answer = server.one(FtpOperation.OPEN_RO, uri.removeprefix("mftp://").encode())
+    assert answer.op == FtpOperation.ACK
     (size,) = struct.unpack_from("<I", answer.data)
     content = b""
     while len(content) < size:
-        piece = server.one(Op.READ, session=answer.session, offset=len(content))
+        piece = server.one(FtpOperation.READ, session=answer.session, offset=len(content))
         content += piece.data[: piece.size]
-    server.one(Op.TERMINATE, session=answer.session)
+    server.one(FtpOperation.TERMINATE, session=answer.session)
     return content
 
 

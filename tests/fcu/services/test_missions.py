@@ -4,7 +4,7 @@ import pytest
 
 from tests.fcu.services.world import World
 from twodof.fcu.asked import ACCEPTED, DENIED
-from twodof.link.messages import message
+from twodof.link.mavlink.messages import message
 
 US = {"target_system": 1, "target_component": 1}
 

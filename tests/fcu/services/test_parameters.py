@@ -25,7 +25,7 @@ from twodof.fcu.services.parameters import (
     TYPE_UNSUPPORTED,
 )
 from twodof.fcu.store import Store
-from twodof.link.messages import float_of_int, message
+from twodof.link.mavlink.messages import float_of_int, message
 
 US = {"target_system": 1, "target_component": 1}
 ROWS = Store().rows

@@ -23,7 +23,7 @@ from twodof.fcu.services.reload import ASK, RELOAD
 from twodof.flight.slot import Slot
 from twodof.flight.starters import starter
 from twodof.link.connection import Connection
-from twodof.link.opening import open_transport
+from twodof.link.transport.open_transport import open_transport
 from twodof.sim.virtual_drone import VirtualDrone
 
 ARM = 400

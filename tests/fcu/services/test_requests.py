@@ -4,8 +4,8 @@ import pytest
 
 from tests.fcu.services.world import World
 from twodof.fcu.asked import ACCEPTED, DENIED, TEMPORARILY_REJECTED, UNSUPPORTED
-from twodof.link import dialect
-from twodof.link.messages import message
+from twodof.link.mavlink import dialect
+from twodof.link.mavlink.messages import message
 
 AUTOPILOT_VERSION = 148
 

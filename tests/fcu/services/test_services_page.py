@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from twodof.fcu.services.px4 import PX4
-from twodof.link import dialect
+from twodof.link.mavlink import dialect
 from twodof.sim.virtual_drone import VirtualDrone
 
 PAGE = (Path(__file__).resolve().parents[3] / "docs" / "reference" / "services.md").read_text(encoding="utf-8")

@@ -14,8 +14,8 @@ from tests.fcu.cockpit import ME, OTHER
 from tests.fcu.services.desk import SYSTEM, TARGET, Desk
 from twodof.fcu.services.setpoints import MOST_TOLD
 from twodof.fcu.setpoints import ATTITUDE, OPEN_LOOP, POSITION, RATE, VELOCITY
-from twodof.link import modes, setpoints
-from twodof.link.messages import message
+from twodof.link.mavlink import modes, setpoints
+from twodof.link.mavlink.messages import message
 
 LEVEL = setpoints.attitude_target(0.0, 0.4, **TARGET)
 

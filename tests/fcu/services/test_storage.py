@@ -17,7 +17,7 @@ from tests.patience import PATIENCE_S, patiently
 from twodof.fcu import store as store_module
 from twodof.fcu.asked import ACCEPTED, DENIED, FAILED, TEMPORARILY_REJECTED, UNSUPPORTED, Verdict
 from twodof.fcu.store import Store
-from twodof.link.messages import message
+from twodof.link.mavlink.messages import message
 
 STORAGE = 245
 LOAD, SAVE, RESET_CONFIG, RESET_SENSORS, RESET_ALL = 0.0, 1.0, 2.0, 3.0, 4.0

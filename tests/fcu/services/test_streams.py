@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from tests.fcu.services.world import World, step
 from twodof.fcu.services.clients import SILENT_TICKS
 from twodof.fcu.services.streams import next_due
-from twodof.link import dialect
-from twodof.link.messages import message
-from twodof.link.rates import GROUND, ONBOARD, PROFILES
-from twodof.link.tick import TICK_NS
+from twodof.link.control_period import TICK_NS
+from twodof.link.mavlink import dialect
+from twodof.link.mavlink.messages import message
+from twodof.link.mavlink.rates import GROUND, ONBOARD, PROFILES
 
 HELLO = message("HEARTBEAT", type=6, autopilot=8)
 # A message of twodof's own: its sender knows them.

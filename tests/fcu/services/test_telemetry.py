@@ -12,7 +12,7 @@ from tests.fcu.services.world import World, step
 from twodof.fcu.services.own_telemetry import Flown, deciding
 from twodof.fcu.services.system_telemetry import FENCE, PREARM, PRESENT
 from twodof.flight.causes import BIT, CAUSES
-from twodof.link.framing import Parser, decode, encode
+from twodof.link.mavlink.framing import Parser, decode, encode
 from twodof.signals import MODES
 
 NUMBERS = st.floats(allow_nan=True, allow_infinity=True)

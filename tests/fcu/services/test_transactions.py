@@ -20,7 +20,7 @@ from twodof.fcu.services.parameters import (
     TYPE_MISMATCH,
 )
 from twodof.fcu.services.transactions import BEGIN, COMMIT, LONGEST_TICKS, MOST_OPEN, ROLL_BACK, UNDO
-from twodof.link.messages import message
+from twodof.link.mavlink.messages import message
 
 US = {"target_system": 1, "target_component": 1}
 OTHER = (251, 1)

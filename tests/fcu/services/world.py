@@ -12,10 +12,10 @@ from twodof.fcu.hardware import Sample
 from twodof.fcu.services.px4 import PX4
 from twodof.fcu.store import Store
 from twodof.fcu.timing import Timing
-from twodof.link import modes
 from twodof.link.connection import Received
-from twodof.link.framing import Parser, decode, encode
-from twodof.link.messages import message
+from twodof.link.mavlink import modes
+from twodof.link.mavlink.framing import Parser, decode, encode
+from twodof.link.mavlink.messages import message
 
 SYSTEM = 1
 CLIENT = (250, 1)

@@ -7,8 +7,8 @@ from math import isfinite
 from typing import Any, NamedTuple
 
 from twodof.fcu.asked import Source
-from twodof.link.components import AUTOPILOT
 from twodof.link.connection import Received
+from twodof.link.mavlink.components import AUTOPILOT
 
 
 class Us(NamedTuple):

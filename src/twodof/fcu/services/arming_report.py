@@ -16,7 +16,7 @@ from twodof.fcu.services.system_telemetry import hindering
 from twodof.fcu.services.vehicle import Commander, Controller
 from twodof.flight import failsafe_machine
 from twodof.flight.causes import BIT
-from twodof.link.modes import MODES, POSITION
+from twodof.link.mavlink.modes import MODES, POSITION
 
 ALL_MODES = (1 << len(MODES)) - 1
 _MODE_BITS = MappingProxyType({mode.custom_mode: 1 << place for place, mode in enumerate(MODES)})

@@ -14,9 +14,9 @@ from twodof.fcu.services.commands import Command
 from twodof.fcu.services.flight_telemetry import MASK_32
 from twodof.fcu.services.vehicle import Commander
 from twodof.link.connection import Received
-from twodof.link.messages import BATCH_VALUES, channel_bits
-from twodof.link.packed import Packer
-from twodof.link.tick import TICK_US
+from twodof.link.control_period import TICK_US
+from twodof.link.mavlink.messages import BATCH_VALUES, channel_bits
+from twodof.link.mavlink.packing import Packer
 
 BATCH = 54203
 LATEST_TICKS = 25

@@ -7,7 +7,7 @@ from collections.abc import Callable, Hashable
 from twodof.fcu.flight_code import Step
 from twodof.fcu.services.addressing import Client
 from twodof.link.connection import Received
-from twodof.link.dialect import FIRST_OWN_ID, LAST_OWN_ID
+from twodof.link.mavlink.dialect import FIRST_OWN_ID, LAST_OWN_ID
 
 SILENT_TICKS = 15_000
 """60 s without a frame: a client is forgotten."""

@@ -12,7 +12,7 @@ from twodof.fcu.services.addressing import Us, source
 from twodof.fcu.services.event_table import marked
 from twodof.fcu.services.repetitions import Repetitions
 from twodof.link.connection import Received
-from twodof.link.messages import message, statustext
+from twodof.link.mavlink.messages import message, statustext
 
 WARNING = 4
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from twodof.fcu.services.event_enums import ENUMERATIONS, Enumeration
 from twodof.fcu.services.event_table import COMPONENT, EVENTS, Event
-from twodof.link.modes import MODES
+from twodof.link.mavlink.modes import MODES
 
 EVENTS_FILE = "events.json"
 EVENTS_TYPE = 4

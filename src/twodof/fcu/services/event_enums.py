@@ -9,7 +9,7 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 from twodof.flight.causes import ACTIONS, CAUSES
-from twodof.link.modes import MODES
+from twodof.link.mavlink.modes import MODES
 
 
 class Entry(NamedTuple):

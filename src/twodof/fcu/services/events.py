@@ -20,8 +20,8 @@ from twodof.fcu.services.vehicle import Commander, Controller
 from twodof.flight import failsafe_machine
 from twodof.flight.causes import OFF
 from twodof.link.connection import Received
-from twodof.link.messages import message
-from twodof.link.tick import TICK_MS
+from twodof.link.control_period import TICK_MS
+from twodof.link.mavlink.messages import message
 
 CURRENT_EVENT_SEQUENCE = 411
 KEPT = 128

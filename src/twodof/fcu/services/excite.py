@@ -15,7 +15,7 @@ from twodof.fcu.services.addressing import Us, source
 from twodof.fcu.services.background import Background
 from twodof.fcu.services.wire_tick import acts_at
 from twodof.link.connection import Received
-from twodof.link.messages import ExcitationReceiver, message
+from twodof.link.mavlink.messages import ExcitationReceiver, message
 
 PIECE, START, STOP = range(3)
 """TWODOF_EXCITE_ACTION."""

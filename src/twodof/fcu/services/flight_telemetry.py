@@ -10,8 +10,8 @@ from collections.abc import Callable
 from math import cos, isfinite, nan, sin
 
 from twodof.fcu.flight_code import Step
-from twodof.link.packed import Packed, Packer
-from twodof.link.tick import TICK_MS, TICK_US
+from twodof.link.control_period import TICK_MS, TICK_US
+from twodof.link.mavlink.packing import Packed, Packer
 from twodof.signals import MODES
 
 MASK_32 = 0xFFFFFFFF

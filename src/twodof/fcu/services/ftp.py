@@ -23,7 +23,7 @@ from twodof.fcu.services.file_tree import EXISTS, MAX_UPLOAD, FileFault, FileTre
 from twodof.fcu.services.ftp_guest import BURST_BYTES, MOST_WAITING, Burst, Guest, Session
 from twodof.fcu.services.pump import Pump, shares
 from twodof.link.connection import Received
-from twodof.link.ftp import MOST_DATA, Fault, Op, Packet, packed, read_packet
+from twodof.link.mavlink.ftp import MOST_DATA, FtpError, FtpOperation, FtpPacket, packed, read_packet
 
 FTP_CAPABILITY = 32
 """MAV_PROTOCOL_CAPABILITY_FTP."""
@@ -31,7 +31,14 @@ MOST_GUESTS = 32
 A_TICK, A_TICK_ARMED = 16, 2
 """Packets of bursts that are sent in a control period, to all clients: .9 MB/s, and little while it flies."""
 
-_ONCE = (Op.OPEN_RO, Op.CREATE, Op.WRITE, Op.TERMINATE, Op.RESET, Op.REMOVE)
+_ONCE = (
+    FtpOperation.OPEN_RO,
+    FtpOperation.CREATE,
+    FtpOperation.WRITE,
+    FtpOperation.TERMINATE,
+    FtpOperation.RESET,
+    FtpOperation.REMOVE,
+)
 """Not carried out again when they come again; what only reads is."""
 
 MOST_UPLOADING = 2
@@ -65,18 +72,18 @@ class FileTransfer:
         self._guests: OrderedDict[Hashable, Guest] = OrderedDict()
         self._armed = False
         self._turn = 0
-        self._does: dict[int, Callable[[Guest, Packet], None]] = {
-            Op.NONE: lambda guest, asked: self._answer(guest, asked, asked.ack()),
-            Op.TERMINATE: self._terminate,
-            Op.RESET: self._reset,
-            Op.LIST: self._list,
-            Op.OPEN_RO: self._open,
-            Op.READ: self._read,
-            Op.CREATE: self._create,
-            Op.WRITE: self._write,
-            Op.REMOVE: self._remove,
-            Op.CRC32: self._checksum,
-            Op.BURST: self._burst,
+        self._does: dict[int, Callable[[Guest, FtpPacket], None]] = {
+            FtpOperation.NONE: lambda guest, asked: self._answer(guest, asked, asked.ack()),
+            FtpOperation.TERMINATE: self._terminate,
+            FtpOperation.RESET: self._reset,
+            FtpOperation.LIST: self._list,
+            FtpOperation.OPEN_RO: self._open,
+            FtpOperation.READ: self._read,
+            FtpOperation.CREATE: self._create,
+            FtpOperation.WRITE: self._write,
+            FtpOperation.REMOVE: self._remove,
+            FtpOperation.CRC32: self._checksum,
+            FtpOperation.BURST: self._burst,
         }
 
     def handle(self, received: Received) -> bool:
@@ -85,7 +92,7 @@ class FileTransfer:
             return False
         if self._us.addressed(received.message, everybody=True):
             asked = read_packet(bytes(received.message.payload))
-            if asked.op not in (Op.ACK, Op.NAK):
+            if asked.op not in (FtpOperation.ACK, FtpOperation.NAK):
                 self._take_in(self._guest(received), asked)
         return True
 
@@ -120,7 +127,7 @@ class FileTransfer:
             self._guests.move_to_end(key)
         return guest
 
-    def _take_in(self, guest: Guest, asked: Packet) -> None:
+    def _take_in(self, guest: Guest, asked: FtpPacket) -> None:
         if guest.busy:
             if len(guest.waiting) < MOST_WAITING and asked != guest.asked and asked not in guest.waiting:
                 guest.waiting.append(asked)
@@ -132,59 +139,65 @@ class FileTransfer:
         guest.asked, guest.answer = asked, None
         does = self._does.get(asked.op)
         if asked.size > MOST_DATA:
-            self._answer(guest, asked, asked.nak(Fault.DATA_SIZE))
+            self._answer(guest, asked, asked.nak(FtpError.DATA_SIZE))
         elif does is not None:
             does(guest, asked)
         else:
-            known = asked.op in (Op.CREATE_FOLDER, Op.REMOVE_FOLDER, Op.OPEN_WO, Op.TRUNCATE, Op.RENAME)
-            self._answer(guest, asked, asked.nak(Fault.PROTECTED if known else Fault.UNKNOWN))
+            known = asked.op in (
+                FtpOperation.CREATE_FOLDER,
+                FtpOperation.REMOVE_FOLDER,
+                FtpOperation.OPEN_WO,
+                FtpOperation.TRUNCATE,
+                FtpOperation.RENAME,
+            )
+            self._answer(guest, asked, asked.nak(FtpError.PROTECTED if known else FtpError.UNKNOWN))
 
-    def _list(self, guest: Guest, asked: Packet) -> None:
-        def listed(entries: list[tuple[str, int | None]]) -> Packet:
+    def _list(self, guest: Guest, asked: FtpPacket) -> None:
+        def listed(entries: list[tuple[str, int | None]]) -> FtpPacket:
             data = b""
             for name, size in entries[asked.offset :]:
                 line = (f"D{name}" if size is None else f"F{name}\t{size}").encode() + b"\0"
                 if len(data) + len(line) > MOST_DATA:
                     break
                 data += line
-            return asked.ack(data) if data else asked.nak(Fault.END)
+            return asked.ack(data) if data else asked.nak(FtpError.END)
 
         self._later(guest, asked, lambda: listed([*self.tree.entries(asked.text)]))
 
-    def _open(self, guest: Guest, asked: Packet) -> None:
-        def opened(found: object) -> Packet:
+    def _open(self, guest: Guest, asked: FtpPacket) -> None:
+        def opened(found: object) -> FtpPacket:
             if not isinstance(found, OpenFile):
                 return self._refused(asked, found)
             number = guest.open(Session(found), asked.session, self._close)
             if number is None:
                 self._close(found)
-                return asked.nak(Fault.NO_SESSIONS)
+                return asked.nak(FtpError.NO_SESSIONS)
             return asked.ack(struct.pack("<I", found.size), session=number)
 
         self._work(guest, asked, lambda: self.tree.open(asked.text), opened)
 
-    def _read(self, guest: Guest, asked: Packet) -> None:
+    def _read(self, guest: Guest, asked: FtpPacket) -> None:
         session = guest.sessions.get(asked.session)
         if session is None or session.file is None:
-            self._answer(guest, asked, asked.nak(Fault.SESSION))
+            self._answer(guest, asked, asked.nak(FtpError.SESSION))
             return
         file, most = session.file, asked.size or MOST_DATA
 
-        def read() -> Packet:
+        def read() -> FtpPacket:
             data = file.read(asked.offset, most)
-            return asked.ack(data) if data else asked.nak(Fault.END)
+            return asked.ack(data) if data else asked.nak(FtpError.END)
 
         self._later(guest, asked, read)
 
-    def _burst(self, guest: Guest, asked: Packet) -> None:
+    def _burst(self, guest: Guest, asked: FtpPacket) -> None:
         session = guest.sessions.get(asked.session)
         if session is None or session.file is None:
-            self._answer(guest, asked, asked.nak(Fault.SESSION))
+            self._answer(guest, asked, asked.nak(FtpError.SESSION))
             return
         file, most = session.file, asked.size or MOST_DATA
         count = BURST_BYTES // most * most
 
-        def ready(data: object) -> Packet | None:
+        def ready(data: object) -> FtpPacket | None:
             if not isinstance(data, bytes):
                 return self._refused(asked, data)
             guest.burst = Burst(asked, data, most, ends=asked.offset + len(data) >= file.size)
@@ -193,27 +206,27 @@ class FileTransfer:
 
         self._work(guest, asked, lambda: file.read(asked.offset, count), ready)
 
-    def _create(self, guest: Guest, asked: Packet) -> None:
+    def _create(self, guest: Guest, asked: FtpPacket) -> None:
         if not self._may_write(guest, asked):
             return
 
-        def created(found: object) -> Packet:
+        def created(found: object) -> FtpPacket:
             if isinstance(found, Exception):
                 return self._refused(asked, found)
             self._forget_abandoned()
             if self._uploads >= MOST_UPLOADING:
-                return asked.nak(Fault.NO_SESSIONS)
+                return asked.nak(FtpError.NO_SESSIONS)
             number = guest.open(Session(None, asked.text, self._clock()), asked.session, self._close)
-            return asked.nak(Fault.NO_SESSIONS) if number is None else asked.ack(session=number)
+            return asked.nak(FtpError.NO_SESSIONS) if number is None else asked.ack(session=number)
 
         self._work(guest, asked, lambda: self.tree.check_upload(asked.text), created)
 
-    def _write(self, guest: Guest, asked: Packet) -> None:
+    def _write(self, guest: Guest, asked: FtpPacket) -> None:
         session = guest.sessions.get(asked.session)
         if session is None or session.file is not None:
-            answer = asked.nak(Fault.SESSION)
+            answer = asked.nak(FtpError.SESSION)
         elif asked.offset > len(session.upload) or asked.offset + asked.size > MAX_UPLOAD:
-            answer = asked.nak(Fault.FAIL)
+            answer = asked.nak(FtpError.FAIL)
             session.failed = True
         else:
             session.used = self._clock()
@@ -221,57 +234,57 @@ class FileTransfer:
             answer = asked.ack()
         self._answer(guest, asked, answer)
 
-    def _terminate(self, guest: Guest, asked: Packet) -> None:
+    def _terminate(self, guest: Guest, asked: FtpPacket) -> None:
         session = guest.sessions.pop(asked.session, None)
         if guest.burst is not None and guest.burst.asked.session == asked.session:
             guest.burst = None
         if session is None:
-            self._answer(guest, asked, asked.nak(Fault.SESSION))
+            self._answer(guest, asked, asked.nak(FtpError.SESSION))
         elif session.file is not None:
             self._close(session.file)
             self._answer(guest, asked, asked.ack())
         elif session.failed:
-            self._answer(guest, asked, asked.nak(Fault.FAIL))
+            self._answer(guest, asked, asked.nak(FtpError.FAIL))
         elif self._may_write(guest, asked):
             path, content = session.path, bytes(session.upload)
 
-            def written() -> Packet:
+            def written() -> FtpPacket:
                 self.tree.upload(path, content)
                 return asked.ack()
 
             self._later(guest, asked, written)
 
-    def _reset(self, guest: Guest, asked: Packet) -> None:
+    def _reset(self, guest: Guest, asked: FtpPacket) -> None:
         self._dismiss(guest)
         self._answer(guest, asked, asked.ack())
 
-    def _remove(self, guest: Guest, asked: Packet) -> None:
+    def _remove(self, guest: Guest, asked: FtpPacket) -> None:
         if not self._may_write(guest, asked):
             return
 
-        def removed() -> Packet:
+        def removed() -> FtpPacket:
             self.tree.remove(asked.text)
             return asked.ack()
 
         self._later(guest, asked, removed)
 
-    def _checksum(self, guest: Guest, asked: Packet) -> None:
+    def _checksum(self, guest: Guest, asked: FtpPacket) -> None:
         self._later(guest, asked, lambda: asked.ack(struct.pack("<I", self.tree.checksum(asked.text))))
 
-    def _may_write(self, guest: Guest, asked: Packet) -> bool:
+    def _may_write(self, guest: Guest, asked: FtpPacket) -> bool:
         """Whether the client has the lease, or gets it; else it is told."""
         verdict = self._take(guest.source, "upload")
         if not verdict.accepted:
-            self._answer(guest, asked, asked.nak(Fault.PROTECTED))
+            self._answer(guest, asked, asked.nak(FtpError.PROTECTED))
             self._explain(guest.peer, verdict.text)
         return verdict.accepted
 
-    def _later(self, guest: Guest, asked: Packet, work: Callable[[], Packet]) -> None:
+    def _later(self, guest: Guest, asked: FtpPacket, work: Callable[[], FtpPacket]) -> None:
         """Answers with what `work` gives, done in the background."""
-        self._work(guest, asked, work, lambda made: made if isinstance(made, Packet) else self._refused(asked, made))
+        self._work(guest, asked, work, lambda made: made if isinstance(made, FtpPacket) else self._refused(asked, made))
 
     def _work(
-        self, guest: Guest, asked: Packet, work: Callable[[], object], answer: Callable[[object], Packet | None]
+        self, guest: Guest, asked: FtpPacket, work: Callable[[], object], answer: Callable[[object], FtpPacket | None]
     ) -> None:
         def done(result: object) -> None:
             guest.busy = False
@@ -286,19 +299,19 @@ class FileTransfer:
             guest.busy, guest.asked = False, None  # too much waits: it may ask again
             guest.waiting.clear()
 
-    def _refused(self, asked: Packet, fault: object) -> Packet:
+    def _refused(self, asked: FtpPacket, fault: object) -> FtpPacket:
         if isinstance(fault, FileFault):
-            return asked.nak(fault.code if fault.code != EXISTS else Fault.EXISTS)
+            return asked.nak(fault.code if fault.code != EXISTS else FtpError.EXISTS)
         if isinstance(fault, OSError):
-            return asked.nak(Fault.ERRNO, fault.errno or 0)
-        return asked.nak(Fault.FAIL)
+            return asked.nak(FtpError.ERRNO, fault.errno or 0)
+        return asked.nak(FtpError.FAIL)
 
-    def _answer(self, guest: Guest, asked: Packet, answer: Packet) -> None:
+    def _answer(self, guest: Guest, asked: FtpPacket, answer: FtpPacket) -> None:
         if guest.asked == asked:
             guest.answer = answer
         self._send(guest, answer)
 
-    def _send(self, guest: Guest, packet: Packet) -> None:
+    def _send(self, guest: Guest, packet: FtpPacket) -> None:
         self._link.send(packed(packet, *guest.source), guest.peer)
 
     def _send_bursts(self) -> bool:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Hashable, Iterator
 
 from twodof.fcu.asked import Source
 from twodof.fcu.services.file_tree import OpenFile
-from twodof.link.ftp import Fault, Packet
+from twodof.link.mavlink.ftp import FtpError, FtpPacket
 
 MOST_SESSIONS = 4
 """Sessions of one client; a fifth closes the one that was opened first, but no upload."""
@@ -33,13 +33,13 @@ class Session:
 class Burst:
     """The answer to a burst request: `data` in packets of `most` bytes, then, if the file `ends` there, its end."""
 
-    def __init__(self, asked: Packet, data: bytes, most: int, ends: bool) -> None:
+    def __init__(self, asked: FtpPacket, data: bytes, most: int, ends: bool) -> None:
         self.asked = asked
         self.done = False
         self._data, self._most, self._ends = data, most, ends
         self._at = self._number = 0
 
-    def next(self, count: int) -> Iterator[Packet]:
+    def next(self, count: int) -> Iterator[FtpPacket]:
         """The next packets, at most `count`."""
         for _ in range(count):
             if self.done:
@@ -47,7 +47,7 @@ class Burst:
             part = self._data[self._at : self._at + self._most]
             if not part:
                 self.done = True
-                end = self.asked.nak(Fault.END)
+                end = self.asked.nak(FtpError.END)
                 yield end._replace(
                     sequence=(self.asked.sequence + 1 + self._number) & 0xFFFF,
                     offset=self.asked.offset + self._at,
@@ -70,10 +70,10 @@ class Guest:
         self.source = source
         self.sessions: dict[int, Session] = {}
         self.burst: Burst | None = None
-        self.asked: Packet | None = None
-        self.answer: Packet | None = None
+        self.asked: FtpPacket | None = None
+        self.answer: FtpPacket | None = None
         self.busy = False
-        self.waiting: deque[Packet] = deque()
+        self.waiting: deque[FtpPacket] = deque()
 
     def open(self, session: Session, wanted: int, close: Callable[[OpenFile], None]) -> int | None:
         """Opens a session, with the number `wanted` if that is free; None if only uploads are open already."""

@@ -10,10 +10,10 @@ from twodof.fcu.commander import Commander
 from twodof.fcu.flight_code import Step
 from twodof.fcu.service import Link
 from twodof.fcu.services.addressing import Us, source
-from twodof.link.components import NO_AUTOPILOT
 from twodof.link.connection import Received
-from twodof.link.messages import message
-from twodof.link.tick import TICK_MS
+from twodof.link.control_period import TICK_MS
+from twodof.link.mavlink.components import NO_AUTOPILOT
+from twodof.link.mavlink.messages import message
 
 ASK, GIVE_UP = 1, 2
 """TWODOF_LEASE_ACTION."""

@@ -14,7 +14,7 @@ from twodof.fcu.service import Link
 from twodof.fcu.services.addressing import Us, source
 from twodof.fcu.services.wire_tick import meant
 from twodof.link.connection import Received
-from twodof.link.messages import message
+from twodof.link.mavlink.messages import message
 
 REFUSED_FLAG = 16
 """TWODOF_RIG_FLAG_REFUSED."""

@@ -20,8 +20,8 @@ from twodof.fcu.services.addressing import Us, source
 from twodof.fcu.services.background import Background
 from twodof.fcu.services.pump import Pump, shares
 from twodof.link.connection import Received
-from twodof.link.messages import message
-from twodof.link.packed import Packer
+from twodof.link.mavlink.messages import message
+from twodof.link.mavlink.packing import Packer
 
 PART = 90
 """Bytes in a LOG_DATA."""

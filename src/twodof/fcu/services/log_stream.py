@@ -22,7 +22,7 @@ from twodof.fcu.services.log_download import Take
 from twodof.fcu.services.pump import Pump
 from twodof.flightlog.ulog_pieces import MOST, Piece, Pieces
 from twodof.link.connection import Received
-from twodof.link.messages import message
+from twodof.link.mavlink.messages import message
 
 START, STOP = 2510, 2511
 ULOG = 0

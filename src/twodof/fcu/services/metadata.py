@@ -15,7 +15,7 @@ from twodof.fcu.parameter_row import Row
 from twodof.fcu.services.event_definitions import EVENTS_FILE, EVENTS_TYPE, definitions
 from twodof.fcu.services.file_tree import EXTRAS, mavlink_crc32
 from twodof.fcu.services.flight_telemetry import MASK_32
-from twodof.link.messages import message
+from twodof.link.mavlink.messages import message
 
 COMPONENT_METADATA = 397
 GENERAL, PARAMETERS = "component_general.json", "parameters.json"

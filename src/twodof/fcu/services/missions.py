@@ -12,7 +12,7 @@ from twodof.fcu.services.addressing import Us, source
 from twodof.fcu.services.commands import Commands
 from twodof.fcu.services.requests import Requests
 from twodof.link.connection import Received
-from twodof.link.messages import message
+from twodof.link.mavlink.messages import message
 
 ACCEPTED, NO_SPACE, INVALID_SEQUENCE = 0, 4, 13
 """MAV_MISSION_RESULT."""

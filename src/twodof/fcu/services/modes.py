@@ -13,7 +13,7 @@ from twodof.fcu.services.requests import Requests
 from twodof.fcu.services.telemetry import Telemetry
 from twodof.fcu.services.vehicle import Commander
 from twodof.link.connection import Received
-from twodof.link.messages import message
+from twodof.link.mavlink.messages import message
 
 DO_SET_MODE, DO_SET_STANDARD_MODE = 176, 262
 AVAILABLE_MODES, CURRENT_MODE, AVAILABLE_MODES_MONITOR = 435, 436, 437

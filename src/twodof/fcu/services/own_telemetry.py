@@ -9,8 +9,8 @@ from twodof.fcu.flight_code import Step
 from twodof.fcu.services.flight_telemetry import MASK_32, Encoder
 from twodof.fcu.services.vehicle import Commander, Controller
 from twodof.flight.causes import CAUSES
-from twodof.link.packed import Packed, Packer
-from twodof.link.tick import TICK_MS, TICK_US
+from twodof.link.control_period import TICK_MS, TICK_US
+from twodof.link.mavlink.packing import Packed, Packer
 
 RINGS, SAFETY_OFF, VIRTUAL, LOCKSTEP = 1, 2, 4, 8
 """TWODOF_RIG_FLAG."""

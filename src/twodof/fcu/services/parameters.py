@@ -25,8 +25,8 @@ from twodof.fcu.services.commands import Commands
 from twodof.fcu.services.vehicle import Commander, Controller
 from twodof.fcu.store import HASH_NAME, Store
 from twodof.link.connection import Received
-from twodof.link.messages import message
-from twodof.link.packed import Packed, Packer
+from twodof.link.mavlink.messages import message
+from twodof.link.mavlink.packing import Packed, Packer
 
 UINT32, INT32, REAL32 = 5, 6, 9
 """MAV_PARAM_TYPE."""

@@ -26,7 +26,7 @@ from twodof.fcu.services.transactions import Transactions
 from twodof.fcu.services.vehicle import Commander, Controller
 from twodof.fcu.services.version import Versions
 from twodof.fcu.store import Store
-from twodof.link.rates import ONBOARD
+from twodof.link.mavlink.rates import ONBOARD
 
 
 class PX4:

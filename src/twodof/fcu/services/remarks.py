@@ -8,7 +8,7 @@ from twodof.fcu.flight_code import Step
 from twodof.fcu.service import Link
 from twodof.fcu.services.event_table import marked
 from twodof.link.connection import Received
-from twodof.link.messages import statustext
+from twodof.link.mavlink.messages import statustext
 
 
 class Remarks:

@@ -8,8 +8,8 @@ from math import isfinite, nan
 from twodof.fcu.flight_code import Step
 from twodof.fcu.hardware import Sample
 from twodof.fcu.services.flight_telemetry import MASK_32
-from twodof.link.packed import Packed, Packer
-from twodof.link.tick import TICK_MS, TICK_US
+from twodof.link.control_period import TICK_MS, TICK_US
+from twodof.link.mavlink.packing import Packed, Packer
 
 HIGHRES_IMU, DISTANCE_SENSOR, TOF = 105, 132, 54204
 IMU_FIELDS = 0x3F

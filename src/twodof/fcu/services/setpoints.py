@@ -13,7 +13,7 @@ from twodof.fcu.services.addressing import Us, source
 from twodof.fcu.services.wire_tick import acts_at, acts_at_ms
 from twodof.fcu.setpoints import ATTITUDE, POSITION, RATE, VELOCITY, SetPoint
 from twodof.link.connection import Received
-from twodof.link.setpoints import Target, read_attitude, read_position
+from twodof.link.mavlink.setpoints import SetpointTarget, read_attitude, read_position
 
 TOLD_TICKS = 250
 """A refusal is told in words once a second at most to each source; all are counted."""
@@ -83,7 +83,7 @@ class SetPoints:
     def _position(self, got: Any, sender: Source) -> Verdict:
         return self._target(read_position(got), got, sender)
 
-    def _target(self, target: Target | None, got: Any, sender: Source) -> Verdict:
+    def _target(self, target: SetpointTarget | None, got: Any, sender: Source) -> Verdict:
         if target is None:
             self._commander.refused["nothing"] += 1
             return _NOTHING

@@ -20,10 +20,10 @@ from twodof.fcu.services.clients import Clients
 from twodof.fcu.services.commands import Command, Commands
 from twodof.fcu.services.telemetry import HEARTBEAT, Telemetry
 from twodof.link.connection import Received
-from twodof.link.dialect import FIRST_OWN_ID
-from twodof.link.messages import message
-from twodof.link.rates import ONBOARD
-from twodof.link.tick import TICK_NS
+from twodof.link.control_period import TICK_NS
+from twodof.link.mavlink.dialect import FIRST_OWN_ID
+from twodof.link.mavlink.messages import message
+from twodof.link.mavlink.rates import ONBOARD
 
 GET_INTERVAL, SET_INTERVAL = 510, 511
 STOPPED, WITH_NEWS = -1, 0
@@ -64,9 +64,9 @@ class Elsewhere(Protocol):
 class Streams:
     """All streams of all clients, and the commands 510 and 511 that read and change a client's own.
 
-    `profile` gives the rates of a client that says nothing (`link.rates.PROFILES`); twodof's own messages go to those
-    only that know them. A sensor's message is left out where
-    the sensor has given nothing since the last one. Messages in `changes` come at each change, too.
+    `profile` gives the rates of a client that says nothing (`link.mavlink.rates.PROFILES`); twodof's own messages
+    go to those only that know them. A sensor's message is left out where the sensor has given nothing since the last
+    one. Messages in `changes` come at each change, too.
     """
 
     def __init__(

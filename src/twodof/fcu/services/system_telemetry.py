@@ -10,8 +10,8 @@ from twodof.fcu.flight_code import Step
 from twodof.fcu.services.flight_telemetry import MASK_32, Encoder, flying
 from twodof.fcu.services.vehicle import Commander, Controller
 from twodof.flight.causes import BIT
-from twodof.link.packed import Packed, Packer
-from twodof.link.tick import TICK_MS, TICK_US
+from twodof.link.control_period import TICK_MS, TICK_US
+from twodof.link.mavlink.packing import Packed, Packer
 
 QUADROTOR, PX4, VERSION = 2, 12, 3
 """HEARTBEAT: MAV_TYPE_QUADROTOR, MAV_AUTOPILOT_PX4 and MAVLink's version."""

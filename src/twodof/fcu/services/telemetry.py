@@ -11,7 +11,7 @@ from twodof.fcu.services.flight_telemetry import Encoder
 from twodof.fcu.services.own_telemetry import Flown
 from twodof.fcu.services.sensor_telemetry import Sensors
 from twodof.fcu.services.vehicle import Commander, Controller
-from twodof.link.tick import TICK_US
+from twodof.link.control_period import TICK_US
 
 HEARTBEAT = 0
 OPENLOOP, TRUTH, RIG, LEASE, SAFETY, TIMING = 54200, 54205, 54206, 54209, 54210, 54211

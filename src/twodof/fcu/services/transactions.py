@@ -15,7 +15,7 @@ from twodof.fcu.services.parameters import NO_ERROR, PERMISSION_DENIED, READ_FAI
 from twodof.fcu.services.vehicle import Commander
 from twodof.fcu.store import HASH_NAME, Store
 from twodof.link.connection import Received
-from twodof.link.packed import Packer
+from twodof.link.mavlink.packing import Packer
 
 BEGIN, COMMIT, ROLL_BACK, UNDO = range(4)
 """TWODOF_TRANSACTION."""

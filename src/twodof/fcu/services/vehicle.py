@@ -8,7 +8,7 @@ from typing import Protocol
 from twodof.fcu.asked import Source, Verdict
 from twodof.fcu.hardware import Hardware
 from twodof.fcu.timing import Timing
-from twodof.link.modes import Mode
+from twodof.link.mavlink.modes import FlightMode
 
 
 class Lease(Protocol):
@@ -87,7 +87,7 @@ class Commander(Protocol):
         """MAV_STATE, for HEARTBEAT."""
 
     @property
-    def modes(self) -> Sequence[Mode]:
+    def modes(self) -> Sequence[FlightMode]:
         """All that `set_mode` knows."""
 
     @property

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import twodof
 from twodof.fcu.services.requests import Requests
-from twodof.link.messages import message
+from twodof.link.mavlink.messages import message
 
 # MAV_PROTOCOL_CAPABILITY: only what there is.
 PARAM_ENCODE_BYTEWISE, COMMAND_INT, FTP, ATTITUDE_TARGET, POSITION_TARGET, TERMINATION, MAVLINK2 = (

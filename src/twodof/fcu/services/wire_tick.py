@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from twodof.link.tick import TICK_MS
+from twodof.link.control_period import TICK_MS
 
 RUN_OVER = 2**32
 RUN_OVER_MS = RUN_OVER // TICK_MS

@@ -1,0 +1,1 @@
+"""What a drone is told: set-points, excitations, parameters, controllers."""

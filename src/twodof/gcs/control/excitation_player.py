@@ -1,0 +1,177 @@
+"""An excitation played on board: sent in pieces, started at a tick, watched to its end."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import count
+from math import ceil, nan
+from typing import Any
+
+from twodof.errors import ExperimentError, Rejected, listed, shown
+from twodof.excitation import Excitation
+from twodof.gcs.mavlink.clock import DroneClock
+from twodof.gcs.mavlink.deadline import Deadline
+from twodof.gcs.mavlink.session import RETRY_S, DroneSession
+from twodof.link.control_period import TICK_S
+from twodof.link.mavlink.messages import excite, message
+
+LOOPS = ("M", "q", "theta", "v", "x")
+"""By TWODOF_LOOP: what is excited; the loops below it are closed."""
+UNITS = ("-", "rad/s", "rad", "m/s", "m")
+_READY, _PLAYING, _DONE, _STOPPED, _REFUSED = 2, 3, 4, 5, 6
+_START, _STOP = 1, 2
+_OVER = ("done", "stopped")
+# Status comes at each change and at 1 Hz; in real time it is believed to be over so long after its end.
+_LATE_TICKS = 500
+
+
+@dataclass
+class ExcitationPlayback:
+    """An excitation on board: from `start_tick` to `end_tick` (the first after it); `state` and why it stopped."""
+
+    transfer: int
+    start_tick: int
+    end_tick: int
+    state: str = "waiting"
+    reason: str = ""
+
+    @property
+    def done(self) -> bool:
+        """Whether it was played to its end."""
+        return self.state == "done"
+
+
+class ExcitationPlayer:
+    """Plays excitations on one drone."""
+
+    def __init__(self, session: DroneSession, clock: DroneClock) -> None:
+        self._session, self._clock = session, clock
+        self._transfers = count(1)
+        self._playback: ExcitationPlayback | None = None
+        session.on(self._told, "TWODOF_EXCITE_STATUS")
+
+    async def start(
+        self, excitation: Excitation, loop: str | None, thrust: float | None, at: int | None, timeout: float
+    ) -> ExcitationPlayback:
+        """Send it and have it start at tick `at`, None: at once. Raises Rejected with the reason, LinkLost, Timeout."""
+        number = loop_number(excitation, loop)
+        transfer = next(self._transfers) & 0xFFFF
+        deadline = Deadline(timeout, "sending an excitation", f"drone {self._session.system}")
+        while not await self._send(excitation, number, transfer, deadline):
+            transfer = next(self._transfers) & 0xFFFF
+        start = message(
+            "TWODOF_EXCITE",
+            action=_START,
+            transfer=transfer,
+            loop=number,
+            tick=(at or 0) & 0xFFFFFFFF,
+            thrust=nan if thrust is None else float(thrust),
+            **self._place(),
+        )
+        # It may be over before who asked runs on: what is told meanwhile is kept too.
+        before, told = self._playback, ExcitationPlayback(transfer, 0, 0)
+        self._playback = told
+        try:
+            playback = await self._session.ask(
+                lambda _: start, ("TWODOF_EXCITE_STATUS",), lambda got: _begun(got, transfer, at, self._clock), deadline
+            )
+        except BaseException:
+            self._playback = before
+            raise
+        if told.state != "waiting":
+            playback.state, playback.reason = told.state, told.reason
+        # The drone may not make us wait for longer than it plays.
+        longest = ceil(excitation.duration / TICK_S) + 1
+        playback.end_tick = min(playback.end_tick, max(playback.start_tick, self._clock.tick) + longest)
+        self._playback = playback
+        return playback
+
+    async def finish(self, playback: ExcitationPlayback) -> ExcitationPlayback:
+        """Let the drone's time pass until it is over, whether it was played to its end or stopped. Raises LinkLost."""
+        await self._clock.run_until(playback.end_tick + 1, lambda: playback.state in _OVER)
+        await self._clock.run_until(playback.end_tick + _LATE_TICKS, lambda: playback.state in _OVER)
+        return playback
+
+    async def stop(self, timeout: float) -> None:
+        """Stop what plays or waits, and see that it is over; its base is held. Raises Rejected, LinkLost, Timeout.
+
+        Said again until it is seen; what nobody here has started is told to stop once.
+        """
+        session, playback = self._session, self._playback
+        deadline = Deadline(timeout, "stopping the excitation", f"drone {session.system}")
+        asked = message("TWODOF_EXCITE", action=_STOP, **self._place())
+        if playback is None:
+            session.send(asked)
+            return
+        with session.listen("TWODOF_EXCITE_STATUS") as heard:
+            while playback.state not in _OVER:
+                session.send(asked)
+                if self._clock.granting:
+                    await self._clock.run_until(self._clock.tick + 1, within=deadline)
+                until = min(deadline.end, session.now + RETRY_S)
+                while playback.state not in _OVER and (got := await heard.next(until)) is not None:
+                    if got.state == _REFUSED and got.transfer != playback.transfer:
+                        raise _refusal(got, deadline.where)
+                    deadline.check()
+                if playback.state not in _OVER:
+                    deadline.check()
+
+    async def _send(self, excitation: Excitation, loop: int, transfer: int, deadline: Deadline) -> bool:
+        """Have the definition on board; False where another session has played it under this number."""
+        session = self._session
+        with session.listen("TWODOF_EXCITE_STATUS") as heard:
+            while True:
+                for piece in excite(excitation, loop, transfer, session.system, session.component):
+                    session.send(piece)
+                until = min(deadline.end, session.now + RETRY_S)
+                while (got := await heard.next(until)) is not None:
+                    if got.transfer == transfer and got.state == _REFUSED:
+                        raise _refusal(got, deadline.where)
+                    if got.transfer == transfer and got.state in (_READY, _DONE, _STOPPED):
+                        return bool(got.state == _READY)
+                    deadline.check()
+                deadline.check()
+
+    def _told(self, got: Any) -> None:
+        playback = self._playback
+        if playback is not None and got.transfer == playback.transfer:
+            if got.state == _PLAYING:
+                playback.state = "playing"
+            elif got.state in (_DONE, _STOPPED, _REFUSED):
+                playback.state = "done" if got.state == _DONE else "stopped"
+                playback.reason = str(got.reason)
+
+    def _place(self) -> dict[str, int]:
+        return {"target_system": self._session.system, "target_component": self._session.component}
+
+
+def loop_number(excitation: Excitation, loop: str | None) -> int:
+    """TWODOF_LOOP of "M", "q", "theta", "v" or "x"; None: that of the excitation's unit. Raises ExperimentError."""
+    if loop is None:
+        return UNITS.index(excitation.unit)
+    if loop not in LOOPS:
+        raise ExperimentError(f"no loop {shown(loop)}", "excite", f"there are {listed(LOOPS)}")
+    unit = UNITS[LOOPS.index(loop)]
+    if excitation.unit != unit:
+        raise ExperimentError(
+            f"the excitation is in {excitation.unit}, the loop {loop} in {unit}", "excite", f'give unit="{unit}"'
+        )
+    return LOOPS.index(loop)
+
+
+def _begun(got: Any, transfer: int, at: int | None, clock: DroneClock) -> ExcitationPlayback | None:
+    if got.transfer != transfer:
+        return None
+    if got.state == _REFUSED:
+        raise _refusal(got, "")
+    starts = got.state in (_PLAYING, _DONE, _STOPPED)
+    waits = got.state == _READY and got.end_tick > got.start_tick and at in (None, 0, clock.meant(got.start_tick))
+    if not (starts or waits):
+        return None
+    states = {_PLAYING: "playing", _DONE: "done", _STOPPED: "stopped"}
+    start, end = clock.meant(got.start_tick), clock.meant(got.end_tick)
+    return ExcitationPlayback(transfer, start, end, states.get(got.state, "waiting"), str(got.reason))
+
+
+def _refusal(got: Any, where: str) -> Rejected:
+    return Rejected(str(got.reason) or "the drone does not play it", where or "excitation", "put right what it says")

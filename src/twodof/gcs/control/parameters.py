@@ -1,0 +1,388 @@
+"""The drone's parameters from the ground: read, listed, set one or several at once, undone."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Mapping, Sequence
+from contextlib import asynccontextmanager
+from difflib import get_close_matches
+from itertools import count
+from typing import Any
+
+import numpy as np
+
+from twodof.errors import ParameterError, Rejected, Timeout, listed, shown
+from twodof.gcs.control.parameter_entry import (
+    BY_NAME,
+    INT32,
+    MOST,
+    ParameterDescription,
+    ParameterEntry,
+    checked,
+    entry_of,
+    read_description,
+)
+from twodof.gcs.mavlink.deadline import Deadline
+from twodof.gcs.mavlink.files import AsyncFiles
+from twodof.gcs.mavlink.session import DroneSession
+from twodof.gcs.telemetry.status_texts import StatusTexts
+from twodof.link.mavlink.messages import float_of_int, message
+
+HASH = "_HASH_CHECK"
+SILENCE_S = 1.0
+"""Another's PX4 says nothing of a name that it has not: after so long [s] it is asked for all that it has."""
+DESCRIPTION = "/etc/extras/parameters.json"
+BEGIN, COMMIT, ROLL_BACK, UNDO = range(4)
+_ERRORS = (
+    "",
+    "there is no such parameter",
+    "the value is out of range",
+    "it may not be changed now",
+    "no such component",
+    "it is read-only",
+    "its type is not supported",
+    "the value has the wrong type",
+    "it could not be read",
+)
+_INCOMPLETE = 8  # MAV_PARAM_ERROR_READ_FAIL: some were lost on the way
+
+
+class AsyncParameters:
+    """Parameters of one drone by its own names or the package's; `known` is what it has told so far.
+
+    Those of a user's controller that flies there have the paths in its diagram as names too, `attitude_control.k_q`.
+    What is known is forgotten when the drone says that its list is another: other controllers fly.
+    """
+
+    def __init__(
+        self,
+        session: DroneSession,
+        files: AsyncFiles | None = None,
+        texts: StatusTexts | None = None,
+        timeout: float = 5.0,
+    ) -> None:
+        self._session = session
+        self._files = files
+        self._texts = texts
+        self._spoken = 0  # lines that it had said when a change was begun
+        self._timeout = timeout
+        self.known: dict[str, ParameterEntry] = {}
+        self._described: dict[str, ParameterDescription] = {}
+        self._paths: dict[str, str] = {}
+        self._asked_for_list = False
+        self._whole = False  # whether `known` is all that it has
+        self._total = 0
+        self._flown: int | None = None
+        self.transactions = False  # whether several can be set at once: the drone is one of ours
+        self._numbers = count(1)
+        self._changing = asyncio.Lock()
+        session.on(self._told, "PARAM_VALUE")
+        session.on(self._flies, "TWODOF_RIG")
+
+    @property
+    def system(self) -> int:
+        """The drone's system id."""
+        return self._session.system
+
+    async def read(self, name: str, timeout: float | None = None) -> float:
+        """The value of one, as the drone says now. Raises ParameterError for one that it has not, LinkLost, Timeout."""
+        deadline = self._deadline(timeout, f"reading {shown(name)}")
+        return (await self._ask(await self._on_board(name, deadline), deadline)).value
+
+    async def set(self, name: str, value: float, timeout: float | None = None) -> None:
+        """Set one and see that it is set. Raises as `update`."""
+        await self.update({name: value}, timeout)
+
+    async def update(self, changes: Mapping[str, float], timeout: float | None = None) -> None:
+        """Set several, all or none. Raises ParameterError for a value that cannot be, Rejected, LinkLost, Timeout.
+
+        A drone of ours takes them in one transaction, at one tick; with another's, those that were set are set back
+        when a later one is refused. Of several calls at once one is done after the other.
+        """
+        if not changes:
+            return
+        deadline = self._deadline(timeout, f"setting {listed(changes, 3)}")
+        async with self._alone(deadline):
+            await self._update(changes, deadline)
+
+    async def _update(self, changes: Mapping[str, float], deadline: Deadline) -> None:
+        names = [await self._on_board(name, deadline) for name in changes]
+        # What is set back where a later one is refused is what the drone has now.
+        known = {} if len(names) > 1 and not self.transactions else self.known
+        entries = [known.get(name) or await self._ask(name, deadline) for name in names]
+        if len({entry.name for entry in entries}) < len(entries):
+            raise ParameterError("a parameter is given twice", listed(changes), "nothing was changed")
+        wanted = [
+            (entry, checked(self._with_row(entry), value))
+            for entry, value in zip(entries, changes.values(), strict=True)
+        ]
+        if self.transactions and len(wanted) > 1:
+            await self._together(wanted, deadline)
+            for entry, _ in wanted:
+                await self._ask(entry.name, deadline)
+        else:
+            await self._one_by_one(wanted, deadline)
+
+    async def undo(self, timeout: float | None = None) -> None:
+        """Back to what was before the last change. Raises Rejected, LinkLost, Timeout."""
+        deadline = self._deadline(timeout, "undoing the last change of parameters")
+        if not self.transactions:
+            raise Rejected("it keeps no changes to undo: it is not one of ours", deadline.where, "set them back")
+        async with self._alone(deadline):
+            await self._transaction(UNDO, next(self._numbers) & 0xFFFF, deadline)
+
+    async def all(self, timeout: float = 30.0) -> dict[str, ParameterEntry]:
+        """Every parameter, by the drone's names. Raises LinkLost, Timeout."""
+        found = await self._list(self._deadline(timeout, "listing the parameters"))
+        return {name: entry._replace(described=self._described.get(name)) for name, entry in found.items()}
+
+    async def describe(self, timeout: float = 30.0) -> dict[str, ParameterDescription]:
+        """Bounds, unit and text of every parameter, by the drone's names, as the drone itself describes them.
+
+        Raises Rejected for a drone that is not one of ours or describes nothing, LinkLost, Timeout.
+        """
+        await self._describe(self._deadline(timeout, "asking for the description of the parameters"))
+        return dict(self._described)
+
+    def forget(self) -> None:
+        """Asks the drone again from now on: what it told is of before."""
+        self.known.clear()
+        self._described.clear()
+        self._paths.clear()
+        self._whole = False
+
+    async def _list(self, deadline: Deadline) -> dict[str, ParameterEntry]:
+        self._asked_for_list = True
+        try:
+            found = await self._ask_for_all(deadline)
+        finally:
+            self._asked_for_list = False
+        if self._described.keys() - found.keys():
+            self.forget()
+        self.known |= found
+        self._whole = True
+        return found
+
+    async def _ask_for_all(self, deadline: Deadline) -> dict[str, ParameterEntry]:
+        place = self._place()
+        found: dict[int, ParameterEntry] = {}
+        total = MOST
+        with self._session.listen("PARAM_VALUE") as heard:
+            self._session.send(message("PARAM_REQUEST_LIST", **place))
+            while len(found) < total:
+                got = await heard.next(min(deadline.end, self._session.now + 0.5))
+                if got is None:
+                    deadline.check()
+                    if not found:
+                        self._session.send(message("PARAM_REQUEST_LIST", **place))
+                    for index in [index for index in range(min(total, MOST)) if index not in found][:50]:
+                        if found:
+                            self._session.send(message("PARAM_REQUEST_READ", param_index=index, **place))
+                elif got.param_id == HASH:
+                    found.clear()  # the list begins, or begins anew as it is another
+                elif got.param_index < got.param_count <= MOST:
+                    if got.param_count != total:
+                        found.clear()
+                    total = got.param_count
+                    found[got.param_index] = entry_of(got)
+                deadline.check()
+        return {found[index].name: found[index] for index in sorted(found)}
+
+    async def _describe(self, deadline: Deadline) -> None:
+        if self._files is None or not self.transactions:
+            raise Rejected("it describes no parameters to us: it is not one of ours", deadline.where, "list them")
+        content = await self._files.read(DESCRIPTION, deadline.left)
+        try:
+            rows = read_description(content)
+        except (ValueError, LookupError, TypeError, RecursionError, ParameterError) as damage:
+            raise Rejected(
+                f"its description of its parameters is none: {damage}", deadline.where, "list them"
+            ) from damage
+        self._described = {row.name: row for row in rows}
+        self._paths = {row.path: row.name for row in rows if row.path}
+
+    def name_on_board(self, name: str) -> str:
+        """What the drone calls it: as given where it told so, else the package's name or the real drone's."""
+        name = self._paths.get(name, name)
+        row = BY_NAME.get(name)
+        if name in self.known or row is None:
+            return name
+        other = row.drone if name == row.name else row.name
+        return other if other in self.known else name
+
+    async def _one_by_one(self, wanted: list[tuple[ParameterEntry, float]], deadline: Deadline) -> None:
+        done: list[tuple[ParameterEntry, float]] = []
+        for entry, value in wanted:
+            try:
+                await self._set(entry, value, deadline)
+            except Rejected:
+                for before, _ in reversed(done):
+                    await self._set(before, before.value, deadline)
+                raise
+            done.append((entry, value))
+
+    async def _set(self, entry: ParameterEntry, value: float, deadline: Deadline) -> None:
+        def accept(got: Any) -> bool | None:
+            if got.get_type() == "PARAM_ERROR":
+                self._refused(got, entry.name)
+                return None
+            if got.param_id != entry.name:
+                return None
+            if np.float32(entry_of(got).value) != np.float32(value):
+                raise Rejected(
+                    f"{entry.name} is {entry_of(got).value:g} and not {value:g}", f"drone {self._session.system}"
+                )
+            return True
+
+        await self._session.ask(
+            lambda _: self._set_message(entry, value), ("PARAM_VALUE", "PARAM_ERROR"), accept, deadline
+        )
+
+    async def _together(self, wanted: list[tuple[ParameterEntry, float]], deadline: Deadline) -> None:
+        """All at once. What is overtaken on the way is said again; the same number is done once only."""
+        while True:
+            number = next(self._numbers) & 0xFFFF
+            # Not before it has begun: a PARAM_SET that comes too early acts alone.
+            await self._transaction(BEGIN, number, deadline)
+            if await self._transaction(COMMIT, number, deadline, wanted):
+                return
+
+    async def _transaction(
+        self, action: int, number: int, deadline: Deadline, wanted: Sequence[tuple[ParameterEntry, float]] = ()
+    ) -> bool:
+        """Whether it was done; not, where some of `wanted` did not come. Raises Rejected, LinkLost, Timeout."""
+
+        def question(_: int) -> Any:
+            for entry, value in wanted:
+                self._session.send(self._set_message(entry, value))
+            place = self._place()
+            return message("TWODOF_PARAM_TRANSACTION", transaction=number, count=len(wanted), action=action, **place)
+
+        def accept(got: Any) -> bool | None:
+            if got.transaction != number or got.action != action:
+                return None
+            if got.result and not (wanted and got.result == _INCOMPLETE):
+                raise Rejected(
+                    self._why(got.param_id or "the change", got.result),
+                    f"drone {self._session.system}, {deadline.doing}",
+                    "nothing was changed",
+                )
+            return not got.result
+
+        return await self._session.ask(question, ("TWODOF_PARAM_TRANSACTION",), accept, deadline)
+
+    @asynccontextmanager
+    async def _alone(self, deadline: Deadline) -> AsyncIterator[None]:
+        """Nobody else changes anything meanwhile: what is set during a transaction would be a part of it."""
+        try:
+            await asyncio.wait_for(self._changing.acquire(), deadline.left)
+        except TimeoutError:
+            raise deadline.error("another call on this drone changes parameters: wait for it") from None
+        self._spoken = self._texts.count if self._texts is not None else 0
+        try:
+            yield
+        finally:
+            self._changing.release()
+
+    async def _on_board(self, name: str, deadline: Deadline) -> str:
+        """What the drone calls it, of which a path in a diagram is asked for. Raises ParameterError for none."""
+        if not isinstance(name, str):
+            raise ParameterError(f"{shown(name)} is no name", "parameters")
+        if "." in name and self.transactions and name not in self._paths:
+            await self._describe(deadline)
+            if name not in self._paths:
+                raise self._unknown(name)
+        return self.name_on_board(name)
+
+    async def _ask(self, name: str, deadline: Deadline) -> ParameterEntry:
+        """Asks for one; a drone that is silent about a name is asked for all names that it has."""
+        if self.transactions:
+            return await self._ask_for(name, deadline)
+        try:
+            # Even if all is listed: PX4 lists what is in use, and knows others by their names.
+            return await self._ask_for(name, self._deadline(min(SILENCE_S, deadline.left), deadline.doing))
+        except Timeout:
+            pass
+        try:
+            if not self._whole:
+                await self._list(deadline)
+        except Timeout:
+            raise deadline.error(
+                "another's PX4 is silent about a name it has not: parameters.all() lists its"
+            ) from None
+        found = self.known.get(self.name_on_board(name))  # by now it is known which of its names it goes by there
+        if found is None:
+            raise self._unknown(name)
+        return found
+
+    async def _ask_for(self, name: str, deadline: Deadline) -> ParameterEntry:
+        if not isinstance(name, str) or not name.isascii() or not 1 <= len(name) <= 16:
+            raise ParameterError(
+                f"{shown(name)} is no name of 1 to 16 ASCII characters",
+                "parameters",
+                "paths in a diagram are names on a drone of ours only" if "." in name else "parameters.all() lists all",
+            )
+
+        def accept(got: Any) -> ParameterEntry | None:
+            if got.get_type() == "PARAM_ERROR":
+                self._refused(got, name)
+                return None
+            return entry_of(got) if got.param_id == name else None
+
+        return await self._session.ask(
+            lambda _: message("PARAM_REQUEST_READ", param_id=name, param_index=-1, **self._place()),
+            ("PARAM_VALUE", "PARAM_ERROR"),
+            accept,
+            deadline,
+        )
+
+    def _refused(self, got: Any, name: str) -> None:
+        if got.param_id != name or not got.error:
+            return
+        if got.error == 1:
+            raise self._unknown(name)
+        raise Rejected(self._why(name, got.error), f"drone {self._session.system}", "nothing was changed")
+
+    def _why(self, name: str, error: int) -> str:
+        """Why a change is refused: what the drone said last of it, or what its number says."""
+        said = self._texts.since(self._spoken) if self._texts is not None else []
+        return f"{name}: {said[-1].text if said else _error(error)}"
+
+    def _unknown(self, name: str) -> ParameterError:
+        """That the drone has not `name`, with the nearest names that it has."""
+        ours = [one for one in BY_NAME if not self._whole or self.name_on_board(one) in self.known]
+        names = {known.casefold(): known for known in (*ours, *self.known, *self._paths)}
+        near = [names[one] for one in get_close_matches(name.casefold(), names, 3, 0.5)]
+        remedy = f"the nearest: {', '.join(near)}" if near else "parameters.all() lists them"
+        return ParameterError("the drone has no such parameter", name, remedy)
+
+    def _with_row(self, entry: ParameterEntry) -> ParameterEntry:
+        return entry._replace(described=self._described.get(entry.name))
+
+    def _flies(self, got: Any) -> None:
+        if self._flown not in (None, got.diagram):
+            self.forget()
+        self._flown = got.diagram
+
+    def _told(self, got: Any) -> None:
+        expected = got.param_id == HASH and self._asked_for_list  # it stands before every list
+        if (got.param_id == HASH and not expected) or self._total not in (0, got.param_count):
+            self.forget()
+        self._asked_for_list &= not expected
+        self._total = got.param_count
+        if got.param_id != HASH and (got.param_id in self.known or len(self.known) < MOST):
+            self.known[got.param_id] = entry_of(got)
+
+    def _set_message(self, entry: ParameterEntry, value: float) -> Any:
+        carried = float_of_int(int(value)) if entry.kind == INT32 else float(value)
+        return message("PARAM_SET", param_id=entry.name, param_value=carried, param_type=entry.kind, **self._place())
+
+    def _place(self) -> dict[str, int]:
+        return {"target_system": self._session.system, "target_component": self._session.component}
+
+    def _deadline(self, timeout: float | None, doing: str) -> Deadline:
+        return Deadline(self._timeout if timeout is None else timeout, doing, f"drone {self._session.system}")
+
+
+def _error(number: int) -> str:
+    return _ERRORS[number] if number < len(_ERRORS) else f"error {number}"

@@ -1,0 +1,178 @@
+"""Set-points: what each verb sends, and the stream that keeps the latest one alive until another takes its place.
+
+50 times a second, as the real ground station; in lockstep at every fifth tick of the drone, each stamped with its tick.
+The stream ends with its process: then the drone's failsafe acts, which is what it is for.
+"""
+
+import asyncio
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from math import degrees, isfinite, nan, pi
+from typing import Any
+
+from twodof.errors import LinkLost, ParameterError, shown
+from twodof.gcs.mavlink.clock import SETPOINT_TICKS, DroneClock
+from twodof.gcs.mavlink.session import DroneSession
+from twodof.link.control_period import TICK_MS
+from twodof.link.mavlink.messages import message
+from twodof.link.mavlink.setpoints import attitude_target, position_target, rate_target, velocity_target
+
+PERIOD_S = 0.02
+_MASK = 0xFFFFFFFF  # ticks and milliseconds begin anew where a uint32 does
+MOST_PITCH, MOST_RATE = pi / 2, 60.0
+"""[rad], [rad/s]: beyond them degrees were meant; 60 rad/s is more than the gyro measures."""
+MOST_WAY, MOST_SPEED = 1.0, 5.0
+"""[m], [m/s]: beyond them millimetres were meant; the rail is shorter."""
+
+
+@dataclass(frozen=True)
+class Setpoint:
+    """What is to be followed, in one of the vehicle's `modes`, best the first: `make(tick, place)` is its message."""
+
+    modes: tuple[str, ...]
+    make: Callable[[int, dict[str, int]], Any]
+    moves_cart: bool = False
+
+
+def moment(M: float, thrust: float | None) -> Setpoint:
+    """Normalised pitch moment without a loop; thrust None leaves the thrust as it is."""
+    fields = {
+        "M": _number("M", M),
+        "T": _thrust(thrust),
+        "openloop": 1,
+        "enableM": 1,
+        "enableT": int(thrust is not None),
+    }
+    return Setpoint(
+        ("manual", "offboard"), lambda tick, place: message("TWODOF_OPENLOOP", tick=tick & _MASK, **place, **fields)
+    )
+
+
+def pitch(theta: float, thrust: float) -> Setpoint:
+    """Pitch [rad]; thrust 0 to 1."""
+    return _attitude(attitude_target, _angle("theta", theta, MOST_PITCH, "rad", "deg"), thrust)
+
+
+def pitch_rate(q: float, thrust: float) -> Setpoint:
+    """Pitch rate [rad/s]; thrust 0 to 1."""
+    return _attitude(rate_target, _angle("q", q, MOST_RATE, "rad/s", "deg/s"), thrust)
+
+
+def velocity(v: float, acceleration: float | None) -> Setpoint:
+    """Velocity along the rail [m/s], with an acceleration [m/s^2] fed forward if it is given."""
+    return _along_rail(velocity_target, _length("v", v, MOST_SPEED, "m/s"), acceleration)
+
+
+def position(x: float, acceleration: float | None) -> Setpoint:
+    """Position along the rail [m], with an acceleration [m/s^2] fed forward if it is given."""
+    return _along_rail(position_target, _length("x", x, MOST_WAY, "m"), acceleration)
+
+
+def _attitude(make: Callable[..., Any], value: float, thrust: float) -> Setpoint:
+    power = _thrust(thrust)
+    return Setpoint(("offboard",), lambda tick, place: make(value, power, time_boot_ms=tick * TICK_MS & _MASK, **place))
+
+
+def _along_rail(make: Callable[..., Any], value: float, acceleration: float | None) -> Setpoint:
+    forward = nan if acceleration is None else _number("acceleration", acceleration)
+    return Setpoint(
+        ("offboard",), lambda tick, place: make(value, forward, time_boot_ms=tick * TICK_MS & _MASK, **place), True
+    )
+
+
+def _thrust(thrust: float | None) -> float:
+    value = _number("thrust", 0.0 if thrust is None else thrust)
+    if not 0.0 <= value <= 1.0:
+        raise ParameterError(f"thrust {value:g} is outside 0 to 1", "set-point", "nothing was sent")
+    return value
+
+
+def _angle(name: str, value: float, most: float, unit: str, degrees_unit: str) -> float:
+    found = _number(name, value)
+    if abs(found) > most:
+        raise ParameterError(
+            f"angles are in radians: {name} = {found:g} {unit} is {degrees(found):.0f} {degrees_unit}, "
+            f"beyond {degrees(most):.0f}",
+            "set-point",
+            f"write radians({found:g}) if that was meant; nothing was sent",
+        )
+    return found
+
+
+def _length(name: str, value: float, most: float, unit: str) -> float:
+    found = _number(name, value)
+    if abs(found) > most:
+        raise ParameterError(
+            f"{name} = {found:g} {unit} is beyond {most:g} {unit}", "set-point", f"it is in {unit}; nothing was sent"
+        )
+    return found
+
+
+def _number(name: str, value: float) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
+        raise ParameterError(f"{name} = {shown(value)} is no finite number", "set-point", "nothing was sent")
+    return float(value)
+
+
+class SetpointStream:
+    """The stream of the latest set-point, one for each drone."""
+
+    def __init__(self, session: DroneSession, clock: DroneClock) -> None:
+        self._session, self._clock = session, clock
+        self.current: Setpoint | None = None
+        self.sent = 0
+        self._next_tick = 0
+        self._streaming: asyncio.Task[None] | None = None
+        clock.before_slice.append(self._slice)
+
+    def hold(self, setpoint: Setpoint) -> None:
+        """Send it now and keep sending it. Raises LinkLost."""
+        self.current = setpoint
+        self._next_tick = self._clock.tick
+        if self._clock.granting:
+            self._send(self._clock.tick)
+        elif self._streaming is None or self._streaming.done():
+            self._send(0)
+            self._streaming = asyncio.get_running_loop().create_task(self._stream())
+        else:
+            self._send(0)
+
+    def back_to(self, setpoint: Setpoint | None) -> None:
+        """Keep this one alive instead of the latest, or none."""
+        if setpoint is None:
+            self.stop()
+        else:
+            self.current = setpoint
+
+    def stop(self) -> None:
+        """Send no more."""
+        self.current = None
+        if self._streaming is not None:
+            self._streaming.cancel()
+            self._streaming = None
+
+    async def _stream(self) -> None:
+        loop = asyncio.get_running_loop()
+        due = loop.time()
+        with suppress(LinkLost):  # the next call says so
+            while self.current is not None:
+                # After a pause of the machine it goes on from now: set-points of the past are worth nothing.
+                due = max(due + PERIOD_S, loop.time())
+                await asyncio.sleep(due - loop.time())
+                self._send(0)
+
+    def _slice(self, tick: int, until: int) -> None:
+        """Those that belong to the ticks from `tick` to `until` (not included), before they are granted."""
+        if self._next_tick < tick:
+            self._next_tick = tick
+        while self.current is not None and self._next_tick < until:
+            self._send(self._next_tick)
+
+    def _send(self, tick: int) -> None:
+        if self.current is None:
+            return
+        place = {"target_system": self._session.system, "target_component": self._session.component}
+        self._session.send(self.current.make(tick, place))
+        self.sent += 1
+        self._next_tick = tick + SETPOINT_TICKS

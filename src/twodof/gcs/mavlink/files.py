@@ -1,0 +1,145 @@
+"""Files: what the drone lets a client read and write by MAVLink FTP: logs, descriptions, controllers."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from typing import Any, NamedTuple
+
+from twodof.errors import LinkLost, Rejected
+from twodof.gcs.mavlink.deadline import Deadline
+from twodof.gcs.mavlink.session import DroneSession
+from twodof.gcs.telemetry.status_texts import StatusTexts
+from twodof.link.mavlink.ftp import MOST_DATA, FtpError, FtpOperation, FtpPacket, packed, read_packet
+
+LARGEST = 1 << 29
+"""Bytes of the largest file that is read."""
+MOST_ENTRIES = 10_000
+"""Entries of a folder that are listed."""
+
+
+class FileEntry(NamedTuple):
+    """A file, or a folder, whose size is 0; `size` in bytes."""
+
+    name: str
+    size: int
+    folder: bool
+
+
+class AsyncFiles:
+    """Files of one drone; one call at a time. `words` of a refusal are what the drone says besides.
+
+    Every call raises Rejected with the drone's reason, LinkLost and Timeout.
+    """
+
+    def __init__(self, session: DroneSession, texts: StatusTexts) -> None:
+        self._session = session
+        self._texts = texts
+        self._sequence = 0
+
+    async def write(self, path: str, content: bytes, timeout: float = 60.0) -> None:
+        """Makes `content` the file `path`, whole or not at all."""
+        deadline = self._deadline(timeout, f"sending {path}")
+        number = (await self._ask(FtpOperation.CREATE, deadline, data=path.encode())).session
+        with self._ending(number):
+            for start in range(0, len(content), MOST_DATA):
+                piece = content[start : start + MOST_DATA]
+                await self._ask(FtpOperation.WRITE, deadline, number, start, piece)
+        await self._ask(FtpOperation.TERMINATE, deadline, number)
+
+    async def read(self, path: str, timeout: float = 60.0) -> bytes:
+        """What is in the file `path`."""
+        deadline = self._deadline(timeout, f"reading {path}")
+        opened = await self._ask(FtpOperation.OPEN_RO, deadline, data=path.encode())
+        (size,) = struct.unpack("<I", opened.data[:4])
+        content = bytearray()
+        with self._ending(opened.session):
+            if size > LARGEST:
+                raise Rejected(f"{size} bytes", deadline.where, f"{LARGEST} are read at most")
+            while len(content) < size:
+                part = await self._ask(FtpOperation.READ, deadline, opened.session, len(content), wanted=MOST_DATA)
+                if not part.size:
+                    break
+                content += part.data[: part.size]
+        await self._ask(FtpOperation.TERMINATE, deadline, opened.session)
+        return bytes(content)
+
+    async def list(self, path: str = "/", timeout: float = 10.0) -> list[FileEntry]:
+        """What is in the folder `path`."""
+        deadline = self._deadline(timeout, f"listing {path}")
+        found: list[FileEntry] = []
+        places = 0
+        while places < MOST_ENTRIES:
+            try:
+                part = await self._ask(FtpOperation.LIST, deadline, offset=places, data=path.encode())
+            except Rejected as refusal:
+                if refusal.what == _words(FtpError.END):
+                    break
+                raise
+            rows = part.data[: part.size].rstrip(b"\0").split(b"\0")
+            found += [entry for row in rows if (entry := _entry(row)) is not None]
+            places += len(rows)
+        return found
+
+    async def remove(self, path: str, timeout: float = 5.0) -> None:
+        """Deletes the file `path`."""
+        await self._ask(FtpOperation.REMOVE, self._deadline(timeout, f"removing {path}"), data=path.encode())
+
+    async def _ask(
+        self,
+        op: FtpOperation,
+        deadline: Deadline,
+        number: int = 0,
+        offset: int = 0,
+        data: bytes = b"",
+        wanted: int | None = None,
+    ) -> FtpPacket:
+        session, spoken = self._session, self._texts.count
+        sequence = self._sequence
+        question = self._question(op, number, offset, data, len(data) if wanted is None else wanted)
+
+        def answer(got: Any) -> FtpPacket | None:
+            found = read_packet(bytes(got.payload))
+            fits = found.asked == op and found.sequence == (sequence + 1) & 0xFFFF
+            return found if fits and found.op in (FtpOperation.ACK, FtpOperation.NAK) else None
+
+        found = await session.ask(lambda _: question, ("FILE_TRANSFER_PROTOCOL",), answer, deadline)
+        if found.op == FtpOperation.ACK:
+            return found
+        code = found.data[0] if found.size else 0
+        said = "; ".join(line.text for line in self._texts.since(spoken)[-3:])
+        if code == FtpError.END:
+            said = ""  # that there is no more is no refusal to explain
+        raise Rejected(said or _words(code), f"{deadline.where}, {deadline.doing}", "see what the drone says")
+
+    @contextmanager
+    def _ending(self, number: int) -> Iterator[None]:
+        """Ends the drone's session of that number, unheard, where a call is left half way: PX4 has but one."""
+        try:
+            yield
+        except BaseException:
+            with suppress(LinkLost):
+                self._session.send(self._question(FtpOperation.TERMINATE, number, 0, b"", 0))
+            raise
+
+    def _question(self, op: FtpOperation, number: int, offset: int, data: bytes, size: int) -> Any:
+        sequence, self._sequence = self._sequence, (self._sequence + 2) & 0xFFFF
+        packet = FtpPacket(sequence, number, op, size, 0, 0, offset, data)
+        return packed(packet, self._session.system, self._session.component)
+
+    def _deadline(self, timeout: float, doing: str) -> Deadline:
+        return Deadline(timeout, doing, f"drone {self._session.system}")
+
+
+def _words(code: int) -> str:
+    return FtpError(code).name.lower().replace("_", " ") if code in [*FtpError] else f"error {code}"
+
+
+def _entry(row: bytes) -> FileEntry | None:
+    """A row of a listing: F name TAB size, or D name; None for one that is skipped (S)."""
+    text = row.decode("utf-8", "replace")
+    kind, (name, _, size) = text[:1], text[1:].partition("\t")
+    if kind not in ("F", "D") or not name or name in (".", ".."):
+        return None
+    return FileEntry(name, int(size) if size.isdigit() else 0, kind == "D")

@@ -1,0 +1,58 @@
+"""What a client calls itself: a MAVLink system id of its own, and the time stamps that go with it where it signs.
+
+Who has the same ids has the same lease: one's leaving would disarm the other's drone in flight. So each client draws
+its own, and draws again where somebody has that one.
+"""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import Collection
+from pathlib import Path
+
+from twodof.errors import LinkError
+from twodof.link.signing.frame_signing import Signing
+from twodof.link.signing.key import Key, read_key
+from twodof.link.signing.time_stamps import Stamps
+
+OWN_SYSTEMS = (*range(200, 241), 242, 243, 244)
+"""Ids that are drawn from: not discovery's (241), MAVSDK's (245), `twodof flash`'s (252), QGroundControl's (255)."""
+
+_MOST_TRIES = 8
+
+
+def drawn(besides: Collection[int] = ()) -> int:
+    """A system id of one's own, none of `besides`."""
+    found: int = secrets.choice([system for system in OWN_SYSTEMS if system not in besides])
+    return found
+
+
+def identity(system: int | None, on_board: bool, key: Key | str | Path | None) -> tuple[int, Signing | None]:
+    """The system id to take and what signs for it; id 0 for the drone's own, which is not known yet.
+
+    With a key's file one is drawn that has time stamps there already and that no other process uses. Raises LinkError.
+    """
+    if system is not None or on_board or key is None or isinstance(key, Key):
+        number = (0 if on_board else drawn()) if system is None else system
+        return number, _signing(key, number)
+    read = read_key(key)
+    order = sorted(OWN_SYSTEMS, key=lambda number: (not _stamps(key, number).exists(), secrets.randbits(32)))
+    for number in order[:_MOST_TRIES]:
+        try:
+            return number, Signing(read, Stamps(_stamps(key, number)))
+        except LinkError as error:  # another process has it
+            last = error
+    raise last
+
+
+def _signing(key: Key | str | Path | None, system: int) -> Signing | None:
+    """Signing with a key; a key's file has its time stamps beside it, for each system id its own."""
+    if key is None:
+        return None
+    if isinstance(key, Key):
+        return Signing(key, Stamps(None))
+    return Signing(read_key(key), Stamps(_stamps(key, system)))
+
+
+def _stamps(key: str | Path, system: int) -> Path:
+    return Path(f"{key}.{system}.stamps")

@@ -1,0 +1,130 @@
+"""The lease: who may command. Asked for once, renewed while the session lives, given up at its end."""
+
+import asyncio
+from contextlib import suppress
+from typing import Any
+
+from twodof.errors import LinkLost, Rejected, Timeout
+from twodof.gcs.mavlink.commands import CommandSender, number_of
+from twodof.gcs.mavlink.deadline import Deadline
+from twodof.gcs.mavlink.session import DroneSession
+from twodof.link.mavlink import dialect
+from twodof.link.mavlink.messages import message
+
+DURATION_MS = 3000
+RENEW_S = 0.5
+"""More often than heartbeats: who stands still for 2 s was silent for less than the 3 s of the failsafe then."""
+LOOK_S = 0.25
+GRACE_S = 1.3
+"""A lease that is not renewed ends when it says, or so much later: where time stands still it counts seconds."""
+STATE, ASK, GIVE_UP = 0, 1, 2
+_ANSWER = ("TWODOF_LEASE",)
+
+
+class LeaseClient:
+    """Our hold on the vehicle, and who else has it: `holder` is (system, component), None for nobody."""
+
+    def __init__(self, session: DroneSession, commands: CommandSender) -> None:
+        self._session, self._commands = session, commands
+        self.holder: tuple[int, int] | None = None
+        self.wanted = False
+        self._ends = 0.0  # by the loop's clock, if nothing more is heard of its holder
+        self._renewing: asyncio.Task[None] | None = None
+        session.on(self._told, "TWODOF_LEASE")
+
+    @property
+    def ours(self) -> bool:
+        """Whether we hold it."""
+        connection = self._session.connection
+        return self.holder == (connection.system, connection.component)
+
+    async def take(self, timeout: float) -> float:
+        """Ask for it and keep it; returns the time [s] for which another's had to be waited for.
+
+        Another's is waited for while it runs out: its holder, perhaps a script that was killed, is not heard any more.
+        Raises Rejected as soon as it is seen to be renewed, and where it ends too late; LinkLost, Timeout.
+        """
+        deadline = Deadline(timeout, "asking for the lease", f"drone {self._session.system}")
+        began, before, ends = self._session.now, None, 0.0
+        while not await self._session.ask(lambda _: self._message(ASK), _ANSWER, self._granted, deadline):
+            if self.holder != before:
+                before, ends = self.holder, self._ends
+            if self.holder is not None:
+                await self._runs_out(ends, deadline)
+        self.wanted = True
+        if self._renewing is None:
+            self._renewing = asyncio.get_running_loop().create_task(self._renew())
+        return self._session.now - began
+
+    async def _runs_out(self, ends: float, deadline: Deadline) -> None:
+        """Wait until the lease of another, which was to end then, can have ended.
+
+        Raises Rejected where it does not, LinkLost, Timeout.
+        """
+        holder = self.holder
+        question = number_of("REQUEST_MESSAGE"), [dialect.message_id("TWODOF_LEASE")]
+        while self.holder == holder:
+            if ends > deadline.end:
+                raise self._theirs(deadline, f"for {ends - self._session.now:.1f} s more")
+            if self._ends > ends + GRACE_S or self._session.now > ends + GRACE_S:
+                raise self._theirs(deadline, "and keeps it")
+            over = self._session.now >= self._ends
+            await asyncio.sleep(LOOK_S)
+            if over:  # where time stands still it ends only for who asks for it
+                return
+            await self._session.ask(
+                lambda attempt: self._commands.long(*question, attempt), _ANSWER, self._seen, deadline
+            )
+
+    def _theirs(self, deadline: Deadline, how: str) -> Rejected:
+        system, component = self.holder or (0, 0)
+        return Rejected(
+            f"{system}/{component} holds the lease, {how}",
+            deadline.where,
+            "wait until it is given up, or watch with take_lease=False",
+        )
+
+    async def give_up(self, timeout: float) -> None:
+        """Let others command. Raises LinkLost, Timeout; without a lease it does nothing."""
+        self.stop()
+        if self.ours:
+            deadline = Deadline(timeout, "giving up the lease", f"drone {self._session.system}")
+            await self._session.ask(lambda _: self._message(GIVE_UP), _ANSWER, self._gone, deadline)
+
+    def stop(self) -> None:
+        """Renew it no more."""
+        self.wanted = False
+        if self._renewing is not None:
+            self._renewing.cancel()
+            self._renewing = None
+
+    def renew(self) -> None:
+        """Renew it now."""
+        if self.wanted:
+            self._session.send(self._message(ASK))
+
+    async def _renew(self) -> None:
+        with suppress(LinkLost, Timeout):  # the next call says so
+            while True:
+                await asyncio.sleep(RENEW_S)
+                self.renew()
+
+    def _message(self, action: int) -> Any:
+        place = {"target_system": self._session.system, "target_component": self._session.component}
+        duration = DURATION_MS if action == ASK else 0
+        return message("TWODOF_LEASE", action=action, duration_ms=duration, **place)
+
+    def _told(self, got: Any) -> None:
+        if got.action == STATE:
+            self.holder = (got.holder_system, got.holder_component) if got.holder_system else None
+            self._ends = self._session.now + got.duration_ms / 1000
+
+    def _granted(self, got: Any) -> bool | None:
+        """Whether it is ours, once somebody has it."""
+        return self.ours if got.action == STATE and self.holder is not None else None
+
+    def _seen(self, got: Any) -> bool | None:
+        return True if got.action == STATE else None
+
+    def _gone(self, got: Any) -> bool | None:
+        return None if self.ours else True

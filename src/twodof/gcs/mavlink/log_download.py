@@ -1,0 +1,115 @@
+"""The logs that the drone has on board: which there are, and bringing them down."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from twodof.errors import LogError
+from twodof.flightlog.atomic import atomic_write
+from twodof.gcs.mavlink.deadline import Deadline
+from twodof.gcs.mavlink.session import DroneSession
+from twodof.link.mavlink.messages import message
+
+MOST_LOGS = 10_000
+LARGEST = 1 << 29
+"""Bytes of the largest log that is brought down."""
+PIECE = 90
+PIECES = 512
+"""Pieces that are asked for at once."""
+RETRY_S = 0.5
+STALLED_S = 5.0
+
+
+class LogEntry(NamedTuple):
+    """A log on board: its number, length [bytes], and when it was begun (seconds of UTC, 0: not known)."""
+
+    number: int
+    size: int
+    time_utc: int
+
+
+class AsyncLogs:
+    """The logs of one drone."""
+
+    def __init__(self, session: DroneSession) -> None:
+        self._session = session
+
+    async def list(self, timeout: float = 5.0) -> list[LogEntry]:
+        """All logs on board, the oldest first. Raises LinkLost, Timeout."""
+        deadline = Deadline(timeout, "listing the logs on board", f"drone {self._session.system}")
+        found: dict[int, LogEntry] = {}
+        with self._session.listen("LOG_ENTRY") as heard:
+            while True:
+                self._session.send(message("LOG_REQUEST_LIST", start=0, end=0xFFFF, **self._place()))
+                until = min(deadline.end, self._session.now + RETRY_S)
+                while (got := await heard.next(until)) is not None:
+                    if got.num_logs == 0:
+                        return []
+                    found[got.id] = LogEntry(got.id, got.size, got.time_utc)
+                    if len(found) >= min(got.num_logs, MOST_LOGS):
+                        return [found[number] for number in sorted(found)]
+                    until = min(deadline.end, self._session.now + RETRY_S)
+                    deadline.check()
+                deadline.check()
+
+    async def download(
+        self,
+        entry: LogEntry,
+        path: str | Path,
+        timeout: float = 600.0,
+        progress: Callable[[int, int], None] | None = None,
+    ) -> Path:
+        """Bring a log down into `path`, whole or not at all; `progress(bytes, of)` is told on the way.
+
+        Raises LogError for one that is empty or too large, Timeout when nothing more comes for 5 s, LinkLost.
+        """
+        where = f"drone {self._session.system}, log {entry.number}"
+        if not 0 < entry.size <= LARGEST:
+            raise LogError(f"{entry.size} bytes", where, f"1 to {LARGEST} bytes are brought down")
+        data = await self._bytes(entry, Deadline(timeout, "bringing a log down", where), where, progress)
+        with atomic_write(path) as file:
+            file.write(data)
+        return Path(path)
+
+    async def _bytes(
+        self, entry: LogEntry, deadline: Deadline, where: str, progress: Callable[[int, int], None] | None
+    ) -> bytes:
+        data = bytearray(entry.size)
+        missing = set(range(0, entry.size, PIECE))
+        try:
+            with self._session.listen("LOG_DATA") as heard:
+                while missing:
+                    await self._window(entry, data, missing, heard, deadline, where)
+                    if progress is not None:
+                        progress(entry.size - sum(min(PIECE, entry.size - at) for at in missing), entry.size)
+        finally:
+            if self._session.lost is None:
+                self._session.send(message("LOG_REQUEST_END", **self._place()))
+        return bytes(data)
+
+    async def _window(
+        self, entry: LogEntry, data: bytearray, missing: set[int], heard: Any, deadline: Deadline, where: str
+    ) -> None:
+        """Ask for the pieces from the first that is missing on, until those of a window are there or nothing comes."""
+        first = min(missing)
+        wanted = {at for at in missing if at < first + PIECES * PIECE}
+        stalled = Deadline(min(STALLED_S, deadline.left), "bringing a log down", where)
+        while wanted:
+            at = min(wanted)
+            count = min(max(wanted) + PIECE, entry.size) - at
+            self._session.send(message("LOG_REQUEST_DATA", id=entry.number, ofs=at, count=count, **self._place()))
+            before = len(wanted)
+            while wanted and (got := await heard.next(min(stalled.end, self._session.now + RETRY_S))) is not None:
+                if got.id == entry.number and got.ofs in wanted and got.count == min(PIECE, entry.size - got.ofs):
+                    data[got.ofs : got.ofs + got.count] = bytes(got.data[: got.count])
+                    wanted.discard(got.ofs)
+                    missing.discard(got.ofs)
+                stalled.check()
+            if len(wanted) < before:
+                stalled = Deadline(min(STALLED_S, deadline.left), "bringing a log down", where)
+            stalled.check()
+
+    def _place(self) -> dict[str, int]:
+        return {"target_system": self._session.system, "target_component": self._session.component}

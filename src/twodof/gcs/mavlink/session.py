@@ -1,0 +1,318 @@
+"""A session: the conversation with one vehicle. One task receives and hands on; silence ends every call that waits.
+
+The vehicle is lost when nothing of it was heard for SILENT_S; it stays lost until a new session is begun, since what
+was agreed (lease, subscriptions, set-points) is gone with it. Where simulated time stands still nothing need be heard
+between calls, so there silence counts from the question on.
+"""
+
+import asyncio
+from collections import deque
+from collections.abc import Callable, Hashable, Iterator
+from contextlib import contextmanager, suppress
+from itertools import count
+from typing import Any, TypeVar
+
+from twodof.errors import LinkLost, TwodofError
+from twodof.gcs.mavlink.deadline import Deadline
+from twodof.link.connection import Connection, Received
+from twodof.link.mavlink.components import AUTOPILOT, NO_AUTOPILOT
+from twodof.link.mavlink.messages import message
+from twodof.link.signing.frame_signing import SigningVerdict
+
+SILENT_S = 3.0
+HEARTBEAT_S = 1.0
+SLACK_S = 0.5
+"""So much later than it is due our own heartbeat comes on a loaded machine; what is more is a pause of this program."""
+RETRY_S = 0.5
+# Messages handed on before anybody else gets a turn, and answers that may wait for one call.
+BURST = 64
+MOST_WAITING = 20_000
+_GROUND, _ON_BOARD = 6, 18
+
+Handler = Callable[[Any], None]
+T = TypeVar("T")
+
+
+class MessageListener:
+    """Messages of some kinds, as they came, for one call."""
+
+    def __init__(self, session: "DroneSession", names: tuple[str, ...]) -> None:
+        self._session = session
+        self.names = names
+        self._messages: deque[Any] = deque(maxlen=MOST_WAITING)
+        self._waiter: asyncio.Future[None] | None = None
+        self.since = session.now
+
+    def take(self, got: Any) -> None:
+        """One more."""
+        self._messages.append(got)
+        self.wake()
+
+    def wake(self) -> None:
+        """Let the call look again."""
+        if self._waiter is not None and not self._waiter.done():
+            self._waiter.set_result(None)
+
+    async def next(self, until: float, though_lost: bool = False) -> Any | None:
+        """The next message, None once `until` (the loop's clock) has passed. Raises LinkLost, unless `though_lost`."""
+        while not self._messages:
+            if not though_lost:
+                self._session.check(self.since)
+            left = until - self._session.now
+            if left <= 0.0:
+                return None
+            waiter = self._waiter = asyncio.get_running_loop().create_future()
+            handle = asyncio.get_running_loop().call_later(min(left, HEARTBEAT_S), self.wake)
+            try:
+                await waiter
+            finally:
+                handle.cancel()
+                self._waiter = None
+        return self._messages.popleft()
+
+
+class DroneSession:
+    """Messages to and from the vehicle `system` over `connection`, which it owns.
+
+    `on_board` says that we are a companion's program, not a ground station. Begun by `find`, ended by `close`.
+    """
+
+    def __init__(self, connection: Connection, on_board: bool = False) -> None:
+        self.connection = connection
+        self.on_board = on_board
+        self.system = 0
+        self.component = AUTOPILOT
+        self.lockstep = False
+        self.taken = 0  # messages of the vehicle's
+        self.faults = 0  # handlers that raised
+        self.signed_frames = 0  # of the vehicle's; before it was found, of everybody's
+        self._kind = _ON_BOARD if on_board else _GROUND
+        self._loop = asyncio.get_running_loop()
+        self._peer: Hashable | None = None
+        self._sought: int | None = None
+        self.heard_at = self._last_heard = self._awake = self._loop.time()
+        """When the vehicle was heard last, by the loop's clock [s]."""
+        self.on_pause: Callable[[float], None] | None = None
+        """What is done once this program has stood still for longer than SILENT_S, with that time [s]."""
+        self._lost: LinkLost | None = None
+        self._handlers: dict[str, list[Handler]] = {}
+        self._listeners: list[MessageListener] = []
+        self._tasks = [self._loop.create_task(work) for work in (self._receive(), self._beat())]
+
+    @property
+    def now(self) -> float:
+        """The loop's clock [s]."""
+        return self._loop.time()
+
+    @property
+    def url(self) -> str:
+        """Where the link leads."""
+        return self.connection.transport.url
+
+    @property
+    def lost(self) -> LinkLost | None:
+        """Why the vehicle cannot be reached any more, None while it can."""
+        return self._lost
+
+    async def find(self, system: int | None, timeout: float) -> None:
+        """Wait for a vehicle's heartbeat and stay with it; `system` says which, None: the first that is heard.
+
+        Raises LinkLost if none comes within `timeout` [s].
+        """
+        deadline = Deadline(timeout, "looking for a drone", self.url)
+        self._sought = system
+        with self.listen("HEARTBEAT") as heard:
+            while not self.system and await heard.next(deadline.end) is not None:
+                pass
+        if self.system:
+            return
+        which = "no drone" if system is None else f"no drone {system}"
+        refused, remedy = self._refused()
+        raise LinkLost(f"{which} was heard within {timeout:.3g} s{refused}", self.url, remedy)
+
+    def _refused(self) -> tuple[str, str]:
+        """What came and was not let in, since it was not signed with our key, in words; and what to do."""
+        signing = self.connection.signing
+        if signing is not None:
+            counts, old = signing.counts, self.connection.framing["mavlink1_refused"]
+            if counts.forged:
+                return f": {counts.forged} frames came, signed with another key", "connect with the drone's own key"
+            if counts.unsigned or old:
+                words = f": {counts.unsigned + old} frames came, unsigned, and key= lets in none such"
+                return words, "give it the key (twodof fcu --key), or connect without key="
+            for number, verdict in (
+                (counts.repeated, SigningVerdict.REPEATED),
+                (counts.stale, SigningVerdict.STALE),
+                (counts.ahead, SigningVerdict.AHEAD),
+            ):
+                if number:
+                    return f": {number} frames came, of the first {verdict.value}", "set both clocks"
+        return "", "start it, correct the address or the key, or look with Drone.discover()"
+
+    def on(self, handler: Handler, *names: str) -> None:
+        """Hand each message of these kinds from the vehicle to `handler`, which must be quick; none before `find`."""
+        for name in names:
+            self._handlers.setdefault(name, []).append(handler)
+
+    @contextmanager
+    def handling(self, handler: Handler, name: str) -> Iterator[None]:
+        """As `on`, meanwhile."""
+        self.on(handler, name)
+        try:
+            yield
+        finally:
+            self._handlers[name].remove(handler)
+
+    @contextmanager
+    def listen(self, *names: str) -> Iterator[MessageListener]:
+        """Messages of these kinds from now on; before a vehicle was found, of every sender."""
+        heard = MessageListener(self, names)
+        self._listeners.append(heard)
+        try:
+            yield heard
+        finally:
+            self._listeners.remove(heard)
+
+    def send(self, sent: Any) -> None:
+        """Send to the vehicle. Raises LinkLost once it is lost."""
+        self.check(self.now)
+        self.send_anyway(sent)
+
+    def send_anyway(self, sent: Any) -> None:
+        """Send although it may be lost: for what stops motors. Raises LinkLost where the link itself is gone."""
+        self._woke()
+        self._awake = self.now
+        self.connection.send(sent, self._peer)
+
+    async def ask(
+        self,
+        question: Callable[[int], Any],
+        answers: tuple[str, ...],
+        accept: Callable[[Any], T | None],
+        deadline: Deadline,
+        retry_s: float = RETRY_S,
+    ) -> T:
+        """Send `question(attempt)`, again every `retry_s`, until `accept` of an answer gives a value, and return that.
+
+        What `accept` raises is raised. Raises LinkLost, and Timeout at the deadline.
+        """
+        with self.listen(*answers) as heard:
+            for attempt in count():
+                self.send(question(attempt))
+                until = min(deadline.end, self.now + retry_s)
+                while (got := await heard.next(until)) is not None:
+                    found = accept(got)
+                    if found is not None:
+                        return found
+                    deadline.check()  # a peer that never stops talking beside the point
+                deadline.check()
+        raise deadline.error()
+
+    def call_soon(self, callback: Callable[[T], object], value: T) -> None:
+        """Call a user's callback in the loop's next round; what it raises is the loop's to report."""
+        self._loop.call_soon(callback, value)
+
+    def check(self, since: float) -> None:
+        """Raise LinkLost if the vehicle is lost; `since` is when whoever asks began to wait."""
+        self._woke()
+        if self._lost is None and self.system:
+            heard = max(self._last_heard, since) if self.lockstep else self._last_heard
+            if self.now - heard > SILENT_S:
+                self.end(
+                    LinkLost(f"nothing was heard of drone {self.system} for {SILENT_S:g} s", self.url, "connect again")
+                )
+        self.must_stand()
+
+    def must_stand(self) -> None:
+        """Raise LinkLost if the vehicle is known to be lost; any thread may ask."""
+        lost = self._lost
+        if lost is not None:
+            raise LinkLost(lost.what, lost.where, lost.remedy)
+
+    def _woke(self) -> None:
+        """Where this program stood still (a notebook's slow cell, a laptop that slept) the drone was not silent.
+
+        How long is counted from our own last word: for so long the drone has heard nothing of us.
+        """
+        paused = self.now - self._awake
+        if paused > HEARTBEAT_S + SLACK_S and self._lost is None:
+            self._last_heard = min(self.now, self._last_heard + paused - HEARTBEAT_S)
+            self._awake = self.now
+            if paused > SILENT_S and self.on_pause is not None:
+                self.on_pause(paused)
+
+    async def close(self) -> None:
+        """End the session and close the link; a second time does nothing."""
+        for task in self._tasks:
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+        self.end(LinkLost("the session was closed", self.url, "connect again"))
+        await self.connection.close()
+
+    def beat(self) -> None:
+        """Say that we are there."""
+        if not self.connection.system:
+            return  # we are the drone's own system, which is not known yet
+        with suppress(LinkLost):  # whoever waits is told by `check`
+            self.connection.send(message("HEARTBEAT", type=self._kind, autopilot=NO_AUTOPILOT, system_status=4))
+
+    async def _beat(self) -> None:
+        while True:
+            self._woke()
+            self._awake = self.now
+            self.beat()
+            if not self.lockstep:
+                with suppress(LinkLost):
+                    self.check(self.now)
+            await asyncio.sleep(HEARTBEAT_S)
+
+    async def _receive(self) -> None:
+        try:
+            while True:
+                received = await self.connection.receive(HEARTBEAT_S)
+                for _ in range(BURST):
+                    if received is None:
+                        break
+                    self._take(received)
+                    received = self.connection.receive_now()
+                if received is not None:
+                    self._take(received)
+                    await asyncio.sleep(0)
+        except LinkLost as gone:
+            self.end(gone)
+
+    def _take(self, received: Received) -> None:
+        got, frame = received.message, received.frame
+        name = got.get_type()
+        if not self.system and name == "HEARTBEAT" and self._is_sought(got):
+            # At once: what others say behind it, in the same packet perhaps, is none of this vehicle's.
+            self.system = frame.system
+        if self.system:
+            if (frame.system, frame.component) != (self.system, self.component):
+                return
+            self.taken += 1
+            self.heard_at = self._last_heard = self.now
+            self._peer = received.peer
+        self.signed_frames += frame.signed
+        for handler in self._handlers.get(name, ()) if self.system else ():
+            try:
+                handler(got)
+            except (ArithmeticError, LookupError, TypeError, ValueError, TwodofError) as fault:
+                # A peer may put anything into a field: its message is not taken, and the session goes on.
+                self.faults += 1
+                self._loop.call_exception_handler({"message": f"a {name} was not taken", "exception": fault})
+        for heard in self._listeners:
+            if name in heard.names:
+                heard.take(got)
+
+    def _is_sought(self, beat: Any) -> bool:
+        """Whether it is the heartbeat of the vehicle that `find` waits for."""
+        flies = beat.get_srcComponent() == AUTOPILOT and beat.autopilot != NO_AUTOPILOT
+        return flies and self._sought in (None, beat.get_srcSystem())
+
+    def end(self, reason: LinkLost) -> None:
+        """The vehicle is lost: whoever waits and every call from now on says `reason`; the first one stays."""
+        if self._lost is None:
+            self._lost = reason
+        for heard in self._listeners:
+            heard.wake()

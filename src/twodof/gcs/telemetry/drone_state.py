@@ -1,0 +1,164 @@
+"""How the drone stands, in words: mode, armed, failsafe, rig, battery; from what it last said."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from twodof.gcs.mavlink.session import DroneSession
+from twodof.link.mavlink import dialect
+from twodof.link.mavlink.modes import mode_name
+
+ARMED = 128
+RINGS, SAFETY_OFF, VIRTUAL, LOCKSTEP = 1, 2, 4, 8
+
+
+@dataclass(frozen=True)
+class SafetyState:
+    """The failsafe: what it does since which tick, what decided (`reason`), and the causes it sees now.
+
+    `killed_by` is the system and component whose kill holds it, None while none does or it is not known.
+    """
+
+    action: str = "none"
+    reason: str = ""
+    causes: tuple[str, ...] = ()
+    since: int = 0
+    tick: int = 0
+    killed_by: tuple[int, int] | None = None
+
+
+@dataclass(frozen=True)
+class RigState:
+    """What the drone stands on: its name, the controller that flies, and how the rig is set.
+
+    `changed` counts the parameters that differ from their defaults.
+    """
+
+    name: str = ""
+    controller: str = ""
+    diagram: int = 0
+    seed: int = 0
+    virtual: bool = False
+    lockstep: bool = False
+    rings_locked: bool = False
+    safety_off: bool = False
+    changed: int = 0
+
+
+@dataclass(frozen=True)
+class BatteryState:
+    """Voltage [V] and charge (0 empty, 1 full); NaN while unknown."""
+
+    voltage: float = float("nan")
+    charge: float = float("nan")
+
+
+@dataclass(frozen=True)
+class DroneState:
+    """How the drone stood when it was last heard; `autopilot` is its MAV_AUTOPILOT in words ("px4").
+
+    Its parts come in messages of their own: `mode`, `armed`, `status` (and `killed`) in HEARTBEAT, `safety` in
+    TWODOF_SAFETY, `rig` in TWODOF_RIG. For a moment one may tell of what another does not yet: who waits for
+    `safety.action` to be "off" may still find `armed`. Wait for each that is to be looked at.
+    """
+
+    mode: str = "unknown"
+    armed: bool = False
+    status: str = "unknown"
+    safety: SafetyState = SafetyState()
+    rig: RigState = RigState()
+    battery: BatteryState = BatteryState()
+    autopilot: str = "unknown"
+
+    @property
+    def killed(self) -> bool:
+        """Whether a kill holds it disarmed, until it is released."""
+        return self.status == "terminated"
+
+    def __str__(self) -> str:
+        text = f"{'armed' if self.armed else 'killed' if self.killed else 'disarmed'}, {self.mode}"
+        if self.rig.rings_locked:
+            text += ", rings locked"
+        if self.safety.action != "none" and (self.armed or self.safety.reason):
+            text += f", failsafe: {self.safety.action} because of {self.safety.reason or 'nothing that it names'}"
+        return text
+
+
+_STATUS = ("uninit", "boot", "calibrating", "standby", "active", "critical", "emergency", "power off", "terminated")
+
+
+class StateTracker:
+    """Keeps `state` up to date."""
+
+    def __init__(self, session: DroneSession) -> None:
+        self.state = DroneState()
+        self.heartbeats = 0
+        session.on(self._heartbeat, "HEARTBEAT")
+        session.on(self._safety, "TWODOF_SAFETY")
+        session.on(self._rig, "TWODOF_RIG")
+        session.on(self._battery, "BATTERY_STATUS")
+        session.on(self._status, "SYS_STATUS")
+        self._session = session
+
+    def _change(self, **changes: Any) -> None:
+        self.state = DroneState(**{**vars(self.state), **changes})
+
+    def _heartbeat(self, got: Any) -> None:
+        self.heartbeats += 1
+        status = _STATUS[got.system_status] if got.system_status < len(_STATUS) else "unknown"
+        autopilot = word_of("MAV_AUTOPILOT", got.autopilot)
+        armed = bool(got.base_mode & ARMED)
+        self._change(mode=mode_name(got.custom_mode), armed=armed, status=status, autopilot=autopilot)
+
+    def _safety(self, got: Any) -> None:
+        causes = names_of("TWODOF_CAUSE", got.flags)
+        reason = names_of("TWODOF_CAUSE", 1 << got.reason) if 0 <= got.reason < 32 else ()
+        action = word_of("TWODOF_ACTION", got.action)
+        by = (got.killed_system, got.killed_component) if got.killed else None
+        self._change(safety=SafetyState(action, ", ".join(reason), causes, got.since, got.tick, by))
+
+    def _rig(self, got: Any) -> None:
+        flags = got.flags
+        self._session.lockstep = bool(flags & LOCKSTEP)
+        rig = RigState(
+            _text(got.name),
+            _text(got.controller),
+            got.diagram,
+            got.seed,
+            bool(flags & VIRTUAL),
+            bool(flags & LOCKSTEP),
+            bool(flags & RINGS),
+            bool(flags & SAFETY_OFF),
+            got.changed,
+        )
+        self._change(rig=rig)
+
+    def _status(self, got: Any) -> None:
+        if got.voltage_battery not in (0, 0xFFFF):
+            charge = got.battery_remaining / 100.0 if got.battery_remaining >= 0 else float("nan")
+            self._change(battery=BatteryState(got.voltage_battery / 1000.0, charge))
+
+    def _battery(self, got: Any) -> None:
+        cells = [one for one in got.voltages if one != 0xFFFF]
+        charge = got.battery_remaining / 100.0 if got.battery_remaining >= 0 else float("nan")
+        self._change(battery=BatteryState(sum(cells) / 1000.0 if cells else float("nan"), charge))
+
+
+def names_of(enum: str, mask: int) -> tuple[str, ...]:
+    """The bits of a mask in the words of the dialect's enumeration; "bit 7" for one it has not."""
+    rows = dialect.load().enums.get(enum, {})
+    return tuple(_word(enum, rows, bit) for k in range(32) if mask & (bit := 1 << k))
+
+
+def word_of(enum: str, value: int) -> str:
+    """A value in the words of the dialect's enumeration, its number where it has none."""
+    return _word(enum, dialect.load().enums.get(enum, {}), value)
+
+
+def _word(enum: str, rows: Any, value: int) -> str:
+    row = rows.get(value)
+    return str(row.name).removeprefix(f"{enum}_").lower() if row is not None else str(value)
+
+
+def _text(value: Any) -> str:
+    text = value if isinstance(value, str) else bytes(value).decode("utf-8", "replace")
+    return "".join(c if c.isprintable() else " " for c in text.split("\0")[0])

@@ -1,0 +1,338 @@
+"""Recording a flight on the ground: every topic at full rate into MCAP, what was lost counted and kept in the file."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Mapping
+from contextlib import AsyncExitStack, asynccontextmanager, suppress
+from functools import partial
+from math import isfinite
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twodof.errors import LogError, RecordingError, Timeout
+from twodof.flightlog import steps
+from twodof.flightlog.mcap_encoder import Attachment
+from twodof.flightlog.mcap_stream import Stream
+from twodof.flightlog.recorder import Recorder
+from twodof.flightlog.spool import Acknowledged
+from twodof.flightlog.steps import BOOT, MESSAGE_PERIOD, shift
+from twodof.gcs.control.active_controller import ActiveController
+from twodof.gcs.mavlink.clock import OLDEST_TICKS, DroneClock
+from twodof.gcs.mavlink.session import DroneSession, Handler
+from twodof.gcs.telemetry.decoding import DECODERS, Decoded, columns_of
+from twodof.gcs.telemetry.drone_state import DroneState
+from twodof.gcs.telemetry.full_rate import FullRateSubscription
+from twodof.gcs.telemetry.status_texts import StatusText, StatusTexts
+from twodof.gcs.telemetry.truth import TruthSubscription
+from twodof.link.control_period import TICK_S, TICK_US
+from twodof.link.mavlink.messages import batch_rows
+from twodof.signals import MODES, TOPICS, Topic, topic
+
+SAFETY = Stream(
+    "/safety",
+    "twodof_msgs/msg/Safety",
+    "safety",
+    "",
+    steps.SAFETY,
+    3,
+    about="what the failsafe does, and masks of causes",
+)
+MOST_TEXTS = 1000
+TOGETHER = 32
+"""Rows that are handed to the writer together: an eighth of a second, which a crash would cost besides."""
+MOST_TRUTHS = 1024
+"""True states that are known to have come: of four seconds."""
+_EVENTS = "openloop"
+_LATEST_US = 1 << 52
+_LATEST_S = 4e9
+BATTERY_TICKS = 125
+"""The battery's topics come at 2 Hz."""
+# Position and velocity are first read in the step after the one in which they were published.
+_READ_LATER = ("x", "v")
+
+
+class Recording:
+    """A recording in the making, then made: `samples` taken, rows `lost` on the way, samples `dropped` by the disk."""
+
+    def __init__(
+        self,
+        path: str | Path,
+        topics: Iterable[Topic],
+        provenance: Mapping[str, object],
+        wait: bool,
+        diagrams: Mapping[str, bytes] = MappingProxyType({}),
+    ) -> None:
+        self.topics = tuple(topics)
+        self.onboard = tuple(row for row in self.topics if row.onboard and row.name != _EVENTS)
+        attached = [Attachment(f"{name}.json", "application/json", content) for name, content in diagrams.items()]
+        self.recorder = Recorder(path, [*self.topics, SAFETY], provenance, attached, full="wait" if wait else "drop")
+        self.path = self.recorder.path
+        self.texts: list[tuple[float, str, str]] = []
+        self._with_events = any(row.name == _EVENTS for row in self.topics)
+        self._waiting: list[Any] = []
+        self._waiting_rows = 0
+        self._seen: set[int] = set()
+        self._first = self._last = -1
+        self._rows = 0
+        self._truths: dict[int, None] = {}  # times [us] of the true states that came last
+        self._open = _Open()
+        self._names = frozenset(row.name for row in self.topics)
+        self._time = 0.0  # the drone's, of the telemetry that came last [s]
+        self._newest = 0  # tick of the drone
+        self._shift = 0  # from the drone's ticks to those of the recording, which never begin again
+
+    @property
+    def samples(self) -> int:
+        """Samples taken; those that are not acknowledged yet wait in memory."""
+        return self.recorder.accepted
+
+    @property
+    def acknowledged(self) -> Acknowledged:
+        """What is on the disk, and stays readable whatever happens."""
+        return self.recorder.acknowledged
+
+    @property
+    def dropped(self) -> dict[str, int]:
+        """Samples that the disk was too slow for, by topic."""
+        return self.recorder.dropped
+
+    @property
+    def failure(self) -> RecordingError | None:
+        """Why nothing more is recorded, None while all is well; raised at the end too."""
+        return self.recorder.failure
+
+    @property
+    def lost(self) -> int:
+        """Rows that are missing between the first tick and the last that came."""
+        return self._last - self._first + 1 - self._rows if self._rows else 0
+
+    @property
+    def columns(self) -> list[str]:
+        """What the drone is asked for at full rate."""
+        return [column for row in self.onboard for column in row.columns]
+
+    def take(self, got: Any) -> None:
+        """A TWODOF_BATCH."""
+        self._newest = max(self._newest, got.tick + got.rows * got.every)
+        self._waiting.append(got)
+        self._waiting_rows += max(1, got.rows)  # one that carries none takes room too
+        if self._waiting_rows >= TOGETHER:
+            self.write()
+
+    def rig(self, got: Any) -> None:
+        """A TWODOF_RIG: where the drone's time began again, what follows is stamped behind what was recorded before."""
+        if got.tick + OLDEST_TICKS <= self._newest:
+            self.write()
+            self._shift, self._newest, self._open = self._last + 1, got.tick, _Open()
+
+    def write(self) -> None:
+        """Hands on what waits."""
+        waiting, self._waiting, self._waiting_rows = self._waiting, [], 0
+        by_mask: dict[int, list[Any]] = {}
+        for got in waiting:
+            by_mask.setdefault(got.channels, []).append(got)
+        for mask, some in by_mask.items():
+            parts = [batch_rows(got) for got in some]
+            ticks = np.concatenate([part[0] for part in parts]).astype(np.int64)
+            values = np.concatenate([part[1] for part in parts]).astype(np.float64)
+            self._write(columns_of(mask), *self._new(ticks, values))
+
+    def _new(self, ticks: NDArray[np.int64], values: NDArray[np.float64]) -> tuple[Any, Any]:
+        """Those that did not come before, by another message or a second copy of this one."""
+        ticks, first = np.unique(ticks + self._shift, return_index=True)
+        fresh = np.array([tick not in self._seen for tick in ticks.tolist()], dtype=bool)
+        ticks, values = ticks[fresh], values[first][fresh]
+        if len(ticks):
+            self._seen.update(ticks.tolist())
+            self._rows += len(ticks)
+            self._first = int(ticks[0]) if self._first < 0 else min(self._first, int(ticks[0]))
+            self._last = max(self._last, int(ticks[-1]))
+            if len(self._seen) > 4096:
+                self._seen = {tick for tick in self._seen if tick > self._last - 2048}
+        return ticks, values
+
+    def _write(self, columns: Mapping[str, int], ticks: NDArray[np.int64], values: NDArray[np.float64]) -> None:
+        for row in self.onboard:
+            places = [columns[column] for column in row.columns if column in columns]
+            if len(places) != row.width:
+                continue
+            some = values[:, places]
+            there = np.isfinite(some).all(axis=1)
+            if row.name.startswith("battery."):
+                there &= ticks % BATTERY_TICKS == 0
+            if there.any():
+                self._put(row.name, stamps(row.mat, ticks[there]), some[there])
+        if self._with_events and all(name in columns for name in _Open.COLUMNS):
+            at, rows = self._open.messages(ticks, *(values[:, columns[name]] for name in _Open.COLUMNS))
+            if len(at):
+                self._put(_EVENTS, stamps("lmnf", at), rows)
+
+    def safety(self, got: Any) -> None:
+        """A TWODOF_SAFETY."""
+        values = np.array([safety_row(got)], dtype=np.float64)
+        self._put(SAFETY.topic, stamps("", np.array([got.tick + self._shift], dtype=np.int64)), values)
+
+    def truth(self, got: Any) -> None:
+        """A TWODOF_TRUTH; each once, though it may be asked for and sent twice."""
+        since = min(got.time_usec, _LATEST_US) + self._shift * TICK_US
+        if since in self._truths:
+            return
+        self._truths[since] = None
+        if len(self._truths) > MOST_TRUTHS:
+            del self._truths[next(iter(self._truths))]
+        time = np.array([round(BOOT * 1e9) + since * 1000], dtype=np.int64)
+        for row in self.topics:
+            if not row.onboard:
+                self._put(row.name, time, np.array([getattr(got, row.name.split(".")[1])]))
+
+    def telemetry(self, decode: Callable[[Any], Decoded], got: Any) -> None:
+        """A message of `common` with samples, from a drone without batches: as it comes, with its stamps."""
+        for name, time, value in decode(got):
+            self._time = time if isfinite(time) else self._time  # the battery's messages carry none
+            if name in self._names and self._time < _LATEST_S:
+                at = np.array([round((BOOT + self._time) * 1e9)], dtype=np.int64)
+                self._put(name, at, np.reshape(np.array(value, dtype=np.float64), (1, -1)))
+
+    def _put(self, topic: str, times: NDArray[np.int64], values: NDArray[np.float64]) -> None:
+        """Hand samples on; once the disk has refused they are left out, and `finish` says so. The flight goes on."""
+        if self.recorder.failure is None:
+            with suppress(RecordingError):
+                self.recorder.write_many(topic, times, values)
+
+    def said(self, tick: int, line: StatusText) -> None:
+        """A line in words."""
+        if len(self.texts) < MOST_TEXTS:
+            # Where time is granted, the samples say sooner than the clock how far it has run.
+            self.texts.append((seconds(max(tick, self._newest) + self._shift), line.severity, line.text))
+
+    def finish(self) -> None:
+        """Write what waits, what was lost and what was said, and end the file. Raises RecordingError."""
+        try:
+            self.write()
+            if self._rows:  # of telemetry that comes as it likes nobody knows what is missing
+                self.recorder.note("lost", self.lost)
+            self.recorder.note("texts", [list(row) for row in self.texts])
+        finally:
+            self.recorder.close()
+
+
+class _Open:
+    """The open-loop messages of a flight, as the drone's own logs have them: from the moments that were flown.
+
+    One where the loop opens, closes or M steps, and 50 a second while it is open (flightlog.steps does it for a whole
+    flight at once).
+    """
+
+    COLUMNS = ("state.mode", "command.M", "command.T")
+
+    def __init__(self) -> None:
+        self._was, self._before, self._count = False, 0.0, 0
+
+    def messages(
+        self, ticks: NDArray[np.int64], mode: NDArray[np.float64], M: NDArray[np.float64], T: NDArray[np.float64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Ticks (m,) and messages (m, 5) of rows (n,) that follow those before."""
+        opened = mode == MODES.index("open-loop")
+        changed = np.diff(opened.astype(np.int8), prepend=self._was) != 0
+        stepped = opened & (np.append(self._before, M[:-1]) != M)
+        number = self._count + np.cumsum(opened)
+        due = opened & (number % MESSAGE_PERIOD == 1)
+        if len(ticks):
+            self._was, self._before, self._count = bool(opened[-1]), float(M[-1]), int(number[-1])
+        sent = (changed | stepped | due) & np.isfinite(M) & np.isfinite(T)
+        flag = opened[sent].astype(np.float64)
+        return ticks[sent], np.column_stack([M[sent] * flag, T[sent] * flag, flag, flag, flag])
+
+
+def safety_row(got: Any) -> tuple[int, int, int]:
+    """A TWODOF_SAFETY as a row of the channel `safety`: the wire tells the place of the cause that decides."""
+    return got.action, 1 << got.reason if 0 <= got.reason < 32 else 0, got.flags
+
+
+def seconds(tick: int) -> float:
+    """The stamp [s] of what was said in a tick, as the channels have it."""
+    return round(BOOT + TICK_S * tick, 6)
+
+
+def stamps(mat: str, ticks: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The drone's time stamps [ns] of a channel's samples at these ticks, as its own logs have them."""
+    published = ticks - (mat in _READ_LATER)
+    return np.asarray(np.rint((BOOT + shift(mat) + TICK_S * published) * 1e9), dtype=np.int64)
+
+
+def chosen(topics: Iterable[str] | None, truth: bool, ours: bool = True) -> list[Topic]:
+    """The rows to record; None: all that there are, with the `truth` if so. Raises LogError for one there is not.
+
+    Of a drone that is not `ours` there is what messages of `common` carry.
+    """
+    if topics is None:
+        return [row for row in TOPICS if (row.onboard or truth) and (ours or not row.mavlink.startswith("TWODOF_"))]
+    rows = [topic(name) for name in topics]
+    if not ours and (unknown := [row.name for row in rows if row.mavlink.startswith("TWODOF_")]):
+        remedy = "leave it out; docs/how-to/connect-clients.md says what there is"
+        raise LogError("only a drone of ours sends it", unknown[0], remedy)
+    if not truth and (unknown := [row.name for row in rows if not row.onboard]):
+        raise LogError("nobody on board, and nobody with a real drone, knows the truth", unknown[0], "leave it out")
+    return rows
+
+
+class Recordings:
+    """Makes recordings of one drone."""
+
+    def __init__(
+        self,
+        session: DroneSession,
+        batches: FullRateSubscription,
+        truth: TruthSubscription,
+        texts: StatusTexts,
+        clock: DroneClock,
+    ) -> None:
+        self._session, self._batches, self._truth = session, batches, truth
+        self._texts, self._clock = texts, clock
+
+    @asynccontextmanager
+    async def to(
+        self,
+        path: str | Path,
+        topics: Iterable[str] | None,
+        state: DroneState,
+        provenance: Mapping[str, object],
+        flying: Callable[[], Awaitable[ActiveController]] | None,
+    ) -> AsyncIterator[Recording]:
+        """Records meanwhile into a new file: every sample of a drone of ours, what another's sends as it comes.
+
+        `flying` asks a drone of ours what flies on it; None for another's.
+
+        Raises LogError for a file that exists or a topic that is none, RecordingError when the disk refuses, Rejected,
+        LinkLost, Timeout.
+        """
+        ours, session = flying is not None, self._session
+        rows = chosen(topics, state.rig.virtual and not session.on_board, ours)
+        flies = ActiveController(known=False)
+        if flying is not None:
+            with suppress(Timeout):  # it is recorded all the same
+                flies = await flying()
+        drone = provenance.get("drone")
+        about = {**provenance, "drone": {**(drone if isinstance(drone, dict) else {}), **flies.provenance()}}
+        recording = Recording(path, rows, about, session.lockstep, flies.diagrams)
+        handlers: dict[str, Handler] = {"TWODOF_RIG": recording.rig, "TWODOF_SAFETY": recording.safety}
+        if not ours:
+            handlers |= {name: partial(recording.telemetry, decode) for name, decode in DECODERS.items()}
+        try:
+            async with AsyncExitStack() as stack:
+                for name, handler in handlers.items():
+                    stack.enter_context(session.handling(handler, name))
+                stack.enter_context(self._texts.listening(lambda line: recording.said(self._clock.tick, line)))
+                if any(not row.onboard for row in rows):
+                    await stack.enter_async_context(self._truth.to(recording.truth))
+                if ours and recording.columns:
+                    await stack.enter_async_context(self._batches.to(recording.columns, recording.take))
+                yield recording
+        finally:
+            # The writer's thread is waited for in another one: the loop goes on, heartbeats with it.
+            await asyncio.to_thread(recording.finish)

@@ -1,0 +1,91 @@
+"""The true state of a virtual rig, for the ground alone: one subscription of the drone for all that want it."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager, suppress
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twodof.errors import LinkLost, Rejected, Timeout
+from twodof.gcs.mavlink.commands import CommandSender
+from twodof.gcs.mavlink.deadline import Deadline
+from twodof.gcs.mavlink.session import DroneSession
+from twodof.gcs.telemetry.sample_rows import SampleRows
+from twodof.link.control_period import TICK_US
+from twodof.link.mavlink import dialect
+
+MESSAGE = "TWODOF_TRUTH"
+TIMEOUT_S = 5.0
+LEAVING_S = 1.0
+_PIECE = 1024
+
+
+class TruthRows(SampleRows[np.float64]):
+    """True states, of theta, q, x, v: that which the sensors measure in a tick, before its command acts."""
+
+    def __init__(self) -> None:
+        super().__init__(("truth.theta", "truth.q", "truth.x", "truth.v"), np.float64)
+        self._new: list[tuple[int, float, float, float, float]] = []
+
+    def take(self, got: Any) -> None:
+        """A TWODOF_TRUTH."""
+        self._new.append((got.step, got.theta, got.q, got.x, got.v))
+        if len(self._new) == _PIECE:  # a state alone would take ten times its room
+            self._put_away()
+
+    def _put_away(self) -> None:
+        rows = np.array(self._new, dtype=np.float64)
+        self._new = []
+        self.append(rows[:, 0].astype(np.uint32), rows[:, 1:])
+
+    def _joined(self) -> tuple[NDArray[np.uint32], NDArray[np.float64]]:
+        if self._new:
+            self._put_away()
+        return super()._joined()
+
+
+class TruthSubscription:
+    """Subscribes the drone to its rig's true state while somebody wants it."""
+
+    def __init__(self, session: DroneSession, commands: CommandSender) -> None:
+        self._session, self._commands = session, commands
+        self._takers: list[Callable[[Any], None]] = []
+        session.on(self._take, MESSAGE)
+
+    @asynccontextmanager
+    async def to(self, taker: Callable[[Any], None]) -> AsyncIterator[None]:
+        """Hands every TWODOF_TRUTH to `taker` meanwhile; where time is granted, that of the present tick first.
+
+        Raises Rejected by a real drone, whose truth nobody knows, LinkLost, Timeout.
+        """
+        deadline = Deadline(TIMEOUT_S, "subscribing to the rig's true state", f"drone {self._session.system}")
+        number = dialect.message_id(MESSAGE)
+        self._takers.append(taker)
+        try:
+            if self._session.lockstep:  # a stream begins with the tick after
+                await self._commands.run("REQUEST_MESSAGE", [number], deadline.left, deadline.doing)
+            await self._interval(TICK_US, deadline.left)
+            yield
+        finally:
+            self._takers.remove(taker)
+            if not self._takers:
+                with suppress(LinkLost, Rejected, Timeout):  # what is not wanted any more harms nobody
+                    await self._interval(-1, LEAVING_S)
+
+    @asynccontextmanager
+    async def rows(self) -> AsyncIterator[TruthRows]:
+        """Every state that comes meanwhile."""
+        rows = TruthRows()
+        async with self.to(rows.take):
+            yield rows
+
+    async def _interval(self, interval: int, timeout: float) -> None:
+        values = [dialect.message_id(MESSAGE), interval]
+        await self._commands.run("SET_MESSAGE_INTERVAL", values, timeout, "subscribing to the rig's true state")
+
+    def _take(self, got: Any) -> None:
+        for taker in [*self._takers]:
+            taker(got)

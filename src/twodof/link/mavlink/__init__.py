@@ -1,0 +1,1 @@
+"""MAVLink: our dialect, frames, messages by name, modes, rates, file transfer."""

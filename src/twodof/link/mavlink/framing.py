@@ -1,0 +1,277 @@
+"""Bytes to MAVLink frames and messages, and back.
+
+pymavlink's own parser believes the length in any header: a stray 0xFD swallows up to 280 good bytes after it. This one
+looks for a frame at the next byte when one does not hold, so that rubbish costs nothing but its own bytes; it raises
+nothing, keeps less than one frame between calls, and counts what it threw away. Format: MAVLink 2 and 1 as on
+https://mavlink.io/en/guide/serialization.html; the checksum is CRC-16/MCRF4XX over header, payload and CRC_EXTRA.
+"""
+
+import re
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+from fastcrc import crc16
+
+from twodof.errors import LinkError, shown
+from twodof.link.mavlink import dialect
+
+MARKER_2, MARKER_1 = 0xFD, 0xFE
+HEADER_2, HEADER_1, CHECKSUM, SIGNATURE = 10, 6, 2, 13
+LONGEST_FRAME = HEADER_2 + 255 + CHECKSUM + SIGNATURE
+SIGNED = 0x01
+# Beginnings of frames in one datagram that turn out to be none; what follows is not looked at, as it costs others time.
+MOST_FALSE = 64
+_MARKER = re.compile(rb"[\xfd\xfe]")
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """One packet as it is on the wire: whose it is, which message, and its bytes."""
+
+    raw: bytes
+    version: int
+    message_id: int
+    system: int
+    component: int
+    sequence: int
+    signed: bool
+
+    @property
+    def payload(self) -> bytes:
+        """The payload's bytes, without the zeros that MAVLink 2 cuts from its end."""
+        start = HEADER_2 if self.version == 2 else HEADER_1
+        return self.raw[start : start + self.raw[1]]
+
+    @property
+    def known(self) -> bool:
+        """Whether the dialect has this message; the checksum of any other cannot be told from rubbish."""
+        return self.message_id in _crc_extras()
+
+
+@dataclass(slots=True)
+class FramingCounts:
+    """What a parser has met: frames that held, of those unknown to the dialect, and what it threw away."""
+
+    frames: int = 0
+    unknown: int = 0
+    bad_checksum: int = 0
+    mavlink1_refused: int = 0
+    rubbish_bytes: int = 0
+
+
+@cache
+def _crc_extras() -> dict[int, bytes]:
+    return {number: bytes([kind.crc_extra]) for number, kind in dialect.load().mavlink_map.items()}
+
+
+class Parser:
+    """Cuts a stream or datagrams into frames.
+
+    `mavlink1` false refuses, and counts, frames of MAVLink 1, which cannot be signed.
+    """
+
+    def __init__(self, mavlink1: bool = True) -> None:
+        self.counts = FramingCounts()
+        self._mavlink1 = mavlink1
+        self._pending = b""
+        self._extras = _crc_extras()
+
+    @property
+    def waiting(self) -> int:
+        """Bytes kept of a frame that has not arrived whole, less than LONGEST_FRAME."""
+        return len(self._pending)
+
+    def feed(self, data: bytes, whole: bool = False) -> list[Frame]:
+        """The frames that end in `data`, which continues what was fed before.
+
+        `whole`: nothing follows (a datagram; a stream that has been silent for as long as a frame takes), so that what
+        looks like the beginning of a frame is searched for frames too, up to MOST_FALSE of them.
+        """
+        data = self._pending + data
+        counts, frames, at, end = self.counts, [], 0, len(data)
+        aligned = True  # whether `at` is where a frame should begin
+        left = MOST_FALSE if whole else end
+        while True:
+            found = _MARKER.search(data, at)
+            start = found.start() if found else end
+            if start > at:
+                counts.rubbish_bytes += start - at
+                aligned = False
+            length = self._length(data, start, end)
+            if length is None or (start + length > end and not whole) or left <= 0:
+                break
+            frame = self._frame(data, start, start + length, aligned) if length and start + length <= end else None
+            if frame is None:
+                counts.rubbish_bytes += 1
+                at, aligned, left = start + 1, False, left - 1
+            else:
+                frames.append(frame)
+                at, aligned = start + length, True
+        self._pending = b"" if whole else data[start:]
+        if whole:
+            counts.rubbish_bytes += end - start
+        counts.frames += len(frames)
+        return frames
+
+    def _length(self, data: bytes, start: int, end: int) -> int | None:
+        """Length of the frame that the header at `start` promises, 0 if it is none, None if too little is there."""
+        if end - start < 3:
+            return None
+        if data[start] == MARKER_1:
+            return HEADER_1 + data[start + 1] + CHECKSUM
+        flags = data[start + 2]
+        if flags & ~SIGNED:  # a receiver drops what it does not understand
+            return 0
+        return HEADER_2 + data[start + 1] + CHECKSUM + (SIGNATURE if flags else 0)
+
+    def _frame(self, data: bytes, start: int, stop: int, aligned: bool) -> Frame | None:
+        """The frame in data[start:stop], or None where it does not hold."""
+        if data[start] == MARKER_1:
+            version, signed, checked = 1, False, stop - CHECKSUM
+            sequence, system, component, number = data[start + 2 : start + 6]
+        else:
+            version, signed = 2, data[start + 2] == SIGNED
+            checked = stop - CHECKSUM - (SIGNATURE if signed else 0)
+            sequence, system, component, low, middle, high = data[start + 4 : start + 10]
+            number = low | middle << 8 | high << 16
+        extra = self._extras.get(number)
+        if extra is None:
+            # Its checksum cannot be known; it stands where a frame should, one or nothing follows, and none is in it.
+            vouched = version == 2 and aligned and data[stop : stop + 1] in (b"", b"\xfd", b"\xfe")
+            if not vouched or self._frame_within(data, start + 1, stop):
+                return None
+            self.counts.unknown += 1
+        elif crc16.mcrf4xx(data[start + 1 : checked] + extra) != data[checked] | data[checked + 1] << 8:
+            self.counts.bad_checksum += 1
+            return None
+        elif version == 1 and not self._mavlink1:
+            self.counts.mavlink1_refused += 1
+            return None
+        return Frame(data[start:stop], version, number, system, component, sequence, signed)
+
+    def _frame_within(self, data: bytes, at: int, stop: int) -> bool:
+        """Whether a frame of a known message begins in data[at:stop], be it cut off at the end of `data`."""
+        while found := _MARKER.search(data, at, stop):
+            start, at = found.start(), found.start() + 1
+            length = self._length(data, start, len(data))
+            first = start + (HEADER_2 - 3 if data[start] == MARKER_2 else HEADER_1 - 1)
+            number = int.from_bytes(data[first : first + (3 if data[start] == MARKER_2 else 1)], "little")
+            extra = self._extras.get(number)
+            if not length or extra is None or len(data) - start < HEADER_2:
+                continue
+            checked = start + length - CHECKSUM
+            if data[start] == MARKER_2 and data[start + 2] == SIGNED:
+                checked -= SIGNATURE
+            if start + length > len(data):
+                if data[start] == MARKER_2:  # by chance one in 10^5; with MAVLink 1's short header every third
+                    return True
+            elif crc16.mcrf4xx(data[start + 1 : checked] + extra) == data[checked] | data[checked + 1] << 8:
+                return True
+        return False
+
+
+@cache
+def _plan(number: int) -> tuple[Any, int, tuple[tuple[int, int], ...]]:
+    """Class, size on the wire, and per field (by the constructor's order) its place among the unpacked values."""
+    kind = dialect.load().mavlink_map[number]
+    lengths = [
+        1 if kind.fieldtypes[kind.fieldnames.index(name)] == "char" else kind.lengths[place]
+        for place, name in enumerate(kind.ordered_fieldnames)
+    ]
+    starts = [sum(lengths[:place]) for place in range(len(lengths))]
+    places = tuple((starts[order], kind.lengths[order]) for order in kind.orders)
+    return kind, kind.unpacker.size, places
+
+
+def decode(frame: Frame) -> Any | None:
+    """The message in a frame that a parser gave, or None if the dialect has it not.
+
+    Its class is pymavlink's (`get_type()`, `get_srcSystem()`, a field an attribute); arrays are lists, text is str.
+    """
+    if not frame.known:
+        return None
+    kind, size, places = _plan(frame.message_id)
+    raw = frame.raw
+    payload = frame.payload[:size]  # a newer dialect's may be longer
+    values = kind.unpacker.unpack(payload.ljust(size, b"\0"))
+    fields = [
+        value.rstrip(b"\0")
+        if isinstance(value := values[at], bytes)
+        else value
+        if length == 1
+        else list(values[at : at + length])
+        for at, length in places
+    ]
+    message = kind(*fields)
+    message._header = dialect.load().MAVLink_header(
+        frame.message_id,
+        raw[2] if frame.version == 2 else 0,
+        raw[3] if frame.version == 2 else 0,
+        raw[1],
+        frame.sequence,
+        frame.system,
+        frame.component,
+    )
+    message._msgbuf, message._payload, message._signed = raw, payload, frame.signed
+    return message
+
+
+@dataclass(slots=True)
+class _Sender:
+    """What a message of pymavlink asks of its sender when it is packed."""
+
+    seq: int
+    srcSystem: int
+    srcComponent: int
+    signing: Any
+
+
+@dataclass(frozen=True, slots=True)
+class _Unsigned:
+    sign_outgoing: bool = False
+
+
+_UNSIGNED = _Unsigned()
+
+
+def encode(message: Any, system: int, component: int, sequence: int, signing: Any = _UNSIGNED) -> bytes:
+    """A message as MAVLink 2. Raises LinkError, naming the field, where a value does not fit its type."""
+    try:
+        return bytes(message.pack(_Sender(sequence, system, component, signing)))
+    except (struct.error, TypeError, IndexError, OverflowError, AttributeError) as error:
+        raise LinkError(f"cannot be encoded: {_culprit(message)}", message.get_type(), str(error)) from error
+
+
+def _culprit(message: Any) -> str:
+    """Which field does not fit, and its value."""
+    kind = type(message)
+    counts = dict(zip(kind.ordered_fieldnames, kind.array_lengths, strict=True))
+    for name, type_name in zip(kind.fieldnames, kind.fieldtypes, strict=True):
+        value, count = getattr(message, name), counts[name]
+        letter = _LETTERS.get(type_name)
+        try:
+            if letter:
+                values: Sequence[Any] = value if isinstance(value, Sequence) else [value]
+                struct.pack(f"<{len(values)}{letter}", *values)
+        except (struct.error, TypeError, OverflowError):
+            return f"{name} = {shown(value)} is no {type_name}"
+        if isinstance(value, Sequence) and not isinstance(value, str | bytes) and count and len(value) < count:
+            return f"{name} has {len(value)} numbers, not {count}"
+    return "a value does not fit its type"
+
+
+_LETTERS = {
+    "float": "f",
+    "double": "d",
+    "int8_t": "b",
+    "uint8_t": "B",
+    "int16_t": "h",
+    "uint16_t": "H",
+    "int32_t": "i",
+    "uint32_t": "I",
+    "int64_t": "q",
+    "uint64_t": "Q",
+}

@@ -1,0 +1,115 @@
+"""Packets of MAVLink FTP: the payload of FILE_TRANSFER_PROTOCOL (MAVLink guide, "File Transfer Protocol")."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from struct import Struct
+from typing import Any, NamedTuple
+
+from twodof.link.mavlink.messages import message
+
+_HEADER = Struct("<HBBBBBxI")
+MOST_DATA = 239
+_PAYLOAD = 251
+
+
+class FtpOperation(IntEnum):
+    """Operation codes."""
+
+    NONE = 0
+    TERMINATE = 1
+    RESET = 2
+    LIST = 3
+    OPEN_RO = 4
+    READ = 5
+    CREATE = 6
+    WRITE = 7
+    REMOVE = 8
+    CREATE_FOLDER = 9
+    REMOVE_FOLDER = 10
+    OPEN_WO = 11
+    TRUNCATE = 12
+    RENAME = 13
+    CRC32 = 14
+    BURST = 15
+    ACK = 128
+    NAK = 129
+
+
+class FtpError(IntEnum):
+    """Error codes of a NAK."""
+
+    FAIL = 1
+    ERRNO = 2
+    DATA_SIZE = 3
+    SESSION = 4
+    NO_SESSIONS = 5
+    END = 6
+    UNKNOWN = 7
+    EXISTS = 8
+    PROTECTED = 9
+    NOT_FOUND = 10
+
+
+class FtpPacket(NamedTuple):
+    """One packet, asked or answered."""
+
+    sequence: int
+    session: int
+    op: int
+    size: int
+    asked: int
+    complete: int
+    offset: int
+    data: bytes
+
+    @property
+    def text(self) -> str:
+        """The path that a request carries, up to a zero."""
+        return self.data[: self.size].split(b"\0")[0].decode("utf-8", "replace")
+
+    def ack(self, data: bytes = b"", session: int | None = None, offset: int | None = None) -> FtpPacket:
+        """The answer to this request: done."""
+        return self._answer(FtpOperation.ACK, data, session, offset)
+
+    def nak(self, fault: int, errno: int = 0) -> FtpPacket:
+        """The answer to this request: refused."""
+        return self._answer(
+            FtpOperation.NAK, bytes((fault, errno & 0xFF)) if fault == FtpError.ERRNO else bytes((fault,))
+        )
+
+    def part(self, number: int, offset: int, data: bytes, last: bool) -> FtpPacket:
+        """A part of the answer to this burst request, the `number`-th from 0."""
+        sequence = (self.sequence + 1 + number) & 0xFFFF
+        return FtpPacket(sequence, self.session, FtpOperation.ACK, len(data), self.op, int(last), offset, data)
+
+    def _answer(self, op: int, data: bytes, session: int | None = None, offset: int | None = None) -> FtpPacket:
+        return FtpPacket(
+            (self.sequence + 1) & 0xFFFF,
+            self.session if session is None else session,
+            op,
+            len(data),
+            self.op,
+            0,
+            self.offset if offset is None else offset,
+            data,
+        )
+
+
+def read_packet(payload: bytes) -> FtpPacket:
+    """The packet that 251 bytes of a message hold; `size` may say anything."""
+    sequence, session, op, size, asked, complete, offset = _HEADER.unpack_from(payload)
+    return FtpPacket(sequence, session, op, size, asked, complete, offset, payload[_HEADER.size : _PAYLOAD])
+
+
+def packed(packet: FtpPacket, system: int, component: int) -> Any:
+    """The message with a packet for that client."""
+    head = _HEADER.pack(
+        packet.sequence, packet.session, packet.op, packet.size, packet.asked, packet.complete, packet.offset
+    )
+    return message(
+        "FILE_TRANSFER_PROTOCOL",
+        target_system=system,
+        target_component=component,
+        payload=head + packet.data,
+    )

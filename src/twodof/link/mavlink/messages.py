@@ -1,0 +1,217 @@
+"""Messages by name with checked fields, and what our own carry: batches of samples, excitations in pieces.
+
+A message is an object of pymavlink's class for it. A field that is not given is 0 (text: empty).
+"""
+
+import math
+import struct
+import zlib
+from collections.abc import Iterator, Sequence
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twodof.errors import LinkError, listed, shown
+from twodof.excitation import Excitation
+from twodof.link.mavlink import dialect
+
+BATCH_VALUES = 60
+PIECE_BYTES = 200
+LONGEST_EXCITATION = 65_535
+STATUSTEXT_BYTES = 50
+_CHANNEL = "TWODOF_CHANNEL_"
+
+
+@cache
+def _layout(name: str) -> tuple[Any, dict[str, tuple[str, int]]]:
+    """Class of a message, and type and array length (0: no array) of each field, in the constructor's order."""
+    kind = dialect.load().mavlink_map[dialect.message_id(name)]
+    lengths = dict(zip(kind.ordered_fieldnames, kind.array_lengths, strict=True))
+    rows = zip(kind.fieldnames, kind.fieldtypes, strict=True)
+    return kind, {field: (type_name, lengths[field]) for field, type_name in rows}
+
+
+def message(name: str, /, **fields: Any) -> Any:
+    """The message called `name` ("COMMAND_LONG") with these fields, the others 0.
+
+    Text may be str (UTF-8) or bytes; an array may be shorter than its field and is filled with zeros. Raises LinkError
+    for a name that is none and for text or an array that is too long; a number that does not fit its type is found when
+    the message is sent.
+    """
+    kind, layout = _layout(name)
+    unknown = fields.keys() - layout.keys()
+    if unknown:
+        raise LinkError(f"has no field {shown(min(unknown))}", name, f"its fields are {listed(layout)}")
+    values = []
+    for field, (type_name, length) in layout.items():
+        value = fields.get(field)
+        if type_name == "char":
+            value = _text(name, field, value, length or 1)
+        elif length:
+            value = _array(name, field, value, length)
+        elif value is None:
+            value = 3 if field == "mavlink_version" else 0
+        values.append(value)
+    return kind(*values)
+
+
+def _text(name: str, field: str, value: Any, length: int) -> bytes:
+    text = b"" if value is None else value.encode() if isinstance(value, str) else value
+    if not isinstance(text, bytes | bytearray) or len(text) > length:
+        raise LinkError(f"{field} = {shown(value)} is no text of at most {length} bytes", name, "shorten it")
+    return bytes(text)
+
+
+def _array(name: str, field: str, value: Any, length: int) -> list[Any]:
+    values = [] if value is None else list(value)
+    if len(values) > length:
+        raise LinkError(f"{field} has {len(values)} values, at most {length} fit", name, "send several messages")
+    return values + [0] * (length - len(values))
+
+
+def float_of_int(value: int) -> float:
+    """The float32 with the bits of an int32: how PX4 carries int32 parameters in PARAM_VALUE and PARAM_SET.
+
+    Raises LinkError for a value that is no int32, and for the few (7f800001 to 7fbfffff, ff800001 to ffbfffff) that
+    are signalling NaNs, which a float of Python does not keep.
+    """
+    try:
+        carried = float(struct.unpack("<f", struct.pack("<i", value))[0])
+    except (struct.error, TypeError) as error:
+        raise LinkError(f"{shown(value)} is no int32", "PARAM_VALUE", "give -2^31 to 2^31 - 1") from error
+    if int_of_float(carried) != value:
+        raise LinkError(f"{value} is not kept as a float", "PARAM_VALUE", "choose a smaller whole number")
+    return carried
+
+
+def int_of_float(value: float) -> int:
+    """The int32 whose bits a received float32 holds; the inverse of `float_of_int`."""
+    return int(struct.unpack("<i", struct.pack("<f", value))[0])
+
+
+def statustext(text: str, severity: int = 6, number: int = 0) -> list[Any]:
+    """A line of text as STATUSTEXT; a longer one in chunks under the id `number`, which must then be 1 to 65535.
+
+    Severities are syslog's (MAV_SEVERITY): 6 is information. At most 255 chunks; what is beyond is cut.
+    """
+    data = text.encode()
+    if len(data) <= STATUSTEXT_BYTES:
+        return [message("STATUSTEXT", severity=severity, text=data)]
+    starts = range(0, min(len(data), 255 * STATUSTEXT_BYTES), STATUSTEXT_BYTES)
+    return [
+        message("STATUSTEXT", severity=severity, text=data[at : at + STATUSTEXT_BYTES], id=number or 1, chunk_seq=place)
+        for place, at in enumerate(starts)
+    ]
+
+
+@cache
+def channel_bits() -> dict[str, int]:
+    """Column of `signals.TOPICS`, as the dialect writes it ("IMU_ACC_X") -> its bit in TWODOF_BATCH.channels."""
+    entries = dialect.load().enums["TWODOF_CHANNEL"]
+    names = {entry.name.removeprefix(_CHANNEL): bit for bit, entry in entries.items()}
+    names.pop("ENUM_END")  # the generator's own last entry
+    return names
+
+
+def channel_mask(columns: Sequence[str]) -> int:
+    """The mask of columns such as `imu.gyro_y`. Raises LinkError for one that is none."""
+    bits, mask = channel_bits(), 0
+    for column in columns:
+        bit = bits.get(column.replace(".", "_").upper())
+        if bit is None:
+            raise LinkError(f"no channel {shown(column)}", "TWODOF_BATCH", f"there are {listed(bits, 64)}")
+        mask |= bit
+    return mask
+
+
+def batch(tick: int, mask: int, rows: NDArray[np.float32], every: int = 1) -> list[Any]:
+    """Samples (n, channels of `mask` by rising bit), the first at `tick`, `every` ticks apart, in as few TWODOF_BATCH.
+
+    Raises LinkError if the width of `rows` is not the number of channels.
+    """
+    width = mask.bit_count()
+    if rows.ndim != 2 or rows.shape[1] != width or not 1 <= width <= BATCH_VALUES:
+        raise LinkError(f"rows of shape {rows.shape} for {width} channels", "TWODOF_BATCH", "give (n, channels)")
+    most = BATCH_VALUES // width
+    return [
+        message(
+            "TWODOF_BATCH",
+            channels=mask,
+            tick=(tick + at * every) & 0xFFFFFFFF,
+            values=rows[at : at + most].ravel().tolist(),
+            rows=len(rows[at : at + most]),
+            every=every,
+        )
+        for at in range(0, len(rows), most)
+    ]
+
+
+def batch_rows(received: Any) -> tuple[NDArray[np.uint32], NDArray[np.float32]]:
+    """Ticks (n,) and samples (n, channels by rising bit) of a TWODOF_BATCH; empty where its numbers make no sense."""
+    width = int(received.channels).bit_count()
+    count = min(received.rows, BATCH_VALUES // width) if width else 0
+    values = np.array(received.values[: count * width], dtype=np.float32).reshape(count, width)
+    ticks = (received.tick + received.every * np.arange(count, dtype=np.int64)) & 0xFFFFFFFF
+    return ticks.astype(np.uint32), values
+
+
+def excite(excitation: Excitation, loop: int, transfer: int, system: int, component: int) -> Iterator[Any]:
+    """An excitation's definition in pieces, to be sent in order; TWODOF_EXCITE with action START plays it.
+
+    Raises LinkError for a definition longer than LONGEST_EXCITATION bytes.
+    """
+    data = excitation.to_json().encode()
+    if len(data) > LONGEST_EXCITATION:
+        raise LinkError(f"its definition has {len(data)} bytes", "TWODOF_EXCITE", "at most 65535 are sent")
+    return (
+        message(
+            "TWODOF_EXCITE",
+            crc=zlib.crc32(data),
+            transfer=transfer,
+            offset=at,
+            total=len(data),
+            target_system=system,
+            target_component=component,
+            loop=loop,
+            length=len(data[at : at + PIECE_BYTES]),
+            data=data[at : at + PIECE_BYTES],
+        )
+        for at in range(0, len(data), PIECE_BYTES)
+    )
+
+
+class ExcitationReceiver:
+    """Puts the pieces of one sender's TWODOF_EXCITE together; repeated and reordered ones do no harm."""
+
+    def __init__(self) -> None:
+        self.transfer = -1
+        self._crc = 0
+        self._total = 0
+        self._pieces: dict[int, bytes] = {}
+
+    @property
+    def received(self) -> int:
+        """Bytes that have arrived without a gap, from the first."""
+        at = 0
+        while at in self._pieces:
+            at += len(self._pieces[at])
+        return at
+
+    def take(self, piece: Any) -> bytes | None:
+        """The definition's bytes once the last piece has come and the checksum holds, else None.
+
+        A piece of another transfer, length or checksum begins anew; one that does not fit is ignored.
+        """
+        if (piece.transfer, piece.crc, piece.total) != (self.transfer, self._crc, self._total):
+            self.transfer, self._crc, self._total, self._pieces = piece.transfer, piece.crc, piece.total, {}
+        data = bytes(piece.data[: piece.length])
+        fits = piece.offset % PIECE_BYTES == 0 and piece.offset + len(data) <= self._total
+        if not fits or not data or len(data) != min(PIECE_BYTES, self._total - piece.offset):
+            return None
+        self._pieces[piece.offset] = data
+        if len(self._pieces) < math.ceil(self._total / PIECE_BYTES):
+            return None
+        whole = b"".join(self._pieces[at] for at in sorted(self._pieces))
+        return whole if zlib.crc32(whole) == self._crc else None

@@ -1,0 +1,80 @@
+"""Modes by name and as PX4's number in HEARTBEAT.custom_mode: main << 16 | sub << 24."""
+
+from __future__ import annotations
+
+from types import MappingProxyType
+from typing import NamedTuple
+
+from twodof.errors import LinkError, listed, shown
+
+
+class FlightMode(NamedTuple):
+    """What a client may choose. `name` is ours, `main` and `sub` are PX4's; MAV_STANDARD_MODE, MAV_MODE_PROPERTY."""
+
+    name: str
+    main: int
+    sub: int
+    standard_mode: int
+    properties: int
+    text: str
+
+    @property
+    def custom_mode(self) -> int:
+        """As HEARTBEAT carries it."""
+        return self.main << 16 | self.sub << 24
+
+
+_AUTO_MODE = 4  # MAV_MODE_PROPERTY_AUTO_MODE: it flies by itself
+
+MODES: tuple[FlightMode, ...] = (
+    FlightMode("manual", 1, 0, 0, 0, "open loop: sticks or TWODOF_OPENLOOP give moment and thrust"),
+    FlightMode("rate", 5, 0, 0, 0, "sticks give the pitch rate and the thrust (PX4's acro)"),
+    FlightMode("attitude", 7, 0, 0, 0, "sticks give the pitch and the thrust (PX4's stabilised)"),
+    FlightMode("position", 3, 0, 1, 0, "the stick gives the velocity along the rail, centred it holds the position"),
+    FlightMode("hold", 4, 3, 0, _AUTO_MODE, "level hold on board: pitch 0 at the thrust THRUST_BAR"),
+    FlightMode(
+        "offboard",
+        6,
+        0,
+        0,
+        _AUTO_MODE,
+        "set-points by message or an excitation on board; the last valid one decides which loop",
+    ),
+)
+"""The modes, in the order in which they are listed to clients."""
+
+BY_NAME = MappingProxyType({mode.name: mode for mode in MODES})
+BY_NUMBER = MappingProxyType({mode.custom_mode: mode for mode in MODES})
+
+MANUAL, RATE, ATTITUDE, POSITION, HOLD, OFFBOARD = (mode.custom_mode for mode in MODES)
+"""The modes as custom_mode."""
+
+
+def custom_mode(name: str) -> int:
+    """custom_mode of the mode `name`. Raises LinkError for a name that is none."""
+    mode = BY_NAME.get(name)
+    if mode is None:
+        raise LinkError(f"no mode called {shown(name)}", "custom_mode", f"there are {listed(BY_NAME)}")
+    return mode.custom_mode
+
+
+def mode_name(number: int) -> str:
+    """Name of a custom_mode, as text where it is none of ours."""
+    mode = BY_NUMBER.get(number)
+    return mode.name if mode is not None else f"main {number >> 16 & 0xFF}, sub {number >> 24 & 0xFF}"
+
+
+_CUSTOM, _AUTO, _GUIDED, _STABILIZE, _MANUAL, _ARMED = 1, 4, 8, 16, 64, 128  # MAV_MODE_FLAG
+
+UNREADY, STANDBY, ACTIVE, CRITICAL, TERMINATED = 0, 3, 4, 5, 8
+"""MAV_STATE, as PX4 uses them."""
+
+
+def base_mode(number: int, armed: bool) -> int:
+    """HEARTBEAT.base_mode of a custom_mode, with the flags that PX4 sets."""
+    flags = _CUSTOM | (_ARMED if armed else 0)
+    if number in (MANUAL, RATE, ATTITUDE, POSITION):
+        flags |= _MANUAL
+    if number not in (MANUAL, RATE):
+        flags |= _STABILIZE
+    return flags | (_AUTO | _GUIDED if number == HOLD else 0)

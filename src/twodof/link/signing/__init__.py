@@ -1,0 +1,1 @@
+"""MAVLink 2 signing: keys, time stamps, and which frames are let in."""

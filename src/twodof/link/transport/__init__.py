@@ -1,0 +1,1 @@
+"""Packets in and out by URL: UDP, TCP, serial lines, memory."""

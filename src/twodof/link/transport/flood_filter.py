@@ -1,0 +1,218 @@
+"""UDP sockets that somebody floods: noticed by never being read empty, ended in the kernel where it can be.
+
+What a flood leaves of a socket's buffer is a matter of luck, for a kill too. So whoever fills it is refused for a
+while: by a socket filter of Linux, which costs the sender and not us (classic BPF, SO_ATTACH_FILTER in socket(7); it
+needs no privilege), elsewhere as soon as a packet is read. What looks like a kill or a disarming passes, whoever sends.
+"""
+
+import asyncio
+import ctypes
+import random
+import socket
+import struct
+import sys
+from collections.abc import Callable, Hashable, Iterable
+from contextlib import suppress
+from ipaddress import IPv4Address, IPv6Address, ip_address
+from types import MappingProxyType
+from typing import NamedTuple
+
+from twodof.link.mavlink.framing import HEADER_1, HEADER_2, MARKER_1, MARKER_2
+
+REFUSED_S = 2.0
+# The least that Linux charges a socket's buffer for a packet is 768 bytes, for one of a few bytes.
+PACKET_BYTES = 700
+# Who has sent less than a quarter of its share of a flood is no part of it, nor who has sent a handful.
+SHARE, HANDFUL = 4, 8
+# A filter has its limit (4096 instructions), and a list of refused sources is no use against forged ones.
+MOST_REFUSED = 32
+# Of those that nobody knows one packet in so many passes, while sources are too many to be told apart.
+ONE_IN = 256
+_ATTACH, _DETACH = 26, 27  # SO_ATTACH_FILTER, SO_DETACH_FILTER of Linux
+_BYTE, _HALF, _WORD, _LENGTH, _AND, _RETURN = 0x30, 0x28, 0x20, 0x80, 0x54, 0x06
+_EQUAL, _AT_LEAST = 0x15, 0x35
+_NETWORK, _RANDOM = 0xFFF00000, 0xFFFFF038  # SKF_NET_OFF; SKF_AD_OFF + SKF_AD_RANDOM
+_UDP = 8  # bytes of its header, where a filter's offsets begin
+# COMMAND_INT and COMMAND_LONG, and behind their first 7 parameters the command.
+_COMMANDS, _COMMAND, _LOW_ARM_DISARM, _TERMINATE = (75, 76), 28, 400 & 0xFF, 185
+_PASS, _DROP = 0xFFFFFFFF, 0
+Instruction = tuple[int, int, int, int]
+Source = tuple[IPv4Address | IPv6Address, int]
+
+
+class _Form(NamedTuple):
+    """Where a frame has its message's number and its parameters; the number has all bytes between."""
+
+    number: int
+    params: int
+
+
+_FORMS = MappingProxyType({MARKER_2: _Form(7, HEADER_2), MARKER_1: _Form(5, HEADER_1)})
+
+
+class FloodFilter:
+    """Watches one listening socket. Call `came` for each packet that is read and `emptied` when there is none left.
+
+    `known` gives those whose sound packets have been heard before.
+    """
+
+    def __init__(
+        self, opened: socket.socket, loop: asyncio.AbstractEventLoop, known: Callable[[], Iterable[Hashable]]
+    ) -> None:
+        self.count = 0
+        """How often one was noticed."""
+        self._socket = opened
+        self._loop = loop
+        self._known = known
+        # More than twice what the buffer holds comes in one go only if it comes as fast as it is read.
+        self._most = max(2 * opened.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // PACKET_BYTES, 64)
+        self._run: dict[Hashable, int] = {}
+        self._left = self._most
+        self._passes: Callable[[Hashable], bool] | None = None
+        self._end: asyncio.TimerHandle | None = None
+
+    def emptied(self) -> None:
+        """The socket has nothing more."""
+        if self._left != self._most:
+            self._run.clear()
+            self._left = self._most
+
+    def came(self, peer: Hashable, data: bytes) -> bool:
+        """Whether to take this packet."""
+        self._run[peer] = self._run.get(peer, 0) + 1
+        self._left -= 1
+        if not self._left:
+            self._refuse()
+        return self._passes is None or self._passes(peer) or looks_like_a_stop(data)
+
+    def close(self) -> None:
+        """Before the socket is closed."""
+        if self._end is not None:
+            self._end.cancel()
+
+    def _refuse(self) -> None:
+        """Somebody floods: refuse who does, or all but the known where there are too many to say."""
+        limit = max(HANDFUL, self._most // (SHARE * len(self._run)))
+        guilty = {peer for peer, count in self._run.items() if count > limit}
+        several = self._passes is not None or len(guilty) > MOST_REFUSED
+        if several:
+            good = {peer for peer in self._known() if self._run.get(peer, 0) <= limit}
+            self._passes = lambda peer: peer in good or not random.randrange(ONE_IN)
+            rules = program(sources(good), listed_pass=True)
+        else:
+            self._passes = lambda peer: peer not in guilty
+            rules = program(sources(guilty), listed_pass=False)
+        self.count += 1
+        self._run.clear()
+        self._left = self._most
+        with suppress(OSError):  # a system that has none: what is read is refused here
+            attach(self._socket, rules)
+        if self._end is not None:
+            self._end.cancel()
+        self._end = self._loop.call_later(REFUSED_S, self._forgive)
+
+    def _forgive(self) -> None:
+        self._passes = self._end = None
+        self.emptied()
+        with suppress(OSError):
+            attach(self._socket, [])
+
+
+def looks_like_a_stop(data: bytes) -> bool:
+    """Whether a packet begins as a kill or a disarming does, in either MAVLink, whatever its checksum says."""
+    form = _FORMS.get(data[0]) if data else None
+    if form is None or len(data) <= form.params + _COMMAND or data[form.number] not in _COMMANDS:
+        return False
+    if any(data[form.number + 1 : form.params]):
+        return False
+    low = data[form.params + _COMMAND]
+    return low == (_TERMINATE if any(data[form.params : form.params + 4]) else _LOW_ARM_DISARM)
+
+
+def sources(peers: Iterable[Hashable]) -> list[Source]:
+    """Addresses and ports of a UDP socket's peers."""
+    found = []
+    for peer in peers:
+        if isinstance(peer, tuple):
+            address = ip_address(str(peer[0]).partition("%")[0])
+            mapped = address.ipv4_mapped if isinstance(address, IPv6Address) else None
+            found.append((mapped or address, int(peer[1])))
+    return found[:MOST_REFUSED]
+
+
+def program(listed: Iterable[Source], listed_pass: bool) -> list[Instruction]:
+    """A filter: what looks like a stop passes; then those `listed` pass and one in ONE_IN of the rest, or they do not
+    and all others do.
+    """
+    rules = [*_stops()]
+    if_listed, otherwise = (_PASS, _DROP) if listed_pass else (_DROP, _PASS)
+    for address, port in listed:
+        rules += _one(address, port, if_listed)
+    if listed_pass:
+        rules += [(_WORD, 0, 0, _RANDOM), (_AND, 0, 0, ONE_IN - 1), (_EQUAL, 0, 1, 0), (_RETURN, 0, 0, _PASS)]
+    return [*rules, (_RETURN, 0, 0, otherwise)]
+
+
+def _stops() -> list[Instruction]:
+    """`looks_like_a_stop`."""
+    return [rule for marker, form in _FORMS.items() for rule in _stop(marker, form)]
+
+
+def _stop(marker: int, form: _Form) -> list[Instruction]:
+    """The same of one form; second and third number: how far to jump if so, if not; `on`: behind all this."""
+    low, high = _COMMANDS
+    number, params = _UDP + form.number, _UDP + form.params
+    on = -1
+    wide = [(_HALF, 0, 0, number + 1), (_EQUAL, 0, on, 0)] if params - number > 1 else []
+    tests: list[Instruction] = [
+        (_LENGTH, 0, 0, 0),
+        (_AT_LEAST, 0, on, params + _COMMAND + 1),
+        (_BYTE, 0, 0, _UDP),
+        (_EQUAL, 0, on, marker),
+        (_BYTE, 0, 0, number),
+        (_EQUAL, 1, 0, low),
+        (_EQUAL, 0, on, high),
+        *wide,
+        (_BYTE, 0, 0, params + _COMMAND),
+        (_EQUAL, 3, 0, _TERMINATE),
+        (_EQUAL, 0, on, _LOW_ARM_DISARM),
+        (_WORD, 0, 0, params),
+        (_EQUAL, 2, on, 0),
+        (_WORD, 0, 0, params),
+        (_EQUAL, on, 0, 0),
+        (_RETURN, 0, 0, _PASS),
+    ]
+    left = range(len(tests) - 1, -1, -1)
+    return [
+        (code, behind if so == on else so, behind if if_not == on else if_not, value)
+        for behind, (code, so, if_not, value) in zip(left, tests, strict=True)
+    ]
+
+
+def _one(address: IPv4Address | IPv6Address, port: int, verdict: int) -> list[Instruction]:
+    """Return `verdict` for one source, go on behind it for any other."""
+    at = 12 if isinstance(address, IPv4Address) else 8
+    words = struct.unpack(f">{len(address.packed) // 4}I", address.packed)
+    tests = [(_BYTE, _NETWORK, address.version << 4, 0xF0), (_HALF, 0, port, 0)]
+    tests += [(_WORD, _NETWORK + at + 4 * place, word, 0) for place, word in enumerate(words)]
+    rules: list[Instruction] = []
+    for load, where, value, mask in tests:
+        rules += [(load, 0, 0, where), *([(_AND, 0, 0, mask)] if mask else []), (_EQUAL, 0, 0, value)]
+    end = len(rules)
+    rules = [
+        (code, 0, end - place, value) if code == _EQUAL else (code, 0, 0, value)
+        for place, (code, _, _, value) in enumerate(rules)
+    ]
+    return [*rules, (_RETURN, 0, 0, verdict)]
+
+
+def attach(opened: socket.socket, rules: list[Instruction]) -> None:
+    """Have the kernel ask these `rules` about each packet; none: take them off. Raises OSError where it has no such."""
+    if sys.platform != "linux":
+        raise OSError("no socket filters on this system")
+    if not rules:
+        opened.setsockopt(socket.SOL_SOCKET, _DETACH, 0)
+        return
+    code = ctypes.create_string_buffer(b"".join(struct.pack("=HBBI", *rule) for rule in rules))
+    # struct sock_fprog, with the padding and the pointer of this machine
+    opened.setsockopt(socket.SOL_SOCKET, _ATTACH, struct.pack("@HP", len(rules), ctypes.addressof(code)))

@@ -1,0 +1,47 @@
+"""A URL becomes a transport."""
+
+import asyncio
+
+from twodof.errors import LinkError, LinkLost
+from twodof.link.transport.base import Transport
+from twodof.link.transport.memory import open_memory
+from twodof.link.transport.serial_port import open_serial
+from twodof.link.transport.tcp import open_tcp
+from twodof.link.transport.udp import open_udp
+from twodof.link.transport.url import Address, parse
+
+# Often enough not to be noticed, seldom enough not to be felt.
+RETRY_S = 0.05
+
+
+async def open_transport(url: str, timeout: float = 5.0) -> Transport:
+    """The transport that `url` names; the forms are in `url.parse`.
+
+    Where nobody listens yet it is tried again until `timeout` [s] has passed. Raises LinkError for a URL that is none
+    or that the system refuses, LinkLost if nobody answered in time.
+    """
+    address = parse(url)
+    try:
+        async with asyncio.timeout(timeout):
+            while True:
+                try:
+                    return await _open(address)
+                except ConnectionRefusedError:
+                    await asyncio.sleep(RETRY_S)
+    except TimeoutError as error:
+        raise LinkLost(
+            f"nobody answered within {timeout:g} s", str(address), "start the other side, or correct the address"
+        ) from error
+
+
+async def _open(address: Address) -> Transport:
+    match address.kind:
+        case "udp" | "udpin" | "udpbcast":
+            return await open_udp(address)
+        case "tcp" | "tcpin":
+            return await open_tcp(address)
+        case "serial":
+            return open_serial(address)
+        case "mem" | "memin":
+            return open_memory(address)
+    raise LinkError("is no kind of link", str(address), "use another")

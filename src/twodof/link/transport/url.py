@@ -1,0 +1,155 @@
+"""Addresses of links, as URLs: the forms that MAVSDK's and MAVProxy's users know."""
+
+import re
+import termios
+from dataclasses import dataclass
+from urllib.parse import SplitResult, parse_qsl, urlsplit
+
+from twodof.errors import LinkError, shown
+from twodof.link.transport import ports
+
+FORMS = (
+    "udp://HOST:PORT or udp://:PORT (listens), udpin://HOST:PORT, udp://HOST:PORT?bind=[HOST:]PORT, "
+    "udpbcast://HOST:PORT, tcp://HOST:PORT, tcpin://HOST:PORT, serial:///dev/NAME?baud=N, mem://NAME, memin://NAME"
+)
+LOOPBACK = "127.0.0.1"
+ANY = ("0.0.0.0", "::")
+HERE = ("127.0.0.1", "localhost", "::1")
+DEFAULT_BAUD = 921_600
+LONGEST_URL = 1000
+_ALIASES = {"udpout": "udp", "tcpout": "tcp"}
+_NETWORK = ("udp", "udpin", "udpbcast", "tcp", "tcpin")
+_SHORT = re.compile(r"(udp|udpin|udpout|udpbcast|tcp|tcpin):([^/].*)?")
+_BARE = re.compile(
+    r"(?!(?:udp|udpin|udpout|udpbcast|tcp|tcpin|mem|memin|serial):)([A-Za-z0-9_.-]+|\[[0-9A-Fa-f:]+\])(:\d{1,5})?"
+)
+_MEMORY_NAME = re.compile(r"[A-Za-z0-9_.-]{1,100}")
+BAUDS = {int(name[1:]): int(getattr(termios, name)) for name in dir(termios) if re.fullmatch(r"B[1-9]\d*", name)}
+
+
+@dataclass(frozen=True)
+class Address:
+    """Where a link leads: `kind` is udp, udpin, udpbcast, tcp, tcpin, serial, mem or memin; `name` a host, device or
+    name. `bind_name` and `bind_port` are where a udp or udpbcast listens too, "" if nowhere.
+    """
+
+    kind: str
+    name: str
+    port: int = 0
+    baud: int = 0
+    bind_name: str = ""
+    bind_port: int = 0
+
+    @property
+    def listens(self) -> bool:
+        """Whether others come to it."""
+        return self.kind.endswith("in")
+
+    def __str__(self) -> str:
+        if self.kind == "serial":
+            return f"serial://{self.name}?baud={self.baud}"
+        if self.kind not in _NETWORK:
+            return f"{self.kind}://{self.name}"
+        bound = f"?bind={_bracketed(self.bind_name)}:{self.bind_port}" if self.bind_name else ""
+        return f"{self.kind}://{_bracketed(self.name)}:{self.port}{bound}"
+
+
+def parse(url: str) -> Address:
+    """The address that a URL names.
+
+    A listening form without a host listens on this machine only; `udpin://0.0.0.0:14550` listens on every interface.
+    MAVProxy's short forms `udpin:HOST:PORT`, `udp:HOST:PORT` (listens, as there), `udpout:HOST:PORT`, `tcp:HOST:PORT`
+    and `/dev/NAME,BAUD` are taken too. `udp://HOST:PORT?bind=[HOST:]PORT` sends to the first, always, and listens at
+    the second. Raises LinkError for anything else.
+    """
+    if not isinstance(url, str) or len(url) > LONGEST_URL or not url.isprintable():
+        raise LinkError(f"{shown(url)} is no URL", "", f"use {FORMS}")
+    if bare := _BARE.fullmatch(url):
+        udp, tcp = (url if bare[2] else f"{url}:{port}" for port in (ports.COMPANION_ONBOARD, ports.COMPANION_TCP))
+        raise LinkError("has no kind of link before its host", url, f"did you mean udp://{udp}, or tcp://{tcp}?")
+    short = _SHORT.fullmatch(url)
+    if short:
+        url = f"{'udpin' if short[1] == 'udp' else short[1]}://{short[2] or ''}"
+    elif url.startswith("/dev/"):
+        device, _, baud = url.partition(",")
+        url = f"serial://{device}" + (f"?baud={baud}" if baud else "")
+    try:
+        parts = urlsplit(url)
+        port = parts.port
+    except ValueError as error:
+        raise LinkError(str(error), url, f"use {FORMS}") from error
+    kind = _ALIASES.get(parts.scheme, parts.scheme)
+    if kind == "serial":
+        return _serial(url, parts)
+    bind_name, bind_port = "", 0
+    if kind in ("udp", "udpbcast") and parts.query and parts.hostname:
+        bind_name, bind_port = _bound(url, parts.query, parts.hostname)
+    elif parts.query:
+        raise LinkError("has parts that this kind of link does not take", url, f"use {FORMS}")
+    if parts.fragment or parts.path.strip("/") or parts.username is not None:
+        raise LinkError("has parts that this kind of link does not take", url, f"use {FORMS}")
+    if kind in ("mem", "memin"):
+        if not _MEMORY_NAME.fullmatch(parts.netloc):
+            raise LinkError("has no name of letters, digits, '_', '.', '-'", url, "such as mem://drone-1")
+        return Address(kind, parts.netloc)
+    if kind not in _NETWORK:
+        raise LinkError(f"{shown(parts.scheme)} is no kind of link", url, f"use {FORMS}")
+    host = parts.hostname or ""
+    if kind in ("udp", "tcp") and not host:
+        kind += "in"
+    if kind == "udpbcast" and not host:
+        raise LinkError("has no host", url, "write udpbcast://255.255.255.255:14550, or a network's own such address")
+    if port is None or (port == 0 and not kind.endswith("in")):
+        usual = {"udp": ports.COMPANION_ONBOARD, "tcp": ports.COMPANION_TCP}.get(kind, ports.GROUND_STATION)
+        raise LinkError("has no port", url, f"write {kind}://{host or LOOPBACK}:{usual}")
+    if kind in ("udp", "udpbcast", "tcp") and host in ANY:
+        raise LinkError(
+            f"{host} is no host to send to", url, f"to listen on every interface write {kind}in://{host}:{port}"
+        )
+    return Address(kind, host or LOOPBACK, port, bind_name=bind_name, bind_port=bind_port)
+
+
+def _bracketed(host: str) -> str:
+    return f"[{host}]" if ":" in host else host
+
+
+def _options(url: str, query: str) -> list[tuple[str, str]]:
+    try:
+        return parse_qsl(query, keep_blank_values=True, max_num_fields=4)
+    except ValueError as error:
+        raise LinkError("has more options than any link takes", url, f"use {FORMS}") from error
+
+
+def _bound(url: str, query: str, host: str) -> tuple[str, int]:
+    """Where `?bind=` listens; without a host on this machine only, as every listening form."""
+    options = _options(url, query)
+    if [name for name, _ in options] != ["bind"]:
+        raise LinkError("has parts that this kind of link does not take", url, f"use {FORMS}")
+    text = options[0][1]
+    try:
+        parts = urlsplit(f"//{text}" if ":" in text else f"//:{text}")
+        port = parts.port
+    except ValueError as error:
+        raise LinkError(str(error), url, "write ?bind=PORT or ?bind=HOST:PORT") from error
+    if port is None or parts.path or parts.query or parts.fragment or parts.username is not None:
+        raise LinkError(f"{shown(text)} is no place to listen at", url, "write ?bind=PORT or ?bind=HOST:PORT")
+    if not parts.hostname and host not in HERE:
+        raise LinkError(
+            f"listens on this machine only and cannot send to {host}", url, f"write ?bind=0.0.0.0:{port} to be open"
+        )
+    return parts.hostname or ("::1" if ":" in host else LOOPBACK), port
+
+
+def _serial(url: str, parts: SplitResult) -> Address:
+    """A serial line's address; `?baud=` decides, or MAVSDK's `:BAUD` at the end of the path."""
+    device, options = parts.path, dict(_options(url, parts.query))
+    path, colon, tail = device.rpartition(":")
+    if colon and tail.isdecimal() and "baud" not in options:
+        device, options["baud"] = path, tail
+    text = options.pop("baud", str(DEFAULT_BAUD))
+    if parts.netloc or parts.fragment or not device.startswith("/") or len(device) < 2 or options:
+        raise LinkError("is no serial line", url, "write serial:///dev/ttyACM0?baud=921600")
+    if not (text.isascii() and text.isdecimal() and len(text) <= 9 and int(text) in BAUDS):
+        some = ", ".join(str(baud) for baud in sorted(BAUDS) if baud >= 9600)
+        raise LinkError(f"baud {shown(text)} is none that this machine sets", url, f"use one of {some}")
+    return Address("serial", device, baud=int(text))

@@ -1,0 +1,136 @@
+"""A drone that asks for signatures: with the key everything works, without it nothing; and who is there at all."""
+
+import asyncio
+import socket
+from pathlib import Path
+
+import pytest
+
+from tests.faults.virtual_time import run_virtual
+from tests.faults.whole import paced_by_the_loop
+from tests.gcs.virtual import on_board
+from tests.patience import PATIENCE_S
+from twodof.errors import LinkError, LinkLost
+from twodof.gcs import Drone, discover
+from twodof.gcs.async_drone import AsyncDrone
+from twodof.link.connection import Connection
+from twodof.link.mavlink.messages import message
+from twodof.link.signing.frame_signing import Signing
+from twodof.link.signing.key import Key, write_key
+from twodof.link.signing.time_stamps import Stamps
+from twodof.link.transport.open_transport import open_transport
+from twodof.sim.virtual_drone import VirtualDrone
+
+
+def test_a_signed_drone_is_flown_with_its_key_only(tmp_path: Path) -> None:
+    key = Key.fresh()
+    write_key(tmp_path / "drone.key", key)
+    signing = Signing(key, Stamps(None))
+    with on_board(lockstep=True, signing=signing) as there:
+        for _ in range(2):  # the second one's time stamps go on where the first one's ended
+            with Drone.connect(there.url, key=tmp_path / "drone.key") as drone:
+                drone.run(0.3)
+                drone.arm()
+            assert not there.drone.commander.armed
+
+
+@pytest.mark.parametrize("lockstep", [False, True])
+def test_without_its_key_a_signed_drone_is_not_there_and_why_is_said(lockstep: bool) -> None:
+    signing = Signing(Key.fresh(), Stamps(None))
+
+    async def work() -> None:
+        with paced_by_the_loop():
+            async with VirtualDrone(lockstep=lockstep, signing=signing) as drone:
+                await drone.listen("memin://signed")
+                with pytest.raises(LinkLost, match=r"no drone was heard.*: \d+ frames came, signed with another key"):
+                    await AsyncDrone.connect("mem://signed", timeout=2.5, key=Key.fresh())
+                assert signing.counts.forged > 0
+                with pytest.raises(LinkLost, match=r"\d+ frames came signed.*key="):
+                    await AsyncDrone.connect("mem://signed", timeout=2.5)
+                assert signing.counts.unsigned > 0
+                assert signing.counts.accepted == 0
+                assert drone.commander.lease.holder is None
+
+    run_virtual(work())
+
+
+def test_a_key_for_a_drone_without_one_is_said_to_be_none_of_its() -> None:
+    async def work() -> None:
+        with paced_by_the_loop():
+            async with VirtualDrone() as drone:
+                await drone.listen("memin://unsigned")
+                with pytest.raises(LinkLost, match=r"\d+ frames came, unsigned.*without key="):
+                    await AsyncDrone.connect("mem://unsigned", timeout=2.5, key=Key.fresh())
+
+    run_virtual(work())
+
+
+def test_a_key_that_others_may_read_is_refused(tmp_path: Path) -> None:
+    write_key(tmp_path / "drone.key", Key.fresh())
+    (tmp_path / "drone.key").chmod(0o644)
+    with pytest.raises(LinkError, match="others may read"):
+        Drone.connect("mem://nowhere", timeout=0.1, key=tmp_path / "drone.key")
+
+
+def test_a_host_that_is_unknown_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    def unknown(*_: object, **__: object) -> None:
+        raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
+
+    monkeypatch.setattr(socket, "getaddrinfo", unknown)  # nobody's name server is waited for
+    with pytest.raises(LinkError, match=r"no-such-host.invalid.*no host"):
+        asyncio.run(discover(0.1, hosts=["no-such-host.invalid"], places=[]))
+
+
+def test_each_drone_is_found_where_only_it_is_heard() -> None:
+    """A place at which both are heard comes first among those looked at; each has one of its own as well."""
+
+    async def beat(url: str, *systems: int) -> None:
+        connections = [Connection(await open_transport(url), system, 1) for system in systems]
+        try:
+            while True:
+                for connection in connections:
+                    connection.send(message("HEARTBEAT", type=2, autopilot=12))
+                await asyncio.sleep(0.05)
+        finally:
+            for connection in connections:
+                await connection.close()
+
+    async def look() -> None:
+        places = {"memin://both": (1, 2), "memin://first": (1,), "memin://second": (2,)}
+        beats = [asyncio.create_task(beat(url.replace("in:", ":"), *systems)) for url, systems in places.items()]
+        found = await discover(0.6, places=places)
+        for task in beats:
+            task.cancel()
+        await asyncio.gather(*beats, return_exceptions=True)
+        assert [(one.system, one.url) for one in found] == [(1, "memin://first"), (2, "memin://second")]
+
+    run_virtual(look())
+
+
+def test_drones_are_found_with_their_url_and_state() -> None:
+    async def work() -> None:
+        with paced_by_the_loop():
+            async with VirtualDrone(index=4) as one, VirtualDrone(index=6, lockstep=True) as two:
+                await one.listen("memin://one")
+                await two.listen("memin://two")
+                found = await discover(1.2, places=["mem://nobody", "mem://one", "mem://two"])
+                assert [(each.system, each.url, each.mode, each.armed) for each in found] == [
+                    (5, "mem://one", "manual", False),
+                    (7, "mem://two", "manual", False),
+                ]
+                async with await AsyncDrone.connect(found[0].url) as drone:
+                    assert drone.state.rig.virtual
+
+    run_virtual(work())
+
+
+def test_a_drone_is_found_over_a_network() -> None:
+    """In real time, and as long as it takes: what says itself once a second, behind one that nobody listens at."""
+    with on_board(index=4) as there:
+
+        async def work() -> None:
+            while not (found := await discover(1.0, places=["tcp://127.0.0.1:9", there.url])):  # discard's port
+                pass
+            assert [(each.system, each.url) for each in found] == [(5, there.url)]
+
+        asyncio.run(asyncio.wait_for(work(), PATIENCE_S))

@@ -1,0 +1,273 @@
+"""The dialect: the same numbers as MAVLink's own, generated once, loaded fast, whatever the cache does."""
+
+import os
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+from pymavlink.dialects.v20 import common
+
+from tests.patience import PATIENCE_S
+from twodof.compile import cache
+from twodof.errors import LinkError
+from twodof.fcu import excitation_player
+from twodof.flight.causes import ACTIONS, BIT, CAUSES
+from twodof.link.mavlink import dialect
+from twodof.link.mavlink.messages import channel_bits
+from twodof.signals import TOPICS
+
+# Messages that the dialects in pymavlink's wheel lack (it leaves out those marked unfinished): CRC_EXTRA by MAVLink's
+# definition (https://mavlink.io/en/guide/serialization.html#crc_extra), computed below from their public fields.
+FIELDS = {
+    "PROTOCOL_VERSION": (
+        300,
+        (
+            "uint16_t version,uint16_t min_version,uint16_t max_version,uint8_t spec_version_hash[8],"
+            "uint8_t library_version_hash[8]"
+        ),
+    ),
+    "ESC_INFO": (
+        290,
+        (
+            "uint8_t index,uint64_t time_usec,uint16_t counter,uint8_t count,uint8_t connection_type,uint8_t info,"
+            "uint16_t failure_flags[4],uint32_t error_count[4],int16_t temperature[4]"
+        ),
+    ),
+    "COMPONENT_METADATA": (397, "uint32_t time_boot_ms,uint32_t file_crc,char uri[100]"),
+    "EVENT": (
+        410,
+        (
+            "uint8_t destination_component,uint8_t destination_system,uint32_t id,uint32_t event_time_boot_ms,"
+            "uint16_t sequence,uint8_t log_levels,uint8_t arguments[40]"
+        ),
+    ),
+    "ESC_STATUS": (291, "uint8_t index,uint64_t time_usec,int32_t rpm[4],float voltage[4],float current[4]"),
+    "REQUEST_EVENT": (
+        412,
+        "uint8_t target_system,uint8_t target_component,uint16_t first_sequence,uint16_t last_sequence",
+    ),
+    "RESPONSE_EVENT_ERROR": (
+        413,
+        (
+            "uint8_t target_system,uint8_t target_component,uint16_t sequence,uint16_t sequence_oldest_available,"
+            "uint8_t reason"
+        ),
+    ),
+    "AVAILABLE_MODES": (
+        435,
+        (
+            "uint8_t number_modes,uint8_t mode_index,uint8_t standard_mode,uint32_t custom_mode,uint32_t properties,"
+            "char mode_name[35]"
+        ),
+    ),
+    "CURRENT_MODE": (436, "uint8_t standard_mode,uint32_t custom_mode,uint32_t intended_custom_mode"),
+    "AVAILABLE_MODES_MONITOR": (437, "uint8_t seq"),
+    "CURRENT_EVENT_SEQUENCE": (411, "uint16_t sequence,uint8_t flags"),
+}
+SIZES = {"64_t": 8, "32_t": 4, "16_t": 2, "8_t": 1, "float": 4, "char": 1, "double": 8}
+
+
+def crc16(data: bytes) -> int:
+    """CRC-16/MCRF4XX bit by bit, from its polynomial x^16 + x^12 + x^5 + 1 (reflected)."""
+    crc = 0xFFFF
+    for byte in data:
+        crc ^= byte
+        for _ in range(8):
+            crc = crc >> 1 ^ (0x8408 if crc & 1 else 0)
+    return crc
+
+
+def crc_extra(name: str, fields: str) -> int:
+    """The seed of a message's checksum: of its name, and its fields by falling size of their type."""
+    rows = []
+    for row in fields.split(","):
+        kind, field = row.split()
+        field, _, length = field.rstrip("]").partition("[")
+        size = next(size for end, size in SIZES.items() if kind.endswith(end))
+        rows.append((size, kind, field, length))
+    text = f"{name} ".encode()
+    for _, kind, field, length in sorted(rows, key=lambda row: -row[0]):
+        text += f"{kind} {field} ".encode() + (bytes([int(length)]) if length else b"")
+    crc = crc16(text)
+    return (crc & 0xFF) ^ crc >> 8
+
+
+def test_the_check_value_of_the_checksum() -> None:
+    assert crc16(b"123456789") == 0x6F91  # catalogue of parametrised CRC algorithms
+
+
+def test_every_message_of_common_is_common_s_own() -> None:
+    ours, compared = dialect.load().mavlink_map, 0
+    for number, theirs in common.mavlink_map.items():
+        mine = ours.get(number)
+        if mine is None:
+            continue
+        assert (mine.msgname, mine.crc_extra) == (theirs.msgname, theirs.crc_extra)
+        # An older wheel may lack the last extension fields, which an old receiver cuts off and an old sender leaves 0.
+        for what in ("fieldnames", "fieldtypes", "ordered_fieldnames", "array_lengths"):
+            assert getattr(mine, what)[: len(theirs.fieldnames)] == getattr(theirs, what), (mine.msgname, what)
+        assert mine.unpacker.format.startswith(theirs.unpacker.format)
+        shared = mine.fieldunits_by_name.keys() & theirs.fieldunits_by_name.keys()
+        assert all(mine.fieldunits_by_name[unit] == theirs.fieldunits_by_name[unit] for unit in shared)
+        compared += 1
+    own = [n for n in ours if dialect.FIRST_OWN_ID <= n <= dialect.LAST_OWN_ID]
+    lacking = set(ours) - set(common.mavlink_map) - set(own)
+    assert compared == len(ours) - len(own) - len(lacking)
+    assert {ours[n].msgname for n in lacking} <= {*FIELDS}, "messages that nothing compares"
+    assert compared > 80
+
+
+@pytest.mark.parametrize("name", FIELDS)
+def test_what_the_wheel_may_lack_has_the_published_numbers(name: str) -> None:
+    number, fields = FIELDS[name]
+    kind = dialect.load().mavlink_map[number]
+    assert kind.msgname == name
+    assert kind.crc_extra == crc_extra(name, fields)
+    assert [row.split()[1].partition("[")[0] for row in fields.split(",")] == kind.fieldnames
+
+
+def test_the_computation_of_crc_extra_is_right() -> None:
+    fields = "uint8_t type,uint8_t autopilot,uint8_t base_mode,uint32_t custom_mode,uint8_t system_status"
+    assert crc_extra("HEARTBEAT", fields + ",uint8_t mavlink_version") == 50  # the number every implementation prints
+
+
+def test_every_constant_of_common_has_common_s_value() -> None:
+    ours = dialect.load()
+    compared = 0
+    for name, enum in ours.enums.items():
+        if name.startswith("TWODOF_"):
+            continue
+        for value, entry in enum.items():
+            theirs = getattr(common, entry.name, None)
+            if theirs is None or entry.name.endswith("_ENUM_END"):
+                continue
+            assert theirs == value, entry.name
+            compared += 1
+    assert compared > 350
+
+
+def test_every_signal_on_board_has_a_channel() -> None:
+    columns = {column.replace(".", "_").upper() for row in TOPICS if row.onboard for column in row.columns}
+    assert channel_bits().keys() == columns
+
+
+def spelled(enum: str) -> dict[str, int]:
+    """An enumeration of ours: the names behind its own, in small letters, and their values."""
+    entries = dialect.load().enums[enum].items()
+    return {one.name.removeprefix(f"{enum}_").lower(): value for value, one in entries if "ENUM_END" not in one.name}
+
+
+def test_the_failsafes_words_are_in_the_dialect() -> None:
+    assert spelled("TWODOF_CAUSE") == dict(BIT)
+    said = dialect.load().enums["TWODOF_CAUSE"]
+    assert {cause.name: said[BIT[cause.name]].description for cause in CAUSES} == {c.name: c.text for c in CAUSES}
+    assert spelled("TWODOF_ACTION") == {name: place for place, name in enumerate(ACTIONS)}
+
+
+def test_the_words_of_excitations_are_in_the_dialect() -> None:
+    names = ("IDLE", "RECEIVING", "READY", "PLAYING", "DONE", "STOPPED", "REFUSED")
+    assert spelled("TWODOF_EXCITE_STATE") == {name.lower(): getattr(excitation_player, name) for name in names}
+    assert spelled("TWODOF_LOOP") == {
+        one.name.removesuffix("_open").removesuffix("0").lower(): place
+        for place, one in enumerate(excitation_player.LOOPS)
+    }
+
+
+def test_topics_name_messages_that_there_are() -> None:
+    known = dialect.classes()
+    assert [row.mavlink for row in TOPICS if row.mavlink not in known] == []
+
+
+def test_our_own_messages_and_their_fields_are_described() -> None:
+    root = ET.parse(Path(dialect.__file__).with_name("dialect.xml")).getroot()
+    for entry in root.iter("message"):
+        assert dialect.FIRST_OWN_ID <= int(entry.get("id", "0")) <= dialect.LAST_OWN_ID
+        assert (entry.findtext("description") or "").strip()
+        assert all((field.text or "").strip() for field in entry.iter("field")), entry.get("name")
+
+
+def test_the_page_lists_every_one_of_our_messages() -> None:
+    page = (Path(__file__).resolve().parents[3] / "docs" / "reference" / "protocol.md").read_text()
+    own = [kind.msgname for number, kind in dialect.load().mavlink_map.items() if number >= dialect.FIRST_OWN_ID]
+    assert [name for name in own if f"`{name}`" not in page] == []
+
+
+def test_no_message_is_unknown_without_saying_what_there_is() -> None:
+    with pytest.raises(LinkError, match=r"no such message 'ATITUDE'.*ATTITUDE"):
+        dialect.message_id("ATITUDE")
+
+
+def test_threads_get_the_same_module(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("TWODOF_CACHE", str(tmp_path))
+    # The process keeps the module that its messages are of; a second one under the same name would confuse it.
+    monkeypatch.setattr(dialect, "MODULE", "twodof.link.generated_by_a_test")
+    monkeypatch.setattr(sys, "modules", sys.modules.copy())
+    with ThreadPoolExecutor(8) as pool:
+        modules = list(pool.map(lambda _: dialect.load(), range(8)))
+    assert all(module is modules[0] for module in modules)
+
+
+FILES = {name: Path(dialect.__file__).with_name(name).read_text() for name in dialect.FILES}
+LOAD = "from twodof.link.mavlink import dialect; print(dialect.load().MAVLINK_MSG_ID_TWODOF_TICK)"
+
+
+def test_processes_may_generate_at_once(tmp_path: Path) -> None:
+    environment = {**os.environ, "TWODOF_CACHE": str(tmp_path)}
+    command = [sys.executable, "-W", "error", "-c", LOAD]
+    started = [subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) for _ in range(3)]
+    try:
+        assert [process.communicate(timeout=PATIENCE_S)[0] for process in started] == ["54208\n"] * 3
+    finally:
+        for process in started:
+            process.kill()
+            process.wait(timeout=PATIENCE_S)
+    assert len([*tmp_path.iterdir()]) == 1  # one entry, nothing half made
+
+
+def test_a_damaged_entry_is_made_again(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("TWODOF_CACHE", str(tmp_path))
+    dialect.build(FILES)
+    (entry,) = tmp_path.iterdir()
+    entry.write_bytes(entry.read_bytes()[:-100])
+    assert dialect.build(FILES).MAVLINK_MSG_ID_TWODOF_TICK == 54208
+    assert cache.contents(entry)
+
+
+def test_a_sealed_entry_that_is_no_code_is_made_again(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("TWODOF_CACHE", str(tmp_path))
+    dialect.build(FILES)
+    (entry,) = tmp_path.iterdir()
+    entry.write_bytes(b"none of Python's")
+    cache.seal(entry, entry.stem)
+    assert dialect.build(FILES).MAVLINK_MSG_ID_TWODOF_TICK == 54208
+
+
+def test_a_cache_that_cannot_be_written_is_done_without(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    monkeypatch.setenv("TWODOF_CACHE", str(tmp_path / "file" / "cache"))
+    assert dialect.build(FILES).MAVLINK_MSG_ID_TWODOF_TICK == 54208
+
+
+def test_another_definition_is_another_entry(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("TWODOF_CACHE", str(tmp_path))
+    dialect.build(FILES)
+    changed = {**FILES, "dialect.xml": FILES["dialect.xml"].replace("TWODOF_TICK", "TWODOF_TOCK")}
+    assert dialect.build(changed).MAVLINK_MSG_ID_TWODOF_TOCK == 54208
+    assert len([*tmp_path.iterdir()]) == 2
+
+
+def test_a_generator_that_refuses_says_why(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("TWODOF_CACHE", str(tmp_path))
+    with pytest.raises(LinkError, match="unknown type 'uint9_t'"):
+        dialect.build({**FILES, "dialect.xml": FILES["dialect.xml"].replace("uint32_t", "uint9_t")})
+
+
+def test_a_generator_that_hangs_is_ended(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("TWODOF_CACHE", str(tmp_path))
+    monkeypatch.setattr(dialect, "_GENERATE", "import time; time.sleep(60)")
+    monkeypatch.setattr(dialect, "BUILD_SECONDS", 0.5)
+    with pytest.raises(LinkError, match="timed out"):
+        dialect.build(FILES)

@@ -1,0 +1,55 @@
+"""Modes and set-points: PX4's numbers, and what goes out comes back."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from twodof.errors import LinkError
+from twodof.link.mavlink import modes, setpoints
+from twodof.link.mavlink.framing import Parser, decode, encode
+
+
+def test_custom_modes_are_those_that_px4_publishes() -> None:
+    """As PX4 v1.16 in software-in-the-loop sends them in HEARTBEAT (custom_mode of px4_custom_mode.h)."""
+    published = {"manual": 65536, "rate": 327680, "attitude": 458752, "position": 196608, "hold": 50593792}
+    assert {mode.name: mode.custom_mode for mode in modes.MODES} == published | {"offboard": 393216}
+
+
+def test_names_and_numbers_go_both_ways() -> None:
+    for mode in modes.MODES:
+        assert modes.custom_mode(mode.name) == mode.custom_mode
+        assert modes.mode_name(mode.custom_mode) == mode.name
+    assert modes.mode_name(4 << 16 | 6 << 24) == "main 4, sub 6"
+    with pytest.raises(LinkError, match="offboard"):
+        modes.custom_mode("warp")
+
+
+FLOAT = st.floats(-1.0, 1.0, width=32)
+
+
+@given(value=FLOAT, thrust=st.floats(0.0, 1.0, width=32), forward=FLOAT)
+def test_targets_say_what_they_were_made_of(value: float, thrust: float, forward: float) -> None:
+    def sent(one: object) -> object:
+        (frame,) = Parser().feed(encode(one, 250, 190, 0))
+        return decode(frame)
+
+    attitude = setpoints.read_attitude(sent(setpoints.attitude_target(value, thrust)))
+    assert attitude is not None
+    # float32 of the quaternion: 6e-8, over cos(1) at the largest pitch here, times the 2 of the double angle.
+    assert attitude == ("attitude", pytest.approx(value, abs=3e-7), thrust, None)
+    rate = setpoints.read_attitude(sent(setpoints.rate_target(value, thrust)))
+    assert rate is not None
+    assert rate[:3] == ("rate", value, thrust)
+    alone = setpoints.read_attitude(sent(setpoints.thrust_target(thrust)))
+    assert alone is not None
+    assert (alone.loop, alone.thrust) == ("", thrust)
+    for make, loop in ((setpoints.position_target, "position"), (setpoints.velocity_target, "velocity")):
+        plain = setpoints.read_position(sent(make(value)))
+        assert plain is not None
+        assert plain[:2] == (loop, value)
+        assert plain.feed_forward is None
+        fed = setpoints.read_position(sent(make(value, forward)))
+        assert fed is not None
+        assert (fed.loop, fed.value, fed.feed_forward) == (loop, value, forward)

@@ -1,0 +1,88 @@
+"""Messages packed on the spot: the same bytes as pymavlink's, for every message of the dialect."""
+
+import random
+import struct
+from contextlib import closing
+from typing import Any
+
+import pytest
+
+from tests.link.mavlink.test_framing import NAMES, random_message
+from twodof.link.mavlink import dialect
+from twodof.link.mavlink.framing import Parser, decode, encode
+from twodof.link.mavlink.messages import message
+from twodof.link.mavlink.packing import Packer
+from twodof.link.signing.frame_signing import Signing
+from twodof.link.signing.key import Key
+from twodof.link.signing.time_stamps import Stamps
+
+
+def raw(sent: Any, field: str) -> Any:
+    """A field as it is packed: of text the bytes."""
+    name = f"_{field}_raw"
+    return getattr(sent, name) if hasattr(sent, name) else getattr(sent, field)
+
+
+def values_in_wire_order(sent: Any) -> list[Any]:
+    """A message's values as a Packer takes them."""
+    values: list[Any] = []
+    kind = type(sent)
+    for name, length in zip(kind.ordered_fieldnames, kind.array_lengths, strict=True):
+        value = raw(sent, name)
+        values += value if length and isinstance(value, list) else [value]
+    return values
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_bytes_are_those_of_pymavlink(name: str) -> None:
+    chance = random.Random(name)
+    pack = Packer(name)
+    for sequence in (0, 255):
+        sent = random_message(name, chance)
+        packed = pack(*values_in_wire_order(sent))
+        assert packed.get_type() == name
+        assert encode(packed, 3, 1, sequence) == encode(sent, 3, 1, sequence)
+        by_name = pack.by_name(**{field: raw(sent, field) for field in pack.fields})
+        assert by_name.payload == packed.payload
+
+
+def test_one_packed_message_goes_to_several_senders_and_sequences() -> None:
+    packed = Packer("ATTITUDE")(4, 0.0, 0.1, 0.0, 0.0, 0.3, 0.0)
+    plain = message("ATTITUDE", time_boot_ms=4, pitch=0.1, pitchspeed=0.3)
+    for system, sequence in ((1, 0), (2, 7), (255, 255)):
+        assert encode(packed, system, 1, sequence) == encode(plain, system, 1, sequence)
+
+
+def test_zeros_at_the_end_are_cut_but_one_byte_stays() -> None:
+    assert Packer("ATTITUDE")(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0).payload == b"\0"
+
+
+def test_signed_frames_are_pymavlinks(tmp_path: Any) -> None:
+    key = Key.of("a long enough passphrase")
+    packed = Packer("ATTITUDE")(4, 0.0, 0.1, 0.0, 0.0, 0.3, 0.0)
+    own, theirs = (Signing(key, Stamps(tmp_path / name)) for name in ("own", "theirs"))
+    with closing(own), closing(theirs):
+        signed = encode(packed, 1, 1, 5, own.outgoing())
+        (frame,) = Parser().feed(signed)
+        assert frame.signed
+        assert theirs.check(frame).name == "ACCEPTED"
+        assert decode(frame).pitch == struct.unpack("<f", struct.pack("<f", 0.1))[0]
+
+
+def test_what_no_float32_holds_is_infinite_and_an_integer_that_does_not_fit_is_an_error() -> None:
+    pack = Packer("ATTITUDE")
+    (frame,) = Parser().feed(encode(pack(0, 1e300, -1e300, 0.0, 0.0, float("nan"), 1.0), 1, 1, 0))
+    got = decode(frame)
+    assert (got.roll, got.pitch, got.yawspeed) == (float("inf"), float("-inf"), 1.0)
+    assert got.pitchspeed != got.pitchspeed
+    with pytest.raises(struct.error):
+        pack(-1, *(0.0,) * 6)
+
+
+def test_a_field_that_is_none_is_named() -> None:
+    with pytest.raises(KeyError, match="nonsense"):
+        Packer("HEARTBEAT").by_name(nonsense=1)
+
+
+def test_every_message_of_the_dialect_has_a_packer() -> None:
+    assert {Packer(name).name for name in dialect.classes()} == set(NAMES)

@@ -1,0 +1,466 @@
+"""Signing: a differential against pymavlink, keys kept safe, and stamps that survive what happens to processes."""
+
+import asyncio
+import copy
+import errno
+import hashlib
+import json
+import logging
+import os
+import pickle
+import stat
+from pathlib import Path
+from typing import Any
+
+import pytest
+from fastcrc import crc16
+
+from tests.faults.virtual_time import run_virtual
+from tests.link.ends import SOON, run
+from tests.patience import PATIENCE_S
+from twodof.errors import LinkError
+from twodof.link.connection import Connection
+from twodof.link.mavlink import dialect
+from twodof.link.mavlink.framing import Frame, Parser, encode
+from twodof.link.mavlink.messages import message
+from twodof.link.signing import time_stamps as stamps_module
+from twodof.link.signing.frame_signing import Signing, SigningCounts, SigningVerdict
+from twodof.link.signing.key import Key, read_key, write_key
+from twodof.link.signing.time_stamps import HIGHEST, MARGIN, OWN, PER_SECOND, Stamps, wall_stamp
+from twodof.link.transport.memory import memory_pair
+from twodof.link.transport.open_transport import open_transport
+from twodof.link.transport.udp import UdpTransport
+
+KEY = Key(bytes(range(32)))
+START = 11 * 365 * 24 * 3600 * PER_SECOND
+
+
+class Clock:
+    """A clock that is set by hand."""
+
+    def __init__(self, now: int = START) -> None:
+        self.now = now
+
+    def __call__(self) -> int:
+        return self.now
+
+
+def signing(key: Key = KEY, clock: Clock | None = None, path: Path | None = None, link: int = 0) -> Signing:
+    """One side of a signed link."""
+    return Signing(key, Stamps(path, clock or Clock()), link)
+
+
+def signed(by: Signing, sequence: int = 0, system: int = 1) -> Frame:
+    """A signed command, as it is received."""
+    return frame_of(encode(message("COMMAND_LONG", command=400, param1=1.0), system, 1, sequence, by.outgoing()))
+
+
+def frame_of(raw: bytes) -> Frame:
+    """The one frame in some bytes."""
+    (frame,) = Parser().feed(raw)
+    return frame
+
+
+def pymavlink(key: Key = KEY, now: int = START) -> Any:
+    """pymavlink's own signing end."""
+    mav = dialect.load().MAVLink(None, 1, 1)
+    mav.signing.secret_key, mav.signing.sign_outgoing, mav.signing.timestamp = key.secret, True, now
+    return mav
+
+
+def test_pymavlink_takes_what_we_sign_and_we_what_it_signs() -> None:
+    ours, theirs = signing(), pymavlink()
+    for _ in range(5):
+        got = theirs.decode(bytearray(signed(ours).raw))
+        assert got.get_signed()
+        assert ours.check(frame_of(bytes(message("HEARTBEAT").pack(theirs)))) is SigningVerdict.ACCEPTED
+    assert theirs.signing.badsig_count == 0
+    assert ours.counts.accepted == 5
+
+
+def test_the_signature_is_the_published_one() -> None:
+    # First 6 bytes of SHA-256 over key, packet, link id and stamp; computed by hand of the definition.
+    raw = signed(signing(link=5)).raw
+    assert raw[-13] == 5
+    assert int.from_bytes(raw[-12:-6], "little") == START
+    assert raw[-6:] == hashlib.sha256(KEY.secret + raw[:-6]).digest()[:6]
+
+
+def test_unsigned_is_refused_a_radios_own_word_too() -> None:
+    mine = signing()
+    assert mine.check(frame_of(encode(message("COMMAND_LONG", command=400), 1, 1, 0))) is SigningVerdict.UNSIGNED
+    assert mine.check(frame_of(encode(message("RADIO_STATUS", rssi=9), 51, 68, 0))) is SigningVerdict.UNSIGNED
+    old = bytes(message("COMMAND_LONG", command=400).pack(dialect.load().MAVLink(None, 1, 1), force_mavlink1=True))
+    assert mine.check(frame_of(old)) is SigningVerdict.UNSIGNED
+    assert (mine.counts.unsigned, mine.counts.refused) == (3, 3)
+
+
+def test_every_changed_bit_is_seen() -> None:
+    raw = signed(signing()).raw
+    mine = signing()
+    kind = dialect.classes()["COMMAND_LONG"]
+    for place in range(8 * 3, 8 * len(raw)):  # the marker, length and flags decide what a frame is
+        bad = bytearray(raw)
+        bad[place // 8] ^= 1 << place % 8
+        if place // 8 < len(raw) - 15:
+            # A forger mends the checksum, which needs no key.
+            bad[-15:-13] = crc16.mcrf4xx(bytes(bad[1:-15]) + bytes([kind.crc_extra])).to_bytes(2, "little")
+        found = Parser().feed(bytes(bad), whole=True)
+        for frame in found:
+            assert mine.check(frame) in (SigningVerdict.FORGED, SigningVerdict.UNSIGNED), place
+    assert mine.counts.accepted == 0
+    assert mine.check(frame_of(raw)) is SigningVerdict.ACCEPTED  # none of the forgeries spoilt the true one
+
+
+def test_a_forged_stamp_shuts_nobody_out() -> None:
+    ours, mine = signing(), signing()
+    bad = bytearray(signed(ours).raw)
+    bad[-12:-6] = b"\xff" * 6
+    assert mine.check(frame_of(bytes(bad))) is SigningVerdict.FORGED
+    assert mine.check(signed(ours)) is SigningVerdict.ACCEPTED
+
+
+def test_another_key_is_none() -> None:
+    assert signing(Key(bytes(32))).check(signed(signing())) is SigningVerdict.FORGED
+
+
+def test_replayed_and_overtaken_packets_are_refused() -> None:
+    theirs, mine = signing(), signing()
+    frames = [signed(theirs, sequence) for sequence in range(5)]
+    assert mine.check(frames[2]) is SigningVerdict.ACCEPTED
+    assert [mine.check(frame) for frame in (frames[2], frames[0], frames[4])] == [
+        SigningVerdict.REPEATED,
+        SigningVerdict.REPEATED,
+        SigningVerdict.ACCEPTED,
+    ]
+
+
+def test_streams_do_not_disturb_each_other() -> None:
+    mine = signing()
+    late, early = Clock(START + 1000), Clock(START)
+    assert mine.check(signed(signing(clock=late, link=1))) is SigningVerdict.ACCEPTED
+    assert mine.check(signed(signing(clock=early, link=2))) is SigningVerdict.ACCEPTED
+    assert mine.check(signed(signing(clock=early), system=9)) is SigningVerdict.ACCEPTED
+
+
+def test_a_new_stream_may_be_a_minute_behind_and_no_more() -> None:
+    minute = 60 * PER_SECOND
+    assert signing().check(signed(signing(clock=Clock(START - minute)))) is SigningVerdict.ACCEPTED
+    assert signing().check(signed(signing(clock=Clock(START - minute - 1)))) is SigningVerdict.STALE
+
+
+def test_a_peer_may_be_a_year_ahead_and_all_follow() -> None:
+    """What was refused of a wrong clock could be replayed when its time has come, so hardly anything is."""
+    day = 24 * 3600 * PER_SECOND
+    mine, clock = signing(), Clock(START + 364 * day)
+    wrong = signing(clock=clock)
+    assert mine.check(signed(signing(clock=Clock(START + 366 * day)))) is SigningVerdict.AHEAD
+    early = signed(signing(clock=Clock(START + 2 * day)), system=9)
+    assert mine.check(signed(wrong, system=8)) is SigningVerdict.ACCEPTED
+    assert mine.stamps.own == wrong.stamps.own
+    assert mine.check(early) is SigningVerdict.STALE  # from now on, and for good
+    # Its time goes on, beyond a year ahead of ours, which stands still.
+    for _ in range(2000):
+        clock.now += 60 * PER_SECOND
+        assert mine.check(signed(wrong, system=8)) is SigningVerdict.ACCEPTED
+
+
+@pytest.mark.parametrize("before", [False, True])
+def test_who_has_a_time_of_before_catches_up_by_what_it_is_told(before: bool) -> None:
+    """Over UDP nobody is sent to before it was accepted; who signs rightly is told our time nevertheless."""
+
+    async def work() -> None:
+        day = 24 * 3600 * PER_SECOND
+        there = await open_transport("udpin://:0")
+        assert isinstance(there, UdpTransport)
+        here = await open_transport(f"udp://127.0.0.1:{there.port}")
+        mine, theirs = signing(), signing()
+        beat = message("HEARTBEAT", type=6, autopilot=8)
+        async with Connection(there, 1, 1, mine) as drone, Connection(here, 9, 190, theirs) as client:
+            # Somebody whose clock was ahead has set the time for all; `before`: in the client's own name.
+            frame = frame_of(
+                encode(beat, *((9, 190) if before else (8, 190)), 0, signing(clock=Clock(START + 5 * day)).outgoing())
+            )
+            assert mine.check(frame) is SigningVerdict.ACCEPTED
+            client.send(beat)
+            while not mine.counts.refused:
+                assert await drone.receive(0.01) is None
+            assert (mine.counts.repeated, mine.counts.stale) == ((1, 0) if before else (0, 1))
+            assert there.peers == ()
+            while not theirs.counts.accepted:  # it hears our question about time, and answers it by itself
+                assert await client.receive(0.01) is None
+            client.send(beat)
+            found = await drone.receive(SOON)
+            assert found is not None
+            assert found.message.get_type() == "HEARTBEAT"
+            assert len(there.peers) == 1
+
+    run(work())
+
+
+def test_replayed_packets_are_answered_seldom_and_give_nobody_a_place() -> None:
+    async def work() -> None:
+        here, there = memory_pair()
+        loop = asyncio.get_running_loop()
+        mine, theirs = signing(), signing()
+        async with Connection(there, 1, 1, mine, loop.time) as drone:
+            raw = encode(message("HEARTBEAT"), 9, 190, 0, theirs.outgoing())
+            here.send(raw)
+            assert await drone.receive(0.0) is not None
+            for _ in range(100):
+                here.send(raw)
+                assert await drone.receive(0.01) is None
+            assert mine.counts.repeated == 100
+            answers = 0
+            while here.receive_now() is not None:
+                answers += 1
+            assert 1 <= answers <= 11  # in a second
+
+    run_virtual(work())
+
+
+@pytest.mark.parametrize("mode", [0o620, 0o602, 0o666])
+def test_stamps_that_others_may_set_back_are_refused(tmp_path: Path, mode: int) -> None:
+    path = tmp_path / "stamps"
+    path.write_text('{"own": 5}')
+    path.chmod(mode)
+    with pytest.raises(LinkError, match=f"others may write the time stamps.*{mode:04o}.*chmod 600"):
+        Stamps(path)
+    path.chmod(0o644)  # they are no secret
+    Stamps(path).close()
+
+
+def test_stamps_are_a_file_and_their_lock_is_no_link(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "fifo", 0o600)
+    with pytest.raises(LinkError, match="are no file"):  # and nobody waits for a writer
+        Stamps(tmp_path / "fifo")
+    (tmp_path / "stamps.lock").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(LinkError, match="cannot be locked"):
+        Stamps(tmp_path / "stamps")
+    assert not (tmp_path / "elsewhere").exists()
+
+
+def test_half_a_key_is_not_left_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(LinkError, match="No space left"):
+        write_key(tmp_path / "key", KEY)
+    assert [*tmp_path.iterdir()] == []
+
+
+def test_without_stamps_left_nobody_is_answered_and_nothing_ends() -> None:
+    async def work() -> None:
+        here, there = memory_pair()
+        mine, theirs = signing(clock=Clock(0)), signing(clock=Clock(HIGHEST - 10))
+        async with Connection(there, 1, 1, mine) as drone:
+            for number in range(5):
+                here.send(encode(message("PING", seq=number), 9, 190, 0, theirs.outgoing()))
+            mine.stamps.use(OWN, HIGHEST)
+            here.send(encode(message("HEARTBEAT"), 9, 190, 0, theirs.outgoing()))
+            found = await drone.receive(SOON)
+            assert found is not None
+            assert found.message.get_type() == "HEARTBEAT"
+
+    run(work())
+
+
+def test_everything_but_accepted_is_refused() -> None:
+    counts = SigningCounts(accepted=1, unsigned=10, forged=200, repeated=3000, stale=40_000, ahead=500_000)
+    assert counts.refused == 543_210
+
+
+def test_streams_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("twodof.link.signing.time_stamps.MOST_STREAMS", 5)
+    mine = signing()
+    verdicts = [mine.check(signed(signing(), system=system)) for system in range(1, 9)]
+    assert verdicts == [SigningVerdict.ACCEPTED] * 5 + [SigningVerdict.STALE] * 3
+    assert mine.check(signed(signing(clock=Clock(START + 1)), system=1)) is SigningVerdict.ACCEPTED  # those known go on
+
+
+def test_a_clock_that_stands_at_1970_catches_up() -> None:
+    drone, ground = signing(clock=Clock(0)), signing()
+    assert ground.check(signed(drone)) is SigningVerdict.STALE
+    assert drone.check(signed(ground, system=255)) is SigningVerdict.ACCEPTED
+    assert ground.check(signed(drone)) is SigningVerdict.ACCEPTED
+
+
+def test_a_clock_that_jumps_back_uses_no_stamp_twice() -> None:
+    clock = Clock()
+    theirs, mine = signing(clock=clock), signing()
+    assert mine.check(signed(theirs)) is SigningVerdict.ACCEPTED
+    clock.now -= 3600 * PER_SECOND
+    assert mine.check(signed(theirs)) is SigningVerdict.ACCEPTED
+
+
+@pytest.mark.parametrize("crash", [False, True])
+def test_stamps_survive_a_restart(tmp_path: Path, crash: bool) -> None:
+    clock, theirs = Clock(), signing(clock=Clock())
+    first = signing(clock=clock, path=tmp_path / "stamps")
+    heard = [signed(theirs, sequence) for sequence in range(200)]
+    assert all(first.check(frame) is SigningVerdict.ACCEPTED for frame in heard)
+    used = first.outgoing().timestamp
+    if crash:
+        os.close(first.stamps._lock_file)  # what the system does to a killed process; nothing else is said
+        first.stamps._lock_file = -1
+    else:
+        first.close()
+    clock.now -= 30 * PER_SECOND  # and its clock is off after the start
+    again = signing(clock=clock, path=tmp_path / "stamps")
+    assert {again.check(frame) for frame in heard} == {SigningVerdict.REPEATED}
+    assert again.outgoing().timestamp > used
+    if not crash:
+        assert again.check(signed(theirs)) is SigningVerdict.ACCEPTED  # at once
+    later = signing(clock=Clock(START + MARGIN + 300))
+    assert again.check(signed(later)) is SigningVerdict.ACCEPTED  # after the margin at the latest
+    again.close()
+
+
+def test_a_packet_does_not_cost_a_write(tmp_path: Path) -> None:
+    path, clock = tmp_path / "stamps", Clock()
+    with_store = signing(clock=clock, path=path)
+    written = set()
+    for _ in range(5000):  # 20 s of packets at 250 Hz
+        clock.now += PER_SECOND // 250
+        with_store.outgoing()
+        written.add(path.stat().st_ino)  # an atomic write is another file
+    assert 2 <= len(written) <= 8
+    assert json.loads(path.read_text())[OWN] > clock.now
+    with_store.close()
+    assert json.loads(path.read_text())[OWN] == with_store.stamps.own
+
+
+def test_only_the_first_write_of_a_stream_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    waited: list[dict[str, int]] = []
+    write = Stamps._write
+
+    def counted(self: Stamps, stamps: dict[str, int]) -> None:
+        waited.append(stamps)
+        write(self, stamps)
+
+    monkeypatch.setattr(Stamps, "_write", counted)
+    clock, path = Clock(), tmp_path / "stamps"
+    stamps = Stamps(path, clock)
+    for _ in range(600):  # a minute; the disk takes its time, but less than half of the margin
+        clock.now += PER_SECOND // 10
+        stamps.next_own()
+        if stamps._writing is not None and clock.now % PER_SECOND == 0:
+            stamps._writing.result(timeout=PATIENCE_S)
+        assert stamps._stored[OWN] >= stamps.own
+    assert len(waited) == 1
+    stamps.close()
+
+
+def test_the_clock_of_stamps_is_the_published_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    # 2015-01-01 00:00:00 UTC is 1420070400; a unit is 10 us.
+    monkeypatch.setattr("twodof.link.signing.time_stamps.time.time", lambda: 1_420_070_400 + 3.00002)
+    assert wall_stamp() == 300_002
+    monkeypatch.setattr("twodof.link.signing.time_stamps.time.time", lambda: 0.0)
+    assert wall_stamp() == 0
+
+
+def test_stamps_that_are_used_up_are_an_error() -> None:
+    stamps = Stamps(None, lambda: HIGHEST)
+    assert stamps.next_own() == HIGHEST == 2**48 - 1
+    with pytest.raises(LinkError, match="used up"):
+        stamps.next_own()
+
+
+def test_two_processes_do_not_share_stamps(tmp_path: Path) -> None:
+    first = Stamps(tmp_path / "stamps")
+    with pytest.raises(LinkError, match="another process signs with these time stamps"):
+        Stamps(tmp_path / "stamps")
+    first.close()
+    Stamps(tmp_path / "stamps").close()
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[]", '{"own": -1}', '{"own": 1e3}', '{"own": true}', "{" * 50_000, "x" * 200_000]
+)
+def test_damaged_stamps_are_refused(tmp_path: Path, text: str) -> None:
+    (tmp_path / "stamps").write_text(text)
+    for _ in range(2):  # and the file is not left locked
+        with pytest.raises(LinkError, match="holds no time stamps"):
+            Stamps(tmp_path / "stamps")
+
+
+def test_a_disk_that_fails_stops_no_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    mine, theirs = signing(path=tmp_path / "stamps"), signing()
+    now = [1000.0]
+    monkeypatch.setattr(stamps_module.time, "monotonic", lambda: now[0])  # however long this takes
+    tried = []
+
+    def full(path: Path, stamps: dict[str, int]) -> None:
+        tried.append(stamps)
+        raise LinkError("the time stamps are not kept: No space left on device", str(path))
+
+    write = stamps_module._write
+    monkeypatch.setattr(stamps_module, "_write", full)
+    assert mine.check(signed(theirs)) is SigningVerdict.ACCEPTED
+    assert "No space left" in mine.stamps.failure
+    frame = signed(theirs)
+    assert mine.check(frame) is SigningVerdict.ACCEPTED
+    assert mine.check(frame) is SigningVerdict.REPEATED
+    for _ in range(100):
+        now[0] += 0.0099
+        assert mine.check(signed(theirs)) is SigningVerdict.ACCEPTED
+    assert len(tried) == 1  # not once a packet: a full disk answers slowly
+    now[0] += 0.0101  # a second later there is room
+    monkeypatch.setattr(stamps_module, "_write", write)
+    assert mine.check(signed(theirs)) is SigningVerdict.ACCEPTED
+    assert mine.stamps.failure == ""
+    monkeypatch.setattr(stamps_module, "_write", full)
+    with pytest.raises(LinkError, match="No space left"):
+        mine.close()
+    monkeypatch.setattr(stamps_module, "_write", write)
+    Stamps(tmp_path / "stamps").close()  # and the file is free
+
+
+def test_a_key_in_a_file_of_its_owner_only(tmp_path: Path) -> None:
+    path, key = tmp_path / "key", Key.fresh()
+    write_key(path, key)
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    assert read_key(path).secret == key.secret
+    with pytest.raises(LinkError, match="is there already"):
+        write_key(path, key)
+    for mode in (0o640, 0o604, 0o620, 0o666):
+        path.chmod(mode)
+        with pytest.raises(LinkError, match=f"mode {mode:04o}.*chmod 600"):
+            read_key(path)
+
+
+def test_what_is_no_key_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "key"
+    with pytest.raises(LinkError, match="cannot be read"):
+        read_key(path)
+    os.mkfifo(tmp_path / "fifo", 0o600)
+    with pytest.raises(LinkError, match="is no file"):
+        read_key(tmp_path / "fifo")  # and it does not wait for a writer
+    for text in ("", "secret", "0" * 63, "0" * 64 + "zz", "x" * 10_000):
+        path.write_text(text)
+        path.chmod(0o600)
+        with pytest.raises(LinkError, match="holds no key") as caught:
+            read_key(path)
+        assert text[:6] not in str(caught.value) or not text
+    with pytest.raises(LinkError, match="is guessed"):
+        Key.of("elevenchars")
+    assert Key.of("twelve chars").secret == hashlib.sha256(b"twelve chars").digest()
+    for secret in (bytes(31), bytes(33), "0" * 32):
+        with pytest.raises(LinkError, match="has 32 bytes"):
+            Key(secret)
+    assert Key.of("correct horse battery").secret != Key.of("correct horse batterz").secret
+
+
+def test_a_key_shows_nowhere(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.DEBUG)
+    mine = signing()
+    mine.check(signed(signing()))
+    shown = f"{mine!r} {mine.key} {mine.outgoing()!r} {vars(mine)} {caplog.text}"
+    for form in (KEY.secret.hex(), repr(KEY.secret), repr(list(KEY.secret))):
+        assert form not in shown
+    assert KEY.fingerprint in repr(mine)
+    with pytest.raises(TypeError, match="not pickled"):
+        pickle.dumps(KEY)
+    with pytest.raises(TypeError, match="not pickled"):
+        copy.copy(KEY)
