@@ -104,10 +104,11 @@ def digest(data: bytes | str) -> str:
 
 
 def bits(values: NDArray[Any]) -> str:
-    """Of the type, the shape and the bits, all NaNs being one."""
+    """Of the shape and the values to the last bit, widened without loss; all NaNs are one."""
     plain = np.ascontiguousarray(values)
+    plain = plain.astype({"f": np.float64, "i": np.int64, "u": np.int64}.get(plain.dtype.kind, plain.dtype))
     if plain.dtype.kind == "f":
-        plain = np.where(np.isnan(plain), np.array(np.nan, plain.dtype), plain)
+        plain = np.where(np.isnan(plain), np.nan, plain)
     return digest(f"{plain.dtype} {plain.shape} ".encode() + plain.tobytes())
 
 
