@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from twodof.errors import LogError
-from twodof.flightlog.mat import read_mat
+from twodof.flightlog.mat.mat_file import read_mat
 from twodof.signals import BY_MAT, BY_NAME, MODES, TOPICS, topic, unit_of
 
 

@@ -23,8 +23,8 @@ from twodof.flight.failsafe import failsafe
 from twodof.flight.gains import NAMED
 from twodof.flight.starters import STARTERS, starter
 from twodof.flight.templates import TEMPLATES, kind_of
-from twodof.flightlog.mcap_stream import stream_of
-from twodof.flightlog.ulog import PX4_SOURCES
+from twodof.flightlog.mcap.topic_stream import stream_of
+from twodof.flightlog.ulog.ulog_file import PX4_SOURCES
 from twodof.gcs.telemetry.recording import SAFETY
 from twodof.link.mavlink import dialect
 from twodof.link.mavlink.dialect import FILES

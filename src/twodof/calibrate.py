@@ -31,12 +31,12 @@ from twodof.sim.closed_loop import ClosedLoop
 from twodof.sim.like import LoggedFlight, like_loop
 
 Array = NDArray[np.float64]
-Progress = Callable[[str, float], None]
+CalibrationProgress = Callable[[str, float], None]
 """Called with what is being done and the share of the whole work that is done, in [0, 1]."""
 
 
 @dataclass(frozen=True, eq=False)
-class Flight:
+class CalibrationFlight:
     """A flight to calibrate on: file stem, window [s], gains it was flown with, weight of each channel's misfit."""
 
     name: str
@@ -45,12 +45,12 @@ class Flight:
     weights: Mapping[str, float]
 
 
-def _flight(name: str, weights: Mapping[str, float]) -> Flight:
+def _flight(name: str, weights: Mapping[str, float]) -> CalibrationFlight:
     log = PUBLIC_LOGS[name]
-    return Flight(name, log.window, log.gains, weights)
+    return CalibrationFlight(name, log.window, log.gains, weights)
 
 
-FLIGHTS: tuple[Flight, ...] = (
+FLIGHTS: tuple[CalibrationFlight, ...] = (
     _flight("free-response-impulse", {"q": 1.0}),
     # Weighs less: in open loop a wrong trim moment grows without bound.
     _flight("doublet-0.03", {"q": 0.5}),
@@ -64,7 +64,7 @@ FLIGHTS: tuple[Flight, ...] = (
 
 
 @dataclass(frozen=True)
-class Unknown:
+class CalibratedUnknown:
     """One unknown: prior mean and standard deviation, and bounds.
 
     Unknowns are ratios that a flight shows (accelerations for a command or an angle), not masses and lengths.
@@ -78,27 +78,27 @@ class Unknown:
     text: str
 
 
-UNKNOWNS: tuple[Unknown, ...] = (
+UNKNOWNS: tuple[CalibratedUnknown, ...] = (
     # Priors of b and a: linear fits of single flights give mu 288 +- 8 at T = .4 and 112 to 118 at T = 0.
-    Unknown("b", 154.0, 8.0, 50.0, 400.0, "rad/s2 of pitch for a pair at full command"),
-    Unknown("a", 0.3, 0.05, 0.0, 0.9, "quadratic share of the thrust curve"),
-    Unknown("delay", 0.010, 0.003, 0.002, 0.03, "s, pure delay"),
-    Unknown("lag", 0.012, 0.004, 0.002, 0.05, "s, rotor lag"),
-    Unknown("k", 8.0, 2.0, 1.0, 30.0, "1/s2, gravity's stiffness"),
-    Unknown("k3", 4.0, 3.0, 0.0, 40.0, "1/s2 per rad2, hardening"),
-    Unknown("c_idle", 0.2, 0.3, 0.0, 5.0, "1/s, viscous friction, rotors at rest"),
-    Unknown("f_idle", 0.3, 0.2, 0.0, 3.0, "rad/s2, Coulomb friction, rotors at rest"),
-    Unknown("c_run", 0.3, 0.3, 0.0, 5.0, "1/s, viscous friction, rotors running"),
-    Unknown("f_run", 0.1, 0.1, 0.0, 3.0, "rad/s2, Coulomb friction, rotors running"),
+    CalibratedUnknown("b", 154.0, 8.0, 50.0, 400.0, "rad/s2 of pitch for a pair at full command"),
+    CalibratedUnknown("a", 0.3, 0.05, 0.0, 0.9, "quadratic share of the thrust curve"),
+    CalibratedUnknown("delay", 0.010, 0.003, 0.002, 0.03, "s, pure delay"),
+    CalibratedUnknown("lag", 0.012, 0.004, 0.002, 0.05, "s, rotor lag"),
+    CalibratedUnknown("k", 8.0, 2.0, 1.0, 30.0, "1/s2, gravity's stiffness"),
+    CalibratedUnknown("k3", 4.0, 3.0, 0.0, 40.0, "1/s2 per rad2, hardening"),
+    CalibratedUnknown("c_idle", 0.2, 0.3, 0.0, 5.0, "1/s, viscous friction, rotors at rest"),
+    CalibratedUnknown("f_idle", 0.3, 0.2, 0.0, 3.0, "rad/s2, Coulomb friction, rotors at rest"),
+    CalibratedUnknown("c_run", 0.3, 0.3, 0.0, 5.0, "1/s, viscous friction, rotors running"),
+    CalibratedUnknown("f_run", 0.1, 0.1, 0.0, 3.0, "rad/s2, Coulomb friction, rotors running"),
     # Prior: the range as the cart's answer to the logged pitch, without any estimator, gives 5.0 to 5.15.
-    Unknown("k_v", 5.05, 0.15, 3.0, 7.0, "m/s2 per rad"),
-    Unknown("p_v", 0.7, 0.4, 0.0, 3.0, "1/s, linear friction of the rail"),
-    Unknown("f_v", 0.06, 0.04, 0.0, 0.5, "m/s2, Coulomb friction of the rail"),
-    Unknown("trim_start", -0.4, 0.5, -6.0, 6.0, "rad/s2, the rotors' trim before their wake stands"),
-    Unknown("wake_lag", 1.0, 0.7, 0.1, 5.0, "s"),
+    CalibratedUnknown("k_v", 5.05, 0.15, 3.0, 7.0, "m/s2 per rad"),
+    CalibratedUnknown("p_v", 0.7, 0.4, 0.0, 3.0, "1/s, linear friction of the rail"),
+    CalibratedUnknown("f_v", 0.06, 0.04, 0.0, 0.5, "m/s2, Coulomb friction of the rail"),
+    CalibratedUnknown("trim_start", -0.4, 0.5, -6.0, 6.0, "rad/s2, the rotors' trim before their wake stands"),
+    CalibratedUnknown("wake_lag", 1.0, 0.7, 0.1, 5.0, "s"),
     # Prior: the range against the twice integrated accelerometer, flight by flight, gives 20 to 37 ms.
-    Unknown("tof_age", 0.03, 0.01, 0.0, 0.1, "s, age of a range sample"),
-    Unknown("imu_below", 0.016, 0.01, -0.1, 0.1, "m"),
+    CalibratedUnknown("tof_age", 0.03, 0.01, 0.0, 0.1, "s, age of a range sample"),
+    CalibratedUnknown("imu_below", 0.016, 0.01, -0.1, 0.1, "m"),
 )
 
 PRIOR_WEIGHT = 0.02
@@ -157,7 +157,9 @@ class Calibration:
     converged: bool
 
 
-def find_flights(folder: str | Path, flights: Sequence[Flight] = FLIGHTS) -> dict[Flight, LoggedFlight]:
+def find_flights(
+    folder: str | Path, flights: Sequence[CalibrationFlight] = FLIGHTS
+) -> dict[CalibrationFlight, LoggedFlight]:
     """The flights' logs in `folder`, read. Raises LogError if one is missing or broken."""
     return {f: LoggedFlight(read_log(Path(folder) / f"{f.name}.mat"), NAMED[f.gains], f.window) for f in flights}
 
@@ -165,8 +167,8 @@ def find_flights(folder: str | Path, flights: Sequence[Flight] = FLIGHTS) -> dic
 def calibrate(
     folder: str | Path,
     leave_one_out: bool = False,
-    progress: Progress | None = None,
-    flights: Sequence[Flight] = FLIGHTS,
+    progress: CalibrationProgress | None = None,
+    flights: Sequence[CalibrationFlight] = FLIGHTS,
 ) -> Calibration:
     """Calibrates the `lab` rig on the logs in `folder`, and each time on all but one if `leave_one_out`.
 
@@ -220,7 +222,7 @@ def _whole(rig: Mapping[str, float]) -> dict[str, float]:
 class _Work:
     """Progress over `runs` minimisations; each tells how far it has come by its iterations."""
 
-    def __init__(self, progress: Progress | None, runs: int) -> None:
+    def __init__(self, progress: CalibrationProgress | None, runs: int) -> None:
         self._progress = progress
         self._runs = runs
         self._done = -1
@@ -248,7 +250,7 @@ class _Solution:
     converged: bool
 
 
-def _solve(loop: ClosedLoop, logged: Mapping[Flight, LoggedFlight], start: Array, work: _Work) -> _Solution:
+def _solve(loop: ClosedLoop, logged: Mapping[CalibrationFlight, LoggedFlight], start: Array, work: _Work) -> _Solution:
     """Least squares in units of the priors' standard deviations."""
     mean = np.array([u.mean for u in UNKNOWNS])
     unit = np.array([u.deviation for u in UNKNOWNS])

@@ -14,7 +14,7 @@ from bench.measure import Figure, timed
 from bench.mujoco_loop import MujocoLoop
 from twodof.errors import ParameterError
 from twodof.identify import Record
-from twodof.identify.simulate import Simulator
+from twodof.identify.simulate import RecordSimulator
 from twodof.models import pitch_rate
 from twodof.rig.parameters import lab
 
@@ -85,7 +85,7 @@ def test_the_peer_of_the_fit_simulates_the_same_model() -> None:
     u = greybox.doublets(1500)
     values = np.array(list(greybox.TRUE.values()))
     record = Record.from_columns(greybox.DT * np.arange(1500), {"M": u, "q": u}, ["M"], ["q"])
-    ours = Simulator(pitch_rate(), record).run(dict(greybox.TRUE))["q"]
+    ours = RecordSimulator(pitch_rate(), record).run(dict(greybox.TRUE))["q"]
     # scipy's matrix exponential and ours differ by 1e-13, over 1500 steps of an amplitude of 5 rad/s.
     np.testing.assert_allclose(greybox.exact(u, values), ours, rtol=0.0, atol=1e-10)
     # The delay by interpolation smears each edge over the step before it, a twentieth of a step's q at most.

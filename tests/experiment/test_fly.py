@@ -29,7 +29,7 @@ from twodof.flight.causes import ACTIONS, named_causes
 from twodof.flight.core import PERIOD
 from twodof.flightlog.log import FlightLog
 from twodof.flightlog.steps import BOOT
-from twodof.flightlog.ulog_decoder import scan_ulog
+from twodof.flightlog.ulog.decoder import scan_ulog
 from twodof.gcs.drone import Drone
 from twodof.rig.parameters import load_rig
 from twodof.sim.virtual_drone import VirtualDrone

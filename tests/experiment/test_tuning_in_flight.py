@@ -24,7 +24,7 @@ from twodof.fcu.hardware import Sample
 from twodof.fcu.store import Store
 from twodof.flight.starters import starter
 from twodof.flightlog.steps import ASKED
-from twodof.flightlog.ulog_decoder import ULog, scan_ulog
+from twodof.flightlog.ulog.decoder import ULog, scan_ulog
 from twodof.gcs.drone import Drone
 from twodof.link.control_period import TICK_US
 from twodof.rig.parameters import lab

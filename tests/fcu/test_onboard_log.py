@@ -27,7 +27,7 @@ from twodof.fcu.px4_topics import PX4_TOPICS
 from twodof.fcu.step_row import COLUMNS, STEP_TOPIC
 from twodof.fcu.store import Store
 from twodof.flightlog import read_log, recover
-from twodof.flightlog.ulog_decoder import scan_ulog
+from twodof.flightlog.ulog.decoder import scan_ulog
 
 PROJECT = Path(__file__).resolve().parents[2]
 ALWAYS = {"SDLOG_MODE": 2}

@@ -20,7 +20,7 @@ from twodof.fcu.sandbox import BUDGET_NS
 from twodof.fcu.store import MOST_TUNED, Store
 from twodof.flight.causes import ACTIONS, BIT
 from twodof.flight.starters import starter
-from twodof.flightlog.ulog_decoder import scan_ulog
+from twodof.flightlog.ulog.decoder import scan_ulog
 from twodof.link.control_period import TICK_US
 
 NONE, LEVEL = ACTIONS.index("none"), ACTIONS.index("level")

@@ -13,11 +13,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from scipy.io import savemat
 
-from twodof.flightlog.mcap_encoder import Encoder
-from twodof.flightlog.mcap_records import CHUNK_HEAD, MAGIC, Op, deflate, mapping, record, text
-from twodof.flightlog.mcap_stream import Stream, stream_of
-from twodof.flightlog.ulog_format import HEADER, MESSAGE
-from twodof.flightlog.ulog_format import MAGIC as ULOG
+from twodof.flightlog.mcap.encoder import McapEncoder
+from twodof.flightlog.mcap.records import CHUNK_HEAD, MAGIC, McapOpcode, deflate, mapping, record, text
+from twodof.flightlog.mcap.topic_stream import McapStream, stream_of
+from twodof.flightlog.ulog.format import HEADER, MESSAGE
+from twodof.flightlog.ulog.format import MAGIC as ULOG
 from twodof.signals import BY_MAT
 
 MIB = 1 << 20
@@ -25,27 +25,27 @@ _ZEROS = record(0x80, bytes(60 * MIB))  # type: ignore[arg-type]
 _MAT_HEAD = b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM"
 
 
-def _stream(name: str) -> Stream:
+def _stream(name: str) -> McapStream:
     return stream_of(BY_MAT[name])
 
 
-def _mcap(streams: Iterable[Stream], middle: bytes, notes: Mapping[str, str] | None = None) -> bytes:
+def _mcap(streams: Iterable[McapStream], middle: bytes, notes: Mapping[str, str] | None = None) -> bytes:
     """A closed file: head, what is given, an end without checksums."""
-    head = Encoder(list(streams)).head({"twodof": dict(notes or {"provenance": "{}", "empty": "kept"})})
-    footer = record(Op.FOOTER, bytes(20))
-    return head + middle + record(Op.DATA_END, bytes(4)) + footer + MAGIC
+    head = McapEncoder(list(streams)).head({"twodof": dict(notes or {"provenance": "{}", "empty": "kept"})})
+    footer = record(McapOpcode.FOOTER, bytes(20))
+    return head + middle + record(McapOpcode.DATA_END, bytes(4)) + footer + MAGIC
 
 
 def _chunk(plain: bytes, codec: str = "zstd", crc: int | None = None, size: int | None = None) -> bytes:
     packed = deflate(codec, plain)
     stated = zlib.crc32(plain) if crc is None else crc
     head = CHUNK_HEAD.pack(0, 1, len(plain) if size is None else size, stated)
-    return record(Op.CHUNK, head + text(codec) + len(packed).to_bytes(8, "little") + packed)
+    return record(McapOpcode.CHUNK, head + text(codec) + len(packed).to_bytes(8, "little") + packed)
 
 
-def _rows(stream: Stream, count: int, number: int = 1, start: int = 0, step: int = 4_000_000) -> np.ndarray:
+def _rows(stream: McapStream, count: int, number: int = 1, start: int = 0, step: int = 4_000_000) -> np.ndarray:
     rows = np.zeros(count, stream.row)
-    rows["op"], rows["length"], rows["channel"], rows["cdr"] = Op.MESSAGE, stream.content_bytes, number, 0x0100
+    rows["op"], rows["length"], rows["channel"], rows["cdr"] = McapOpcode.MESSAGE, stream.content_bytes, number, 0x0100
     rows["log_time"] = start + step * np.arange(count, dtype=np.uint64)
     return rows
 
@@ -78,8 +78,8 @@ def mcap_chunks_of_zeros() -> bytes:
 
 
 def mcap_foreign_messages() -> bytes:
-    foreign = record(Op.CHANNEL, Struct("<HH").pack(9, 0) + text("/other") + text("cdr") + mapping({}))
-    one = record(Op.MESSAGE, Struct("<HIQQ").pack(9, 0, 0, 0))
+    foreign = record(McapOpcode.CHANNEL, Struct("<HH").pack(9, 0) + text("/other") + text("cdr") + mapping({}))
+    one = record(McapOpcode.MESSAGE, Struct("<HIQQ").pack(9, 0, 0, 0))
     return _mcap([_stream("q")], foreign + _chunk(one * (32 * MIB // len(one))) * 40)
 
 
@@ -95,7 +95,7 @@ def mcap_one_scalar() -> bytes:
 
 
 def mcap_a_wide_channel() -> bytes:
-    stream = Stream("/wide", "twodof_msgs/msg/Wide", "wide", "", (), 1000)
+    stream = McapStream("/wide", "twodof_msgs/msg/Wide", "wide", "", (), 1000)
     chunk = _chunk(_rows(stream, 7000).tobytes())
     return _mcap([stream], chunk * 60)
 
@@ -113,16 +113,16 @@ def mcap_empty_chunks() -> bytes:
 
 
 def mcap_empty_records() -> bytes:
-    return _mcap([_stream("q")], record(Op.MESSAGE_INDEX, b"") * 5_000_000)
+    return _mcap([_stream("q")], record(McapOpcode.MESSAGE_INDEX, b"") * 5_000_000)
 
 
 def mcap_table_of_small_texts() -> bytes:
     rows = {f"{k:x}": "" for k in range(600_000)}
-    return _mcap([_stream("q")], record(Op.METADATA, text("m") + mapping(rows)) * 3)
+    return _mcap([_stream("q")], record(McapOpcode.METADATA, text("m") + mapping(rows)) * 3)
 
 
 def mcap_many_tables() -> bytes:
-    return _mcap([_stream("q")], record(Op.METADATA, text("") + mapping({})) * 1_000_000)
+    return _mcap([_stream("q")], record(McapOpcode.METADATA, text("") + mapping({})) * 1_000_000)
 
 
 def mcap_provenance_of_empty_lists() -> bytes:
@@ -136,7 +136,7 @@ def mcap_provenance_that_is_deep() -> bytes:
 
 
 def mcap_many_channels() -> bytes:
-    streams = [Stream(f"/c{k}", "twodof_msgs/msg/C", f"c{k}" + "x" * 900, "", (), 1) for k in range(1000)]
+    streams = [McapStream(f"/c{k}", "twodof_msgs/msg/C", f"c{k}" + "x" * 900, "", (), 1) for k in range(1000)]
     rows = b"".join(_rows(stream, 600, k + 1).tobytes() for k, stream in enumerate(streams))
     return _mcap(streams, _chunk(rows) * 3)
 
@@ -144,7 +144,7 @@ def mcap_many_channels() -> bytes:
 def mcap_more_channels_than_any() -> bytes:
     described = {"twodof": json.dumps({"name": "c", "unit": "", "fields": [""] * 1000, "width": 1000})}
     parts = [
-        record(Op.CHANNEL, Struct("<HH").pack(k, 0) + text(f"/{k}") + text("cdr") + mapping(described))
+        record(McapOpcode.CHANNEL, Struct("<HH").pack(k, 0) + text(f"/{k}") + text("cdr") + mapping(described))
         for k in range(5000)
     ]
     return _mcap([_stream("q")], b"".join(parts))
@@ -196,7 +196,7 @@ def mcap_steps_far_apart() -> bytes:
 
 
 def mcap_failsafe_that_flips() -> bytes:
-    stream = Stream("/safety", "twodof_msgs/msg/Safety", "safety", "-", ("action", "reasons", "causes"), 3)
+    stream = McapStream("/safety", "twodof_msgs/msg/Safety", "safety", "-", ("action", "reasons", "causes"), 3)
     rows = _rows(stream, 1_000_000, 2)
     rows["value"][:, 0], rows["value"][:, 1] = 1.0 + _flips(1_000_000), np.arange(1_000_000)
     q = _rows(_stream("q"), 1_000_000).tobytes()

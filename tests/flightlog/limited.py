@@ -87,7 +87,7 @@ def _serve(lines: Iterable[str]) -> None:
     import twodof.cli.plot
     import twodof.cli.replay
     import twodof.cli.simulate
-    import twodof.report.flight_plot  # noqa: F401
+    import twodof.report.plots.flight_plot  # noqa: F401
 
     assert threading.active_count() == 1
     with tempfile.TemporaryDirectory() as folder:

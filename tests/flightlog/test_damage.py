@@ -7,14 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.flightlog.test_ulog import px4_log
+from tests.flightlog.ulog.test_ulog_file import px4_log
 from twodof.cli.app import run
 from twodof.errors import LogError
-from twodof.flightlog import mcap_encoder, mcap_stream, provenance
-from twodof.flightlog.budget import Budget
-from twodof.flightlog.mcap import attachments, read_mcap, to_log
-from twodof.flightlog.mcap_decoder import Contents, scan
-from twodof.flightlog.mcap_encoder import Attachment
+from twodof.flightlog import provenance
+from twodof.flightlog.mcap import encoder, topic_stream
+from twodof.flightlog.mcap.decoder import McapContents, scan
+from twodof.flightlog.mcap.encoder import Attachment
+from twodof.flightlog.mcap.mcap_file import attachments, read_mcap, to_log
+from twodof.flightlog.memory_budget import MemoryBudget
 from twodof.flightlog.recorder import Recorder
 from twodof.flightlog.recovery import recover
 
@@ -44,11 +45,11 @@ def cut(whole: bytes) -> bytes:
     return whole[: whole.index(b"\x0f\x04\0\0\0\0\0\0\0")]
 
 
-def told(contents: Contents) -> list[str]:
+def told(contents: McapContents) -> list[str]:
     return [*(loss.why for loss in contents.lost), *contents.unverified, *contents.ignored]
 
 
-def facts(contents: Contents) -> dict[str, object]:
+def facts(contents: McapContents) -> dict[str, object]:
     """All that a log says but samples, which may be missing."""
     kept = provenance_of(contents)
     channels = {s.topic: (s.mat, s.unit, s.fields, s.width, s.schema, s.about) for s in contents.streams.values()}
@@ -56,12 +57,12 @@ def facts(contents: Contents) -> dict[str, object]:
     return {"channels": channels, "provenance": kept, "attachments": files}
 
 
-def provenance_of(contents: Contents) -> dict[str, object]:
-    log = to_log(contents, {}, "a.mcap", Budget(1 << 20, "a.mcap"))
+def provenance_of(contents: McapContents) -> dict[str, object]:
+    log = to_log(contents, {}, "a.mcap", MemoryBudget(1 << 20, "a.mcap"))
     return {key: value for key, value in log.provenance.items() if key not in ("file", "ignored")}
 
 
-def samples(contents: Contents) -> set[tuple[str, int, bytes]]:
+def samples(contents: McapContents) -> set[tuple[str, int, bytes]]:
     found = set()
     for number, stream in contents.streams.items():
         some = contents.joined(number)
@@ -153,14 +154,14 @@ def test_what_was_found_is_told_in_the_file_and_by_the_command(
 
 def test_files_of_earlier_versions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """They had no checksums of tables and descriptions: they are read, and recovery says so."""
-    monkeypatch.setattr(mcap_encoder, "checked", lambda _, rows: dict(rows))
-    own = mcap_stream.Stream.metadata.fget
+    monkeypatch.setattr(encoder, "checked", lambda _, rows: dict(rows))
+    own = topic_stream.McapStream.metadata.fget
     assert own is not None
 
-    def metadata(stream: mcap_stream.Stream) -> dict[str, str]:
+    def metadata(stream: topic_stream.McapStream) -> dict[str, str]:
         return {key: text.split(', "schema"')[0] + "}" for key, text in own(stream).items()}
 
-    monkeypatch.setattr(mcap_stream.Stream, "metadata", property(metadata))
+    monkeypatch.setattr(topic_stream.McapStream, "metadata", property(metadata))
     old = record(tmp_path / "old.mcap")
     assert b"crc32" not in old
     monkeypatch.undo()
@@ -186,11 +187,11 @@ def test_a_log_without_checksums_says_so(tmp_path: Path) -> None:
 
 def test_this_finds_what_it_is_for(whole: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
     """Without checksums of tables and descriptions, as before, false values come through."""
-    monkeypatch.setattr("twodof.flightlog.mcap_decoder.unchecked", lambda _, rows: ({**rows}, True))
+    monkeypatch.setattr("twodof.flightlog.mcap.decoder.unchecked", lambda _, rows: ({**rows}, True))
     found, _ = silent(cut(whole), ((at, 1) for at in range(8, whole.index(b"d.json"))))
     assert len(found) > 10
 
 
 def test_the_provenance_is_bounded() -> None:
     with pytest.raises(LogError, match="nested over 32 deep"):
-        provenance.from_json('{"a": ' + "[" * 40 + "]" * 40 + "}", "a", Budget(1000, "a"))
+        provenance.from_json('{"a": ' + "[" * 40 + "]" * 40 + "}", "a", MemoryBudget(1000, "a"))

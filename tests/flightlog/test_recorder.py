@@ -20,9 +20,9 @@ from tests.flightlog.conftest import SlowDisk
 from tests.flightlog.recording_child import PERIOD_NS, gyro
 from tests.patience import PATIENCE_S
 from twodof.errors import LogError, RecordingError
-from twodof.flightlog.mcap import attachments, read_mcap
-from twodof.flightlog.mcap_encoder import Attachment
-from twodof.flightlog.mcap_stream import Stream
+from twodof.flightlog.mcap.encoder import Attachment
+from twodof.flightlog.mcap.mcap_file import attachments, read_mcap
+from twodof.flightlog.mcap.topic_stream import McapStream
 from twodof.flightlog.recorder import Recorder
 from twodof.flightlog.recovery import recover
 from twodof.signals import TOPICS
@@ -57,7 +57,7 @@ def test_every_topic_with_its_unit_and_provenance(tmp_path: Path) -> None:
 
 
 def test_what_does_not_fit_is_refused_and_not_recorded(tmp_path: Path) -> None:
-    own = Stream("/own", "twodof_msgs/msg/Own", "own", "K", ("a", "b"), 2)
+    own = McapStream("/own", "twodof_msgs/msg/Own", "own", "K", ("a", "b"), 2)
     with Recorder(tmp_path / "a.mcap", ["q", "imu.gyro", own]) as recorder:
         wrong: list[tuple[str, Any, Any]] = [
             ("estimate.x", 0, 1.0),
@@ -106,9 +106,9 @@ def test_what_does_not_fit_is_refused_and_not_recorded(tmp_path: Path) -> None:
             Recorder(tmp_path / "b.mcap", ["q"], **wrong_setting)
     for fields, width, mat in [(("a",), 2, "own"), ((), 0, "own"), ((), 1001, "own"), ((), 1, "")]:
         with pytest.raises(LogError, match="give a name for each column"):
-            Recorder(tmp_path / "b.mcap", [Stream("/own", "twodof_msgs/msg/Own", mat, "", fields, width)])
+            Recorder(tmp_path / "b.mcap", [McapStream("/own", "twodof_msgs/msg/Own", mat, "", fields, width)])
     with pytest.raises(LogError, match="is recorded twice"):
-        Recorder(tmp_path / "b.mcap", ["q", Stream("/own", "twodof_msgs/msg/Own", "q", "")])
+        Recorder(tmp_path / "b.mcap", ["q", McapStream("/own", "twodof_msgs/msg/Own", "q", "")])
     assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
 
 

@@ -10,8 +10,8 @@ from tests.flightlog.recording_child import PERIOD_NS, gyro
 from tests.flightlog.synthetic import attitude_steps, same_bits
 from twodof.cli.app import run
 from twodof.errors import LogError
-from twodof.flightlog.mcap import read_mcap, write_mcap
-from twodof.flightlog.mcap_decoder import Contents, scan
+from twodof.flightlog.mcap.decoder import McapContents, scan
+from twodof.flightlog.mcap.mcap_file import read_mcap, write_mcap
 from twodof.flightlog.recorder import Recorder
 from twodof.flightlog.recovery import recover
 
@@ -31,7 +31,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, list[tup
     return path.read_bytes(), [(one.position, one.samples) for one in acknowledged]
 
 
-def numbers(contents: Contents) -> list[int]:
+def numbers(contents: McapContents) -> list[int]:
     """Which samples were found, each of them checked to the bit."""
     if not contents.streams:
         return []

@@ -8,7 +8,7 @@ from scipy.io import savemat
 
 from tests.fuzz.target import Target, file
 from twodof.errors import LogError
-from twodof.flightlog.mat import read_mat
+from twodof.flightlog.mat.mat_file import read_mat
 
 
 def seeds() -> list[bytes]:

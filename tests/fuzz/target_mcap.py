@@ -5,9 +5,9 @@ import contextlib
 from tests.flightlog.synthetic import attitude_steps
 from tests.fuzz.target import Target, file
 from twodof.errors import LogError
-from twodof.flightlog.mcap import read_mcap, write_mcap
-from twodof.flightlog.mcap_encoder import Attachment
-from twodof.flightlog.mcap_records import MAGIC
+from twodof.flightlog.mcap.encoder import Attachment
+from twodof.flightlog.mcap.mcap_file import read_mcap, write_mcap
+from twodof.flightlog.mcap.records import MAGIC
 from twodof.flightlog.recorder import Recorder
 from twodof.flightlog.recovery import recover
 

@@ -2,12 +2,12 @@
 
 import contextlib
 
-from tests.flightlog.test_ulog import px4_log
+from tests.flightlog.ulog.test_ulog_file import px4_log
 from tests.fuzz.target import Target, file
 from twodof.errors import LogError
 from twodof.flightlog.recovery import recover
-from twodof.flightlog.ulog import read_ulog
-from twodof.flightlog.ulog_writer import ULogWriter
+from twodof.flightlog.ulog.ulog_file import read_ulog
+from twodof.flightlog.ulog.writer import ULogWriter
 
 
 def seeds() -> list[bytes]:

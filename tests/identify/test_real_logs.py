@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from twodof.errors import IdentificationError, LogError
-from twodof.flightlog.mat import read_mat
+from twodof.flightlog.mat.mat_file import read_mat
 from twodof.identify import Estimate, Record, fit, frequency_response
 from twodof.identify.simple_pitch import read_free_response
 from twodof.models import free_response, pitch_rate, velocity

@@ -16,7 +16,7 @@ from tests.patience import PATIENCE_S
 from twodof.fcu.services.metadata import metadata_files
 from twodof.fcu.step_row import STEP_TOPIC
 from twodof.fcu.store import Store
-from twodof.flightlog.ulog_decoder import scan_ulog
+from twodof.flightlog.ulog.decoder import scan_ulog
 
 CLIENT = Path(__file__).with_name("mavsdk_files_client.py")
 

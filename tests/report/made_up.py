@@ -6,18 +6,18 @@ import numpy as np
 
 from twodof.identify.validate import compare
 from twodof.report.content import (
-    Check,
     Content,
     Erratum,
     Figure,
-    Level,
-    Line,
+    FigureBand,
+    FigureLine,
+    FigurePoint,
+    FitCheck,
     Panel,
     ParameterRow,
-    Point,
+    ReportTable,
     Span,
     Subject,
-    Table,
     Uncertain,
 )
 
@@ -47,11 +47,11 @@ def subject(name: str, seed: int, truth: bool) -> Subject:
         "response to the impulse-like signal",
         "M = 0.1 for 0.2 s, then free. Period 1.83 s gives ω<sub>n</sub>.",
         [
-            Panel("M [–]", [Line("M", "input", time, pulse)], height=0.6),
+            Panel("M [–]", [FigureLine("M", "input", time, pulse)], height=0.6),
             Panel(
                 "q [rad/s]",
-                [Line("q", "measured", time, noisy), Line("grey-box", "grey-box", time, 2.0 * ring)],
-                [Span(0.6, 0.6 + 1.83, "period 1.83 s"), Level(-0.02, 0.02, "±1 %")],
+                [FigureLine("q", "measured", time, noisy), FigureLine("grey-box", "grey-box", time, 2.0 * ring)],
+                [Span(0.6, 0.6 + 1.83, "period 1.83 s"), FigureBand(-0.02, 0.02, "±1 %")],
                 height=1.6,
             ),
         ],
@@ -63,15 +63,15 @@ def subject(name: str, seed: int, truth: bool) -> Subject:
         "doublet, identification data",
         "Three repetitions; the first identifies.",
         [
-            Panel("M [–]", [Line("M", "input", short, 0.03 * np.sign(np.sin(10.5 * short)))], height=0.6),
+            Panel("M [–]", [FigureLine("M", "input", short, 0.03 * np.sign(np.sin(10.5 * short)))], height=0.6),
             Panel(
                 "q [rad/s]",
                 [
-                    Line("q", "measured", short, response + generator.normal(0.0, 0.06, short.size)),
-                    Line("simple", "simple", short, 0.95 * response),
-                    Line("grey-box", "grey-box", short, response),
+                    FigureLine("q", "measured", short, response + generator.normal(0.0, 0.06, short.size)),
+                    FigureLine("simple", "simple", short, 0.95 * response),
+                    FigureLine("grey-box", "grey-box", short, response),
                 ],
-                [Point(0.76, 0.9, "peak 2.40 rad/s")],
+                [FigurePoint(0.76, 0.9, "peak 2.40 rad/s")],
                 height=1.6,
             ),
         ],
@@ -81,7 +81,7 @@ def subject(name: str, seed: int, truth: bool) -> Subject:
     moment = generator.normal(0.0, 1.0, short.size)
     identified = compare("doublet 1", "q", short, response + coloured, response, {"M": moment})
     validated = compare("doublet 2", "q", short, response + noise[::-1], response, {"M": moment})
-    check = Check("doublet", "rad/s", identified, [validated], "What the noise means for sigma.")
+    check = FitCheck("doublet", "rad/s", identified, [validated], "What the noise means for sigma.")
     return Subject(name, "A machine that exists for this test only.", rows, [free, doublet], [check], ["k and c."])
 
 
@@ -92,6 +92,6 @@ def content() -> Content:
         ["<b>μ 357.9 ± 1.3</b> where 358.5 is true", "FIT 96 %"],
         [subject("virtual rig, paper", 1, True), subject("real drone", 2, False)],
         [Erratum("Equation 6", "c = 2ξω<sub>n</sub>/J", "c = 2ξω<sub>n</sub>J")],
-        [Table("replay", "Replayed", "What was seen.", ["flight", "M"], [["steps <1>", "1e-7"]])],
+        [ReportTable("replay", "Replayed", "What was seen.", ["flight", "M"], [["steps <1>", "1e-7"]])],
         {"seed": "1", "sum": str(math.fsum([0.1] * 10))},
     )

@@ -20,11 +20,11 @@ from twodof.flightlog.atomic import atomic_write
 from twodof.flightlog.files import check_folder
 from twodof.flightlog.provenance import versions
 from twodof.flightlog.public_data import VARIABLE, available
-from twodof.report.compose import Machine, content, rows
+from twodof.report.characterisation.compose import CharacterisedMachine, content, rows
+from twodof.report.characterisation.demonstration import REPETITIONS, comparisons, planned, real, virtual
 from twodof.report.content import ParameterRow
 from twodof.report.numbers import plain, with_sigma
-from twodof.report.page import to_html
-from twodof.report.walk import REPETITIONS, comparisons, planned, real, virtual
+from twodof.report.pages.report_page import to_html
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
@@ -83,7 +83,7 @@ def demo(
         raise typer.Exit(1)
 
 
-def _fly(repetitions: int, step: Callable[[str], None]) -> dict[str, Machine]:
+def _fly(repetitions: int, step: Callable[[str], None]) -> dict[str, CharacterisedMachine]:
     """The paper's experiments on a drone of each rig, side by side, and what is identified from them."""
     step("compile the flight code and the rigs")
     flights = {}
@@ -91,7 +91,7 @@ def _fly(repetitions: int, step: Callable[[str], None]) -> dict[str, Machine]:
         step(f"{rig}: {name}, flight {seed} of {repetitions}")
         flights[rig, name, seed] = flight
 
-    def identified(rig: str) -> Machine:
+    def identified(rig: str) -> CharacterisedMachine:
         def flown(experiment: Experiment, seed: int) -> Flight:
             return flights[rig, experiment.name, seed]
 
@@ -120,11 +120,11 @@ def _make_folder(path: Path) -> None:
         ) from refusal
 
 
-def _complete(machine: Machine) -> bool:
+def _complete(machine: CharacterisedMachine) -> bool:
     return all(row.simple is not None and row.greybox is not None for row in rows(machine) if row.paper is not None)
 
 
-def _parameters(machine: Machine) -> dict[str, dict[str, Any]]:
+def _parameters(machine: CharacterisedMachine) -> dict[str, dict[str, Any]]:
     return {
         row.key: {
             "unit": row.unit,
@@ -141,7 +141,7 @@ def _parameters(machine: Machine) -> dict[str, dict[str, Any]]:
     }
 
 
-def _print(machines: list[Machine], logs: int, out: Path, seconds: float) -> None:
+def _print(machines: list[CharacterisedMachine], logs: int, out: Path, seconds: float) -> None:
     console = table_console()
     for machine in machines:
         table = Table(title=machine.name, title_justify="left", box=None, pad_edge=False)

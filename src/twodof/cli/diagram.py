@@ -25,8 +25,8 @@ from twodof.errors import DiagramError, LogError
 from twodof.flight.starters import new_diagram
 from twodof.flightlog.atomic import atomic_write
 from twodof.flightlog.files import check_folder
-from twodof.report.code_page import code_page
-from twodof.report.diagram_svg import find, to_svg
+from twodof.report.drawing.diagram_svg import find, to_svg
+from twodof.report.pages.code_page import code_page
 
 app = typer.Typer(
     add_completion=False,

@@ -23,7 +23,7 @@ from twodof.experiment.protocol import experiment as named_experiment
 from twodof.flightlog.files import check_place, write_log
 from twodof.gcs.async_drone import DEFAULT_URL
 from twodof.gcs.drone import Drone
-from twodof.report.flight_view import check_place as check_plot
+from twodof.report.plots.flight_view import check_place as check_plot
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
 

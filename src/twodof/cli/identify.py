@@ -25,7 +25,7 @@ from twodof.identify.simple_pitch import SimplePitch, identify_pitch
 from twodof.identify.simple_velocity import SimpleVelocity, identify_velocity
 from twodof.models.structure import Structure
 from twodof.models.structures import free_response, pitch_rate, rail, velocity
-from twodof.report.characterise import TRAVEL
+from twodof.report.characterisation.characterise import TRAVEL
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
 

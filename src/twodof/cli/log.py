@@ -20,7 +20,7 @@ from twodof.flightlog.log import FlightLog
 from twodof.flightlog.public_data import PUBLIC_LOGS, find
 from twodof.flightlog.recovery import Recovered
 from twodof.flightlog.recovery import recover as recover_log
-from twodof.report.flight_view import SUFFIXES, check_place, failsafe_bands
+from twodof.report.plots.flight_view import SUFFIXES, check_place, failsafe_bands
 
 app = typer.Typer(
     help="Look into flight logs and convert them.", no_args_is_help=True, add_completion=False, rich_markup_mode=None

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from twodof.flightlog.log import FlightLog
-from twodof.report.flight_view import SUFFIXES, flight_view
+from twodof.report.plots.flight_view import SUFFIXES, flight_view
 
 Plot = Annotated[
     Path | None,
@@ -27,5 +27,5 @@ def draw(
 ) -> tuple[str, ...]:
     """Draws a log, and returns what the picture leaves out. Raises LogError, as `flight_view` and `write_plot`."""
     view = flight_view(log, topics, window, title)
-    importlib.import_module("twodof.report.flight_plot").write_plot(view, path)
+    importlib.import_module("twodof.report.plots.flight_plot").write_plot(view, path)
     return view.notes

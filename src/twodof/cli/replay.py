@@ -12,7 +12,7 @@ from rich.table import Table
 from twodof.cli.output import Json, one_line, print_json, say_line, table_console
 from twodof.flight.gains import Gains, load_gains
 from twodof.flightlog.files import read_log
-from twodof.report.flight_view import failsafe_bands
+from twodof.report.plots.flight_view import failsafe_bands
 from twodof.sim.replay import replay as replay_log
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)

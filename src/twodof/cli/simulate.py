@@ -22,7 +22,7 @@ from twodof.flight.slot import simulator_slot
 from twodof.flightlog.files import check_place, read_log, write_log
 from twodof.flightlog.log import FlightLog
 from twodof.flightlog.public_data import PUBLIC_LOGS, PublicLog
-from twodof.report.flight_view import check_place as check_plot
+from twodof.report.plots.flight_view import check_place as check_plot
 from twodof.rig.parameters import load_rig
 from twodof.sim.like import simulate_like
 

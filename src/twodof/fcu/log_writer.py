@@ -15,8 +15,8 @@ from twodof.fcu.log_folder import LogFolder
 from twodof.fcu.px4_parameters import LOG_ALWAYS, LOG_ARMED, LOG_BOOT, LOG_NEVER
 from twodof.fcu.px4_topics import PX4_TOPICS, Rows, records
 from twodof.fcu.step_row import FORMAT, STEP_TOPIC
-from twodof.flightlog.ulog_format import MESSAGE
-from twodof.flightlog.ulog_writer import ULogWriter
+from twodof.flightlog.ulog.format import MESSAGE
+from twodof.flightlog.ulog.writer import ULogWriter
 
 MARGIN = 250
 """Steps that a log has before arming and after disarming."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from twodof.flightlog.atomic import atomic_write as atomic_write
-    from twodof.flightlog.contents import Excitation as Excitation
+    from twodof.flightlog.contents import DetectedExcitation as DetectedExcitation
     from twodof.flightlog.contents import describe as describe
     from twodof.flightlog.contents import excitations as excitations
     from twodof.flightlog.contents import find_excitation as find_excitation
@@ -29,17 +29,17 @@ if TYPE_CHECKING:
     from twodof.flightlog.recorder import Recorder as Recorder
     from twodof.flightlog.recovery import Recovered as Recovered
     from twodof.flightlog.recovery import recover as recover
-    from twodof.flightlog.ulog_writer import ULogWriter as ULogWriter
+    from twodof.flightlog.ulog.writer import ULogWriter as ULogWriter
 
 _HOMES = {
     "atomic": ("atomic_write",),
-    "contents": ("Excitation", "describe", "excitations", "find_excitation"),
+    "contents": ("DetectedExcitation", "describe", "excitations", "find_excitation"),
     "events": ("Event", "Stretch", "modes", "openloop_edges", "setpoint_steps", "thrust_edges", "window"),
     "files": ("convert", "read_log", "write_log"),
     "log": ("Channel", "FlightLog", "Gap"),
     "recorder": ("Recorder",),
     "recovery": ("Recovered", "recover"),
-    "ulog_writer": ("ULogWriter",),
+    "ulog.writer": ("ULogWriter",),
 }
 _HOME = {name: home for home, names in _HOMES.items() for name in names}
 

@@ -32,7 +32,7 @@ _SWEEP_PAUSE_S = 0.5
 
 
 @dataclass(frozen=True)
-class Excitation:
+class DetectedExcitation:
     """An excitation found in a log: `name` is mode and shape, such as `attitude-steps`.
 
     `amplitude` is the farthest level from where it began, in the unit of `channel`; `edges` are the times of
@@ -48,7 +48,7 @@ class Excitation:
     window: tuple[float, float]
 
 
-def excitations(log: FlightLog) -> list[Excitation]:
+def excitations(log: FlightLog) -> list[DetectedExcitation]:
     """Every excitation found in a log, in order of time. Raises LogError if `T`, `q0` or `theta0` is missing."""
     found = []
     edges = openloop_edges(log) if "lmnf" in log else []
@@ -64,7 +64,7 @@ def excitations(log: FlightLog) -> list[Excitation]:
     return found
 
 
-def find_excitation(log: FlightLog, name: str) -> Excitation:
+def find_excitation(log: FlightLog, name: str) -> DetectedExcitation:
     """The longest excitation that is called `name`: in full (`attitude-steps`) or by shape (`doublet`).
 
     One or several doublets answer to either name. Raises LogError, saying what was found, if there is none.
@@ -108,7 +108,7 @@ def describe(log: FlightLog) -> dict[str, Any]:
             }
         )
     loops = all(name in log for name in ("T", "q0", "theta0"))
-    found: list[Excitation] = []
+    found: list[DetectedExcitation] = []
     flown: list[Stretch] = []
     unclear = "" if loops else "the log lacks T, q0 or theta0"
     try:
@@ -135,11 +135,11 @@ def _rows(table: tuple[NDArray[Any], ...]) -> Iterator[tuple[Any, ...]]:
     return zip(*(column[:MAX_LISTED].tolist() for column in table), strict=True)
 
 
-def _length(excitation: Excitation) -> float:
+def _length(excitation: DetectedExcitation) -> float:
     return excitation.edges[-1] - excitation.edges[0]
 
 
-def _events(log: FlightLog, found: Sequence[Excitation]) -> list[Event]:
+def _events(log: FlightLog, found: Sequence[DetectedExcitation]) -> list[Event]:
     events = thrust_edges(log) if "T" in log else []
     if "lmnf" in log:
         events += openloop_edges(log)
@@ -148,7 +148,7 @@ def _events(log: FlightLog, found: Sequence[Excitation]) -> list[Event]:
     return sorted(events, key=lambda event: event.time)
 
 
-def _open_loop(log: FlightLog, stretch: Stretch, edges: Sequence[Event]) -> Excitation | None:
+def _open_loop(log: FlightLog, stretch: Stretch, edges: Sequence[Event]) -> DetectedExcitation | None:
     # The message that opened the loop is up to 20 ms older than the first M made from it.
     first = bisect_left(edges, stretch.t0 - 0.02, key=_time)
     last = bisect_right(edges, stretch.t1, key=_time)
@@ -165,7 +165,7 @@ def _time(event: Event) -> float:
     return event.time
 
 
-def _closed_loop(log: FlightLog, stretch: Stretch) -> Excitation | None:
+def _closed_loop(log: FlightLog, stretch: Stretch) -> DetectedExcitation | None:
     name = SETPOINTS[stretch.mode]
     if name not in log:
         return None
@@ -190,10 +190,10 @@ def _closed_loop(log: FlightLog, stretch: Stretch) -> Excitation | None:
     return _excitation(stretch.mode, _shape(steps, stretch.t1), steps, window(log, steps))
 
 
-def _excitation(mode: str, shape: str, steps: Sequence[Event], bounds: tuple[float, float]) -> Excitation:
+def _excitation(mode: str, shape: str, steps: Sequence[Event], bounds: tuple[float, float]) -> DetectedExcitation:
     amplitude = max(abs(event.after - steps[0].before) for event in steps)
     edges = tuple(event.time for event in steps)
-    return Excitation(f"{mode}-{shape}", mode, shape, steps[0].channel, amplitude, edges, bounds)
+    return DetectedExcitation(f"{mode}-{shape}", mode, shape, steps[0].channel, amplitude, edges, bounds)
 
 
 def _shape(steps: Sequence[Event], end: float) -> str:

@@ -7,10 +7,10 @@ from types import MappingProxyType
 
 from twodof.errors import LogError
 from twodof.flightlog.log import FlightLog
-from twodof.flightlog.mat import read_mat, write_mat
-from twodof.flightlog.mcap import read_mcap, write_mcap
-from twodof.flightlog.table import read_csv, read_parquet, write_csv, write_parquet
-from twodof.flightlog.ulog import read_ulog
+from twodof.flightlog.mat.mat_file import read_mat, write_mat
+from twodof.flightlog.mcap.mcap_file import read_mcap, write_mcap
+from twodof.flightlog.table.table_file import read_csv, read_parquet, write_csv, write_parquet
+from twodof.flightlog.ulog.ulog_file import read_ulog
 
 _READERS: Mapping[str, Callable[[str | Path], FlightLog]] = MappingProxyType(
     {".mat": read_mat, ".mcap": read_mcap, ".parquet": read_parquet, ".csv": read_csv, ".ulg": read_ulog}

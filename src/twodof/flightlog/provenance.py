@@ -13,8 +13,8 @@ import numpy as np
 
 import twodof
 from twodof.errors import LogError
-from twodof.flightlog.budget import Budget
 from twodof.flightlog.log import FlightLog
+from twodof.flightlog.memory_budget import MemoryBudget
 
 MAX_FILE_BYTES = 1 << 29
 """Largest log file that is read, in bytes."""
@@ -86,7 +86,7 @@ def kept_json(entries: Mapping[str, Any], where: str) -> str:
         ) from reason
 
 
-def from_json(text: str, where: str, budget: Budget) -> dict[str, Any]:
+def from_json(text: str, where: str, budget: MemoryBudget) -> dict[str, Any]:
     """The reverse of `to_json`. Raises LogError."""
     budget.json(len(text))
     try:

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twodof.errors import LogError, listed, shown
-from twodof.flightlog.mcap import END_NOTE, NOTE
-from twodof.flightlog.mcap_encoder import Attachment, Encoder, Samples
-from twodof.flightlog.mcap_stream import Stream, named
+from twodof.flightlog.mcap.encoder import Attachment, McapEncoder, McapSamples
+from twodof.flightlog.mcap.mcap_file import END_NOTE, NOTE
+from twodof.flightlog.mcap.topic_stream import McapStream, named
 from twodof.flightlog.provenance import kept_json
 from twodof.flightlog.spool import Full, Spool
 from twodof.signals import Topic
@@ -28,17 +28,17 @@ _LATEST_NS = (1 << 63) - 1
 class _Slot:
     """The samples of a stream that wait to be written."""
 
-    def __init__(self, number: int, stream: Stream) -> None:
+    def __init__(self, number: int, stream: McapStream) -> None:
         self.number, self.width = number, stream.width
         self.bytes = 8 * (1 + stream.width)
         self.times, self.values = array("Q"), array("d")
         self.dropped = 0
 
-    def take(self) -> Samples:
+    def take(self) -> McapSamples:
         times = np.frombuffer(self.times, np.uint64) if self.times else np.empty(0, np.uint64)
         values = np.frombuffer(self.values, np.float64) if self.values else np.empty(0)
         self.times, self.values = array("Q"), array("d")
-        return Samples(times, values.reshape(-1, self.width))
+        return McapSamples(times, values.reshape(-1, self.width))
 
 
 class Recorder(Spool):
@@ -56,7 +56,7 @@ class Recorder(Spool):
     def __init__(
         self,
         path: str | Path,
-        topics: Iterable[str | Topic | Stream],
+        topics: Iterable[str | Topic | McapStream],
         provenance: Mapping[str, object] | None = None,
         attachments: Sequence[Attachment] = (),
         flush_s: float = 0.25,
@@ -68,7 +68,7 @@ class Recorder(Spool):
             raise LogError("no topic, or one that carries stamps in seconds", str(path), "name topics to record")
         note = kept_json(dict(provenance or {}), str(path))
         self._slots = {name: _Slot(k, stream) for k, (name, stream) in enumerate(streams.items())}
-        self._encoder = Encoder(list(streams.values()))
+        self._encoder = McapEncoder(list(streams.values()))
         self._notes: dict[str, object] = {}
         super().__init__(path, flush_s, capacity_bytes, full)
         self._start(self._encoder.head({NOTE: {"provenance": note, "empty": "left out"}}, attachments))
@@ -143,7 +143,7 @@ class Recorder(Spool):
     def _misfit(self, topic: str, what: str) -> LogError:
         return LogError(what, f"{self.path}: {topic}", "give whole nanoseconds from 0 and a number for each field")
 
-    def _take(self) -> dict[int, Samples] | None:
+    def _take(self) -> dict[int, McapSamples] | None:
         taken = {slot.number: slot.take() for slot in self._slots.values() if slot.times}
         return taken or None
 

@@ -6,12 +6,12 @@ from pathlib import Path
 from twodof.errors import LogError
 from twodof.flightlog import provenance
 from twodof.flightlog.atomic import atomic_write
-from twodof.flightlog.budget import Budget
 from twodof.flightlog.log import FlightLog
-from twodof.flightlog.mcap import RECOVERED_NOTE, to_log, write_contents, write_mcap
-from twodof.flightlog.mcap_decoder import Contents, scan
-from twodof.flightlog.ulog import ulog_to_log
-from twodof.flightlog.ulog_decoder import scan_ulog
+from twodof.flightlog.mcap.decoder import McapContents, scan
+from twodof.flightlog.mcap.mcap_file import RECOVERED_NOTE, to_log, write_contents, write_mcap
+from twodof.flightlog.memory_budget import MemoryBudget
+from twodof.flightlog.ulog.decoder import scan_ulog
+from twodof.flightlog.ulog.ulog_file import ulog_to_log
 
 NO_CHECKSUMS = "every value: a ULog has no checksums"
 
@@ -28,7 +28,7 @@ class Recovered:
     lost_bytes: int
     what: tuple[str, ...]
     unverified: tuple[str, ...] = ()
-    contents: Contents | None = None
+    contents: McapContents | None = None
 
     def write(self, path: str | Path) -> None:
         """Writes a complete MCAP file, atomically. Raises LogError."""
@@ -50,7 +50,7 @@ def recover(path: str | Path) -> Recovered:
     """
     data = provenance.read_bytes(path)
     where = str(path)
-    budget = Budget(len(data), where)
+    budget = MemoryBudget(len(data), where)
     contents = None
     if Path(path).suffix.lower() == ".ulg":
         found = scan_ulog(data, where, salvage=True, budget=budget)

@@ -63,7 +63,7 @@ def covariance(jacobian: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class ResidualRows:
     """The rows of one output of one record; `when` is the step (or Fourier coefficient) of each."""
 
     record: int
@@ -71,7 +71,7 @@ class Rows:
     when: NDArray[np.int64]
 
 
-def robust_covariance(jacobian: Array, residual: Array, blocks: Sequence[Rows], spectral: bool) -> Array:
+def robust_covariance(jacobian: Array, residual: Array, blocks: Sequence[ResidualRows], spectral: bool) -> Array:
     """(J'J)^-1 J' R J (J'J)^-1 with R the covariance that the residuals themselves show, supposing it stationary.
 
     In the time domain R is Toeplitz: the residuals' auto- and cross-covariances within a record (Morelli and Klein,
@@ -93,12 +93,12 @@ def robust_covariance(jacobian: Array, residual: Array, blocks: Sequence[Rows], 
     return np.asarray(freedom * bread @ meat @ bread)
 
 
-def _coloured(jacobian: Array, residual: Array, one: Rows, two: Rows) -> Array:
+def _coloured(jacobian: Array, residual: Array, one: ResidualRows, two: ResidualRows) -> Array:
     """J1' R12 J2 for two outputs of one record; steps without a sample count as absent."""
     first = int(min(one.when.min(), two.when.min()))
     steps = int(max(one.when.max(), two.when.max())) - first + 1
 
-    def spread(block: Rows) -> tuple[Array, Array]:
+    def spread(block: ResidualRows) -> tuple[Array, Array]:
         j, e = np.zeros((steps, jacobian.shape[1])), np.zeros(steps)
         j[block.when - first] = jacobian[block.rows]
         e[block.when - first] = residual[block.rows]

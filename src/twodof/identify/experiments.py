@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twodof.errors import IdentificationError, LogError
-from twodof.flightlog.contents import Excitation, excitations
+from twodof.flightlog.contents import DetectedExcitation, excitations
 from twodof.flightlog.events import modes
 from twodof.flightlog.log import FlightLog
 from twodof.identify.record import Record
@@ -124,7 +124,7 @@ def _window(log: FlightLog, kind: ExperimentKind) -> tuple[float, float]:
     return _after_start(log, one)
 
 
-def _after_start(log: FlightLog, one: Excitation) -> tuple[float, float]:
+def _after_start(log: FlightLog, one: DetectedExcitation) -> tuple[float, float]:
     """The excitation's window, without what comes before its mode and the moment in which the rotors come up."""
     start, stop = one.window
     for stretch in modes(log):

@@ -17,8 +17,8 @@ from twodof.errors import IdentificationError
 from twodof.flightlog.log import FlightLog
 from twodof.identify.covariance import check_identifiable, covariance, robust_covariance
 from twodof.identify.estimate import Estimate
-from twodof.identify.levenberg_marquardt import Minimum, minimise
-from twodof.identify.problem import Block, Problem
+from twodof.identify.levenberg_marquardt import LeastSquaresMinimum, minimise
+from twodof.identify.problem import OutputRows, Problem
 from twodof.identify.record import Record
 from twodof.identify.validate import Comparison, compare
 from twodof.models.structure import Structure
@@ -122,7 +122,7 @@ def _several(records: Record | Sequence[Record]) -> tuple[Record, ...]:
     return several
 
 
-def _solve(problem: Problem, noise: Mapping[str, float]) -> Minimum:
+def _solve(problem: Problem, noise: Mapping[str, float]) -> LeastSquaresMinimum:
     """Minimise; with several noises unknown re-weight by the residuals until the weights stand still."""
     fixed = problem.set_noise(noise)
     open_weights = [block for block in problem.blocks if (block.record, block.output) not in fixed]
@@ -144,7 +144,7 @@ def _solve(problem: Problem, noise: Mapping[str, float]) -> Minimum:
     return minimum
 
 
-def _reweight(problem: Problem, minimum: Minimum, blocks: Sequence[Block]) -> float:
+def _reweight(problem: Problem, minimum: LeastSquaresMinimum, blocks: Sequence[OutputRows]) -> float:
     """Set the sigma of each block to that of its residuals (degrees of freedom shared by rows); the largest change."""
     residual = minimum.residual
     freedom = max(1, residual.size - len(problem.slots)) / residual.size

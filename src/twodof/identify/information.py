@@ -18,7 +18,7 @@ from twodof.identify.covariance import check_identifiable, covariance
 from twodof.identify.estimate import Estimate
 from twodof.identify.problem import Problem
 from twodof.identify.record import Record, Samples
-from twodof.identify.simulate import Simulator
+from twodof.identify.simulate import RecordSimulator
 from twodof.models.structure import Structure
 
 Array = NDArray[np.float64]
@@ -157,7 +157,7 @@ def simulate_planned(
     structure: Structure, inputs: Mapping[str, ArrayLike], dt: float, values: Mapping[str, float]
 ) -> dict[str, Array]:
     """Every output of the structure for planned inputs, from parameters `values`."""
-    return Simulator(structure, _blank(structure, inputs, dt, structure.outputs)).run(values)
+    return RecordSimulator(structure, _blank(structure, inputs, dt, structure.outputs)).run(values)
 
 
 def _repeated(jacobian: Array, shared: Array, repeats: int) -> Array:

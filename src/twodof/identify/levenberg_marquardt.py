@@ -15,7 +15,7 @@ Jacobian = Callable[[Array, Array], Array]
 
 
 @dataclass(frozen=True, eq=False)
-class Minimum:
+class LeastSquaresMinimum:
     """Where the sum of squares ended: `cost` is half of it, `at_bound` marks the unknowns held by a bound.
 
     `shift` is how far the next Gauss-Newton step would go, in standard deviations of the estimate.
@@ -40,7 +40,7 @@ def minimise(
     *,
     tolerance: float = 1e-10,
     iterations: int = 100,
-) -> Minimum:
+) -> LeastSquaresMinimum:
     """Minimise |residual(x)|^2 / 2 for lower <= x <= upper, from `x0` (clipped into the bounds).
 
     Damping after Nielsen (1999) with More's (1978) column scaling; an unknown at a bound that the gradient pushes
@@ -56,11 +56,11 @@ def minimise(
 
 def _minimise(
     residual: Residual, jacobian: Jacobian, x: Array, lower: Array, upper: Array, tolerance: float, iterations: int
-) -> Minimum:
+) -> LeastSquaresMinimum:
     r = residual(x)
     cost = 0.5 * float(r @ r)
     if not math.isfinite(cost):
-        return Minimum(x, r, cost, 0, 1, False, math.nan, np.zeros(x.shape, dtype=bool))
+        return LeastSquaresMinimum(x, r, cost, 0, 1, False, math.nan, np.zeros(x.shape, dtype=bool))
     evaluations, damping, growth = 1, 1e-3, 2.0
     scale = np.zeros_like(x)
     held = np.zeros(x.shape, dtype=bool)
@@ -129,7 +129,7 @@ def _minimum(
     normal: Array,
     free: NDArray[np.int64],
     held: NDArray[np.bool_],
-) -> Minimum:
+) -> LeastSquaresMinimum:
     g = gradient[free]
     length = np.sqrt(np.diag(normal)[free])
     length = np.where(length > 0.0, length, 1.0)
@@ -138,4 +138,4 @@ def _minimum(
     shift = math.sqrt(max(reach, 0.0) * r.size / (2.0 * cost)) if cost > 0.0 else 0.0
     # Residuals that are all rounding errors have no standard deviation worth comparing with.
     exact = cost < 1e-16 * r.size
-    return Minimum(x, r, cost, iterations, evaluations, exact or shift < 0.05, shift, held)
+    return LeastSquaresMinimum(x, r, cost, iterations, evaluations, exact or shift < 0.05, shift, held)

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twodof.errors import IdentificationError
-from twodof.identify.covariance import Rows
+from twodof.identify.covariance import ResidualRows
 from twodof.identify.record import Record
-from twodof.identify.simulate import Simulator
+from twodof.identify.simulate import RecordSimulator
 from twodof.models.structure import Structure, Unknown
 
 Array = NDArray[np.float64]
@@ -23,7 +23,7 @@ _TWO_SIDED = 1e-5
 
 
 @dataclass(frozen=True)
-class Slot:
+class FreeUnknown:
     """One entry of x: an unknown, of one record or (`record` None) of all."""
 
     unknown: Unknown
@@ -32,7 +32,7 @@ class Slot:
 
 
 @dataclass(frozen=True, eq=False)
-class Block(Rows):
+class OutputRows(ResidualRows):
     """The rows of the residual that one output of one record makes."""
 
     output: str
@@ -80,7 +80,7 @@ class Problem:
         self.upper = np.array([min(b[1], s.unknown.upper) for b, s in zip(limits, self.slots, strict=True)])
         self.scale = np.array([s.unknown.scale for s in self.slots])
         self._refuse_impossible()
-        self._simulators = [Simulator(structure, record) for record in self.records]
+        self._simulators = [RecordSimulator(structure, record) for record in self.records]
         for simulator, fixed in zip(self._simulators, self._fixed, strict=True):
             simulator.run(fixed)
         self.blocks = tuple(self._blocks())
@@ -154,7 +154,7 @@ class Problem:
             self._differences(jac, i, slot, up, low, up[i] - down[i])
         return jac
 
-    def _differences(self, jac: Array, i: int, slot: Slot, moved: Array, base: Array, h: float) -> None:
+    def _differences(self, jac: Array, i: int, slot: FreeUnknown, moved: Array, base: Array, h: float) -> None:
         for r in range(len(self.records)):
             if slot.record in (None, r):
                 rows = self._span(r)
@@ -187,7 +187,7 @@ class Problem:
         inner = (frequency > 0.0) & (frequency < 0.5 / self.records[record].dt * (1.0 - 1e-9))
         return np.flatnonzero((frequency >= low) & (frequency <= high) & inner)
 
-    def _blocks(self) -> list[Block]:
+    def _blocks(self) -> list[OutputRows]:
         blocks, start = [], 0
         for r, simulator in enumerate(self._simulators):
             for output in simulator.outputs:
@@ -210,7 +210,7 @@ class Problem:
                             f"the resolution is {1.0 / (self.records[r].dt * samples.position.size):g} Hz",
                         )
                     when = np.concatenate([bins, bins])
-                blocks.append(Block(r, slice(start, start + when.size), when, output))
+                blocks.append(OutputRows(r, slice(start, start + when.size), when, output))
                 start += when.size
         return blocks
 
@@ -248,15 +248,15 @@ class Problem:
 
 def _slots(
     unknowns: Mapping[str, Unknown], records: Sequence[Record], estimate: Collection[str], separate: Collection[str]
-) -> list[Slot]:
+) -> list[FreeUnknown]:
     slots = []
     # In the order asked for; a set has none.
     for name in dict.fromkeys(estimate if isinstance(estimate, Sequence) else sorted(estimate)):
         unknown = unknowns[name]
         if not (unknown.local or name in separate):
-            slots.append(Slot(unknown, None, name))
+            slots.append(FreeUnknown(unknown, None, name))
         elif len(records) == 1:
-            slots.append(Slot(unknown, 0, name))
+            slots.append(FreeUnknown(unknown, 0, name))
         else:
-            slots.extend(Slot(unknown, r, f"{name}[{record.name}]") for r, record in enumerate(records))
+            slots.extend(FreeUnknown(unknown, r, f"{name}[{record.name}]") for r, record in enumerate(records))
     return slots

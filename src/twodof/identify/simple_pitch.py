@@ -46,7 +46,7 @@ class FreeResponse:
 
 
 @dataclass(frozen=True, eq=False)
-class Doublet:
+class DoubletResponse:
     """What one reads off the response to a doublet about the trim moment.
 
     `edge` [s] and `amplitude` of the input's first edge; `peak` is the first peak of q [rad/s] above its rest,
@@ -74,7 +74,7 @@ class SimplePitch:
 
     model: PitchRate
     free: FreeResponse
-    doublet: Doublet
+    doublet: DoubletResponse
     identification: tuple[str, float]
     validation: tuple[tuple[str, float], ...]
 
@@ -191,7 +191,7 @@ def read_free_response(record: Record, input: str = "M", output: str = "q") -> F
 
 def read_doublet(
     record: Record, w_n: float, xi: float, trim: float | None = None, input: str = "M", output: str = "q"
-) -> Doublet:
+) -> DoubletResponse:
     """Gain and delay from the response to a doublet, given the poles.
 
     Measured and simulated peak are read from signals averaged over the same five samples, so that noise does not
@@ -225,7 +225,7 @@ def read_doublet(
     mu = peak / unit_peak
     shift = _best_shift(grid, mu * unit)
     loud = sign * grid[edges[0] :] > 3.0 * noise
-    return Doublet(
+    return DoubletResponse(
         edge=edge,
         amplitude=float(u[edges[0]] - u[0]),
         rest=rest,

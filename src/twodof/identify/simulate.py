@@ -18,7 +18,7 @@ from twodof.models.structure import Structure
 Array = NDArray[np.float64]
 
 
-class Simulator:
+class RecordSimulator:
     """One structure on one record: `run(values)` gives each measured output at the times of its samples."""
 
     def __init__(self, structure: Structure, record: Record) -> None:

@@ -14,7 +14,7 @@ from twodof.identify.validate import Comparison
 
 Array = NDArray[np.float64]
 # What a line stands for; each has its own colour and stroke, the same in every figure.
-Role = Literal["measured", "input", "set-point", "simple", "grey-box"]
+LineRole = Literal["measured", "input", "set-point", "simple", "grey-box"]
 
 
 @dataclass(frozen=True)
@@ -52,11 +52,11 @@ class ParameterRow:
 
 
 @dataclass(frozen=True, eq=False)
-class Line:
+class FigureLine:
     """A curve: `time` [s] and `value`, both of shape (n,)."""
 
     label: str
-    role: Role
+    role: LineRole
     time: Array
     value: Array
 
@@ -71,7 +71,7 @@ class Span:
 
 
 @dataclass(frozen=True)
-class Level:
+class FigureBand:
     """A horizontal band from `low` to `high` in the panel's unit (equal: a line)."""
 
     low: float
@@ -80,7 +80,7 @@ class Level:
 
 
 @dataclass(frozen=True)
-class Point:
+class FigurePoint:
     """A point to read off a curve: where it is and what it says."""
 
     time: float
@@ -93,8 +93,8 @@ class Panel:
     """One pair of axes; `label` names the quantity and its unit."""
 
     label: str
-    lines: Sequence[Line]
-    marks: Sequence[Span | Level | Point] = ()
+    lines: Sequence[FigureLine]
+    marks: Sequence[Span | FigureBand | FigurePoint] = ()
     height: float = 1.0
 
 
@@ -109,7 +109,7 @@ class Figure:
 
 
 @dataclass(frozen=True, eq=False)
-class Check:
+class FitCheck:
     """What a grey-box fit leaves unexplained: one output of the data it was fitted to, and of data it has not seen.
 
     `unit` is the output's; `note` says what the residual tests mean for the standard deviations that are given.
@@ -130,7 +130,7 @@ class Subject:
     text: str
     rows: Sequence[ParameterRow]
     figures: Sequence[Figure] = ()
-    checks: Sequence[Check] = ()
+    checks: Sequence[FitCheck] = ()
     doubts: Sequence[str] = ()
 
 
@@ -144,7 +144,7 @@ class Erratum:
 
 
 @dataclass(frozen=True)
-class Table:
+class ReportTable:
     """A table of its own section: `anchor` for links, a paragraph (HTML), heads and rows of text.
 
     The first column of a row is its name.
@@ -166,5 +166,5 @@ class Content:
     findings: Sequence[str]
     subjects: Sequence[Subject]
     errata: Sequence[Erratum] = ()
-    tables: Sequence[Table] = ()
+    tables: Sequence[ReportTable] = ()
     provenance: Mapping[str, str] = field(default_factory=dict)

@@ -15,9 +15,9 @@ from twodof.fcu.asked import Verdict
 from twodof.fcu.onboard_log import OnboardLog
 from twodof.fcu.services.addressing import Us
 from twodof.fcu.services.log_stream import START, STOP, LogStream
-from twodof.flightlog.ulog_decoder import scan_ulog
-from twodof.flightlog.ulog_format import LETTERS, MESSAGE
-from twodof.flightlog.ulog_pieces import NO_MESSAGE
+from twodof.flightlog.ulog.decoder import scan_ulog
+from twodof.flightlog.ulog.format import LETTERS, MESSAGE
+from twodof.flightlog.ulog.fragments import NO_MESSAGE
 from twodof.link.mavlink.messages import message
 
 ACCEPTED, TEMPORARILY_REJECTED, DENIED = 0, 1, 2

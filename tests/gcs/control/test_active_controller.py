@@ -9,7 +9,7 @@ from tests.gcs.virtual import on_board
 from twodof.blocks.schema import to_json
 from twodof.flight.starters import starter
 from twodof.flightlog.files import read_log
-from twodof.flightlog.mcap import attachments
+from twodof.flightlog.mcap.mcap_file import attachments
 from twodof.gcs.drone import Drone
 
 

@@ -20,7 +20,7 @@ from twodof.fcu.services.background import Background
 from twodof.fcu.services.commands import Command, Commands
 from twodof.fcu.services.log_download import Take
 from twodof.fcu.services.pump import Pump
-from twodof.flightlog.ulog_pieces import MOST, Piece, Pieces
+from twodof.flightlog.ulog.fragments import MOST, ULogFragment, ULogFragments
 from twodof.link.connection import Received
 from twodof.link.mavlink.messages import message
 
@@ -43,11 +43,11 @@ class Stream:
     def __init__(self, peer: Hashable, client: Source, before: Path | None) -> None:
         self.peer, self.client, self.before = peer, client, before
         self.path: Path | None = None
-        self.pieces = Pieces()
+        self.pieces = ULogFragments()
         self.read = 0  # bytes of the file handed to `pieces`
         self.reading = False
         self.sequence = 0
-        self.unanswered: Piece | None = None
+        self.unanswered: ULogFragment | None = None
         self.waited = self.again = 0
         self.silent = 0  # portions since it was heard
 
@@ -162,7 +162,7 @@ class LogStream:
         stream.sequence = (stream.sequence + 1) & 0xFFFF
         stream.unanswered, stream.waited, stream.again = None, 0, 0
 
-    def _tell(self, stream: Stream, piece: Piece) -> None:
+    def _tell(self, stream: Stream, piece: ULogFragment) -> None:
         system, component = stream.client
         sent = message(
             "LOGGING_DATA_ACKED" if piece.described else "LOGGING_DATA",

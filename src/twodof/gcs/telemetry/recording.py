@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from twodof.errors import LogError, RecordingError, Timeout
 from twodof.flightlog import steps
-from twodof.flightlog.mcap_encoder import Attachment
-from twodof.flightlog.mcap_stream import Stream
+from twodof.flightlog.mcap.encoder import Attachment
+from twodof.flightlog.mcap.topic_stream import McapStream
 from twodof.flightlog.recorder import Recorder
 from twodof.flightlog.spool import Acknowledged
 from twodof.flightlog.steps import BOOT, MESSAGE_PERIOD, shift
@@ -33,7 +33,7 @@ from twodof.link.control_period import TICK_S, TICK_US
 from twodof.link.mavlink.messages import batch_rows
 from twodof.signals import MODES, TOPICS, Topic, topic
 
-SAFETY = Stream(
+SAFETY = McapStream(
     "/safety",
     "twodof_msgs/msg/Safety",
     "safety",

@@ -1,0 +1,1 @@
+"""MATLAB v5 files, the format of the public logs of the real drone."""

@@ -1,0 +1,202 @@
+"""One topic of a recording: its name in MCAP, its schema, and the layout of its messages.
+
+Messages are ROS 2's (schema `ros2msg`, encoding `cdr`), because Foxglove Studio and rosbags read them as they are:
+a CDR head of four bytes, then float64 values, all aligned, so that a run of messages is one table of fixed rows.
+What ROS cannot say (units, the names of the drone's channels) travels as JSON in the channel's metadata.
+
+Time is a whole number of nanoseconds; in a FlightLog it is that number / 1e9, rounded once, exact to the bit up to
+104 days. A log with a stamp that this rule does not give back (the drone's own are microseconds * 1e-6, often one
+bit beside) is `stamped`: each of its messages also carries the stamp itself, as a field `time` [s].
+"""
+
+import json
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twodof.errors import LogError, listed, shown
+from twodof.flightlog.log import Channel, FlightLog
+from twodof.flightlog.mcap.records import MESSAGE_HEAD, RECORD_HEAD
+from twodof.flightlog.memory_budget import MemoryBudget
+from twodof.flightlog.sanitise import RECOVER
+from twodof.signals import BY_MAT, Topic, topic
+
+PACKAGE = "twodof_msgs/msg"
+KEY = "twodof"
+CDR_LITTLE_ENDIAN = 0x0100  # bytes 00 01 00 00: representation CDR_LE, no options
+MAX_WIDTH = 1000
+MAX_NAME = 1000
+MAX_CHANNELS = 1000
+
+
+@dataclass(frozen=True)
+class McapStream:
+    """A topic of a recording: `topic` is its name in MCAP, `mat` that of the FlightLog's channel.
+
+    `fields` is empty for a scalar and for columns without names; `width` numbers make one sample.
+    """
+
+    topic: str
+    schema: str
+    mat: str
+    unit: str
+    fields: tuple[str, ...] = ()
+    width: int = 1
+    stamped: bool = False
+    about: str = ""
+
+    @property
+    def row(self) -> np.dtype[np.void]:
+        """A message record: its head, the CDR head, the stamp if there is one, the values."""
+        stamp = [("stamp", "<f8")] if self.stamped else []
+        head = [("op", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4")]
+        times = [("log_time", "<u8"), ("publish_time", "<u8")]
+        return np.dtype([*head, *times, ("cdr", "<u4"), *stamp, ("value", "<f8", (self.width,))])
+
+    @property
+    def content_bytes(self) -> int:
+        """Length of a message record's content."""
+        return MESSAGE_HEAD.size + 4 + 8 * (self.width + self.stamped)
+
+    @property
+    def record_bytes(self) -> int:
+        """Length of a message record."""
+        return RECORD_HEAD.size + self.content_bytes
+
+    @property
+    def definition(self) -> str:
+        """The schema, as ROS 2 writes messages; units are comments."""
+        note = f"  # {_comment(self.unit)}" if self.unit else ""
+        lines = [f"# {_comment(self.about)}"] if self.about else []
+        lines += ["float64 time  # s, the stamp to its last bit"] if self.stamped else []
+        if self.fields:
+            lines += [f"float64 {name}{note}" for name in ros_names(self.fields)]
+        else:
+            lines.append(f"float64{f'[{self.width}]' if self.width > 1 else ''} value{note}")
+        return "\n".join(lines) + "\n"
+
+    @property
+    def metadata(self) -> dict[str, str]:
+        """What the channel's record keeps besides."""
+        kept = {"name": self.mat, "unit": self.unit, "fields": self.fields, "width": self.width}
+        return {KEY: json.dumps({**kept, "stamped": self.stamped, "about": self.about, "schema": self.schema})}
+
+
+def stream_of(row: Topic) -> McapStream:
+    """The stream of a signal of TOPICS: `/imu/gyro`, `twodof_msgs/msg/ImuGyro`."""
+    parts = re.split(r"[._]", row.name)
+    return McapStream(
+        "/" + row.name.replace(".", "/"),
+        f"{PACKAGE}/{''.join(part[:1].upper() + part[1:] for part in parts)}",
+        row.mat,
+        row.unit,
+        row.fields,
+        row.width,
+        about=row.text,
+    )
+
+
+def named(streams: Iterable[str | Topic | McapStream]) -> dict[str, McapStream]:
+    """Streams by the name under which samples are given; a text is a signal of TOPICS, by name or .mat channel.
+
+    Raises LogError for a signal that is unknown or named twice and for a stream that could not be read again.
+    """
+    found: dict[str, McapStream] = {}
+    for one in streams:
+        row = topic(one) if isinstance(one, str) else one
+        name = row.topic if isinstance(row, McapStream) else row.name
+        made = row if isinstance(row, McapStream) else stream_of(row)
+        if name in found or any(made.topic == one.topic or made.mat == one.mat for one in found.values()):
+            raise LogError("is recorded twice", name, "name each topic and channel once")
+        sound = 1 <= made.width <= MAX_WIDTH and len(made.fields) in (0, made.width)
+        if not sound or not 0 < len(made.mat) <= MAX_NAME or len(found) >= MAX_CHANNELS:
+            raise LogError(
+                f"{made.width} columns, fields {listed(made.fields)}, channel {shown(made.mat)}",
+                name,
+                f"give a name for each column or none; at most {MAX_WIDTH} columns and {MAX_CHANNELS} topics",
+            )
+        found[name] = made
+    return found
+
+
+def streams_of(log: FlightLog) -> dict[str, McapStream]:
+    """The stream of each channel of a log; those that TOPICS does not know get topics `/other/...`."""
+    found: dict[str, McapStream] = {}
+    if len(log.channels) > MAX_CHANNELS:
+        raise LogError(f"{len(log.channels)} channels", log.source, f"at most {MAX_CHANNELS} are written")
+    for k, (name, channel) in enumerate(log.channels.items()):
+        width = 1 if channel.value.ndim == 1 else channel.value.shape[1]
+        known = BY_MAT.get(name)
+        if len(name) > MAX_NAME or width > MAX_WIDTH or len(channel.unit) > MAX_NAME:
+            raise LogError(f"{width} columns, name {shown(name)}", log.source, f"at most {MAX_WIDTH} columns")
+        if known and (known.fields, known.unit, known.width) == (channel.fields, channel.unit, width):
+            stream = stream_of(known)
+        else:
+            plain = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")[:60] or "channel"
+            stream = McapStream(f"/other/{plain}_{k}", f"{PACKAGE}/Other{k}", name, channel.unit, channel.fields, width)
+        found[name] = replace(stream, stamped=not _whole(channel))
+    return found
+
+
+def parse(
+    topic_name: str, schema: str, encoding: str, metadata: dict[str, str], where: str, budget: MemoryBudget
+) -> McapStream | None:
+    """The stream that a channel's record describes; None for a topic that is not ours. Raises LogError.
+
+    `schema` is the name of its schema for files of earlier versions, which do not have it in the description.
+    """
+    if KEY not in metadata or encoding != "cdr":
+        return None
+    budget.json(len(metadata[KEY]))
+    try:
+        kept = json.loads(metadata[KEY])
+        name, unit, fields, width = (kept[key] for key in ("name", "unit", "fields", "width"))
+        stamped, about, schema = kept["stamped"], kept["about"], kept.get("schema", schema)
+    except (ValueError, KeyError, TypeError, RecursionError) as reason:
+        raise LogError(f"the description of topic {shown(topic_name)} is damaged", where, RECOVER) from reason
+    sound = (
+        all(isinstance(one, str) for one in (name, unit, about, schema))
+        and isinstance(fields, list)
+        and all(isinstance(one, str) for one in fields)
+        and type(width) is int
+        and type(stamped) is bool
+    )
+    if not sound or not 1 <= width <= MAX_WIDTH or len(fields) not in (0, width) or not 0 < len(name) <= MAX_NAME:
+        raise LogError(f"the description of topic {shown(topic_name)} is damaged", where, RECOVER)
+    return McapStream(topic_name, schema, name, unit, tuple(fields), width, stamped, about)
+
+
+def ros_names(fields: Iterable[str]) -> list[str]:
+    """Names that ROS accepts: lower case, digits and single underscores, each once."""
+    names: list[str] = []
+    for field in fields:
+        apart = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", field).lower()
+        plain = re.sub(r"_+", "_", re.sub(r"[^a-z0-9]", "_", apart)).strip("_")[:60]
+        plain = plain if plain[:1].isalpha() else f"f_{plain}".rstrip("_")
+        # `time` is the stamp's.
+        names.append(f"{plain}_{len(names)}" if plain in names or plain == "time" else plain)
+    return names
+
+
+def nanoseconds(time: NDArray[np.float64], where: str) -> NDArray[np.uint64]:
+    """Whole nanoseconds closest to stamps [s]. Raises LogError for one before 0 or after the year 2262."""
+    if time.size and (time[0] < 0.0 or time[-1] >= 2.0**63 / 1e9):
+        raise LogError(f"stamps from {time[0]!s} to {time[-1]!s} s", where, "MCAP counts from 0: shift the time")
+    return np.rint(time * 1e9).astype(np.uint64)
+
+
+def seconds(time_ns: NDArray[np.uint64]) -> NDArray[np.float64]:
+    """Stamps [s] of whole nanoseconds."""
+    return time_ns.astype(np.float64) / 1e9
+
+
+def _whole(channel: Channel) -> bool:
+    back = seconds(nanoseconds(channel.time, channel.name))
+    return back.tobytes() == channel.time.tobytes()
+
+
+def _comment(line: str) -> str:
+    return "".join(letter if letter.isprintable() else " " for letter in line)[:200]

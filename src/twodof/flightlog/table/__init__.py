@@ -1,0 +1,1 @@
+"""Tables for pandas, MATLAB, R and spreadsheets: Parquet and CSV."""

@@ -1,0 +1,1 @@
+"""A block diagram as a picture: its layout, its symbols, its SVG."""

@@ -1,0 +1,332 @@
+"""A diagram as an SVG picture that a person reads: laid out in columns, with the field's symbols. Deterministic."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from html import escape as escape_html
+
+from twodof.blocks.block import Block, Port
+from twodof.blocks.diagram import Diagram, Part
+from twodof.errors import DiagramError
+from twodof.report.drawing.layered_layout import Box, GraphLayout, Net, layout
+from twodof.report.drawing.symbols import (
+    TERMINAL,
+    BlockSymbol,
+    SymbolText,
+    arrow,
+    input_names,
+    symbol,
+    terminal,
+    wire_class,
+)
+from twodof.report.drawing.text_width import shortened, text_width
+from twodof.report.drawing.wire_channels import Segment
+
+MAX_PARTS = 5000  # in one picture
+HEADER = 26.0  # above what an opened sub-diagram shows
+
+STYLE = """
+text { font-family: Helvetica, Arial, "Liberation Sans", sans-serif; fill: #16202e; }
+.name { font-weight: bold; } .soft { fill: #556072; } .italic { font-style: italic; }
+.block { fill: #ffffff; stroke: #16202e; stroke-width: 1.4; }
+.sub { fill: #e9f0fb; stroke: #1d4a8f; stroke-width: 1.6; }
+.frame { fill: #f6f9fe; stroke: #1d4a8f; stroke-width: 1.4; }
+.terminal { fill: #eef1f4; stroke: #556072; stroke-width: 1.1; }
+.rule { stroke: #16202e; stroke-width: .6; fill: none; opacity: .45; }
+.bar { stroke: #16202e; stroke-width: 1.5; fill: none; } .axes { stroke: #aab3c0; stroke-width: .8; fill: none; }
+.wire { stroke: #2b3a50; stroke-width: 1.3; fill: none; stroke-linecap: round; stroke-linejoin: round; }
+.array { stroke-width: 2.8; } .whole { stroke: #8a5a00; } .truth { stroke: #7a3fa0; stroke-dasharray: 5 3; }
+.head, .joint { fill: #2b3a50; stroke: none; }
+"""
+
+
+def escape(text: str) -> str:
+    """User's text for XML, which has no place for control characters, nor for what turns the direction of reading."""
+    return escape_html("".join(c if c.isprintable() else " " for c in text))
+
+
+@dataclass
+class Drawing:
+    """A diagram that has been laid out, to be measured or written."""
+
+    diagram: Diagram
+    symbols: list[BlockSymbol]
+    nets: list[Net]
+    sources: list[tuple[str, Port | None]]  # of each net: its name and what it carries
+    placed: GraphLayout
+    inner: dict[int, Drawing] = field(default_factory=dict)  # symbol -> what an opened sub-diagram shows
+
+
+def draw(diagram: Diagram, depth: int = 0) -> Drawing:
+    """Lays out `diagram`; sub-diagrams down to `depth` are opened in place.
+
+    Raises DiagramError for one that has a connection to nowhere, or more than 5000 parts.
+    """
+    return _draw(diagram, depth, False, [0])
+
+
+def find(diagram: Diagram, path: str) -> Diagram:
+    """The sub-diagram at `path`, "part.sub". Raises DiagramError if there is none."""
+    at = diagram
+    for name in path.split(".") if path else []:
+        part = at.parts.get(name)
+        if part is None or isinstance(part.item, Block):
+            known = ", ".join(n for n, p in at.parts.items() if isinstance(p.item, Diagram)) or "none"
+            raise DiagramError(f"there is no sub-diagram {path!r:.120}", at.name, f"sub-diagrams: {known}")
+        at = part.item
+    return at
+
+
+def to_svg(diagram: Diagram, depth: int = 0) -> str:
+    """The picture as text; the same diagram gives the same bytes. Raises DiagramError as `draw` does."""
+    drawing = draw(diagram, depth)
+    about = shortened(diagram.text, 12.0, 700.0)
+    title_width = max(text_width(diagram.name, 17.0, True), text_width(about, 12.0)) + 32.0
+    head = 50.0 if about else 34.0
+    legend = _legend(drawing)
+    width, height = max(drawing.placed.width, title_width), drawing.placed.height + head + (20.0 if legend else 0.0)
+    title, about = escape(diagram.name), escape(about)
+    described = escape(_described(diagram))
+    size = f'width="{width:g}" height="{height:g}"'
+    role = 'role="img" aria-labelledby="title desc"'
+    lines = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:g} {height:g}" {size} {role}>',
+        f'<title id="title">{title}</title>',
+        f'<desc id="desc">{described}</desc>',
+        f"<style>{STYLE}</style>",
+        f'<rect width="{width:g}" height="{height:g}" fill="#ffffff"/>',
+        f'<text class="name" x="16" y="26" font-size="17">{title}</text>',
+    ]
+    if about:
+        lines.append(f'<text class="soft" x="16" y="44" font-size="12">{about}</text>')
+    lines.append(f'<g transform="translate(0 {head:g})">')
+    lines += _written(drawing)
+    lines.append("</g>")
+    lines += [f'<g transform="translate(16 {height - 16:g})">', *legend, "</g>"] if legend else []
+    lines.append("</svg>")
+    return "\n".join(lines) + "\n"
+
+
+def _legend(drawing: Drawing) -> list[str]:
+    """What the kinds of wires mean, where there are others than of single reals."""
+    found: set[str] = set()
+    stack = [drawing]
+    while stack:
+        at = stack.pop()
+        stack += at.inner.values()
+        for _, port in at.sources:
+            if port is not None:
+                found.update(wire_class(port).split()[1:] or [""])
+    lines: list[str] = []
+    x = 0.0
+    for style, meaning in (("", "real"), ("whole", "integer"), ("truth", "bool"), ("array", "array")):
+        if style in found and len(found) > 1:
+            lines.append(f'<path class="wire {style}" d="M{x:g} 0H{x + 28:g}"/>')
+            lines.append(f'<text class="soft" x="{x + 34:g}" y="3.5" font-size="10">{meaning}</text>')
+            x += 90.0
+    return lines
+
+
+def _described(diagram: Diagram) -> str:
+    inputs, parts, outputs = (", ".join(names) or "none" for names in (diagram.inputs, diagram.parts, diagram.outputs))
+    text = f"Block diagram {diagram.name} with the inputs {inputs}, the parts {parts} and the outputs {outputs}."
+    return text[:2000]
+
+
+def _draw(diagram: Diagram, depth: int, border: bool, count: list[int]) -> Drawing:
+    count[0] += len(diagram.parts)
+    if count[0] > MAX_PARTS:
+        raise DiagramError(f"more than {MAX_PARTS} parts", diagram.name, "open fewer levels, or one sub-diagram")
+    symbols = [terminal(n, "in", _remark(p)) for n, p in diagram.inputs.items()]
+    place = {(None, n): i for i, n in enumerate(diagram.inputs)}
+    inner: dict[int, Drawing] = {}
+    parts = list(diagram.parts.values())
+    for part in parts:
+        place[part.name, ""] = len(symbols)
+        if depth > 0 and isinstance(part.item, Diagram):
+            inner[len(symbols)] = _draw(part.item, depth - 1, True, count)
+            symbols.append(_frame(part, part.item, inner[len(symbols)]))
+        else:
+            symbols.append(symbol(part))
+    for name in diagram.outputs:
+        place["", name] = len(symbols)
+        symbols.append(terminal(name, "out", ""))
+    nets, sources = _nets(diagram, place)
+    placed = layout([s.box for s in symbols], nets, border)
+    flipped = _flips(symbols, nets, placed, parts, place)
+    if flipped:
+        for part in parts:
+            if part.name in flipped:
+                symbols[place[part.name, ""]] = symbol(part, flip=True)
+        placed = layout([s.box for s in symbols], nets, border)
+    return Drawing(diagram, symbols, nets, sources, placed, inner)
+
+
+def _remark(port: Port) -> str:
+    shape = "" if port.kind == "real" and port.width is None else port.kind
+    shape += "" if port.width is None else f"[{port.width}]"
+    return " ".join(([f"[{port.unit}]"] if port.unit else []) + ([shape] if shape else []))
+
+
+def _nets(
+    diagram: Diagram, place: dict[tuple[str | None, str], int]
+) -> tuple[list[Net], list[tuple[str, Port | None]]]:
+    """What drives what: one net for each pin that drives anything."""
+    sinks: dict[tuple[int, int], list[tuple[int, int]]] = {}
+    about: dict[tuple[int, int], tuple[str, Port | None]] = {}
+
+    def drive(source: str, to: tuple[int, int]) -> None:
+        part, port = diagram.source(source)
+        if part is None:
+            pin = place[None, port], 0
+            about[pin] = port, diagram.inputs[port]
+        else:
+            item = diagram.parts[part].item
+            names = [p.name for p in item.outputs] if isinstance(item, Block) else list(item.outputs)
+            pin = place[part, ""], names.index(port)
+            about[pin] = (
+                f"{part}.{port}",
+                next(p for p in item.outputs if p.name == port) if isinstance(item, Block) else _carried(item, port),
+            )
+        sinks.setdefault(pin, []).append(to)
+
+    for part in diagram.parts.values():
+        for i, name in enumerate(input_names(part)):
+            source = diagram.connections.get((part.name, name)) or (
+                getattr(part, name) if name in ("enable", "reset") else None
+            )
+            if source:
+                drive(source, (place[part.name, ""], i))
+    for name, source in diagram.outputs.items():
+        if source is not None:
+            drive(source, (place["", name], 0))
+    ordered = sorted(sinks)
+    return [Net(pin, tuple(sinks[pin])) for pin in ordered], [about[pin] for pin in ordered]
+
+
+def _carried(diagram: Diagram, output: str) -> Port | None:
+    """What comes out of a sub-diagram's output; None if that leads nowhere."""
+    for _ in range(64):
+        source = diagram.outputs.get(output)
+        if source is None:
+            return None
+        part, port = diagram.source(source)
+        if part is None:
+            return diagram.inputs[port]
+        item = diagram.parts[part].item
+        if isinstance(item, Block):
+            return next(p for p in item.outputs if p.name == port)
+        diagram, output = item, port
+    return None
+
+
+def _frame(part: Part, diagram: Diagram, shown: Drawing) -> BlockSymbol:
+    """An opened sub-diagram: a frame around its own drawing, with pins where its terminals stand."""
+    name = shortened(part.name, 13.0, 300.0, True)
+    header = HEADER
+    width = float(round(max(shown.placed.width, text_width(name, 13.0, True) + 20.0)))
+    height = float(round(shown.placed.height + header))
+    first = len(diagram.inputs)
+    last = len(shown.symbols) - len(diagram.outputs)
+    corners = shown.placed.corners
+    left = [header + corners[i][1] + 0.5 * TERMINAL for i in range(first)]
+    right = [header + corners[last + i][1] + 0.5 * TERMINAL for i in range(len(diagram.outputs))]
+    shapes = [f'<rect class="frame" width="{width:g}" height="{height:g}" rx="6"/>']
+    shapes += [f'<path class="wire" d="M0 {y:g}H{corners[i][0]:g}"/>' for i, y in enumerate(left)]
+    for i, y in enumerate(right):
+        edge = corners[last + i][0] + shown.symbols[last + i].box.width
+        shapes.append(f'<path class="wire" d="M{edge:g} {y:g}H{width:g}"/>')
+    texts = [SymbolText(10.0, 18.0, name, 13.0, "start", "name")]
+    extra = [what for what in ("enable", "reset") if getattr(part, what)]
+    for what in extra:
+        y = height + 10.0
+        height += 18.0
+        left.append(y)
+        texts.append(SymbolText(7.0, y + 4.0, what, 11.0, "start", "italic"))
+    shapes[0] = f'<rect class="frame" width="{width:g}" height="{height:g}" rx="6"/>'
+    made = BlockSymbol(Box(width, height, left, right, "", part.position), shapes, texts, part.name)
+    made.heads = [True] * len(left)
+    return made
+
+
+def _flips(
+    symbols: list[BlockSymbol],
+    nets: list[Net],
+    placed: GraphLayout,
+    parts: list[Part],
+    place: dict[tuple[str | None, str], int],
+) -> set[str]:
+    """The sums whose second input comes from above."""
+    fed = {sink: net.source for net in nets for sink in net.sinks}
+    found = set()
+    for part in parts:
+        i = place[part.name, ""]
+        if getattr(type(part.item), "type_name", "") != "sum" or len(symbols[i].box.left) != 2:
+            continue
+        ends = [fed.get((i, pin)) for pin in (0, 1)]
+        if None in ends or any(placed.corners[e[0]][0] >= placed.corners[i][0] for e in ends if e):
+            continue
+        heights = [placed.corners[e[0]][1] + symbols[e[0]].box.right[e[1]] for e in ends if e]
+        if heights[1] < heights[0]:
+            found.add(part.name)
+    return found
+
+
+def _written(drawing: Drawing) -> list[str]:
+    lines = []
+    for net, wire, (name, port) in zip(drawing.nets, drawing.placed.wires, drawing.sources, strict=True):
+        unit = f" [{port.unit}]" if port is not None and port.unit else ""
+        lines.append(f'<path class="{wire_class(port)}" d="{_path(wire)}"><title>{escape(name + unit)}</title></path>')
+        for box, pin in net.sinks:
+            if drawing.symbols[box].heads[pin]:
+                x, y = drawing.placed.corners[box]
+                lines.append(arrow(x, y + drawing.symbols[box].box.left[pin], 1, 0))
+    lines += [f'<circle class="joint" cx="{x:g}" cy="{y:g}" r="2.6"/>' for x, y in drawing.placed.joints]
+    for i, (made, (x, y)) in enumerate(zip(drawing.symbols, drawing.placed.corners, strict=True)):
+        lines.append(f'<g transform="translate({x:g} {y:g})"><title>{escape(made.title)}</title>')
+        lines += made.shapes
+        lines += [_text(t) for t in made.texts]
+        if i in drawing.inner:
+            lines.append(f'<g transform="translate(0 {HEADER:g})">')
+            lines += _written(drawing.inner[i])
+            lines.append("</g>")
+        lines.append("</g>")
+    return lines
+
+
+def _text(t: SymbolText) -> str:
+    style = f' class="{t.style}"' if t.style else ""
+    left, _, right, _ = t.extent
+    fit = f' textLength="{right - left:.1f}" lengthAdjust="spacingAndGlyphs"' if len(t.text) > 1 else ""
+    return (
+        f'<text{style} x="{t.x:g}" y="{t.y:g}" font-size="{t.size:g}" text-anchor="{t.anchor}"{fit}>'
+        f"{escape(t.text)}</text>"
+    )
+
+
+def _path(wire: list[Segment]) -> str:
+    pieces = []
+    for x1, y1, x2, y2 in _joined(wire):
+        pieces.append(f"M{x1:g} {y1:g}" + (f"H{x2:g}" if y1 == y2 else f"V{y2:g}"))
+    return "".join(pieces)
+
+
+def _joined(wire: list[Segment]) -> list[Segment]:
+    """The pieces, with those that continue each other made one, without those of no length."""
+    rows: dict[tuple[bool, float], list[tuple[float, float]]] = {}
+    for x1, y1, x2, y2 in wire:
+        if (x1, y1) != (x2, y2):
+            level = y1 == y2
+            rows.setdefault((level, y1 if level else x1), []).append(
+                (min(x1, x2), max(x1, x2)) if level else (min(y1, y2), max(y1, y2))
+            )
+    made: list[Segment] = []
+    for (level, at), spans in sorted(rows.items()):
+        merged: list[tuple[float, float]] = []
+        for low, high in sorted(spans):
+            if merged and low <= merged[-1][1]:
+                merged[-1] = merged[-1][0], max(high, merged[-1][1])
+            else:
+                merged.append((low, high))
+        made += [(a, at, b, at) if level else (at, a, at, b) for a, b in merged]
+    return made

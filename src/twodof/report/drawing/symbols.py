@@ -1,0 +1,406 @@
+"""How a block is drawn: a sum as a circle with signs, a gain as a triangle, a transfer function as a fraction."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from twodof.blocks.block import Block, Port
+from twodof.blocks.diagram import BASE, Diagram, Part
+from twodof.blocks.library.math import Sum
+from twodof.report.drawing.layered_layout import Box
+from twodof.report.drawing.text_width import shortened, text_width
+
+NAME, PORT, VALUE, SMALL = 12.0, 11.0, 13.0, 10.0  # sizes of text
+LINE = 13.0
+ROW = 20.0  # between ports, and between terminals, so that wires between them are straight
+MOST = 220.0  # a text is cut beyond
+MANY_PARAMETERS = 5
+RADIUS = 14.0
+TERMINAL = 16.0  # height of a terminal
+_SUPERSCRIPT = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
+
+
+@dataclass(frozen=True)
+class SymbolText:
+    """A text whose baseline starts, ends or is centred (`anchor` start, end, middle) at x, y."""
+
+    x: float
+    y: float
+    text: str
+    size: float = PORT
+    anchor: str = "middle"
+    style: str = ""  # "name", "soft" or "italic"
+
+    @property
+    def extent(self) -> tuple[float, float, float, float]:
+        """Left, top, right, bottom."""
+        width = text_width(self.text, self.size, self.style == "name")
+        left = self.x - {"start": 0.0, "middle": 0.5, "end": 1.0}[self.anchor] * width
+        return left, self.y - 0.75 * self.size, left + width, self.y + 0.25 * self.size
+
+
+@dataclass
+class BlockSymbol:
+    """A drawing at the origin: `shapes` are SVG elements without user's text, `texts` stand inside the box.
+
+    `heads` tells for each left pin whether the wire ends there with an arrow (else the drawing has its own).
+    """
+
+    box: Box
+    shapes: list[str] = field(default_factory=list)
+    texts: list[SymbolText] = field(default_factory=list)
+    title: str = ""
+    heads: list[bool] = field(default_factory=list)
+
+
+def terminal(name: str, side: str, remark: str) -> BlockSymbol:
+    """An input or output of the diagram."""
+    label = shortened(name, NAME, MOST, True)
+    small = shortened(remark, SMALL, MOST)
+    inner = text_width(label, NAME, True) + (text_width(small, SMALL) + 6.0 if small else 0.0)
+    width, middle = float(round(inner + 22.0)), 0.5 * TERMINAL
+    point = f"M8 0H{width - 8:g}L{width:g} {middle:g}L{width - 8:g} {TERMINAL:g}H8A8 {middle:g} 0 0 1 8 0Z"
+    texts = [SymbolText(9.0, middle + 4.0, label, NAME, "start", "name")]
+    if small:
+        texts.append(SymbolText(15.0 + text_width(label, NAME, True), middle + 3.5, small, SMALL, "start", "soft"))
+    left, right = ([], [middle]) if side == "in" else ([middle], [])
+    symbol = BlockSymbol(
+        Box(width, TERMINAL, left, right, side), [f'<path class="terminal" d="{point}"/>'], texts, name
+    )
+    symbol.heads = [True] * len(left)
+    return symbol
+
+
+def symbol(part: Part, flip: bool = False) -> BlockSymbol:
+    """The drawing of a part. `flip` lets the second input of a sum come from above."""
+    item = part.item
+    if isinstance(item, Block):
+        draw = _DRAWN.get(type(item).type_name)
+        made = draw(part, item, flip) if draw else None
+        made = made or _block(part, item)
+    else:
+        made = _subdiagram(part, item)
+    made.box.wish = part.position
+    made.heads = made.heads or [True] * len(made.box.left)
+    return made
+
+
+def input_names(part: Part) -> list[str]:
+    """The pins on a part's left side: its inputs, then enable and reset."""
+    item = part.item
+    own = [p.name for p in item.inputs] if isinstance(item, Block) else list(item.inputs)
+    return own + [what for what in ("enable", "reset") if getattr(part, what)]
+
+
+def value_text(part: Part, block: Block, name: str) -> str:
+    """A parameter's default, or the name of the parameter to which it is bound."""
+    if name in part.params:
+        return part.params[name]
+    value = next(p.value for p in block.params if p.name == name)
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(_number(v) for v in value[:6]) + (", …]" if len(value) > 6 else "]")
+    return _number(value)
+
+
+def _number(value: Any) -> str:
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return str(value)
+    return f"{value:.4g}".replace("e+0", "e").replace("e-0", "e-").replace("-", "−")
+
+
+def _block(part: Part, block: Block) -> BlockSymbol:
+    """A rectangle with name, type, parameters and named ports."""
+    kind = getattr(block, "label", "") or type(block).__name__
+    lines = []
+    if 0 < len(block.params) <= MANY_PARAMETERS:
+        for p in block.params:
+            if part.params.get(p.name) != p.name:
+                unit = f" {p.unit}" if p.unit and p.name not in part.params else ""
+                lines.append(f"{p.name} = {value_text(part, block, p.name)}{unit}")
+    elif block.params:
+        lines.append(f"{len(block.params)} parameters")
+    units = {p.name: p.unit for p in (*block.inputs, *block.outputs)}
+    outputs = [(p.name, units[p.name]) for p in block.outputs]
+    signs = block.signs if isinstance(block, Sum) else ""  # of a sum with more inputs than a circle has places for
+    return _rectangle(part, kind, lines, outputs, "block", [s.replace("-", "−") for s in signs])
+
+
+def _subdiagram(part: Part, diagram: Diagram) -> BlockSymbol:
+    count = len(diagram.parts)
+    lines = [f"{count} part{'s' if count != 1 else ''}"]
+    lines += [f"{inner} = {outer}" for inner, outer in part.params.items() if inner != outer][:MANY_PARAMETERS]
+    made = _rectangle(part, "", lines, [(name, "") for name in diagram.outputs], "sub")
+    made.title = f"{part.name}: {diagram.text}" if diagram.text else part.name
+    return made
+
+
+def _rectangle(
+    part: Part,
+    kind: str,
+    lines: list[str],
+    outputs: list[tuple[str, str]],
+    style: str,
+    signs: Sequence[str] = (),
+) -> BlockSymbol:
+    names = input_names(part)
+    inputs = [f"{sign} {name}" for sign, name in zip(signs, names, strict=False)] + names[len(signs) :]
+    name = shortened(part.name, NAME, MOST, True)
+    about = " · ".join([*([kind] if kind else []), *_rate(part)])
+    small = [shortened(t, SMALL, MOST) for t in ([about] if about else []) + lines]
+    named = [shortened(f"{n} [{u}]" if u else n, PORT, MOST) for n, u in outputs]
+    left = max((text_width(n, PORT) for n in inputs), default=0.0)
+    right = max((text_width(n, PORT) for n in named), default=0.0)
+    widest = max([text_width(name, NAME, True), *(text_width(t, SMALL) for t in small), left + right + 18.0])
+    width = float(round(widest + 18.0))
+    texts = [SymbolText(0.5 * width, 16.0, name, NAME, "middle", "name")]
+    y = 16.0
+    for t in small:
+        y += LINE
+        texts.append(SymbolText(0.5 * width, y, t, SMALL, "middle", "soft"))
+    top = y + 17.0
+    rows = max(len(inputs), len(outputs))
+    height = top + ROW * rows - 5.0
+    pins_left = [top + ROW * i - 4.0 for i in range(len(inputs))]
+    pins_right = [top + ROW * i - 4.0 for i in range(len(outputs))]
+    wired = len(inputs) - sum(1 for what in ("enable", "reset") if getattr(part, what))
+    for i, n in enumerate(inputs):
+        texts.append(SymbolText(7.0, top + ROW * i, n, PORT, "start", "" if i < wired else "italic"))
+    texts += [SymbolText(width - 7.0, top + ROW * i, n, PORT, "end") for i, n in enumerate(named)]
+    shapes = [f'<rect class="{style}" width="{width:g}" height="{height:g}" rx="4"/>']
+    rule = top - 14.0
+    if rows:
+        shapes.append(f'<path class="rule" d="M0 {rule:g}H{width:g}"/>')
+    return BlockSymbol(Box(width, height, pins_left, pins_right), shapes, texts, f"{part.name}: {kind}".rstrip(": "))
+
+
+def _rate(part: Part) -> list[str]:
+    if part.rate == BASE:
+        return []
+    divider, offset = part.rate
+    return [f"every {divider} ticks" + (f" from {offset}" if offset else "")]
+
+
+def _labelled(part: Part, block: Block, width: float, height: float) -> BlockSymbol:
+    """An empty symbol of this size with its name below; pins at half its height."""
+    unit = _unit(block)
+    label = part.name + (f" [{unit}]" if unit else "") + "".join(f" · {r}" for r in _rate(part))
+    label = shortened(label, SMALL, MOST)
+    wide = float(round(max(width, text_width(label, SMALL) + 2.0)))
+    middle = float(round(0.5 * height))
+    box = Box(wide, height + 15.0, [middle] * len(block.inputs), [middle] * len(block.outputs))
+    made = BlockSymbol(box, [], [SymbolText(0.5 * wide, height + 11.0, label, SMALL, "middle", "soft")], part.name)
+    left = 0.5 * (wide - width)
+    if left >= 1.0:  # the name is wider than the shape: wires go on to it
+        for ports, x1, x2 in ((block.inputs, 0.0, left), (block.outputs, wide - left, wide)):
+            for port in ports:
+                made.shapes.append(f'<path class="{wire_class(port)}" d="M{x1:g} {middle:g}H{x2:g}"/>')
+        made.heads = [False] * len(block.inputs)
+        made.shapes += [arrow(left, middle, 1, 0)] * len(block.inputs)
+    return made
+
+
+def wire_class(port: Port | None) -> str:
+    """The style of a wire that carries what `port` does."""
+    if port is None:
+        return "wire"
+    kind = {"bool": " truth", "int32": " whole", "uint32": " whole"}.get(port.kind, "")
+    return "wire" + (" array" if port.width is not None else "") + kind
+
+
+def _unit(block: Block) -> str:
+    return block.outputs[0].unit if block.outputs else ""
+
+
+def _sum(part: Part, block: Any, flip: bool) -> BlockSymbol | None:
+    signs = block.signs
+    if len(signs) > 3:
+        return None
+    label = shortened(part.name + (f" [{_unit(block)}]" if _unit(block) else ""), SMALL, MOST)
+    width = float(round(max(4.0 * RADIUS + 2.0, text_width(label, SMALL) + 2.0)))
+    above = len(signs) == 3 or (len(signs) == 2 and flip)
+    below = len(signs) == 3 or (len(signs) == 2 and not flip)
+    x, y = 0.5 * width, RADIUS + 2.0 + (14.0 if above else 0.0)
+    places = {1: "l", 2: "lt" if flip else "lb", 3: "tlb"}[len(signs)]
+    foot = y + RADIUS + (14.0 if below else 0.0)
+    heights = {"l": y, "t": y - RADIUS - 12.0, "b": foot}
+    made = BlockSymbol(Box(width, foot + 15.0, [heights[p] for p in places], [y]), [], [], part.name)
+    made.heads = [False] * len(places)
+    made.shapes.append(f'<path class="wire" d="M{x + RADIUS:g} {y:g}H{width:g}"/>')
+    for p, sign in zip(places, signs, strict=True):
+        mark = "+" if sign == "+" else "−"
+        if p == "l":
+            made.shapes += [f'<path class="wire" d="M0 {y:g}H{x - RADIUS - 4:g}"/>', arrow(x - RADIUS, y, 1, 0)]
+            made.texts.append(SymbolText(x - RADIUS - 7.0, y - 4.0, mark, VALUE))
+        else:
+            down = 1 if p == "t" else -1
+            end = y - down * (RADIUS + 4.0)
+            made.shapes.append(f'<path class="wire" d="M0 {heights[p]:g}H{x:g}V{end:g}"/>')
+            made.shapes.append(arrow(x, y - down * RADIUS, 0, down))
+            made.texts.append(SymbolText(x + 9.0, y + (-RADIUS - 3.0 if p == "t" else RADIUS + 12.0), mark, VALUE))
+    made.shapes.append(f'<circle class="block" cx="{x:g}" cy="{y:g}" r="{RADIUS:g}"/>')
+    made.texts.append(SymbolText(0.5 * width, foot + 11.0, label, SMALL, "middle", "soft"))
+    return made
+
+
+def arrow(x: float, y: float, dx: int, dy: int) -> str:
+    """An arrow's head with its point at x, y that looks along (dx, dy)."""
+    a, b = (x - 7 * dx - 3.5 * dy, y - 7 * dy - 3.5 * dx), (x - 7 * dx + 3.5 * dy, y - 7 * dy + 3.5 * dx)
+    return f'<path class="head" d="M{x:g} {y:g}L{a[0]:g} {a[1]:g}L{b[0]:g} {b[1]:g}Z"/>'
+
+
+def _gain(part: Part, block: Any, flip: bool) -> BlockSymbol:
+    value = shortened(value_text(part, block, "k"), VALUE, 90.0)
+    high = 44.0
+    width = float(round(max(44.0, (text_width(value, VALUE) + 6.0) / 0.56)))
+    made = _labelled(part, block, width, high)
+    left = 0.5 * (made.box.width - width)
+    made.shapes.append(f'<path class="block" d="M{left:g} 0L{left + width:g} 22L{left:g} 44Z"/>')
+    made.texts.append(SymbolText(left + 4.0, 26.5, value, VALUE, "start"))
+    return made
+
+
+def _framed(
+    part: Part, block: Block, lines: Sequence[str], fraction: bool = False, pins: Any = None
+) -> BlockSymbol | None:
+    """A box with a formula: one line, or numerator and denominator."""
+    if len(block.inputs) > 1 or len(block.outputs) > 1 or any(text_width(t, VALUE) > MOST for t in lines):
+        return None
+    inner = max(text_width(t, VALUE) for t in lines)
+    width, height = float(round(max(46.0, inner + 18.0))), 44.0
+    made = _labelled(part, block, width, height)
+    left, middle = 0.5 * (made.box.width - width), 0.5 * made.box.width
+    made.shapes.append(f'<rect class="block" x="{left:g}" width="{width:g}" height="{height:g}" rx="3"/>')
+    if fraction:
+        made.shapes.append(f'<path class="bar" d="M{middle - 0.5 * inner - 3:g} 22H{middle + 0.5 * inner + 3:g}"/>')
+    if len(lines) == 1:
+        made.texts.append(SymbolText(middle, 26.5, lines[0], VALUE))
+    else:
+        made.texts += [SymbolText(middle, 16.5, lines[0], VALUE), SymbolText(middle, 36.0, lines[1], VALUE)]
+    return made
+
+
+def _polynomial(values: Any, variable: str, falling: bool = True) -> str:
+    """Coefficients in descending powers (or, not `falling`, ascending powers of 1/variable) as text."""
+    terms = []
+    degree = len(values) - 1
+    for i, c in enumerate(values):
+        power = degree - i if falling else -i
+        if c == 0.0 and len(values) > 1:
+            continue
+        factor = "" if abs(c) == 1.0 and power else _number(abs(c))
+        base = "" if power == 0 else variable if power == 1 else variable + str(power).translate(_SUPERSCRIPT)
+        sign = "−" if c < 0 else "+"
+        terms.append((sign, factor + base))
+    if not terms:
+        return "0"
+    first = ("−" if terms[0][0] == "−" else "") + terms[0][1]
+    return first + "".join(f" {sign} {term}" for sign, term in terms[1:])
+
+
+def _rational(variable: str, falling: bool = True) -> Callable[[Part, Any, bool], BlockSymbol | None]:
+    def draw(part: Part, block: Any, flip: bool) -> BlockSymbol | None:
+        if {"numerator", "denominator"} & set(part.params):
+            return _framed(part, block, [f"B({variable})", f"A({variable})"], True)
+        value = {p.name: p.value for p in block.params}
+        top, bottom = (_polynomial(value[n], variable, falling) for n in ("numerator", "denominator"))
+        long = max(text_width(t, VALUE) for t in (top, bottom)) > MOST
+        return _framed(part, block, [f"B({variable})", f"A({variable})"] if long else [top, bottom], True)
+
+    return draw
+
+
+def _fixed(*lines: str, fraction: bool = False) -> Callable[[Part, Any, bool], BlockSymbol | None]:
+    return lambda part, block, flip: _framed(part, block, lines, fraction)
+
+
+def _delay(part: Part, block: Any, flip: bool) -> BlockSymbol | None:
+    samples = value_text(part, block, "samples") if any(p.name == "samples" for p in block.params) else "1"
+    power = f"−{samples}" if not samples.isdecimal() else f"-{samples}".translate(_SUPERSCRIPT)
+    return _framed(part, block, [f"z{power}" if samples.isdecimal() else f"z^{power}"])
+
+
+def _discrete_integrator(part: Part, block: Any, flip: bool) -> BlockSymbol | None:
+    gain = value_text(part, block, "gain")
+    factor = "" if gain == "1" else f"{gain} "
+    top = {"forward": "T", "backward": "T z", "trapezoidal": "T (z + 1)"}[block.method]
+    return _framed(part, block, [factor + top, "2 (z − 1)" if block.method == "trapezoidal" else "z − 1"], True)
+
+
+def _first_order(part: Part, block: Any, flip: bool) -> BlockSymbol | None:
+    constant = value_text(part, block, "time_constant")
+    return _framed(
+        part, block, [value_text(part, block, "gain"), f"{'' if constant == '1' else constant + ' '}s + 1"], True
+    )
+
+
+def _constant(part: Part, block: Any, flip: bool) -> BlockSymbol | None:
+    return _framed(part, block, [shortened(value_text(part, block, block.params[0].name), VALUE, 120.0)])
+
+
+def _fractional(part: Part, block: Any, flip: bool) -> BlockSymbol | None:
+    return _framed(part, block, [f"exp(−{value_text(part, block, 'delay')} s)"])
+
+
+def _trigonometry(part: Part, block: Any, flip: bool) -> BlockSymbol | None:
+    return _framed(part, block, [str(block.config.get("function", "f"))])
+
+
+def _icon(*paths: str, limits: tuple[str, str] = ("", "")) -> Callable[[Part, Any, bool], BlockSymbol | None]:
+    """A box with a small graph on axes, and two parameters as its limits below and above."""
+
+    def draw(part: Part, block: Any, flip: bool) -> BlockSymbol | None:
+        if len(block.inputs) > 1 or len(block.outputs) > 1:
+            return None
+        texts = [shortened(value_text(part, block, n), SMALL, 60.0) for n in limits if n]
+        inner = max((text_width(t, SMALL) for t in texts), default=0.0)
+        width, height = float(round(50.0 + (inner + 4.0 if texts else 0.0))), 44.0
+        made = _labelled(part, block, width, height)
+        left = 0.5 * (made.box.width - width)
+        made.shapes.append(f'<rect class="block" x="{left:g}" width="{width:g}" height="{height:g}" rx="3"/>')
+        axes = "M5 22H45M25 5V39"
+        made.shapes.append(f'<g transform="translate({left:g} 0)"><path class="axes" d="{axes}"/>')
+        made.shapes[-1] += "".join(f'<path class="bar" d="{p}"/>' for p in paths) + "</g>"
+        if texts:
+            made.texts.append(SymbolText(left + 48.0, 38.0, texts[0], SMALL, "start", "soft"))
+            made.texts.append(SymbolText(left + 48.0, 14.0, texts[-1], SMALL, "start", "soft"))
+        return made
+
+    return draw
+
+
+_DRAWN: dict[str, Callable[[Part, Any, bool], BlockSymbol | None]] = {
+    "sum": _sum,
+    "gain": _gain,
+    "unit_delay": _delay,
+    "delay": _delay,
+    "rate_transition": _delay,
+    "fractional_delay": _fractional,
+    "integrator": _fixed("1", "s", fraction=True),
+    "discrete_integrator": _discrete_integrator,
+    "discrete_derivative": _fixed("z − 1", "T z", fraction=True),
+    "first_order": _first_order,
+    "transfer_function": _rational("s"),
+    "discrete_transfer_function": _rational("z"),
+    "discrete_filter": _rational("z", falling=False),
+    "state_space": _fixed("x' = A x + B u", "y = C x + D u"),
+    "discrete_state_space": _fixed("x⁺ = A x + B u", "y = C x + D u"),
+    "constant": _constant,
+    "abs": _fixed("|u|"),
+    "sign": _icon("M7 36H25V8H43"),
+    "elementary": _trigonometry,
+    "trigonometry": _trigonometry,
+    "saturation": _icon("M7 34H15L35 10H43", limits=("low", "high")),
+    "dead_zone": _icon("M8 36L18 22H32L42 8", limits=("low", "high")),
+    "rate_limit": _icon("M8 38L20 22H30L42 8"),
+    "quantiser": _icon("M7 36H16V27H25V17H34V8H43"),
+    "relay": _icon("M7 36H32V8M18 36V8H43"),
+    "backlash": _icon("M10 36L30 8H40L20 36Z"),
+    "zero_order_hold": _icon("M7 36H14V28H22V18H30V10H43"),
+    "step": _icon("M7 36H25V10H43"),
+    "ramp": _icon("M7 36H20L42 8"),
+    "sine": _icon("M7 22C13 4 19 4 25 22S37 40 43 22"),
+    "doublet": _icon("M7 22H14V8H25V36H36V22H43"),
+    "pulse": _icon("M7 34H16V10H32V34H43"),
+}

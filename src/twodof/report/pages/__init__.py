@@ -1,0 +1,1 @@
+"""HTML pages that stand alone: the report, the generated C."""

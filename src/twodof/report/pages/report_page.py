@@ -1,0 +1,209 @@
+"""The report as one self-contained HTML file: no script, no network, light and dark, fit to print."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Sequence
+from html import escape
+
+from twodof.identify.validate import Correlation
+from twodof.report.content import Content, Erratum, Figure, FitCheck, ParameterRow, ReportTable, Subject, Uncertain
+from twodof.report.numbers import deviation, plain, with_sigma
+from twodof.report.plots.canvas import style
+from twodof.report.plots.report_figures import correlation_figure, estimates_figure, time_figure
+
+_KEY = {
+    "measured": "measured",
+    "input": "input",
+    "set-point": "set-point",
+    "simple": "simple method",
+    "grey-box": "grey-box model",
+}
+
+
+def to_html(content: Content) -> str:
+    """The whole page as text; the same content gives the same bytes."""
+    sections = [
+        ("table-1", "Table 1", "".join(_table_section(content.subjects))),
+        *_figure_sections(content.subjects),
+        *((table.anchor, table.title, _free_table(table)) for table in content.tables),
+        ("residuals", "Residuals: what the models leave unexplained", "".join(_residual_section(content.subjects))),
+        ("doubts", "Doubts: what the data could not tell", "".join(_doubt_section(content.subjects))),
+        ("errata", "Errata of the paper", "".join(_errata_section(content.errata))),
+        ("provenance", "Provenance", _provenance_table(content)),
+    ]
+    sections = [section for section in sections if section[2]]
+    links = "".join(
+        f'<li><a href="#{anchor}">{escape(name.partition(":")[0])}</a></li>' for anchor, name, _ in sections
+    )
+    findings = "".join(f"<li>{_tied(finding)}</li>" for finding in content.findings)
+    body = "".join(
+        f'<section id="{anchor}"><h2>{escape(name)}</h2>{inner}</section>' for anchor, name, inner in sections
+    )
+    return (
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>{escape(content.title)}</title>\n<style>\n{style()}</style></head>\n<body>"
+        f'<header><h1>{escape(content.title)}</h1><p class="lead">{content.lead}</p>'
+        f'<ul class="findings">{findings}</ul></header>'
+        f'<nav aria-label="Contents"><ul>{links}</ul></nav>\n<main>{body}</main></body></html>\n'
+    )
+
+
+def _table_section(subjects: Sequence[Subject]) -> Iterator[str]:
+    yield (
+        '<p class="text">By hand as the paper does it (simple) and by output error (grey-box), each with one standard '
+        "deviation; below an estimate, how far it is from the truth, for the grey-box also in the larger of its "
+        "standard deviation and its spread over repeated flights. In the figure the upright bar is the truth where it "
+        "is known, dashed lines are the paper’s values: one column has those read by hand, the other, of the velocity "
+        "only, those of MATLAB’s estimator “greyest”. The last column is the spread of the grey-box estimate over "
+        "repeated flights: a standard deviation claimed from one flight has to stand up to it.</p>"
+    )
+    yield _key(("simple", "grey-box"), "marks")
+    yield f'<figure class="wide">{estimates_figure(subjects, "Estimates and paper side by side")}</figure>'
+    for subject in subjects:
+        yield f'<h3>{escape(subject.name)}</h3><p class="text">{subject.text}</p>'
+        yield _parameter_table(subject.rows)
+
+
+def _parameter_table(rows: Sequence[ParameterRow]) -> str:
+    known = any(row.truth is not None for row in rows)
+    repeated = any(row.greybox_spread is not None for row in rows)
+    heads = ["Parameter", "Unit", "Paper", "Paper, by “greyest”", *(["Truth"] if known else []), "Simple", "Grey-box"]
+    heads += ["repeated"] if repeated else []
+    lines = []
+    for row in rows:
+        cells = [_value(row.paper), _value(row.paper_greybox), *([_value(row.truth)] if known else [])]
+        cells += [_found(row.simple, row.truth), _found(row.greybox, row.truth, row.greybox_sigma)]
+        if repeated:
+            cells.append("–" if row.greybox_spread is None else f"± {plain(row.greybox_spread, 2)}")
+        lines.append(
+            f'<tr><th scope="row"><i>{row.symbol}</i> <small>{escape(row.text)}</small></th>'
+            f"<td>{escape(row.unit) or '–'}</td>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>"
+        )
+    head = "".join(f'<th scope="col">{name}</th>' for name in heads)
+    return f'<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{"".join(lines)}</tbody></table></div>'
+
+
+def _found(estimate: Uncertain | None, truth: float | None, sigma: float = math.nan) -> str:
+    """An estimate, and below it how far it is from the truth, also in `sigma` where one is given."""
+    if estimate is None:
+        return "–"
+    below = "" if truth is None else f"<small>{deviation(Uncertain(estimate.value, sigma), truth)}</small>"
+    return f"{with_sigma(estimate)}{below}"
+
+
+def _free_table(table: ReportTable) -> str:
+    head = "".join(f'<th scope="col">{escape(name)}</th>' for name in table.heads)
+    body = "".join(
+        f'<tr><th scope="row">{escape(row[0])}</th>' + "".join(f"<td>{escape(cell)}</td>" for cell in row[1:]) + "</tr>"
+        for row in table.rows
+    )
+    return (
+        f'<p class="text">{table.text}</p><div class="scroll"><table><thead><tr>{head}</tr></thead>'
+        f"<tbody>{body}</tbody></table></div>"
+    )
+
+
+def _value(value: float | None) -> str:
+    return "–" if value is None else plain(value)
+
+
+def _figure_sections(subjects: Sequence[Subject]) -> Iterator[tuple[str, str, str]]:
+    numbers = sorted({figure.number for subject in subjects for figure in subject.figures})
+    for number in numbers:
+        shown = [(s, figure) for s in subjects for figure in s.figures if figure.number == number]
+        roles = [line.role for _, figure in shown for panel in figure.panels for line in panel.lines]
+        cards = "".join(_figure_card(subject, figure) for subject, figure in shown)
+        title = f"Figure {number}: {shown[0][1].title}"
+        yield f"figure-{number}", title, f'{_key(tuple(dict.fromkeys(roles)), "lines")}<div class="grid">{cards}</div>'
+
+
+def _figure_card(subject: Subject, figure: Figure) -> str:
+    drawing = time_figure(figure, escape(f"{figure.title}, {subject.name}", quote=True))
+    caption = _tied(figure.caption)
+    return f"<figure><h3>{escape(subject.name)}</h3>{drawing}<figcaption>{caption}</figcaption></figure>"
+
+
+def _tied(text: str) -> str:
+    """The same text with numbers tied to their units and deviations, so that no line begins with one."""
+    return re.sub(r"(?<=\d) (?=%|°|m?s\b|rad|m/s|1/s|σ|±)|(?<=±) ", "\N{NO-BREAK SPACE}", text)
+
+
+def _key(roles: Sequence[str], kind: str) -> str:
+    items = "".join(f'<li><span class="swatch {role}"></span>{_KEY[role]}</li>' for role in _KEY if role in roles)
+    return f'<ul class="key {kind}">{items}</ul>'
+
+
+def _residual_section(subjects: Sequence[Subject]) -> Iterator[str]:
+    checks = [(subject, check) for subject in subjects for check in subject.checks]
+    if not checks:
+        return
+    yield (
+        '<p class="text">If a model explains everything but white noise, its residuals correlate neither with '
+        "themselves nor with the input: bars stay inside the shaded 99 % band, but for the few that chance "
+        "allows. FIT is 100 (1 − ‖y − ŷ‖ / ‖y − mean y‖).</p>"
+    )
+    heads = ("Machine", "Experiment", "Output", "FIT", "VAF", "RMSE", "FIT, validation", "White", "Free of the input")
+    lines = []
+    for subject, check in checks:
+        fit = check.identification
+        validation = ", ".join(f"{other.fit_percent:.1f} %" for other in check.validation) or "–"
+        lines.append(
+            f'<tr><th scope="row">{escape(subject.name)}</th><td class="left">{escape(check.experiment)}</td>'
+            f"<td>{escape(fit.output)}</td><td>{fit.fit_percent:.1f} %</td><td>{fit.vaf:.1f} %</td>"
+            f"<td>{plain(fit.rmse, 3)} {escape(check.unit)}</td><td>{validation}</td>"
+            f"<td>{_verdict(fit.whiteness)}</td><td>{_verdict(*fit.inputs.values())}</td></tr>"
+        )
+    head = "".join(f'<th scope="col">{name}</th>' for name in heads)
+    yield '<div class="scroll"><table class="break">'
+    yield f"<thead><tr>{head}</tr></thead><tbody>{_tied(''.join(lines))}</tbody></table></div>"
+    yield '<div class="grid">'
+    for subject, check in checks:
+        yield _residual_card(subject, check)
+    yield "</div>"
+
+
+def _verdict(*tests: Correlation | None) -> str:
+    run = [test for test in tests if test is not None]
+    if not run:
+        return "<span>too few samples to test</span>"
+    outside, lags = sum(test.outside for test in run), sum(test.lags.size for test in run)
+    allowed = sum(test.allowed for test in run)
+    word = '<b class="good">yes</b>' if all(test.passed for test in run) else '<b class="bad">no</b>'
+    return f"{word} <span>{outside} of {lags} outside, {allowed} allowed</span>"
+
+
+def _residual_card(subject: Subject, check: FitCheck) -> str:
+    fit = check.identification
+    title = f"{subject.name}: {check.experiment}, {fit.output}"
+    tests = {} if fit.whiteness is None else {"residual with itself": fit.whiteness}
+    tests |= {f"residual with {name}": test for name, test in fit.inputs.items()}
+    if not tests:
+        return ""
+    drawing = correlation_figure(tests, escape(f"Residuals, {title}", quote=True))
+    return f"<figure><h3>{escape(title)}</h3>{drawing}<figcaption>{check.note}</figcaption></figure>"
+
+
+def _doubt_section(subjects: Sequence[Subject]) -> Iterator[str]:
+    for subject in subjects:
+        if subject.doubts:
+            items = "".join(f"<li>{doubt}</li>" for doubt in subject.doubts)
+            yield f'<h3>{escape(subject.name)}</h3><ul class="text">{items}</ul>'
+
+
+def _errata_section(errata: Sequence[Erratum]) -> Iterator[str]:
+    if errata:
+        lines = "".join(
+            f'<tr><th scope="row">{e.place}</th><td class="left">{e.printed}</td><td class="left">{e.shown}</td></tr>'
+            for e in errata
+        )
+        heads = '<th scope="col">Where</th><th scope="col">Printed</th><th scope="col">What this work shows</th>'
+        yield f'<div class="scroll"><table class="prose"><thead><tr>{heads}</tr></thead>'
+        yield f"<tbody>{lines}</tbody></table></div>"
+
+
+def _provenance_table(content: Content) -> str:
+    lines = "".join(f"<dt>{escape(name)}</dt><dd>{escape(value)}</dd>" for name, value in content.provenance.items())
+    return f"<dl>{lines}</dl>" if lines else ""

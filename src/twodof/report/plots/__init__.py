@@ -1,0 +1,1 @@
+"""What matplotlib draws: a flight, the figures of the report."""

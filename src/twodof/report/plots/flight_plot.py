@@ -1,0 +1,219 @@
+"""A flight as a picture: PNG, SVG or PDF to put into a text, or a page that follows light and dark."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from html import escape
+from pathlib import Path
+from textwrap import wrap
+from types import MappingProxyType
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_pdf import FigureCanvasPdf
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure as Canvas
+from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator
+
+from twodof.flight.causes import ACTIONS
+from twodof.flightlog.atomic import atomic_write
+from twodof.report.content import Span
+from twodof.report.plots.canvas import STAND_IN, Colours, on_paper, quiet, settings, style, svg
+from twodof.report.plots.flight_view import Curve, FlightView, View, check_place
+
+_ALONE = MappingProxyType({".png": FigureCanvasAgg, ".svg": FigureCanvasSVG, ".pdf": FigureCanvasPdf})
+
+_WIDTH_IN, _PANEL_IN, _STRIP_IN = 10.0, 1.75, 0.27
+_DPI = 150
+_LETTER_IN = 0.082
+"""Width of a letter at the size of the bands' names."""
+
+_LINE = 120
+"""Letters in a line of the heading."""
+_LEGEND: MappingProxyType[str, Any] = MappingProxyType(
+    {"frameon": False, "borderaxespad": 0.0, "borderpad": 0.15, "fontsize": 9}
+)
+_LOOK: MappingProxyType[str, dict[str, Any]] = MappingProxyType(
+    {
+        "true": {"color": "measured", "linewidth": 3.0, "alpha": 0.55, "zorder": 1.8},
+        "estimated": {"color": "grey-box", "linewidth": 1.2, "zorder": 2.2},
+        "set-point": {"color": "paper", "linewidth": 1.3, "dashes": (4, 1.5), "zorder": 2.0},
+        "moment M": {"color": "input", "linewidth": 1.2},
+        "thrust T": {"color": "simple", "linewidth": 1.4},
+    }
+)
+_OTHERS = ("grey-box", "simple", "input", "set-point", "paper", "measured")
+_TINT = MappingProxyType(
+    {
+        "off": "rule",
+        "open-loop": "input",
+        "rate": "set-point",
+        "attitude": "grey-box",
+        "velocity": "simple",
+        "position": "paper",
+    }
+)
+
+
+def write_plot(view: FlightView, path: str | Path) -> None:
+    """Draws the view into a .png, .svg, .pdf or .html file, whole or not at all. Raises LogError."""
+    check_place(path)
+    suffix = Path(path).suffix.lower()
+    content = to_html(view).encode() if suffix == ".html" else _alone(view, suffix)
+    with atomic_write(path, "wb") as file:
+        file.write(content)
+
+
+def to_html(view: FlightView) -> str:
+    """A page of its own, without script or network."""
+    with matplotlib.rc_context(settings(STAND_IN)):
+        picture = svg(_drawn(view, STAND_IN, heading=False), escape(view.title))
+    notes = "".join(f"<p>{escape(note)}</p>" for note in view.notes)
+    return (
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>{escape(view.title)}</title>\n<style>\n{style()}</style></head>\n<body>"
+        f'<header><h1>{escape(view.title)}</h1><p class="lead">{escape(view.about)}</p></header>'
+        f'<main><figure class="wide" style="max-width:72rem">{picture}<figcaption>{notes}</figcaption></figure></main>'
+        "</body></html>\n"
+    )
+
+
+def _alone(view: FlightView, suffix: str) -> bytes:
+    colours = on_paper()
+    ground: Any = dict.fromkeys(("figure.facecolor", "savefig.facecolor"), colours["card"])
+    with matplotlib.rc_context({**settings(colours), **ground, "svg.hashsalt": view.title}):
+        canvas = _drawn(view, colours, heading=True)
+        _ALONE[suffix](canvas)
+        out = io.BytesIO()
+        dated = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(suffix)
+        canvas.savefig(out, format=suffix[1:], dpi=_DPI, metadata=dated)
+    return out.getvalue()
+
+
+def _drawn(view: FlightView, colours: Colours, heading: bool) -> Canvas:
+    strips = [(name, bands) for name, bands in _strips(view) if bands]
+    heights = [_STRIP_IN * len(strips)] * bool(strips) + [_PANEL_IN] * len(view.views)
+    canvas = Canvas(figsize=(_WIDTH_IN, 0.5 + 0.6 * heading + sum(heights)), layout="constrained")
+    axes = list(canvas.subplots(len(heights), 1, sharex=True, height_ratios=heights, squeeze=False)[:, 0])
+    axes[0].set_xlim(*view.span)
+    if strips:
+        _draw_strips(axes[0], strips, view.span, colours)
+    for ax, one in zip(axes[bool(strips) :], view.views, strict=True):
+        _draw_view(ax, one, colours)
+        _draw_background(ax, view, colours)
+    axes[-1].set_xlabel("the drone's time [s]")
+    canvas.align_ylabels()
+    if heading:
+        _head(axes[0], view, colours)
+    return canvas
+
+
+def _head(ax: Axes, view: FlightView, colours: Colours) -> None:
+    lines = [line for part in (view.about, *view.notes) for line in wrap(part, _LINE)]
+    under = 7.0 + 13.0 * len(lines)
+    ax.set_title(view.title, loc="left", fontsize=12.5, fontweight="bold", pad=under)
+    ax.annotate(
+        "\n".join(lines),
+        (0.0, 1.0),
+        (0.0, 6.0),
+        xycoords="axes fraction",
+        textcoords="offset points",
+        va="bottom",
+        fontsize=9.5,
+        color=colours["soft"],
+    )
+
+
+def _strips(view: FlightView) -> Sequence[tuple[str, tuple[Span, ...]]]:
+    return (("mode", view.modes), ("failsafe", view.failsafe), ("excitation", view.excitations))
+
+
+def _draw_strips(
+    ax: Axes, strips: Sequence[tuple[str, tuple[Span, ...]]], span: tuple[float, float], colours: Colours
+) -> None:
+    """Bands with their names, a row for each kind; names that fit into none of their bands stand in a key below."""
+    named: set[str] = set()
+    keys: dict[str, Patch] = {}
+    inch = (span[1] - span[0]) / (0.87 * _WIDTH_IN)
+    ax.set_ylim(len(strips) - 0.5, -0.5)
+    ax.set_yticks(range(len(strips)), [name for name, _ in strips])
+    ax.tick_params(axis="x", length=0, labelbottom=False)
+    ax.tick_params(axis="y", labelcolor=colours["soft"])
+    for side in ("top", "right", "left", "bottom"):
+        ax.spines[side].set_visible(False)
+    for row, (name, bands) in enumerate(strips):
+        for band in bands:
+            colour, alpha = _paint(name, band.label, colours)
+            ax.broken_barh([(band.start, band.stop - band.start)], (row - 0.42, 0.84), color=colour, alpha=alpha, lw=0)
+            ax.vlines([band.start, band.stop], row - 0.42, row + 0.42, color=colour, linewidth=0.8)
+            # Of what the failsafe does and why, what it does may fit.
+            for text in dict.fromkeys((band.label, band.label.partition(":")[0])):
+                if _LETTER_IN * (len(text) + 1) * inch < band.stop - band.start:
+                    middle = 0.5 * (band.start + band.stop)
+                    ax.text(middle, row, text, ha="center", va="center_baseline", fontsize=9, color=colours["ink"])
+                    named.add(text)
+                    break
+            if band.label not in named:
+                keys.setdefault(band.label, Patch(color=colour, alpha=alpha, linewidth=0))
+    keys = {label: patch for label, patch in keys.items() if label not in named}
+    if keys:
+        ax.legend(
+            keys.values(),
+            keys.keys(),
+            loc="upper right",
+            bbox_to_anchor=(1.0, 0.0),
+            ncols=len(keys),
+            **_LEGEND,
+            labelcolor=colours["soft"],
+        )
+
+
+def _paint(strip: str, label: str, colours: Colours) -> tuple[str, float]:
+    """Colour and opacity of a band; the stronger what the failsafe does, the darker."""
+    if strip == "failsafe":
+        return colours["bad"], 0.15 * (1 + ACTIONS.index(label.partition(":")[0]))
+    return (colours["ink"], 0.18) if strip == "excitation" else (colours[_TINT.get(label, "rule")], 0.38)
+
+
+def _draw_view(ax: Axes, view: View, colours: Colours) -> None:
+    quiet(ax)
+    ax.yaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 2.5, 5, 10]))
+    ax.set_ylabel(view.label)
+    for number, curve in enumerate(view.curves):
+        _draw_curve(ax, curve, _OTHERS[number % len(_OTHERS)], colours)
+    if not any(np.isfinite(curve.value).any() for curve in view.curves):
+        ax.text(0.5, 0.5, "no sample", ha="center", va="center", transform=ax.transAxes, color=colours["soft"])
+        ax.set_yticks([])
+    elif any(curve.label for curve in view.curves):
+        ax.legend(
+            loc="lower right",
+            bbox_to_anchor=(1.0, 1.0),
+            ncols=len(view.curves),
+            **_LEGEND,
+            labelcolor=colours["soft"],
+        )
+
+
+def _draw_curve(ax: Axes, curve: Curve, other: str, colours: Colours) -> None:
+    look = dict(_LOOK.get(curve.label, {"color": other, "linewidth": 1.2}))
+    look["color"] = colours[look["color"]]
+    look["drawstyle"] = "steps-post" if curve.held else "default"
+    if np.isfinite(curve.value).sum() == 1:
+        look["marker"] = "."  # a line of no length
+    ax.plot(curve.time, curve.value, label=curve.label, **look)
+
+
+def _draw_background(ax: Axes, view: FlightView, colours: Colours) -> None:
+    """What the strips say, faintly behind the curves, so that one sees what belongs together."""
+    for band in view.modes[1:]:
+        ax.axvline(band.start, color=colours["rule"], linewidth=0.8, zorder=0)
+    for band in view.excitations:
+        ax.axvspan(band.start, band.stop, color=colours["ink"], alpha=0.045, linewidth=0, zorder=0)
+    for band in view.failsafe:
+        ax.axvspan(band.start, band.stop, color=colours["bad"], alpha=0.10, linewidth=0, zorder=0)
