@@ -58,7 +58,6 @@ from twodof.flight.templates import PERIOD
 from twodof.flightlog.files import read_log, write_log
 from twodof.flightlog.log import FlightLog
 from twodof.gcs.async_drone import AsyncDrone
-from twodof.link.mavlink.framing import Parser
 from twodof.link.transport.base import Transport
 from twodof.link.transport.open_transport import open_transport
 from twodof.rig.parameters import load_rig
@@ -73,6 +72,7 @@ PRECISIONS = ("float64", "float32")
 RIGS = ("paper", "lab")
 QUICK = ("reference", "native gcc")
 LANES = 3
+MOST_SHOWN = 20
 COMPUTER_STATUS = 390
 MAT_HEAD, ULOG_HEAD = 116, 16
 REPEATED = (b"vehicle_status", b"actuator_armed")  # said again with each part that goes to the disk
@@ -424,14 +424,16 @@ def record(before: Mapping[str, Any] | None, quick: bool) -> dict[str, Any]:
     return {"outputs": found, "wire": wire, "files": files, "texts": texts}
 
 
-def named(frame: str) -> str:
-    """A frame as a person reads it: the way, the messages' numbers, the bytes."""
-    frames = Parser().feed(bytes.fromhex(frame[1:]))
-    return f"{frame[0]} {', '.join(str(one.message_id) for one in frames)} {frame[1:]}"
+def _message(frame: str) -> int:
+    """The number of the message in a noted packet."""
+    return int.from_bytes(bytes.fromhex(frame[15:21]), "little")
 
 
 def differences(before: Mapping[str, Any], after: Mapping[str, Any], quick: bool = False) -> list[str]:
-    """Each difference, in a line; of each session the first frames that differ. `quick`: of what there is after."""
+    """Each difference, in a line; of a session the first packet of each message that differs.
+
+    With `quick` what there is only before is left out.
+    """
     told = []
     for name, frames in before["wire"].items():
         others = after["wire"].get(name, [])
@@ -439,8 +441,11 @@ def differences(before: Mapping[str, Any], after: Mapping[str, Any], quick: bool
             continue
         unlike = [k for k, (a, b) in enumerate(zip(frames, others, strict=False)) if a != b]
         told.append(f"wire, {name}: {len(frames)} packets before, {len(others)} after, {len(unlike)} differ in place")
-        for k in unlike[:5]:
-            told += [f"    packet {k} before: {named(frames[k])}", f"    packet {k} after:  {named(others[k])}"]
+        of_each = {_message(frames[k]): k for k in reversed(unlike)}  # the first of each message
+        for message, k in sorted(of_each.items(), key=lambda row: row[1])[:MOST_SHOWN]:
+            many = sum(_message(frames[one]) == message for one in unlike)
+            told.append(f"    message {message} differs {many} times, first as packet {k}")
+            told += [f"        before: {frames[k]}", f"        after:  {others[k]}"]
     for part in ("outputs", "files", "texts"):
         wanted = {name: value for name, value in before[part].items() if name in after[part] or not quick}
         told += _unlike(part, wanted, after[part])
