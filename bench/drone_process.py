@@ -13,7 +13,7 @@ import time
 from types import TracebackType
 from typing import Any, Self
 
-from twodof.fcu.flight_code import Step
+from twodof.fcu.control.flight_code import ControlStep
 from twodof.sim.virtual_drone import VirtualDrone
 
 START_S = 120.0
@@ -26,7 +26,7 @@ class Changes:
         self.noted: list[tuple[int, float]] = []
         self._last = (0.0, 0.0)
 
-    def __call__(self, step: Step) -> None:
+    def __call__(self, step: ControlStep) -> None:
         """Notes the time [ns of the monotonic clock] and the moment asked for, if the motors' commands are new."""
         if (step.fore, step.aft) != self._last:
             self._last = (step.fore, step.aft)

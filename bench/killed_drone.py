@@ -12,7 +12,7 @@ import time
 from pathlib import Path
 
 from bench.drone_process import say
-from twodof.fcu.flight_code import Step
+from twodof.fcu.control.flight_code import ControlStep
 from twodof.link.mavlink.components import GROUND_STATION
 from twodof.link.signing.frame_signing import Signing
 from twodof.link.signing.key import read_key
@@ -31,7 +31,7 @@ class Kills:
         self._drone = drone
         self._armed = 0
 
-    def __call__(self, step: Step) -> None:
+    def __call__(self, step: ControlStep) -> None:
         """Says that a kill has stopped the motors, lets it go and arms again."""
         commander, pilot = self._drone.commander, (self.pilot, GROUND_STATION)
         if step.armed:

@@ -12,11 +12,11 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from twodof.compile.lower import lower
-from twodof.fcu.parameter_row import Row
-from twodof.fcu.parameter_table import own_rows
-from twodof.fcu.px4_topics import PX4_TOPICS
-from twodof.fcu.services.event_table import CHECKS, CRITICAL, ERROR, EVENTS, INFO, WARNING
-from twodof.fcu.step_row import COLUMNS
+from twodof.fcu.onboard_log.step_row import COLUMNS
+from twodof.fcu.parameters.row import VehicleParameter
+from twodof.fcu.parameters.table import own_rows
+from twodof.fcu.px4_compat.event_table import CHECKS, CRITICAL, ERROR, EVENTS, INFO, WARNING
+from twodof.fcu.px4_compat.log_topics import PX4_TOPICS
 from twodof.flight.causes import ACTIONS, CAUSES, NONE
 from twodof.flight.core import PERIOD
 from twodof.flight.failsafe import failsafe
@@ -219,11 +219,11 @@ def _vehicle() -> Iterator[str]:
     yield ""
 
 
-def _number(row: Row, value: float) -> str:
+def _number(row: VehicleParameter, value: float) -> str:
     return str(int(value)) if row.kind == "int32" else f"{value:g}"
 
 
-def _changed(row: Row) -> str:
+def _changed(row: VehicleParameter) -> str:
     return "never" if row.fixed else "disarmed" if row.disarmed else "any time"
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from twodof.cli.flies import flies_in_words
 from twodof.errors import DiagramError
-from twodof.fcu.controllers import Controllers
+from twodof.fcu.control.controllers import Controllers
 from twodof.flight.slot import Slot
 from twodof.flight.starters import starter
 from twodof.sim.virtual_drone import VirtualDrone

@@ -18,10 +18,10 @@ from twodof.experiment.flight import Laboratory
 from twodof.experiment.fly import fly
 from twodof.experiment.protocol import EXPERIMENTS
 from twodof.experiment.script import Script, script
-from twodof.fcu.asked import Asked
-from twodof.fcu.flight_code import OUTPUTS, FlightCode
-from twodof.fcu.hardware import Sample
-from twodof.fcu.store import Store
+from twodof.fcu.control.control_input import ControlInput
+from twodof.fcu.control.flight_code import OUTPUTS, FlightCode
+from twodof.fcu.control.hardware import SensorSample
+from twodof.fcu.parameters.store import ParameterStore
 from twodof.flight.starters import starter
 from twodof.flightlog.steps import ASKED
 from twodof.flightlog.ulog.decoder import ULog, scan_ulog
@@ -126,7 +126,7 @@ def replayed(flown: Flown, with_changes: bool) -> int:
     code = FlightCode([starter(OWN)], flown.trusted, precision=flown.precision)
     rig = VirtualRig(lab(), {}, flown.precision)
     rig.settle(code)
-    store, rows = Store(), flown.rows
+    store, rows = ParameterStore(), flown.rows
     store.carry(code.own_parameters)
     store.update(
         {
@@ -144,8 +144,8 @@ def replayed(flown: Flown, with_changes: bool) -> int:
         if due:
             store.update(due)
             code.set_parameters(store.flying() | store.own())
-        sample = Sample(*(rows[name][k].item() for name in Sample._fields))
-        asked = Asked(*(rows[f"{ASKED}{name}"][k].item() for name in Asked._fields))
+        sample = SensorSample(*(rows[name][k].item() for name in SensorSample._fields))
+        asked = ControlInput(*(rows[f"{ASKED}{name}"][k].item() for name in ControlInput._fields))
         step = code.step(tick, sample, asked, rings=RINGS)
         wrong += any(
             np.float64(getattr(step, name)).tobytes() != np.float64(rows[name][k]).tobytes() for name in OUTPUTS

@@ -24,8 +24,8 @@ from tests.faults.hostile import COMMANDS, Hostile
 from tests.faults.whole import GROUND, NONE, Seen, Whole, run
 from twodof.excitation import Doublet
 from twodof.fcc.companion import Companion, Serve
-from twodof.fcu.services.ftp import MOST_GUESTS
-from twodof.fcu.services.ftp_guest import MOST_SESSIONS
+from twodof.fcu.mavlink.files.ftp import MOST_GUESTS
+from twodof.fcu.mavlink.files.ftp_client import MOST_SESSIONS
 from twodof.link.mavlink import dialect
 from twodof.link.mavlink.framing import encode
 from twodof.link.mavlink.messages import message

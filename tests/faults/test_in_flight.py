@@ -11,7 +11,7 @@ import pytest
 
 from tests.faults.whole import BRAKE, DESCEND, LEVEL, NONE, OFF, Whole, acts, run, silent, stands, tell
 from tests.fcu.flights import exhausting, failing
-from twodof.fcu.hardware import Sample
+from twodof.fcu.control.hardware import SensorSample
 from twodof.flight.causes import BIT
 
 LEVEL_RAD = 0.06  # as in tests/sim/test_failsafe_flights.py: the wake alone moves the pitch by .03
@@ -22,23 +22,23 @@ RING = {"rings": True, "seed": 3}
 FREE = {"rings": False, "seed": 3}
 
 
-def frozen_imu(whole: Whole) -> Callable[[Sample], Sample]:
+def frozen_imu(whole: Whole) -> Callable[[SensorSample], SensorSample]:
     last = whole.steps[-1].step.sample
     return lambda sample: sample._replace(acc_x=last.acc_x, acc_z=last.acc_z, gyro_y=last.gyro_y)
 
 
-def silent_range(whole: Whole) -> Callable[[Sample], Sample]:
+def silent_range(whole: Whole) -> Callable[[SensorSample], SensorSample]:
     return lambda sample: sample._replace(dist_new=False)
 
 
-def sagging_battery(whole: Whole) -> Callable[[Sample], Sample]:
+def sagging_battery(whole: Whole) -> Callable[[SensorSample], SensorSample]:
     return lambda sample: sample._replace(voltage=sample.voltage - SAG_V)
 
 
-def busy_processor(whole: Whole) -> Callable[[Sample], Sample]:
+def busy_processor(whole: Whole) -> Callable[[SensorSample], SensorSample]:
     until = whole.tick + 5
 
-    def toil(sample: Sample) -> Sample:
+    def toil(sample: SensorSample) -> SensorSample:
         end = time.thread_time_ns() + 4_500_000
         while whole.tick < until and time.thread_time_ns() < end:
             pass

@@ -21,9 +21,9 @@ from tests.faults.virtual_time import run_virtual
 from twodof.errors import TwodofError
 from twodof.fcc.companion import Companion, Serve
 from twodof.fcu import server
-from twodof.fcu.flight_code import Step
-from twodof.fcu.services.background import Background
-from twodof.fcu.watchdog import Watchdog
+from twodof.fcu.control.flight_code import ControlStep
+from twodof.fcu.control.watchdog import Watchdog
+from twodof.fcu.mavlink.background import BackgroundWorker
 from twodof.flight.causes import ACTIONS
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.link.signing.frame_signing import Signing
@@ -64,7 +64,7 @@ def paced_by_the_loop() -> Iterator[None]:
         stack.enter_context(patch.object(server, "Pacer", LoopPacer))
         stack.enter_context(patch.object(server, "Watchdog", lambda stop, patient: Watchdog(stop, HANGS_S)))
         # Another thread's work would take virtual time by chance.
-        stack.enter_context(patch.object(Background, "submit", _at_once))
+        stack.enter_context(patch.object(BackgroundWorker, "submit", _at_once))
         yield
 
 
@@ -72,7 +72,7 @@ def paced_by_the_loop() -> Iterator[None]:
 class Seen:
     """A step, and the rig's true pitch [rad] and place [m] after it."""
 
-    step: Step
+    step: ControlStep
     theta: float
     x: float
 
@@ -172,11 +172,11 @@ class Whole:
                 return 4.0 * (seen.step.tick - first + 1)
         raise AssertionError("it never was")
 
-    def since(self, first: int) -> list[Step]:
+    def since(self, first: int) -> list[ControlStep]:
         """The steps from a tick on."""
         return [seen.step for seen in self.steps if seen.step.tick >= first]
 
-    def _seen(self, step: Step) -> None:
+    def _seen(self, step: ControlStep) -> None:
         self.steps.append(Seen(step, self.drone.rig.truth[0], self.drone.rig.truth[2]))
 
     async def _open(self, url: str, *rest: Any) -> Transport:
@@ -189,7 +189,7 @@ class Whole:
         return faulty
 
 
-def _at_once(background: Background, work: Callable[[], object], done: Callable[[object], None]) -> bool:
+def _at_once(background: BackgroundWorker, work: Callable[[], object], done: Callable[[object], None]) -> bool:
     try:
         result: object = work()
     except (OSError, TwodofError) as fault:
@@ -213,7 +213,7 @@ def acts(action: int) -> Callable[[Seen], bool]:
     return lambda seen: seen.step.action == action
 
 
-def silent(steps: list[Step]) -> bool:
+def silent(steps: list[ControlStep]) -> bool:
     """Whether the failsafe let everything pass."""
     return all(step.action == NONE and step.armed for step in steps)
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Hashable
 from typing import Any
 
-from tests.fcu.cockpit import ME
-from twodof.fcu.asked import Source
-from twodof.fcu.flight_code import Step
+from tests.fcu.command.cockpit import ME
+from twodof.fcu.command.result import Source
+from twodof.fcu.control.flight_code import ControlStep
 from twodof.link.connection import Received
 from twodof.link.mavlink.framing import Parser, decode, encode
 from twodof.link.mavlink.messages import message
@@ -27,7 +27,7 @@ class Assembled:
     def __init__(self, tick: int = 0, **options: Any) -> None:
         self.drone = VirtualDrone(**{"conditions": {"rings": True, "seed": 3}, **options})
         self.sent: list[Any] = []
-        self.steps: list[Step] = []
+        self.steps: list[ControlStep] = []
         self._sequence = 0
         server = self.drone.server
         server.send = self._send  # type: ignore[method-assign]
@@ -54,7 +54,7 @@ class Assembled:
         named = {f"param{place}": value for place, value in enumerate(params, start=1)}
         self.say(message("COMMAND_LONG", command=number, **TARGET, **named), source)
 
-    def run(self, ticks: int = 1) -> Step:
+    def run(self, ticks: int = 1) -> ControlStep:
         """Time passes; the last step."""
         for _ in range(ticks):
             step = self.drone.controller.step()

@@ -9,9 +9,9 @@ from typing import Any
 from twodof.blocks import Block, Diagram, Port, State, where
 from twodof.blocks.elementary import sin
 from twodof.blocks.library import Sum
-from twodof.fcu.asked import Asked
-from twodof.fcu.flight_code import FlightCode, Step
-from twodof.fcu.loop import FlightController
+from twodof.fcu.control.control_input import ControlInput
+from twodof.fcu.control.flight_code import ControlStep, FlightCode
+from twodof.fcu.control.loop import FlightController
 from twodof.flight.templates import ATTITUDE
 from twodof.rig.parameters import lab
 from twodof.signals import MODES
@@ -27,15 +27,15 @@ class Script:
     """A commander that arms at `ARM_AT`, flies level in attitude mode from `FLY_AT` on, and disarms at `disarm_at`."""
 
     disarm_at: int = 10**9
-    change: Callable[[int, Asked], Asked] = lambda tick, asked: asked
-    steps: list[Step] = field(default_factory=list)
+    change: Callable[[int, ControlInput], ControlInput] = lambda tick, asked: asked
+    steps: list[ControlStep] = field(default_factory=list)
 
-    def asked(self, tick: int) -> Asked:
+    def asked(self, tick: int) -> ControlInput:
         """What is flown at `tick`."""
         flies = FLY_AT <= tick < self.disarm_at
         return self.change(
             tick,
-            Asked(
+            ControlInput(
                 mode=ATTITUDE_MODE if flies else 0,
                 thrust=0.4 if flies else 0.0,
                 theta0=0.1 if tick % 200 < 100 else 0.0,
@@ -45,7 +45,7 @@ class Script:
             ),
         )
 
-    def seen(self, step: Step) -> None:
+    def seen(self, step: ControlStep) -> None:
         """Keeps it."""
         self.steps.append(step)
 
@@ -61,7 +61,7 @@ def controller(code: FlightCode, script: Script | None = None, lockstep: bool = 
     return FlightController(rig, code, script or Script(), lockstep)
 
 
-def fly(made: FlightController, until: int) -> list[Step]:
+def fly(made: FlightController, until: int) -> list[ControlStep]:
     """Runs up to the tick `until`; all steps so far."""
     while made.tick < until:
         made.step()

@@ -5,20 +5,20 @@ from __future__ import annotations
 import pytest
 
 from tests.fcu.assembled import INTERVAL, Assembled
-from twodof.fcu.store import Store
+from twodof.fcu.parameters.store import ParameterStore
 from twodof.link.mavlink.dialect import message_id
 
 
 def test_who_wants_to_know_what_flies_in_every_period_takes_no_time_to_fly(monkeypatch: pytest.MonkeyPatch) -> None:
     """All parameters are looked through once a change, not once a message, and no message tells an old count."""
     looked = []
-    count = Store.changed
+    count = ParameterStore.changed
 
-    def changed(store: Store) -> dict[str, float]:
+    def changed(store: ParameterStore) -> dict[str, float]:
         looked.append(store)
         return count(store)
 
-    monkeypatch.setattr(Store, "changed", changed)
+    monkeypatch.setattr(ParameterStore, "changed", changed)
     there = Assembled()
     there.command(INTERVAL, float(message_id("TWODOF_RIG")), 4000.0)
     counts = []

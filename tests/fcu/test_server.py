@@ -11,8 +11,8 @@ import pytest
 
 from tests.fcu.flights import FLY_AT, Script, controller, fly
 from tests.patience import PATIENCE_S
-from twodof.fcu.flight_code import FlightCode, Step
-from twodof.fcu.loop import MOST_GRANTED
+from twodof.fcu.control.flight_code import ControlStep, FlightCode
+from twodof.fcu.control.loop import MOST_GRANTED
 from twodof.fcu.server import Peer, Server
 from twodof.link.connection import Connection, Received
 from twodof.link.mavlink.messages import message
@@ -50,7 +50,7 @@ class Grants:
             return False
         return True
 
-    def after(self, step: Step) -> None:
+    def after(self, step: ControlStep) -> None:
         """Tells everybody of every tenth tick."""
         if step.tick % 10 == 9:
             self.server.send(message("TWODOF_TICK", tick=step.tick + 1, until=0, number=0))

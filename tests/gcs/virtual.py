@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from twodof.fcu.flight_code import Step
+from twodof.fcu.control.flight_code import ControlStep
 from twodof.flightlog.log import Channel
 from twodof.flightlog.steps import step_channels
 from twodof.gcs.loop_thread import LoopThread
@@ -20,11 +20,11 @@ class OnBoard:
     def __init__(self, drone: VirtualDrone, url: str) -> None:
         self.drone = drone
         self.url = url
-        self.steps: list[Step] = []
+        self.steps: list[ControlStep] = []
         self.truth: list[tuple[float, float, float, float]] = []
         drone.controller.listeners.append(self._seen)
 
-    def _seen(self, step: Step) -> None:
+    def _seen(self, step: ControlStep) -> None:
         self.steps.append(step)
 
     def channels(self) -> dict[str, Channel]:

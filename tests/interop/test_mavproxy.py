@@ -9,7 +9,7 @@ import pytest
 from bench.programs import port
 from tests.interop.mavproxy import MavProxy
 from tests.patience import patiently
-from twodof.fcu.store import Store
+from twodof.fcu.parameters.store import ParameterStore
 
 NUMBER = r"-?\d+\.\d+"  # a prompt may follow in the same line
 
@@ -17,9 +17,9 @@ NUMBER = r"-?\d+\.\d+"  # a prompt may follow in the same line
 def test_mavproxy_sees_sets_and_arms(fcu_url: str, tmp_path: Path) -> None:
     with MavProxy(f"tcp:127.0.0.1:{port(fcu_url)}", tmp_path) as proxy:
         proxy.expect(r"Detected vehicle 1:1 on link 0")
-        assert int(proxy.expect(r"Received (\d+) parameters")[1]) == len(Store().rows)
+        assert int(proxy.expect(r"Received (\d+) parameters")[1]) == len(ParameterStore().rows)
         proxy.type("param show RATE_KI")
-        assert float(proxy.expect(rf"RATE_KI +({NUMBER})")[1]) == pytest.approx(Store()["RATE_KI"], rel=1e-6)
+        assert float(proxy.expect(rf"RATE_KI +({NUMBER})")[1]) == pytest.approx(ParameterStore()["RATE_KI"], rel=1e-6)
         proxy.type("param set RATE_KI 0.3")  # says nothing when it has succeeded
         for _ in patiently():
             if fetched(proxy, "RATE_KI") == pytest.approx(0.3, rel=1e-6):

@@ -14,7 +14,7 @@ from pyulog import ULog
 
 from bench.programs import port
 from tests.patience import PATIENCE_S
-from twodof.fcu.store import Store
+from twodof.fcu.parameters.store import ParameterStore
 
 CLIENT = Path(__file__).with_name("mavsdk_client.py")
 SET_TO = 0.09
@@ -54,7 +54,7 @@ def check(saw: dict[str, list[dict[str, Any]]], log: Path) -> None:
     (version,) = saw["version"]
     assert version["software"] >= [1, 16, 0]  # what clients take as PX4's
 
-    ours = {row.name: row for row in Store().rows}
+    ours = {row.name: row for row in ParameterStore().rows}
     (parameters,) = saw["parameters"]
     assert set(parameters["values"]) == set(ours)  # nothing missing, nothing else
     assert parameters["integers"] == sum(row.kind == "int32" for row in ours.values())

@@ -13,9 +13,9 @@ import pytest
 
 from bench.programs import port
 from tests.patience import PATIENCE_S
-from twodof.fcu.services.metadata import metadata_files
-from twodof.fcu.step_row import STEP_TOPIC
-from twodof.fcu.store import Store
+from twodof.fcu.mavlink.files.metadata import metadata_files
+from twodof.fcu.onboard_log.step_row import STEP_TOPIC
+from twodof.fcu.parameters.store import ParameterStore
 from twodof.flightlog.ulog.decoder import scan_ulog
 
 CLIENT = Path(__file__).with_name("mavsdk_files_client.py")
@@ -37,14 +37,14 @@ def saw(fcu_url: str, tmp_path_factory: pytest.TempPathFactory) -> dict[str, lis
 
 
 def test_it_lists_the_tree(saw: dict[str, list[Any]]) -> None:
-    files = metadata_files(Store().rows)
+    files = metadata_files(ParameterStore().rows)
     root, extras, _ = saw["list"]
     assert root["entries"] == [["DIRECTORY", name, 0] for name in ("controllers", "etc", "log")]
     assert extras["entries"] == [["FILE", name, len(content)] for name, content in sorted(files.items())]
 
 
 def test_it_fetches_in_bursts_and_without_and_finds_the_same_checksum(saw: dict[str, list[Any]]) -> None:
-    text = metadata_files(Store().rows)["parameters.json"].decode()
+    text = metadata_files(ParameterStore().rows)["parameters.json"].decode()
     assert saw["fetched"] == [{"burst": burst, "text": text} for burst in (False, True)]
     assert saw["identical"] == [{"same": True}]
 
@@ -56,7 +56,7 @@ def test_it_sends_a_diagram_and_removes_it(saw: dict[str, list[Any]]) -> None:
 
 def test_it_finds_the_descriptions_by_component_metadata(saw: dict[str, list[Any]]) -> None:
     found = {update["type"]: update["text"].encode() for update in saw["metadata"]}
-    files = metadata_files(Store().rows)
+    files = metadata_files(ParameterStore().rows)
     assert found == {"PARAMETER": files["parameters.json"], "EVENTS": files["events.json"]}
 
 

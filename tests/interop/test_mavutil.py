@@ -13,8 +13,8 @@ import pytest
 
 from tests.experiment.drones import drone_thread
 from tests.patience import PATIENCE_S
-from twodof.fcu.own_parameters import own_parameters
-from twodof.fcu.store import Store
+from twodof.fcu.parameters.store import ParameterStore
+from twodof.fcu.parameters.user_parameters import user_parameters
 from twodof.flight.starters import starter
 from twodof.sim.virtual_drone import VirtualDrone
 
@@ -31,8 +31,8 @@ def test_a_controllers_gain_is_listed_and_set() -> None:
         assert done.returncode == 0, f"{done.stdout}\n{done.stderr}"
         saw = json.loads(done.stdout)
         flying = drones[0].controller.code.parameter(PATH)
-    store = Store()
-    store.carry(own_parameters([starter(OWN)]))
+    store = ParameterStore()
+    store.carry(user_parameters([starter(OWN)]))
     assert saw["names"] == [row.name for row in store.rows]
     assert saw["before"] == pytest.approx(starter(OWN).params["k_q"].value, rel=1e-7)
     assert saw["told"] == saw["read"] == np.float32(0.2)

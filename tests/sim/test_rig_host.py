@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from twodof.errors import ParameterError
-from twodof.fcu.asked import Asked
-from twodof.fcu.flight_code import OUTPUTS, FlightCode
+from twodof.fcu.control.control_input import ControlInput
+from twodof.fcu.control.flight_code import OUTPUTS, FlightCode
 from twodof.rig.parameters import load_rig
 from twodof.signals import MODES
 from twodof.sim.closed_loop import ARMING, ClosedLoop, Start
@@ -67,7 +67,7 @@ def test_the_bits_are_those_of_the_closed_loop(name: str, rings: bool, noise: fl
     code.reset(host.reset(seed, x, noise, rings))
     columns = {key: value.tolist() for key, value in given.items()}
     for k in range(STEPS):
-        asked = Asked(
+        asked = ControlInput(
             arm=k >= ARMING, setpoint_new=True, link_new=True, **{key: value[k] for key, value in columns.items()}
         )
         sample = host.read()

@@ -10,10 +10,10 @@ import pytest
 
 from tests.fcu.flights import exhausting
 from twodof.errors import CompileError, LinkError, LogError, ParameterError
-from twodof.fcu import flight_code
-from twodof.fcu.asked import IN_PROGRESS
-from twodof.fcu.controllers import Controllers, flown
-from twodof.fcu.flight_code import FlightCode
+from twodof.fcu.command.result import IN_PROGRESS
+from twodof.fcu.control import flight_code
+from twodof.fcu.control.controllers import Controllers, controller_identity
+from twodof.fcu.control.flight_code import FlightCode
 from twodof.flight.slot import Slot
 from twodof.flight.starters import starter
 from twodof.flight.templates import ATTITUDE
@@ -85,10 +85,10 @@ def test_only_what_was_given_is_trusted_and_only_while_nothing_was_uploaded(tmp_
         assert sorted(diagram.name for diagram in code.controllers) == ["lqr_attitude", "pid_position"]
     made.uploads.flash(starter("stock-attitude"))
     made.uploads.flash(starter("stock-position"))
-    assert flown(made.build_uploaded()[0]).controller == "stock"
+    assert controller_identity(made.build_uploaded()[0]).controller == "stock"
     made.uploads.remove("position_control")
     made.uploads.remove("attitude_control")
-    assert flown(made.build_uploaded()[0]).controller == "pid_position"
+    assert controller_identity(made.build_uploaded()[0]).controller == "pid_position"
     made.keep({})
     assert made.build()[0].trusted
 

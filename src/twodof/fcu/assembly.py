@@ -7,28 +7,28 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, cast
 
-from twodof.fcu.commander import Commander
-from twodof.fcu.controllers import Controllers, flown
-from twodof.fcu.hardware import Hardware, VirtualHardware
-from twodof.fcu.loop import FlightController
-from twodof.fcu.onboard_log import OnboardLog
+from twodof.fcu.command.commander import Commander
+from twodof.fcu.control.controllers import Controllers, controller_identity
+from twodof.fcu.control.hardware import Hardware, VirtualHardware
+from twodof.fcu.control.loop import FlightController
+from twodof.fcu.mavlink.addressing import VehicleAddress
+from twodof.fcu.mavlink.commands.excitation import ExcitationService
+from twodof.fcu.mavlink.commands.lease import LeaseService
+from twodof.fcu.mavlink.commands.lockstep import LockstepService
+from twodof.fcu.mavlink.commands.reload import ReloadCommand
+from twodof.fcu.mavlink.commands.setpoints import SetpointService
+from twodof.fcu.mavlink.files.file_tree import FileTree
+from twodof.fcu.mavlink.files.ftp import FTP_CAPABILITY, FileTransfer
+from twodof.fcu.mavlink.files.log_download import LogDownload
+from twodof.fcu.mavlink.files.metadata import COMPONENT_METADATA, Metadata
+from twodof.fcu.mavlink.service import Service
+from twodof.fcu.mavlink.services import MavlinkServices
+from twodof.fcu.mavlink.storage_monitor import StorageMonitor
+from twodof.fcu.mavlink.telemetry.twodof_messages import ControllerIdentity, rig
+from twodof.fcu.onboard_log.logger import OnboardLogger
+from twodof.fcu.parameters.store import ParameterStore
+from twodof.fcu.px4_compat.log_stream import LogStreamService
 from twodof.fcu.server import Server
-from twodof.fcu.service import Service
-from twodof.fcu.services.addressing import Us
-from twodof.fcu.services.excite import Excite
-from twodof.fcu.services.file_tree import FileTree
-from twodof.fcu.services.ftp import FTP_CAPABILITY, FileTransfer
-from twodof.fcu.services.keeping import Keeping
-from twodof.fcu.services.lease import Lease
-from twodof.fcu.services.lockstep import Lockstep
-from twodof.fcu.services.log_download import LogDownload
-from twodof.fcu.services.log_stream import LogStream
-from twodof.fcu.services.metadata import COMPONENT_METADATA, Metadata
-from twodof.fcu.services.own_telemetry import Flown, rig
-from twodof.fcu.services.px4 import PX4
-from twodof.fcu.services.reload import Reload
-from twodof.fcu.services.setpoints import SetPoints
-from twodof.fcu.store import Store
 from twodof.link.mavlink.rates import ONBOARD
 from twodof.link.signing.frame_signing import Signing
 
@@ -59,8 +59,8 @@ class Assembly:
         if fresh:
             controllers.forget()
         code, damage = controllers.build()
-        self.store = Store(None if state is None else state / "parameters.json", system)
-        self._what = (code, flown(code))
+        self.store = ParameterStore(None if state is None else state / "parameters.json", system)
+        self._what = (code, controller_identity(code))
         self._changed = (-1, 0)  # at this revision of the store, so many parameters differ from their defaults
         tuned = self.store.carry(code.own_parameters)
         if fresh:
@@ -74,22 +74,22 @@ class Assembly:
         self.server = server = Server(controller, system, signing)
         server.pilot = lambda: commander.lease.holder
         self.store.listen(lambda _: self._fly_with(self.store.flying() | self.store.own()))
-        self.log: OnboardLog | None = None
+        self.log: OnboardLogger | None = None
         self._state = state
         self._closing = ExitStack()
         self._closing.callback(self.store.close)
         if state is not None:
-            self.log = OnboardLog(state / "logs", self.store, lockstep, self._about)
+            self.log = OnboardLogger(state / "logs", self.store, lockstep, self._about)
             self._closing.callback(self.log.close)
             controller.listeners.append(self.log.step)
-        self.px4 = PX4(
+        self.px4 = MavlinkServices(
             server,
             system,
             controller,
             commander,
             self.store,
             restart=self._restart if hardware.virtual else None,
-            flown=self.flown,
+            flown=self.controller_identity,
             lost=lambda: server.lost,
             truth=(lambda: cast(VirtualHardware, hardware).truth) if hardware.virtual else None,
             profile=rates,
@@ -98,7 +98,7 @@ class Assembly:
         if self.log is not None:
             self.px4.remarks.listeners.append(self.log.remark)
             self.px4.commands.explained.append(self.log.remark)
-        self.reload = Reload(self.px4.commands, controller, commander, controllers, self._fly_others)
+        self.reload = ReloadCommand(self.px4.commands, controller, commander, controllers, self._fly_others)
         server.serve(self._services(controller, commander))
         controller.remarks = commander.remarks
         commander.unfit = self._unfit
@@ -107,37 +107,37 @@ class Assembly:
 
     def _services(self, controller: FlightController, commander: Commander) -> list[Service]:
         """All, in their order: every frame is heard first, and a tick is over when all else of it was sent."""
-        px4, server, us = self.px4, self.server, Us(self.server.system)
+        px4, server, us = self.px4, self.server, VehicleAddress(self.server.system)
         explain = px4.commands.explain
         return [
             px4.services[0],
-            Lease(server, us, commander, explain),
+            LeaseService(server, us, commander, explain),
             *self._streamed(us, controller.lockstep),
             *px4.services[1:],
-            SetPoints(us, commander, explain),
-            Excite(server, us, commander, explain),
+            SetpointService(us, commander, explain),
+            ExcitationService(server, us, commander, explain),
             *self._files(us, controller.lockstep),
-            Lockstep(server, us, controller, commander, explain, rig(controller, self.flown)),
+            LockstepService(server, us, controller, commander, explain, rig(controller, self.controller_identity)),
         ]
 
-    def _files(self, us: Us, lockstep: bool) -> list[Service]:
+    def _files(self, us: VehicleAddress, lockstep: bool) -> list[Service]:
         """Descriptions of the parameters, logs and uploads over MAVLink, and word of what cannot be written."""
         server, log, state, commander = self.server, self.log, self._state, self.commander
         self.px4.requests.on(COMPONENT_METADATA, self._metadata.message)
         self._tree = FileTree(self._made(), log.folder if log else None, state / "controllers" if state else None)
         files: list[Service] = [
             FileTransfer(server, us, self._tree, commander.take, self.px4.commands.explain, lockstep),
-            Keeping(self.store, log, commander.remarks),
+            StorageMonitor(self.store, log, commander.remarks),
         ]
         if log is not None:
             files.append(LogDownload(server, us, log, commander.take, self.px4.commands.explain, lockstep))
         return files
 
-    def _streamed(self, us: Us, lockstep: bool) -> list[Service]:
+    def _streamed(self, us: VehicleAddress, lockstep: bool) -> list[Service]:
         """The log as it is written; it hears every frame, so as to know whether its client is there."""
         if self.log is None:
             return []
-        return [LogStream(self.server, us, self.px4.commands, self.log, self.commander.take, lockstep)]
+        return [LogStreamService(self.server, us, self.px4.commands, self.log, self.commander.take, lockstep)]
 
     def close(self) -> None:
         """Writes what is not written yet. Raises ParameterError or LogError where the disk refuses; twice is once."""
@@ -172,13 +172,13 @@ class Assembly:
         """What a log says of the flight."""
         hardware = self.controller.hardware
         about: dict[str, str | int] = {"rig": hardware.name, "seed": hardware.seed, "rings": int(hardware.rings)}
-        return about | {"controller": self.flown().controller}
+        return about | {"controller": self.controller_identity().controller}
 
-    def flown(self) -> Flown:
+    def controller_identity(self) -> ControllerIdentity:
         """Which controller flies, and how many parameters differ from their defaults."""
         code = self.controller.code
         if self._what[0] is not code:
-            self._what = (code, flown(code))
+            self._what = (code, controller_identity(code))
         if self._changed[0] != self.store.revision:  # a client may have TWODOF_RIG sent in every control period
             self._changed = (self.store.revision, len(self.store.changed()))
         return self._what[1]._replace(changed=self._changed[1])

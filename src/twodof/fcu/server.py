@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 from typing import Any, Self
 
 from twodof.errors import LinkError, LinkLost
-from twodof.fcu.loop import FlightController
-from twodof.fcu.pacing import Pacer
-from twodof.fcu.service import Service
-from twodof.fcu.watchdog import Watchdog
+from twodof.fcu.control.loop import FlightController
+from twodof.fcu.control.pacing import Pacer
+from twodof.fcu.control.watchdog import Watchdog
+from twodof.fcu.mavlink.service import Service
 from twodof.link.connection import Connection, Received
 from twodof.link.control_period import TICK_NS
 from twodof.link.mavlink.components import AUTOPILOT

@@ -10,9 +10,9 @@ from typing import Any
 from twodof.compile import Program, build
 from twodof.compile.stepper import Stepper
 from twodof.errors import CompileError, ExperimentError, ParameterError
-from twodof.fcu.asked import Asked
-from twodof.fcu.flight_code import FlightCode
-from twodof.fcu.hardware import Sample
+from twodof.fcu.control.control_input import ControlInput
+from twodof.fcu.control.flight_code import FlightCode
+from twodof.fcu.control.hardware import SensorSample
 from twodof.parameters import ParameterSet
 from twodof.rig.parameters import lab
 from twodof.rig.rig import BASE_DT, MEASUREMENTS, SAMPLE, TRUTH, rig
@@ -55,7 +55,7 @@ class VirtualRig:
             raise CompileError("there is no C compiler", "rig", "install gcc, or the wheel ziglang")
         self.name = name
         self.safety_off = safety_off
-        self.distort: Callable[[Sample], Sample] | None = None
+        self.distort: Callable[[SensorSample], SensorSample] | None = None
         self.machine = program.machine()
         self.machine.set_many(dict((lab() if parameters is None else parameters).snapshot()) | dict(conditions or {}))
         self._stepper = Stepper(self.machine, ("fore", "aft"), _OUTPUTS)
@@ -115,7 +115,7 @@ class VirtualRig:
         self.machine.reset()
         self._look()
         code.reset()
-        asked = Asked()
+        asked = ControlInput()
         for tick in range(SETTLE_STEPS):
             code.step(tick, self.read(), asked)
             self.drive(0.0, 0.0)
@@ -149,10 +149,10 @@ class VirtualRig:
         self._take_conditions()
         return self._begin(start)
 
-    def read(self) -> Sample:
+    def read(self) -> SensorSample:
         """The measurements of this tick."""
         acc_x, acc_z, gyro_y, dist, dist_new, dist_age, voltage, charge = self._outputs[:8]
-        sample = Sample(acc_x, 0.0, acc_z, 0.0, gyro_y, 0.0, True, dist, dist_new, dist_age, voltage, charge)
+        sample = SensorSample(acc_x, 0.0, acc_z, 0.0, gyro_y, 0.0, True, dist, dist_new, dist_age, voltage, charge)
         return sample if self.distort is None else self.distort(sample)
 
     def drive(self, fore: float, aft: float) -> None:

@@ -11,11 +11,11 @@ from typing import Any, Self
 from twodof.blocks import Diagram
 from twodof.errors import ParameterError
 from twodof.fcu.assembly import Assembly
-from twodof.fcu.commander import Commander
-from twodof.fcu.controllers import Controllers
-from twodof.fcu.loop import FlightController
+from twodof.fcu.command.commander import Commander
+from twodof.fcu.control.controllers import Controllers
+from twodof.fcu.control.loop import FlightController
+from twodof.fcu.mavlink.telemetry.twodof_messages import ControllerIdentity
 from twodof.fcu.server import Server
-from twodof.fcu.services.own_telemetry import Flown
 from twodof.link.mavlink.rates import PROFILES
 from twodof.link.signing.frame_signing import Signing
 from twodof.parameters import ParameterSet
@@ -76,9 +76,9 @@ class VirtualDrone:
         return self.assembly.commander
 
     @property
-    def flown(self) -> Flown:
+    def flown(self) -> ControllerIdentity:
         """Which controller flies, and how many parameters differ from their defaults."""
-        return self.assembly.flown()
+        return self.assembly.controller_identity()
 
     @property
     def server(self) -> Server:

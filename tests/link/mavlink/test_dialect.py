@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import common
 from tests.patience import PATIENCE_S
 from twodof.compile import cache
 from twodof.errors import LinkError
-from twodof.fcu import excitation_player
+from twodof.fcu.command import excitation_player
 from twodof.flight.causes import ACTIONS, BIT, CAUSES
 from twodof.link.mavlink import dialect
 from twodof.link.mavlink.messages import channel_bits

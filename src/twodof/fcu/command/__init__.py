@@ -1,0 +1,1 @@
+"""Who may command, and what the flight code is asked to fly."""

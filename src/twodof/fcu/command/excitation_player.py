@@ -1,0 +1,175 @@
+"""Playing an excitation on board: the very numbers of its definition, one a tick, added to a set-point."""
+
+from __future__ import annotations
+
+import json
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twodof.errors import ExperimentError
+from twodof.excitation import MAX_DURATION_S, MAX_LINES, MAX_PARTS, Excitation, Multisine, from_dict
+from twodof.fcu.command.setpoint_queue import NEVER
+from twodof.fcu.command.setpoints import ATTITUDE, OPEN_LOOP, POSITION, RATE, VELOCITY
+from twodof.flight.core import PERIOD
+
+IDLE, RECEIVING, READY, PLAYING, DONE, STOPPED, REFUSED = range(7)
+"""TWODOF_EXCITE_STATE."""
+
+
+_BEYOND = 1e9  # what no number of an excitation reaches
+
+
+class ExcitationLoop(NamedTuple):
+    """Where an excitation enters: the loop (index into `signals.MODES`), its set-point, the excitation's unit."""
+
+    loop: int
+    name: str
+    unit: str
+
+
+LOOPS = (
+    ExcitationLoop(OPEN_LOOP, "M_open", "-"),
+    ExcitationLoop(RATE, "q0", "rad/s"),
+    ExcitationLoop(ATTITUDE, "theta0", "rad"),
+    ExcitationLoop(VELOCITY, "v0", "m/s"),
+    ExcitationLoop(POSITION, "x0", "m"),
+)
+"""By TWODOF_LOOP."""
+
+
+class SampledExcitation(NamedTuple):
+    """An excitation written out: the value at the k-th tick after its start, (n,), and the unit."""
+
+    unit: str
+    values: NDArray[np.float64]
+
+
+MOST_EFFORT = 1e8
+"""Cosines that a multisine may take on board: a second's work of one core."""
+
+
+def prepare(definition: bytes) -> SampledExcitation:
+    """An excitation's JSON written out at 250 Hz.
+
+    Raises ExperimentError for what is none, or would take longer than a second: only a sum of many cosines does.
+    """
+    try:
+        values = json.loads(definition.decode())
+    except (ValueError, RecursionError) as reason:
+        raise ExperimentError("is no JSON", "excitation", "write it with to_json") from reason
+    if not isinstance(values, dict):
+        raise ExperimentError("is no table of values", "excitation", "write it with to_json")
+    effort = _effort(values) if values.get("kind") == Multisine.kind else 0.0
+    if effort > MOST_EFFORT:
+        raise ExperimentError(
+            f"{effort:.2g} cosines are too many to be written out on board",
+            "multisine",
+            f"take fewer or lower harmonics, or less time: {MOST_EFFORT:.2g} can be",
+        )
+    try:
+        return written_out(from_dict(values))
+    except (ArithmeticError, LookupError, MemoryError, TypeError, ValueError) as reason:
+        # Nothing that comes over a link may end the control loop.
+        raise ExperimentError(f"cannot be written out: {reason}", "excitation", "write it with to_json") from reason
+
+
+def _effort(values: dict[str, Any]) -> float:
+    """Cosines that a multisine with these values takes; 0 where `from_dict` refuses it at once."""
+    lines = values.get("harmonics")
+    times = [values.get(name, 0) for name in ("lead", "settle", "period", "pause", "repeat")]
+    if not isinstance(lines, list) or not 1 <= len(lines) <= MAX_LINES:
+        return 0.0
+    if not all(_plain(number) for number in (*lines, *times)):
+        return 0.0
+    lead, settle, period, pause, repeat = times
+    duration = min(lead + settle + repeat * (period + pause), MAX_DURATION_S)
+    return float(len(lines) * (64.0 * min(max(lines), MAX_PARTS) + duration / PERIOD))
+
+
+def _plain(value: Any) -> bool:
+    return isinstance(value, int | float) and abs(value) < _BEYOND
+
+
+def written_out(excitation: Excitation) -> SampledExcitation:
+    """An excitation at 250 Hz, from its start to the end of the rest after it.
+
+    The values are `excitation.at(arange(n) * PERIOD)`, bit for bit what `experiment.script` flies. Raises
+    ExperimentError for one whose values are not all finite (a sweep over more octaves than a float has).
+    """
+    steps = int(np.ceil(excitation.duration / PERIOD - 1e-6))
+    with np.errstate(all="ignore"):
+        values = excitation.at(np.arange(steps) * PERIOD)
+    if not np.isfinite(values).all():
+        raise ExperimentError("a value is not finite", excitation.kind, "choose other frequencies")
+    return SampledExcitation(excitation.unit, values)
+
+
+class OnboardPlayer:
+    """One excitation: defined, waiting for its tick, playing, then done. A definition plays once.
+
+    `start` and `end` are the tick of its time 0 and the first one after its end, `begins` the tick for which it waits;
+    `reason` says why it was refused or stopped; `revision` counts the changes.
+    """
+
+    def __init__(self) -> None:
+        self.state = IDLE
+        self.transfer = 0
+        self.reason = ""
+        self.start = 0
+        self.end = 0
+        self.begins = NEVER
+        self.revision = 0
+        self.loop = LOOPS[0]
+        self.thrust: float | None = None
+        self._prepared: SampledExcitation | None = None
+
+    @property
+    def playing(self) -> bool:
+        """Whether it gives the set-points now."""
+        return self.state == PLAYING
+
+    @property
+    def waiting(self) -> bool:
+        """Whether it was started for a tick that has not come."""
+        return self.begins < NEVER
+
+    @property
+    def unit(self) -> str:
+        """Of the definition, "" if there is none to be played."""
+        return self._prepared.unit if self._prepared is not None else ""
+
+    def define(self, transfer: int, prepared: SampledExcitation) -> None:
+        """Takes a definition; nothing is played yet."""
+        self.transfer, self._prepared = transfer, prepared
+        self.start = self.end = 0
+        self._become(READY)
+
+    def wait(self, tick: int, loop: ExcitationLoop, thrust: float | None) -> None:
+        """It is to begin at `tick`."""
+        self._become(READY)
+        self.begins, self.loop, self.thrust = tick, loop, thrust
+        self.start, self.end = tick, tick + (len(self._prepared.values) if self._prepared is not None else 0)
+
+    def begin(self) -> None:
+        """Its tick has come."""
+        self._become(PLAYING)
+
+    def value(self, tick: int) -> float:
+        """What is added at `tick`; 0 once it has ended, and then it is done."""
+        if self._prepared is None or not self.start <= tick < self.end:
+            self._prepared = None
+            self._become(DONE)
+            return 0.0
+        return float(self._prepared.values.item(tick - self.start))
+
+    def finish(self, state: int, reason: str) -> None:
+        """It ends here, STOPPED or REFUSED; stopped it is forgotten."""
+        if state == STOPPED:
+            self._prepared = None
+        self._become(state, reason)
+
+    def _become(self, state: int, reason: str = "") -> None:
+        self.state, self.reason, self.begins = state, reason, NEVER
+        self.revision += 1

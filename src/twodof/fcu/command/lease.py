@@ -1,0 +1,115 @@
+"""The lease: who may command. One holder at most; it ends by itself, in bounded time, when its holder falls silent."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from twodof.fcu.command.result import Source
+from twodof.flight.core import PERIOD
+
+COMMANDING = round(2.0 / PERIOD)
+"""Ticks after the holder's last command for which it keeps the lease while disarmed."""
+
+HEARD = round(3.0 / PERIOD)
+"""Ticks after the holder's last frame of any kind for which it keeps the lease while armed."""
+
+LONGEST = round(30.0 / PERIOD)
+"""Most ticks that a lease is asked for at once."""
+
+
+class LeaseState(NamedTuple):
+    """Who holds the lease (None: nobody), for how many ticks still, and a count of the changes of holder."""
+
+    holder: Source | None
+    left: int
+    revision: int
+
+
+class CommandLease:
+    """Who holds the lease, and until when; time is a tick that only `moved` sets back.
+
+    `orphaned`: the holder fell silent or gave it up while armed, and nobody took the lease since. Then no other
+    client keeps the link alive: the drone is without its pilot, whoever else may be there.
+
+    Where time stands still until its holder grants it (`stands`), one that died would hold it for ever: of one that was
+    not heard for `HEARD` ticks of standing time another may take it. Unless another does nothing changes, as nothing
+    that flies may depend on how long a client thinks.
+    """
+
+    def __init__(self) -> None:
+        self.holder: Source | None = None
+        self.orphaned = False
+        self.revision = 0
+        self._until = 0
+        self._heard = 0
+        self._stood = 0
+
+    def end(self, armed: bool) -> int:
+        """First tick at which it is free if nothing more is heard; means nothing while nobody holds it."""
+        return max(self._until, self._heard + HEARD) if armed else self._until
+
+    def state(self, tick: int, armed: bool) -> LeaseState:
+        """How it stands at `tick`."""
+        if self.holder is None:
+            return LeaseState(None, 0, self.revision)
+        left = self.end(armed) - tick
+        if self._stood:
+            left = min(left, HEARD - self._stood)
+        return LeaseState(self.holder, max(0, left), self.revision)
+
+    def ask(self, source: Source, tick: int, ticks: int) -> bool:
+        """Takes it, or renews it for `ticks` from now, 1 to LONGEST; False while another holds it."""
+        if not self._take(source, tick):
+            return False
+        self._until = tick + min(max(ticks, 1), LONGEST)
+        return True
+
+    def command(self, source: Source, tick: int) -> bool:
+        """Whether `source` may command: it holds the lease, or takes a free one by commanding. Renews it."""
+        if not self._take(source, tick):
+            return False
+        self._until = max(self._until, tick + COMMANDING)
+        return True
+
+    def give_up(self, source: Source, armed: bool) -> bool:
+        """Frees it; False if `source` does not hold it."""
+        if self.holder != source:
+            return False
+        self._free()
+        self.orphaned = armed
+        return True
+
+    def hear(self, source: Source, tick: int) -> bool:
+        """Notes a frame of any kind; whether it is the holder's."""
+        if self.holder != source:
+            return False
+        self._heard, self._stood = tick, 0
+        return True
+
+    def stands(self, ticks: int) -> None:
+        """Time stood still for so long, in ticks, while nothing was heard of the holder."""
+        self._stood = min(self._stood + ticks, HEARD)
+
+    def expire(self, tick: int, armed: bool) -> None:
+        """Frees it if its time is over."""
+        if self.holder is not None and tick >= self.end(armed):
+            self._free()
+            self.orphaned = armed
+
+    def moved(self, ticks: int) -> None:
+        """The count of ticks was changed by `ticks`: the time that is left stays the same."""
+        self._until += ticks
+        self._heard += ticks
+
+    def _take(self, source: Source, tick: int) -> bool:
+        if self.holder is None or (self.holder != source and self._stood >= HEARD):
+            self.holder, self.orphaned, self._until = source, False, tick
+            self.revision += 1
+        elif self.holder != source:
+            return False
+        self._heard, self._stood = tick, 0
+        return True
+
+    def _free(self) -> None:
+        self.holder = None
+        self.revision += 1

@@ -1,0 +1,175 @@
+"""The helm: the mode, and the set-points that are flown in each tick. Who may turn it is not its affair."""
+
+from __future__ import annotations
+
+from twodof.fcu.command.excitation_player import REFUSED, STOPPED, OnboardPlayer
+from twodof.fcu.command.manual_control import manual_setpoint
+from twodof.fcu.command.setpoint_queue import SetpointQueue
+from twodof.fcu.command.setpoints import (
+    ATTITUDE,
+    NOTHING,
+    OFF,
+    OPEN_LOOP,
+    OPENLOOP,
+    STICKS,
+    TARGET,
+    OpenLoopState,
+    SetPoint,
+    SetpointValues,
+)
+from twodof.fcu.control.control_input import ControlInput
+from twodof.flight.core import PERIOD
+from twodof.link.mavlink import modes
+
+FRESH = round(0.5 / PERIOD)
+"""Set-points must come above 2 Hz, as PX4 asks: the last one at most so many ticks ago."""
+
+HEARD_IN = {
+    modes.MANUAL: (OPENLOOP, STICKS),
+    modes.RATE: (STICKS,),
+    modes.ATTITUDE: (STICKS,),
+    modes.POSITION: (STICKS,),
+    modes.HOLD: (),
+    modes.OFFBOARD: (TARGET, OPENLOOP),
+}
+"""Which set-points act in which mode."""
+
+_LONG_AGO = -10 * FRESH
+
+
+class SetpointManager:
+    """Mode, set-points in use and on offer, those that wait for their tick, and the player of excitations.
+
+    `level_thrust` is that of a level hold. `changed` says that `asked` may give something else than the last time.
+    """
+
+    def __init__(self) -> None:
+        self.custom_mode = modes.MANUAL
+        self.player = OnboardPlayer()
+        self.schedule = SetpointQueue()
+        self.values = SetpointValues()  # none but while armed: nothing of before flies
+        self.openloop = OpenLoopState()
+        self.changed = True
+        self._on_board = False  # level hold or an excitation gives set-points, at every tick
+        self._fresh = False  # one came for the next tick
+        self._offer = NOTHING  # what messages have asked for since the mode was entered, for offboard
+        self._offered = _LONG_AGO
+        self._said: OpenLoopState | None = None  # the open-loop message that the offer came of
+        self._latest = SetpointValues()  # what would fly in this mode, were the drone armed
+        self._latest_at = _LONG_AGO
+        self._stick = 0.0, 0.0  # where pitch and thrust were held last
+        self._stick_at = _LONG_AGO
+
+    def streamed(self, tick: int) -> bool:
+        """Whether set-points have been coming above 2 Hz."""
+        return tick - self._offered <= FRESH
+
+    def asks(self, tick: int) -> bool:
+        """Whether fresh set-points ask something of the motors, in a mode in which that keeps from arming.
+
+        In offboard it does not, as in PX4: the mode and the stream are two deliberate acts.
+        """
+        fresh = self.custom_mode != modes.OFFBOARD and tick - self._latest_at <= FRESH
+        return fresh and not self._latest.idle
+
+    def armed(self, tick: int) -> None:
+        """The drone has armed: in offboard what is streamed flies from the next tick on."""
+        if self.custom_mode == modes.OFFBOARD and self.streamed(tick):
+            self._use(self._offer.over(self.values), tick, self._said)
+
+    def take(self, setpoint: SetPoint, kind: str, tick: int, armed: bool, said: OpenLoopState | None = None) -> None:
+        """A set-point's tick has come: it acts, or is kept for when offboard is entered. `said`: what it came of."""
+        if kind != STICKS:
+            self._offered, self._said = tick, said
+            self._offer = setpoint.after(self._offer)
+        if kind not in HEARD_IN[self.custom_mode]:
+            return
+        self._latest, self._latest_at = setpoint.over(self._latest), tick
+        if armed and not self.player.playing:
+            self._use(setpoint.over(self.values), tick, said)
+
+    def enter(self, custom_mode: int, level_thrust: float, tick: int, armed: bool) -> None:
+        """Changes the mode. If armed, level hold flies from the next tick on, and offboard what is on offer."""
+        if self.player.playing:
+            self.player.finish(STOPPED, f"mode {modes.mode_name(custom_mode)} was chosen")
+        offboard = custom_mode == modes.OFFBOARD
+        self.custom_mode = custom_mode
+        self._on_board, self.changed = False, True
+        self._hear_anew()
+        if armed and custom_mode == modes.HOLD:
+            self._use(self.values._replace(loop=ATTITUDE, theta0=0.0, thrust=level_thrust), tick, on_board=True)
+        elif armed and offboard:
+            self._use(self._offer.over(self.values), tick, self._said)
+        if not offboard:
+            self._offer = NOTHING  # what was asked for in an offboard of before is not what is flown now
+
+    def hold_stick(self, pitch: float, thrust: float, tick: int) -> None:
+        """Notes where the stick is held at `tick`."""
+        self._stick, self._stick_at = (pitch, thrust), tick
+
+    def forget_ahead(self, why: str) -> None:
+        """Another steers from now on: what was sent ahead or is on offer is forgotten; what flies, flies on."""
+        self.schedule.clear()
+        self._offer, self._said, self._offered = NOTHING, None, _LONG_AGO
+        self._latest, self._latest_at, self._stick_at = SetpointValues(), _LONG_AGO, _LONG_AGO
+        if self.player.waiting:
+            self.player.finish(REFUSED, why)
+
+    def begin_play(self, level_thrust: float, tick: int) -> None:
+        """The excitation that waits begins: about the set-point in use if its loop flies, else about 0."""
+        player, values = self.player, self.values
+        name = player.loop.name
+        about = values
+        if values.flown != player.loop.loop:
+            about = values._replace(ax0=0.0).with_number(name, 0.0)
+        thrust = player.thrust if player.thrust is not None else values.thrust or level_thrust
+        self.custom_mode = modes.OFFBOARD
+        flown = about._replace(loop=player.loop.loop, thrust=thrust)
+        self._use(flown, tick, on_board=True)
+        player.begin()
+
+    def rest(self, why: str, tick: int) -> None:
+        """The motors stand: nothing is asked for any more, nothing waits, nothing plays."""
+        if self.player.playing or self.player.waiting:
+            self.player.finish(STOPPED, why)
+        self.values = SetpointValues()
+        self._hear_anew()
+        self._offer = NOTHING
+        self._on_board, self._fresh, self.changed = False, False, True
+        self.schedule.clear()
+        self._say(None, tick)
+
+    def asked(self, tick: int, arm: bool, link_new: bool) -> ControlInput:
+        """What the flight code is asked at `tick`."""
+        values = self.values
+        if self.player.playing:
+            name = self.player.loop.name
+            values = values.with_number(name, getattr(values, name) + self.player.value(tick))
+        mode = values.flown if arm else OFF
+        _, x0, v0, ax0, theta0, q0, thrust, M_open = values
+        use_trim = mode == OPEN_LOOP and thrust > 0.0
+        new = self._fresh or self._on_board
+        # One that is quiet follows a fresh one; a player changes it at every tick, and once more at its end.
+        self.changed, self._fresh = self._fresh or self.player.playing, False
+        return ControlInput(mode, arm, x0, v0, ax0, theta0, q0, thrust, M_open, use_trim, False, new, link_new)
+
+    def _hear_anew(self) -> None:
+        """Nothing was said in this mode yet; but a stick that is held says it again with its next message."""
+        self._latest, self._latest_at = SetpointValues(), _LONG_AGO
+        if STICKS in HEARD_IN[self.custom_mode]:
+            self._latest = manual_setpoint(self.custom_mode, *self._stick, self.values, 0.0).over(self._latest)
+            self._latest_at = self._stick_at
+
+    def _use(
+        self, values: SetpointValues, tick: int, said: OpenLoopState | None = None, on_board: bool = False
+    ) -> None:
+        self.values, self._on_board = values, on_board
+        self._fresh = self.changed = True
+        self._say(said, tick)
+
+    def _say(self, said: OpenLoopState | None, tick: int) -> None:
+        """The open-loop message in use is this one, or none is."""
+        before = self.openloop
+        now = (said or OpenLoopState())._replace(tick=before.tick, revision=before.revision)
+        if now != before:
+            self.openloop = now._replace(tick=tick, revision=before.revision + 1)

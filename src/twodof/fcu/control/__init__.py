@@ -1,0 +1,1 @@
+"""The control loop: flight code, sandbox, hardware, timing and watchdog."""

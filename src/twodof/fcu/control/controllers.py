@@ -1,0 +1,121 @@
+"""Which controllers fly: those given at the start, and those that were uploaded since; rebuilt while disarmed."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+from twodof.blocks import Diagram
+from twodof.blocks.schema import to_json
+from twodof.errors import CompileError, ControllerFault, DiagramError
+from twodof.fcu.control.flight_code import FlightCode
+from twodof.fcu.mavlink.telemetry.twodof_messages import ControllerIdentity
+from twodof.flight.slot import STOCK, Slot
+from twodof.flight.starters import load_diagram, starter
+from twodof.flight.templates import TEMPLATES, by_kind
+from twodof.flightlog.atomic import atomic_write
+
+
+class Controllers:
+    """Builds the flight code of the diagrams that are to fly.
+
+    `given` are diagrams, JSON files or names of starter diagrams. In the folder `uploads` clients put others, one a
+    template, which come in their place once they were built; those that fly are kept in the folder `kept`, where they
+    are found after a restart. The stock controller's own diagram means the stock controller. What was uploaded is never
+    `trusted`, and then nothing is. Raises DiagramError as `load_diagram` and `by_kind`.
+    """
+
+    def __init__(
+        self,
+        given: Iterable[str | Path | Diagram] = (),
+        trusted: bool = False,
+        uploads: Path | None = None,
+        kept: Path | None = None,
+        position_filter: str = "joint",
+        precision: str = "float64",
+        fuel: int | None = None,
+    ) -> None:
+        self.uploads = None if uploads is None else Slot(uploads)
+        self._kept = None if kept is None else Slot(kept)
+        self._given = by_kind(c if isinstance(c, Diagram) else load_diagram(c) for c in given)
+        self._trusted = trusted
+        self._position_filter = position_filter
+        self._precision = precision
+        self._fuel = fuel
+
+    def build(self) -> tuple[FlightCode, str]:
+        """The flight code at the start: of what was given and kept; without the latter, and why, if that cannot be.
+
+        Raises ControllerFault for one given that needs too much for a step, CompileError where a tool chain is missing.
+        """
+        damage = ""
+        if self._kept is not None:
+            try:
+                return self._built(self._kept.flashed()), ""
+            except (DiagramError, ControllerFault, CompileError) as error:
+                damage = f"uploaded controllers left out: {error}"
+        return self._built({}), damage
+
+    def build_uploaded(self) -> tuple[FlightCode, dict[str, Diagram]]:
+        """The flight code of what was given and what now is among the uploads, and the latter by kind; takes seconds.
+
+        In any thread; nothing is kept yet. Raises DiagramError for a file that is no controller, ControllerFault for
+        one that needs too much for a single step, CompileError where a tool chain is missing.
+        """
+        if self.uploads is None or self._kept is None:
+            raise DiagramError("nothing is uploaded here", "controllers", "start it with a folder for its state")
+        uploaded = self.uploads.flashed()
+        return self._built(uploaded), uploaded
+
+    def keep(self, uploaded: Mapping[str, Diagram]) -> None:
+        """Has `uploaded`, which fly by now, fly after a restart too, and no others. Raises LogError where it cannot."""
+        if self._kept is None:
+            return
+        for kind in TEMPLATES:
+            if kind in uploaded:
+                self._kept.flash(uploaded[kind])
+            else:
+                self._kept.remove(kind)
+
+    def restore(self) -> None:
+        """Has the uploads be what flies of them: what could not be built is not there any more.
+
+        Raises LogError or DiagramError where the disk refuses.
+        """
+        if self.uploads is None or self._kept is None:
+            return
+        for kind in TEMPLATES:
+            try:
+                flies = self._kept.file(kind).read_bytes()
+            except FileNotFoundError:
+                self.uploads.remove(kind)
+                continue
+            except OSError as refusal:
+                raise DiagramError(
+                    f"cannot be read: {refusal.strerror}", str(self._kept.file(kind)), "send it again"
+                ) from refusal
+            with atomic_write(self.uploads.file(kind)) as file:
+                file.write(flies)
+
+    def forget(self) -> None:
+        """Has nothing fly of what was uploaded, and nothing lie there. Raises as `restore`."""
+        for slot in (self.uploads, self._kept):
+            if slot is not None:
+                for kind in TEMPLATES:
+                    slot.remove(kind)
+
+    def _built(self, uploaded: Mapping[str, Diagram]) -> FlightCode:
+        stock = {kind for kind, diagram in uploaded.items() if to_json(diagram) == to_json(starter(STOCK[kind]))}
+        flying = [diagram for kind, diagram in (self._given | dict(uploaded)).items() if kind not in stock]
+        trusted = self._trusted and not uploaded
+        return FlightCode(flying, trusted, self._position_filter, self._precision, self._fuel)
+
+
+def controller_identity(code: FlightCode) -> ControllerIdentity:
+    """What flies in `code`."""
+    if not code.controllers:
+        return ControllerIdentity()
+    names = "+".join(diagram.name for diagram in code.controllers)
+    digest = hashlib.sha256("".join(to_json(diagram) for diagram in code.controllers).encode())
+    return ControllerIdentity(names, int.from_bytes(digest.digest()[:8], "big"))

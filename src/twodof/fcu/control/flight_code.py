@@ -1,0 +1,280 @@
+"""The compiled flight code, one tick at a time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
+
+from twodof.blocks import Diagram
+from twodof.compile import Program, build
+from twodof.compile.machine import Machine
+from twodof.compile.stepper import Stepper
+from twodof.errors import CompileError, ParameterError
+from twodof.fcu.control.control_input import ControlInput
+from twodof.fcu.control.hardware import SensorSample
+from twodof.fcu.control.sandbox import Sandbox
+from twodof.fcu.parameters.user_parameters import UserParameters, user_parameters
+from twodof.flight.core import PERIOD, core
+from twodof.flight.failsafe import OWN_INPUTS
+from twodof.flight.templates import MOTOR, TEMPLATES
+
+INPUTS = (
+    *("acc_x", "acc_z", "gyro_y", "dist", "dist_new", "dist_age", "imu_new", "voltage"),
+    *ControlInput._fields,
+    *("rings", "step_late", "own_late"),
+)
+"""What the flight code is given, in the order in which `FlightCode.step` gives it."""
+
+OWN = tuple(name for name, _, _, _ in OWN_INPUTS)
+"""What it is given behind that, of a user's controllers outside."""
+
+OUTPUTS = (
+    *("fore", "aft", "M", "T", "theta", "q", "x", "v", "x0", "v0", "theta0", "q0", "M_trim"),
+    *("armed", "action", "state", "reason", "causes"),
+)
+"""What it gives: the fields of `ControlStep` behind `asked`."""
+
+PATHS: Mapping[str, str] = MappingProxyType(
+    {
+        "RATE_KP": "cascade.rate.kp",
+        "RATE_KI": "cascade.rate.ki",
+        "RATE_KD": "cascade.rate.kd",
+        "RATE_N": "cascade.rate.N",
+        "ATT_KP": "cascade.attitude.kp",
+        "VEL_KP": "cascade.velocity.kp",
+        "VEL_KI": "cascade.velocity.ki",
+        "POS_KP": "cascade.position.kp",
+        "THRUST_BAR": "cascade.projection.T_bar",
+        "THRUST_ETA": "cascade.projection.eta_T",
+        "M_MAX": "cascade.rate.limit",
+        "X0_MAX": "failsafe.safe.x0_limit",
+    }
+)
+"""Where each of `parameters.PARAMETERS` stands in the flight code."""
+
+_USED = slice(OUTPUTS.index("x0"), OUTPUTS.index("q0") + 1)
+_CASCADE, _RESERVE = "cascade.", "stock."
+_OWN = tuple(f"{'' if kind == MOTOR.name else _CASCADE}{kind}." for kind in TEMPLATES)
+"""Where the controllers of a user stand."""
+_LIMITS = MappingProxyType({name: f"failsafe.safe.{name}_limit" for name in ("x0", "v0", "theta0", "q0")})
+
+
+@dataclass(slots=True)
+class ControlStep:
+    """One control period: what was measured and asked, and what the flight code made of it (`flight.core.OUTPUTS`)."""
+
+    tick: int
+    sample: SensorSample
+    asked: ControlInput
+    fore: float
+    aft: float
+    M: float
+    T: float
+    theta: float
+    q: float
+    x: float
+    v: float
+    x0: float
+    v0: float
+    theta0: float
+    q0: float
+    M_trim: float
+    armed: bool
+    action: int
+    state: int
+    reason: int
+    causes: int
+
+
+class FlightCode:
+    """The flight code with the failsafe, compiled for this machine, with its states and parameters.
+
+    `controllers` are diagrams that fly in place of the stock ones of their templates. Where they are `trusted` they
+    are part of the native code; else they run in a sandbox of WebAssembly with bounded memory and a bounded number of
+    instructions a step, and their commands pass the same gate. Either way the gate replaces them by the stock ones as
+    docs/explanation/safety.md says. `fuel` is what a step in the sandbox may use, None what the program's size allows.
+
+    Raises DiagramError for a controller that fits no template, CompileError where the tool chain is not there.
+    """
+
+    def __init__(
+        self,
+        controllers: Iterable[Diagram] = (),
+        trusted: bool = False,
+        position_filter: str = "joint",
+        precision: str = "float64",
+        fuel: int | None = None,
+    ) -> None:
+        self.controllers = tuple(controllers)
+        self.trusted = trusted
+        self.position_filter = position_filter
+        self.precision = precision
+        inside = self.controllers if trusted else ()
+        self.sandbox = (
+            Sandbox(self.controllers, position_filter, precision, fuel) if self.controllers and not trusted else None
+        )
+        outside = self.sandbox is not None
+        diagram = core(position_filter=position_filter, controllers=inside, failsafe=True, outside=outside)
+        program = build(diagram, PERIOD, precision)
+        if not isinstance(program, Program):
+            raise CompileError("there is no C compiler", diagram.name, "install gcc, or the wheel ziglang")
+        self.machine: Machine = program.machine()
+        self._stepper = Stepper(
+            self.machine, (*INPUTS, *(OWN if outside else ())), (*OUTPUTS, *(("own",) if outside else ()))
+        )
+        self.own_parameters: tuple[UserParameters, ...] = user_parameters(self.controllers)
+        self._own_values: dict[str, Any] = {}
+        self._own = False
+        self._armed = False
+        self._limits: dict[str, float] = {}
+        self._read_limits()
+
+    @property
+    def own_fault(self) -> str:
+        """What stopped a user's controllers in their sandbox, "" if nothing did; then nothing of theirs flies."""
+        return self.sandbox.fault if self.sandbox is not None else ""
+
+    def step(
+        self, tick: int, sample: SensorSample, asked: ControlInput, rings: bool = False, step_late: bool = False
+    ) -> ControlStep:
+        """One control period. `step_late` says that the step before ran out of its time."""
+        acc_x, _, acc_z, _, gyro_y, _, imu_new, dist, dist_new, dist_age, voltage, _ = sample
+        measured = (acc_x, acc_z, gyro_y, dist, dist_new, dist_age, imu_new, voltage)
+        if self.sandbox is None:
+            outputs = self._stepper.step((*measured, *asked, rings, step_late, False))
+        else:
+            if self.sandbox.rests and not self._armed and self.sandbox.wakes():
+                self.sandbox.resume(self._states())
+            own = self.sandbox.step(sample, self._limited(asked), asked.in_reset or not self._own)
+            late, fore, aft, moment, thrust = own[:5]
+            *flown, self._own = self._stepper.step(
+                (*measured, *asked, rings, step_late, late, True, fore, aft, moment, thrust)
+            )
+            if self._own and not late:
+                flown[_USED] = own[5:]  # the set-points in use are those of who flies
+            outputs = tuple(flown)
+        step = ControlStep(tick, sample, asked, *outputs)
+        if self._armed and not step.armed and self._stopped:
+            self._revive()
+        self._armed = step.armed
+        return step
+
+    def reset(self, states: Mapping[str, Any] | None = None) -> None:
+        """To the initial states of the present parameters, then those of `states` by path."""
+        self.machine.reset()
+        for path, value in (states or {}).items():
+            self.machine.set_state(path, value)
+        self._own = self._armed = False
+        self._revive()
+
+    def set_parameters(self, values: Mapping[str, Any]) -> None:
+        """Sets parameters by the names of `parameters.PARAMETERS`, or by paths such as "failsafe.battery.low".
+
+        Those of a user's controllers have paths such as "attitude_control.k_q". A flag is true or false, or 1 or 0.
+        All take effect at the next step, or none does: raises ParameterError for a name that is not there and a value
+        that is out of bounds. Stock controllers in reserve get the gains too.
+        """
+        known = self.machine.parameters
+        paths = {_path(name): value for name, value in values.items()}
+        paths = {path: _of_kind(known[path].kind, value) if path in known else value for path, value in paths.items()}
+        outside = self.sandbox.machine.parameters if self.sandbox is not None else {}
+        own = {path: value for path, value in paths.items() if path.startswith(_OWN) and path in outside}
+        reserve = {
+            f"{_RESERVE}{path.removeprefix(_CASCADE)}": value
+            for path, value in paths.items()
+            if path.startswith(_CASCADE)
+        }
+        replaced = set(PATHS.values()) - known.keys()  # gains of a loop that a user's controller replaces
+        inside = {path: value for path, value in paths.items() if path not in replaced and path not in own}
+        inside |= {path: value for path, value in reserve.items() if path in known}
+        before = {path: self.machine.get(path) for path in inside if path in known}
+        self.machine.set_many(inside)
+        if self.sandbox is not None:
+            try:
+                self.sandbox.set_parameters(paths)
+            except ParameterError:
+                self.machine.set_many(before)
+                raise
+            self._own_values |= own
+            if self._stopped and not self._armed:
+                self._revive()
+        self._read_limits()
+
+    def parameter(self, name: str) -> Any:
+        """The present value of a parameter, by either name. Raises ParameterError for one that is not there."""
+        path = _path(name)
+        if self.sandbox is not None and path.startswith(_OWN) and path in self.sandbox.machine.parameters:
+            return self.sandbox.machine.get(path)
+        if path not in self.machine.parameters and path.startswith(_CASCADE):
+            path = f"{_RESERVE}{path.removeprefix(_CASCADE)}"
+        return self.machine.get(path)
+
+    def take_over(self, other: FlightCode) -> None:
+        """Goes on where `other` stands: its parameters, and the states of all parts that both have.
+
+        A user's controllers keep their own defaults: those of another may mean something else.
+        """
+        old = other.machine
+        known = self.machine.parameters
+        self.machine.set_many(
+            {path: old.get(path) for path in old.parameters if path in known and not path.startswith(_OWN)}
+        )
+        for path in old.program.states:
+            if path in self.machine.program.states:
+                self.machine.set_state(path, old.state(path))
+        self._read_limits()
+        self._revive()
+
+    @property
+    def _stopped(self) -> bool:
+        """Whether a user's controllers go on by a fresh instance only, and not by themselves."""
+        return self.sandbox is not None and bool(self.sandbox.fault) and not self.sandbox.rests
+
+    def _states(self) -> dict[str, Any]:
+        return {path: self.machine.state(path) for path in self.machine.program.states}
+
+    def _revive(self) -> None:
+        """The sandbox anew, with its own parameters, and the parameters and states that the native code has too."""
+        if self.sandbox is not None:
+            machine = self.machine
+            self.sandbox.restart(
+                {path: machine.get(path) for path in machine.parameters} | self._own_values,
+                self._states(),
+            )
+
+    def _read_limits(self) -> None:
+        self._limits = {name: float(self.machine.get(path)) for name, path in _LIMITS.items()}
+
+    def _limited(self, asked: ControlInput) -> ControlInput:
+        """The set-points as the failsafe lets them pass to controllers inside."""
+        limits = self._limits
+        return asked._replace(
+            x0=_within(asked.x0, limits["x0"]),
+            v0=_within(asked.v0, limits["v0"]),
+            theta0=_within(asked.theta0, limits["theta0"]),
+            q0=_within(asked.q0, limits["q0"]),
+            thrust=max(0.0, _within(asked.thrust, 1.0)),
+            M_open=_within(asked.M_open, 1.0),
+            ax0=asked.ax0 if math.isfinite(asked.ax0) else 0.0,
+        )
+
+
+def _path(name: str) -> str:
+    """Where a parameter stands, by any of its names."""
+    kind, _, _ = name.partition(".")
+    return f"{_CASCADE}{name}" if kind in TEMPLATES and kind != MOTOR.name else PATHS.get(name, name)
+
+
+def _within(value: float, limit: float) -> float:
+    """`value` within +-`limit`, 0 for what is no number."""
+    return max(-limit, min(limit, value)) if math.isfinite(value) else 0.0
+
+
+def _of_kind(kind: str, value: Any) -> Any:
+    """A whole number that came as a float, as a parameter of type `kind` takes it."""
+    if not isinstance(value, float) or not value.is_integer():
+        return value
+    return value == 1.0 if kind == "bool" and value in (0.0, 1.0) else value if kind == "real" else int(value)

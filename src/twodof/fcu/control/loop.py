@@ -1,0 +1,147 @@
+"""The flight controller: one control period after the other, in real time or in lockstep."""
+
+from __future__ import annotations
+
+import secrets
+import time
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol, cast
+
+from twodof.errors import ParameterError
+from twodof.fcu.control.control_input import ControlInput
+from twodof.fcu.control.flight_code import ControlStep, FlightCode
+from twodof.fcu.control.hardware import Hardware, VirtualHardware
+from twodof.fcu.control.timing import LoopTiming
+from twodof.link.control_period import TICK_NS
+
+CRITICAL = 2
+"""MAV_SEVERITY."""
+
+REMEDY = "End other programs on the flight controller's computer, or fly a virtual drone in lockstep"
+"""What helps where the processor does not keep up (`step_late`)."""
+
+MOST_GRANTED = 25_000
+"""Ticks that may be granted beyond those that have run: 100 s."""
+
+
+class ControlInputSource(Protocol):
+    """Who says what is to be flown: the commander."""
+
+    def asked(self, tick: int) -> ControlInput:
+        """What is asked for in this tick."""
+
+    def seen(self, step: ControlStep) -> None:
+        """What became of it."""
+
+    def restart(self) -> None:
+        """Time begins again at tick 0."""
+
+
+class FlightController:
+    """What runs at each control period, and the tick that counts them.
+
+    `commander` says what is asked, `code` flies, `hardware` measures and drives; each of `listeners` gets the step,
+    each of `on_restart` is called when time begins again. In `lockstep` time stands still until ticks are granted, and
+    nothing is late; else the processor time of a step is held against its budget. `remarks` are (MAV_SEVERITY, text)
+    for the clients, for whoever drains it. All methods but `stop` are for one thread.
+    """
+
+    def __init__(
+        self, hardware: Hardware, code: FlightCode, commander: ControlInputSource, lockstep: bool = False
+    ) -> None:
+        self.hardware = hardware
+        self.code = code
+        self.commander = commander
+        self.lockstep = lockstep
+        self.listeners: list[Callable[[ControlStep], None]] = []
+        self.on_restart: list[Callable[[], None]] = []
+        self.timing = LoopTiming()
+        self.started_as = 1 + secrets.randbelow(0xFFFFFFFF)  # how clients tell a restart from a pause
+        self.tick = 0
+        self.granted = 0
+        self.latest: ControlStep | None = None
+        self.remarks: list[tuple[int, str]] = []
+        self._late = False
+        self._stopped = False
+        self._fault = ""
+        if code.sandbox is not None:
+            code.sandbox.timed = not lockstep
+
+    def step(self) -> ControlStep:
+        """One control period."""
+        began = 0 if self.lockstep else time.thread_time_ns()
+        hardware = self.hardware
+        sample = hardware.read()
+        asked = self.commander.asked(self.tick)
+        step = self.code.step(self.tick, sample, asked, hardware.rings, self._late or self._stopped)
+        if began:
+            self._note_time(time.thread_time_ns() - began, step.armed)
+        hardware.drive(step.fore, step.aft)
+        self.tick += 1
+        self.latest = step
+        if self._stopped and not step.armed:
+            self._stopped = False
+            hardware.release()
+        if self.code.own_fault != self._fault:
+            self._fault = self.code.own_fault
+            if self._fault:
+                self.remarks.append((CRITICAL, f"controller stopped: {self._fault}"))
+        self.commander.seen(step)
+        for listener in self.listeners:
+            listener(step)
+        return step
+
+    def _note_time(self, used: int, armed: bool) -> None:
+        """A step took so much processor time [ns]; two late ones in a row stop the motors, which a user is to know."""
+        late = self.timing.stepped(used, TICK_NS)
+        if late and self._late and armed:
+            took = f"two control periods in a row took more than {TICK_NS // 10**6} ms ({used * 1e-6:.1f} ms)"
+            self.remarks.append((CRITICAL, f"{took} of the processor: motors off. {REMEDY}"))
+        self._late = late
+
+    def stop(self) -> None:
+        """Motors off, at once and from any thread (the watchdog's); the failsafe gives `step_late` as the reason."""
+        self.hardware.stop()
+        self._stopped = True
+        self.remarks.append((CRITICAL, f"the control loop hung: motors stopped. {REMEDY}"))
+
+    def grant(self, until: int) -> None:
+        """Lets time run up to the tick `until`, which is not run; one that was granted already changes nothing."""
+        self.granted = max(self.granted, min(until, self.tick + MOST_GRANTED))
+
+    def set_parameters(self, values: Mapping[str, Any]) -> None:
+        """Before the next tick all of `values`, or none; see `FlightCode.set_parameters`."""
+        self.code.set_parameters(values)
+
+    def reset(
+        self, seed: int | None = None, x: float = 0.0, noise: float | None = None, rings: bool | None = None
+    ) -> None:
+        """Begins again at tick 0, the virtual rig at rest at `x` [m], what is None as it was, all else as at the start.
+
+        Raises ParameterError, and changes nothing, on a real rig, while armed, and as `VirtualHardware.reset`.
+        """
+        if not self.hardware.virtual:
+            raise ParameterError("a real rig cannot begin again", self.hardware.name, "place it by hand")
+        if self.latest is not None and self.latest.armed:
+            raise ParameterError("it is armed", "reset", "disarm first")
+        states = cast(VirtualHardware, self.hardware).reset(seed, x, noise, rings)
+        self.code.reset(states)
+        self.tick = self.granted = 0
+        self.latest = None
+        self._late = self._stopped = False
+        self.hardware.release()
+        self.commander.restart()
+        for listener in self.on_restart:
+            listener()
+
+    def replace(self, code: FlightCode) -> None:
+        """Another flight code flies from the next tick on, from the states in which the present one is.
+
+        Raises ParameterError while armed.
+        """
+        if self.latest is not None and self.latest.armed:
+            raise ParameterError("it is armed", "controller", "disarm first")
+        code.take_over(self.code)
+        if code.sandbox is not None:
+            code.sandbox.timed = not self.lockstep
+        self.code = code

@@ -1,0 +1,170 @@
+"""A user's controllers that are not trusted: a whole flight core of theirs in WebAssembly, bounded, watched."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple
+
+from twodof.blocks import Diagram
+from twodof.compile import Program, build
+from twodof.compile.stepper import Stepper
+from twodof.compile.wasm.target import Wasm
+from twodof.errors import CompileError, ControllerFault
+from twodof.fcu.control.control_input import ControlInput
+from twodof.fcu.control.hardware import SensorSample
+from twodof.flight.core import INPUTS as CORE_INPUTS
+from twodof.flight.core import PERIOD, core
+
+BUDGET_NS = 2_000_000
+"""Processor time [ns] that a step in the sandbox may take in real time: half of the control period."""
+
+PAUSE, LONGEST_PAUSE = 250, 4000
+"""Ticks on the ground until what was too slow is tried again, the first time, and, doubled each time, at most."""
+GOOD = 1000
+"""Steps in a row that were in time, after which it is as if it had never been too slow."""
+
+INPUTS = tuple(name for name, _, _, _ in CORE_INPUTS)
+OUTPUTS = ("fore", "aft", "M", "T", "x0", "v0", "theta0", "q0")
+
+
+class SandboxOutput(NamedTuple):
+    """What the controllers asked for, and the set-points that they used.
+
+    `late` says that they were stopped or out of time, and that the rest is not to fly.
+    """
+
+    late: bool
+    fore: float
+    aft: float
+    M: float
+    T: float
+    x0: float
+    v0: float
+    theta0: float
+    q0: float
+
+
+_NOTHING = SandboxOutput(True, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+class Sandbox:
+    """The flight core with `controllers`, without failsafe, in WebAssembly; its commands go through the native gate.
+
+    `fault` says what stopped it, "" while it runs; then every step is late until `restart`. A step in real time
+    (`timed`) that takes more than `BUDGET_NS` of the processor is late and stops it too, so that it makes no second
+    control period late; on the ground it may be tried again after a pause (`wakes`, `resume`). Raises DiagramError for
+    a controller that fits no template, CompileError where the compiler for WebAssembly or wasmtime is not there.
+    """
+
+    def __init__(
+        self,
+        controllers: Iterable[Diagram],
+        position_filter: str = "joint",
+        precision: str = "float64",
+        fuel: int | None = None,
+    ) -> None:
+        controllers = tuple(controllers)
+        self.name = " and ".join(one.name for one in controllers)
+        diagram = core(position_filter=position_filter, controllers=controllers)
+        program = build(diagram, PERIOD, precision, target=Wasm(fuel=fuel))
+        if not isinstance(program, Program):
+            raise CompileError("there is no WebAssembly", diagram.name, "install the wheels ziglang and wasmtime")
+        self.program = program
+        self.timed = False
+        self.late_steps = 0
+        self.fault = ""
+        self._spent = self._pause = self._rest = self._good = 0
+        self._tries = False
+        self.machine = program.machine()
+        self._stepper = Stepper(self.machine, INPUTS, OUTPUTS)
+
+    def restart(self, parameters: Mapping[str, Any], states: Mapping[str, Any]) -> None:
+        """A fresh instance with these parameters and states by path, as far as it has them; `fault` if it cannot be."""
+        self.fault = ""
+        self._spent = self._pause = self._rest = self._good = 0
+        self._tries = False
+        try:
+            self.machine = self.program.machine()
+            self._stepper = Stepper(self.machine, INPUTS, OUTPUTS)
+            known = self.machine.parameters
+            self.machine.set_many({path: value for path, value in parameters.items() if path in known})
+            self._begin(states)
+        except ControllerFault as fault:
+            self.fault = str(fault)
+
+    @property
+    def rests(self) -> bool:
+        """Whether it was too slow and will be tried again; else what stopped it stopped it for good."""
+        return self._rest > 0
+
+    def wakes(self) -> bool:
+        """A tick on the ground in which it rests has passed: whether it is to be tried again now, by `resume`."""
+        self._spent = 0
+        self._rest -= 1
+        return self._rest == 0
+
+    def resume(self, states: Mapping[str, Any]) -> None:
+        """Goes on with these states: `fault` stays until a step was in time."""
+        try:
+            self._begin(states)
+        except ControllerFault as fault:
+            self.fault = str(fault)
+            return
+        self._tries = True
+
+    def _begin(self, states: Mapping[str, Any]) -> None:
+        self.machine.reset()  # a state may begin at a parameter
+        for path, value in states.items():
+            if path in self.program.states:
+                self.machine.set_state(path, value)
+
+    def set_parameters(self, values: Mapping[str, Any]) -> None:
+        """Sets those of `values` that it has, all or none; the time that this takes is part of the next step's.
+
+        Raises ParameterError for a value that cannot be. Where derived parameters cannot be computed it has stopped:
+        `fault` says so.
+        """
+        known = self.machine.parameters
+        began = time.thread_time_ns() if self.timed else 0
+        try:
+            self.machine.set_many({path: value for path, value in values.items() if path in known})
+        except ControllerFault as fault:
+            self.fault = self.fault or str(fault)
+        self._spent += time.thread_time_ns() - began if self.timed else 0
+
+    def step(self, sample: SensorSample, asked: ControlInput, in_reset: bool) -> SandboxOutput:
+        """One control period, with set-points that are numbers within their limits."""
+        if self.fault and not self._tries:
+            return _NOTHING
+        tries, self._tries = self._tries, False
+        began = time.thread_time_ns() if self.timed else 0
+        try:
+            asked_for = self._stepper.step(
+                (
+                    *(sample.acc_x, sample.acc_z, sample.gyro_y, sample.dist, sample.dist_new, sample.dist_age),
+                    *(asked.mode, in_reset, asked.x0, asked.v0, asked.ax0, asked.theta0, asked.q0),
+                    *(asked.thrust, asked.M_open, asked.use_trim),
+                )
+            )
+        except ControllerFault as fault:
+            self.fault = str(fault)
+            return _NOTHING
+        used = time.thread_time_ns() - began + self._spent if self.timed else 0
+        self._spent = 0
+        if used > BUDGET_NS:
+            self._overran(used)
+            return SandboxOutput(True, *asked_for)
+        if tries:
+            self.fault = ""
+        self._good += 1
+        if self._good >= GOOD:
+            self._pause = 0
+        return SandboxOutput(False, *asked_for)
+
+    def _overran(self, used: int) -> None:
+        took = f"{self.name} took {used * 1e-6:.1f} ms of the processor for a step"
+        self.fault = self.fault or f"{took}, and {BUDGET_NS * 1e-6:g} ms are there for it"
+        self.late_steps += 1
+        self._good = 0
+        self._pause = self._rest = min(max(PAUSE, 2 * self._pause), LONGEST_PAUSE)

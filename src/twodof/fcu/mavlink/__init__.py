@@ -1,0 +1,1 @@
+"""The MAVLink services that our own protocol needs."""

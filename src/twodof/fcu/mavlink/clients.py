@@ -1,0 +1,83 @@
+"""Clients: the peers that have spoken. Each gets its own streams, until it is silent or its link closes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+
+from twodof.fcu.control.flight_code import ControlStep
+from twodof.fcu.mavlink.addressing import ConnectedClient
+from twodof.link.connection import Received
+from twodof.link.mavlink.dialect import FIRST_OWN_ID, LAST_OWN_ID
+
+SILENT_TICKS = 15_000
+"""60 s without a frame: a client is forgotten."""
+MOST_CLIENTS = 64
+_SWEEP_TICKS = 250
+_COMMANDS = (75, 76)  # COMMAND_INT, COMMAND_LONG
+_ABOUT_MESSAGES = (510, 511, 512)
+
+
+class Clients:
+    """Who is there. First among the services: it sees every message and takes none.
+
+    `joined` and `left` are called with each client that comes and goes, `recognised` with one that has sent a message
+    of twodof's own or asked for one: others would count them as lost, as they cannot read them. In `lockstep`, where a
+    minute may pass between two heartbeats of a bystander, nobody is forgotten for silence.
+    """
+
+    def __init__(self, lockstep: bool = False) -> None:
+        self._lockstep = lockstep
+        self.known: dict[Hashable, ConnectedClient] = {}
+        self.joined: list[Callable[[ConnectedClient], None]] = []
+        self.recognised: list[Callable[[ConnectedClient], None]] = []
+        self.left: list[Callable[[ConnectedClient], None]] = []
+        self._tick = 0
+
+    def handle(self, received: Received) -> bool:
+        """Notes who spoke."""
+        client = self.known.get(received.peer)
+        if client is None:
+            client = self._welcome(received.peer)
+        client.heard = self._tick
+        if not client.ours and _knows(received):
+            client.ours = True
+            for recognise in self.recognised:
+                recognise(client)
+        return False
+
+    def after(self, step: ControlStep) -> None:
+        """Forgets who has been silent."""
+        self._tick = step.tick
+        if step.tick % _SWEEP_TICKS == 0 and not self._lockstep:
+            for client in [*self.known.values()]:
+                if step.tick - client.heard > SILENT_TICKS:
+                    self.gone(client.peer)
+
+    def gone(self, peer: Hashable) -> None:
+        """Forgets a peer whose link has closed."""
+        client = self.known.pop(peer, None)
+        if client is not None:
+            for leave in self.left:
+                leave(client)
+
+    def restart(self) -> None:
+        """Time begins anew at tick 0."""
+        self._tick = 0
+        for client in self.known.values():
+            client.heard = 0
+
+    def _welcome(self, peer: Hashable) -> ConnectedClient:
+        if len(self.known) >= MOST_CLIENTS:
+            self.gone(min(self.known.values(), key=lambda one: one.heard).peer)
+        client = self.known[peer] = ConnectedClient(peer, self._tick)
+        for join in self.joined:
+            join(client)
+        return client
+
+
+def _knows(received: Received) -> bool:
+    """Whether a message shows that its sender knows twodof's own."""
+    number, got = received.frame.message_id, received.message
+    if number in _COMMANDS:
+        return got.command in _ABOUT_MESSAGES and FIRST_OWN_ID <= got.param1 <= LAST_OWN_ID
+    return FIRST_OWN_ID <= number <= LAST_OWN_ID

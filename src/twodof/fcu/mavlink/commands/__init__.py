@@ -1,0 +1,1 @@
+"""Commands, set-points, excitations, the lease and lockstep over MAVLink."""

@@ -1,0 +1,175 @@
+"""Commands: COMMAND_LONG and COMMAND_INT in, one COMMAND_ACK out for each; who does what is registered by number."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+from typing import Any, NamedTuple
+
+from twodof.fcu.command.result import ACCEPTED, IN_PROGRESS, UNSUPPORTED, CommandResult, Source
+from twodof.fcu.control.flight_code import ControlStep
+from twodof.fcu.mavlink.addressing import VehicleAddress, source
+from twodof.fcu.mavlink.commands.duplicate_filter import DuplicateFilter
+from twodof.fcu.mavlink.service import Link
+from twodof.fcu.px4_compat.event_table import marked
+from twodof.link.connection import Received
+from twodof.link.mavlink.messages import message, statustext
+
+WARNING = 4
+
+_ARM, _TERMINATE = 400, 185
+_QUESTIONS = frozenset({410, 510, 512, 519, 520})
+# They are answered as often as they come.
+_ANSWERED_AGAIN = _QUESTIONS | {511}
+
+
+class ReceivedCommand(NamedTuple):
+    """A command that is for us; `params` are its seven numbers, any of which may be NaN."""
+
+    number: int
+    params: tuple[float, ...]
+    source: Source
+    peer: Hashable
+
+    @property
+    def what(self) -> Hashable:
+        """All of it; the numbers as text, since NaN equals nothing."""
+        return self.peer, self.source, self.number, str(self.params)
+
+
+Handler = Callable[[ReceivedCommand], CommandResult]
+Poll = Callable[[ReceivedCommand], CommandResult]
+
+
+class CommandService:
+    """Dispatches commands to those that registered for them, and acknowledges every one.
+
+    One that is repeated (`DuplicateFilter`) gets the answer of the first and is not carried out again, unless it stops
+    motors. Each of
+    `carried_out` is called after each command, `explained` with MAV_SEVERITY and text of each refusal in words.
+    """
+
+    def __init__(self, link: Link, us: VehicleAddress, lockstep: bool = False) -> None:
+        self._link = link
+        self._us = us
+        self._lockstep = lockstep
+        self._handlers: dict[int, Handler] = {}
+        self._repetitions = DuplicateFilter(lockstep)
+        self._polls: dict[int, Poll] = {}
+        self._pending: dict[Hashable, tuple[ReceivedCommand, int]] = {}
+        self._slow: set[int] = set()
+        self._tick = 0
+        self.refused = 0
+        self.carried_out: list[Callable[[], None]] = []
+        self.explained: list[Callable[[int, str], None]] = []
+
+    def on(self, number: int, handler: Handler, poll: Poll | None = None, slow: bool = False) -> None:
+        """Registers who carries out the command `number` (a MAV_CMD).
+
+        A handler may answer IN_PROGRESS; then `poll` tells what became of it, after each control period, until it
+        says something else. In lockstep the client is told IN_PROGRESS, so that it lets time run; of a `slow` command,
+        which may take seconds, it is told in real time too.
+        """
+        if slow:
+            self._slow.add(number)
+        self._handlers[number] = handler
+        if poll is not None:
+            self._polls[number] = poll
+
+    @property
+    def supported(self) -> tuple[int, ...]:
+        """The commands that are carried out."""
+        return tuple(sorted(self._handlers))
+
+    def handle(self, received: Received) -> bool:
+        """Carries a command out and answers."""
+        name = received.message.get_type()
+        if name not in ("COMMAND_LONG", "COMMAND_INT"):
+            return False
+        got, sender = received.message, source(received)
+        # What comes under our own number is our own, come round, and ignored as in PX4. We send no stop.
+        from_others = sender != tuple(self._us) or _stops(got.command, got.param1)
+        if from_others and self._us.addressed(got, everybody=_for_everybody(got)):
+            last = (got.param5, got.param6) if name == "COMMAND_LONG" else (float(got.x), float(got.y))
+            final = got.param7 if name == "COMMAND_LONG" else got.z
+            params = (got.param1, got.param2, got.param3, got.param4, *last, final)
+            command = ReceivedCommand(got.command, params, sender, received.peer)
+            self._answer(command, self._verdict(command, received))
+            for call in self.carried_out:
+                call()
+        return True
+
+    def after(self, step: ControlStep) -> None:
+        """Answers what was still in progress."""
+        self._tick = step.tick
+        if self._pending:
+            self.poll()
+
+    def poll(self) -> None:
+        """Answers what was in progress and is done."""
+        for what, (command, sequence) in [*self._pending.items()]:
+            verdict = self._polls[command.number](command)
+            if verdict.result != IN_PROGRESS:
+                del self._pending[what]
+                if verdict.accepted:
+                    self._repetitions.accepted(what, sequence, self._tick)
+                self._answer(command, verdict)
+
+    def restart(self) -> None:
+        """Time begins anew."""
+        self._tick = 0
+        self._repetitions.clear()
+        self._pending.clear()
+
+    def acknowledge(self, command: ReceivedCommand, verdict: CommandResult) -> None:
+        """Answers a command that was carried out already, whatever message brought it."""
+        self._answer(command, verdict)
+
+    def explain(self, peer: Hashable, why: str) -> None:
+        """Tells a peer in words why something was refused."""
+        self.refused += 1
+        for call in self.explained if why else ():
+            call(WARNING, why)
+        for piece in statustext(marked(why), WARNING, self.refused % 0xFFFF + 1) if why else ():
+            self._link.send(piece, peer)
+
+    def _verdict(self, command: ReceivedCommand, received: Received) -> CommandResult:
+        handler = self._handlers.get(command.number)
+        if handler is None:
+            return CommandResult(UNSUPPORTED)
+        what, sequence = command.what, received.frame.sequence
+        if what in self._pending:
+            return CommandResult(IN_PROGRESS)
+        confirmation = getattr(received.message, "confirmation", 0)
+        # What stops motors is carried out as often as it comes: somebody may have armed in between.
+        if not _stops(command.number, command.params[0]) and self._repetitions.known(
+            what, confirmation, sequence, self._tick
+        ):
+            return CommandResult(ACCEPTED)
+        verdict = handler(command)
+        if verdict.result == IN_PROGRESS and command.number in self._polls:
+            self._pending[what] = command, sequence
+        elif verdict.accepted and command.number not in _ANSWERED_AGAIN:
+            self._repetitions.accepted(what, sequence, self._tick)
+        return verdict
+
+    def _answer(self, command: ReceivedCommand, verdict: CommandResult) -> None:
+        if command.what in self._pending and not self._lockstep and command.number not in self._slow:
+            return
+        system, component = command.source
+        there = {"target_system": system, "target_component": component}
+        self._link.send(message("COMMAND_ACK", command=command.number, result=verdict.result, **there), command.peer)
+        if verdict.result not in (ACCEPTED, IN_PROGRESS):
+            self.explain(command.peer, verdict.text)
+
+
+def _for_everybody(got: Any) -> bool:
+    """Whether all vehicles that hear a command to system 0 are to do it: those that ask, and those that stop motors.
+
+    As in PX4 nothing else: one careless client would arm a whole laboratory.
+    """
+    return got.command in _QUESTIONS or _stops(got.command, got.param1)
+
+
+def _stops(number: int, first: float) -> bool:
+    """Whether a command stops motors: a kill, or a disarming."""
+    return (number == _TERMINATE and first > 0.5) or (number == _ARM and first == 0.0)

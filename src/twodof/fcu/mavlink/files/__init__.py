@@ -1,0 +1,1 @@
+"""Files over MAVLink: FTP, component metadata and log download."""

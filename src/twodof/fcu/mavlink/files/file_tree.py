@@ -1,0 +1,192 @@
+"""The files that clients see by MAVLink FTP: a tree of three folders, and no way out of it.
+
+A path is looked up, never handed to the system: `/etc/extras` holds what is made here, descriptions of parameters and
+events and the diagrams that fly, `/log` the on-board logs, `/controllers` the diagrams that clients have sent. All is
+bounded. Called from the thread of `Background`.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import zlib
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import NamedTuple
+
+from twodof.errors import LogError
+from twodof.fcu.onboard_log.log_folder import LogFolder
+from twodof.flightlog.atomic import atomic_write, make_folder, sync_folder
+
+EXTRAS, LOGS, CONTROLLERS = "/etc/extras", "/log", "/controllers"
+MAX_UPLOAD = 8 << 20
+"""Bytes of a diagram: what the loader of diagrams reads."""
+MOST_UPLOADS = 32
+_UPLOADED = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,58}\.json")
+_CARD = "/fs/microsd"
+"""Where PX4 has the card: /fs/microsd/log is /log here."""
+_PIECE = 1 << 20
+
+NOT_FOUND, PROTECTED, EXISTS, FAILED = 10, 9, 8, 1
+"""Errors of MAVLink FTP."""
+
+
+class FileFault(LogError):
+    """A file cannot be had or written; `code` is the error of MAVLink FTP."""
+
+    def __init__(self, code: int, what: str, where: str = "") -> None:
+        super().__init__(what, where)
+        self.code = code
+
+
+class OpenFile:
+    """A file that is read: bytes, or an open descriptor with the size that it had then."""
+
+    def __init__(self, content: bytes | int, size: int) -> None:
+        self.size = size
+        self._content = content
+
+    def read(self, offset: int, count: int) -> bytes:
+        """At most `count` bytes from `offset`; none behind the end. Raises OSError."""
+        count = min(count, self.size - offset)
+        if count <= 0:
+            return b""
+        if isinstance(self._content, bytes):
+            return self._content[offset : offset + count]
+        return os.pread(self._content, count, offset)
+
+    def close(self) -> None:
+        """Lets the file go; a second time does nothing."""
+        content, self._content = self._content, b""
+        if isinstance(content, int):
+            with suppress(OSError):
+                os.close(content)
+
+
+class FolderEntry(NamedTuple):
+    """A line of a listing; `size` of a file, None for a folder."""
+
+    name: str
+    size: int | None
+
+
+class FileTree:
+    """The tree. `made` are the files in /etc/extras by name; without `logs` or `controllers` that folder is missing."""
+
+    def __init__(
+        self, made: Mapping[str, bytes], logs: LogFolder | None = None, controllers: Path | None = None
+    ) -> None:
+        self.made = dict(made)
+        self._logs = logs
+        self._controllers = controllers
+
+    def entries(self, path: str) -> list[FolderEntry]:
+        """What is in a folder, sorted by name. Raises FileFault."""
+        place = _normal(path)
+        folders = [EXTRAS, *((LOGS,) if self._logs else ()), *((CONTROLLERS,) if self._controllers else ())]
+        inside = {folder[len(place) :].lstrip("/").split("/")[0] for folder in folders if _below(folder, place)}
+        if inside:
+            return [FolderEntry(name, None) for name in sorted(inside)]
+        if place not in folders:
+            raise FileFault(NOT_FOUND, "no such folder", place)
+        if place == EXTRAS:
+            return [FolderEntry(name, len(content)) for name, content in sorted(self.made.items())]
+        if place == LOGS and self._logs is not None:
+            return [FolderEntry(log.path.name, log.size) for log in self._logs.logs()]
+        return [FolderEntry(path.name, path.lstat().st_size) for path in self._uploads()]
+
+    def open(self, path: str) -> OpenFile:
+        """A file to be read. Raises FileFault."""
+        folder, _, name = _normal(path).rpartition("/")
+        if folder == EXTRAS and name in self.made:
+            return OpenFile(self.made[name], len(self.made[name]))
+        found = self._find(folder, name)
+        try:
+            descriptor = os.open(found, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK)
+        except OSError as refusal:
+            raise FileFault(NOT_FOUND, f"cannot be read: {refusal.strerror}", path) from refusal
+        return OpenFile(descriptor, os.fstat(descriptor).st_size)
+
+    def checksum(self, path: str) -> int:
+        """The checksum of a file as MAVLink FTP defines it: CRC-32 begun with 0 and not inverted. Raises FileFault."""
+        file = self.open(path)
+        try:
+            crc, at = 0, 0
+            while piece := file.read(at, _PIECE):
+                crc, at = mavlink_crc32(piece, crc), at + len(piece)
+            return crc
+        finally:
+            file.close()
+
+    def check_upload(self, path: str, replace: bool = True) -> Path:
+        """Where an upload to `path` goes. Raises FileFault for a place where none may go."""
+        folder, _, name = _normal(path).rpartition("/")
+        if folder != CONTROLLERS or self._controllers is None:
+            raise FileFault(PROTECTED, "diagrams are sent to /controllers, nothing else is written", path)
+        if not _UPLOADED.fullmatch(name):
+            raise FileFault(PROTECTED, "a diagram is called NAME.json, of letters, digits, _ and -", path)
+        there = {one.name for one in self._uploads()}
+        if name in there and not replace:
+            raise FileFault(EXISTS, "is there already", path)
+        if name not in there and len(there) >= MOST_UPLOADS:
+            raise FileFault(FAILED, f"{MOST_UPLOADS} diagrams are there, remove one", path)
+        return self._controllers / name
+
+    def upload(self, path: str, content: bytes) -> None:
+        """Writes an upload, whole or not at all. Raises FileFault, LogError."""
+        target = self.check_upload(path)
+        try:
+            make_folder(target.parent)
+        except OSError as refusal:
+            raise FileFault(FAILED, f"cannot be written: {refusal.strerror}", path) from refusal
+        if target.is_symlink():
+            raise FileFault(PROTECTED, "is a link", path)
+        with atomic_write(target) as file:
+            file.write(content)
+
+    def remove(self, path: str) -> None:
+        """Deletes an upload, on the disk too when it returns. Raises FileFault, LogError."""
+        folder, _, name = _normal(path).rpartition("/")
+        if folder != CONTROLLERS:
+            raise FileFault(PROTECTED, "only diagrams in /controllers are removed", path)
+        found = self._find(folder, name)
+        try:
+            found.unlink()
+        except OSError as refusal:
+            raise FileFault(FAILED, f"cannot be removed: {refusal.strerror}", path) from refusal
+        sync_folder(found.parent)
+
+    def _find(self, folder: str, name: str) -> Path:
+        if folder == LOGS and self._logs is not None:
+            for log in self._logs.logs():
+                if log.path.name == name:
+                    return log.path
+        if folder == CONTROLLERS:
+            for path in self._uploads():
+                if path.name == name:
+                    return path
+        raise FileFault(NOT_FOUND, "no such file", f"{folder}/{name}")
+
+    def _uploads(self) -> list[Path]:
+        if self._controllers is None or not self._controllers.is_dir():
+            return []
+        found = [path for path in self._controllers.iterdir() if _UPLOADED.fullmatch(path.name)]
+        return sorted(path for path in found if path.is_file() and not path.is_symlink())
+
+
+def mavlink_crc32(data: bytes, crc: int = 0) -> int:
+    """CRC-32 as MAVLink FTP and PX4 compute it: zlib's polynomial, begun with 0, not inverted."""
+    return zlib.crc32(data, crc ^ 0xFFFFFFFF) ^ 0xFFFFFFFF
+
+
+def _below(folder: str, place: str) -> bool:
+    return folder != place and folder.startswith(place if place.endswith("/") else f"{place}/")
+
+
+def _normal(path: str) -> str:
+    """A path from the root, without a slash at its end; `..` and empty names are no names here. Raises FileFault."""
+    names = [name for name in path.removeprefix(_CARD).split("/") if name not in ("", ".")]
+    if ".." in names or "\0" in path:
+        raise FileFault(NOT_FOUND, "no such file", path[:100])
+    return "/" + "/".join(names)

@@ -1,0 +1,221 @@
+"""Parameters: PARAM_REQUEST_LIST, PARAM_REQUEST_READ and PARAM_SET as PX4 answers them, and PARAM_ERROR.
+
+An int32 travels with its bits in the float field. A list begins with `_HASH_CHECK`, so that a client that has
+the values already can stop it by setting `_HASH_CHECK`. When other controllers fly, which brings other parameters,
+`_HASH_CHECK` goes to everybody: who keeps a list asks for it again, and one that is on its way begins anew. Bounds
+are enforced: a refused value is answered by PARAM_ERROR and by the value that stays, one of the wrong type by
+PARAM_ERROR alone.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections import OrderedDict
+from collections.abc import Hashable, Iterator, Mapping
+from typing import Any
+
+from twodof.errors import ParameterError
+from twodof.fcu.command.result import Source
+from twodof.fcu.control.flight_code import ControlStep
+from twodof.fcu.mavlink.addressing import ConnectedClient, VehicleAddress, source
+from twodof.fcu.mavlink.clients import Clients
+from twodof.fcu.mavlink.commands.command_service import CommandService
+from twodof.fcu.mavlink.service import Link
+from twodof.fcu.mavlink.vehicle import CommanderView, ControllerView
+from twodof.fcu.parameters.row import VehicleParameter
+from twodof.fcu.parameters.store import HASH_NAME, ParameterStore
+from twodof.link.connection import Received
+from twodof.link.mavlink.messages import message
+from twodof.link.mavlink.packing import Packed, Packer
+
+UINT32, INT32, REAL32 = 5, 6, 9
+"""MAV_PARAM_TYPE."""
+NO_ERROR, DOES_NOT_EXIST, OUT_OF_RANGE, PERMISSION_DENIED = range(4)
+READ_ONLY, TYPE_UNSUPPORTED, TYPE_MISMATCH, READ_FAIL = 5, 6, 7, 8
+"""MAV_PARAM_ERROR."""
+HASH_INDEX = 0xFFFF
+A_TICK = 4
+"""Parameters of a list that are sent in a tick: a thousand a second."""
+MOST_LISTS = 64
+
+
+class ParameterService:
+    """The parameter protocol in front of `store`; changes need the lease."""
+
+    def __init__(
+        self,
+        link: Link,
+        us: VehicleAddress,
+        clients: Clients,
+        commands: CommandService,
+        controller: ControllerView,
+        commander: CommanderView,
+        store: ParameterStore,
+    ) -> None:
+        self._link = link
+        self._us = us
+        self._commands = commands
+        self._controller = controller
+        self._commander = commander
+        self._store = store
+        self._lists: OrderedDict[Hashable, Iterator[Packed]] = OrderedDict()
+        self._pack = Packer("PARAM_VALUE")
+        self._takes = {
+            "PARAM_REQUEST_LIST": self._list,
+            "PARAM_REQUEST_READ": self._read,
+            "PARAM_SET": self._set,
+        }
+        clients.left.append(self._forget)
+        store.listen(self._announce)
+        store.on_relist(self._relist)
+
+    def handle(self, received: Received) -> bool:
+        """Takes a question or a new value."""
+        take = self._takes.get(received.message.get_type())
+        if take is None:
+            return False
+        if self._us.addressed(received.message):
+            take(received)
+        return True
+
+    def after(self, step: ControlStep) -> None:
+        """Goes on with the lists that are being sent."""
+        if self._lists:
+            for peer in [*self._lists]:
+                self._go_on(peer, A_TICK)
+
+    def value(self, row: VehicleParameter) -> Packed:
+        """PARAM_VALUE of a parameter."""
+        value = self._store[row.name]
+        if row.kind == "int32":
+            return self._packed(row.name, struct.pack("<i", int(value)), self._store.index(row.name), INT32)
+        return self._packed(row.name, struct.pack("<f", value), self._store.index(row.name), REAL32)
+
+    def hash(self) -> Packed:
+        """PARAM_VALUE of `_HASH_CHECK`."""
+        return self._packed(HASH_NAME, struct.pack("<I", self._store.hash_check()), HASH_INDEX, UINT32)
+
+    def change(self, wanted: Mapping[str, float], sender: Source) -> tuple[int, str, str]:
+        """Changes all of `wanted` or nothing: MAV_PARAM_ERROR, the first parameter it is about, and why."""
+        verdict = self._commander.take(sender, "parameters")
+        if not verdict.accepted:
+            return PERMISSION_DENIED, "", verdict.text
+        try:
+            self._store.update(wanted, self._commander.armed)
+        except ParameterError as error:
+            return (*self._blame(wanted), str(error))
+        return NO_ERROR, "", ""
+
+    def checked(self, received: Received) -> tuple[str, float | None, int]:
+        """Name and value that a PARAM_SET carries, and MAV_PARAM_ERROR if it has no value that fits its type."""
+        got = received.message
+        name = text(got.param_id)
+        if name not in self._store:
+            return name, None, DOES_NOT_EXIST
+        # From the frame's bytes: a float of Python does not keep those of every int32.
+        raw = received.frame.payload[:4].ljust(4, b"\0")
+        kind = self._store.row(name).kind
+        if got.param_type not in (INT32, REAL32):
+            return name, None, TYPE_UNSUPPORTED
+        if got.param_type != (INT32 if kind == "int32" else REAL32):
+            return name, None, TYPE_MISMATCH
+        return name, struct.unpack("<i" if kind == "int32" else "<f", raw)[0], NO_ERROR
+
+    def error(self, received: Received, name: str, error: int, index: int = -1) -> None:
+        """Answers with PARAM_ERROR."""
+        system, component = source(received)
+        there = {"target_system": system, "target_component": component}
+        sent = message("PARAM_ERROR", param_id=name.encode()[:16], param_index=index, error=error, **there)
+        self._link.send(sent, received.peer)
+
+    def _list(self, received: Received) -> None:
+        # Asked again while it is being sent, it begins again without the hash, as PX4 does.
+        again = self._lists.pop(received.peer, None) is not None
+        self._lists[received.peer] = self._listed(with_hash=not again)
+        if len(self._lists) > MOST_LISTS:
+            self._lists.popitem(last=False)
+        if self._controller.lockstep:  # time may stand still, and there is no radio to spare
+            self._go_on(received.peer, len(self._store.rows) + 1)
+
+    def _listed(self, with_hash: bool) -> Iterator[Packed]:
+        if with_hash:
+            yield self.hash()
+        for row in self._store.rows:
+            yield self.value(row)
+
+    def _go_on(self, peer: Hashable, most: int) -> None:
+        rows = self._lists[peer]
+        for _ in range(most):
+            packed = next(rows, None)
+            if packed is None:
+                del self._lists[peer]
+                return
+            self._link.send(packed, peer)
+
+    def _read(self, received: Received) -> None:
+        got, rows = received.message, self._store.rows
+        name = text(got.param_id)
+        if got.param_index >= 0:
+            if got.param_index < len(rows):
+                self._link.send(self.value(rows[got.param_index]), received.peer)
+            else:
+                self.error(received, "", DOES_NOT_EXIST, got.param_index)
+        elif name == HASH_NAME:
+            self._link.send(self.hash(), received.peer)
+        elif name in self._store:
+            self._link.send(self.value(self._store.row(name)), received.peer)
+        else:
+            self.error(received, name, DOES_NOT_EXIST)
+
+    def _set(self, received: Received) -> None:
+        if text(received.message.param_id) == HASH_NAME:
+            self._lists.pop(received.peer, None)
+            return
+        name, value, error = self.checked(received)
+        if value is None:
+            self.error(received, name, error)
+            return
+        before = self._store.revision
+        error, _, why = self.change({name: value}, source(received))
+        if error != NO_ERROR:
+            self._commands.explain(received.peer, why)  # first: who hears of the error looks for the reason
+            self.error(received, name, error)
+        # A change was announced to everybody; what is the same as before, or stays, is told to who asked.
+        if self._store.revision == before:
+            self._link.send(self.value(self._store.row(name)), received.peer)
+
+    def _announce(self, changes: Mapping[str, float]) -> None:
+        for name in changes:
+            self._link.send(self.value(self._store.row(name)))
+
+    def _relist(self) -> None:
+        for peer in self._lists:
+            self._lists[peer] = self._listed(with_hash=True)
+        self._link.send(self.hash())
+
+    def _blame(self, wanted: Mapping[str, float]) -> tuple[int, str]:
+        """Which of the values the store would not take, and MAV_PARAM_ERROR for it."""
+        for name, value in wanted.items():
+            if name not in self._store:
+                return DOES_NOT_EXIST, name
+            row = self._store.row(name)
+            if row.fixed:
+                return READ_ONLY, name
+            if not row.low <= value <= row.high:
+                return OUT_OF_RANGE, name
+        locked = [name for name in wanted if self._store.row(name).disarmed]
+        return PERMISSION_DENIED, locked[0] if locked else next(iter(wanted), "")
+
+    def _packed(self, name: str, bits: bytes, index: int, kind: int) -> Packed:
+        value: Any = struct.unpack("<f", bits)[0]
+        packed = self._pack(value, len(self._store.rows), index, name.encode(), kind)
+        packed.payload = bits + packed.payload[4:]  # the very bits, those of a signalling NaN too
+        return packed
+
+    def _forget(self, client: ConnectedClient) -> None:
+        self._lists.pop(client.peer, None)
+
+
+def text(name: str | bytes) -> str:
+    """A parameter's name as it came."""
+    return name if isinstance(name, str) else name.decode("ascii", "replace")

@@ -1,0 +1,1 @@
+"""What the vehicle tells by itself: streams, batches and their messages."""

@@ -1,0 +1,157 @@
+"""Batches: TWODOF_BATCH carries every sample of chosen channels to who asked for them, several ticks in a message."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+from math import isfinite, nan
+
+from twodof.fcu.command.result import ACCEPTED, DENIED, CommandResult
+from twodof.fcu.control.flight_code import ControlStep
+from twodof.fcu.mavlink.addressing import ConnectedClient, whole
+from twodof.fcu.mavlink.clients import Clients
+from twodof.fcu.mavlink.commands.command_service import ReceivedCommand
+from twodof.fcu.mavlink.service import Link
+from twodof.fcu.mavlink.telemetry.flight_messages import MASK_32
+from twodof.fcu.mavlink.vehicle import CommanderView
+from twodof.link.connection import Received
+from twodof.link.control_period import TICK_US
+from twodof.link.mavlink.messages import BATCH_VALUES, channel_bits
+from twodof.link.mavlink.packing import Packer
+
+BATCH = 54203
+LATEST_TICKS = 25
+"""A batch waits at most .1 s for its last row."""
+LARGEST_HALF = 0xFFFF
+
+
+def published(tick: int) -> bool:
+    """Whether the estimator's position and velocity at this tick are new: at 100 of 250 ticks a second, from 0 on."""
+    return 2 * tick % 5 < 2
+
+
+def channel_readers(commander: CommanderView) -> dict[str, Callable[[ControlStep], float]]:
+    """Channel -> its value at a step, NaN where it has no new sample."""
+
+    def openloop(name: str) -> Callable[[ControlStep], float]:
+        return lambda _step: float(getattr(commander.openloop, name))
+
+    return {
+        "IMU_ACC_X": lambda s: s.sample.acc_x if s.sample.imu_new else nan,
+        "IMU_ACC_Y": lambda s: s.sample.acc_y if s.sample.imu_new else nan,
+        "IMU_ACC_Z": lambda s: s.sample.acc_z if s.sample.imu_new else nan,
+        "IMU_GYRO_X": lambda s: s.sample.gyro_x if s.sample.imu_new else nan,
+        "IMU_GYRO_Y": lambda s: s.sample.gyro_y if s.sample.imu_new else nan,
+        "IMU_GYRO_Z": lambda s: s.sample.gyro_z if s.sample.imu_new else nan,
+        "TOF_DISTANCE": lambda s: s.sample.dist if s.sample.dist_new else nan,
+        "ESTIMATE_THETA": lambda s: s.theta,
+        "ESTIMATE_Q": lambda s: s.q,
+        "ESTIMATE_X": lambda s: s.x if published(s.tick) else nan,
+        "ESTIMATE_V": lambda s: s.v if published(s.tick) else nan,
+        "SETPOINT_THETA": lambda s: s.theta0,
+        "SETPOINT_Q": lambda s: s.q0,
+        "SETPOINT_X": lambda s: s.x0,
+        "SETPOINT_V": lambda s: s.v0,
+        "SETPOINT_THRUST": lambda s: -abs(s.T),
+        "COMMAND_M": lambda s: s.M,
+        "COMMAND_T": lambda s: s.T,
+        "OPENLOOP_M": openloop("M"),
+        "OPENLOOP_T": openloop("T"),
+        "OPENLOOP_OPENLOOP": openloop("openloop"),
+        "OPENLOOP_ENABLEM": openloop("enableM"),
+        "OPENLOOP_ENABLET": openloop("enableT"),
+        "STATE_MODE": lambda s: float(s.asked.mode),
+        "BATTERY_VOLTAGE": lambda s: s.sample.voltage,
+        "BATTERY_CHARGE": lambda s: s.sample.charge,
+    }
+
+
+class BatchSubscription:
+    """The channels of one client, and the rows that wait to be sent."""
+
+    __slots__ = ("begun", "every", "mask", "most", "peer", "read", "rows", "values", "width")
+
+    def __init__(self, peer: Hashable, mask: int, every: int, read: list[Callable[[ControlStep], float]]) -> None:
+        self.peer = peer
+        self.mask = mask
+        self.every = every
+        self.read = read
+        self.width = len(read)
+        # As many rows as fit, but no more than are due within the longest wait.
+        self.most = max(1, min(BATCH_VALUES // self.width, LATEST_TICKS // every + 1))
+        self.values: list[float] = []
+        self.rows = 0
+        self.begun = 0
+
+
+class BatchService:
+    """Subscriptions to batches, one a client, made and ended by command 511 for TWODOF_BATCH.
+
+    Its parameter 2 is the interval of the samples [us] (0: each tick, -1: end), 3 and 4 are the low and the high 16
+    bits of the mask of channels. Nothing is lost on this side: what a link does not take is seen as a gap in `tick`.
+    """
+
+    def __init__(self, link: Link, clients: Clients, commander: CommanderView) -> None:
+        self._link = link
+        self._pack = Packer("TWODOF_BATCH")
+        read = channel_readers(commander)
+        self._readers = sorted((bit, read[name]) for name, bit in channel_bits().items())
+        self._all = sum(bit for bit, _ in self._readers)
+        self._subscriptions: dict[Hashable, BatchSubscription] = {}
+        clients.left.append(self._leave)
+
+    def handle(self, received: Received) -> bool:
+        """Takes nothing; commands come by `subscribe`."""
+        return False
+
+    def after(self, step: ControlStep) -> None:
+        """Adds a row to each subscription, and sends what is full."""
+        for subscription in self._subscriptions.values():
+            if step.tick % subscription.every:
+                continue
+            if not subscription.rows:
+                subscription.begun = step.tick & MASK_32
+            subscription.values += [read(step) for read in subscription.read]
+            subscription.rows += 1
+            if subscription.rows == subscription.most:
+                self._flush(subscription)
+
+    def restart(self) -> None:
+        """Time begins anew: what waits is sent before."""
+        for subscription in self._subscriptions.values():
+            self._flush(subscription)
+
+    def subscribe(self, command: ReceivedCommand) -> CommandResult:
+        """Command 511 for TWODOF_BATCH."""
+        interval, low, high = command.params[1], whole(command.params[2], -1), whole(command.params[3], -1)
+        old = self._subscriptions.pop(command.peer, None)
+        if old is not None:
+            self._flush(old)
+        if interval < 0.0:
+            return CommandResult(ACCEPTED)
+        every = max(1, round(interval / TICK_US)) if isfinite(interval) else 0
+        if not 0 <= low <= LARGEST_HALF or not 0 <= high <= LARGEST_HALF or not 1 <= every <= 0xFF:
+            return CommandResult(DENIED, "a batch wants an interval up to 255 ticks and two halves of a mask")
+        mask = low | high << 16
+        if not mask or mask & ~self._all:
+            return CommandResult(DENIED, "a batch wants channels, and only those there are")
+        read = [one for bit, one in self._readers if mask & bit]
+        self._subscriptions[command.peer] = BatchSubscription(command.peer, mask, every, read)
+        return CommandResult(ACCEPTED)
+
+    def interval(self, peer: Hashable) -> int:
+        """Interval [us] of a client's samples, -1 without a subscription."""
+        subscription = self._subscriptions.get(peer)
+        return subscription.every * TICK_US if subscription is not None else -1
+
+    def _flush(self, subscription: BatchSubscription) -> None:
+        if not subscription.rows:
+            return
+        values = subscription.values
+        values += [0.0] * (BATCH_VALUES - len(values))
+        sent = self._pack(subscription.mask, subscription.begun, *values, subscription.rows, subscription.every)
+        subscription.values = []
+        subscription.rows = 0
+        self._link.send(sent, subscription.peer)
+
+    def _leave(self, client: ConnectedClient) -> None:
+        self._subscriptions.pop(client.peer, None)

@@ -1,0 +1,1 @@
+"""The log that is written on board, one row a control period."""

@@ -1,0 +1,222 @@
+"""From rows of steps to ULog files: when a log begins and ends and what is in it; knows no control loop, no queue."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twodof.errors import LogError, TwodofError
+from twodof.fcu.onboard_log.log_folder import LogFolder
+from twodof.fcu.onboard_log.step_row import FORMAT, STEP_TOPIC
+from twodof.fcu.px4_compat.log_topics import PX4_TOPICS, Rows, records
+from twodof.fcu.px4_compat.parameters import LOG_ALWAYS, LOG_ARMED, LOG_BOOT, LOG_NEVER
+from twodof.flightlog.ulog.format import MESSAGE
+from twodof.flightlog.ulog.writer import ULogWriter
+
+MARGIN = 250
+"""Steps that a log has before arming and after disarming."""
+LINES = 64
+HEAD_BYTES = 20_000
+"""Room for what stands before the steps but parameters, of which formats are 5 kB."""
+PARAMETER_BYTES = 64
+"""At most, of one that stands before the steps or changes: header, type, a name of 16 characters and value."""
+RETRY_S = 10.0
+"""A disk that refused is tried again after so long, or when the next log is due."""
+
+FORMATS: Mapping[str, str] = {STEP_TOPIC: FORMAT, **{topic.name: topic.format for topic in PX4_TOPICS}}
+
+
+class LogWriter:
+    """Writes rows of steps into the logs of `folder`, as `mode` (SDLOG_MODE) says; called from one thread.
+
+    `info` and `parameters` stand at the beginning of each log. `failure` is why the last log ended or did not begin,
+    `missed` counts rows that were to be logged and are in none.
+    """
+
+    def __init__(self, folder: LogFolder, parameters: Mapping[str, float]) -> None:
+        self.folder, self.mode, self.requested = folder, LOG_ARMED, False
+        self.failure: TwodofError | None = None
+        self.missed = 0
+        self.info: Mapping[str, str | int] = {}
+        self._parameters = dict(parameters)
+        self._writer: ULogWriter | None = None
+        self._handed: deque[tuple[int, int]] = deque()  # records accepted so far, and the steps among the last of them
+        self._before: Rows | None = None
+        self._lines: deque[tuple[str, int, str]] = deque(maxlen=LINES)
+        self._steps, self._most_steps = 0, 1 << 62  # in this log
+        self._since_armed = MARGIN
+        self._was_armed = self._was_disarmed_again = False
+        self._tick = -1
+        self._stamp_us = 0
+        self._retry = 0.0
+
+    @property
+    def path(self) -> Path | None:
+        """The log being written."""
+        return self._writer.path if self._writer is not None else None
+
+    def rows(self, rows: Rows) -> None:
+        """Takes steps (n,), laid out as `step_row.ROW`; a tick before the last one is a restart, a new log."""
+        ticks = rows["tick"].astype(np.int64)
+        breaks = np.flatnonzero(np.diff(ticks, prepend=self._tick) <= 0)
+        at = 0
+        for end in (*breaks.tolist(), len(rows)):
+            if end > at:
+                self._run(rows[at:end])
+            if end < len(rows):
+                self._restart()
+            at = end
+
+    def text(self, level: str, line: str) -> None:
+        """Takes a line for the log's reader; one that comes shortly before a log begins is the first in it."""
+        if self._writer is None:
+            self._lines.append((level, self._stamp_us, line))
+        else:
+            self._guarded(lambda writer: writer.text(level, self._stamp_us, line))
+
+    def parameters(self, values: Mapping[str, float]) -> None:
+        """Takes changes of parameters."""
+        self._parameters.update(values)
+        self._guarded(lambda writer: [writer.parameter(name, value, self._stamp_us) for name, value in values.items()])
+
+    def list_anew(self, values: Mapping[str, float]) -> None:
+        """Takes all parameters, which are others by now; in the log being written those that are new or changed."""
+        changed = {name: value for name, value in values.items() if self._parameters.get(name) != value}
+        self._parameters = dict(values)
+        self._guarded(lambda writer: [writer.parameter(name, value, self._stamp_us) for name, value in changed.items()])
+
+    def dropped(self, count: int, lost_ms: int) -> None:
+        """Notes that `count` rows did not come, over `lost_ms`."""
+        self.missed += count
+        self._guarded(lambda writer: writer.dropout(lost_ms, self._stamp_us))
+
+    def flush(self, deadline_s: float) -> None:
+        """Waits until what was taken is on the disk."""
+        self._guarded(lambda writer: writer.flush(deadline_s))
+
+    def end(self) -> None:
+        """Ends the log being written, if there is one."""
+        writer, self._writer = self._writer, None
+        if writer is not None:
+            try:
+                writer.close()
+            except LogError as refusal:
+                self.failure = refusal
+            self._forget(writer)
+            self.missed += sum(steps for _, steps in self._handed)
+            self._handed.clear()
+            self._steps, self._most_steps = 0, 1 << 62
+
+    def _restart(self) -> None:
+        self.end()
+        self._lines.clear()
+        self._before, self._since_armed, self._tick = None, MARGIN, -1
+        self._was_armed = self._was_disarmed_again = False
+
+    def _run(self, rows: Rows) -> None:
+        """Takes steps of one run, cut where logging begins and ends."""
+        wanted = self._wanted(rows["armed"] != 0)
+        edges = np.flatnonzero(np.diff(wanted)) + 1
+        for part, wants in zip(np.split(rows, edges), wanted[np.append(0, edges).astype(np.intp)], strict=True):
+            if wants:
+                self._log(part)
+            else:
+                self._retry = 0.0
+                self.end()
+                self._stamp_us = int(part["timestamp"][-1])
+                before = part if self._before is None else np.concatenate([self._before, part])
+                self._before = before[-MARGIN:].copy()
+        self._tick = int(rows["tick"][-1])
+
+    def _wanted(self, armed: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Which of the next steps are to be logged."""
+        index = np.arange(len(armed))
+        last = np.maximum.accumulate(np.where(armed, index, -1))
+        since = np.where(last >= 0, index - last, index + 1 + self._since_armed)
+        ended = np.asarray((since == MARGIN + 1) & (self._was_armed | (last >= 0)))
+        self._since_armed = min(int(since[-1]), 1 << 30)
+        self._was_armed |= bool(armed.any())
+        if self.requested or self.mode == LOG_ALWAYS:
+            return np.ones(len(armed), dtype=np.bool_)
+        if self.mode == LOG_NEVER:
+            return np.zeros(len(armed), dtype=np.bool_)
+        near = since <= MARGIN
+        if self.mode == LOG_BOOT and not self._was_disarmed_again:
+            near |= ~np.logical_or.accumulate(ended)
+        self._was_disarmed_again |= bool(ended.any())
+        return np.asarray(near)
+
+    def _log(self, rows: Rows) -> None:
+        if self._writer is None and time.monotonic() >= self._retry:
+            self._begin(rows)
+        room = self._most_steps - self._steps
+        if len(rows) > room:  # it goes on in another file
+            self._log(rows[:room])
+            self.end()
+            self._log(rows[room:])
+        elif not self._append(rows):
+            self.missed += len(rows)
+
+    def _begin(self, rows: Rows) -> None:
+        """Opens a log with what came shortly before `rows`."""
+        before, self._before = self._before, None
+        first = rows if before is None else before
+        start_us = int(first["timestamp"][0])
+        info: dict[str, str | int] = {**self.info, "time_ref_utc": 0, "start_utc": int(time.time())}
+        try:
+            self._writer = ULogWriter(
+                self.folder.next_path(), FORMATS, info, self._parameters, start_us=start_us, full="wait"
+            )
+        except LogError as refusal:
+            self._failed(refusal)
+            return
+        self.failure = None
+        self._steps = 0
+        sizes = (self._writer.layout(name).itemsize + MESSAGE.size + 2 for name in FORMATS)
+        head = HEAD_BYTES + PARAMETER_BYTES * len(self._parameters)
+        self._most_steps = max((self.folder.most_of_one - head) // sum(sizes), 2 * MARGIN)
+        lines = [line for line in self._lines if line[1] >= start_us]
+        self._lines.clear()
+        if before is not None:
+            self._append(before)
+        self._guarded(lambda writer: [writer.text(*line) for line in lines])
+
+    def _append(self, rows: Rows) -> bool:
+        self._stamp_us = int(rows["timestamp"][-1])
+
+        def append(writer: ULogWriter) -> None:
+            for topic in PX4_TOPICS:
+                writer.write_many(topic.name, records(topic, writer.layout(topic.name), rows))
+            # Last, as what is said next stands at the time of the record before it.
+            writer.write_many(STEP_TOPIC, rows)
+            self._steps += len(rows)
+            self._handed.append((writer.accepted, len(rows)))
+            self._forget(writer)
+
+        return self._guarded(append)
+
+    def _forget(self, writer: ULogWriter) -> None:
+        """Lets go of what is on the disk."""
+        while self._handed and self._handed[0][0] <= writer.acknowledged.samples:
+            self._handed.popleft()
+
+    def _guarded(self, action: Callable[[ULogWriter], object]) -> bool:
+        """Does something with the log being written; False if there is none, or it ended over it."""
+        if self._writer is None:
+            return False
+        try:
+            action(self._writer)
+        except LogError as refusal:
+            self._failed(refusal)
+            return False
+        return True
+
+    def _failed(self, refusal: LogError) -> None:
+        self.end()
+        self.failure = refusal
+        self._retry = time.monotonic() + RETRY_S

@@ -1,0 +1,254 @@
+"""OnboardLog: every step of a flight in ULog files on board; the control loop only hands rows over."""
+
+from __future__ import annotations
+
+import struct
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from pathlib import Path
+from types import MappingProxyType, TracebackType
+from typing import Self
+
+import numpy as np
+
+from twodof import __version__
+from twodof.errors import LogError, TwodofError
+from twodof.fcu.control.flight_code import ControlStep
+from twodof.fcu.onboard_log.log_folder import MAX_BYTES, LogFolder, StoredLog
+from twodof.fcu.onboard_log.log_writer import LogWriter
+from twodof.fcu.onboard_log.step_row import ROW, pack
+from twodof.fcu.parameters.store import ParameterStore
+from twodof.flightlog.spool import DEADLINE_S
+from twodof.link.control_period import TICK_US
+
+LONGEST_QUEUE = 20_000
+"""Rows that may wait for the disk, 6 MB: 80 s of real time."""
+LOCKSTEP_WAIT_S = 30.0
+LISTING_S = 10.0
+"""How long the disk may take until the logs are listed [s]."""
+_PAUSE_S = 0.2
+_AT_ONCE = 4096
+
+ABOUT = MappingProxyType({"ver_hw": "TWODOF", "ver_sw": __version__, "sys_os_name": "Linux"})
+
+Note = tuple[str, str, object]
+"""What stands between rows: kind, detail, value."""
+
+
+class OnboardLogger:
+    """Logs steps into `folder` as SDLOG_MODE of `store` says; hand `step` to the control loop as a listener.
+
+    `step` never waits in real time: while the disk is too slow rows are dropped and counted in `dropped`, with a mark
+    in the log. In `lockstep` it waits for the disk instead, so that nothing is missing. Whatever the disk does, the
+    flight goes on: `failure` says why a log ended or did not begin. `info` gives what stands in a log besides (rig,
+    seed, controller); it is asked when time begins and at each arming.
+    """
+
+    def __init__(
+        self,
+        folder: str | Path,
+        store: ParameterStore,
+        lockstep: bool = False,
+        info: Callable[[], Mapping[str, str | int]] = dict,
+        max_bytes: int = MAX_BYTES,
+    ) -> None:
+        """Raises LogError where there can be no folder."""
+        self.folder = LogFolder(folder, max_bytes, int(store["SDLOG_DIRS_MAX"]))
+        self.lockstep = lockstep
+        self.dropped = 0
+        self._info = info
+        self._writer = LogWriter(self.folder, {row.name: store[row.name] for row in store.rows})
+        self._writer.mode = int(store["SDLOG_MODE"])
+        self._queue: deque[bytes | Note] = deque()
+        self._tick, self._armed = -1, False
+        self._gap = (0, 0)  # rows dropped since the last one taken, tick of the first
+        self._wake, self._room = threading.Event(), threading.Event()
+        self._closed = False
+        self._thread = threading.Thread(target=self._serve, name="on-board log", daemon=True)
+        self._thread.start()
+        store.listen(self._changed)
+        store.on_relist(lambda: self._put("list", "", {row.name: store[row.name] for row in store.rows}))
+
+    @property
+    def failure(self) -> TwodofError | None:
+        """Why the last log ended before its time or could not begin; None while all is well."""
+        if not self._thread.is_alive() and not self._closed:
+            return LogError("its thread ended by a fault of its own", str(self.folder.path), "report it")
+        return self._writer.failure
+
+    @property
+    def missed(self) -> int:
+        """Rows that were to be logged and are in no log: the disk refused them, or they were dropped."""
+        return self._writer.missed
+
+    @property
+    def path(self) -> Path | None:
+        """The log being written, None while there is none."""
+        return self._writer.path
+
+    def step(self, step: ControlStep) -> None:
+        """Takes a step; costs about a microsecond."""
+        queue = self._queue
+        if step.tick <= self._tick or (step.armed and not self._armed) or self._tick < 0:
+            queue.append(("info", "", {**ABOUT, **self._info()}))
+        self._tick, self._armed = step.tick, step.armed
+        if len(queue) >= LONGEST_QUEUE and not self._waited():
+            self._drop(step.tick)
+            return
+        try:
+            row = pack(step)
+        except struct.error:  # a number that is out of its range, which no step has
+            self._drop(step.tick)
+            return
+        if self._gap[0]:
+            count, since = self._gap
+            queue.append(("dropout", "", (count, (step.tick - since) * TICK_US // 1000)))
+            self._gap = (0, 0)
+        queue.append(row)
+
+    def note(self, level: str, line: str) -> None:
+        """Takes a line for the log's reader: "error", "warning", "info" or "debug"."""
+        self._put("text", level, line)
+
+    def remark(self, severity: int, text: str) -> None:
+        """Takes what the vehicle says in words, of a MAV_SEVERITY."""
+        self.note("error" if severity <= 3 else "warning" if severity == 4 else "info", text)
+
+    def start(self) -> None:
+        """Logs from the next step on whether armed or not, until `stop`."""
+        self._put("requested", "", True)
+
+    def stop(self) -> None:
+        """Ends what `start` began."""
+        self._put("requested", "", False)
+
+    def begin_anew(self) -> None:
+        """Has what comes next logged into a new file; does not wait."""
+        self._put("anew", "", None)
+
+    def logs(self) -> list[StoredLog]:
+        """The logs on board by rising number, that being written included, with all that was handed over so far.
+
+        Raises LogError.
+        """
+        if self._thread.is_alive():
+            with suppress(LogError):  # a disk that is silent: what is on it is listed
+                self._ask("flush", LISTING_S)
+        return self.folder.logs()
+
+    def erase(self) -> int:
+        """Deletes all logs but the one being written; returns how many. Raises LogError."""
+        return self.folder.erase(self.path)
+
+    def flush(self, deadline_s: float = 10.0) -> None:
+        """Waits until all that was handed over is on the disk. Raises LogError when it is not within the deadline."""
+        self._ask("flush", deadline_s)
+        if self.failure is not None:
+            raise LogError(self.failure.what, self.failure.where, self.failure.remedy)
+
+    def end(self, deadline_s: float = 10.0) -> None:
+        """Ends the log being written: what comes next is in a new one. Raises LogError as `flush`."""
+        self._ask("end", deadline_s)
+
+    def close(self, deadline_s: float = 10.0) -> None:
+        """Ends the log and the thread. Raises LogError as `flush`; a second call only returns."""
+        if not self._closed:
+            self._closed = True
+            self._ask("close", deadline_s)
+            self._thread.join(deadline_s)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _changed(self, changes: Mapping[str, float]) -> None:
+        if "SDLOG_MODE" in changes:
+            self._put("mode", "", int(changes["SDLOG_MODE"]))
+        if "SDLOG_DIRS_MAX" in changes:
+            self.folder.max_logs = int(changes["SDLOG_DIRS_MAX"])
+        self._put("parameters", "", dict(changes))
+
+    def _put(self, kind: str, detail: str, value: object) -> None:
+        # Notes are few; when thousands wait the disk is dead.
+        if len(self._queue) < 2 * LONGEST_QUEUE:
+            self._queue.append((kind, detail, value))
+
+    def _drop(self, tick: int) -> None:
+        self.dropped += 1
+        count, since = self._gap
+        self._gap = (count + 1, since if count else tick)
+
+    def _waited(self) -> bool:
+        """Waits for room, if that is what to do; whether there is some."""
+        if not self.lockstep or self._closed:
+            return False
+        self._room.clear()
+        if len(self._queue) < LONGEST_QUEUE:  # room was made just before, and who made it may have nothing left to do
+            return True
+        self._wake.set()
+        return self._room.wait(LOCKSTEP_WAIT_S)
+
+    def _ask(self, kind: str, deadline_s: float) -> None:
+        done = threading.Event()
+        self._queue.append((kind, "", done))
+        self._wake.set()
+        if not done.wait(deadline_s):
+            raise LogError(
+                f"the disk has not answered within {deadline_s:g} s", str(self.folder.path), "log to another disk"
+            )
+
+    def _serve(self) -> None:
+        closing = False
+        while not closing:
+            self._wake.wait(_PAUSE_S)
+            self._wake.clear()
+            while self._queue and not closing:
+                closing = self._take()
+                if len(self._queue) < LONGEST_QUEUE:
+                    self._room.set()
+
+    def _take(self) -> bool:
+        """Handles some of the queue; True at its end."""
+        rows: list[bytes] = []
+        note: Note | None = None
+        while self._queue and note is None and len(rows) < _AT_ONCE:
+            item = self._queue.popleft()
+            if isinstance(item, bytes):
+                rows.append(item)
+            else:
+                note = item
+        if rows:
+            self._writer.rows(np.frombuffer(b"".join(rows), ROW))
+        return note is not None and self._handle(*note)
+
+    def _handle(self, kind: str, detail: str, value: object) -> bool:
+        writer = self._writer
+        if kind == "text":
+            writer.text(detail, str(value))
+        elif kind == "parameters" and isinstance(value, dict):
+            writer.parameters(value)
+        elif kind == "list" and isinstance(value, dict):
+            writer.list_anew(value)
+        elif kind == "info" and isinstance(value, dict):
+            writer.info = value
+        elif kind == "mode" and isinstance(value, int):
+            writer.mode = value
+        elif kind == "requested":
+            writer.requested = bool(value)
+        elif kind == "anew":
+            writer.end()
+        elif kind == "dropout" and isinstance(value, tuple):
+            writer.dropped(*value)
+        elif isinstance(value, threading.Event):
+            if kind == "flush":
+                writer.flush(DEADLINE_S)
+            else:
+                writer.end()
+            value.set()
+        return kind == "close"

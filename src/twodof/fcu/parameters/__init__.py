@@ -1,0 +1,1 @@
+"""The vehicle's parameters: their table, their values and the file that keeps them."""

@@ -1,0 +1,311 @@
+"""Store: the vehicle's parameters, bounded and typed, changed all or none, kept in a file that no crash can tear."""
+
+from __future__ import annotations
+
+import struct
+import time
+import zlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from twodof.errors import ParameterError, TwodofError, listed
+from twodof.fcu.parameters.row import VehicleParameter, carried
+from twodof.fcu.parameters.store_file import StoredParameters, StoreFile, TunedController
+from twodof.fcu.parameters.table import own_rows, wire_rows
+from twodof.fcu.parameters.user_parameters import UserParameters
+from twodof.parameters import PARAMETERS, ParameterSet
+
+HASH_NAME = "_HASH_CHECK"
+MOST_TUNED = 8
+"""Controllers whose tuning is kept, those that fly now included."""
+SAVE_S = 5.0
+"""A disk that has not answered for so long has not stored."""
+Listener = Callable[[Mapping[str, float]], None]
+
+
+class ParameterStore(Mapping[str, float]):
+    """The parameters of the vehicle `system`, those in the file `path` taken over; `for row in store.rows` lists them.
+
+    A value is read by any of its names, int for int32. Floats are those that the wire can carry, each kept as the
+    shortest decimal that float32 rounds to the same: 0.07 sent is 0.07 here, and flies as in a simulation with 0.07.
+
+    With `carry` the parameters of a user's controllers are in the list too.
+
+    Everything is called from one thread; reading values is safe from any. The file is written by a thread of its own
+    after changes; a disk that fails shows in `failure` and stops nothing. `remarks` says what of the file could not be
+    taken over. Closed by `close` or at the end of `with`.
+    """
+
+    def __init__(
+        self, path: str | Path | None = None, system: int = 1, values: Mapping[str, float] | None = None
+    ) -> None:
+        """Raises ParameterError for `values`, which go over those of the file, as `update` does."""
+        self._system = system
+        self._own: tuple[UserParameters, ...] = ()
+        self._tuned: dict[str, TunedController] = {}  # by identity, those that fly last
+        self._list()
+        self._set = ParameterSet(table=own_rows(system))
+        self._listeners: list[Listener] = []
+        self._relisted: list[Callable[[], None]] = []
+        self._file = StoreFile(path) if path is not None else None
+        self.remarks: tuple[str, ...] = ()
+        if self._file is not None:
+            self.remarks = self._take_over(self._file.read())
+        if values:
+            self.update(values)
+
+    def __getitem__(self, name: str) -> float:
+        """A value, by any of its names. Raises ParameterError for an unknown one."""
+        return self._set[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._index)
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._index
+
+    @property
+    def revision(self) -> int:
+        """Counts the changes, those undone too."""
+        return self._set.revision
+
+    @property
+    def failure(self) -> TwodofError | None:
+        """Why the file could not be written the last time; None while all is well."""
+        return self._file.failure if self._file is not None else None
+
+    def row(self, name: str) -> VehicleParameter:
+        """Type, bounds, unit and text of the parameter `name`. Raises ParameterError for an unknown one."""
+        index = self._index.get(name)
+        if index is None:
+            raise ParameterError("no such parameter", str(name)[:40], f"there are {len(self.rows)}: list them")
+        return self.rows[index]
+
+    def index(self, name: str) -> int:
+        """Place of `name` in `rows`, PARAM_VALUE's param_index. Raises ParameterError for an unknown one."""
+        self.row(name)
+        return self._index[name]
+
+    def tuned(self) -> dict[str, float]:
+        """The values of `parameters.PARAMETERS` by main name: gains and limits of the flight code."""
+        return {row.name: self._set[row.name] for row in PARAMETERS}
+
+    def failsafe(self) -> dict[str, float]:
+        """The failsafe's values by their path in its diagram (`place.pitch_limit`); a flag is a bool."""
+        return {
+            row.path: bool(self._set[row.name]) if row.kind == "int32" else self._set[row.name]
+            for row in self.rows
+            if row.path and not row.of
+        }
+
+    def flying(self) -> dict[str, float]:
+        """What the flight code is to fly with, as `FlightCode.set_parameters` takes it: `tuned` and `failsafe`."""
+        return self.tuned() | {f"failsafe.{path}": value for path, value in self.failsafe().items()}
+
+    def own(self) -> dict[str, Any]:
+        """What is to fly in the user's controllers, by path (`attitude_control.k_q`): numbers, lists for arrays."""
+        return {path: value for own in self._own for path, value in own.flying(self._set).items()}
+
+    def carry(self, own: Sequence[UserParameters]) -> tuple[str, ...]:
+        """Lists the parameters of these controllers, which fly from now on, in place of those of the ones before.
+
+        Each controller has the values that were stored of the very same diagram, else its defaults. Returns what is to
+        be said of that. The others keep their values; what was done before cannot be undone any more.
+        """
+        if [one.identity for one in own] == [one.identity for one in self._own]:
+            return ()
+        self._keep_tuned()
+        values = {row.name: self._set[row.name] for row in own_rows(self._system)}
+        self._own = tuple(own)
+        table = (*own_rows(self._system), *(row for one in own for row in one.rows))
+        fresh = ParameterSet(values, table)
+        remarks: list[str] = []
+        for one in own:
+            remarks += self._restore(fresh, one)
+        fresh.revision = self._set.revision + 1
+        self._set = fresh
+        self._list()
+        for listener in self._relisted:
+            listener()
+        return tuple(remarks)
+
+    def changed(self) -> dict[str, float]:
+        """What differs from the defaults, by main name."""
+        return {row.name: self._set[row.name] for row in self.rows if not row.of and self._set[row.name] != row.default}
+
+    def set(self, name: str, value: float, armed: bool = False) -> None:
+        """Changes one value. Raises ParameterError as `update` does."""
+        self.update({name: value}, armed)
+
+    def update(self, changes: Mapping[str, float], armed: bool = False) -> None:
+        """Changes several values together, as one step to undo, or none of them.
+
+        Raises ParameterError, naming every fault: an unknown name, one parameter twice, a value that is no number, no
+        whole number, or outside its bounds, and, if `armed`, a parameter that is changed only while disarmed.
+        """
+        wanted = {name: carried(value) if self._is_float(name) else value for name, value in changes.items()}
+        good, faults = self._set.check(wanted)
+        faults += self._locked(good, armed)
+        if faults:
+            raise ParameterError("; ".join(faults), "parameters", "nothing was changed")
+        self._change(lambda: self._set.update(good))
+
+    def reset(self, armed: bool = False) -> None:
+        """All defaults, as one step to undo. Raises ParameterError as `update` does."""
+        self.update({row.name: row.default for row in self.rows if not row.of}, armed)
+
+    def undo(self, armed: bool = False) -> None:
+        """Takes the latest change back. Raises ParameterError if there is none, or one that needs disarming."""
+        self._walk(self._set.before, self._set.undo, armed)
+
+    def redo(self, armed: bool = False) -> None:
+        """Makes the change again that `undo` took back. Raises ParameterError as `undo` does."""
+        self._walk(self._set.after, self._set.redo, armed)
+
+    def hash_check(self) -> int:
+        """PX4's _HASH_CHECK: CRC-32 over names and values in the order of the indices, begun with 0, not inverted."""
+        crc = 0xFFFFFFFF  # zlib inverts what it is given and what it gives
+        for row in self.rows:
+            value = self._set[row.name]
+            raw = struct.pack("<i", int(value)) if row.kind == "int32" else struct.pack("<f", value)
+            crc = zlib.crc32(raw, zlib.crc32(row.name.encode("ascii"), crc))
+        return crc ^ 0xFFFFFFFF
+
+    def listen(self, listener: Listener) -> None:
+        """Calls `listener` after each change with the new values, under every name that they have."""
+        self._listeners.append(listener)
+
+    def on_relist(self, listener: Callable[[], None]) -> None:
+        """Calls `listener` after `carry` has changed which parameters there are."""
+        self._relisted.append(listener)
+
+    def save(self) -> Callable[[], bool] | None:
+        """Has all values written now, without waiting; None where there is no file.
+
+        What it returns tells, whenever it is called, whether they are on the disk; it raises ParameterError where the
+        disk has refused, or has not answered within `SAVE_S`.
+        """
+        if self._file is None:
+            return None
+        file, number, end = self._file, self._file.ask(), time.monotonic() + SAVE_S
+
+        def stored() -> bool:
+            done = file.answered(number)
+            if not done and time.monotonic() > end:
+                raise file.silent(SAVE_S)
+            return done
+
+        return stored
+
+    def flush(self, deadline_s: float = 10.0) -> None:
+        """Waits until the file holds what is here. Raises ParameterError where the disk refuses or is silent."""
+        if self._file is not None:
+            self._file.flush(deadline_s)
+
+    def close(self, deadline_s: float = 10.0) -> None:
+        """Writes what is not written yet and ends. Raises ParameterError as `flush`; a second call only returns."""
+        if self._file is not None:
+            self._file.close(deadline_s)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _is_float(self, name: str) -> bool:
+        index = self._index.get(name)
+        return index is not None and self.rows[index].kind == "float"
+
+    def _locked(self, values: Mapping[str, float], armed: bool) -> list[str]:
+        """What is wrong with changing `values` (by main name) while `armed`."""
+        if not armed:
+            return []
+        return [
+            f"{name}: is changed only while disarmed"
+            for name, value in values.items()
+            if self.row(name).disarmed and value != self._set[name]
+        ]
+
+    def _walk(self, values: Mapping[str, float] | None, step: Callable[[], None], armed: bool) -> None:
+        faults = self._locked(values or {}, armed)
+        if faults:
+            raise ParameterError("; ".join(faults), "parameters", "nothing was changed")
+        self._change(step)
+
+    def _change(self, step: Callable[[], None]) -> None:
+        before = self._set.snapshot()
+        step()
+        after = self._set.snapshot()
+        changes = {
+            row.name: after[row.of or row.name]
+            for row in self.rows
+            if after[row.of or row.name] != before[row.of or row.name]
+        }
+        if not changes:
+            return
+        if self._file is not None:
+            self._file.write(self._kept())
+        for listener in self._listeners:
+            listener(changes)
+
+    def _list(self) -> None:
+        """Sorts all rows as PX4 does, by name."""
+        own = (row for one in self._own for row in one.rows)
+        self.rows: tuple[VehicleParameter, ...] = tuple(
+            sorted((*wire_rows(self._system), *own), key=lambda row: row.name)
+        )
+        self._index = {row.name: index for index, row in enumerate(self.rows)}
+
+    def _keep_tuned(self) -> None:
+        """Notes what is tuned in the controllers that fly, and forgets what was tuned longest ago."""
+        for one in self._own:
+            self._tuned.pop(one.identity, None)
+            values = {row.own: self._set[row.name] for row in one.rows if self._set[row.name] != row.default}
+            if values:
+                self._tuned[one.identity] = TunedController(one.kind, one.name, one.identity, values)
+        while len(self._tuned) > MOST_TUNED:
+            del self._tuned[next(iter(self._tuned))]
+
+    def _kept(self) -> StoredParameters:
+        self._keep_tuned()
+        values = {row.name: self._set[row.name] for row in own_rows(self._system)}
+        changed = {row.name: values[row.name] for row in own_rows(self._system) if values[row.name] != row.default}
+        return StoredParameters(changed, tuple(self._tuned.values()))
+
+    def _restore(self, fresh: ParameterSet, own: UserParameters) -> list[str]:
+        """Gives a controller the values that were stored for it; what is to be said of that."""
+        tuned = self._tuned.get(own.identity)
+        if tuned is None:
+            other = [one for one in self._tuned.values() if one.kind == own.kind and one.name == own.name]
+            if not other:
+                return []
+            left = f"another diagram: {len(other[-1].values)} stored values of an earlier one are left out"
+            return [f"{own.kind}: {own.name} is {left}"]
+        names = {row.own: row for row in own.rows}
+        known = {names[path].name: _restored(names[path], v) for path, v in tuned.values.items() if path in names}
+        good, faults = fresh.check(known)
+        fresh.update(good)
+        fresh.forget()
+        said = f"{own.kind}: flies as it was tuned before: {listed(good, 3)}"
+        return [*([said] if good else []), *(f"{own.kind}: left out: {fault}" for fault in faults)]
+
+    def _take_over(self, found: tuple[StoredParameters, str]) -> tuple[str, ...]:
+        """Takes each value of the file that is still right; returns what was not."""
+        kept, remark = found
+        values = {n: carried(v) if self._is_float(n) else v for n, v in kept.values.items()}
+        good, faults = self._set.check(values)
+        self._set = ParameterSet(good, own_rows(int(self._set["MAV_SYS_ID"])))
+        self._tuned = {one.identity: one for one in kept.controllers[-MOST_TUNED:]}
+        return (*((remark,) if remark else ()), *faults)
+
+
+def _restored(row: VehicleParameter, value: float) -> float:
+    return carried(value) if row.kind == "float" else value

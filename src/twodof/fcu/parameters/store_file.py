@@ -1,0 +1,202 @@
+"""The file of the vehicle's parameters: whole or not there, written by a thread of its own, checked when it is read."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from twodof.errors import ParameterError, TwodofError
+from twodof.flightlog.atomic import atomic_write, make_folder
+
+VERSION = 1
+MAX_BYTES = 1 << 20
+QUIET_S = 0.25
+"""A file is written when the values have not changed for so long,"""
+LATEST_S = 2.0
+"""and at the latest so long after the first change."""
+RETRY_S = 5.0
+
+
+@dataclass(frozen=True)
+class TunedController:
+    """Values that differ from the defaults in a controller, by path; `identity` is its diagram's SHA-256."""
+
+    kind: str
+    name: str
+    identity: str
+    values: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class StoredParameters:
+    """What the file holds: values by name, and those of the controllers that were tuned, the latest last."""
+
+    values: Mapping[str, float] = field(default_factory=dict)
+    controllers: tuple[TunedController, ...] = ()
+
+
+class StoreFile:
+    """Reads and writes what is kept; `failure` is why the last writing failed, None if it did not."""
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self.failure: TwodofError | None = None
+        self._changed = threading.Condition()
+        self._wanted: StoredParameters | None = None
+        self._first = self._last = 0.0
+        self._asked = self._closing = False
+        self._begun = self._tries = 0  # how often writing was begun, and ended
+        self._thread: threading.Thread | None = None
+
+    def read(self) -> tuple[StoredParameters, str]:
+        """What it holds, and what is wrong with it or "". A damaged file gives nothing and is kept as NAME.damaged."""
+        try:
+            if self.path.stat().st_size > MAX_BYTES:
+                return StoredParameters(), self._set_aside(f"is larger than {MAX_BYTES} bytes")
+            text = self.path.read_text(encoding="utf-8")
+        except FileNotFoundError:
+            return StoredParameters(), ""
+        except (OSError, ValueError) as reason:
+            return StoredParameters(), self._set_aside(str(reason))
+        try:
+            return _kept(json.loads(text)), ""
+        except (ValueError, RecursionError, TypeError) as reason:
+            return StoredParameters(), self._set_aside(str(reason))
+
+    def write(self, kept: StoredParameters) -> None:
+        """Has `kept` written soon; returns at once."""
+        with self._changed:
+            now = time.monotonic()
+            if self._wanted is None:
+                self._first = now
+            self._last = now
+            self._wanted = kept
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._run, name=f"store {self.path.name}", daemon=True)
+                self._thread.start()
+            self._changed.notify_all()
+
+    def ask(self) -> int:
+        """Has what was given written now, and returns at once a number for `answered`."""
+        with self._changed:
+            self._asked = self._wanted is not None
+            self._changed.notify_all()
+            return self._begun + 1  # one that is under way may be writing what was given before
+
+    def answered(self, number: int) -> bool:
+        """Whether what was given before `ask` gave `number` is in the file and on the disk; False: not yet.
+
+        Raises ParameterError where the disk has refused since.
+        """
+        with self._changed:
+            if self._wanted is None:
+                return True
+            done = self._tries >= number
+            if done and self.failure is not None:
+                raise ParameterError(self.failure.what, self.failure.where, "the values fly, but are not stored")
+            return done
+
+    def flush(self, deadline_s: float) -> None:
+        """Waits until what was given is written. Raises ParameterError where the disk refuses or is silent."""
+        number = self.ask()
+        with self._changed:
+            if not self._changed.wait_for(lambda: self.answered(number), deadline_s):
+                raise self.silent(deadline_s)
+
+    def silent(self, deadline_s: float) -> ParameterError:
+        """That the disk has not answered within the deadline."""
+        return ParameterError(
+            f"the disk has not answered within {deadline_s:g} s", str(self.path), "store them on another disk"
+        )
+
+    def close(self, deadline_s: float) -> None:
+        """Writes what waits and ends the thread. Raises ParameterError as `flush`."""
+        thread = self._thread
+        if thread is None or self._closing:
+            return
+        try:
+            self.flush(deadline_s)
+        finally:
+            with self._changed:
+                self._closing = True
+                self._changed.notify_all()
+            thread.join(deadline_s)
+
+    def _run(self) -> None:
+        retry = 0.0
+        while True:
+            with self._changed:
+                while not self._closing and not self._is_due(retry):
+                    self._changed.wait(self._pause(retry))
+                if self._wanted is None or self._closing:
+                    return
+                kept, self._asked = self._wanted, False
+                self._begun += 1
+            failure = self._store(kept)
+            with self._changed:
+                self.failure = failure
+                self._tries += 1
+                retry = time.monotonic() + RETRY_S if failure is not None else 0.0
+                if failure is None and self._wanted is kept:
+                    self._wanted, self._asked = None, False
+                self._changed.notify_all()
+
+    def _due(self, retry: float) -> float:
+        return max(retry, min(self._last + QUIET_S, self._first + LATEST_S))
+
+    def _is_due(self, retry: float) -> bool:
+        return self._wanted is not None and (self._asked or time.monotonic() >= self._due(retry))
+
+    def _pause(self, retry: float) -> float | None:
+        return None if self._wanted is None else max(0.0, self._due(retry) - time.monotonic())
+
+    def _store(self, kept: StoredParameters) -> TwodofError | None:
+        try:
+            make_folder(self.path.parent)
+            with atomic_write(self.path, "w") as file:
+                file.write(text_of(kept))
+        except TwodofError as refusal:
+            return refusal
+        except OSError as refusal:
+            return ParameterError(f"cannot be written: {refusal.strerror}", str(self.path))
+        return None
+
+    def _set_aside(self, what: str) -> str:
+        """Keeps a file that cannot be used from being written over; says what was wrong."""
+        aside = self.path.with_name(f"{self.path.name}.damaged")
+        try:
+            self.path.replace(aside)
+        except OSError as refusal:
+            return f"{self.path}: {what}; the defaults fly ({refusal.strerror})"
+        return f"{self.path}: {what}; the defaults fly, the file is kept as {aside.name}"
+
+
+def text_of(kept: StoredParameters) -> str:
+    """What is kept as the file holds it."""
+    values = dict(sorted(kept.values.items()))
+    tuned = [{**vars(one), "values": dict(sorted(one.values.items()))} for one in kept.controllers]
+    content = {"version": VERSION, "crc": _crc(values, tuned), "parameters": values}
+    return json.dumps(content | ({"controllers": tuned} if tuned else {}), indent=2)
+
+
+def _crc(values: Mapping[str, Any], tuned: object) -> int:
+    return zlib.crc32(json.dumps([values, tuned] if tuned else values, sort_keys=True).encode())
+
+
+def _kept(content: object) -> StoredParameters:
+    """What a file's content says. Raises ValueError or TypeError for damage."""
+    if not isinstance(content, dict) or content.get("version") != VERSION:
+        raise ValueError(f"is not of version {VERSION}")
+    values, tuned = content.get("parameters"), content.get("controllers", [])
+    if not isinstance(values, dict) or not isinstance(tuned, list) or content.get("crc") != _crc(values, tuned):
+        raise ValueError("its checksum is wrong")
+    found = tuple(TunedController(**one) for one in tuned)
+    if not all(isinstance(one.values, dict) for one in found):
+        raise ValueError("the values of a controller are no table")
+    return StoredParameters(values, found)

@@ -1,0 +1,38 @@
+"""All parameters of a vehicle: the flight code's, the failsafe's, and those of PX4 that its clients ask for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from types import MappingProxyType
+
+from twodof.fcu.parameters.failsafe_parameters import failsafe_rows
+from twodof.fcu.parameters.row import VehicleParameter
+from twodof.fcu.px4_compat.parameters import px4_rows
+from twodof.parameters import PARAMETERS
+
+_SAME = MappingProxyType({"X0_MAX": "safe.x0_limit"})
+"""Those of PARAMETERS that are the failsafe's: not there twice, and changed only while disarmed like the others."""
+
+
+@cache
+def own_rows(system: int) -> tuple[VehicleParameter, ...]:
+    """Every parameter of the vehicle `system` once, by its main name."""
+    tuned = (
+        VehicleParameter(**vars(row), disarmed=row.name in _SAME, path=_SAME.get(row.name, "")) for row in PARAMETERS
+    )
+    safe = (row for row in failsafe_rows() if row.path not in _SAME.values())
+    return (*tuned, *safe, *px4_rows(system))
+
+
+@cache
+def wire_rows(system: int) -> tuple[VehicleParameter, ...]:
+    """What PARAM_REQUEST_LIST shows, in the order of its indices, which is that of the names as in PX4.
+
+    A parameter that the real drone has under a name of its own (FC_PARAM_4) shows under both: `of` says so.
+    """
+    rows = own_rows(system)
+    others = (
+        replace(row, name=row.drone, drone="", of=row.name, text=f"{row.name}: {row.text}") for row in rows if row.drone
+    )
+    return tuple(sorted((*rows, *others), key=lambda row: row.name))

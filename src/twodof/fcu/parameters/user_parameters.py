@@ -1,0 +1,121 @@
+"""The parameters of a user's own controller that flies: its diagram's, as rows of the vehicle's list.
+
+A name is the one that the parameter has in the diagram's PX4 module (docs/explanation/targets.md), so that a ground
+station's file fits both. A value at the default flies as the diagram has it, to the last bit, though float32 carries
+less.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from twodof.blocks import Diagram, Param
+from twodof.blocks.schema import to_json
+from twodof.compile.lower import lower
+from twodof.compile.px4.names import harmless, module_names
+from twodof.compile.px4.parameters import LARGEST_FLOAT, LARGEST_INT, SMALLEST_INT, Exported, diagram_rows
+from twodof.errors import listed
+from twodof.fcu.parameters.row import VehicleParameter, carried
+from twodof.fcu.parameters.table import wire_rows
+from twodof.flight.core import PERIOD
+from twodof.flight.templates import by_kind
+
+LONGEST_TEXT, LONGEST_UNIT = 160, 20
+"""Of what a diagram says of its parameters, which nobody has looked at."""
+
+
+@dataclass(frozen=True)
+class UserParameters:
+    """What can be tuned in the controller `name` of the template `kind`; `identity` is the SHA-256 of its JSON `text`.
+
+    `rows` are the vehicle's rows, `remark` says what of the diagram is not among them, "" if all is.
+    """
+
+    kind: str
+    name: str
+    identity: str
+    rows: tuple[VehicleParameter, ...]
+    remark: str = ""
+    text: str = field(default="", repr=False)
+    _elements: Mapping[str, tuple[Param, tuple[VehicleParameter, ...]]] = field(default_factory=dict, repr=False)
+
+    def flying(self, values: Mapping[str, float]) -> dict[str, Any]:
+        """What is to fly, by path (`attitude_control.k_q`): numbers, lists for arrays; `values` by the rows' names."""
+        flying: dict[str, Any] = {}
+        for path, (declared, rows) in self._elements.items():
+            defaults = np.ravel(np.asarray(declared.value)).tolist()
+            numbers = [
+                _exact(declared, row, values[row.name], defaults[place if len(defaults) > 1 else 0])
+                for place, row in enumerate(rows)
+            ]
+            flying[path] = numbers[0] if declared.width is None else numbers
+        return flying
+
+
+def user_parameters(controllers: Iterable[Diagram]) -> tuple[UserParameters, ...]:
+    """The tunable parameters of each of `controllers`, in the templates' order, which decides whose names are cut.
+
+    Raises DiagramError for two parameters whose names are alike.
+    """
+    taken = {row.name for row in wire_rows(1)}
+    found = []
+    for kind, diagram in sorted(by_kind(controllers).items()):
+        own = _of(kind, diagram, taken)
+        taken |= {row.name for row in own.rows}
+        found.append(own)
+    return tuple(found)
+
+
+def _of(kind: str, diagram: Diagram, taken: Iterable[str]) -> UserParameters:
+    program = lower(diagram, PERIOD)
+    shown, kept = diagram_rows(program, module_names(diagram.name).prefix, taken, kind)
+    rows: list[VehicleParameter] = []
+    elements: dict[str, tuple[Param, tuple[VehicleParameter, ...]]] = {}
+    for one in shown:
+        if one.fixed:
+            continue
+        row = _row(kind, diagram.name, one)
+        rows.append(row)
+        path = f"{kind}.{one.path}"
+        _, before = elements.get(path, (None, ()))
+        elements[path] = program.parameters[one.path].declared, (*before, row)
+    left = [one.path for one in kept]
+    remark = f"{kind}: {len(left)} parameters are not shown: {listed(left, 3)}"[:200] if left else ""
+    text = to_json(diagram)
+    identity = hashlib.sha256(text.encode()).hexdigest()
+    return UserParameters(kind, diagram.name, identity, tuple(rows), remark, text, elements)
+
+
+def _row(kind: str, diagram: str, one: Exported) -> VehicleParameter:
+    path = f"{kind}.{one.place}"
+    text = ": ".join(filter(None, (path, one.text)))
+    default, low, high = one.default, one.low, one.high
+    if one.kind == "real":
+        default, low, high = carried(default), carried(low), carried(high)
+    return VehicleParameter(
+        one.name,
+        default,
+        low,
+        high,
+        harmless(one.unit, LONGEST_UNIT),
+        harmless(text, LONGEST_TEXT),
+        kind="float" if one.kind == "real" else "int32",
+        group=f"Controller {diagram}",
+        own=path,
+        bounded=one.low not in (-LARGEST_FLOAT, SMALLEST_INT) or one.high not in (LARGEST_FLOAT, LARGEST_INT),
+    )
+
+
+def _exact(declared: Param, row: VehicleParameter, value: float, default: Any) -> Any:
+    """The number that flies for a row's value."""
+    if declared.kind == "bool":
+        return bool(value)
+    if declared.kind != "real":
+        return int(value)
+    # A bound, too, may lie between two numbers of float32.
+    return float(default) if value == row.default else min(max(float(value), declared.low), declared.high)

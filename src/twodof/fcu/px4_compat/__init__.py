@@ -1,0 +1,1 @@
+"""What only PX4's clients need, such as QGroundControl, MAVSDK and PlotJuggler."""

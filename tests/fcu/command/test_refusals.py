@@ -1,0 +1,300 @@
+"""What the commander refuses, and in which words; what a refusal leaves as it was."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import inf, nan
+
+import pytest
+
+from tests.fcu.command.cockpit import LEVEL_FLIGHT, ME, OTHER, Cockpit, Rig, armed, offboard
+from twodof.excitation import Impulse
+from twodof.fcu.command.excitation_player import READY, REFUSED, written_out
+from twodof.fcu.command.result import DENIED, FAILED, TEMPORARILY_REJECTED, UNSUPPORTED, CommandResult
+from twodof.fcu.command.setpoint_queue import HORIZON
+from twodof.fcu.command.setpoints import ATTITUDE, POSITION, SetPoint
+from twodof.flight.causes import BIT
+from twodof.link.mavlink import modes
+
+WHO = "system 250, component 190 holds"
+PULSE = written_out(Impulse(0.1, 0.02, settle=0.4))
+PITCHING = written_out(Impulse(0.1, 0.02, unit="rad"))
+MOVING = written_out(Impulse(0.1, 0.02, unit="m"))
+
+
+def started(
+    cockpit: Cockpit, transfer: int = 7, loop: int = 0, thrust: float | None = 0.4, ahead: int = 0
+) -> CommandResult:
+    tick = cockpit.tick + ahead if ahead else 0
+    return cockpit.commander.start_excitation(ME, transfer, loop, thrust, tick)
+
+
+def playing() -> Cockpit:
+    """One whose excitation 7 plays."""
+    cockpit = armed()
+    cockpit.commander.define_excitation(ME, 7, PULSE)
+    assert started(cockpit).accepted
+    cockpit.run(3)
+    return cockpit
+
+
+def ready(prepared: object = PULSE, **options: object) -> Cockpit:
+    """One that has the excitation 7."""
+    cockpit = armed(**options)
+    cockpit.commander.define_excitation(ME, 7, prepared)
+    return cockpit
+
+
+def played() -> Cockpit:
+    """One whose excitation 7 is over."""
+    cockpit = ready(PITCHING)
+    assert started(cockpit, loop=2).accepted
+    cockpit.run(20)
+    return cockpit
+
+
+def on_the_ground(causes: int = 0) -> Cockpit:
+    cockpit = Cockpit()
+    cockpit.failsafe.causes = causes
+    cockpit.run(2)
+    return cockpit
+
+
+def unfit() -> CommandResult:
+    cockpit = on_the_ground()
+    cockpit.commander.unfit = lambda: "a controller is being built"
+    return cockpit.commander.arm(ME)
+
+
+def killed() -> CommandResult:
+    cockpit = offboard()
+    cockpit.commander.kill(OTHER)
+    return cockpit.commander.arm(ME)
+
+
+def switched() -> CommandResult:
+    cockpit = on_the_ground()
+    cockpit.rig.safety_off = False
+    return cockpit.commander.arm(ME)
+
+
+def too_far() -> CommandResult:
+    cockpit = offboard()
+    return cockpit.commander.setpoint(ME, LEVEL_FLIGHT, cockpit.tick + HORIZON + 1)
+
+
+SITUATIONS: dict[str, tuple[Callable[[], CommandResult], int]] = {
+    # Whoever does not hold the lease.
+    f"arming refused: {WHO} the lease": (lambda: armed().commander.arm(OTHER), TEMPORARILY_REJECTED),
+    f"mode refused: {WHO} the lease": (lambda: armed().commander.set_mode(OTHER, modes.HOLD), TEMPORARILY_REJECTED),
+    f"set-point refused: {WHO} the lease": (
+        lambda: armed().commander.setpoint(OTHER, LEVEL_FLIGHT),
+        TEMPORARILY_REJECTED,
+    ),
+    f"excitation refused: {WHO} the lease": (
+        lambda: playing().commander.define_excitation(OTHER, 8, PULSE),
+        TEMPORARILY_REJECTED,
+    ),
+    f"excitation refused: {WHO} the lease ": (
+        lambda: ready().commander.start_excitation(OTHER, 7, 0),
+        TEMPORARILY_REJECTED,
+    ),
+    f"excitation refused: {WHO} the lease  ": (
+        lambda: ready().commander.stop_excitation(OTHER),
+        TEMPORARILY_REJECTED,
+    ),
+    f"command refused: {WHO} the lease": (lambda: armed().commander.take(OTHER), TEMPORARILY_REJECTED),
+    f"lease refused: {WHO} it": (lambda: armed().commander.ask_lease(OTHER), TEMPORARILY_REJECTED),
+    f"lease not given up: {WHO} it": (lambda: armed().commander.give_up_lease(OTHER), TEMPORARILY_REJECTED),
+    "lease not given up: nobody holds it": (lambda: on_the_ground().commander.give_up_lease(ME), TEMPORARILY_REJECTED),
+    "command refused: it has no sender": (lambda: on_the_ground().commander.take((0, 190)), DENIED),
+    "lease refused: it has no sender": (lambda: on_the_ground().commander.ask_lease((0, 0)), DENIED),
+    # Arming.
+    "not armed: tilted": (lambda: on_the_ground(BIT["tilted"]).commander.arm(ME), TEMPORARILY_REJECTED),
+    "not armed: imu_lost, tilted": (
+        lambda: on_the_ground(BIT["tilted"] | BIT["imu_lost"]).commander.arm(ME),
+        TEMPORARILY_REJECTED,
+    ),
+    "not armed: no sensor was heard yet": (lambda: Cockpit().commander.arm(ME), TEMPORARILY_REJECTED),
+    "not armed: a controller is being built": (unfit, TEMPORARILY_REJECTED),
+    "not armed: killed by system 245, component 190: release it first (twodof kill --release)": (
+        killed,
+        TEMPORARILY_REJECTED,
+    ),
+    "not armed: safety switch, press it": (switched, TEMPORARILY_REJECTED),
+    # Modes.
+    "there is no mode main 99, sub 0": (lambda: armed().commander.set_mode(ME, 99 << 16), UNSUPPORTED),
+    "mode position moves the cart, and the rings lock it": (
+        lambda: armed(rig=Rig(rings=True)).commander.set_mode(ME, modes.POSITION),
+        DENIED,
+    ),
+    "mode offboard wants set-points above 2 Hz first": (
+        lambda: armed().commander.set_mode(ME, modes.OFFBOARD),
+        TEMPORARILY_REJECTED,
+    ),
+    # Set-points.
+    "set-point refused: a number is not finite": (
+        lambda: armed().commander.setpoint(ME, LEVEL_FLIGHT._replace(theta0=nan)),
+        DENIED,
+    ),
+    "set-point refused: it moves the cart, and the rings lock it": (
+        lambda: armed(rig=Rig(rings=True)).commander.setpoint(ME, SetPoint(POSITION, x0=0.1)),
+        DENIED,
+    ),
+    "set-point refused: too many wait, or it is more than a minute ahead": (too_far, DENIED),
+    "set-point refused: a stick is beyond its end": (lambda: armed().commander.sticks(ME, 0.0, 1.01), DENIED),
+    # Excitations.
+    "excitation refused: another plays": (lambda: started(playing(), transfer=8), TEMPORARILY_REJECTED),
+    "excitation refused: another plays ": (
+        lambda: playing().commander.define_excitation(ME, 8, PULSE),
+        TEMPORARILY_REJECTED,
+    ),
+    "excitation refused: there is no definition 8, whole and not yet played": (
+        lambda: started(ready(), transfer=8),
+        TEMPORARILY_REJECTED,
+    ),
+    "excitation refused: there is no definition 7, whole and not yet played": (
+        lambda: started(played(), loop=2),
+        TEMPORARILY_REJECTED,
+    ),
+    "excitation refused: there is no loop 5": (lambda: started(ready(), loop=5), TEMPORARILY_REJECTED),
+    "excitation refused: there is no loop -1": (lambda: started(ready(), loop=-1), TEMPORARILY_REJECTED),
+    "excitation refused: it is in '-', the loop in 'rad/s'": (lambda: started(ready(), loop=1), TEMPORARILY_REJECTED),
+    "excitation refused: the loop moves the cart, and the rings lock it": (
+        lambda: started(ready(MOVING, rig=Rig(rings=True)), loop=4),
+        TEMPORARILY_REJECTED,
+    ),
+    "excitation refused: thrust is not within 0 to 1": (lambda: started(ready(), thrust=1.01), TEMPORARILY_REJECTED),
+    "excitation refused: thrust is not within 0 to 1 ": (lambda: started(ready(), thrust=-0.01), TEMPORARILY_REJECTED),
+    "excitation refused: a closed loop without thrust": (
+        lambda: started(ready(PITCHING), loop=2, thrust=0.0),
+        TEMPORARILY_REJECTED,
+    ),
+    "excitation refused: tick 3 is past or more than a minute ahead, the next is 4": (
+        lambda: started(ready(), ahead=-1),
+        TEMPORARILY_REJECTED,
+    ),
+    f"excitation refused: tick {HORIZON + 5} is past or more than a minute ahead, the next is 4": (
+        lambda: started(ready(), ahead=HORIZON + 1),
+        TEMPORARILY_REJECTED,
+    ),
+}
+"""The words (spaces at the end tell equal ones apart), what is done, and MAV_RESULT."""
+
+
+@pytest.mark.parametrize("words", SITUATIONS)
+def test_it_is_refused_in_these_words(words: str) -> None:
+    refuse, result = SITUATIONS[words]
+    assert refuse() == CommandResult(result, words.rstrip())
+
+
+# What is just still accepted.
+
+
+def test_bounds_belong_to_what_is_accepted() -> None:
+    cockpit = ready()
+    assert started(cockpit, ahead=HORIZON).accepted
+    assert cockpit.commander.start_excitation(ME, 7, 0, 1.0, cockpit.tick).accepted
+    assert cockpit.run().M_open == PULSE.values[0]
+    cockpit = ready()
+    assert started(cockpit, thrust=0.0).accepted
+    cockpit = offboard()
+    assert cockpit.commander.setpoint(ME, LEVEL_FLIGHT, cockpit.tick + HORIZON).accepted
+    assert cockpit.commander.sticks(ME, 1.0, 1.0).accepted
+    assert cockpit.commander.sticks(ME, -1.0, 0.0).accepted
+
+
+@pytest.mark.parametrize(
+    ("pitch", "thrust"), [(1.001, 0.0), (-1.001, 0.0), (nan, 0.0), (inf, 0.0), (0.0, nan), (0.0, -0.001), (0.0, 1.001)]
+)
+def test_a_stick_beyond_its_end_is_none(pitch: float, thrust: float) -> None:
+    cockpit = armed()
+    assert not cockpit.commander.sticks(ME, pitch, thrust).accepted
+    assert cockpit.commander.refused == {"invalid": 1}
+
+
+def test_a_loop_that_is_none_is_no_set_point() -> None:
+    assert not SetPoint(0).sound
+    assert not SetPoint(6).sound
+    assert all(SetPoint(loop).sound for loop in (None, 1, 2, 3, 4, 5))
+
+
+# What a refusal leaves as it was.
+
+
+def test_a_start_that_is_refused_marks_the_excitation_that_it_names_and_no_other() -> None:
+    cockpit = ready()
+    revision = cockpit.commander.player.revision
+    assert not started(cockpit, transfer=8).accepted
+    assert (cockpit.commander.player.state, cockpit.commander.player.revision) == (READY, revision)
+    assert not started(cockpit, loop=9).accepted
+    assert (cockpit.commander.player.state, cockpit.commander.player.reason) == (REFUSED, "there is no loop 9")
+    cockpit = played()
+    revision = cockpit.commander.player.revision
+    assert not started(cockpit, loop=2).accepted
+    assert cockpit.commander.player.revision == revision
+
+
+def test_a_start_of_another_while_one_plays_leaves_that_alone() -> None:
+    cockpit = playing()
+    before = cockpit.commander.player.state, cockpit.commander.player.transfer, cockpit.commander.player.revision
+    assert not started(cockpit, transfer=8).accepted
+    player = cockpit.commander.player
+    assert (player.state, player.transfer, player.revision) == before
+    assert started(cockpit).accepted, "its own start, repeated"
+
+
+def test_a_stick_that_is_refused_keeps_nobody_from_arming() -> None:
+    cockpit = on_the_ground()
+    cockpit.commander.ask_lease(ME)
+    cockpit.commander.sticks(ME, 0.0, 0.0)
+    assert not cockpit.commander.sticks(OTHER, 0.5, 0.5).accepted
+    cockpit.commander.set_mode(ME, modes.ATTITUDE)
+    assert cockpit.arm().accepted
+
+
+def test_the_answer_to_an_arming_stays_until_the_next() -> None:
+    cockpit = on_the_ground()
+    assert cockpit.commander.arm(ME).result == 5
+    cockpit.failsafe.causes = BIT["tilted"] | BIT["imu_lost"]
+    cockpit.run()
+    refused = cockpit.commander.arming
+    assert refused == CommandResult(TEMPORARILY_REJECTED, "not armed: imu_lost, tilted")
+    cockpit.run(60)
+    assert cockpit.commander.arming == refused
+    cockpit.failsafe.causes = 0
+    cockpit.run()
+    assert cockpit.arm().accepted
+    cockpit.commander.disarm(ME)
+    cockpit.run(60)
+    assert cockpit.commander.arming.accepted, "a disarming does not undo that it was armed"
+
+
+def test_an_arming_that_was_ended_says_so() -> None:
+    cockpit = on_the_ground()
+    cockpit.commander.arm(ME)
+    cockpit.commander.disarm(OTHER)
+    assert cockpit.commander.arming == CommandResult(FAILED, "disarmed before it had armed")
+
+
+def test_what_is_asked_before_the_first_tick_is_asked_at_once() -> None:
+    for ask in (
+        lambda one: one.setpoint(ME, LEVEL_FLIGHT),
+        lambda one: one.open_loop(ME, 0.1, 0.4, True, True, True),
+    ):
+        commander = Cockpit().commander
+        assert ask(commander).accepted
+        assert commander.set_mode(ME, modes.OFFBOARD).accepted, "it has been streamed"
+
+
+def test_a_set_point_for_the_very_next_tick_is_one_at_once() -> None:
+    cockpit = armed()
+    assert cockpit.commander.setpoint(ME, SetPoint(ATTITUDE, theta0=0.2, thrust=0.4), cockpit.tick).accepted
+    assert cockpit.commander.set_mode(ME, modes.OFFBOARD).accepted
+    assert cockpit.run().theta0 == 0.2
+
+
+def test_a_centred_stick_before_any_estimate_holds_the_middle() -> None:
+    commander = Cockpit().commander
+    assert commander.set_mode(ME, modes.POSITION).accepted
+    assert commander.sticks(ME, 0.0, 0.0).accepted

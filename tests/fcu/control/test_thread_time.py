@@ -1,0 +1,109 @@
+"""The time of a thread, as another sees it: it waits, it runs, or it is kept from the processor."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from tests.patience import PATIENCE_S, patiently
+from twodof.fcu.control.thread_time import ThreadTime
+
+if sys.platform != "linux":
+    pytest.skip("what a thread waits for is asked of Linux", allow_module_level=True)
+
+
+MUCH = bytes(1 << 25)
+
+
+@contextmanager
+def thread(work: Callable[[threading.Event], object], before: Callable[[], object] = bool) -> Iterator[ThreadTime]:
+    """A thread that does `before` once, and `work` until the end of the block."""
+    end, made, begun = threading.Event(), list[ThreadTime](), threading.Event()
+
+    def run() -> None:
+        before()
+        made.append(ThreadTime())
+        begun.set()
+        while not end.is_set():
+            work(end)
+
+    running = threading.Thread(target=run)
+    running.start()
+    try:
+        assert begun.wait(PATIENCE_S)
+        yield made[0]
+    finally:
+        end.set()
+        running.join(PATIENCE_S)
+
+
+def looks(seen: ThreadTime, times: int) -> list[float]:
+    """Its share in each of so many milliseconds or so."""
+    return [seen.own() for _, _ in zip(range(times), patiently(), strict=False)]
+
+
+def computes(_: threading.Event) -> None:
+    """Long, and without the interpreter's lock: the test's own thread runs meanwhile."""
+    hashlib.sha256(MUCH).digest()
+
+
+def test_a_thread_that_waits_has_all_of_its_time() -> None:
+    with thread(lambda end: end.wait(PATIENCE_S)) as seen:
+        for _ in patiently():  # until it has come to wait
+            if looks(seen, 20) == [1.0] * 20:
+                break
+
+
+def test_one_that_has_ended_does_nothing_any_more() -> None:
+    """Who waits for its sign of life waits in vain, as for one that hangs."""
+    numbers = list[int]()
+    with thread(computes, lambda: numbers.append(threading.get_native_id())) as seen:
+        seen.own()
+    for _ in patiently():  # `join` returns while the system still runs its last steps
+        if not Path(f"/proc/self/task/{numbers[0]}").exists():
+            break
+    assert [seen.own(), seen.own()] == [1.0, 1.0]
+
+
+def test_one_that_computes_has_what_it_runs() -> None:
+    with thread(computes) as seen:
+        for _ in patiently():  # until others leave it half of some millisecond
+            if seen.own() > 0.5:
+                break
+
+
+def test_one_that_others_keep_from_the_processor_has_next_to_nothing() -> None:
+    place = {min(os.sched_getaffinity(0))}
+    rival = "import os, sys\nos.sched_setaffinity(0, {int(sys.argv[1])})\nprint(flush=True)\nwhile True: pass"
+
+    refused: list[OSError] = []
+
+    def stand_back() -> None:
+        try:
+            os.sched_setaffinity(0, place)
+            os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+        except OSError as error:
+            refused.append(error)
+
+    with subprocess.Popen([sys.executable, "-c", rival, str(*place)], stdout=subprocess.PIPE) as other:
+        try:
+            assert other.stdout is not None
+            other.stdout.readline()
+            with thread(computes, stand_back) as seen:
+                for _ in patiently():  # until it has come to compute, and its rival runs
+                    # It has a three-hundredth of what its rival has.
+                    if refused or sorted(looks(seen, 50))[25] < 0.1:
+                        break
+                other.kill()
+        finally:
+            other.kill()
+    if refused:
+        pytest.skip(f"no thread may stand back here: {refused[0]}")

@@ -1,0 +1,183 @@
+"""The store: all or none, typed and bounded, undone in steps, and what the wire can carry is what is kept."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from twodof.errors import ParameterError, printable
+from twodof.fcu.parameters.row import VehicleParameter
+from twodof.fcu.parameters.store import ParameterStore
+from twodof.fcu.parameters.table import own_rows, wire_rows
+
+ROWS = {row.name: row for row in wire_rows(1)}
+FREE = [row for row in own_rows(1) if not row.fixed]
+WRONG: tuple[Any, ...] = (float("nan"), float("inf"), -float("inf"), 1e300, "1", None, True, 10**400)
+
+
+def values_of(row: VehicleParameter) -> st.SearchStrategy[float]:
+    if row.kind == "int32":
+        return st.integers(int(row.low), int(row.high))
+    return st.floats(row.low, row.high).map(lambda value: min(max(carried(value), row.low), row.high))
+
+
+def carried(value: float) -> float:
+    """The shortest decimal that float32 rounds as it does `value`."""
+    return float(str(np.float32(value)))
+
+
+GOOD = st.sampled_from(FREE).flatmap(
+    lambda row: st.tuples(st.sampled_from(sorted({row.name, row.drone or row.name})), values_of(row))
+)
+BAD = st.one_of(
+    st.tuples(st.sampled_from(sorted(ROWS)), st.sampled_from(WRONG)),
+    st.tuples(st.sampled_from(sorted(name for name, row in ROWS.items() if row.kind == "int32")), st.just(0.5)),
+    st.tuples(st.text(max_size=20).filter(lambda name: name not in ROWS), st.just(1.0)),
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.tuples(st.lists(GOOD, max_size=4), st.lists(BAD, max_size=2)), max_size=6))
+def test_a_change_is_whole_or_nothing(rounds: list[tuple[list[tuple[str, float]], list[tuple[str, Any]]]]) -> None:
+    store, heard = ParameterStore(), []
+    store.listen(heard.append)
+    states = [dict(store)]
+    for good, bad in rounds:
+        wanted = dict([*good, *bad])
+        names = [ROWS[name].of or name for name in wanted if name in ROWS]
+        faulty = dict(bad).keys() | (set() if len(set(names)) == len(names) else {"twice"})
+        count, revision = len(heard), store.revision
+        if faulty:
+            with pytest.raises(ParameterError) as raised:
+                store.update(wanted)
+            assert all(printable(name) in str(raised.value) for name in dict(bad))
+            assert (dict(store), store.revision, len(heard)) == (states[-1], revision, count)
+            continue
+        store.update(wanted)
+        expected = states[-1] | {name: value for given_name, value in wanted.items() for name in both_names(given_name)}
+        assert dict(store) == expected
+        changed = {name: value for name, value in expected.items() if value != states[-1][name]}
+        assert heard[count:] == ([changed] if changed else [])
+        if changed:
+            states.append(expected)
+    for state in reversed(states[:-1]):
+        store.undo()
+        assert dict(store) == state
+    with pytest.raises(ParameterError, match="nothing to undo"):
+        store.undo()
+    for state in states[1:]:
+        store.redo()
+        assert dict(store) == state
+
+
+def both_names(name: str) -> set[str]:
+    main = ROWS[name].of or name
+    return {main} | {row.name for row in ROWS.values() if row.of == main}
+
+
+@given(st.sampled_from([row for row in FREE if row.kind == "float"]), st.data())
+def test_a_decimal_sent_as_float32_is_that_decimal(row: VehicleParameter, data: st.DataObject) -> None:
+    """Six digits survive a float32 (IEEE 754: FLT_DIG), so what a person types is what flies."""
+    value = float(f"{data.draw(st.floats(row.low, row.high)):.5g}")
+    if row.low <= value <= row.high and (abs(value) > 1e-30 or value == 0.0):  # normal numbers of float32
+        store = ParameterStore()
+        store.set(row.name, float(np.float32(value)))
+        assert store[row.name] == value
+        revision = store.revision
+        store.set(row.name, float(np.float32(store[row.name])))  # what was read is sent back
+        assert store.revision == revision
+
+
+def test_a_bound_is_reached_over_the_wire_and_not_passed() -> None:
+    store = ParameterStore()
+    for row in FREE:
+        if row.kind == "float":
+            for bound, beyond in ((row.low, -np.inf), (row.high, np.inf)):
+                sent = np.float32(bound)
+                store.set(row.name, float(sent))
+                assert store[row.name] == bound, row.name
+                with pytest.raises(ParameterError, match="outside"):
+                    store.set(row.name, float(np.nextafter(sent, np.float32(beyond))))
+
+
+def test_int32_stays_int() -> None:
+    store = ParameterStore(values={"COM_DL_LOSS_T": 20.0})
+    assert store["COM_DL_LOSS_T"] == 20
+    assert isinstance(store["COM_DL_LOSS_T"], int)
+    with pytest.raises(ParameterError, match="whole"):
+        store.set("COM_DL_LOSS_T", 20.5)
+
+
+def test_what_is_fixed_stays() -> None:
+    store = ParameterStore(system=3)
+    for row in store.rows:
+        if row.fixed:
+            with pytest.raises(ParameterError, match=row.name):
+                store.set(row.name, row.default + 1)
+    assert store["MAV_SYS_ID"] == 3
+
+
+def test_gains_change_in_flight_and_the_failsafe_does_not() -> None:
+    store = ParameterStore()
+    store.set("RATE_KP", 0.05, armed=True)
+    with pytest.raises(ParameterError, match="SAFE_SP_T: is changed only while disarmed"):
+        store.update({"RATE_KP": 0.06, "SAFE_SP_T": 0.4}, armed=True)
+    assert store["RATE_KP"] == 0.05
+    store.set("SAFE_SP_T", 0.4)
+    with pytest.raises(ParameterError, match="disarmed"):
+        store.undo(armed=True)
+    assert store["SAFE_SP_T"] == 0.4
+    # A value that it has already is no change.
+    store.set("SAFE_SP_T", 0.4, armed=True)
+
+
+def test_reset_is_one_step_to_undo() -> None:
+    store = ParameterStore(values={"RATE_KP": 0.05, "SAFE_SP_T": 0.4})
+    before = dict(store)
+    store.reset()
+    assert store.changed() == {}
+    store.undo()
+    assert dict(store) == before
+
+
+def px4_crc(data: bytes, crc: int) -> int:
+    """The checksum of PX4's parameters, bit by bit: polynomial 0x04C11DB7 reflected, begun with 0, not inverted."""
+    for byte in data:
+        crc ^= byte
+        for _ in range(8):
+            crc = crc >> 1 ^ (0xEDB88320 if crc & 1 else 0)
+    return crc
+
+
+@pytest.mark.parametrize("changes", [{}, {"RATE_KP": 0.07, "COM_DL_LOSS_T": 20, "CAL_MAG1_ROT": -1}])
+def test_the_hash_is_px4s_over_names_and_values_as_sent(changes: Mapping[str, float]) -> None:
+    store, crc = ParameterStore(values=changes), 0
+    for row in store.rows:
+        kind = np.int32 if row.kind == "int32" else np.float32
+        crc = px4_crc(kind(store[row.name]).tobytes(), px4_crc(row.name.encode(), crc))
+    assert store.hash_check() == crc
+    assert store.hash_check() != ParameterStore(system=2).hash_check()
+
+
+def test_what_flies_by_default_is_what_the_flight_code_has() -> None:
+    store = ParameterStore(values={"SAFE_WATCH_BITS": 0, "X0_MAX": 0.2})
+    flying = store.flying()
+    assert flying["failsafe.sensors.watch_bits"] is False
+    assert flying["failsafe.safe.x0_limit"] == flying["X0_MAX"] == 0.2
+    with pytest.raises(ParameterError, match="X0_MAX"):
+        store.update({"X0_MAX": 0.3}, armed=True)
+    store.update({"X0_MAX": 0.3})
+    assert store["X0_MAX"] == 0.3
+    assert len(store.failsafe()) == sum(bool(row.path) and not row.of for row in store.rows)
+
+
+def test_an_unknown_name_is_an_error_and_not_in_it() -> None:
+    store = ParameterStore()
+    assert "NOT_THERE" not in store
+    for ask in (store.row, store.index, store.__getitem__):
+        with pytest.raises(ParameterError, match="no such parameter"):
+            ask("NOT_THERE")
+    assert [store.index(row.name) for row in store.rows] == [*range(len(store))]
