@@ -4,6 +4,7 @@
 #   make sandbox what drones need to fly controllers of one's own: wasmtime and ziglang, into .venv
 #   make test    every test but the long versions          make soak   the long versions
 #   make check   format, lint, types, order of imports     make bench  figures against peers, in bench/results
+#   make docs    the documentation as a site with search, in out/docs
 #   make fuzz    coverage-guided fuzzing of what reads files and packets (SECONDS=3600: of each)
 #   make shake   every test while their processes are stopped at random: what fails is flaky (SEED=2: others)
 #   make lock    pin the requirements again                make clean  remove what the above made, .venv apart
@@ -24,7 +25,7 @@ TEST_JOBS ?= 3
 PYTEST := $(BIN)/python -m pytest -n $(TEST_JOBS) --dist worksteal
 
 .DEFAULT_GOAL := help
-.PHONY: help demo sandbox test shake check bench soak tools lock sbom clean fuzz
+.PHONY: help demo sandbox test shake check bench soak docs tools lock sbom clean fuzz
 .DELETE_ON_ERROR:
 
 help:
@@ -46,6 +47,9 @@ check: $(VENV)/ready-dev
 
 bench: $(VENV)/ready-dev tools
 	$(BIN)/python -m bench
+
+docs: $(VENV)/ready-docs
+	$(BIN)/python tools/site.py
 
 SECONDS ?= 60
 fuzz: $(VENV)/ready-dev
@@ -85,10 +89,14 @@ $(VENV)/ready-sandbox: requirements/sandbox.txt $(VENV)/ready-run
 	$(BIN)/python $(INSTALL) --require-hashes -r requirements/sandbox.txt
 	@touch $@
 
+$(VENV)/ready-docs: requirements/docs.txt $(VENV)/ready-pip
+	$(BIN)/python $(INSTALL) --require-hashes -r requirements/docs.txt
+	@touch $@
+
 $(VENV)/ready-dev: requirements/dev.txt pyproject.toml $(VENV)/ready-pip
 	$(BIN)/python $(INSTALL) --require-hashes -r requirements/dev.txt
 	$(BIN)/python $(INSTALL) --no-deps -e .
-	@touch $@ $(VENV)/ready-run $(VENV)/ready-sandbox
+	@touch $@ $(VENV)/ready-run $(VENV)/ready-sandbox $(VENV)/ready-docs
 
 # What maintains the pins has an environment of its own, so that nobody else installs it.
 MAINTAIN := $(VENV)/maintain
@@ -104,17 +112,18 @@ LOCK := CUSTOM_COMPILE_COMMAND="make lock" $(MAINTAIN)/bin/pip-compile --quiet -
 	--strip-extras --no-annotate --no-emit-index-url --no-emit-find-links --no-emit-trusted-host $(UPGRADE)
 LOCK_PROJECT := $(LOCK) --build-deps-for=editable
 lock: $(MAINTAIN)/ready
-	$(LOCK_PROJECT) --extra dev -o requirements/dev.txt pyproject.toml
+	$(LOCK_PROJECT) --extra dev --extra docs -o requirements/dev.txt pyproject.toml
 	$(LOCK_PROJECT) -c requirements/dev.txt -o requirements/run.txt pyproject.toml
 	$(LOCK_PROJECT) -c requirements/dev.txt --extra compiler -o requirements/compiler.txt pyproject.toml
 	$(LOCK_PROJECT) -c requirements/dev.txt --extra wasm -o requirements/sandbox.txt pyproject.toml
+	$(LOCK_PROJECT) -c requirements/dev.txt --extra docs -o requirements/docs.txt pyproject.toml
 	$(LOCK) -o requirements/pip.txt requirements/pip.in
 	$(LOCK) -o requirements/maintain.txt requirements/maintain.in
 
 # One document for each file of pins: name, version, purl and hashes of every part, checked against CycloneDX's schema.
 sbom: $(MAINTAIN)/ready
 	@mkdir -p out/sbom
-	@for pins in run compiler sandbox dev maintain pip; do \
+	@for pins in run compiler sandbox docs dev maintain pip; do \
 		PYTHONWARNINGS=ignore $(MAINTAIN)/bin/cyclonedx-py requirements --validate --output-reproducible --short-PURLs \
 			--mc-type library --pyproject pyproject.toml -o out/sbom/$$pins.cdx.json requirements/$$pins.txt && \
 		[ $$(grep -c '^[^ #].*==' requirements/$$pins.txt) = $$(grep -c '"purl"' out/sbom/$$pins.cdx.json) ] && \

@@ -111,6 +111,15 @@ def test_readme_code_runs(tmp_path: Path) -> None:
     run(script, tmp_path)
 
 
+def test_the_code_of_the_pages_on_tuning_and_recording_runs(tmp_path: Path) -> None:
+    pages = [PROJECT / "docs" / "how-to" / name for name in ("tune-in-flight.md", "record-and-convert.md")]
+    blocks = [re.findall(r"```python\n(.*?)```", page.read_text(), flags=re.DOTALL) for page in pages]
+    assert all(blocks)
+    script = tmp_path / "pages.py"
+    script.write_text("\n".join(block for page in blocks for block in page))
+    run(script, tmp_path)
+
+
 def test_no_file_names_a_package_index() -> None:
     host = re.compile(r"https?://[a-z.]*(" + "|".join(["py" + "pi", "npm" + "js", "python" + "hosted"]) + ")")
     listed = subprocess.run(["git", "ls-files"], cwd=PROJECT, capture_output=True, text=True, check=False)

@@ -6,12 +6,15 @@ from pathlib import Path
 
 import pytest
 
-from tools.console import PAGES, Command, commands, paired, run
+from tools.console import PAGES, Command, commands, files, paired, run, save_files
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_the_commands_of_a_page_do_what_it_says(page: Path, tmp_path: Path) -> None:
-    found = commands(page.read_text(encoding="utf-8"))
+    """Each page, the tutorials among them: from an empty folder, in its order, with the files that it has one save."""
+    text = page.read_text(encoding="utf-8")
+    save_files(text, tmp_path)
+    found = commands(text)
     results = [(command, run(command, tmp_path)) for command in found]
     assert any(result is not None for _, result in results)
     for command, result in results:
@@ -40,3 +43,12 @@ def test_a_page_is_read_as_commands_with_output() -> None:
         Command("twodof c", []),
     ]
     assert [command.refused for command in commands(text)] == [False, True, False]
+
+
+def test_a_flight_that_went_wrong_is_shown_as_one() -> None:
+    assert commands("```console\n$ twodof fly a\n  ok     x\n  FAILED y: z\n```\n")[0].refused
+
+
+def test_a_file_of_a_page_is_saved() -> None:
+    text = 'a\n```python title="a.py"\nx = 1\n```\n```python\nnot_this = 1\n```\n'
+    assert files(text) == {"a.py": "x = 1\n"}

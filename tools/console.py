@@ -1,6 +1,7 @@
 """Runs the commands that the documentation shows and brings the shown output up to date: `python tools/console.py`.
 
-In a ```console block a line `$ twodof ...` is a command, and what follows are lines of its output, not necessarily all.
+In a ```console block a line `$ twodof ...` or `$ python ...` is a command, and what follows are lines of its output,
+not necessarily all. A block ```python title="FILE" is a file that the reader saves first.
 `$LOGS` is the folder of the real drone's logs; where there is none, the commands that need it are passed over.
 """
 
@@ -29,8 +30,8 @@ class Command:
 
     @property
     def refused(self) -> bool:
-        """Whether the page shows it as a mistake."""
-        return any(line.startswith("error:") for line in self.shown)
+        """Whether the page shows it as a mistake, or as a flight that went wrong."""
+        return any(line.startswith(("error:", "  FAILED")) for line in self.shown)
 
 
 def commands(text: str) -> list[Command]:
@@ -43,6 +44,17 @@ def commands(text: str) -> list[Command]:
             elif line.strip():
                 found[-1].shown.append(line)
     return found
+
+
+def files(text: str) -> dict[str, str]:
+    """The files that a page has its reader save: name and text."""
+    return dict(re.findall(r"```python title=\"([\w.]+)\"\n(.*?)```", text, flags=re.DOTALL))
+
+
+def save_files(text: str, folder: Path) -> None:
+    """Save a page's files in `folder`, as its reader does."""
+    for name, content in files(text).items():
+        (folder / name).write_text(content, encoding="utf-8")
 
 
 def run(command: Command, folder: Path) -> tuple[int, str] | None:
@@ -78,6 +90,7 @@ def words(line: str) -> list[str]:
 def refreshed(text: str) -> str:
     """A page's text with the numbers that its commands print now."""
     with tempfile.TemporaryDirectory() as folder:
+        save_files(text, Path(folder))
         for command in commands(text):
             result = run(command, Path(folder))
             if result is not None and command.shown:
