@@ -11,8 +11,8 @@ from twodof.calibrate import FLIGHTS, PRIOR_WEIGHT, UNKNOWNS, calibrate, find_fl
 from twodof.errors import IdentificationError, LogError
 from twodof.parameters import ParameterSet
 from twodof.rig.parameters import CALIBRATED, TABLE, lab
-from twodof.rig.predict import moment_gain, velocity_damping, velocity_gain
-from twodof.sim.like import like_loop
+from twodof.rig.steady_state import moment_gain, velocity_damping, velocity_gain
+from twodof.sim.resimulation import resimulation_loop
 
 
 def means() -> dict[str, float]:
@@ -61,7 +61,7 @@ def test_priors_lie_within_bounds() -> None:
 def test_the_shipped_set_is_a_minimum(flight_data: Path) -> None:
     """No step of a fifth of a prior's deviation in a single unknown makes the misfit smaller by more than 1e-4."""
     logged = find_flights(flight_data)
-    loop = like_loop()
+    loop = resimulation_loop()
     best = shipped()
 
     def cost(u: dict[str, float]) -> float:

@@ -17,10 +17,10 @@ from scipy.linalg import eigvals
 from tests.rig.plants import dynamics, settings
 from tools.tables import PAGES, models, render
 from twodof.compile import Program, build
-from twodof.models import PAPER_PITCH_RATE, PAPER_VELOCITY_GREYBOX, StateSpace
+from twodof.models import PAPER_PITCH_RATE, PAPER_VELOCITY_GREYBOX, DelayedStateSpace
 from twodof.rig.parameters import Q_AGE, lab, paper
-from twodof.rig.predict import trim_moment
 from twodof.rig.rig import rig
+from twodof.rig.steady_state import trim_moment
 
 G = 9.81
 TICK = 1e-3
@@ -146,7 +146,7 @@ def test_the_paper_rig_is_the_papers_pitch_rate(whole: Program) -> None:
     moment[:200] = 0.0
     out = fly(whole, steps, 0.4 + moment, 0.4 - moment, values, rings=True)
     plant = PAPER_PITCH_RATE
-    exact = StateSpace.of(
+    exact = DelayedStateSpace.of(
         [[0.0, 1.0], [-(plant.w_n**2), -2.0 * plant.xi * plant.w_n]],
         [0.0, plant.mu],
         [[1.0, 0.0], [0.0, 1.0]],
@@ -189,7 +189,7 @@ def test_small_motions_of_the_lab_rig_are_those_of_its_linear_model(whole: Progr
     out = fly(whole, steps, 0.4 + moment, 0.4 - moment, values, rings=True, trim=trim, wake_start=1.0)
     found = {name: value for name, (value, _, _) in models(values).items()}
     w_n, xi, mu, lag = found["w_n"], found["xi, rotors running"], found["mu at T = 0.4"], values["lag"]
-    linear = StateSpace.of(
+    linear = DelayedStateSpace.of(
         [[0.0, 1.0, 0.0], [-(w_n**2), -2.0 * xi * w_n, mu], [0.0, 0.0, -1.0 / lag]],
         [0.0, 0.0, 1.0 / lag],
         [[0.0, 1.0, 0.0]],

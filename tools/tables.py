@@ -17,9 +17,9 @@ from twodof.fcu.parameters.row import VehicleParameter
 from twodof.fcu.parameters.table import own_rows
 from twodof.fcu.px4_compat.event_table import CHECKS, CRITICAL, ERROR, EVENTS, INFO, WARNING
 from twodof.fcu.px4_compat.log_topics import PX4_TOPICS
-from twodof.flight.causes import ACTIONS, CAUSES, NONE
 from twodof.flight.core import PERIOD
-from twodof.flight.failsafe import failsafe
+from twodof.flight.failsafe.causes import ACTIONS, CAUSES, NONE
+from twodof.flight.failsafe.diagram import failsafe
 from twodof.flight.gains import NAMED
 from twodof.flight.starters import STARTERS, starter
 from twodof.flight.templates import TEMPLATES, kind_of
@@ -30,9 +30,9 @@ from twodof.link.mavlink import dialect
 from twodof.link.mavlink.dialect import FILES
 from twodof.link.mavlink.rates import GROUND, ONBOARD
 from twodof.rig.parameters import CONDITIONS, NAMES, TABLE, load_rig, origins
-from twodof.rig.predict import model_parameters, rotor_moment
 from twodof.rig.rig import PARTS, rig_params
 from twodof.rig.rotors import HOVER
+from twodof.rig.steady_state import model_parameters, rotor_moment
 from twodof.signals import TOPICS
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"

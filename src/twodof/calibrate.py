@@ -4,8 +4,8 @@ One set of parameters for all flights: least squares of the difference between l
 channel over its own spread, in closed loop and noise-free, by the windows of the logs' registry. What one flight alone
 cannot tell is held by a weak prior.
 
-The figures of flights that were left out are not wholly blind: the estimator's tuning (`sim.like.DRONE`) and the priors
-in `UNKNOWNS` were chosen on all seven logs, and each calibration without a flight starts from the optimum with it.
+The figures of flights that were left out are not wholly blind. The estimator's tuning (`sim.resimulation.DRONE`) and
+the priors in `UNKNOWNS` were chosen on all seven logs, and each of them starts from the optimum with that flight.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from twodof.rig.dynamics import GRAVITY
 from twodof.rig.parameters import CALIBRATED, TABLE, load_rig
 from twodof.rig.rotors import HOVER, lift
 from twodof.sim.closed_loop import ClosedLoop
-from twodof.sim.like import LoggedFlight, like_loop
+from twodof.sim.resimulation import LoggedFlight, resimulation_loop
 
 Array = NDArray[np.float64]
 CalibrationProgress = Callable[[str, float], None]
@@ -178,7 +178,7 @@ def calibrate(
     if not flights:
         raise IdentificationError("no flight to calibrate on", "calibrate", "name at least one")
     logged = find_flights(folder, flights)
-    loop = like_loop()
+    loop = resimulation_loop()
     start = np.array([u.mean for u in UNKNOWNS])
     runs = 1 + (len(flights) if leave_one_out and len(flights) > 1 else 0)
     work = _Work(progress, runs)

@@ -13,7 +13,7 @@ from bench import cortex_m7
 from bench.cortex_m7 import AGREEMENT, ATTITUDE_WORDS, CASCADE_WORDS, PLAIN, UNFUSED, compiled, difference, hand
 from tests.toolchains import need
 from twodof.blocks import Diagram
-from twodof.flight.cascade import cascade
+from twodof.flight.control.cascade import cascade
 from twodof.flight.starters import starter
 from twodof.signals import MODES
 

@@ -19,7 +19,7 @@ from twodof.blocks.schema import to_json
 from twodof.cli.app import run
 from twodof.compile.cortex_m7 import processor
 from twodof.errors import CompileError, Rejected
-from twodof.flight.slot import simulator_slot
+from twodof.flight.controller_store import simulator_controllers
 from twodof.flight.starters import load_diagram, new_diagram, save_diagram, starter
 from twodof.flightlog.files import read_log
 from twodof.gcs.drone import Drone
@@ -89,7 +89,7 @@ def test_a_changed_gain_is_the_one_change(folder: Path, capfd: pytest.CaptureFix
     ]
     assert answer(capfd, "flash", str(file), "--to", "sim")["changes"] == tried["changes"]
     assert answer(capfd, "flash", str(file), "--to", "sim")["changes"] == []
-    assert to_json(simulator_slot().flashed()["attitude_control"]) == file.read_text()
+    assert to_json(simulator_controllers().flashed()["attitude_control"]) == file.read_text()
 
 
 def test_people_read_sizes_and_changes(capfd: pytest.CaptureFixture[str]) -> None:
@@ -129,7 +129,7 @@ def test_a_module_for_px4_says_what_changes_against_the_one_before(
     second = answer(capfd, "flash", "notch-attitude", "--to", "px4-dir", "--out", str(out))
     assert second["against"] == str(out / "diagram.json")
     assert "+ block notch" in "".join(f"+ {c['what']} {c['path']}" for c in second["changes"] if c["kind"] == "added")
-    assert not simulator_slot().folder.exists()
+    assert not simulator_controllers().folder.exists()
 
 
 def test_a_px4_that_it_does_not_fit_leaves_everything(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:

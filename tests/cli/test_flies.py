@@ -9,7 +9,7 @@ import pytest
 from twodof.cli.flies import flies_in_words
 from twodof.errors import DiagramError
 from twodof.fcu.control.controllers import Controllers
-from twodof.flight.slot import Slot
+from twodof.flight.controller_store import ControllerStore
 from twodof.flight.starters import starter
 from twodof.sim.virtual_drone import VirtualDrone
 
@@ -28,7 +28,7 @@ def test_it_is_said_in_words(controller: str, changed: int, words: str) -> None:
 
 def test_fresh_forgets_controllers_and_parameters_and_keeps_the_logs(tmp_path: Path) -> None:
     for folder in ("flying", "controllers"):
-        Slot(tmp_path / folder).flash(starter("stock-motor"))
+        ControllerStore(tmp_path / folder).flash(starter("stock-motor"))
     before = VirtualDrone(lockstep=True, state=tmp_path)
     before.assembly.store.update({"ATT_KP": 9.0, "RATE_KP": 0.08})
     assert before.flown.changed == 2

@@ -14,8 +14,8 @@ from twodof.compile.machine import Machine
 from twodof.compile.stepper import Stepper
 from twodof.errors import DiagramError
 from twodof.flight.core import INPUTS, OUTPUTS, PERIOD, core
-from twodof.flight.failsafe import INPUTS as SAFETY_INPUTS
-from twodof.flight.failsafe import OUTPUTS as SAFETY_OUTPUTS
+from twodof.flight.failsafe.diagram import INPUTS as SAFETY_INPUTS
+from twodof.flight.failsafe.diagram import OUTPUTS as SAFETY_OUTPUTS
 
 KINDS = {name: kind for name, kind, *_ in (*INPUTS, *SAFETY_INPUTS)}
 NAMES = [name for name, *_ in (*OUTPUTS, *SAFETY_OUTPUTS)]

@@ -25,8 +25,8 @@ from twodof.experiment.fly import fly
 from twodof.experiment.protocol import EXPERIMENTS, Experiment, experiment
 from twodof.experiment.received import COLUMNS, NAMES, Samples
 from twodof.experiment.script import Script, script
-from twodof.flight.causes import ACTIONS, named_causes
 from twodof.flight.core import PERIOD
+from twodof.flight.failsafe.causes import ACTIONS, named_causes
 from twodof.flightlog.log import FlightLog
 from twodof.flightlog.steps import BOOT
 from twodof.flightlog.ulog.decoder import scan_ulog

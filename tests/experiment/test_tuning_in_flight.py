@@ -28,8 +28,8 @@ from twodof.flightlog.ulog.decoder import ULog, scan_ulog
 from twodof.gcs.drone import Drone
 from twodof.link.control_period import TICK_US
 from twodof.rig.parameters import lab
+from twodof.sim.initial_state import InitialState
 from twodof.sim.rig_host import VirtualRig
-from twodof.sim.start import Start
 
 NAME, OWN, SEED = "attitude-steps", "lqr-attitude", 5
 ENOUGH = 100
@@ -86,7 +86,7 @@ def simulated(flown: Flown, at: int | None) -> tuple[Script, Signals]:
     loop.tune_controllers({"attitude_control.k_q": starter(OWN).params["k_q"].value, "attitude_control.k_past": past})
     plan = script(experiment, 0.0)
     loop.configure({"rings": experiment.rings, "ring_place": 0.0, "seed": SEED, "noise": 1.0})
-    loop.start(Start(x=0.0))
+    loop.start(InitialState(x=0.0))
     cut = plan.steps if at is None else at
     parts = []
     for part in (slice(0, cut), slice(cut, plan.steps)):

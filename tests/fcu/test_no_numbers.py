@@ -14,7 +14,7 @@ import pytest
 
 from tests.fcu.assembled import ARM, OFFBOARD, SET_MODE, TARGET, Assembled
 from tests.link.mavlink.test_framing import NAMES
-from twodof.flight.failsafe_machine import FLYING
+from twodof.flight.failsafe.state_machine import FLYING
 from twodof.link.mavlink import dialect
 from twodof.link.mavlink.messages import message
 

@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from twodof.blocks.reference import Reference, ReferenceMachine
 from twodof.compile import build
-from twodof.flight.cascade import ATTITUDE, OFF, OPEN_LOOP, POSITION, RATE, VELOCITY
+from twodof.flight.control.cascade import ATTITUDE, OFF, OPEN_LOOP, POSITION, RATE, VELOCITY
 from twodof.flight.core import INPUTS, OUTPUTS, PERIOD, core
-from twodof.flight.estimator import POSITION_FILTERS
+from twodof.flight.estimator.diagram import POSITION_FILTERS
 from twodof.flight.gains import DEFAULT
 
 GRAVITY = 9.81

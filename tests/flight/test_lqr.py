@@ -9,12 +9,12 @@ import pytest
 from twodof.errors import ParameterError
 from twodof.flight.lqr import LqrGains, attitude_lqr, lqr, rate_lqr
 from twodof.flight.templates import PERIOD
-from twodof.models.lti import StateSpace
+from twodof.models.lti import DelayedStateSpace
 from twodof.models.plant import PAPER_PITCH_RATE
 
 
 def test_a_plant_without_delay_gets_the_gains_of_python_control() -> None:
-    plant = StateSpace.of([[0.0, 1.0], [-9.0, -0.5]], [0.0, 300.0], np.eye(2), np.zeros((2, 1)))
+    plant = DelayedStateSpace.of([[0.0, 1.0], [-9.0, -0.5]], [0.0, 300.0], np.eye(2), np.zeros((2, 1)))
     gains = lqr(plant, 0, (0.1, 2.0), 0.3, 0.2)
     held = plant.zero_order_hold(PERIOD)
     a = np.block([[held.phi, np.zeros((2, 1))], [PERIOD * held.phi[:1], np.ones((1, 1))]])

@@ -11,10 +11,10 @@ from tests.fmea.faults import Fault, FlagFault, Mirrored, Noise
 from twodof.blocks import Block, Diagram, Param, Port, State, int32, maximum, to_int32, where
 from twodof.blocks.library.delays import ZeroOrderHold
 from twodof.compile.lanes import Lanes, LanesProgram, build_lanes
-from twodof.flight.cascade import cascade
-from twodof.flight.causes import ACTIONS
+from twodof.flight.control.cascade import cascade
+from twodof.flight.control.mixer import Mixer
 from twodof.flight.core import PreviousPitch, core
-from twodof.flight.mixer import Mixer
+from twodof.flight.failsafe.causes import ACTIONS
 from twodof.rig.parameters import load_rig
 from twodof.rig.rig import BASE_DT, SAMPLE, rig
 

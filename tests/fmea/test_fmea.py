@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import pytest
 
-from tests.flight.expr_arrays import tell
+from tests.flight.failsafe.expr_arrays import tell
 from tests.fmea.expected import EXPECTED, Expected
 from tests.fmea.fly import AT_A_STOP, Flown, flown
 from tests.fmea.measured import COLUMNS, kept, records

@@ -11,7 +11,7 @@ from twodof.identify import Estimate, Record, SimplePitch, fit, identify_pitch
 from twodof.models import pitch_rate, rail
 from twodof.models.plant import thrust_curve
 from twodof.rig.parameters import Q_AGE, paper
-from twodof.sim.closed_loop import ClosedLoop, Start
+from twodof.sim.closed_loop import ClosedLoop, InitialState
 
 Flown = Mapping[str, NDArray[np.float64]]
 
@@ -26,7 +26,7 @@ def pitch_record(loop: ClosedLoop, seed: int, thrust: float, pulses: list[tuple[
     for first, last, value in pulses:
         moment[first:last] = value
     loop.configure({"seed": seed})
-    loop.start(Start(hover=thrust > 0.0))
+    loop.start(InitialState(hover=thrust > 0.0))
     flown = loop.fly(steps, {"mode": "open-loop", "M_open": moment, "thrust": thrust})
     time = DT * np.arange(steps)
     stamped = {"M": (time, flown["M"]), "q": (time - Q_AGE, flown["q"])}  # as the drone's logs stamp them
@@ -36,7 +36,7 @@ def pitch_record(loop: ClosedLoop, seed: int, thrust: float, pulses: list[tuple[
 def fly_velocity(conditions: Mapping[str, float]) -> Flown:
     """The paper's doublet of 15 degrees and 0.8 s, in attitude mode."""
     loop = ClosedLoop(rig=paper(), conditions=conditions)
-    loop.start(Start(hover=True, x=0.15))
+    loop.start(InitialState(hover=True, x=0.15))
     pitch = np.zeros(900)
     pitch[200:400], pitch[400:600] = np.radians(15.0), -np.radians(15.0)
     return loop.fly(900, {"mode": "attitude", "theta0": pitch, "thrust": 0.4})

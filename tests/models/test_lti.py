@@ -6,7 +6,7 @@ import pytest
 from scipy.signal import cont2discrete
 
 from twodof.errors import ParameterError
-from twodof.models.lti import StateSpace, step_figures
+from twodof.models.lti import DelayedStateSpace, step_figures
 from twodof.models.plant import PAPER_PITCH_RATE, Longitudinal, PitchRate, Velocity, thrust_curve
 
 DT = 0.004
@@ -57,7 +57,7 @@ def test_step_of_the_pitch_rate_is_the_closed_form() -> None:
 
 def test_input_before_the_record_fills_the_delay() -> None:
     plant = Velocity(4.748, 1.168).state_space()
-    delayed = StateSpace(plant.a, plant.b, plant.c, plant.d, 0.0187)
+    delayed = DelayedStateSpace(plant.a, plant.b, plant.c, plant.d, 0.0187)
     rest = delayed.zero_order_hold(DT).simulate(np.full(50, 0.2), before=0.2)
     at_once = plant.zero_order_hold(DT).simulate(np.full(50, 0.2))
     np.testing.assert_allclose(rest, at_once, rtol=0, atol=1e-14)
@@ -95,11 +95,11 @@ def test_a_step_that_does_not_settle_says_so() -> None:
 
 def test_bad_models_are_refused() -> None:
     with pytest.raises(ParameterError, match="shapes"):
-        StateSpace.of(np.eye(2), [1.0, 0.0, 0.0], [[1.0, 0.0]], [[0.0]])
+        DelayedStateSpace.of(np.eye(2), [1.0, 0.0, 0.0], [[1.0, 0.0]], [[0.0]])
     with pytest.raises(ParameterError, match="NaN"):
-        StateSpace.of([[np.nan]], [1.0], [[1.0]], [[0.0]])
+        DelayedStateSpace.of([[np.nan]], [1.0], [[1.0]], [[0.0]])
     with pytest.raises(ParameterError, match="delay"):
-        StateSpace.of([[1.0]], [1.0], [[1.0]], [[0.0]], delay=-0.1)
+        DelayedStateSpace.of([[1.0]], [1.0], [[1.0]], [[0.0]], delay=-0.1)
     with pytest.raises(ParameterError, match="sample time"):
         Velocity(1.0, 1.0).state_space().zero_order_hold(0.0)
     with pytest.raises(ParameterError, match="no step"):

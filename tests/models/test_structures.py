@@ -23,7 +23,7 @@ from twodof.models import (
     rail,
     velocity,
 )
-from twodof.models.lti import StateSpace
+from twodof.models.lti import DelayedStateSpace
 
 DT = 0.004
 Array = NDArray[np.float64]
@@ -81,7 +81,7 @@ def test_both_at_once_are_the_cascade() -> None:
     p, v = PitchRate(3.437, 0.0836, 358.5, 0.0187).state_space(), Velocity(4.748, 1.168).state_space()
     a = np.zeros((4, 4))
     a[:2, :2], a[2:, 2:], a[3, 0] = p.a, v.a, -4.748
-    cascade = StateSpace(a, np.vstack([p.b, np.zeros((2, 1))]), np.eye(4), np.zeros((4, 1)), 0.0187)
+    cascade = DelayedStateSpace(a, np.vstack([p.b, np.zeros((2, 1))]), np.eye(4), np.zeros((4, 1)), 0.0187)
     expected = cascade.zero_order_hold(DT).simulate(u, before=u[0])
     for i, name in enumerate(("theta", "q", "x", "v")):
         np.testing.assert_allclose(ours[name], expected[:, i], rtol=0, atol=1e-12)

@@ -10,10 +10,10 @@ import pytest
 from twodof.blocks import Diagram
 from twodof.blocks.library.delays import ZeroOrderHold
 from twodof.compile import Machine, Program, build
-from twodof.rig.battery import Battery
+from twodof.rig.battery import BatteryPack
 from twodof.rig.parameters import lab, paper
-from twodof.rig.predict import moment_gain, rotor_moment, velocity_gain
 from twodof.rig.rotors import HOVER, Rotors
+from twodof.rig.steady_state import moment_gain, rotor_moment, velocity_gain
 
 DT = 1e-3
 PULL = {"pair_thrust": 4.0, "curve": 0.3, "arm": 0.1}
@@ -122,7 +122,7 @@ def test_the_paper_rigs_cart_has_the_papers_gain() -> None:
 def battery() -> Diagram:
     d = Diagram("battery", "battery alone")
     d.input("load")
-    d.add("battery", Battery(), load="load")
+    d.add("battery", BatteryPack(), load="load")
     for name in ("supply", "voltage", "charge"):
         d.output(name, f"battery.{name}")
     return d

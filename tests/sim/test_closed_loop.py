@@ -10,9 +10,9 @@ from twodof.compile import build
 from twodof.errors import ExperimentError, ParameterError
 from twodof.flight.gains import DEFAULT, STUDENT
 from twodof.rig.parameters import lab, paper
-from twodof.rig.predict import trim_moment
+from twodof.rig.steady_state import trim_moment
 from twodof.signals import MODES
-from twodof.sim.closed_loop import ClosedLoop, Start, closed_loop
+from twodof.sim.closed_loop import ClosedLoop, InitialState, closed_loop
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +27,7 @@ def quiet(loop: ClosedLoop, rings: bool) -> ClosedLoop:
 
 
 def test_attitude_steps_are_those_of_the_real_drone(loop: ClosedLoop) -> None:
-    quiet(loop, True).start(Start(hover=True))
+    quiet(loop, True).start(InitialState(hover=True))
     theta0 = np.where(np.arange(1000) < 250, 0.0, np.radians(10.0))
     out = loop.fly(1000, {"mode": "attitude", "theta0": theta0, "thrust": 0.4})
     step = out["theta"][250:] / np.radians(10.0)
@@ -41,7 +41,7 @@ def test_attitude_steps_are_those_of_the_real_drone(loop: ClosedLoop) -> None:
 
 @pytest.mark.parametrize("gains", [DEFAULT, STUDENT])
 def test_position_is_held_and_reached(loop: ClosedLoop, gains: object) -> None:
-    quiet(loop, False).start(Start(hover=True, x=-0.1))
+    quiet(loop, False).start(InitialState(hover=True, x=-0.1))
     loop.tune(gains)  # type: ignore[arg-type]
     out = loop.fly(5000, {"mode": "position", "x0": 0.15})
     # Stiction of the rail lets it rest, or creep, within some centimetres of its goal.
@@ -51,10 +51,10 @@ def test_position_is_held_and_reached(loop: ClosedLoop, gains: object) -> None:
 
 
 def test_the_rate_loop_follows_and_open_loop_drives(loop: ClosedLoop) -> None:
-    quiet(loop, True).start(Start(hover=True))
+    quiet(loop, True).start(InitialState(hover=True))
     out = loop.fly(125, {"mode": "rate", "q0": 0.5, "thrust": 0.4})
     assert out["true_q"][60:].mean() * lab()["gyro_scale"] == pytest.approx(0.5, abs=0.06)
-    quiet(loop, True).start(Start())
+    quiet(loop, True).start(InitialState())
     moment = np.where(np.arange(100) < 50, 0.1, 0.0)
     out = loop.fly(100, {"mode": "open-loop", "M_open": moment, "thrust": 0.0})
     assert out["true_q"].max() == pytest.approx(2.07, abs=0.25)  # the real drone's first peak after this pulse
@@ -63,7 +63,7 @@ def test_the_rate_loop_follows_and_open_loop_drives(loop: ClosedLoop) -> None:
 def test_the_trim_moment_is_what_the_level_hold_finds(loop: ClosedLoop) -> None:
     quiet(loop, True)
     loop.configure({"trim": trim_moment(loop.rig, 0.0123)})
-    loop.start(Start(hover=True))
+    loop.start(InitialState(hover=True))
     out = loop.fly(2500, {"mode": "attitude", "thrust": 0.4})
     # Friction with the rotors running may carry .0001 N m, 5e-4 of M; a sagging battery as much.
     assert out["M_trim"][-1] == pytest.approx(0.0123, abs=1.2e-3)
@@ -73,7 +73,7 @@ def test_the_same_seed_gives_the_same_bits(loop: ClosedLoop) -> None:
     def flight(seed: int) -> dict[str, np.ndarray]:
         quiet(loop, False)
         loop.configure({"noise": 1.0, "seed": seed})
-        loop.start(Start(hover=True))
+        loop.start(InitialState(hover=True))
         return loop.fly(500, {"mode": "position"})
 
     first, again, other = flight(3), flight(3), flight(4)
@@ -84,7 +84,7 @@ def test_the_same_seed_gives_the_same_bits(loop: ClosedLoop) -> None:
 def test_in_hover_the_lab_rig_moves_as_the_logs_do(loop: ClosedLoop) -> None:
     quiet(loop, True)
     loop.configure({"noise": 1.0, "seed": 11})
-    loop.start(Start(hover=True))
+    loop.start(InitialState(hover=True))
     out = loop.fly(5000, {"mode": "attitude", "thrust": 0.4})
     q, moment, v = (out[name][1000:] for name in ("q", "M", "v"))
     # The 20 s hold of a real flight: q .064, M .0074, v .007 sample by sample .0067; a third either way.
@@ -94,7 +94,7 @@ def test_in_hover_the_lab_rig_moves_as_the_logs_do(loop: ClosedLoop) -> None:
 
 
 def test_a_start_is_where_it_was_asked_for(loop: ClosedLoop) -> None:
-    quiet(loop, False).start(Start(theta=0.1, q=-0.2, x=0.05, v=0.1, hover=True))
+    quiet(loop, False).start(InitialState(theta=0.1, q=-0.2, x=0.05, v=0.1, hover=True))
     out = loop.fly(2, {"mode": "attitude", "theta0": 0.1, "thrust": 0.4})
     for name, value in (("true_theta", 0.1), ("true_q", -0.2), ("true_x", 0.05), ("true_v", 0.1)):
         assert out[name][0] == value
@@ -104,7 +104,7 @@ def test_a_start_is_where_it_was_asked_for(loop: ClosedLoop) -> None:
 def test_commands_before_the_start_are_still_on_their_way(loop: ClosedLoop) -> None:
     quiet(loop, True)
     loop.configure({"delay": 0.02, "lag": 0.0})
-    loop.start(Start(commands=((0.0, 0.4),) * 10 + ((0.1, 0.4),) * 2))
+    loop.start(InitialState(commands=((0.0, 0.4),) * 10 + ((0.1, 0.4),) * 2))
     q = loop.fly(10, {"mode": "open-loop", "thrust": 0.4})["true_q"]
     # 20 ms: the pulse of the last two steps, 8 ms before the start, arrives 12 ms after it and lasts 8 ms.
     assert np.all(np.abs(q[:4]) < 1e-3)
@@ -115,9 +115,9 @@ def test_commands_before_the_start_are_still_on_their_way(loop: ClosedLoop) -> N
 def test_what_cannot_be_is_refused(loop: ClosedLoop) -> None:
     quiet(loop, False)
     with pytest.raises(ExperimentError, match="beyond the stop"):
-        loop.start(Start(x=0.5))
+        loop.start(InitialState(x=0.5))
     with pytest.raises(ExperimentError, match="beyond the stop"):
-        loop.start(Start(theta=float("nan")))
+        loop.start(InitialState(theta=float("nan")))
     with pytest.raises(ExperimentError, match="no mode called"):
         loop.fly(1, {"mode": "hover"})
     with pytest.raises(ExperimentError, match="no set-point called"):
@@ -146,7 +146,7 @@ def test_on_the_paper_rig_the_rings_hold_the_cart_and_the_loop_is_linear() -> No
     loop = ClosedLoop(rig=paper(), conditions={"rings": True, "noise": 0.0})
     responses = []
     for amplitude in (0.01, 0.02):
-        loop.start(Start(hover=True))
+        loop.start(InitialState(hover=True))
         out = loop.fly(300, {"mode": "attitude", "theta0": amplitude, "thrust": 0.4})
         assert np.abs(out["true_x"]).max() < 6e-4
         responses.append(out["true_theta"] / amplitude)

@@ -6,9 +6,9 @@ import numpy as np
 from scipy import stats
 
 from twodof.flight.core import PERIOD
-from twodof.flight.longitudinal_filter import COVARIANCE, PAIRS, STATES
+from twodof.flight.estimator.longitudinal_filter import COVARIANCE, PAIRS, STATES
 from twodof.rig.parameters import lab
-from twodof.sim.closed_loop import ClosedLoop, Start
+from twodof.sim.closed_loop import ClosedLoop, InitialState
 
 FILTER = "flight.estimator.filter"
 RUNS, STEPS, EVERY = 60, 5000, 50
@@ -51,7 +51,7 @@ def test_the_error_on_the_rig_is_as_large_as_the_covariance_says() -> None:
         first = {name: SIGMA[f"{name}_0"] * rng.standard_normal() for name in STATES}
         loop.configure({"seed": seed + 1, "gyro_bias": first["bias"], "tof_phase": float(rng.uniform(0.0, 0.99))})
         estimates = {name: first[name] for name in ("theta", "x", "v")}
-        loop.start(Start(hover=True, estimates=estimates, states=start))
+        loop.start(InitialState(hover=True, estimates=estimates, states=start))
         out = loop.fly(STEPS, {"mode": "position", "x0": x0, "thrust": 0.4})
         at = slice(EVERY, None, EVERY)
         e = np.array(

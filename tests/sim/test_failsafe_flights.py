@@ -12,20 +12,20 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tests.flight.expr_arrays import tell
+from tests.flight.failsafe.expr_arrays import tell
 from tests.sim.faulty_loop import PERIOD_MS, FaultyLoop, first
 from twodof.compile import build
 from twodof.experiment.flight import Laboratory
 from twodof.experiment.protocol import EXPERIMENTS
 from twodof.experiment.script import script
-from twodof.flight.causes import ACTIONS, BIT, named_causes
 from twodof.flight.core import PERIOD
-from twodof.flight.failsafe import failsafe
+from twodof.flight.failsafe.causes import ACTIONS, BIT, named_causes
+from twodof.flight.failsafe.diagram import failsafe
 from twodof.flight.starters import load_diagram
 from twodof.flightlog.events import mode_at
 from twodof.flightlog.files import read_log
-from twodof.sim.closed_loop import ClosedLoop, Start
-from twodof.sim.pairing import pair
+from twodof.sim.closed_loop import ClosedLoop, InitialState
+from twodof.sim.time_alignment import align_log
 
 NONE, LEVEL, BRAKE, DESCEND, OFF = range(len(ACTIONS))
 
@@ -52,7 +52,7 @@ def both(rig: str, precision: str, name: str, starters: tuple[str, ...] = ()) ->
     flown = []
     for loop in pair_of:
         loop.configure({"rings": experiment.rings, "ring_place": x_start, "seed": 5})
-        loop.start(Start(x=x_start))
+        loop.start(InitialState(x=x_start))
         flown.append(loop.fly(plan.steps, plan.setpoints))
     return flown[0], flown[1]
 
@@ -109,7 +109,7 @@ def test_on_the_real_flights_it_is_silent_but_at_a_stop_and_where_the_motors_sta
     IMU is left out, since the drone had one and only the recording lacks it (WiFi): 13 in a row in one log.
     """
     log = read_log(flight_data / f"{name}.mat")
-    paired = pair(log)
+    paired = align_log(log)
     time = paired.time
     acc, gyr, dist = log["acc"], log["gyr"], log["dist"]
     index = {c.name: np.maximum(c.index(time, "hold"), 0) for c in (acc, gyr, dist, log["x"])}

@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tests.flight.expr_arrays import tell
+from tests.flight.failsafe.expr_arrays import tell
 from twodof.compile.lanes import Lanes, LanesProgram, build_lanes
 from twodof.experiment.flight import Laboratory
 from twodof.experiment.protocol import EXPERIMENTS
 from twodof.experiment.script import script
-from twodof.flight.causes import BIT
+from twodof.flight.failsafe.causes import BIT
 from twodof.rig.rig import BASE_DT, SAMPLE
 from twodof.sim.closed_loop import closed_loop
-from twodof.sim.start import Start
+from twodof.sim.initial_state import InitialState
 
 TICKS = SAMPLE[0]
 SUMS = {
@@ -26,7 +26,7 @@ SUMS = {
     **dict.fromkeys(("force.up", "force.down"), "force.up_limit"),
     **dict.fromkeys(("rate.faster", "rate.slower"), "rate.turn_limit"),
 }
-"""Sum -> its limit, below `flight.failsafe.`."""
+"""Sum -> its limit, below `flight.failsafe.diagram.`."""
 
 NEW_CAUSES = sum(BIT[name] for name in ("imu_lost", "range_lost", "force_disagrees", "rate_disagrees"))
 CHUNK = 500
@@ -77,7 +77,7 @@ def used(rig: str, flight: tuple[dict[str, Any], dict[str, NDArray[Any]]], seeds
     machine.set_many({f"rig.{name}": value for name, value in values.items()} | {"rig.seed": seeds})
     machine.reset()
     start = conditions.get("x_start", 0.0)
-    states = Start(x=start).flight_states("joint", ())
+    states = InitialState(x=start).flight_states("joint", ())
     for path, value in states.items():
         machine.set_state(f"flight.{path}", value)
     healthy = {"setpoint_new": True, "link_new": True, "imu_new": True, "rings": conditions["rings"]}

@@ -22,7 +22,7 @@ from twodof.models.lti import step_figures
 from twodof.models.plant import PAPER_PITCH_RATE
 from twodof.rig.parameters import Q_AGE, lab, paper
 from twodof.rig.rotors import HOVER
-from twodof.sim.closed_loop import ClosedLoop, Start
+from twodof.sim.closed_loop import ClosedLoop, InitialState
 
 Floats = NDArray[np.float64]
 STEP = np.radians(10.0)
@@ -33,7 +33,7 @@ DELAY, THETA_AGE = 5, 1
 
 
 def flown(loop: ClosedLoop, steps: int = 1500, **setpoints: Any) -> dict[str, NDArray[Any]]:
-    loop.start(Start(hover=True))
+    loop.start(InitialState(hover=True))
     return loop.fly(steps, {"mode": "attitude", "thrust": HOVER, **setpoints})
 
 
@@ -181,7 +181,7 @@ def test_the_stock_diagrams_fly_the_stock_flight(precision: str) -> None:
     flights = []
     for controllers in ([], [starter(name) for name in own]):
         loop = ClosedLoop(controllers=controllers, precision=precision)
-        loop.start(Start(hover=True, x=-0.05))
+        loop.start(InitialState(hover=True, x=-0.05))
         mode = np.repeat([3, 5, 4], 250)
         setpoints = {"mode": mode, "thrust": HOVER, "theta0": 0.05, "x0": 0.1, "v0": 0.1}
         flights.append(loop.fly(750, setpoints))
@@ -195,7 +195,7 @@ def test_single_motors_fly_as_the_pairs_do() -> None:
     flights = []
     for controllers in ([], [starter("stock-motor")]):
         loop = ClosedLoop(controllers=controllers)
-        loop.start(Start(hover=True))
+        loop.start(InitialState(hover=True))
         flights.append(loop.fly(750, {"mode": "position", "x0": 0.1}))
     for name in ("true_theta", "true_x", "fore", "aft", "theta", "q"):
         assert flights[0][name].tobytes() == flights[1][name].tobytes(), name

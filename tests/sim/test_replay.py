@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from twodof.blocks.reference import Reference
-from twodof.flight.cascade import ATTITUDE, OFF, POSITION, cascade
+from twodof.flight.control.cascade import ATTITUDE, OFF, POSITION, cascade
 from twodof.flight.gains import DEFAULT, STUDENT, Gains
 from twodof.flightlog.files import read_log
 from twodof.flightlog.log import Channel, FlightLog

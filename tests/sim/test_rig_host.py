@@ -10,7 +10,7 @@ from twodof.fcu.control.control_input import ControlInput
 from twodof.fcu.control.flight_code import OUTPUTS, FlightCode
 from twodof.rig.parameters import load_rig
 from twodof.signals import MODES
-from twodof.sim.closed_loop import ARMING, ClosedLoop, Start
+from twodof.sim.closed_loop import ARMING, ClosedLoop, InitialState
 from twodof.sim.rig_host import VirtualRig
 
 STEPS = 900
@@ -58,7 +58,7 @@ def test_the_bits_are_those_of_the_closed_loop(name: str, rings: bool, noise: fl
     loop.configure({"seed": seed, "noise": noise, "rings": rings, "ring_place": x})
     # Without noise a sensor at rest repeats itself to the bit.
     loop.machine.set("flight.failsafe.sensors.watch_bits", noise > 0.0)
-    loop.start(Start(x=x))
+    loop.start(InitialState(x=x))
     expected = loop.fly(STEPS, given)
 
     host, code = VirtualRig(parameters, precision=precision), FlightCode(precision=precision)

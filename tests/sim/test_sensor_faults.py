@@ -6,10 +6,10 @@ from collections.abc import Mapping
 
 import pytest
 
-from tests.flight.expr_arrays import tell
+from tests.flight.failsafe.expr_arrays import tell
 from tests.fmea.fly import AT_A_STOP, flown
 from tests.fmea.rows import ROWS
-from twodof.flight.causes import ACTIONS
+from twodof.flight.failsafe.causes import ACTIONS
 
 WITHIN: Mapping[str, tuple[str, int]] = {
     "range: step of -0.16 m": ("descend", 320),

@@ -14,7 +14,7 @@ from twodof.fcu.command.result import IN_PROGRESS
 from twodof.fcu.control import flight_code
 from twodof.fcu.control.controllers import Controllers, controller_identity
 from twodof.fcu.control.flight_code import FlightCode
-from twodof.flight.slot import Slot
+from twodof.flight.controller_store import ControllerStore
 from twodof.flight.starters import starter
 from twodof.flight.templates import ATTITUDE
 from twodof.sim.virtual_drone import VirtualDrone
@@ -58,7 +58,7 @@ def test_where_no_sandbox_can_be_built_what_was_kept_is_left_out(
     def missing(*_: object, **__: object) -> None:
         raise CompileError("the package wasmtime is not there", "target wasm", "install it")
 
-    Slot(tmp_path).flash(starter("lqr-attitude"))
+    ControllerStore(tmp_path).flash(starter("lqr-attitude"))
     monkeypatch.setattr(flight_code, "Sandbox", missing)
     code, damage = Controllers(kept=tmp_path).build()
     assert code.controllers == ()

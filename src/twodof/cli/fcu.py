@@ -17,7 +17,7 @@ from twodof.cli.flies import flies_in_words
 from twodof.cli.holder import naming_holder
 from twodof.cli.output import Json, print_json_line
 from twodof.errors import LinkError
-from twodof.flight.slot import data_folder
+from twodof.flight.controller_store import data_folder
 from twodof.link.signing.frame_signing import Signing
 from twodof.link.signing.key import read_key
 from twodof.link.signing.time_stamps import Stamps

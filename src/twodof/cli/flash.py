@@ -22,7 +22,7 @@ from twodof.compile.cortex_m7.report import measure
 from twodof.compile.px4 import check, export
 from twodof.compile.px4.check import ERROR
 from twodof.errors import CompileError
-from twodof.flight.slot import STOCK
+from twodof.flight.controller_store import STOCK
 from twodof.flight.starters import starter
 from twodof.flight.templates import PERIOD, check_template
 from twodof.gcs.async_drone import DEFAULT_URL

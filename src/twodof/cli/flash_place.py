@@ -12,7 +12,7 @@ from twodof.blocks.schema import from_json, to_json
 from twodof.cli.connect import connect
 from twodof.compile.px4 import export
 from twodof.errors import DiagramError, LinkError, Rejected, shown
-from twodof.flight.slot import STOCK, simulator_slot
+from twodof.flight.controller_store import STOCK, simulator_controllers
 from twodof.flight.starters import load_diagram, starter
 from twodof.gcs.async_drone import DEFAULT_URL
 from twodof.gcs.drone import Drone
@@ -43,7 +43,7 @@ class Simulator:
     """What `twodof simulate --controller flashed` flies."""
 
     def __init__(self) -> None:
-        self._slot = simulator_slot()
+        self._slot = simulator_controllers()
 
     def before(self, kind: str) -> tuple[Diagram, str]:
         """See `Place`."""

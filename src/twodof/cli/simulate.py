@@ -17,14 +17,14 @@ from twodof.errors import ParameterError
 from twodof.experiment.flight import Laboratory
 from twodof.experiment.protocol import EXPERIMENTS
 from twodof.experiment.protocol import experiment as named_experiment
+from twodof.flight.controller_store import simulator_controllers
 from twodof.flight.gains import load_gains
-from twodof.flight.slot import simulator_slot
 from twodof.flightlog.files import check_place, read_log, write_log
 from twodof.flightlog.log import FlightLog
 from twodof.flightlog.public_data import PUBLIC_LOGS, PublicLog
 from twodof.report.plots.flight_view import check_place as check_plot
 from twodof.rig.parameters import load_rig
-from twodof.sim.like import simulate_like
+from twodof.sim.resimulation import resimulate
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
@@ -104,7 +104,7 @@ def _fly_like(like: Path, rig: str, gains: str | None, window: tuple[float, floa
         taken += [f"its window ({known.window[0]:g} to {known.window[1]:g} s)"] if window is None else []
         say_line(f"note: this is the public log {known.name}: {' and '.join(taken)} taken")
         gains, window = gains or known.gains, window or known.window
-    result = simulate_like(log, load_rig(rig), load_gains(gains or "default"), window)
+    result = resimulate(log, load_rig(rig), load_gains(gains or "default"), window)
     if json:
         print_json(result.to_json())
         return
@@ -127,7 +127,7 @@ def _controllers(named: list[str]) -> list[Diagram]:
         if text != "flashed":
             found.append(read_diagram(text))
             continue
-        slot = simulator_slot()
+        slot = simulator_controllers()
         flashed = slot.flashed()
         if not flashed:
             raise ParameterError(

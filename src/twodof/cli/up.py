@@ -20,7 +20,7 @@ from twodof.cli.flies import STOCK, flies_in_words
 from twodof.cli.output import Json, print_json_line, say_line
 from twodof.cli.ports import MOST_DRONES, check_free
 from twodof.errors import LinkError
-from twodof.flight.slot import data_folder
+from twodof.flight.controller_store import data_folder
 from twodof.link.connection import Connection
 from twodof.link.mavlink.components import AUTOPILOT
 from twodof.link.mavlink.dialect import message_id

@@ -29,7 +29,7 @@ from twodof.flightlog.provenance import versions
 from twodof.parameters import ParameterSet
 from twodof.rig.parameters import load_rig
 from twodof.sim.closed_loop import ClosedLoop
-from twodof.sim.start import Start
+from twodof.sim.initial_state import InitialState
 
 MARGIN = 0.02
 """Rail kept free at each end [m]."""
@@ -214,7 +214,7 @@ class Laboratory:
     ) -> dict[str, NDArray[Any]]:
         machine = {"rail_stop": self.parameters["rail_stop"]} | self._conditions
         loop.configure(machine | {"rings": experiment.rings, "ring_place": x_start} | conditions)
-        loop.start(Start(x=x_start))
+        loop.start(InitialState(x=x_start))
         return loop.fly(plan.steps, {**plan.setpoints, **({"arm": plan.arm} if loop.failsafe else {})})
 
 

@@ -7,17 +7,17 @@ from typing import Any
 
 from twodof.blocks import Block, Diagram, Port, State
 from twodof.errors import DiagramError
-from twodof.flight.cascade import cascade
-from twodof.flight.estimator import estimator
-from twodof.flight.failsafe import INPUTS as FAILSAFE_INPUTS
-from twodof.flight.failsafe import OUTPUTS as FAILSAFE_OUTPUTS
-from twodof.flight.failsafe import OWN_INPUTS
-from twodof.flight.failsafe import failsafe as failsafe_diagram
+from twodof.flight.control.cascade import cascade
+from twodof.flight.control.level_hold import ArmingReset, LevelHold
+from twodof.flight.control.mixer import Mixer
+from twodof.flight.control.rotor_pairs import FiniteCommands, MotorFlags, RotorPairs
+from twodof.flight.estimator.diagram import estimator
+from twodof.flight.failsafe.diagram import INPUTS as FAILSAFE_INPUTS
+from twodof.flight.failsafe.diagram import OUTPUTS as FAILSAFE_OUTPUTS
+from twodof.flight.failsafe.diagram import OWN_INPUTS
+from twodof.flight.failsafe.diagram import failsafe as failsafe_diagram
+from twodof.flight.failsafe.output_selector import COMMANDS, StandbyReset
 from twodof.flight.gains import DEFAULT, Gains
-from twodof.flight.gate import COMMANDS, Standby
-from twodof.flight.level_hold import ArmingReset, LevelHold
-from twodof.flight.mixer import Mixer
-from twodof.flight.motors import MotorFlags, Pairs, Sound
 from twodof.flight.templates import ATTITUDE, MOTOR, PERIOD, POSITION, by_kind
 
 __all__ = ["INPUTS", "OUTPUTS", "PERIOD", "PreviousPitch", "core"]
@@ -95,13 +95,13 @@ def core(
     `motor_control...`. Where a moment or thrust that one of them asks for is infinite or NaN the motors stop (a single
     motor's stops that motor), and M or T shows it. With a motor controller M and T are what the motors are given.
 
-    With `failsafe` the ports of `flight.failsafe` come on top, and its gate is the last thing before the motors: as
-    long as nothing is wrong every output has the same bits as without. A user's controllers are then watched, and the
+    With `failsafe` the ports of `flight.failsafe.diagram` are added, and its gate is the last thing before the motors.
+    As long as nothing is wrong every output has the same bits as without. A user's controllers are then watched. The
     stock ones, computed at every step as `stock...` with their integrals in reset, stand ready to replace them.
 
     `outside` is for a user's controllers that are not trusted and run elsewhere, such as a whole core of theirs in a
-    sandbox: their commands come in as `flight.failsafe.OWN_INPUTS`, watched just so, and the output `own` says whether
-    they were to fly in this tick.
+    sandbox. Their commands come in as `flight.failsafe.diagram.OWN_INPUTS` and are watched in the same way. The output
+    `own` says whether they were to fly in this tick.
 
     Raises ParameterError for an unknown position filter, DiagramError for a diagram that fits no template, and for
     `outside` without `failsafe` or with `controllers`.
@@ -137,14 +137,14 @@ def core(
     )
     in_reset = "arming"
     if failsafe:
-        d.add("standby", Standby(bool(own)), in_reset="arming", own="failsafe.own")
+        d.add("standby", StandbyReset(bool(own)), in_reset="arming", own="failsafe.own")
         in_reset = "standby.own_in_reset" if own else "standby.stock_in_reset"
     _cascade(d, "cascade", cascade(gains, own.get(ATTITUDE.name), own.get(POSITION.name)), given, in_reset)
     if POSITION.name in own:
         d.connect(given["ax0"], "cascade.ax0")
     command = "cascade"
     if own:
-        command = d.add("sound", Sound(), M="cascade.M", T="cascade.T")
+        command = d.add("sound", FiniteCommands(), M="cascade.M", T="cascade.T")
     if MOTOR.name in own:
         pairs, flown = _own_motors(d, own[MOTOR.name], command, given["mode"], in_reset), "pairs.M"
         shown = {"M": "pairs.M_shown", "T": "pairs.T_shown"}
@@ -233,7 +233,7 @@ def _own_motors(d: Diagram, motors: Diagram, command: str, mode: str, in_reset: 
     )
     for flag in ("rate", "attitude", "velocity", "position"):
         d.connect(f"flags.{flag}", f"{MOTOR.name}.FLAG_{flag.upper()}_ENABLED")
-    d.add("pairs", Pairs(), mode=mode)
+    d.add("pairs", RotorPairs(), mode=mode)
     for port in MOTOR.outputs:
         d.connect(f"{MOTOR.name}.{port.name}", f"pairs.{port.name}")
     return "pairs"

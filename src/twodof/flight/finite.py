@@ -16,15 +16,15 @@ def finite(value: Any) -> Any:
     return value - value == 0.0
 
 
-BELIEVED = MappingProxyType({"theta": 1.5, "bias": 100.0, "x": 1e6, "x_filter": 1e6, "v": 1e3})
+PLAUSIBLE = MappingProxyType({"theta": 1.5, "bias": 100.0, "x": 1e6, "x_filter": 1e6, "v": 1e3})
 """How large a state of a filter may become at most, by name, in SI: the pitch has stops."""
 
 
 def restarted(new: Mapping[str, Any], first: Mapping[str, Any]) -> dict[str, Any]:
-    """The states `new` of a filter, or, if one of them is no number or not `BELIEVED`, those that it begins with.
+    """The states `new` of a filter, or, if one of them is no number or not `PLAUSIBLE`, those that it begins with.
 
     These are `first`, by name, 0 if unnamed. A filter that has once taken a sample that cannot be would else give no
     number for ever.
     """
-    sound = reduce(and_, [abs(value) <= BELIEVED[name] for name, value in new.items() if name in BELIEVED])
+    sound = reduce(and_, [abs(value) <= PLAUSIBLE[name] for name, value in new.items() if name in PLAUSIBLE])
     return {name: where(sound, value, first.get(name, 0.0)) for name, value in new.items()}

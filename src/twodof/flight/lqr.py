@@ -10,7 +10,7 @@ from scipy.linalg import LinAlgError, solve_discrete_are
 
 from twodof.errors import ParameterError
 from twodof.flight.templates import PERIOD
-from twodof.models.lti import StateSpace
+from twodof.models.lti import DelayedStateSpace
 from twodof.models.plant import PAPER_PITCH_RATE, PitchRate
 
 
@@ -28,7 +28,7 @@ class LqrGains:
 
 
 def lqr(
-    plant: StateSpace, output: int, largest: tuple[float, ...], largest_integral: float, largest_moment: float
+    plant: DelayedStateSpace, output: int, largest: tuple[float, ...], largest_integral: float, largest_moment: float
 ) -> LqrGains:
     """The gains that minimise the sum of (x_i / largest_i)^2 + (integral / largest_integral)^2 +
     (M / largest_moment)^2.
@@ -71,7 +71,7 @@ def rate_lqr(plant: PitchRate = PAPER_PITCH_RATE) -> LqrGains:
     The spring is left out: it makes the integral of q, which is theta, return by itself, so that no constant moment
     holds a rate and the feedback of both would not exist.
     """
-    rigid = StateSpace.of([[0.0]], [plant.mu], [[1.0]], [[0.0]], plant.tau)
+    rigid = DelayedStateSpace.of([[0.0]], [plant.mu], [[1.0]], [[0.0]], plant.tau)
     return lqr(rigid, 0, (1.0,), 0.2, 0.06)
 
 

@@ -13,7 +13,7 @@ from twodof.errors import IdentificationError
 from twodof.identify.covariance import ResidualRows
 from twodof.identify.record import Record
 from twodof.identify.simulate import RecordSimulator
-from twodof.models.structure import Structure, Unknown
+from twodof.models.structure import Structure, UnknownParameter
 
 Array = NDArray[np.float64]
 
@@ -26,7 +26,7 @@ _TWO_SIDED = 1e-5
 class FreeUnknown:
     """One entry of x: an unknown, of one record or (`record` None) of all."""
 
-    unknown: Unknown
+    unknown: UnknownParameter
     record: int | None
     label: str
 
@@ -247,7 +247,10 @@ class Problem:
 
 
 def _slots(
-    unknowns: Mapping[str, Unknown], records: Sequence[Record], estimate: Collection[str], separate: Collection[str]
+    unknowns: Mapping[str, UnknownParameter],
+    records: Sequence[Record],
+    estimate: Collection[str],
+    separate: Collection[str],
 ) -> list[FreeUnknown]:
     slots = []
     # In the order asked for; a set has none.

@@ -1,6 +1,6 @@
 """Plant models: linear ones in closed form, and structures (diagrams with unknown parameters) for identification."""
 
-from twodof.models.lti import Held, StateSpace, StepFigures, step_figures
+from twodof.models.lti import DelayedStateSpace, SampledStateSpace, StepFigures, step_figures
 from twodof.models.plant import (
     PAPER_PITCH_RATE,
     PAPER_VELOCITY_GREYBOX,
@@ -10,20 +10,20 @@ from twodof.models.plant import (
     Velocity,
     thrust_curve,
 )
-from twodof.models.structure import Structure, Unknown
+from twodof.models.structure import Structure, UnknownParameter
 from twodof.models.structures import free_response, longitudinal, pitch_and_velocity, pitch_rate, rail, velocity
 
 __all__ = [
     "PAPER_PITCH_RATE",
     "PAPER_VELOCITY_GREYBOX",
     "PAPER_VELOCITY_SIMPLE",
-    "Held",
+    "DelayedStateSpace",
     "Longitudinal",
     "PitchRate",
-    "StateSpace",
+    "SampledStateSpace",
     "StepFigures",
     "Structure",
-    "Unknown",
+    "UnknownParameter",
     "Velocity",
     "free_response",
     "longitudinal",

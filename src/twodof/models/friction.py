@@ -20,7 +20,7 @@ def sticks(speed: Any, drive: Any, more: Any, less: Any) -> Any:
     return (speed == 0.0) & (drive <= more) & (-drive <= less)
 
 
-def rubbed(speed: Any, drive: Any, more: Any, less: Any, dt: Any) -> Any:
+def after_friction(speed: Any, drive: Any, more: Any, less: Any, dt: Any) -> Any:
     """The speed after a step of `dt` with friction, from `speed`, that after the step without it."""
     before = speed - drive * dt
     # A motion that stops after a part of the step goes on the other way, if the drive exceeds the friction there.

@@ -16,7 +16,7 @@ Complex = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, eq=False)
-class StateSpace:
+class DelayedStateSpace:
     """x' = A x + B u(t - delay), y = C x + D u(t - delay), in continuous time.
 
     Shapes: `a` (n, n), `b` (n, m), `c` (p, n), `d` (p, m); `delay` [s] is common to all inputs.
@@ -42,7 +42,7 @@ class StateSpace:
             raise ParameterError(f"delay {self.delay} s is not a finite time >= 0", "StateSpace.delay")
 
     @classmethod
-    def of(cls, a: ArrayLike, b: ArrayLike, c: ArrayLike, d: ArrayLike, delay: float = 0.0) -> StateSpace:
+    def of(cls, a: ArrayLike, b: ArrayLike, c: ArrayLike, d: ArrayLike, delay: float = 0.0) -> DelayedStateSpace:
         """A state space from anything array-like; a one-dimensional b is a column, c a row."""
         column = np.asarray(b, dtype=float)
         row = np.asarray(c, dtype=float)
@@ -65,7 +65,7 @@ class StateSpace:
         response = self.c @ np.linalg.solve(resolvent, np.broadcast_to(self.b, (w.size, *self.b.shape))) + self.d
         return np.asarray(response * np.exp(-1j * w * self.delay)[:, None, None], dtype=np.complex128)
 
-    def zero_order_hold(self, dt: float) -> Held:
+    def zero_order_hold(self, dt: float) -> SampledStateSpace:
         """The exact discrete model for an input held over each `dt` [s]; the delay need not be a multiple of it.
 
         Where the delay ends inside a step the step is split at that edge (Astrom and Wittenmark, Computer-Controlled
@@ -79,11 +79,13 @@ class StateSpace:
         part = 0.0 if part < 1e-9 * dt else part
         phi_new, gamma_new = _held_step(self.a, self.b, dt - part)
         phi_old, gamma_old = _held_step(self.a, self.b, part)
-        return Held(phi_new @ phi_old, phi_new @ gamma_old, gamma_new, self.c, self.d, whole, part > 0.0, dt)
+        return SampledStateSpace(
+            phi_new @ phi_old, phi_new @ gamma_old, gamma_new, self.c, self.d, whole, part > 0.0, dt
+        )
 
 
 @dataclass(frozen=True, eq=False)
-class Held:
+class SampledStateSpace:
     """x[k+1] = phi x[k] + old u[k-n-1] + new u[k-n]; y[k] = C x[k] + D u[k-n], or u[k-n-1] if the delay is split."""
 
     phi: Array

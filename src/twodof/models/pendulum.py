@@ -7,7 +7,7 @@ from typing import Any
 from twodof.blocks.block import Block, Clock, Param, Port, State, library_block
 from twodof.blocks.elementary import sin
 from twodof.blocks.expr import where
-from twodof.models.friction import rubbed, sticks
+from twodof.models.friction import after_friction, sticks
 
 
 @library_block("models.PitchPendulum")
@@ -46,7 +46,7 @@ class PitchPendulum(Block):
 
     def project(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
         """The dry friction's impulse over the step; the angle as if it had acted evenly over it."""
-        after = rubbed(x.q, *self._drive(u, x, p), t.dt)
+        after = after_friction(x.q, *self._drive(u, x, p), t.dt)
         return {"theta": x.theta - 0.5 * t.dt * (x.q - after), "q": after}
 
     def _drive(self, u: Any, x: Any, p: Any) -> tuple[Any, Any, Any]:

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from twodof.errors import ParameterError
-from twodof.models.lti import StateSpace
+from twodof.models.lti import DelayedStateSpace
 
 GRAVITY = 9.81
 """Standard gravity as the course rounds it [m/s2]."""
@@ -31,9 +31,9 @@ class PitchRate:
         if not self.tau >= 0.0:
             raise ParameterError(f"delay {self.tau} s is negative", "PitchRate.tau")
 
-    def state_space(self) -> StateSpace:
+    def state_space(self) -> DelayedStateSpace:
         """Input M, outputs (theta, q)."""
-        return StateSpace.of(
+        return DelayedStateSpace.of(
             [[0.0, 1.0], [-(self.w_n**2), -2.0 * self.xi * self.w_n]],
             [0.0, self.mu],
             [[1.0, 0.0], [0.0, 1.0]],
@@ -62,9 +62,11 @@ class Velocity:
     k_v: float
     p_v: float
 
-    def state_space(self) -> StateSpace:
+    def state_space(self) -> DelayedStateSpace:
         """Input theta [rad], outputs (x, v)."""
-        return StateSpace.of([[0.0, 1.0], [0.0, -self.p_v]], [0.0, -self.k_v], [[1.0, 0.0], [0.0, 1.0]], [[0.0], [0.0]])
+        return DelayedStateSpace.of(
+            [[0.0, 1.0], [0.0, -self.p_v]], [0.0, -self.k_v], [[1.0, 0.0], [0.0, 1.0]], [[0.0], [0.0]]
+        )
 
 
 @dataclass(frozen=True)
@@ -83,9 +85,9 @@ class Longitudinal:
     m_d: float = 450.71
     tau: float = 0.0
 
-    def state_space(self) -> StateSpace:
+    def state_space(self) -> DelayedStateSpace:
         """Input M, outputs (u, q, theta, a_x)."""
-        return StateSpace.of(
+        return DelayedStateSpace.of(
             [[self.x_u, self.x_q, -GRAVITY], [self.m_u, self.m_q, 0.0], [0.0, 1.0, 0.0]],
             [self.x_d, self.m_d, 0.0],
             [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [self.x_u, self.x_q, 0.0]],

@@ -7,7 +7,7 @@ from typing import Any
 from twodof.blocks.block import Block, Clock, Param, Port, State, library_block
 from twodof.blocks.elementary import sin
 from twodof.blocks.expr import maximum, minimum, where
-from twodof.models.friction import rubbed, sticks
+from twodof.models.friction import after_friction, sticks
 
 
 @library_block("models.Lift")
@@ -78,5 +78,5 @@ class Rail(Block):
     def project(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
         """The dry friction's impulse over the step; the position as if it had acted evenly over it."""
         drive = -p.k_v * u.lift * sin(x.theta) - p.p_v * x.v
-        after = rubbed(x.v, drive, p.coulomb, p.coulomb, t.dt)
+        after = after_friction(x.v, drive, p.coulomb, p.coulomb, t.dt)
         return {"x": x.x - 0.5 * t.dt * (x.v - after), "v": after}

@@ -13,7 +13,7 @@ from twodof.errors import IdentificationError
 
 
 @dataclass(frozen=True)
-class Unknown:
+class UnknownParameter:
     """A parameter of a structure: its first guess `value`, bounds, unit, and the `scale` on which it matters.
 
     `local` unknowns (initial states, trim, bias) have one value for each record, the others one for all records.
@@ -68,7 +68,7 @@ class Structure:
         return tuple(self.diagram.outputs)
 
     @property
-    def unknowns(self) -> dict[str, Unknown]:
+    def unknowns(self) -> dict[str, UnknownParameter]:
         """Every scalar real parameter of the diagram by name."""
         return {
             name: self._unknown(param)
@@ -93,11 +93,11 @@ class Structure:
             )
         return self.diagram.params[name]
 
-    def _unknown(self, param: Param) -> Unknown:
+    def _unknown(self, param: Param) -> UnknownParameter:
         value = float(param.value)
         scale = self.scale.get(param.name, abs(value) if value != 0.0 else 1.0)
         if not (math.isfinite(scale) and scale > 0.0):
             raise IdentificationError(f"scale {scale} of '{param.name}' is not positive", f"structure '{self.name}'")
-        return Unknown(
+        return UnknownParameter(
             param.name, value, param.low, param.high, param.unit, scale, param.name in self.local, param.text
         )

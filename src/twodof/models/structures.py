@@ -11,19 +11,19 @@ from types import MappingProxyType
 from twodof.blocks.block import Block
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.library import Constant
-from twodof.models.held import (
-    HeldLinear,
-    HeldLongitudinal,
-    HeldPitchAndVelocity,
-    HeldPitchRate,
-    HeldPitchRateLag,
-    HeldVelocity,
-)
 from twodof.models.input_delay import InputDelay
 from twodof.models.offset import Offset
 from twodof.models.pendulum import PitchPendulum
 from twodof.models.rail import Lift, Rail
 from twodof.models.structure import Structure
+from twodof.models.zero_order_hold import (
+    ZohLongitudinal,
+    ZohPitchAndVelocity,
+    ZohPitchRate,
+    ZohPitchRateLag,
+    ZohPlant,
+    ZohVelocity,
+)
 
 # A change of the initial state or of an offset that matters, for step sizes and for telling "no effect" from "small".
 _SCALES: Mapping[str, float] = {
@@ -68,7 +68,7 @@ def pitch_rate(lag: bool = False, ring: int = 64) -> Structure:
     With `lag` part of the total delay `tau` is the rotors' first-order lag, 11 ms unless it is estimated. `ring`
     bounds the delay to `ring - 2` steps. Of q alone `theta_0` and `M_trim` have the same effect: estimate one.
     """
-    plant: HeldLinear = HeldPitchRateLag(ring) if lag else HeldPitchRate(ring)
+    plant: ZohPlant = ZohPitchRateLag(ring) if lag else ZohPitchRate(ring)
     return _about_trim(
         "pitch_rate_lag" if lag else "pitch_rate",
         "angular rate from moment, linear",
@@ -90,7 +90,7 @@ def velocity() -> Structure:
     return _about_trim(
         "velocity",
         "velocity from pitch, linear friction",
-        HeldVelocity(),
+        ZohVelocity(),
         "theta",
         estimate=("k_v", "p_v", "v_0"),
         values={},
@@ -127,7 +127,7 @@ def pitch_and_velocity(ring: int = 64) -> Structure:
     return _about_trim(
         "pitch_and_velocity",
         "pitch and velocity from moment, linear",
-        HeldPitchAndVelocity(ring),
+        ZohPitchAndVelocity(ring),
         "M",
         estimate=("w_n", "xi", "mu", "tau", "k_v", "p_v", "theta_0", "q_0", "x_0", "v_0"),
         values={"tau": 0.015},
@@ -140,7 +140,7 @@ def longitudinal(ring: int = 64) -> Structure:
     return _about_trim(
         "longitudinal",
         "three-state longitudinal model",
-        HeldLongitudinal(ring),
+        ZohLongitudinal(ring),
         "M",
         estimate=("X_u", "X_q", "M_u", "M_q", "X_d", "M_d"),
         values={},

@@ -8,7 +8,7 @@ from twodof.blocks import Block, Param, Port, State, maximum, minimum, sqrt
 from twodof.blocks.block import Clock
 
 
-class Battery(Block):
+class BatteryPack(Block):
     """A pack with an open-circuit voltage that falls linearly with the charge, and an inner resistance.
 
     The current is that of hover times load^(3/2), the power that momentum theory gives for the thrust (the load of the

@@ -14,7 +14,7 @@ from typing import Any
 from twodof.blocks import maximum, minimum, where
 
 
-def holds(speed: Any, load: Any, friction: Any, place: Any, low: Any, high: Any) -> Any:
+def stays_at_rest(speed: Any, load: Any, friction: Any, place: Any, low: Any, high: Any) -> Any:
     """Whether a body at `place` with `speed` stays at rest under `load`: stuck, or pressed against a stop."""
     # A stop bears any load that presses against it, friction at most its own either way.
     up = where(place >= high, math.inf, friction)
@@ -22,13 +22,13 @@ def holds(speed: Any, load: Any, friction: Any, place: Any, low: Any, high: Any)
     return (speed == 0.0) & (load <= up) & (-down <= load)
 
 
-def rubbed(place: Any, speed: Any, loss: Any, dt: Any) -> tuple[Any, Any]:
+def after_friction(place: Any, speed: Any, loss: Any, dt: Any) -> tuple[Any, Any]:
     """(place, speed) after friction that can take `loss` of speed within the step."""
     lost = maximum(-loss, minimum(loss, speed))
     return place - (0.5 * dt) * lost, speed - lost
 
 
-def bounced(place: Any, speed: Any, low: Any, high: Any, restitution: Any, rest: Any) -> tuple[Any, Any]:
+def after_stops(place: Any, speed: Any, low: Any, high: Any, restitution: Any, rest: Any) -> tuple[Any, Any]:
     """(place, speed) after the stops: a body that went beyond one comes back with `restitution` of its speed.
 
     A rebound slower than `rest` ends on the stop.

@@ -7,7 +7,7 @@ from typing import Any
 from twodof.blocks import Block, Param, Port, State, where
 from twodof.blocks.block import Clock
 from twodof.blocks.elementary import cos_octant, sin_octant
-from twodof.rig.contact import bounced, holds, rubbed
+from twodof.rig.contact import after_friction, after_stops, stays_at_rest
 
 GRAVITY = 9.81
 """[m/s2]"""
@@ -122,11 +122,11 @@ class Dynamics(Block):
         force = (p.offset_mass * x.q * x.q - u.thrust) * x.sine + p.rail_force - p.rail_viscous * x.v
         coupling = p.offset_mass * x.cosine
         alone = torque * p.per_inertia
-        stuck = holds(x.q, torque, coulomb, x.theta, -p.pitch_stop, p.pitch_stop)
+        stuck = stays_at_rest(x.q, torque, coulomb, x.theta, -p.pitch_stop, p.pitch_stop)
         load = force - where(stuck, 0.0, coupling * alone)
-        locked = holds(x.v, load, p.rail_coulomb, x.x, p.low, p.high)
+        locked = stays_at_rest(x.v, load, p.rail_coulomb, x.x, p.low, p.high)
         cart = where(locked, 0.0, force * p.per_mass)  # with the pitch at rest
-        still = holds(x.q, torque - coupling * cart, coulomb, x.theta, -p.pitch_stop, p.pitch_stop)
+        still = stays_at_rest(x.q, torque - coupling * cart, coulomb, x.theta, -p.pitch_stop, p.pitch_stop)
         per_det = 1.0 / (p.inertia_mass - coupling * coupling)
         q_rate = where(locked, alone, (p.mass * torque - coupling * force) * per_det)
         v_rate = where(locked, 0.0, (p.inertia * force - coupling * torque) * per_det)
@@ -141,10 +141,10 @@ class Dynamics(Block):
 
     def project(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         coulomb = p.coulomb_idle + (p.coulomb_run - p.coulomb_idle) * u.running
-        place, slid = rubbed(x.x, x.v, p.rail_coulomb * p.per_mass * t.base_dt, t.base_dt)
-        place, speed = bounced(place, slid, p.low, p.high, p.bounce, SLOW_CART)
-        theta, turned = rubbed(x.theta, x.q, coulomb * p.per_inertia * t.base_dt, t.base_dt)
-        theta, q = bounced(theta, turned, -p.pitch_stop, p.pitch_stop, p.pitch_bounce, SLOW_PITCH)
+        place, slid = after_friction(x.x, x.v, p.rail_coulomb * p.per_mass * t.base_dt, t.base_dt)
+        place, speed = after_stops(place, slid, p.low, p.high, p.bounce, SLOW_CART)
+        theta, turned = after_friction(x.theta, x.q, coulomb * p.per_inertia * t.base_dt, t.base_dt)
+        theta, q = after_stops(theta, turned, -p.pitch_stop, p.pitch_stop, p.pitch_bounce, SLOW_PITCH)
         # An impulse on one coordinate leaves the momentum of the other as it is. Friction holds what rests against the
         # small impulses of friction, not against those of an impact.
         sine, cosine = sine_cosine(theta)

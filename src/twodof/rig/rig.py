@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from twodof.blocks import Block, Diagram, Param
 from twodof.blocks.library.delays import ZeroOrderHold
-from twodof.rig.battery import Battery
+from twodof.rig.battery import BatteryPack
 from twodof.rig.dynamics import Dynamics
 from twodof.rig.rotors import Rotors
 from twodof.rig.sensors import Imu, NoiseSource, RangeSensor
@@ -20,7 +20,7 @@ SLOW = (40, 0)
 """Rate of the battery: 25 Hz."""
 
 PARTS: tuple[tuple[str, type[Block], tuple[int, int]], ...] = (
-    ("battery", Battery, SLOW),
+    ("battery", BatteryPack, SLOW),
     ("rotors", Rotors, (1, 0)),
     ("turbulence", Turbulence, SAMPLE),
     ("dynamics", Dynamics, (1, 0)),

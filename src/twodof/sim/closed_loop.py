@@ -16,17 +16,17 @@ from twodof.blocks.reference import Reference
 from twodof.compile import Program, build
 from twodof.errors import ExperimentError
 from twodof.flight.core import INPUTS, OUTPUTS, core
-from twodof.flight.failsafe import INPUTS as FAILSAFE_INPUTS
-from twodof.flight.failsafe import OUTPUTS as FAILSAFE_OUTPUTS
-from twodof.flight.failsafe_machine import FLYING
+from twodof.flight.failsafe.diagram import INPUTS as FAILSAFE_INPUTS
+from twodof.flight.failsafe.diagram import OUTPUTS as FAILSAFE_OUTPUTS
+from twodof.flight.failsafe.state_machine import FLYING
 from twodof.flight.gains import DEFAULT, Gains
 from twodof.flight.templates import TEMPLATES
 from twodof.parameters import ParameterSet
 from twodof.rig.parameters import lab
 from twodof.rig.rig import BASE_DT, MEASUREMENTS, SAMPLE, TRUTH, rig
 from twodof.signals import MODES
-from twodof.sim.start import FILTERS as FLIGHT_FILTERS
-from twodof.sim.start import SETTLE_STEPS, Start, covariances
+from twodof.sim.initial_state import FILTERS as FLIGHT_FILTERS
+from twodof.sim.initial_state import SETTLE_STEPS, InitialState, covariances
 
 TICKS = SAMPLE[0]
 """Base ticks in a step of the flight code."""
@@ -64,9 +64,9 @@ def closed_loop(
     Inputs: those of the flight code that are not measured (`SETPOINTS`). Outputs: those of the flight code; the
     measurements; the truth as `true_theta`, `true_q`, `true_x`, `true_v`; `load`, `voltage`, `charge`. Parameters:
     `rig.<name>` and `flight.<path>`. `controllers` fly in place of the stock ones, see `flight.core`. With `failsafe`
-    the flight code has it as its last gate, with the inputs `SAFETY` and the outputs `flight.failsafe.OUTPUTS`; the
-    voltage is the rig's. Raises ParameterError for an unknown position filter, DiagramError for a diagram that fits no
-    template.
+    the flight code has it as its last gate, with the inputs `SAFETY` and the outputs of
+    `flight.failsafe.diagram.OUTPUTS`; the voltage is the rig's. Raises ParameterError for an unknown position filter,
+    DiagramError for a diagram that fits no template.
     """
     d = Diagram("closed_loop", "the virtual rig and the code that flies it")
     given = (*SETPOINTS, *(SAFETY if failsafe else ()))
@@ -169,7 +169,7 @@ class ClosedLoop:
             path: (self.machine.parameters[full], self.machine.get(full)) for path, full in self.controllers.items()
         }
 
-    def start(self, at: Start) -> None:
+    def start(self, at: InitialState) -> None:
         """Puts everything to the start. Raises ExperimentError for a start beyond a stop."""
         get, known = self.machine.get, self._flight_states
         at.check(float(get("rig.pitch_stop")), float(get("rig.rail_stop")))

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 
 from twodof.compile import build
-from twodof.flight.cascade import ATTITUDE, RATE, VELOCITY, cascade
+from twodof.flight.control.cascade import ATTITUDE, RATE, VELOCITY, cascade
 from twodof.flight.gains import DEFAULT, Gains
 from twodof.flightlog.log import FlightLog
-from twodof.sim.pairing import PERIOD, Flags, Floats, Pairing, pair, runs
+from twodof.sim.time_alignment import PERIOD, AlignedLog, Flags, Floats, align_log, runs
 
 CHANNELS = ("M", "q0", "theta0", "T")
 
@@ -67,7 +67,7 @@ def replay(log: FlightLog, gains: Gains = DEFAULT, precision: str = "float64") -
     The reset of the integrals is not logged; it shows where M is what the law gives with the integral in reset. Where
     a missing sample hides whether there was one, nothing is compared.
     """
-    paired = pair(log)
+    paired = align_log(log)
     program = build(cascade(gains), dt=PERIOD, precision=precision, log=tuple(_TERMS))
     stage = _Stages(program, paired)
     replayed: dict[str, Floats] = {}
@@ -89,7 +89,7 @@ def replay(log: FlightLog, gains: Gains = DEFAULT, precision: str = "float64") -
     return _result(paired, precision, replayed, compared)
 
 
-def _result(paired: Pairing, precision: str, replayed: dict[str, Floats], compared: dict[str, Flags]) -> Replay:
+def _result(paired: AlignedLog, precision: str, replayed: dict[str, Floats], compared: dict[str, Flags]) -> Replay:
     nrms, coverage = {}, {}
     for name in CHANNELS:
         if name in compared:
@@ -133,7 +133,7 @@ class _Plan:
 class _Stages:
     """The compiled cascade, run over the log in one mode after the other."""
 
-    def __init__(self, program: Any, paired: Pairing) -> None:
+    def __init__(self, program: Any, paired: AlignedLog) -> None:
         self.program = program
         self.paired = paired
         self.n = len(paired.time)

@@ -16,7 +16,7 @@ from twodof.fcu.control.hardware import SensorSample
 from twodof.parameters import ParameterSet
 from twodof.rig.parameters import lab
 from twodof.rig.rig import BASE_DT, MEASUREMENTS, SAMPLE, TRUTH, rig
-from twodof.sim.start import SETTLE_STEPS, Start, covariances
+from twodof.sim.initial_state import SETTLE_STEPS, InitialState, covariances
 
 TICKS = SAMPLE[0]
 """Base ticks in a control period."""
@@ -109,7 +109,7 @@ class VirtualRig:
             while len(_settled) > MOST_SETTLED:
                 _settled.pop(next(iter(_settled)))
         self._settled = found
-        code.reset(self._begin(Start()))
+        code.reset(self._begin(InitialState()))
 
     def _at_rest(self, code: FlightCode, paths: list[str]) -> Mapping[str, Any]:
         self.machine.reset()
@@ -139,7 +139,7 @@ class VirtualRig:
             values["noise"] = float(noise)
         if rings is not None:
             values["rings"] = bool(rings)
-        start = Start(x=float(x))
+        start = InitialState(x=float(x))
         try:
             start.check(float(self.machine.get("pitch_stop")), float(self.machine.get("rail_stop")))
         except ExperimentError as error:
@@ -174,7 +174,7 @@ class VirtualRig:
         # What the sensors say of a tick depends on the rig's state only, and is needed before that tick's commands.
         self._outputs = self._stepper.peek()
 
-    def _begin(self, start: Start) -> dict[str, Any]:
+    def _begin(self, start: InitialState) -> dict[str, Any]:
         machine = self.machine
         machine.set_many(start.rig_parameters())
         machine.reset()

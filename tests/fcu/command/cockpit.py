@@ -11,8 +11,8 @@ from twodof.fcu.command.setpoints import ATTITUDE, SetPoint
 from twodof.fcu.control.control_input import ControlInput
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.control.hardware import SensorSample
-from twodof.flight.causes import ACTIONS, BIT
-from twodof.flight.failsafe_machine import BRAKE, DESCEND, DISARMED, FLYING, LEVEL, MAY_TURN, OFF, REFUSED
+from twodof.flight.failsafe.causes import ACTIONS, BIT
+from twodof.flight.failsafe.state_machine import BRAKE, DESCEND, DISARMED, FLYING, LEVEL, MAY_TURN, OFF, REFUSED
 from twodof.link.mavlink import modes
 
 ME: Source = (250, 190)

@@ -8,10 +8,10 @@ from twodof.fcu.command.result import FAILED, IN_PROGRESS, TEMPORARILY_REJECTED,
 from twodof.fcu.command.setpoint_manager import FRESH
 from twodof.fcu.command.setpoints import ATTITUDE, OFF, OPEN_LOOP, OPENLOOP, STICKS, SetPoint
 from twodof.fcu.control.control_input import ControlInput
-from twodof.flight.causes import BIT
-from twodof.flight.failsafe_machine import DISARMED, FLYING, LEVEL
-from twodof.flight.failsafe_machine import OFF as STOPPED_BY_FAILSAFE
-from twodof.flight.failsafe_machine import REFUSED as REFUSED_BY_FAILSAFE
+from twodof.flight.failsafe.causes import BIT
+from twodof.flight.failsafe.state_machine import DISARMED, FLYING, LEVEL
+from twodof.flight.failsafe.state_machine import OFF as STOPPED_BY_FAILSAFE
+from twodof.flight.failsafe.state_machine import REFUSED as REFUSED_BY_FAILSAFE
 from twodof.link.mavlink import modes
 
 # Arming.

@@ -14,9 +14,9 @@ from twodof.fcu.command.setpoint_manager import FRESH
 from twodof.fcu.command.setpoint_queue import CAPACITY, HORIZON
 from twodof.fcu.command.setpoints import ATTITUDE, OFF, OPEN_LOOP, POSITION, RATE, VELOCITY, SetPoint
 from twodof.fcu.control.control_input import ControlInput
-from twodof.flight.causes import BIT
-from twodof.flight.failsafe_machine import BRAKE, DESCEND, FLYING, LEVEL
-from twodof.flight.failsafe_machine import OFF as STOPPED_BY_FAILSAFE
+from twodof.flight.failsafe.causes import BIT
+from twodof.flight.failsafe.state_machine import BRAKE, DESCEND, FLYING, LEVEL
+from twodof.flight.failsafe.state_machine import OFF as STOPPED_BY_FAILSAFE
 from twodof.link.mavlink import modes
 
 # Set-points and offboard.

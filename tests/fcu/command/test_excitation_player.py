@@ -27,10 +27,10 @@ from twodof.fcu.command.excitation_player import (
     written_out,
 )
 from twodof.fcu.command.setpoints import ATTITUDE, OPEN_LOOP, POSITION, RATE, VELOCITY, SetPoint
-from twodof.flight.causes import BIT
 from twodof.flight.core import PERIOD
-from twodof.flight.failsafe_machine import BRAKE
-from twodof.flight.failsafe_machine import OFF as STOPPED_BY_FAILSAFE
+from twodof.flight.failsafe.causes import BIT
+from twodof.flight.failsafe.state_machine import BRAKE
+from twodof.flight.failsafe.state_machine import OFF as STOPPED_BY_FAILSAFE
 from twodof.link.mavlink import modes
 
 M, Q, THETA, V, X = range(5)

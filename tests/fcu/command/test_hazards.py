@@ -20,8 +20,8 @@ from twodof.fcu.mavlink.transactions import BEGIN, COMMIT, UNDO
 from twodof.fcu.parameters.failsafe_parameters import failsafe_rows
 from twodof.fcu.parameters.row import VehicleParameter
 from twodof.fcu.px4_compat.storage import STORAGE
-from twodof.flight.causes import BIT
-from twodof.flight.failsafe_machine import BRAKE, DESCEND, LEVEL
+from twodof.flight.failsafe.causes import BIT
+from twodof.flight.failsafe.state_machine import BRAKE, DESCEND, LEVEL
 from twodof.link.mavlink import modes
 from twodof.link.mavlink.messages import float_of_int, message
 

@@ -16,7 +16,7 @@ from twodof.fcu.command.setpoint_manager import FRESH
 from twodof.fcu.command.setpoint_queue import CAPACITY, HORIZON
 from twodof.fcu.command.setpoints import ATTITUDE, SetPoint
 from twodof.fcu.control.loop import MOST_GRANTED
-from twodof.flight.failsafe_machine import OFF
+from twodof.flight.failsafe.state_machine import OFF
 from twodof.link.mavlink import modes
 
 CLIENTS = (ME, OTHER, COMPANION)

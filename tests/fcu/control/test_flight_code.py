@@ -14,7 +14,7 @@ from twodof.errors import ControllerFault, ParameterError
 from twodof.fcu.control.control_input import ControlInput
 from twodof.fcu.control.flight_code import OUTPUTS, PATHS, ControlStep, FlightCode
 from twodof.fcu.parameters.table import own_rows
-from twodof.flight.causes import ACTIONS, BIT
+from twodof.flight.failsafe.causes import ACTIONS, BIT
 from twodof.flight.starters import starter
 from twodof.parameters import PARAMETERS, PRESETS
 

@@ -15,8 +15,8 @@ from twodof.fcu.control.control_input import ControlInput
 from twodof.fcu.control.flight_code import ControlStep, FlightCode
 from twodof.fcu.control.hardware import SensorSample
 from twodof.fcu.control.loop import MOST_GRANTED, REMEDY, FlightController
-from twodof.flight.causes import BIT
-from twodof.flight.failsafe_machine import DISARMED
+from twodof.flight.failsafe.causes import BIT
+from twodof.flight.failsafe.state_machine import DISARMED
 from twodof.link.control_period import TICK_NS
 from twodof.rig.parameters import lab
 from twodof.sim.rig_host import VirtualRig

@@ -11,7 +11,7 @@ import pytest
 from twodof.errors import LogError
 from twodof.fcu.mavlink.files.file_tree import FileTree
 from twodof.fcu.onboard_log.log_folder import LogFolder
-from twodof.flight.slot import Slot
+from twodof.flight.controller_store import ControllerStore
 from twodof.flight.starters import starter
 from twodof.flightlog.atomic import atomic_write
 from twodof.link.signing.key import Key, write_key
@@ -33,15 +33,15 @@ def removed(folder: Path) -> None:
 
 
 def back_to_stock(folder: Path) -> None:
-    Slot(folder).file("attitude_control").touch()
-    assert Slot(folder).remove("attitude_control")
+    ControllerStore(folder).file("attitude_control").touch()
+    assert ControllerStore(folder).remove("attitude_control")
 
 
 CHANGES: dict[str, Callable[[Path], object]] = {
     "atomic_write": saved,
     "upload by FTP": lambda folder: FileTree({}, controllers=folder).upload("/controllers/mine.json", b"{}"),
     "removal by FTP": removed,
-    "flashing": lambda folder: Slot(folder).flash(starter("lqr-attitude")),
+    "flashing": lambda folder: ControllerStore(folder).flash(starter("lqr-attitude")),
     "back to stock": back_to_stock,
     "erasing of logs": erased,
     "a key": lambda folder: write_key(folder / "key", Key.fresh()),

@@ -9,7 +9,7 @@ from twodof.fcu.control.flight_code import PATHS
 from twodof.fcu.parameters.failsafe_parameters import PREFIX, safe_name
 from twodof.fcu.parameters.table import own_rows, wire_rows
 from twodof.flight.core import PERIOD
-from twodof.flight.failsafe import failsafe
+from twodof.flight.failsafe.diagram import failsafe
 from twodof.parameters import NAME_LENGTH, PARAMETERS
 
 INT32, FLOAT = "int32", "float"

@@ -18,7 +18,7 @@ from twodof.fcu.control.sandbox import BUDGET_NS
 from twodof.fcu.onboard_log.logger import OnboardLogger
 from twodof.fcu.parameters.store import MOST_TUNED, ParameterStore
 from twodof.fcu.parameters.user_parameters import user_parameters
-from twodof.flight.causes import ACTIONS, BIT
+from twodof.flight.failsafe.causes import ACTIONS, BIT
 from twodof.flight.starters import starter
 from twodof.flightlog.ulog.decoder import scan_ulog
 from twodof.link.control_period import TICK_US

@@ -10,8 +10,8 @@ from tests.fcu.px4_compat.event_reader import Reader
 from twodof.fcu.command.result import TEMPORARILY_REJECTED, CommandResult
 from twodof.fcu.px4_compat.event_definitions import definitions
 from twodof.fcu.px4_compat.events import KEPT, LOOK_TICKS, MOST_AGAIN, REPORT_TICKS
-from twodof.flight import failsafe_machine
-from twodof.flight.causes import BIT, CAUSES, DESCEND, LEVEL, OFF
+from twodof.flight.failsafe import state_machine
+from twodof.flight.failsafe.causes import BIT, CAUSES, DESCEND, LEVEL, OFF
 from twodof.link.mavlink.messages import message
 
 TEXTS = {cause.name: cause.text for cause in CAUSES}
@@ -35,14 +35,14 @@ def test_what_happens_is_told_in_order_and_in_words() -> None:
     world = World()
     world.commander.lease = PILOT
     world.run(3)
-    world.run(1, armed=True, state=failsafe_machine.FLYING)
+    world.run(1, armed=True, state=state_machine.FLYING)
     world.commander.custom_mode = 6 << 16
-    world.run(2, armed=True, action=LEVEL, reason=BIT["setpoint_lost"], state=failsafe_machine.LEVEL)
-    world.run(1, armed=True, state=failsafe_machine.FLYING)
-    world.run(1, armed=True, action=DESCEND, reason=BIT["link_lost"], state=failsafe_machine.DESCEND)
+    world.run(2, armed=True, action=LEVEL, reason=BIT["setpoint_lost"], state=state_machine.LEVEL)
+    world.run(1, armed=True, state=state_machine.FLYING)
+    world.run(1, armed=True, action=DESCEND, reason=BIT["link_lost"], state=state_machine.DESCEND)
     reason = BIT["imu_lost"] | BIT["estimate_lost"]
-    world.run(1, armed=False, action=OFF, reason=reason, state=failsafe_machine.OFF)
-    world.run(1, armed=False, action=OFF, state=failsafe_machine.DISARMED)
+    world.run(1, armed=False, action=OFF, reason=reason, state=state_machine.OFF)
+    world.run(1, armed=False, action=OFF, state=state_machine.DISARMED)
     events = reported(world)
     reader = Reader(definitions())
     assert [one.name for one in reader.read(events)] == [
@@ -93,7 +93,7 @@ def test_whoever_asks_for_the_checks_gets_the_report_in_flight_too() -> None:
     assert world.command(RUN_CHECKS) == 0
     assert len(world.taken("EVENT", None)) == 2
     world.commander.armed = True
-    world.run(1, armed=True, state=failsafe_machine.FLYING, causes=BIT["not_idle"] | BIT["tilted"])
+    world.run(1, armed=True, state=state_machine.FLYING, causes=BIT["not_idle"] | BIT["tilted"])
     reader = Reader(definitions())
     world.taken("EVENT")
     assert world.command(RUN_CHECKS) == 0
@@ -147,7 +147,7 @@ def test_a_flood_of_refusals_is_told_once_in_a_while() -> None:
 
 def test_a_kill_is_told_with_who_did_it() -> None:
     world = World()
-    world.run(1, armed=True, state=failsafe_machine.FLYING)
+    world.run(1, armed=True, state=state_machine.FLYING)
     world.taken("EVENT")
     world.commander.killed = True
     world.command(KILL, 1.0)
@@ -183,8 +183,8 @@ def test_who_comes_is_told_where_the_numbers_stand() -> None:
 
 def test_motors_that_stand_because_nobody_armed_them_are_no_event() -> None:
     world = World()
-    world.run(3, action=OFF, state=failsafe_machine.DISARMED)
-    world.run(3, action=OFF, state=failsafe_machine.REFUSED)
+    world.run(3, action=OFF, state=state_machine.DISARMED)
+    world.run(3, action=OFF, state=state_machine.REFUSED)
     assert reported(world) == []
 
 

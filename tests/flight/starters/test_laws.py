@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from twodof.blocks import Diagram
 from twodof.compile import build
-from twodof.flight.cascade import ATTITUDE, OFF, OPEN_LOOP, POSITION, RATE, VELOCITY
+from twodof.flight.control.cascade import ATTITUDE, OFF, OPEN_LOOP, POSITION, RATE, VELOCITY
 from twodof.flight.core import PERIOD, core
 from twodof.flight.lqr import attitude_lqr, rate_lqr
 from twodof.flight.starters import starter

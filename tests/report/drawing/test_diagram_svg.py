@@ -13,7 +13,7 @@ from tests.compile.random_diagrams import Maker
 from twodof.blocks import Diagram
 from twodof.blocks import library as lib
 from twodof.errors import DiagramError
-from twodof.flight.cascade import cascade
+from twodof.flight.control.cascade import cascade
 from twodof.flight.core import core
 from twodof.flight.starters import STARTERS, starter
 from twodof.report.drawing.diagram_svg import Drawing, draw, find, to_svg

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from twodof.fcu.command.result import ACCEPTED, FAILED, IN_PROGRESS, TEMPORARILY_REJECTED, CommandResult, Source
 from twodof.fcu.control.flight_code import ControlStep
-from twodof.flight.causes import named_causes
-from twodof.flight.failsafe_machine import MAY_TURN, REFUSED
+from twodof.flight.failsafe.causes import named_causes
+from twodof.flight.failsafe.state_machine import MAY_TURN, REFUSED
 
 PATIENCE = 25
 """Ticks within which the failsafe has answered; it does in the tick in which it is asked."""

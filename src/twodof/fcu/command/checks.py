@@ -8,7 +8,7 @@ from twodof.fcu.command.arming import ArmingState
 from twodof.fcu.command.excitation_player import LOOPS, OnboardPlayer
 from twodof.fcu.command.setpoint_queue import HORIZON
 from twodof.fcu.command.setpoints import OPEN_LOOP, VELOCITY
-from twodof.flight.causes import named_causes
+from twodof.flight.failsafe.causes import named_causes
 
 
 class RigSwitches(Protocol):

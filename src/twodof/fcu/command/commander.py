@@ -30,8 +30,8 @@ from twodof.fcu.command.setpoints import (
 )
 from twodof.fcu.control.control_input import ControlInput
 from twodof.fcu.control.flight_code import ControlStep
-from twodof.flight.causes import BIT, named_causes
-from twodof.flight.failsafe_machine import BRAKE, DESCEND, DISARMED, FLYING, LEVEL, STATES
+from twodof.flight.failsafe.causes import BIT, named_causes
+from twodof.flight.failsafe.state_machine import BRAKE, DESCEND, DISARMED, FLYING, LEVEL, STATES
 from twodof.link.mavlink import modes
 
 ACTING = (LEVEL, BRAKE, DESCEND)

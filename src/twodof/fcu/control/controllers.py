@@ -11,7 +11,7 @@ from twodof.blocks.schema import to_json
 from twodof.errors import CompileError, ControllerFault, DiagramError
 from twodof.fcu.control.flight_code import FlightCode
 from twodof.fcu.mavlink.telemetry.twodof_messages import ControllerIdentity
-from twodof.flight.slot import STOCK, Slot
+from twodof.flight.controller_store import STOCK, ControllerStore
 from twodof.flight.starters import load_diagram, starter
 from twodof.flight.templates import TEMPLATES, by_kind
 from twodof.flightlog.atomic import atomic_write
@@ -36,8 +36,8 @@ class Controllers:
         precision: str = "float64",
         fuel: int | None = None,
     ) -> None:
-        self.uploads = None if uploads is None else Slot(uploads)
-        self._kept = None if kept is None else Slot(kept)
+        self.uploads = None if uploads is None else ControllerStore(uploads)
+        self._kept = None if kept is None else ControllerStore(kept)
         self._given = by_kind(c if isinstance(c, Diagram) else load_diagram(c) for c in given)
         self._trusted = trusted
         self._position_filter = position_filter

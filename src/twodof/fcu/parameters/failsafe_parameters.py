@@ -11,7 +11,7 @@ from math import isfinite
 from twodof.compile.lower import lower
 from twodof.fcu.parameters.row import VehicleParameter
 from twodof.flight.core import PERIOD
-from twodof.flight.failsafe import failsafe
+from twodof.flight.failsafe.diagram import failsafe
 
 PREFIX = "flight.failsafe."
 """Of the parameters' paths in the closed loop; in the flight core alone it is `failsafe.`."""

@@ -14,8 +14,8 @@ from twodof.fcu.mavlink.telemetry.system_messages import hindering
 from twodof.fcu.mavlink.vehicle import CommanderView, ControllerView
 from twodof.fcu.px4_compat.event_enumerations import ABOUT, COMPONENT_INDEX, OBSTACLE_BIT
 from twodof.fcu.px4_compat.event_table import ARMING_SUMMARY, CHECKS, HEALTH_SUMMARY, EventType
-from twodof.flight import failsafe_machine
-from twodof.flight.causes import BIT
+from twodof.flight.failsafe import state_machine
+from twodof.flight.failsafe.causes import BIT
 from twodof.link.mavlink.modes import MODES, POSITION
 
 ALL_MODES = (1 << len(MODES)) - 1
@@ -48,7 +48,7 @@ class ArmingReport:
         if step is None:
             found |= OBSTACLE_BIT["unheard"]
         else:
-            found |= hindering(step) | (OBSTACLE_BIT["stopped"] if step.state == failsafe_machine.OFF else 0)
+            found |= hindering(step) | (OBSTACLE_BIT["stopped"] if step.state == state_machine.OFF else 0)
         if not self._controller.hardware.safety_off:
             found |= OBSTACLE_BIT["safety_switch"]
         if self._controller.hardware.rings and commander.custom_mode == POSITION:

@@ -17,8 +17,8 @@ from twodof.fcu.px4_compat import event_table
 from twodof.fcu.px4_compat.arming_report import ArmingReport, ReportedEvent
 from twodof.fcu.px4_compat.event_enumerations import COMMANDED, FAILED, KILLED, LEASE_BIT, OTHER_BIT
 from twodof.fcu.px4_compat.event_table import EventType
-from twodof.flight import failsafe_machine
-from twodof.flight.causes import OFF
+from twodof.flight.failsafe import state_machine
+from twodof.flight.failsafe.causes import OFF
 from twodof.link.connection import Received
 from twodof.link.control_period import TICK_MS
 from twodof.link.mavlink.messages import message
@@ -34,7 +34,7 @@ LOOK_TICKS, REPORT_TICKS = 25, 500
 
 _RESET = 1  # MAV_EVENT_CURRENT_SEQUENCE_FLAGS_RESET: what was numbered before counts no more
 # Motors that stand because nobody armed them are no failure.
-_AT_REST = (failsafe_machine.DISARMED, failsafe_machine.REFUSED)
+_AT_REST = (state_machine.DISARMED, state_machine.REFUSED)
 
 
 class EventService:
@@ -134,13 +134,13 @@ class EventService:
             self._tell(event_table.OFF, step.reason & MASK_32)
         elif action:
             self._tell(event_table.ACTION, action, step.reason & MASK_32)
-        elif step.state == failsafe_machine.FLYING:
+        elif step.state == state_machine.FLYING:
             self._tell(event_table.OVER)
 
     def _disarmed_by(self, step: ControlStep) -> int:
         if self._commander.killed:
             return KILLED
-        return FAILED if step.state == failsafe_machine.OFF else COMMANDED
+        return FAILED if step.state == state_machine.OFF else COMMANDED
 
     def _tell(self, what: EventType, *values: int) -> None:
         self._sequence = self._sequence + 1 & 0xFFFF

@@ -17,8 +17,8 @@ from twodof.blocks.library import (
     Switch,
     UnitDelay,
 )
+from twodof.flight.control.loops import AttitudeLoop, RateLoop
 from twodof.flight.gains import DEFAULT, Gains
-from twodof.flight.loops import AttitudeLoop, RateLoop
 from twodof.flight.lqr import LqrGains, attitude_lqr, rate_lqr
 from twodof.flight.starters.build import pitch_loop, tuned, with_ports
 from twodof.flight.templates import ATTITUDE

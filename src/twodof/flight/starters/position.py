@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from twodof.blocks import Diagram
 from twodof.blocks.library import Constant, Divide, Gain, Pid, Product, Saturation, Sum, Switch, Trigonometry
+from twodof.flight.control.loops import PositionLoop, Projection, VelocityLoop
 from twodof.flight.gains import DEFAULT, Gains
-from twodof.flight.loops import PositionLoop, Projection, VelocityLoop
 from twodof.flight.starters.build import tuned, with_ports
 from twodof.flight.templates import POSITION
 

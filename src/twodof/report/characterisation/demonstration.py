@@ -20,9 +20,9 @@ from twodof.report.characterisation.compose import CharacterisedMachine
 from twodof.report.content import ReportTable
 from twodof.report.numbers import plain, power_of_ten
 from twodof.rig.parameters import lab, load_rig
-from twodof.rig.predict import model_parameters
-from twodof.sim.like import simulate_like
+from twodof.rig.steady_state import model_parameters
 from twodof.sim.replay import replay
+from twodof.sim.resimulation import resimulate
 
 StepProgress = Callable[[str], None]
 """Called with what is begun."""
@@ -164,7 +164,7 @@ def comparisons(logs: Mapping[str, Path], progress: StepProgress) -> list[Report
         if laws.nrms:
             shown = (power_of_ten(laws.nrms[c]) if c in laws.nrms else "–" for c in ("M", "q0", "theta0", "T"))
             replayed.append((name, *shown, f"{100.0 * min(laws.coverage.values()):.0f} %"))
-        fit = simulate_like(log, rig, NAMED[known.gains], known.window).fit
+        fit = resimulate(log, rig, NAMED[known.gains], known.window).fit
         flown.append((name, *(f"{fit[c]:.1f}" if c in known.compared else "–" for c in ("theta", "q", "x", "v"))))
     if not flown:
         return []

@@ -9,7 +9,7 @@ import numpy as np
 from twodof.excitation import Doublet, Excitation, Impulse
 from twodof.identify.record import Record
 from twodof.identify.simple_velocity import read_step
-from twodof.models.lti import StateSpace
+from twodof.models.lti import DelayedStateSpace
 from twodof.models.plant import (
     PAPER_PITCH_RATE,
     PAPER_VELOCITY_GREYBOX,
@@ -56,7 +56,7 @@ def read_by_hand() -> tuple[float, float]:
     return step.k_v, step.p_v
 
 
-def _response(plant: StateSpace, excitation: Excitation, duration: float) -> np.ndarray:
+def _response(plant: DelayedStateSpace, excitation: Excitation, duration: float) -> np.ndarray:
     time = np.arange(0.0, duration, _STEP_S)
     return plant.zero_order_hold(_STEP_S).simulate(excitation.at(time))
 

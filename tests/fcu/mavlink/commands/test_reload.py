@@ -20,7 +20,7 @@ from twodof.fcu.command.result import ACCEPTED, FAILED, IN_PROGRESS, TEMPORARILY
 from twodof.fcu.control.controllers import Controllers
 from twodof.fcu.control.flight_code import FlightCode
 from twodof.fcu.mavlink.commands.reload import ASK, RELOAD
-from twodof.flight.slot import Slot
+from twodof.flight.controller_store import ControllerStore
 from twodof.flight.starters import starter
 from twodof.link.connection import Connection
 from twodof.link.transport.open_transport import open_transport
@@ -47,7 +47,7 @@ class Gate:
 @asynccontextmanager
 async def being_built(state: Path, gate: Gate) -> AsyncIterator[tuple[VirtualDrone, Client]]:
     """A drone whose reload waits at the gate."""
-    Slot(state / "controllers").flash(starter("lqr-attitude"))
+    ControllerStore(state / "controllers").flash(starter("lqr-attitude"))
     async with VirtualDrone(lockstep=True, conditions={"rings": True}, state=state) as drone:
         await drone.listen(f"memin://{state.name}")
         async with Connection(await open_transport(f"mem://{state.name}"), 250, 1) as link:
@@ -138,7 +138,7 @@ def test_what_could_not_be_built_is_not_there_any_more(tmp_path: Path, flies: bo
 
     async def session() -> None:
         if flies:
-            Slot(tmp_path / "flying").flash(starter("lqr-attitude"))
+            ControllerStore(tmp_path / "flying").flash(starter("lqr-attitude"))
         (tmp_path / "controllers").mkdir()
         upload = tmp_path / "controllers" / "attitude_control.json"
         upload.write_text("{")

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from tests.fcu.mavlink.world import World, step
 from twodof.fcu.mavlink.telemetry.system_messages import FENCE, PREARM, PRESENT
 from twodof.fcu.mavlink.telemetry.twodof_messages import ControllerIdentity, deciding
-from twodof.flight.causes import BIT, CAUSES
+from twodof.flight.failsafe.causes import BIT, CAUSES
 from twodof.link.mavlink.framing import Parser, decode, encode
 from twodof.signals import MODES
 

@@ -9,7 +9,7 @@ from math import isfinite
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.mavlink.telemetry.flight_messages import MASK_32, Encoder, flying
 from twodof.fcu.mavlink.vehicle import CommanderView, ControllerView
-from twodof.flight.causes import BIT
+from twodof.flight.failsafe.causes import BIT
 from twodof.link.control_period import TICK_MS, TICK_US
 from twodof.link.mavlink.packing import Packed, Packer
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.mavlink.telemetry.flight_messages import MASK_32, Encoder
 from twodof.fcu.mavlink.vehicle import CommanderView, ControllerView
-from twodof.flight.causes import CAUSES
+from twodof.flight.failsafe.causes import CAUSES
 from twodof.link.control_period import TICK_MS, TICK_US
 from twodof.link.mavlink.packing import Packed, Packer
 

@@ -1,0 +1,185 @@
+"""The loops of the cascade, each a block: position P, velocity PI, projection on pitch, attitude P, rate PID.
+
+The laws are those of the drone's own controller at 250 Hz; fed with logged inputs they give the logged outputs back.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from twodof.blocks import Block, Param, Port, State, maximum, minimum, where
+from twodof.blocks.elementary import atan, cos
+from twodof.flight.finite import finite
+
+
+def limited(value: Any, limit: Any) -> Any:
+    """`value` kept within +-`limit`."""
+    return maximum(-limit, minimum(limit, value))
+
+
+def kahan_sum(total: Any, carry: Any, increment: Any) -> tuple[Any, Any]:
+    """(total, carry) after one term of a compensated sum (Kahan, CACM 8-1, 1965).
+
+    The drone sums its integrals in double precision. In float32 a plain sum of some 1e4 terms drifts by 1e-6 of the
+    moment; with the rounding error carried along it stays where the double sum is.
+    """
+    term = increment - carry
+    new = total + term
+    return new, (new - total) - term
+
+
+class PositionLoop(Block):
+    """v0 = Kp (x0 - x) in position mode, else the velocity set-point that is given."""
+
+    inputs = (
+        Port("x0", unit="m"),
+        Port("x", unit="m"),
+        Port("v0", unit="m/s"),
+        Port("closed", "bool"),
+    )
+    outputs = (Port("v0", unit="m/s"),)
+
+    def __init__(self, kp: float = 1.5) -> None:
+        self.params = [
+            Param("kp", kp, unit="1/s", low=0.0, high=10.0, text="position P"),
+            Param("limit", 1.0, unit="m/s", low=0.0, text="largest velocity set-point"),
+        ]
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        return where(u.closed, limited(p.kp * (u.x0 - u.x), p.limit), u.v0)
+
+
+class VelocityLoop(Block):
+    """force = Kp e + integral, e = v0 - v; the integral Ki e by backward Euler.
+
+    In reset the integral is its own sample's contribution, Ki Ts e.
+    """
+
+    inputs = (Port("v0", unit="m/s"), Port("v", unit="m/s"), Port("in_reset", "bool"))
+    outputs = (
+        Port("force", unit="N"),
+        Port("proportional", unit="N"),
+        Port("integral", unit="N"),
+        Port("increment", unit="N"),
+    )
+    states = (State("sum", unit="N"), State("carry", unit="N"))
+    derived = (Port("ki_dt"),)
+
+    def __init__(self, kp: float = 2.4, ki: float = 2.81) -> None:
+        self.params = [
+            Param("kp", kp, unit="N*s/m", low=0.0, high=20.0, text="velocity P"),
+            Param("ki", ki, unit="N/m", low=0.0, high=20.0, text="velocity I"),
+        ]
+
+    def prepare(self, p: Any, t: Any) -> Any:
+        return p.ki * t.dt
+
+    def _integral(self, u: Any, x: Any, p: Any) -> tuple[Any, Any, Any]:
+        increment = p.ki_dt * (u.v0 - u.v)
+        total, carry = kahan_sum(x.sum, x.carry, increment)
+        return where(u.in_reset, increment, total), where(u.in_reset, 0.0, carry), increment
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        integral, _, increment = self._integral(u, x, p)
+        proportional = p.kp * (u.v0 - u.v)
+        return {
+            "force": proportional + integral,
+            "proportional": proportional,
+            "integral": integral,
+            "increment": increment,
+        }
+
+    def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        integral, carry, _ = self._integral(u, x, p)
+        return {"sum": integral, "carry": carry}
+
+
+class Projection(Block):
+    """The pitch and thrust that push with `force` along the rail and keep the vertical thrust:
+    theta0 = -atan(force / (T_bar eta_T)), T = T_bar / cos(theta0).
+    """
+
+    inputs = (Port("force", unit="N"),)
+    outputs = (Port("theta0", unit="rad"), Port("T"))
+    params = (
+        Param("T_bar", 0.4, low=0.05, high=1.0, text="thrust when level"),
+        Param("eta_T", 6.3386, unit="N", low=0.1, high=100.0, text="force of full thrust"),
+    )
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        theta0 = -atan(u.force / (p.T_bar * p.eta_T))
+        return {"theta0": theta0, "T": p.T_bar / cos(theta0)}
+
+
+class AttitudeLoop(Block):
+    """q0 = Kp (theta0 - theta), or in rate mode the rate set-point that is given."""
+
+    inputs = (
+        Port("theta0", unit="rad"),
+        Port("theta", unit="rad"),
+        Port("q0", unit="rad/s"),
+        Port("closed", "bool"),
+    )
+    outputs = (Port("q0", unit="rad/s"),)
+
+    def __init__(self, kp: float = 11.0) -> None:
+        self.params = [
+            Param("kp", kp, unit="1/s", low=0.0, high=50.0, text="attitude P"),
+            Param("limit", 20.0, unit="rad/s", low=0.0, text="largest rate set-point"),
+        ]
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        return where(u.closed, limited(p.kp * (u.theta0 - u.theta), p.limit), u.q0)
+
+
+class RateLoop(Block):
+    """M = Kp e + integral + Kd derivative, e = q0 - q, within +-limit.
+
+    The integral Ki e by backward Euler; in reset it is its own sample's contribution, Ki Ts e. The derivative is
+    (z - 1) / ((1/N + Ts) z - 1/N) and is never reset. No anti-windup, no feed-forward. `proportional`, `integral`,
+    `derivative` and `increment` are the terms of M, for the log and for the replay.
+    """
+
+    inputs = (Port("q0", unit="rad/s"), Port("q", unit="rad/s"), Port("in_reset", "bool"))
+    outputs = (Port("M"), Port("proportional"), Port("integral"), Port("derivative"), Port("increment"))
+    states = (State("sum"), State("carry"), State("slope", unit="rad/s2"), State("error", unit="rad/s"))
+    derived = (Port("ki_dt"), Port("decay"), Port("rise"))
+
+    def __init__(self, kp: float = 0.0854, ki: float = 0.251, kd: float = 0.00054) -> None:
+        self.params = [
+            Param("kp", kp, unit="s/rad", low=0.0, high=1.0, text="rate P"),
+            Param("ki", ki, unit="1/rad", low=0.0, high=5.0, text="rate I"),
+            Param("kd", kd, unit="s2/rad", low=0.0, high=0.05, text="rate D"),
+            Param("N", 100.0, unit="1/s", low=1.0, high=1000.0, text="corner of the derivative's filter"),
+            Param("limit", 1.0, low=0.0, high=1.0, text="largest moment"),
+        ]
+
+    def prepare(self, p: Any, t: Any) -> Any:
+        lag = 1.0 / p.N
+        return {"ki_dt": p.ki * t.dt, "decay": lag / (lag + t.dt), "rise": 1.0 / (lag + t.dt)}
+
+    def _integral(self, u: Any, x: Any, p: Any) -> tuple[Any, Any, Any]:
+        increment = p.ki_dt * (u.q0 - u.q)
+        total, carry = kahan_sum(x.sum, x.carry, increment)
+        return where(u.in_reset, increment, total), where(u.in_reset, 0.0, carry), increment
+
+    def _slope(self, u: Any, x: Any, p: Any) -> Any:
+        return p.decay * x.slope + p.rise * ((u.q0 - u.q) - x.error)
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        integral, _, increment = self._integral(u, x, p)
+        proportional = p.kp * (u.q0 - u.q)
+        derivative = p.kd * self._slope(u, x, p)
+        return {
+            "M": limited(proportional + integral + derivative, p.limit),
+            "proportional": proportional,
+            "integral": integral,
+            "derivative": derivative,
+            "increment": increment,
+        }
+
+    def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        integral, carry, _ = self._integral(u, x, p)
+        slope = self._slope(u, x, p)
+        # Never reset, it would else be none for ever after one rate that is no number.
+        return {"sum": integral, "carry": carry, "slope": where(finite(slope), slope, 0.0), "error": u.q0 - u.q}

@@ -1,0 +1,108 @@
+"""Slot: the place that keeps which controllers fly, a diagram of each template, until others are flashed."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from twodof.blocks import Diagram
+from twodof.errors import DiagramError
+from twodof.flight.starters import load_diagram, save_diagram
+from twodof.flight.templates import TEMPLATES, check_template
+from twodof.flightlog.atomic import make_folder, sync_folder
+
+STOCK = {"attitude_control": "stock-attitude", "position_control": "stock-position", "motor_control": "stock-motor"}
+"""The starter diagram that flies as the stock controller does, by template: what flies where nothing was flashed."""
+
+
+def data_folder() -> Path:
+    """The user's folder of what is kept: TWODOF_DATA, or XDG_DATA_HOME/twodof, or ~/.local/share/twodof.
+
+    Raises DiagramError where there is no home folder.
+    """
+    named = os.environ.get("TWODOF_DATA")
+    if named:
+        return Path(named)
+    base = os.environ.get("XDG_DATA_HOME")
+    try:
+        return (Path(base) if base else Path.home() / ".local" / "share") / "twodof"
+    except RuntimeError as reason:
+        raise DiagramError("there is no home folder to keep it in", "TWODOF_DATA", "set it to a folder") from reason
+
+
+class ControllerStore:
+    """A folder that holds a JSON diagram for each template that was flashed."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def file(self, kind: str) -> Path:
+        """Where the diagram of the template `kind` is. Raises DiagramError for a template that is not there."""
+        if kind not in TEMPLATES:
+            raise DiagramError(
+                f"no template called {kind!r:.80}", str(self.folder), f"there are: {', '.join(TEMPLATES)}"
+            )
+        return self.folder / f"{kind}.json"
+
+    def flashed(self) -> dict[str, Diagram]:
+        """The diagrams that were flashed, by template; a template of which none was is left out.
+
+        Raises DiagramError for a file that is no diagram any more, or not of its template.
+        """
+        found = {}
+        for kind in TEMPLATES:
+            path = self.file(kind)
+            if path.exists():
+                found[kind] = load_diagram(path)
+                check_template(found[kind], kind)
+        return found
+
+    def flies(self, kind: str) -> tuple[Diagram, str]:
+        """The diagram of the template `kind` that flies now, and what it is: its file, or the stock controller.
+
+        A file that is damaged flies nothing, so the stock controller stands for it, and the text says so.
+        """
+        path = self.file(kind)
+        stock = f"the stock controller ({STOCK[kind]})"
+        if not path.exists():
+            return load_diagram(STOCK[kind]), stock
+        try:
+            return load_diagram(path), str(path)
+        except DiagramError as damage:
+            return load_diagram(STOCK[kind]), f"{stock}, as what was flashed is damaged: {damage}"
+
+    def flash(self, diagram: Diagram) -> Path:
+        """Puts `diagram` in the place of what flew by its template, and returns the file.
+
+        Raises DiagramError for a diagram that fits no template or has no JSON form, LogError where the file system
+        refuses; then what flew stays.
+        """
+        path = self.file(check_template(diagram).name)
+        try:
+            make_folder(self.folder)
+        except OSError as reason:
+            raise DiagramError(
+                f"cannot be made: {reason.strerror}", str(self.folder), "set TWODOF_DATA to a folder that is writable"
+            ) from reason
+        save_diagram(diagram, path)
+        return path
+
+    def remove(self, kind: str) -> bool:
+        """Back to the stock controller of the template `kind`; says whether another one flew.
+
+        Raises DiagramError or LogError where the file system refuses.
+        """
+        path = self.file(kind)
+        try:
+            path.unlink()
+        except FileNotFoundError:
+            return False
+        except OSError as reason:
+            raise DiagramError(f"cannot be removed: {reason.strerror}", str(path), "make it writable") from reason
+        sync_folder(self.folder)
+        return True
+
+
+def simulator_controllers() -> ControllerStore:
+    """What `twodof flash --to sim` writes and `twodof simulate --controller flashed` flies."""
+    return ControllerStore(data_folder() / "flashed" / "sim")

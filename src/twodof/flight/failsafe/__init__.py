@@ -1,0 +1,1 @@
+"""The failsafe: thresholds, timers, a state machine, and the last choice of what reaches the motors."""

@@ -1,0 +1,92 @@
+"""Causes: what can go wrong, one row each, and what it asks for; a bit mask says which of them hold."""
+
+from __future__ import annotations
+
+from functools import reduce
+from operator import or_
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+from twodof.blocks import Block, Port, int32, where
+
+ACTIONS = ("none", "level", "brake", "descend", "off")
+"""What the failsafe does, by number; the later in the tuple, the stronger.
+
+none: what was asked for flies. level: pitch set-point 0, the thrust of before. brake: a pitch that stops the cart and
+brings it back from the rail's end. descend: level, the thrust fades to 0, then off. off: the motors stand until
+disarmed.
+"""
+
+NONE, LEVEL, BRAKE, DESCEND, OFF = range(len(ACTIONS))
+
+
+class Cause(NamedTuple):
+    """A row: name, the action it asks for (NONE: it only keeps the drone from arming), what it is.
+
+    `inner` ones arise within the tick, behind the controllers; the others are there before.
+    """
+
+    name: str
+    action: int
+    text: str
+    inner: bool = False
+
+
+CAUSES: tuple[Cause, ...] = (
+    Cause("setpoint_lost", LEVEL, "no set-point came for a while, in a mode that flies one"),
+    Cause("setpoint_invalid", LEVEL, "a set-point is infinite or NaN"),
+    Cause("pitch_near", LEVEL, "the pitch is, or will be in a moment, near its stop"),
+    Cause("rings_wrong", LEVEL, "the mode moves the cart, which is locked"),
+    Cause("own_failed", LEVEL, "the user's controller gave no number, was out of time or stuck", inner=True),
+    Cause("rail_near", BRAKE, "the cart is, or could only just be stopped, near the rail's end"),
+    Cause("link_lost", DESCEND, "nothing came over the link for a while"),
+    Cause("battery_critical", DESCEND, "the voltage is critical, or none that the pack can have"),
+    Cause("range_lost", DESCEND, "the cart is free and its range sensor silent, stuck or far from the estimate"),
+    Cause("imu_lost", OFF, "the IMU is silent or gives no number, or an axis of it repeats itself to the bit"),
+    Cause("estimate_lost", OFF, "an estimate is no number, or beyond what the rig can do"),
+    Cause("pitch_stop", OFF, "the pitch is at its stop"),
+    Cause("rail_end", OFF, "the cart is at the rail's end"),
+    Cause("brake_failed", OFF, "the cart stays near the rail's end however long it is braked"),
+    Cause("step_late", OFF, "the flight controller's step ran out of its time"),
+    Cause("command_stuck", OFF, "the stock controller's commands do not move in a closed loop", inner=True),
+    Cause("command_lost", OFF, "a command that was to fly is infinite or NaN", inner=True),
+    Cause("battery_low", NONE, "the voltage is low, or none that the pack can have"),
+    Cause("not_idle", NONE, "the set-points ask for thrust or moment"),
+    Cause("tilted", NONE, "the pitch is far from level"),
+    Cause(
+        "force_disagrees", OFF, "the IMU feels what pitch and thrust do not explain: it has failed, or a stop is met"
+    ),
+    Cause("rate_disagrees", OFF, "the pitch rate does not answer the moment: gyro or rotor failed, or a stop is met"),
+)
+"""The causes; the place in the tuple is the bit in a mask."""
+
+BIT = MappingProxyType({cause.name: 1 << place for place, cause in enumerate(CAUSES)})
+"""Name -> its bit, as a number."""
+
+
+def named_causes(mask: int) -> tuple[str, ...]:
+    """The names of the causes whose bits are set in `mask`."""
+    return tuple(name for name, bit in BIT.items() if mask & bit)
+
+
+class RequestedActions(Block):
+    """What the causes that hold ask for, and the mask of them.
+
+    `ready` says that nothing speaks against arming: none of them holds, those that ask for nothing else included.
+    """
+
+    inputs = tuple(Port(cause.name, "bool") for cause in CAUSES if not cause.inner)
+    outputs = (
+        *(Port(ACTIONS[action], "bool") for action in (LEVEL, BRAKE, DESCEND, OFF)),
+        Port("ready", "bool"),
+        Port("mask", "int32"),
+    )
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        outer = [cause for cause in CAUSES if not cause.inner]
+        classes = {
+            ACTIONS[action]: reduce(or_, [u[cause.name] for cause in outer if cause.action == action])
+            for action in (LEVEL, BRAKE, DESCEND, OFF)
+        }
+        mask = reduce(or_, [where(u[cause.name], int32(BIT[cause.name]), int32(0)) for cause in outer])
+        return {**classes, "ready": mask == int32(0), "mask": mask}

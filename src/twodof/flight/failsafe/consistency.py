@@ -1,0 +1,150 @@
+"""Agreement: whether the sensors feel what pitch, thrust, moment and rail explain. Else one has failed."""
+
+from __future__ import annotations
+
+from functools import reduce
+from operator import or_
+from typing import Any
+
+from twodof.blocks import Block, Param, Port, State, minimum, where
+from twodof.flight.estimator.pitch_filter import GRAVITY
+
+FORCE_SUMS = ("forth", "back", "up", "down")
+RATE_SUMS = ("faster", "slower")
+
+Sums = dict[str, tuple[Any, Any]]
+"""Name of a sum -> what it is after this sample, and whether it is at its limit."""
+
+
+def cumulative_sum(total: Any, excess: Any, limit: Any, dt: Any) -> tuple[Any, Any]:
+    """A cumulative sum (Page, Biometrika 41-1954) of what is too much, after one more sample, and whether at its limit.
+
+    It never falls below 0 and is held at the limit, so that it goes soon after its cause. It reaches the limit by one
+    large sample or by many small ones in a row; what stays below the slack for ever it never adds up. A sum that is no
+    number is 0 again with the next sample that is one.
+    """
+    new = total + excess * dt
+    reached = new >= limit
+    return where(new > 0.0, where(reached, limit, new), 0.0), reached
+
+
+def _totals(sums: Sums) -> dict[str, Any]:
+    return {name: total for name, (total, _) in sums.items()}
+
+
+def _told(sums: Sums) -> dict[str, Any]:
+    return _totals(sums) | {"disagrees": reduce(or_, [reached for _, reached in sums.values()])}
+
+
+class ForceConsistency(Block):
+    """Whether the specific force agrees with the pitch and with the commands that flew the tick before.
+
+    Turned by the estimated pitch (`sine`, `cosine`), the specific force has two parts that are known without it.
+    Vertical it is -g, as the rail holds the drone up. Along the rail it is the cart's acceleration: 0 with the cart
+    locked, else that of the thrust tilted by theta, -`pull` T sin(theta), and -`drag` v. What is left is not explained:
+    a gyro that does not turn with the drone (the pitch is wrong by d: g d is left, or g d less the thrust's share), an
+    accelerometer that is off, a cart that stands against an end of the rail though the thrust pulls, the impact there.
+
+    The sums are unexplained speeds. The slack along the rail is `along_slack` and the share `pull_share` of the
+    thrust's part, as a battery that sags pulls less. With the cart locked the same error of the pitch leaves twice as
+    much, and the play of the rings rattles: the limit is twice as high.
+    """
+
+    inputs = (
+        Port("acc_x", unit="m/s2"),
+        Port("acc_z", unit="m/s2"),
+        Port("sine"),
+        Port("cosine"),
+        Port("v", unit="m/s"),
+        Port("fore"),
+        Port("aft"),
+        Port("rings", "bool"),
+    )
+    outputs = (Port("disagrees", "bool"), *(Port(name, unit="m/s") for name in FORCE_SUMS))
+    states = (*(State(name, unit="m/s") for name in FORCE_SUMS), State("thrust"))
+    params = (
+        Param("pull", 12.5, unit="m/s2", low=1.0, high=100.0, text="full thrust over the mass that slides"),
+        Param("pull_share", 0.3, low=0.05, high=1.0, text="share of the pull that may be missing, or more"),
+        Param("drag", 0.9, unit="1/s", low=0.0, high=10.0, text="friction of the rail over the mass"),
+        Param("along_slack", 0.4, unit="m/s2", low=0.1, high=5.0, text="acceleration along the rail left unexplained"),
+        Param("along_limit", 0.15, unit="m/s", low=0.05, high=2.0, text="unexplained speed along it: motors off"),
+        Param("up_slack", 0.8, unit="m/s2", low=0.1, high=5.0, text="vertical acceleration left unexplained"),
+        Param("up_limit", 0.3, unit="m/s", low=0.05, high=2.0, text="unexplained vertical speed: motors off"),
+    )
+
+    def _sums(self, u: Any, x: Any, p: Any, t: Any) -> Sums:
+        pull = p.pull * x.thrust * u.sine
+        along = u.cosine * u.acc_x + u.sine * u.acc_z + where(u.rings, 0.0, pull + p.drag * u.v)
+        down = u.cosine * u.acc_z - u.sine * u.acc_x + GRAVITY
+        slack = p.along_slack + where(u.rings, 0.0, p.pull_share * abs(pull))
+        limit = where(u.rings, 2.0 * p.along_limit, p.along_limit)
+        return {
+            "forth": cumulative_sum(x.forth, along - slack, limit, t.dt),
+            "back": cumulative_sum(x.back, -along - slack, limit, t.dt),
+            "up": cumulative_sum(x.up, -down - p.up_slack, p.up_limit, t.dt),
+            "down": cumulative_sum(x.down, down - p.up_slack, p.up_limit, t.dt),
+        }
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        return _told(self._sums(u, x, p, t))
+
+    def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        return _totals(self._sums(u, x, p, t)) | {"thrust": 0.5 * (u.fore + u.aft)}
+
+
+class RateConsistency(Block):
+    """Whether the gyro shows the turning that the commands ask for.
+
+    The commands that flew turn the drone by `turn` (lift(fore) - lift(aft)), lift(u) = (1 - `curve`) u + `curve` u^2,
+    after the delay and lag of the rotors, here one lag `answer`; gravity turns it back by `swing` times the `sine` of
+    the pitch. What the gyro's rate changes beyond that is not explained: a gyro that stands still while the moment
+    grows, a rotor that does not do what it is told, the impact on an end stop.
+
+    The sums are unexplained rates. The slack is `turn_slack`, the share `turn_share` of what is expected, and all of
+    what is still under way through the lag, since when it arrives is known to a few milliseconds only.
+    """
+
+    inputs = (Port("gyro_y", unit="rad/s"), Port("sine"), Port("fore"), Port("aft"))
+    outputs = (Port("disagrees", "bool"), *(Port(name, unit="rad/s") for name in RATE_SUMS))
+    states = (
+        *(State(name, unit="rad/s") for name in RATE_SUMS),
+        State("gyro_y", unit="rad/s"),
+        State("asked"),
+        State("arrived"),
+    )
+    derived = (Port("per_answer"), Port("per_dt", unit="1/s"))
+    params = (
+        Param("turn", 165.0, unit="rad/s2", low=10.0, high=2000.0, text="angular acceleration of one pair at full"),
+        Param("curve", 0.3, low=0.0, high=1.0, text="quadratic share of a pair's thrust curve"),
+        Param("answer", 0.021, unit="s", low=0.004, high=0.2, text="delay and lag of the rotors"),
+        Param("swing", 9.5, unit="rad/s2", low=0.0, high=100.0, text="angular acceleration back to level, of the sine"),
+        Param("turn_slack", 10.0, unit="rad/s2", low=1.0, high=100.0, text="angular acceleration left unexplained"),
+        Param("turn_share", 0.3, low=0.05, high=1.0, text="share of the expected one left unexplained"),
+        Param("turn_limit", 1.5, unit="rad/s", low=0.2, high=10.0, text="unexplained pitch rate: motors off"),
+    )
+
+    def prepare(self, p: Any, t: Any) -> Any:
+        return {"per_answer": minimum(1.0, t.dt / p.answer), "per_dt": 1.0 / t.dt}
+
+    def _sums(self, u: Any, x: Any, p: Any, t: Any) -> Sums:
+        expected = p.turn * x.arrived - p.swing * u.sine
+        left = (u.gyro_y - x.gyro_y) * p.per_dt - expected
+        slack = p.turn_slack + p.turn_share * abs(expected) + p.turn * abs(x.asked - x.arrived)
+        return {
+            "faster": cumulative_sum(x.faster, left - slack, p.turn_limit, t.dt),
+            "slower": cumulative_sum(x.slower, -left - slack, p.turn_limit, t.dt),
+        }
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        return _told(self._sums(u, x, p, t))
+
+    def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        def lift(command: Any) -> Any:
+            return command * ((1.0 - p.curve) + p.curve * command)
+
+        asked = lift(u.fore) - lift(u.aft)
+        return _totals(self._sums(u, x, p, t)) | {
+            "gyro_y": u.gyro_y,
+            "asked": asked,
+            "arrived": x.arrived + p.per_answer * (asked - x.arrived),
+        }

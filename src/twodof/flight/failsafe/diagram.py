@@ -1,0 +1,246 @@
+"""The failsafe: thresholds, timers, state machine and the last gate to the motors, as one diagram at 250 Hz."""
+
+from __future__ import annotations
+
+from types import MappingProxyType
+
+from twodof.blocks import Diagram
+from twodof.blocks.library.functions import Trigonometry
+from twodof.blocks.library.logic import Logic
+from twodof.flight.failsafe.causes import ACTIONS, CAUSES, RequestedActions
+from twodof.flight.failsafe.consistency import ForceConsistency, RateConsistency
+from twodof.flight.failsafe.output_selector import COMMANDS, OutputSelector
+from twodof.flight.failsafe.safe_setpoints import SafeSetPoints
+from twodof.flight.failsafe.state_machine import STATES, FailsafeStateMachine, Reasons
+from twodof.flight.failsafe.thresholds import (
+    SET_POINTS,
+    BatteryFlags,
+    PlaceFlags,
+    SensorFlags,
+    SetPointFlags,
+    StuckCommands,
+)
+from twodof.flight.failsafe.timers import OffDelay, WatchdogTimer
+
+__all__ = ["ACTIONS", "CAUSES", "INPUTS", "OUTPUTS", "OWN_INPUTS", "STATES", "TIMERS", "failsafe"]
+
+INPUTS: tuple[tuple[str, str, str, str], ...] = (
+    ("arm", "bool", "", "arm; a rising edge arms if nothing speaks against it, false disarms at once"),
+    (
+        "setpoint_new",
+        "bool",
+        "",
+        "a set-point came in this tick, from whatever source has the command, on board or not",
+    ),
+    ("link_new", "bool", "", "something came over the link in this tick"),
+    ("imu_new", "bool", "", "the IMU gave a sample in this tick"),
+    ("rings", "bool", "", "the rings lock the cart: range and rail end do not matter"),
+    ("voltage", "real", "V", "of the battery"),
+    ("step_late", "bool", "", "the flight controller's last step ran out of its time"),
+    ("own_late", "bool", "", "the user's controller ran out of its time, its commands of this tick are not to be used"),
+)
+"""Name, type, unit, meaning of what the flight code takes besides `core.INPUTS` when it has the failsafe."""
+
+OWN_INPUTS: tuple[tuple[str, str, str, str], ...] = (
+    ("own_given", "bool", "", "a user's commands are there and are to fly as long as they are healthy"),
+    ("own_fore", "real", "", "the user's command of the fore rotor pair"),
+    ("own_aft", "real", "", "of the aft pair"),
+    ("own_M", "real", "", "the user's moment, to be shown while it flies"),
+    ("own_T", "real", "", "the user's thrust, the same"),
+)
+"""The same for a user's commands that come from outside the flight code."""
+
+OUTPUTS: tuple[tuple[str, str, str], ...] = (
+    ("armed", "", "motors may turn"),
+    ("action", "", "what the failsafe does: index into ACTIONS"),
+    ("state", "", "its state: index into STATES"),
+    ("reason", "", "why: mask of CAUSES, bit n for the nth"),
+    ("causes", "", "all causes that hold in this tick, those that only speak against arming included: mask of CAUSES"),
+)
+"""Name, unit, meaning of what the flight code gives besides `core.OUTPUTS` when it has the failsafe."""
+
+TIMERS = MappingProxyType(
+    {
+        "setpoint": WatchdogTimer(0.5, 0.02, 0.9, "silence of set-points after which it levels"),
+        "link": WatchdogTimer(3.0, 0.1, 30.0, "silence of the link after which it descends (heartbeats come at 1 Hz)"),
+        "imu": WatchdogTimer(0.02, 0.004, 0.1, "silence or repetition of the IMU after which the motors stop"),
+        "axis": WatchdogTimer(0.1, 0.02, 1.0, "repetition of an axis of the IMU after which the motors stop"),
+        "range": WatchdogTimer(0.24, 0.06, 2.0, "time without a believed range after which it descends"),
+        "range_stuck": WatchdogTimer(0.5, 0.06, 5.0, "time of one and the same range after which it descends"),
+        "brake": WatchdogTimer(3.0, 0.1, 10.0, "longest time of braking, then the motors stop"),
+        "battery_low": WatchdogTimer(1.0, 0.004, 30.0, "time of low voltage until it counts"),
+        "battery_critical": WatchdogTimer(0.5, 0.004, 10.0, "time of critical voltage until it descends"),
+        "late": WatchdogTimer(0.008, 0.004, 0.008, "time of late steps in a row after which the motors stop"),
+        "stuck": WatchdogTimer(0.5, 0.02, 5.0, "time of commands that do not move after which they are not believed"),
+    }
+)
+"""The timers by name: `failsafe.NAME.timeout` is the parameter."""
+
+_MEASURED = (
+    ("acc_x", "real", "m/s2"),
+    ("acc_z", "real", "m/s2"),
+    ("gyro_y", "real", "rad/s"),
+    ("dist", "real", "m"),
+    ("dist_new", "bool", ""),
+    ("dist_age", "real", "s"),
+)
+_ESTIMATED = (("theta", "rad"), ("q", "rad/s"), ("x", "m"), ("v", "m/s"))
+_SAME = MappingProxyType({name: name for name, _ in SET_POINTS})
+
+
+def failsafe() -> Diagram:
+    """The failsafe, made for 250 Hz.
+
+    Inputs: `INPUTS`; the measurements and estimates; `mode` and the set-points as given; the stock commands `fore`,
+    `aft`, `M`, `T` and the user's `own_fore`, ..., where `own_given` says that there are any. Outputs: the mode and
+    set-points for the controllers (`safe_mode`, `safe_x0`, ...) and `own`, which both depend on nothing behind the
+    controllers; `range_taken`, whether the range may correct the estimates, and `range_age`, which depend on no
+    estimate of this tick; `fore`, `aft`, `M`, `T` as they fly; and `OUTPUTS`.
+    """
+    d = Diagram("failsafe", "flags, timers, state machine, and the last gate to the motors")
+    for name, kind, unit, _ in INPUTS:
+        d.input(name, kind, unit=unit)
+    for name, kind, unit in _MEASURED:
+        d.input(name, kind, unit=unit)
+    for name, unit in _ESTIMATED:
+        d.input(name, unit=unit)
+    d.input("mode", "int32")
+    for name, unit in (*SET_POINTS, ("ax0", "m/s2")):
+        d.input(name, unit=unit)
+    for name in COMMANDS:
+        d.input(name)
+    for name, kind, unit, _ in OWN_INPUTS:
+        d.input(name, kind, unit=unit)
+    d.param("descent", 1.0, unit="s", low=0.1, high=10.0, text="time in which the thrust fades")
+    _flags(d)
+    _timers(d)
+    _machine(d)
+    _gate(d)
+    return d
+
+
+def _flags(d: Diagram) -> None:
+    d.add(
+        "sensors",
+        SensorFlags(),
+        inputs={name: name for name in (*(row[0] for row in _MEASURED), "imu_new", "x", "v", "rings", "arm")},
+    )
+    d.add("place", PlaceFlags(), inputs={name: name for name in (*(row[0] for row in _ESTIMATED), "rings")})
+    for name, function in (("sine", "sin"), ("cosine", "cos")):
+        d.add(name, Trigonometry(function, input_unit="rad"), u="theta")
+    turned = {"sine": "sine", "cosine": "cosine"}
+    d.add("force", ForceConsistency(), inputs=turned | {name: name for name in ("acc_x", "acc_z", "v", "rings")})
+    d.add("rate", RateConsistency(), gyro_y="gyro_y", sine="sine")
+    d.add("battery", BatteryFlags(), voltage="voltage")
+    d.add("asked", SetPointFlags(), mode="mode", setpoint_new="setpoint_new", rings="rings", inputs=_SAME)
+    d.add("in_time", Logic("not"), a="step_late")
+    for name in ("range_taken", "range_age"):
+        d.output(name, f"sensors.{name}")
+    d.add("commands", StuckCommands(), mode="safe.mode", imu_moves="sensors.imu_moves", stopped="machine.stopped")
+
+
+def _timers(d: Diagram) -> None:
+    for name, timer in TIMERS.items():
+        d.add(name, WatchdogTimer(**timer.config))
+    for name, source in (
+        ("setpoint", "asked.fed"),
+        ("link", "link_new"),
+        ("imu", "sensors.imu_moves"),
+        ("axis", "sensors.axes_move"),
+        ("range", "sensors.range_good"),
+        ("range_stuck", "sensors.range_moves"),
+        ("battery_low", "battery.full"),
+        ("battery_critical", "battery.usable"),
+        ("late", "in_time"),
+        ("stuck", "commands.moves"),
+        ("brake", "at_large"),
+    ):
+        d.connect(source, f"{name}.alive")
+
+
+def _machine(d: Diagram) -> None:
+    d.add("imu_lost", Logic("or"), a="imu", b="axis")
+    d.add("rail_end", Logic("or"), a="place.rail_end", b="sensors.range_end")
+    d.add("range_lost", Logic("or"), a="range", b="range_stuck")
+    d.add(
+        "classes",
+        RequestedActions(),
+        setpoint_lost="setpoint",
+        setpoint_invalid="asked.invalid",
+        pitch_near="place.pitch_near",
+        rings_wrong="asked.rings_wrong",
+        rail_near="place.rail_near",
+        link_lost="link",
+        battery_critical="battery_critical",
+        range_lost="range_lost",
+        imu_lost="imu_lost",
+        estimate_lost="place.estimate_lost",
+        pitch_stop="place.pitch_stop",
+        rail_end="rail_end",
+        brake_failed="brake",
+        step_late="late",
+        battery_low="battery_low",
+        not_idle="asked.active",
+        tilted="place.tilted",
+        force_disagrees="force.disagrees",
+        rate_disagrees="rate.disagrees",
+    )
+    for name, text in (("level", "levelling lasts at least"), ("brake", "braking lasts at least")):
+        d.add(f"{name}_lasts", OffDelay(0.5, 0.02, 5.0, text), flag=f"classes.{name}")
+    d.add("at_large", Logic("not"), a="brake_lasts")
+    d.add(
+        "machine",
+        FailsafeStateMachine(),
+        params={"descent": "descent"},
+        arm="arm",
+        ready="classes.ready",
+        off="classes.off",
+        descend="classes.descend",
+        brake="brake_lasts",
+        level="level_lasts",
+        stuck="stuck",
+        own_given="own_given",
+        own_lost="gate.own_lost",
+        command_lost="gate.command_lost",
+    )
+    d.add(
+        "reasons",
+        Reasons(),
+        state="machine.state",
+        mask="classes.mask",
+        failed="machine.failed",
+        stuck_off="machine.stuck_off",
+        own_lost="gate.own_lost",
+        command_lost="gate.command_lost",
+    )
+    for name in ("armed", "action", "state"):
+        d.output(name, f"machine.{name}")
+    d.output("reason", "reasons")
+    d.output("causes", "classes.mask")
+
+
+def _gate(d: Diagram) -> None:
+    d.add(
+        "safe",
+        SafeSetPoints(),
+        params={"descent": "descent"},
+        state="machine.state",
+        timer="machine.timer",
+        stopped="machine.stopped",
+        mode="mode",
+        ax0="ax0",
+        x="x",
+        v="v",
+        T_flown="gate.T",
+        inputs=_SAME,
+    )
+    for name in ("mode", *(name for name, _ in SET_POINTS), "ax0"):
+        d.output(f"safe_{name}", f"safe.{name}")
+    d.add("gate", OutputSelector(), stopped="machine.stopped", own="machine.own", own_late="own_late")
+    d.output("own", "machine.own")
+    for name in COMMANDS:
+        d.connect(name, f"gate.{name}")
+        d.connect(f"own_{name}", f"gate.own_{name}")
+        d.output(name, f"gate.{name}")
+    for name in ("fore", "aft"):
+        d.connect(f"gate.{name}", *(f"{part}.{name}" for part in ("commands", "force", "rate")))

@@ -1,0 +1,67 @@
+"""The gate: the last thing before the motors. What is right passes with its bits, all else is replaced or 0."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from twodof.blocks import Block, Port, maximum, minimum, where
+from twodof.flight.finite import finite
+
+COMMANDS = ("fore", "aft", "M", "T")
+
+
+class OutputSelector(Block):
+    """Chooses between the user's controller and the stock one, and stops the motors.
+
+    `own_fore`, ... are the user's commands, which fly while `own` and as long as they are numbers and its controller
+    was not out of time (`own_late`); in the very tick in which they are not, the stock commands fly. Where those are
+    none either, or the motors are `stopped`, both pairs get 0 in that tick. Whatever passes lies within [0, 1].
+    """
+
+    inputs = (
+        Port("stopped", "bool"),
+        Port("own", "bool"),
+        Port("own_late", "bool"),
+        *(Port(name) for name in COMMANDS),
+        *(Port(f"own_{name}") for name in COMMANDS),
+    )
+    outputs = (*(Port(name) for name in COMMANDS), Port("own_lost", "bool"), Port("command_lost", "bool"))
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        def numbers(prefix: str) -> Any:
+            fore, aft, moment, thrust = (finite(u[f"{prefix}{name}"]) for name in COMMANDS)
+            return fore & aft & moment & thrust
+
+        healthy = numbers("own_") & ~u.own_late
+        use_own = u.own & healthy
+        sound = use_own | numbers("")
+        fly = ~u.stopped & sound
+
+        def passed(name: str) -> Any:
+            return where(fly, where(use_own, u[f"own_{name}"], u[name]), 0.0)
+
+        return {
+            "fore": maximum(0.0, minimum(1.0, passed("fore"))),
+            "aft": maximum(0.0, minimum(1.0, passed("aft"))),
+            "M": passed("M"),
+            "T": passed("T"),
+            "own_lost": u.own & ~healthy,
+            "command_lost": ~u.stopped & ~sound,
+        }
+
+
+class StandbyReset(Block):
+    """Which controllers hold their integrals in reset: those that do not fly. `own_given` is the constant `given`."""
+
+    inputs = (Port("in_reset", "bool"), Port("own", "bool"))
+    outputs = (Port("own_in_reset", "bool"), Port("stock_in_reset", "bool"), Port("own_given", "bool"))
+
+    def __init__(self, given: bool) -> None:
+        self.given = given
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        return {
+            "own_in_reset": u.in_reset | ~u.own,
+            "stock_in_reset": u.in_reset | u.own,
+            "own_given": self.given,
+        }

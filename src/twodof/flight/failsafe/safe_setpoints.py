@@ -1,0 +1,84 @@
+"""Set-points as they may fly: limited, and while the failsafe acts its own."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from twodof.blocks import Block, Param, Port, State, int32, maximum, minimum, to_real, where
+from twodof.flight.control.cascade import ATTITUDE, OFF, POSITION
+from twodof.flight.failsafe.state_machine import BRAKE, DESCEND, FLYING, LEVEL
+from twodof.flight.failsafe.thresholds import SET_POINTS
+from twodof.flight.failsafe.timers import ticks
+from twodof.flight.finite import finite
+
+
+class SafeSetPoints(Block):
+    """Mode and set-points for the controllers.
+
+    Flying: those given, each within its limit (one inside passes with its bits), 0 for one that is no number. Level:
+    attitude mode, theta0 = 0, the thrust that flew last. Brake: the same with the pitch that stops the cart and brings
+    it back, theta0 = brake_x (x - place) + brake_v v within +-`brake_tilt`, where `place` is x within +-`rail_hold`
+    (the position loop would tilt the further the faster the cart is, into the stop). Descend: as level, the thrust
+    fading to 0 within `descent`. Where no thrust flew when the failsafe began to act, and whenever the motors are
+    stopped, the mode is off: no action starts motors that stood.
+    """
+
+    inputs = (
+        Port("state", "int32"),
+        Port("timer", "int32"),
+        Port("stopped", "bool"),
+        Port("mode", "int32"),
+        *(Port(name, unit=unit) for name, unit in SET_POINTS),
+        Port("ax0", unit="m/s2"),
+        Port("x", unit="m"),
+        Port("v", unit="m/s"),
+        Port("T_flown"),
+    )
+    outputs = (Port("mode", "int32"), *(Port(name, unit=unit) for name, unit in SET_POINTS), Port("ax0", unit="m/s2"))
+    states = (State("thrust"),)
+    derived = (Port("per_tick"),)
+    params = (
+        Param("descent", 1.0, unit="s", low=0.1, high=10.0, text="time in which the thrust fades"),
+        Param("thrust_held", 0.6, low=0.0, high=1.0, text="most thrust that is held while levelling"),
+        Param("rail_hold", 0.10, unit="m", low=0.0, high=0.36, text="farthest place that braking goes to"),
+        Param("brake_x", 0.8, unit="rad/m", low=0.0, high=5.0, text="pitch of braking per metre beyond that place"),
+        Param("brake_v", 0.8, unit="rad*s/m", low=0.0, high=5.0, text="pitch of braking per speed"),
+        Param("brake_tilt", 0.55, unit="rad", low=0.05, high=0.7, text="largest pitch of braking"),
+        Param("x0_limit", 0.30, unit="m", low=0.0, high=0.40, text="largest position set-point"),
+        Param("v0_limit", 0.5, unit="m/s", low=0.0, high=2.0, text="largest velocity set-point"),
+        Param("theta0_limit", 0.6, unit="rad", low=0.0, high=0.80, text="largest pitch set-point"),
+        Param("q0_limit", 20.0, unit="rad/s", low=0.0, high=20.0, text="largest pitch-rate set-point"),
+    )
+
+    def prepare(self, p: Any, t: Any) -> Any:
+        return 1.0 / to_real(ticks(p.descent, t.dt))
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        def within(name: str, low: Any, high: Any) -> Any:
+            return where(finite(u[name]), maximum(low, minimum(high, u[name])), 0.0)
+
+        given = {
+            "thrust": within("thrust", 0.0, 1.0),
+            "M_open": within("M_open", -1.0, 1.0),
+            "ax0": where(finite(u.ax0), u.ax0, 0.0),
+        }
+        for name in ("x0", "v0", "theta0", "q0"):
+            given[name] = within(name, -p[f"{name}_limit"], p[f"{name}_limit"])
+        flying = u.state == int32(FLYING)
+        braking = u.state == int32(BRAKE)
+        acting = (u.state >= int32(LEVEL)) & (u.state <= int32(DESCEND))
+        standing = u.stopped | (acting & ~(x.thrust > 0.0))
+        asked = where(u.mode > int32(POSITION), int32(OFF), u.mode)
+        mode = where(flying, asked, int32(ATTITUDE))
+        fade = where(u.state == int32(DESCEND), maximum(0.0, 1.0 - to_real(u.timer) * p.per_tick), 1.0)
+        place = maximum(-p.rail_hold, minimum(p.rail_hold, u.x))
+        back = p.brake_x * (u.x - place) + p.brake_v * u.v
+        tilt = maximum(-p.brake_tilt, minimum(p.brake_tilt, back))
+        own = {"thrust": x.thrust * fade, "theta0": where(braking & finite(tilt), tilt, 0.0)}
+        return {"mode": where(standing, int32(OFF), mode)} | {
+            name: where(flying, value, own.get(name, 0.0)) for name, value in given.items()
+        }
+
+    def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        held = maximum(0.0, minimum(p.thrust_held, u.T_flown))
+        return where((u.state == int32(FLYING)) & finite(u.T_flown), held, where(u.stopped, 0.0, x.thrust))

@@ -1,0 +1,166 @@
+"""The failsafe's state machine, on integers and flags only, and the memory of why it acts."""
+
+from __future__ import annotations
+
+from functools import reduce
+from operator import or_
+from typing import Any
+
+from twodof.blocks import Block, Param, Port, State, int32, maximum, where
+from twodof.flight.failsafe.causes import ACTIONS, BIT, CAUSES, NONE
+from twodof.flight.failsafe.timers import ticks
+
+STATES = ("disarmed", "refused", "flying", "level", "brake", "descend", "off")
+"""What the failsafe is in, by number. Motors may turn in flying, level, brake and descend."""
+
+DISARMED, REFUSED, FLYING, LEVEL, BRAKE, DESCEND, OFF = range(len(STATES))
+
+MAY_TURN = (FLYING, LEVEL, BRAKE, DESCEND)
+"""The states in which motors may turn."""
+
+
+class FailsafeStateMachine(Block):
+    """Arming, the actions and how they follow each other.
+
+    ========== =========================================================================================
+    from       to
+    ========== =========================================================================================
+    any        disarmed, while `arm` is false
+    disarmed   flying where `ready`, else refused: until `arm` was false once
+    armed      off where `off`; else
+    descend    off after `descent` s, whatever else happens
+    armed      descend where `descend`, or after `level_limit` s of level and brake; else
+    armed      brake where `brake`; else
+    armed      level where `level` or the user's controller has failed; else flying
+    off        stays, until disarmed
+    ========== =========================================================================================
+
+    The outputs are those of this tick: what acts follows its cause in the same tick. What the gate finds behind the
+    controllers (`own_lost`, `command_lost`) stops the motors there, and is known here from the next tick on.
+    `own` says that the user's controller flies, as far as it is healthy in this tick; one that failed does not fly
+    again until disarmed. `stuck` says that the commands that flew did not move. `timer` counts the ticks
+    of descend, or of level and brake together, 0 in the first. `action` is the index into `causes.ACTIONS`.
+    """
+
+    inputs = (
+        *(Port(name, "bool") for name in ("arm", "ready", "off", "descend", "brake", "level")),
+        Port("stuck", "bool"),
+        Port("own_given", "bool"),
+        Port("own_lost", "bool"),
+        Port("command_lost", "bool"),
+    )
+    outputs = (
+        Port("state", "int32"),
+        Port("timer", "int32"),
+        Port("action", "int32"),
+        Port("armed", "bool"),
+        Port("own", "bool"),
+        Port("failed", "bool"),
+        Port("stopped", "bool"),
+        Port("stuck_off", "bool"),
+    )
+    states = (State("state", DISARMED, "int32"), State("timer", 0, "int32"), State("own_failed", False, "bool"))
+    derived = (Port("level_ticks", "int32"), Port("descent_ticks", "int32"))
+    params = (
+        Param(
+            "level_limit", 10.0, unit="s", low=0.1, high=60.0, text="longest time of level and brake, then it descends"
+        ),
+        Param("descent", 1.0, unit="s", low=0.1, high=10.0, text="time in which the thrust fades"),
+    )
+
+    def prepare(self, p: Any, t: Any) -> Any:
+        return {
+            "level_ticks": ticks(p.level_limit, t.dt),
+            "descent_ticks": ticks(p.descent, t.dt),
+        }
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        held = x.state
+        # A state that does not exist counts as none in which motors may turn, and stays until disarmed.
+        armed = (held >= int32(FLYING)) & (held <= int32(DESCEND))
+        own_flew = u.own_given & ~x.own_failed & (held == int32(FLYING))
+        stuck_off = armed & u.stuck & ~own_flew
+        failed = u.arm & (x.own_failed | (own_flew & u.stuck))
+        spent = maximum(x.timer, int32(0)) + int32(1)  # ticks of the action, if this is one more
+        acted = (held == int32(LEVEL)) | (held == int32(BRAKE))
+        weaker = where(u.brake, int32(BRAKE), where(u.level | failed, int32(LEVEL), int32(FLYING)))
+        end = where(
+            held == int32(DESCEND),
+            where(spent >= p.descent_ticks, int32(OFF), int32(DESCEND)),
+            where(u.descend | (acted & (spent >= p.level_ticks)), int32(DESCEND), weaker),
+        )
+        state = where(
+            ~u.arm,
+            int32(DISARMED),
+            where(
+                held == int32(DISARMED),
+                where(u.ready & ~(u.off | u.descend | u.brake | u.level), int32(FLYING), int32(REFUSED)),
+                where(armed, where(u.off | stuck_off, int32(OFF), end), held),
+            ),
+        )
+        acts = (state == int32(LEVEL)) | (state == int32(BRAKE))
+        counted = (acts & acted) | ((state == int32(DESCEND)) & (held == int32(DESCEND)))
+        stopped = (state < int32(FLYING)) | (state > int32(DESCEND))
+        return {
+            "state": state,
+            "timer": where(counted, spent, int32(0)),
+            "action": where(stopped, int32(ACTIONS.index("off")), state - int32(FLYING)),
+            "armed": ~stopped,
+            "own": u.own_given & (state == int32(FLYING)) & ~failed,
+            "failed": failed,
+            "stopped": stopped,
+            "stuck_off": stuck_off,
+        }
+
+    def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        now = self.output(u, x, p, t)
+        return {
+            "state": where(u.command_lost & ~now["stopped"], int32(OFF), now["state"]),
+            "timer": now["timer"],
+            "own_failed": u.arm & (now["failed"] | u.own_lost),
+        }
+
+
+class Reasons(Block):
+    """Why the failsafe acts: a mask of `causes.CAUSES`, 0 while disarmed.
+
+    While it acts these are all causes that held since it began, up to the tick in which the motors went off. In the
+    state refused they are those that spoke against arming, in flying those that ask for no action (a low battery).
+    """
+
+    inputs = (
+        Port("state", "int32"),
+        Port("mask", "int32"),
+        Port("failed", "bool"),
+        Port("stuck_off", "bool"),
+        Port("own_lost", "bool"),
+        Port("command_lost", "bool"),
+    )
+    outputs = (Port("reason", "int32"),)
+    states = (State("held", 0, "int32"), State("was", DISARMED, "int32"))
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        bits = [
+            where(u[name], int32(BIT[cause]), int32(0))
+            for name, cause in (
+                ("failed", "own_failed"),
+                ("own_lost", "own_failed"),
+                ("stuck_off", "command_stuck"),
+                ("command_lost", "command_lost"),
+            )
+        ]
+        refused = u.state == int32(REFUSED)
+        flying = u.state == int32(FLYING)
+        outer = where(refused, u.mask, u.mask & where(flying, int32(_WARNINGS), int32(_ACTING)))
+        now = reduce(or_, [outer, *bits])
+        final = (refused | (u.state == int32(OFF))) & (u.state == x.was)
+        held = where(u.state == x.was, x.held, where(u.state > int32(FLYING), x.held, int32(0)))
+        return where(u.state == int32(DISARMED), int32(0), where(final, x.held, held | now))
+
+    def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        flown = (u.state == int32(FLYING)) & ~(u.own_lost | u.command_lost)
+        return {"held": where(flown, int32(0), self.output(u, x, p, t)), "was": u.state}
+
+
+_WARNINGS = BIT["battery_low"]
+_ACTING = reduce(or_, [BIT[cause.name] for cause in CAUSES if cause.action != NONE])

@@ -1,0 +1,239 @@
+"""Thresholds: measurements, estimates and set-points become flags, where they might chatter with a hysteresis."""
+
+from __future__ import annotations
+
+from functools import reduce
+from operator import and_, or_
+from typing import Any
+
+from twodof.blocks import Block, Param, Port, State, int32, where
+from twodof.flight.control.cascade import OFF, POSITION, RATE, VELOCITY
+from twodof.flight.estimator.position_filter import RAIL_CENTRE
+from twodof.flight.finite import finite
+
+SET_POINTS = (("x0", "m"), ("v0", "m/s"), ("theta0", "rad"), ("q0", "rad/s"), ("thrust", ""), ("M_open", ""))
+"""The set-points that are numbers, with their units."""
+
+IMU_AXES = ("acc_x", "acc_z", "gyro_y")
+
+
+class SensorFlags(Block):
+    """Which sensors are alive.
+
+    The IMU: `imu_moves`, a sample of finite numbers came in this tick and differs from the last one in a bit at least
+    (the same bits again are a driver that repeats itself); `axes_move`, it differs in each of its three axes, as its
+    noise makes nearly every sample differ. The range sensor: `range_good`, a sample came that is a number, of an age
+    that can be, and within `range_error` of where the cart was then, as published before; `range_moves`, one that
+    differs from the last. With the cart locked the range is not needed, and both are true. `watch_bits` off takes
+    repeated samples for good, for simulations without noise only.
+
+    `range_end`: two believed samples in a row lay at `range_end`, at an end of the rail, wherever the estimate is.
+
+    `range_taken`: the sample that came may correct the estimate. While `arm`ed one that is not believed does not, or
+    the estimate would follow it until it is; before that any number does, since the estimate begins anywhere.
+    `range_age` is its age, 0 where none is taken.
+    """
+
+    inputs = (
+        Port("acc_x", unit="m/s2"),
+        Port("acc_z", unit="m/s2"),
+        Port("gyro_y", unit="rad/s"),
+        Port("imu_new", "bool"),
+        Port("dist", unit="m"),
+        Port("dist_new", "bool"),
+        Port("dist_age", unit="s"),
+        Port("x", unit="m"),
+        Port("v", unit="m/s"),
+        Port("rings", "bool"),
+        Port("arm", "bool"),
+    )
+    outputs = (
+        *(Port(name, "bool") for name in ("imu_moves", "axes_move", "range_good", "range_moves", "range_end")),
+        Port("range_taken", "bool"),
+        Port("range_age", unit="s"),
+    )
+    states = (
+        State("acc_x", unit="m/s2"),
+        State("acc_z", unit="m/s2"),
+        State("gyro_y", unit="rad/s"),
+        State("dist", unit="m"),
+        State("at_end", False, "bool"),
+    )
+    params = (
+        Param(
+            "range_error", 0.10, unit="m", low=0.02, high=1.0, text="range further from the estimate is not believed"
+        ),
+        Param("range_end", 0.39, unit="m", low=0.05, high=0.45, text="range from the middle at which the motors stop"),
+        Param("range_old", 0.2, unit="s", low=0.02, high=1.0, text="range older than this is not believed"),
+        Param("watch_bits", True, "bool", text="a sensor that repeats itself to the bit is stuck"),
+    )
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        moved = [u[axis] != x[axis] for axis in IMU_AXES]
+        sample = u.imu_new & reduce(and_, [finite(u[axis]) for axis in IMU_AXES])
+        good = self._good(u, p)
+        taken = good | (u.dist_new & self._number(u, p) & ~u.arm)
+        return {
+            "imu_moves": sample & (reduce(or_, moved) | ~p.watch_bits),
+            "axes_move": sample & (reduce(and_, moved) | ~p.watch_bits),
+            "range_good": u.rings | good,
+            "range_moves": u.rings | (u.dist_new & ((u.dist != x.dist) | ~p.watch_bits)),
+            "range_end": ~u.rings & good & x.at_end & self._at_end(u, p),
+            "range_taken": taken,
+            "range_age": where(taken, u.dist_age, 0.0),
+        }
+
+    def _number(self, u: Any, p: Any) -> Any:
+        return finite(u.dist) & (u.dist_age >= 0.0) & (u.dist_age <= p.range_old)
+
+    def _good(self, u: Any, p: Any) -> Any:
+        near = abs(u.dist - RAIL_CENTRE - (u.x - u.v * u.dist_age)) <= p.range_error
+        return u.dist_new & self._number(u, p) & near
+
+    def _at_end(self, u: Any, p: Any) -> Any:
+        return abs(u.dist - RAIL_CENTRE) >= p.range_end
+
+    def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        return {
+            "acc_x": where(u.imu_new, u.acc_x, x.acc_x),
+            "acc_z": where(u.imu_new, u.acc_z, x.acc_z),
+            "gyro_y": where(u.imu_new, u.gyro_y, x.gyro_y),
+            "dist": where(u.dist_new, u.dist, x.dist),
+            "at_end": where(u.dist_new, self._good(u, p) & self._at_end(u, p), x.at_end),
+        }
+
+
+class PlaceFlags(Block):
+    """Where pitch and cart are, and whether the estimates are believed.
+
+    `pitch_near`: |theta + look_ahead q| above `pitch_limit`, until below it by `pitch_margin`; `pitch_stop`: |theta| at
+    `pitch_end`. `rail_near`: the place where the cart could be stopped, x + v reaction + v |v| / (2 braking), is beyond
+    `rail_limit`, until inside by `rail_margin`; `rail_end`: |x| at `rail_end`. A locked cart is near no end.
+    `estimate_lost`: theta, q, x or v is no number, |theta| > `theta_bound` or |q| > `q_bound`. It asks for the
+    strongest action, so NaN raises it alone: where the pitch is not known it is not said to be at its stop.
+    """
+
+    inputs = (
+        Port("theta", unit="rad"),
+        Port("q", unit="rad/s"),
+        Port("x", unit="m"),
+        Port("v", unit="m/s"),
+        Port("rings", "bool"),
+    )
+    outputs = tuple(
+        Port(name, "bool") for name in ("estimate_lost", "pitch_near", "pitch_stop", "rail_near", "rail_end", "tilted")
+    )
+    states = (State("pitch_near", False, "bool"), State("rail_near", False, "bool"))
+    params = (
+        Param("pitch_limit", 0.80, unit="rad", low=0.2, high=0.87, text="pitch beyond which it is levelled"),
+        Param("pitch_margin", 0.10, unit="rad", low=0.01, high=0.3, text="hysteresis of the pitch limit"),
+        Param("look_ahead", 0.06, unit="s", low=0.0, high=0.2, text="the pitch is foreseen by this time"),
+        Param("pitch_end", 0.85, unit="rad", low=0.2, high=0.87, text="pitch at which the motors stop"),
+        Param("theta_bound", 1.2, unit="rad", low=0.9, high=3.0, text="no pitch beyond it is believed"),
+        Param("q_bound", 30.0, unit="rad/s", low=5.0, high=60.0, text="no pitch rate beyond it is believed"),
+        Param("arm_tilt", 0.30, unit="rad", low=0.02, high=0.8, text="largest pitch at arming"),
+        Param("rail_limit", 0.37, unit="m", low=0.05, high=0.40, text="beyond which the cart is braked"),
+        Param("rail_margin", 0.03, unit="m", low=0.005, high=0.1, text="hysteresis of the rail's limit"),
+        Param("reaction", 0.25, unit="s", low=0.0, high=0.5, text="time until braking takes hold"),
+        Param("braking", 3.0, unit="m/s2", low=0.5, high=10.0, text="deceleration that braking is trusted with"),
+        Param("rail_end", 0.395, unit="m", low=0.05, high=0.45, text="place at which the motors stop"),
+    )
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        theta, q = abs(u.theta), abs(u.q)
+        foreseen = abs(u.theta + p.look_ahead * u.q)
+        stopped_at = abs(u.x + u.v * (p.reaction + abs(u.v) / (2.0 * p.braking)))
+        believed = (theta <= p.theta_bound) & (q <= p.q_bound) & finite(u.x) & finite(u.v)
+        return {
+            "estimate_lost": ~believed,
+            "pitch_near": foreseen > where(x.pitch_near, p.pitch_limit - p.pitch_margin, p.pitch_limit),
+            "pitch_stop": theta >= p.pitch_end,
+            "rail_near": ~u.rings & (stopped_at > where(x.rail_near, p.rail_limit - p.rail_margin, p.rail_limit)),
+            "rail_end": ~u.rings & (abs(u.x) >= p.rail_end),
+            "tilted": theta > p.arm_tilt,
+        }
+
+    def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        now = self.output(u, x, p, t)
+        return {"pitch_near": now["pitch_near"], "rail_near": now["rail_near"]}
+
+
+class BatteryFlags(Block):
+    """`full` and `usable`: the voltage is above the low and the critical threshold, and one that the pack can have.
+
+    Once below one it counts as below until it is above by `margin`. A voltage above `high`, infinite or NaN is a sensor
+    that has failed: how full the pack is is not known, and it counts as empty.
+    """
+
+    inputs = (Port("voltage", unit="V"),)
+    outputs = (Port("full", "bool"), Port("usable", "bool"))
+    states = (State("low", False, "bool"), State("critical", False, "bool"))
+    params = (
+        Param("low", 11.1, unit="V", low=0.0, high=60.0, text="low voltage: no arming (3.7 V a cell)"),
+        Param("critical", 10.5, unit="V", low=0.0, high=60.0, text="critical voltage: it descends (3.5 V a cell)"),
+        Param("margin", 0.2, unit="V", low=0.01, high=2.0, text="hysteresis of both"),
+        Param("high", 13.5, unit="V", low=0.0, high=65.0, text="no voltage beyond it is believed (4.5 V a cell)"),
+    )
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        believed = u.voltage <= p.high
+        return {
+            "full": believed & (u.voltage >= where(x.low, p.low + p.margin, p.low)),
+            "usable": believed & (u.voltage >= where(x.critical, p.critical + p.margin, p.critical)),
+        }
+
+    def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        now = self.output(u, x, p, t)
+        return {"low": ~now["full"], "critical": ~now["usable"]}
+
+
+class SetPointFlags(Block):
+    """What the set-points ask for.
+
+    `invalid`: one is infinite or NaN. `fed`: a set-point came in this tick, or none is needed since the mode is off.
+    `active`: the motors are asked for something. `rings_wrong`: a mode that moves the cart, which is locked.
+    """
+
+    inputs = (
+        Port("mode", "int32"),
+        *(Port(name, unit=unit) for name, unit in SET_POINTS),
+        Port("setpoint_new", "bool"),
+        Port("rings", "bool"),
+    )
+    outputs = (Port("invalid", "bool"), Port("fed", "bool"), Port("active", "bool"), Port("rings_wrong", "bool"))
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        off = u.mode <= int32(OFF)
+        along_rail = u.mode >= int32(VELOCITY)
+        return {
+            "invalid": ~reduce(and_, [finite(u[name]) for name, _ in SET_POINTS]) | (u.mode > int32(POSITION)),
+            "fed": u.setpoint_new | off,
+            "active": ~off & (along_rail | (u.thrust != 0.0) | (u.M_open != 0.0)),
+            "rings_wrong": u.rings & along_rail,
+        }
+
+
+class StuckCommands(Block):
+    """`moves`: the commands that flew differ from those before in a bit, or need not, or the IMU gave nothing new.
+
+    In a closed loop with thrust noise alone moves them; commands that stand still come of a controller that does.
+    """
+
+    inputs = (
+        Port("mode", "int32"),
+        Port("imu_moves", "bool"),
+        Port("stopped", "bool"),
+        Port("fore"),
+        Port("aft"),
+    )
+    outputs = (Port("moves", "bool"),)
+    states = (State("fore"), State("aft"), State("moves", True, "bool"))
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        return x.moves
+
+    def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        moved = (u.fore != x.fore) | (u.aft != x.aft)
+        standing = (u.fore == 0.0) & (u.aft == 0.0)
+        needed = (u.mode >= int32(RATE)) & ~u.stopped & ~standing & u.imu_moves
+        return {"fore": u.fore, "aft": u.aft, "moves": moved | ~needed}

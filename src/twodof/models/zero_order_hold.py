@@ -1,0 +1,314 @@
+"""Linear plants as blocks: an exact zero-order hold computed on board from physical parameters, with any input delay.
+
+A subclass says A, B, C and D in terms of its parameters. `prepare` turns them into the discrete model each time a
+parameter changes, so that one compiled program serves a whole estimation; a step is then a few multiplications.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from twodof.blocks.arrays import fold, store
+from twodof.blocks.block import Block, Clock, Param, Port, State, library_block
+from twodof.blocks.expr import maximum, real, to_int32, to_real, to_uint32, uint32, where
+from twodof.models.plant import GRAVITY
+
+# Taylor terms of the matrix exponential: |A| h <= 2 leaves 2^21 / 21! < 5e-14. A step with more is taken in pieces.
+_TERMS = 20
+_LARGEST = 2.0
+_DOUBLINGS = 6
+
+Matrix = Sequence[Sequence[Any]]
+
+
+class ZohPlant(Block):
+    """x' = A x + B u(t - dead time), y = C x + D u(t - dead time) for a scalar input held between steps.
+
+    Inputs before step 0 equal that of step 0. The dead time, by default the parameter `tau`, is a real number of
+    seconds, from 0 to `ring - 2` steps; a longer one gives NaN. Each state is named in `plant_states` (name, unit)
+    and starts from the parameter "<name>_0".
+    """
+
+    plant_states: Sequence[tuple[str, str]] = ()
+    plant_inputs: Sequence[Port] = ()
+    plant_outputs: Sequence[Port] = ()
+    plant_params: Sequence[Param] = ()
+
+    def __init__(self, ring: int = 64) -> None:
+        self.ring = ring
+        names = [name for name, _ in self.plant_states]
+        self.inputs = self.plant_inputs
+        self.outputs = self.plant_outputs
+        self.params = (
+            *self.plant_params,
+            Param("tau", 0.0, unit="s", low=0.0, text="delay of the input"),
+            *(Param(f"{name}_0", unit=unit, text=f"{name} at the start") for name, unit in self.plant_states),
+        )
+        self.states = (
+            *(State(name, f"{name}_0", unit=unit) for name, unit in self.plant_states),
+            State("past", 0.0, width=ring),
+            State("step", 0, kind="uint32"),
+        )
+        self.derived = (
+            *(Port(f"phi_{i}_{j}") for i in names for j in names),
+            *(Port(f"old_{i}") for i in names),
+            *(Port(f"new_{i}") for i in names),
+            Port("whole", "int32"),
+            Port("split", "bool"),
+            Port("fits", "bool"),
+        )
+
+    def matrices(self, p: Any) -> tuple[Matrix, Sequence[Any], Matrix, Sequence[Any]]:
+        """A (n rows), B (n), C (one row an output) and D (one number an output), from the parameters."""
+        raise AttributeError(f"{type(self).__name__} does not define matrices")
+
+    def dead_time(self, p: Any) -> Any:
+        """The pure delay of the input [s], from the parameters."""
+        return p.tau
+
+    def prepare(self, p: Any, t: Clock) -> dict[str, Any]:
+        """Phi(dt), and the input's share before and after the edge at `split` inside the step."""
+        a, b, _, _ = self.matrices(p)
+        names = [name for name, _ in self.plant_states]
+        steps = self.dead_time(p) / t.dt
+        # A delay that is a multiple of dt up to rounding is that multiple.
+        whole = to_int32(steps + 1e-9)
+        part = steps - to_real(whole)
+        split = part > 1e-9
+        phi, full = _held(a, b, t.dt)
+        _, late = _held(a, b, t.dt * (1.0 - where(split, part, 0.0)))
+        result: dict[str, Any] = {"whole": whole, "split": split, "fits": steps <= self.ring - 2.0}
+        for i, row in enumerate(names):
+            result[f"old_{row}"] = full[i] - late[i]
+            result[f"new_{row}"] = late[i]
+            for j, column in enumerate(names):
+                result[f"phi_{row}_{column}"] = phi[i * len(names) + j]
+        return result
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
+        """C x + D u, the input as old as the delay says."""
+        _, _, c, d = self.matrices(p)
+        state = [x[name] for name, _ in self.plant_states]
+        through = d
+        if any(not _is_zero(value) for value in d):
+            old, new = self._delayed(u, x, p)
+            now = where(p.split, old, new)
+            through = [0.0 if _is_zero(value) else value * now for value in d]
+        return {
+            port.name: _sum([*(_times(k, s) for k, s in zip(row, state, strict=True)), direct])
+            for port, row, direct in zip(self.outputs, c, through, strict=True)
+        }
+
+    def update(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
+        """One exact step."""
+        old, new = self._delayed(u, x, p)
+        names = [name for name, _ in self.plant_states]
+        result: dict[str, Any] = {
+            row: _sum([p[f"phi_{row}_{column}"] * x[column] for column in names])
+            + (p[f"old_{row}"] * old + p[f"new_{row}"] * new)
+            for row in names
+        }
+        result["past"] = store(x.past, x.step % self.ring, u[self.inputs[0].name])
+        result["step"] = x.step + 1
+        return result
+
+    def _delayed(self, u: Any, x: Any, p: Any) -> tuple[Any, Any]:
+        """The input `whole + 1` and `whole` steps ago; before step 0 that of step 0."""
+        present = u[self.inputs[0].name]
+        step = to_int32(x.step)
+
+        def ago(steps: Any) -> Any:
+            # More than the ring keeps is no number rather than a wrong one.
+            then = where(step < steps, uint32(0), x.step - to_uint32(steps))
+            past = where(p.fits, x.past[then % self.ring], math.nan)
+            return where((steps == 0) | (step == 0), present, past)
+
+        return ago(p.whole + 1), ago(p.whole)
+
+
+def _held(a: Matrix, b: Sequence[Any], dt: Any) -> tuple[list[Any], list[Any]]:
+    """exp(A dt), row by row, and the integral of exp(A s) B over s = 0..dt.
+
+    By Horner over a piece h of dt, I + A h/1 (I + A h/2 (I + ...)) and h (B + A h/2 (B + A h/3 (...))), then doubled:
+    Phi(2 h) = Phi(h) Phi(h), W(2 h) = W(h) + Phi(h) W(h).
+    """
+    n = len(a)
+    one = [1.0 if i == j else 0.0 for i in range(n) for j in range(n)]
+    norm = real(0.0)
+    for row in a:
+        norm = maximum(norm, dt * _sum([abs(value) for value in row]))
+    stiff = norm > _LARGEST
+    h = where(stiff, dt * 2.0**-_DOUBLINGS, dt)
+
+    def step(k: Any, *m: Any) -> list[Any]:
+        now, after = h / (_TERMS - to_real(k)), h / (_TERMS + 1.0 - to_real(k))
+        phi, w = m[: n * n], m[n * n :]
+        return [
+            *(
+                one[i * n + j] + now * _sum([_times(a[i][l], phi[l * n + j]) for l in range(n)])
+                for i in range(n)
+                for j in range(n)
+            ),
+            *(b[i] + after * _sum([_times(a[i][l], w[l]) for l in range(n)]) for i in range(n)),
+        ]
+
+    def double(k: Any, *m: Any) -> list[Any]:
+        phi, w = m[: n * n], m[n * n :]
+        twice = [_sum([phi[i * n + l] * phi[l * n + j] for l in range(n)]) for i in range(n) for j in range(n)]
+        twice += [w[i] + _sum([phi[i * n + l] * w[l] for l in range(n)]) for i in range(n)]
+        return [where(stiff, new, old) for new, old in zip(twice, m, strict=True)]
+
+    piece = fold(_TERMS, [real(v) for v in one] + [real(0.0)] * n, step)
+    whole = fold(_DOUBLINGS, [*piece[: n * n], *(h * w for w in piece[n * n :])], double)
+    return list(whole[: n * n]), list(whole[n * n :])
+
+
+def _is_zero(value: Any) -> bool:
+    return isinstance(value, float) and value == 0.0
+
+
+def _times(a: Any, b: Any) -> Any:
+    """a * b, where a literal 0 or 1 in a model's matrix costs nothing."""
+    if _is_zero(a):
+        return 0.0
+    return b if isinstance(a, float) and a == 1.0 else a * b
+
+
+def _sum(terms: Sequence[Any]) -> Any:
+    total: Any = 0.0
+    for term in terms:
+        if not _is_zero(term):
+            total = term if _is_zero(total) else total + term
+    return total
+
+
+@library_block("models.HeldPitchRate")
+class ZohPitchRate(ZohPlant):
+    """G_q, paper equation (5): q' = -w_n^2 theta - 2 xi w_n q + mu M."""
+
+    plant_states = (("theta", "rad"), ("q", "rad/s"))
+    plant_inputs = (Port("M"),)
+    plant_outputs = (Port("theta", unit="rad"), Port("q", unit="rad/s"))
+    plant_params = (
+        Param("w_n", 3.437, unit="rad/s", low=0.0, text="natural frequency"),
+        Param("xi", 0.0836, text="damping ratio"),
+        Param("mu", 358.5, unit="rad/s2", text="gain from normalised moment to angular acceleration"),
+    )
+
+    def matrices(self, p: Any) -> tuple[Matrix, Sequence[Any], Matrix, Sequence[Any]]:
+        """Paper equations (3) to (6)."""
+        return (
+            ((0.0, 1.0), (-(p.w_n * p.w_n), -2.0 * p.xi * p.w_n)),
+            (0.0, p.mu),
+            ((1.0, 0.0), (0.0, 1.0)),
+            (0.0, 0.0),
+        )
+
+
+@library_block("models.HeldPitchRateLag")
+class ZohPitchRateLag(ZohPlant):
+    """G_q behind a rotor lag: `tau` is still the total delay, of which `lag` is the rotors' first-order part.
+
+    The rest, tau - lag, is a pure delay (none if the lag is longer). A slow input sees the same tau either way.
+    """
+
+    plant_states = (("theta", "rad"), ("q", "rad/s"), ("m", ""))
+    plant_inputs = (Port("M"),)
+    plant_outputs = (Port("theta", unit="rad"), Port("q", unit="rad/s"))
+    plant_params = (
+        *ZohPitchRate.plant_params,
+        Param("lag", 0.011, unit="s", low=0.002, text="time constant of the rotors"),
+    )
+
+    def dead_time(self, p: Any) -> Any:
+        """What of the total delay is not lag."""
+        return maximum(p.tau - p.lag, 0.0)
+
+    def matrices(self, p: Any) -> tuple[Matrix, Sequence[Any], Matrix, Sequence[Any]]:
+        """Paper equations (3) to (6), the moment being that of the rotors."""
+        return (
+            ((0.0, 1.0, 0.0), (-(p.w_n * p.w_n), -2.0 * p.xi * p.w_n, p.mu), (0.0, 0.0, -(1.0 / p.lag))),
+            (0.0, 0.0, 1.0 / p.lag),
+            ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)),
+            (0.0, 0.0),
+        )
+
+
+@library_block("models.HeldVelocity")
+class ZohVelocity(ZohPlant):
+    """G_v and G_x, paper equation (9): v' = -p_v v - k_v theta, x' = v."""
+
+    plant_states = (("x", "m"), ("v", "m/s"))
+    plant_inputs = (Port("theta", unit="rad"),)
+    plant_outputs = (Port("x", unit="m"), Port("v", unit="m/s"))
+    plant_params = (
+        Param("k_v", 4.748, unit="m/s2", text="gain from pitch to deceleration"),
+        Param("p_v", 1.168, unit="1/s", text="pole of the linear friction"),
+    )
+
+    def matrices(self, p: Any) -> tuple[Matrix, Sequence[Any], Matrix, Sequence[Any]]:
+        """Paper equation (9)."""
+        return ((0.0, 1.0), (0.0, -p.p_v)), (0.0, -p.k_v), ((1.0, 0.0), (0.0, 1.0)), (0.0, 0.0)
+
+
+@library_block("models.HeldPitchAndVelocity")
+class ZohPitchAndVelocity(ZohPlant):
+    """G_q, then G_v, then G_x as one plant from M: paper Figure 6 with the loop open."""
+
+    plant_states = (("theta", "rad"), ("q", "rad/s"), ("x", "m"), ("v", "m/s"))
+    plant_inputs = (Port("M"),)
+    plant_outputs = (
+        Port("theta", unit="rad"),
+        Port("q", unit="rad/s"),
+        Port("x", unit="m"),
+        Port("v", unit="m/s"),
+    )
+    plant_params = (*ZohPitchRate.plant_params, *ZohVelocity.plant_params)
+
+    def matrices(self, p: Any) -> tuple[Matrix, Sequence[Any], Matrix, Sequence[Any]]:
+        """Paper equations (3) to (6) and (9)."""
+        identity = [[1.0 if i == j else 0.0 for j in range(4)] for i in range(4)]
+        return (
+            (
+                (0.0, 1.0, 0.0, 0.0),
+                (-(p.w_n * p.w_n), -2.0 * p.xi * p.w_n, 0.0, 0.0),
+                (0.0, 0.0, 0.0, 1.0),
+                (-p.k_v, 0.0, 0.0, -p.p_v),
+            ),
+            (0.0, p.mu, 0.0, 0.0),
+            identity,
+            (0.0, 0.0, 0.0, 0.0),
+        )
+
+
+@library_block("models.HeldLongitudinal")
+class ZohLongitudinal(ZohPlant):
+    """The course's three-state longitudinal model (see `twodof.models.plant.Longitudinal`)."""
+
+    plant_states = (("u", "m/s"), ("q", "rad/s"), ("theta", "rad"))
+    plant_inputs = (Port("M"),)
+    plant_outputs = (
+        Port("u", unit="m/s"),
+        Port("q", unit="rad/s"),
+        Port("theta", unit="rad"),
+        Port("a_x", unit="m/s2"),
+    )
+    plant_params = (
+        Param("X_u", -0.1068, unit="1/s", text="velocity damping"),
+        Param("X_q", 0.1192, unit="m/s", text="acceleration by pitch rate"),
+        Param("M_u", -5.9755, unit="rad/(m s)", text="pitch acceleration by velocity"),
+        Param("M_q", -2.6478, unit="1/s", text="pitch damping"),
+        Param("X_d", -10.1647, unit="m/s2", text="acceleration by moment"),
+        Param("M_d", 450.71, unit="rad/s2", text="pitch acceleration by moment"),
+    )
+
+    def matrices(self, p: Any) -> tuple[Matrix, Sequence[Any], Matrix, Sequence[Any]]:
+        """The course's A, B, C, D."""
+        return (
+            ((p.X_u, p.X_q, -GRAVITY), (p.M_u, p.M_q, 0.0), (0.0, 1.0, 0.0)),
+            (p.X_d, p.M_d, 0.0),
+            ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (p.X_u, p.X_q, 0.0)),
+            (0.0, 0.0, 0.0, p.X_d),
+        )

@@ -1,0 +1,280 @@
+"""Flown: what a log says about how a flight was flown, on the control grid: modes, set-points, start, trim, bias."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from twodof.errors import LogError
+from twodof.flight.gains import Gains
+from twodof.flightlog.events import SETPOINTS, Stretch, mode_at, modes
+from twodof.flightlog.log import FlightLog
+from twodof.signals import MODES
+
+Floats = NDArray[np.float64]
+
+PERIOD = 0.004
+"""Nominal control period [s]; the drone's own clock makes it 4.002 to 4.006 ms."""
+
+BEFORE, AFTER = 0.3, 2.0
+"""Default window [s]: from before the first set-point step to after the last."""
+
+MAX_STEPS = 450_000
+"""Longest window that is simulated: half an hour."""
+
+HISTORY = 24
+"""Control steps before the window whose commands fill the delay lines: more than the longest delay."""
+
+_SETTLE = 0.5  # s after arming until the hold counts, as the rotors and the rate loop settle
+_SETTLE_STEP = 2.0  # s after a set-point step
+_HOLD = 6.0  # s, longest hold used
+_HANDED_OVER = 5e-4  # m
+_FILTER = 100  # steps over which the derivative's state is rebuilt; it forgets .714 a step
+
+
+@dataclass(frozen=True)
+class FlightSegment:
+    """A window of a log on the control grid of n steps, and the start of its simulation.
+
+    `time` (n,) [s] are the steps by the drone's clock; `mode` (n,) indices into `signals.MODES`; `setpoint[name]` (n,)
+    for x0, v0, theta0, q0, M_open, thrust; x0 and v0, and x and v of `start`, are zeros where the log lacks them and no
+    mode of the window needs them (1DoF). `hold` [s] is the time before the window from which the trim moment
+    (`trim_moment`, the mean M, at the mean pitch `trim_theta`) is taken, None if there was none; `velocity_bias` [m/s]
+    is from before the window too.
+    `states` are controller states at the first step; `spun_up` [s] is how long the rotors have run,
+    `tof_elapsed` [s] how long ago the last range sample was.
+    """
+
+    time: Floats
+    mode: NDArray[np.int32]
+    setpoint: Mapping[str, Floats]
+    commands: tuple[tuple[float, float], ...]
+    start: Mapping[str, float]
+    states: Mapping[str, float]
+    hold: tuple[float, float] | None
+    trim_moment: float | None
+    trim_theta: float
+    velocity_bias: float
+    spun_up: float
+    tof_elapsed: float
+    window: tuple[float, float]
+
+    @property
+    def rails(self) -> bool:
+        """Whether the cart was free (velocity or position mode somewhere in the window)."""
+        return bool(np.any(self.mode >= MODES.index("velocity")))
+
+
+def default_window(log: FlightLog) -> tuple[float, float]:
+    """From .3 s before the first set-point step to 2 s after the last [s], within one armed stretch.
+
+    The stretch is the one flown in one mode that has most steps. Raises LogError if no set-point ever steps.
+    """
+    best: tuple[int, Stretch, Floats] | None = None
+    for stretch in modes(log):
+        if stretch.mode == "off":
+            continue
+        times = _steps(log, stretch)
+        if times.size and (best is None or times.size > best[0]):
+            best = (times.size, stretch, times)
+    if best is None:
+        raise LogError("no set-point steps in it", log.source, "give a window with --window T0 T1")
+    _, stretch, times = best
+    first, last = float(times[0]), float(times[-1])
+    start, end = log.span
+    for a, b in log.armed():
+        if a <= first <= b:
+            start, end = a, b
+    return max(first - BEFORE, start), min(last + AFTER, end)
+
+
+def _steps(log: FlightLog, stretch: Stretch) -> Floats:
+    """Times at which the set-point of a stretch changes; the switches into and out of its mode do not count.
+
+    Changes below .2 % of the set-point's range are not meant: a set-point that follows its measurement drifts. Nor is a
+    jump to where the cart is: the loop is handed over there.
+    """
+    name = SETPOINTS.get(stretch.mode, "M")
+    if stretch.duration <= 0.1:
+        return np.empty(0)
+    channel = log[name].slice(stretch.t0 + 0.05, stretch.t1 - 0.05)
+    if not len(channel):
+        return np.empty(0)
+    changed = np.flatnonzero(np.abs(np.diff(channel.value)) > max(1e-6, 0.002 * float(np.ptp(channel.value)))) + 1
+    if stretch.mode == "position":
+        away = np.abs(channel.value[changed] - _held(log, "x", channel.time[changed])) > _HANDED_OVER
+        changed = changed[away]
+    return channel.time[changed]
+
+
+def read_segment(log: FlightLog, gains: Gains, window: tuple[float, float] | None = None) -> FlightSegment:
+    """Reads a window (None: the default one) of `log`, flown with `gains`.
+
+    Raises LogError for a window without 10 control steps, and as `FlightLog` does for missing channels: x, v, x0 and v0
+    only where a mode of the window needs the cart.
+    """
+    t0, t1 = window if window is not None else default_window(log)
+    grid = _grid(log, t0, t1)
+    mode = _mode_at(log, grid)
+    ahead = grid + 0.5 * PERIOD
+    rails = bool(np.any(mode >= MODES.index("velocity")))
+    setpoint = {name: _held(log, name, ahead) for name in ("x0", "v0") if rails or logged(log, name)}
+    setpoint = dict.fromkeys(("x0", "v0"), np.zeros(len(grid))) | setpoint
+    setpoint |= {name: _held(log, name, ahead) for name in ("theta0", "q0")}
+    setpoint |= {"M_open": _held(log, "M", ahead), "thrust": _held(log, "T", ahead)}
+    begin = float(grid[0])
+    history = begin + PERIOD * np.arange(-HISTORY, 0)
+    commands = tuple(zip(_held(log, "M", history + 0.5 * PERIOD), _held(log, "T", history + 0.5 * PERIOD), strict=True))
+    armed_at, hold = _hold(log, begin)
+    known = ("theta", "q", *(name for name in ("x", "v") if rails or logged(log, name)))
+    start = {"x": 0.0, "v": 0.0}
+    start |= {name: float(np.interp(begin, log[name].time, log[name].value)) for name in known}
+    start["theta_previous"] = float(_held(log, "theta", np.array([begin]))[0])
+    trim_moment, trim_theta = _trim(log, hold)
+    ranges = log["dist"].time if "dist" in log else np.empty(0)
+    earlier = ranges[ranges < begin]
+    return FlightSegment(
+        time=grid,
+        mode=mode,
+        setpoint=setpoint,
+        commands=tuple((float(m), float(t)) for m, t in commands),
+        start=start,
+        states=_controller_states(log, gains, begin, MODES[mode[0]]),
+        hold=hold,
+        trim_moment=trim_moment,
+        trim_theta=trim_theta,
+        velocity_bias=_velocity_bias(log, begin) if rails else 0.0,
+        spun_up=begin - armed_at if armed_at is not None else 0.0,
+        tof_elapsed=float(begin - earlier[-1]) if earlier.size else 0.0,
+        window=(t0, t1),
+    )
+
+
+def logged(log: FlightLog, name: str) -> bool:
+    """Whether the log holds samples of a channel."""
+    return name in log and len(log[name]) > 0
+
+
+def _grid(log: FlightLog, t0: float, t1: float) -> Floats:
+    """The control steps from t0 to t1 by the drone's clock: a line through M's stamps, which lose and jitter."""
+    if not t0 < t1:
+        raise LogError(f"window {t0!s} to {t1!s} s is empty", log.source, "give t0 < t1, in seconds")
+    stamps = log["M"].slice(t0 - PERIOD, t1 + PERIOD).time
+    if len(stamps) < 10:
+        raise LogError(f"{len(stamps)} control steps between {t0:g} and {t1:g} s", log.source, "give a longer window")
+    index = np.concatenate(([0.0], np.cumsum(np.round(np.diff(stamps) / PERIOD))))
+    period, origin = np.polyfit(index, stamps, 1)
+    first = int(np.ceil((t0 - origin) / period))
+    last = int(np.floor((t1 - origin) / period))
+    if last - first > MAX_STEPS:
+        raise LogError(
+            f"{last - first} control steps from {t0:g} to {t1:g} s",
+            log.source,
+            f"give a window of at most {MAX_STEPS * PERIOD:g} s",
+        )
+    return np.asarray(origin + period * np.arange(first, last + 1), dtype=np.float64)
+
+
+def _held(log: FlightLog, name: str, at: ArrayLike) -> Floats:
+    """The latest sample of a channel at or before each time; the first one before that."""
+    channel = log[name]
+    if not len(channel):
+        raise LogError("the channel is empty", f"{log.source}: {name}", "simulate a whole flight")
+    return channel.value[np.maximum(channel.index(at, "hold"), 0)]
+
+
+def _mode_at(log: FlightLog, grid: Floats) -> NDArray[np.int32]:
+    """The mode at each step, (n,)."""
+    found = mode_at(log, grid + 0.5 * PERIOD)
+    if not found.any():
+        raise LogError(
+            f"nothing is flown between {grid[0]:g} and {grid[-1]:g} s", log.source, "give a window with thrust or M"
+        )
+    return found
+
+
+def _hold(log: FlightLog, begin: float) -> tuple[float | None, tuple[float, float] | None]:
+    """(when the rotors started, the hold) before `begin`.
+
+    What is held is a pitch or a place: what was flown in open loop, or with the rate or velocity loop alone, does not
+    count, and where nothing else was flown since the rotors started, the hold is that of the flight before.
+    """
+    armed_at, found = None, None
+    for a, b in log.armed():
+        if a > begin:
+            break
+        if b >= begin:
+            armed_at = a
+        end = min(b, _loop_opened(log, begin) if b >= begin else b)
+        start = max(a + _SETTLE, end - _HOLD, _last_step(log, a, end) + _SETTLE_STEP)
+        if end - start > 0.2:
+            found = (start, end)
+    return armed_at, found
+
+
+def _last_step(log: FlightLog, a: float, b: float) -> float:
+    """Time of the last step of theta0 or x0 between a and b, their first .3 s left out; minus infinity if none."""
+    latest = -np.inf
+    for name in ("theta0", "x0"):
+        if name not in log:
+            continue
+        channel = log[name].slice(a + 0.3, b)
+        steps = np.flatnonzero(np.abs(np.diff(channel.value)) > 0.02) + 1
+        if steps.size:
+            latest = max(latest, float(channel.time[steps[-1]]))
+    return latest
+
+
+def _loop_opened(log: FlightLog, begin: float) -> float:
+    """When the mode that is flown at `begin` was entered if it holds neither pitch nor place, else `begin`."""
+    for stretch in modes(log):
+        if stretch.t0 <= begin < stretch.t1 and stretch.mode in ("open-loop", "rate", "velocity"):
+            return stretch.t0
+    return begin
+
+
+def _trim(log: FlightLog, hold: tuple[float, float] | None) -> tuple[float | None, float]:
+    """(mean M, mean theta) of the hold.
+
+    A rail bias is not taken: the mean pitch of a hold is mostly what stiction leaves (used as a bias it costs 5 to 15
+    points of FIT on theta in both flights on the rail).
+    """
+    if hold is None:
+        return None, 0.0
+    return float(np.mean(log["M"].slice(*hold).value)), float(np.mean(log["theta"].slice(*hold).value))
+
+
+def _velocity_bias(log: FlightLog, begin: float) -> float:
+    """Mean estimated v less the way that the estimated x went, over the last 6 s before `begin`, motors on or off.
+
+    x cannot drift away from its range sensor, so over 6 s this is good to 1 mm/s; over a short hold it is not.
+    """
+    since = max(begin - _HOLD, float(log["x"].time[0]))
+    v, x = log["v"].slice(since, begin), log["x"].slice(since, begin)
+    if len(v) < 2 or len(x) < 2 or begin - since < 1.0:
+        return 0.0
+    return float(np.mean(v.value) - (x.value[-1] - x.value[0]) / (x.time[-1] - x.time[0]))
+
+
+def _controller_states(log: FlightLog, gains: Gains, begin: float, mode: str) -> dict[str, float]:
+    """The integrals, and the derivative's state, from the log up to the step before `begin`: I = M - Kp e - Kd D."""
+    if mode not in SETPOINTS:
+        return {}
+    kp, _, kd = gains.rate
+    steps = begin + PERIOD * np.arange(-_FILTER, 0)
+    error = _held(log, "q0", steps + 0.5 * PERIOD) - _held(log, "q", steps)
+    lag = 1.0 / 100.0
+    slope, previous = 0.0, float(error[0])
+    for e in error[1:]:
+        slope = (lag * slope + (float(e) - previous)) / (lag + PERIOD)
+        previous = float(e)
+    moment = float(_held(log, "M", steps[-1:] + 0.5 * PERIOD)[0])
+    states = {"rate.sum": moment - kp * previous - kd * slope, "rate.slope": slope, "rate.error": previous}
+    if mode in ("velocity", "position"):
+        force = -np.tan(_held(log, "theta0", steps[-1:] + 0.5 * PERIOD)[0]) * 0.4 * 6.3386
+        e = _held(log, "v0", steps[-1:] + 0.5 * PERIOD)[0] - _held(log, "v", steps[-1:])[0]
+        states["velocity.sum"] = float(force - gains.velocity[0] * e)
+    return states
