@@ -122,7 +122,7 @@ def test_a_flight_is_known_by_the_name_that_it_was_flown_under(
         (["--experiment", "doublet", "--method", "simple", "--value", "tau=0.02"], 2, "where: --value\n"),
         (["--experiment", "velocity", "--method", "simple", "--impulse", "a.mat"], 2, "of use to a doublet only"),
         (["--experiment", "impulse", "--impulse", "a.mat"], 2, "give it with --experiment doublet"),
-        ([], 2, "does not say which experiment"),
+        ([], 2, "holds none of the experiments"),
         (["--experiment", "attitude-steps"], 2, "nothing is identified from 'attitude-steps'"),
     ],
 )

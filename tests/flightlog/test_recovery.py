@@ -166,7 +166,7 @@ def test_the_command(
     source = tmp_path / "flight.mcap"
     source.write_bytes(whole[: acknowledged[3][0] + 4])
     assert run(["log", "info", str(source)]) == 2
-    assert "twodof log recover" in capsys.readouterr().err
+    assert f"twodof log recover {source}\n" in capsys.readouterr().err
     assert run(["log", "recover", str(source)]) == 0
     said = capsys.readouterr().out
     assert "flight.recovered.mcap: 15 samples from 0.000 to 0.056 s" in said

@@ -8,7 +8,7 @@ import pytest
 from twodof.errors import IdentificationError, LogError
 from twodof.experiment.flight import Laboratory
 from twodof.flightlog.files import read_log
-from twodof.identify.experiments import KINDS, cut
+from twodof.identify.experiments import KINDS, cut, kind_of
 
 
 def test_the_impulse_ends_when_the_drone_has_come_to_rest(flight_data: Path) -> None:
@@ -46,3 +46,22 @@ def test_a_kind_is_named() -> None:
     assert (named.start, named.steps) == (own.start, own.steps)
     with pytest.raises(IdentificationError, match=r"called 'dublet'.*there are: impulse, doublet, velocity"):
         cut(log, "dublet")
+
+
+@pytest.mark.parametrize(
+    ("log", "kind"),
+    [
+        ("free-response-impulse", "impulse"),
+        ("doublet-0.03", "doublet"),
+        ("velocity-doublets-0.25", "velocity"),
+        ("position-sweep-default", "velocity"),
+    ],
+)
+def test_the_experiment_of_a_log_is_found(flight_data: Path, log: str, kind: str) -> None:
+    assert kind_of(read_log(flight_data / f"{log}.mat")) is KINDS[kind]
+
+
+@pytest.mark.parametrize("log", ["attitude-steps-10deg-default", "rate-doublets-30dps-student"])
+def test_steps_with_a_locked_cart_are_not_taken_for_the_velocity_experiment(flight_data: Path, log: str) -> None:
+    with pytest.raises(LogError, match=r"none of the experiments.*excitations found: (attitude-steps|rate-doublets);"):
+        kind_of(read_log(flight_data / f"{log}.mat"))

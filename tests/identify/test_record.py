@@ -89,3 +89,12 @@ def test_an_empty_window_says_what_there_is() -> None:
 def test_a_window_before_the_first_sample_of_an_input_is_refused() -> None:
     with pytest.raises(IdentificationError, match="channel 'late': no sample at or before"):
         Record.from_channels({"u": (T, T), "late": (T + 0.1, T), "y": (T, T)}, ["u", "late"], ["y"])
+
+
+def test_a_table_may_have_smooth_inputs_too() -> None:
+    record = Record.from_columns(T, {"u": T, "theta": T**2, "y": T}, ["u", "theta"], ["y"], smooth=["theta"])
+    halfway = np.interp(T + 0.002, T, T**2)
+    np.testing.assert_allclose(record.inputs["theta"], halfway, atol=1e-12)
+    assert (record.inputs["u"] == T).all()
+    with pytest.raises(IdentificationError, match="'v' is to be smooth, but it is not an input"):
+        Record.from_columns(T, {"u": T, "y": T}, ["u"], ["y"], smooth=["v"])

@@ -1,12 +1,15 @@
 """The paper's simple method on its own model: the printed figures come back, its bias included."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests.identify.signals import doublet, pitch_record, velocity_record
 from twodof.errors import IdentificationError
+from twodof.flightlog.files import read_log
+from twodof.identify.experiments import cut
 from twodof.identify.simple_pitch import identify_pitch, read_doublet, read_free_response
 from twodof.identify.simple_velocity import identify_velocity
 from twodof.models.plant import (
@@ -97,3 +100,17 @@ def test_missing_excitation_and_response_are_refused() -> None:
         identify_pitch(short, [])
     with pytest.raises(IdentificationError, match="no doublet"):
         identify_velocity([])
+
+
+def test_a_model_that_does_not_reproduce_its_record_comes_with_a_warning(flight_data: Path) -> None:
+    """The velocity loop was closed in this flight, so its pitch is not the doublet that the method needs."""
+    found = identify_velocity([cut(read_log(flight_data / "velocity-doublets-0.25.mat"), "velocity")])
+    assert found.identification[1] < 31.0
+    poor, strayed = found.remarks
+    assert "FIT of only 30 %" in poor
+    assert "grey-box" in poor
+    assert "attitude loop" in strayed
+    assert f"note: {poor}" in found.table()
+    assert json.loads(found.to_json())["remarks"] == [poor, strayed]
+    clean = identify_velocity([velocity_record(PAPER_VELOCITY_GREYBOX, 0.008, np.random.default_rng(0))])
+    assert clean.remarks == ()

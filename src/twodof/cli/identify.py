@@ -17,7 +17,7 @@ from twodof.errors import LogError, ParameterError
 from twodof.flightlog.files import read_log
 from twodof.flightlog.log import FlightLog
 from twodof.identify.estimate import Estimate
-from twodof.identify.experiments import KINDS, cut, only
+from twodof.identify.experiments import KINDS, cut, kind_of, only
 from twodof.identify.greybox import fit
 from twodof.identify.record import Record
 from twodof.identify.repeated import Repeated, repeat
@@ -75,7 +75,7 @@ def identify(
     experiment: Annotated[
         str | None,
         typer.Option(
-            metavar="|".join(_KNOWN), help="Which experiment the log holds; left out: what the log itself says it is."
+            metavar="|".join(_KNOWN), help="Which experiment the log holds; left out: what the log says or looks like."
         ),
     ] = None,
     method: Annotated[Method, typer.Option(help="Output error, or by hand as the paper does.")] = Method.greybox,
@@ -136,12 +136,13 @@ def identify(
 
 
 def _experiment(name: str | None, log: FlightLog) -> Experiment:
-    """The experiment that is asked for, or else that the log says it holds. Raises ParameterError for none of ours."""
+    """The experiment that is asked for, else the one that the log names, else the one that is found in it.
+
+    Raises ParameterError for an experiment that is not ours, LogError for a log in which none is found.
+    """
     said = log.provenance.get("experiment") if name is None else name
     if not isinstance(said, str):
-        raise ParameterError(
-            "the log does not say which experiment it holds", log.source, f"name it: --experiment {'|'.join(_KNOWN)}"
-        )
+        said = kind_of(log).name
     if said not in _KNOWN:
         raise ParameterError(
             f"nothing is identified from {said!r:.80}",

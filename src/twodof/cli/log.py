@@ -134,10 +134,14 @@ def plot(
 def convert(
     source: Annotated[Path, typer.Argument(help="The log to read.")],
     target: Annotated[Path, typer.Argument(help="The file to write; its suffix says the format.")],
+    wide: Annotated[
+        bool,
+        typer.Option("--wide", help="A table (.csv, .parquet) with a row a time stamp and a column a signal."),
+    ] = False,
     json: Json = False,
 ) -> None:
     """Write a log in another format (.mat, .mcap, .parquet, .csv); the target is there whole or not at all."""
-    log = convert_log(source, target)
+    log = convert_log(source, target, wide)
     if json:
         print_json({"file": str(target), "channels": list(log.channels)})
     else:

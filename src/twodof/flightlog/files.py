@@ -19,6 +19,8 @@ _WRITERS: Mapping[str, Callable[[FlightLog, str | Path], None]] = MappingProxyTy
     {".mat": write_mat, ".mcap": write_mcap, ".parquet": write_parquet, ".csv": write_csv}
 )
 
+_TABLES: Mapping[str, Callable[..., None]] = MappingProxyType({".parquet": write_parquet, ".csv": write_csv})
+
 
 def read_log(path: str | Path) -> FlightLog:
     """Reads a log from a .mat, .mcap, .parquet, .csv or .ulg file. Raises LogError."""
@@ -26,10 +28,17 @@ def read_log(path: str | Path) -> FlightLog:
     return _READERS[Path(path).suffix.lower()](path)
 
 
-def write_log(log: FlightLog, path: str | Path) -> None:
-    """Writes a log to a .mat, .mcap, .parquet or .csv file, atomically. Raises LogError."""
-    _check(path, _WRITERS)
-    _WRITERS[Path(path).suffix.lower()](log, path)
+def write_log(log: FlightLog, path: str | Path, wide: bool = False) -> None:
+    """Writes a log to a .mat, .mcap, .parquet or .csv file, atomically. Raises LogError.
+
+    `wide` writes a table (.parquet, .csv) with one row for each time stamp and a column for each signal, in place of
+    one row for each number.
+    """
+    _check(path, _TABLES if wide else _WRITERS)
+    if wide:
+        _TABLES[Path(path).suffix.lower()](log, path, wide=True)
+    else:
+        _WRITERS[Path(path).suffix.lower()](log, path)
 
 
 def check_place(path: str | Path) -> None:
@@ -52,18 +61,25 @@ def check_folder(path: str | Path) -> None:
         raise LogError("its folder may not be written", str(path), "choose another one")
 
 
-def convert(src: str | Path, dst: str | Path) -> FlightLog:
-    """Reads `src` and writes it as `dst`; returns the log. Raises LogError before anything is written."""
-    _check(dst, _WRITERS)
+def convert(src: str | Path, dst: str | Path, wide: bool = False) -> FlightLog:
+    """Reads `src` and writes it as `dst` (see `write_log`); returns the log.
+
+    Raises LogError before anything is written.
+    """
+    _check(dst, _TABLES if wide else _WRITERS)
     if Path(dst).exists() and Path(src).exists() and Path(dst).samefile(src):
         raise LogError("would be written over itself", str(src), "name another file to write")
     log = read_log(src)
-    write_log(log, dst)
+    write_log(log, dst, wide)
     return log
 
 
 def _check(path: str | Path, known: Mapping[str, object]) -> None:
     suffix = Path(path).suffix.lower()
+    if known is _TABLES and suffix in _WRITERS and suffix not in known:
+        raise LogError(
+            f"{suffix} logs are not tables", str(path), f"write {', '.join(known)}, or leave the wide form out"
+        )
     if suffix in _READERS and suffix not in known:
         raise LogError(f"{suffix} logs are read, not written", str(path), f"write {', '.join(known)}")
     if suffix not in known:

@@ -1,15 +1,31 @@
 """Makes channels of what was received: what a Channel cannot hold is left out and counted, never silently."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
+from shlex import quote
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from twodof.errors import LogError
 from twodof.flightlog.log import Channel
 
 RECOVER = "get what is sound with: twodof log recover"
-"""The remedy for a file that was cut off or damaged."""
+"""The remedy for a file that was cut off or damaged; `naming_file` adds the file's name."""
+
+
+@contextmanager
+def naming_file(path: str | Path) -> Iterator[None]:
+    """Adds the name of the file to the remedy RECOVER of a LogError, so that the command can be typed as it stands."""
+    try:
+        yield
+    except LogError as reason:
+        if reason.remedy != RECOVER:
+            raise
+        raise LogError(reason.what, reason.where, f"{RECOVER} {quote(str(path))}") from reason
 
 
 @dataclass(frozen=True)

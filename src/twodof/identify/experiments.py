@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
@@ -24,6 +24,8 @@ _NEAR_STOP_RAD = 0.84
 # A free response is over when q has stayed below this share of its peak for this long; what follows in a log is
 # somebody's hand. Half a swing lasts .9 s and more, so a passage through zero is not taken for the end.
 _OVER_SHARE, _OVER_S = 0.005, 1.0
+# A locked cart stands still; the range sensor's noise is 4 mm, and an experiment moves it by a decimetre and more.
+_MOVED_M = 0.05
 # Rest that is kept before the first edge: the simple method reads the trim and the noise from it.
 _REST_S = 0.1
 
@@ -92,6 +94,25 @@ def cut(
     )
 
 
+def kind_of(log: FlightLog) -> ExperimentKind:
+    """The experiment that a log holds: the kind of its longest excitation.
+
+    Steps and doublets of the pitch count as the velocity's experiment only if the drone moved along the rail. Raises
+    LogError for a log without an excitation of any of the `KINDS`.
+    """
+    moved = "dist" in log and float(np.ptp(log["dist"].value)) > _MOVED_M
+    kinds = [kind for kind in KINDS.values() if moved or kind.name != "velocity"]
+    found = excitations(log) if all(name in log for name in ("T", "q0", "theta0")) else []
+    fitting = [(_length(one), kind) for one in found for kind in kinds if _fits(one, kind)]
+    if not fitting:
+        raise LogError(
+            "holds none of the experiments from which something is identified",
+            log.source,
+            f"excitations found: {_names(found)}; name the experiment ({', '.join(KINDS)}) and a window",
+        )
+    return max(fitting, key=lambda one: one[0])[1]
+
+
 def only(record: Record, *outputs: str) -> Record:
     """The same record with these of its outputs: a fit uses all that it finds."""
     return replace(record, outputs={name: record.outputs[name] for name in outputs})
@@ -112,16 +133,27 @@ def _end_of_motion(log: FlightLog, start: float, stop: float) -> float:
 
 
 def _window(log: FlightLog, kind: ExperimentKind) -> tuple[float, float]:
-    found = [one for one in excitations(log) if one.mode in kind.modes and one.shape in kind.shapes]
-    if not found:
-        there = ", ".join(dict.fromkeys(one.name for one in excitations(log))) or "none"
+    found = excitations(log)
+    fitting = [one for one in found if _fits(one, kind)]
+    if not fitting:
         raise LogError(
             f"holds no excitation for the experiment '{kind.name}' ({kind.text})",
             log.source,
-            f"excitations found: {there}; or name a window",
+            f"excitations found: {_names(found)}; or name a window",
         )
-    one = max(found, key=lambda excitation: excitation.edges[-1] - excitation.edges[0])
-    return _after_start(log, one)
+    return _after_start(log, max(fitting, key=_length))
+
+
+def _fits(one: DetectedExcitation, kind: ExperimentKind) -> bool:
+    return one.mode in kind.modes and one.shape in kind.shapes
+
+
+def _length(one: DetectedExcitation) -> float:
+    return one.edges[-1] - one.edges[0]
+
+
+def _names(found: Sequence[DetectedExcitation]) -> str:
+    return ", ".join(dict.fromkeys(one.name for one in found)) or "none"
 
 
 def _after_start(log: FlightLog, one: DetectedExcitation) -> tuple[float, float]:

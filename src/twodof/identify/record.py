@@ -67,8 +67,10 @@ class Record:
         inputs: Sequence[str],
         outputs: Sequence[str],
         name: str = "record",
+        *,
+        smooth: Collection[str] = (),
     ) -> Record:
-        """A record from one table whose columns share the column `time` [s].
+        """A record from one table whose columns share the column `time` [s]; `smooth` as in `from_channels`.
 
         Raises IdentificationError for a missing column, NaN, time that does not increase, fewer than two rows.
         """
@@ -77,7 +79,7 @@ class Record:
             if column not in columns:
                 raise _missing(column, columns)
             channels[column] = (time, columns[column])
-        return cls.from_channels(channels, inputs, outputs, name=name)
+        return cls.from_channels(channels, inputs, outputs, smooth=smooth, name=name)
 
     @classmethod
     def from_channels(
@@ -106,6 +108,13 @@ class Record:
         for channel in (*inputs, *outputs):
             if channel not in channels:
                 raise _missing(channel, channels)
+        for channel in smooth:
+            if channel not in inputs:
+                raise IdentificationError(
+                    f"'{channel}' is to be smooth, but it is not an input",
+                    f"record '{name}'",
+                    "name it in `inputs` too",
+                )
         checked = {channel: _checked(channel, *channels[channel]) for channel in (*inputs, *outputs)}
         clock = checked[inputs[0]][0]
         clock = clock[(clock >= start) & (clock <= stop)]

@@ -13,23 +13,28 @@ from scipy.optimize import brentq
 
 from twodof.errors import IdentificationError
 from twodof.identify.record import Record
-from twodof.identify.simple_pitch import edges_of, signals_of
+from twodof.identify.simple_pitch import edges_of, poor_fits, signals_of
 from twodof.identify.validate import fit_percent
 from twodof.models.plant import Velocity
 
 Array = NDArray[np.float64]
+
+# Share of the pitch held by which its set-point may stray.
+_STRAYED = 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class StepResponse:
     """What one reads off the first half of the doublet; times on the log's axis [s].
 
-    `theta_bar` [rad] is the pitch held, `slope` [m/s2] of the straight line through v between 10 and 40 % of its peak
-    (`line_start` to `line_stop`), `start` where that line meets the rest, `peak` [m/s] above the rest at `peak_time`.
+    `theta_bar` [rad] is the pitch that is held, and its set-point strays by `strayed` [rad] until the doublet turns.
+    `slope` [m/s2] is that of the straight line through v between 10 and 40 % of its peak (`line_start` to `line_stop`),
+    `start` is where that line meets the rest, and `peak` [m/s] is the peak above the rest at `peak_time`.
     """
 
     edge: float
     theta_bar: float
+    strayed: float
     rest: float
     slope: float
     line_start: float
@@ -50,6 +55,19 @@ class SimpleVelocity:
     identification: tuple[str, float]
     validation: tuple[tuple[str, float], ...]
 
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What a reader should know before using the figures, one sentence each with what to do about it."""
+        found = poor_fits("v", (self.identification, *self.validation))
+        if self.step.strayed > _STRAYED * abs(self.step.theta_bar):
+            strayed = (
+                f"the pitch's set-point strays by {math.degrees(self.step.strayed):.0f} deg before the doublet turns, "
+                "and this method needs it held: fly the doublet in the attitude loop, or estimate by output error "
+                "(grey-box)"
+            )
+            found = (*found, strayed)
+        return found
+
     def table(self) -> str:
         """Each step as a line of text."""
         s = self.step
@@ -59,6 +77,7 @@ class SimpleVelocity:
             f"identification '{self.identification[0]}': FIT {self.identification[1]:.1f} %",
         ]
         lines.extend(f"validation '{name}': FIT {value:.1f} %" for name, value in self.validation)
+        lines.extend(f"note: {remark}" for remark in self.remarks)
         return "\n".join(lines)
 
     def to_json(self) -> str:
@@ -77,6 +96,7 @@ class SimpleVelocity:
                 },
                 "identification": dict([self.identification]),
                 "validation": dict(self.validation),
+                "remarks": list(self.remarks),
             },
             indent=2,
         )
@@ -150,6 +170,7 @@ def read_step(record: Record, set_point: str = "theta0", output: str = "v") -> S
     return StepResponse(
         edge=edge,
         theta_bar=theta_bar,
+        strayed=float(np.ptp(theta0[edges[0] : edges[1] if len(edges) > 1 else record.steps])),
         rest=rest,
         slope=sign * slope,
         line_start=float(t[low]),

@@ -212,3 +212,62 @@ def test_a_time_stamp_that_is_no_number_is_named_and_its_remedy_works(text: str,
     assert "remove them" in caught.value.remedy
     path.write_text(text.replace(without, ""))
     assert len(read_csv(path).channels) == 1
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+def test_a_wide_table_round_trips_to_the_bit(tmp_path: Path, suffix: str) -> None:
+    log = attitude_steps()
+    write_log(log, tmp_path / f"a{suffix}", wide=True)
+    back = read_log(tmp_path / f"a{suffix}")
+    same_bits(log, back)
+    assert back.provenance["seed"] == log.provenance["seed"]
+    odd = FlightLog({"cold": Channel([0.0, 1.0], np.arange(8.0).reshape(2, 4), "K"), "none": Channel([], [])})
+    write_log(odd, tmp_path / f"b{suffix}", wide=True)
+    same_bits(odd, read_log(tmp_path / f"b{suffix}"))
+
+
+def test_a_wide_table_has_a_row_a_stamp_and_a_column_a_signal(tmp_path: Path) -> None:
+    gyro = Channel([0.0, 0.5], [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]], "rad/s", ("x", "y", "z"))
+    log = FlightLog({"theta": Channel([0.0, 0.25], [0.1, 0.2], "rad"), "gyr": gyro})
+    write_log(log, tmp_path / "a.csv", wide=True)
+    _, *rows = (tmp_path / "a.csv").read_text().splitlines()
+    assert rows == [
+        '"time [s]","theta [rad]","gyr.x [rad/s]","gyr.y [rad/s]","gyr.z [rad/s]"',
+        "0,0.1,1,2,3",
+        "0.25,0.2,,,",
+        "0.5,,4,5,6",
+    ]
+
+
+def test_a_column_added_to_a_wide_table_is_a_channel(tmp_path: Path) -> None:
+    write_log(FlightLog({"theta": Channel([0.0, 1.0], [0.1, 0.2], "rad")}), tmp_path / "a.csv", wide=True)
+    meta, heading, *rows = (tmp_path / "a.csv").read_text().splitlines()
+    lines = [meta, heading + ",twice [rad]", *(f"{row},{k}" for k, row in enumerate(rows))]
+    (tmp_path / "a.csv").write_text("\n".join(lines) + "\n")
+    assert read_log(tmp_path / "a.csv")["twice"].value.tolist() == [0.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda text: text.replace("gyr.y", "gyr.w"), "gyr.y.*is missing"),
+        (lambda text: text.replace("4,5,6", "4,,6"), "not all there in each row"),
+        (lambda text: text.rpartition("0.5,")[0], "truncated"),
+    ],
+)
+def test_a_damaged_wide_table_is_refused(tmp_path: Path, change: Callable[[str], str], says: str) -> None:
+    gyro = Channel([0.0, 0.5], [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]], "rad/s", ("x", "y", "z"))
+    write_log(FlightLog({"gyr": gyro}), tmp_path / "a.csv", wide=True)
+    meta, rest = (tmp_path / "a.csv").read_text().split("\n", 1)
+    (tmp_path / "a.csv").write_text(f"{meta}\n{change(rest)}")
+    with pytest.raises(LogError, match=says):
+        read_log(tmp_path / "a.csv")
+
+
+def test_only_tables_are_wide(tmp_path: Path) -> None:
+    for suffix in (".mat", ".mcap"):
+        with pytest.raises(LogError, match=r"not tables \(write .parquet, .csv"):
+            write_log(attitude_steps(), tmp_path / f"a{suffix}", wide=True)
+    twins = FlightLog({"a.b": Channel([0.0], [1.0]), "a": Channel([0.0], [[1.0, 2.0]], "", ("b", "c"))})
+    with pytest.raises(LogError, match=r"two columns would be called 'a.b'"):
+        write_log(twins, tmp_path / "a.csv", wide=True)

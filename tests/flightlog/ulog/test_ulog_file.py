@@ -341,7 +341,7 @@ def test_the_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     path = tmp_path / "a.ulg"
     path.write_bytes(px4_log() + bytes(100))
     assert run(["log", "info", str(path)]) == 2
-    assert "twodof log recover" in capsys.readouterr().err
+    assert f"twodof log recover {path}\n" in capsys.readouterr().err
     assert run(["log", "recover", str(path)]) == 1  # a ULog has no checksums
     assert "bytes could not be used" in capsys.readouterr().out
     assert len(read_mcap(tmp_path / "a.recovered.mcap")["theta"]) == 40

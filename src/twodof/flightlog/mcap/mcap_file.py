@@ -18,7 +18,7 @@ from twodof.flightlog.mcap.decoder import UNVERIFIED_NOTE, McapContents, scan
 from twodof.flightlog.mcap.encoder import Attachment, McapEncoder, McapSamples
 from twodof.flightlog.mcap.topic_stream import nanoseconds, seconds, streams_of
 from twodof.flightlog.memory_budget import MemoryBudget
-from twodof.flightlog.sanitise import noted, sanitise
+from twodof.flightlog.sanitise import naming_file, noted, sanitise
 
 NOTE = "twodof"
 END_NOTE = "twodof.end"
@@ -36,8 +36,9 @@ def read_mcap(path: str | Path) -> FlightLog:
     """
     data = provenance.read_bytes(path)
     budget = MemoryBudget(len(data), str(path))
-    contents = scan(data, str(path), budget=budget)
-    return to_log(contents, provenance.of_file(path, data, "mcap"), str(path), budget)
+    with naming_file(path):
+        contents = scan(data, str(path), budget=budget)
+        return to_log(contents, provenance.of_file(path, data, "mcap"), str(path), budget)
 
 
 def write_mcap(log: FlightLog, path: str | Path) -> None:
@@ -101,7 +102,8 @@ def to_log(contents: McapContents, file: dict[str, Any], where: str, budget: Mem
 
 def attachments(path: str | Path) -> list[Attachment]:
     """The files kept in a recording. Raises LogError."""
-    return scan(provenance.read_bytes(path), str(path)).attachments
+    with naming_file(path):
+        return scan(provenance.read_bytes(path), str(path)).attachments
 
 
 def _provenance(contents: McapContents, where: str, budget: MemoryBudget) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from twodof.errors import LogError
 from twodof.flightlog import provenance
 from twodof.flightlog.log import Channel, FlightLog
 from twodof.flightlog.memory_budget import MemoryBudget
-from twodof.flightlog.sanitise import noted, sanitise
+from twodof.flightlog.sanitise import naming_file, noted, sanitise
 from twodof.flightlog.steps import ASKED, BOOT, PERIOD, STEP_TOPIC, safety_channel, step_channels
 from twodof.flightlog.ulog.decoder import Logged, ULog, scan_ulog
 from twodof.signals import BY_MAT, SEVERITIES, TOPICS
@@ -95,7 +95,8 @@ def read_ulog(path: str | Path) -> FlightLog:
     data = provenance.read_bytes(path)
     where = str(path)
     budget = MemoryBudget(len(data), where)
-    return ulog_to_log(scan_ulog(data, where, budget=budget), provenance.of_file(path, data, "ulog"), where, budget)
+    with naming_file(path):
+        return ulog_to_log(scan_ulog(data, where, budget=budget), provenance.of_file(path, data, "ulog"), where, budget)
 
 
 def ulog_to_log(found: ULog, file: dict[str, Any], where: str, budget: MemoryBudget) -> FlightLog:
