@@ -13,7 +13,7 @@ from bench.hand_loop import HandLoop
 from bench.linear_loop import linear_loop_seconds
 from bench.measure import Figure, Timing, one_core, timed
 from bench.mujoco_loop import MujocoLoop
-from twodof.compile import Machine, Program, build
+from twodof.compile import CompiledMachine, CompiledProgram, build
 from twodof.errors import CompileError
 from twodof.rig.parameters import lab
 from twodof.rig.rig import BASE_DT
@@ -59,10 +59,10 @@ class CompiledLoop:
 
     def __init__(self, precision: str, noise: float = 1.0, target: str = "native") -> None:
         program = build(closed_loop(), BASE_DT, precision, target=target)
-        if not isinstance(program, Program):
+        if not isinstance(program, CompiledProgram):
             raise CompileError("there is no C compiler", "bench", "install cc, or the wheel ziglang")
         self.program = program
-        self.machine: Machine = program.machine()
+        self.machine: CompiledMachine = program.machine()
         self.machine.set_many({f"rig.{name}": value for name, value in lab().snapshot().items()})
         self.machine.set("rig.noise", noise)
         self.machine.reset()

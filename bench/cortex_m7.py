@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from bench.measure import Figure
 from twodof.blocks import Diagram
-from twodof.compile import Program, build
+from twodof.compile import CompiledProgram, build
 from twodof.compile.cortex_m7.board import find_emulator
 from twodof.compile.cortex_m7.image import Image, build_image, find_cross_compiler
 from twodof.compile.cortex_m7.processor import DEFAULTS, INIT, PREPARE, Processor
@@ -127,15 +127,15 @@ def cascade_inputs(steps: int, mode: str) -> dict[str, NDArray[Any]]:
     return {"mode": np.full(steps, MODES.index(mode), np.int32), "in_reset": f["reset"], **rest}
 
 
-def compiled(diagram: Diagram, compiler: str = "gcc", optimise: str = OPTIMISE) -> Program:
+def compiled(diagram: Diagram, compiler: str = "gcc", optimise: str = OPTIMISE) -> CompiledProgram:
     """The diagram in float32."""
     program = build(diagram, PERIOD, "float32", target="cortex-m7", compiler=compiler, optimise=optimise)
-    if not isinstance(program, Program):
+    if not isinstance(program, CompiledProgram):
         raise CompileError("there is no compiled program", diagram.name, "install gcc-arm-none-eabi")
     return program
 
 
-def rows(program: Program, inputs: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
+def rows(program: CompiledProgram, inputs: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
     """The inputs as structs U."""
     u = np.zeros(len(next(iter(inputs.values()))), program.dtypes["U"])
     for name, values in inputs.items():
@@ -143,7 +143,7 @@ def rows(program: Program, inputs: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
     return u
 
 
-def difference(program: Program, peer: Hand, inputs: Mapping[str, NDArray[Any]]) -> tuple[float, str]:
+def difference(program: CompiledProgram, peer: Hand, inputs: Mapping[str, NDArray[Any]]) -> tuple[float, str]:
     """Largest difference of an output over its largest value, and which output."""
     u = rows(program, inputs)
     theirs, _, _ = peer.run(u, program.dtypes["Y"])

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.compile import Machine
-from twodof.compile.toolchain import find_compiler
+from twodof.compile import CompiledMachine
+from twodof.compile.toolchain.compilers import find_compiler
 from twodof.errors import CompileError, ParameterError
 
 FOLDER = Path(__file__).with_name("hand")
@@ -32,7 +32,7 @@ class HandLoop:
     Raises CompileError if there is no C compiler, ParameterError if the two loops do not have the same parameters.
     """
 
-    def __init__(self, machine: Machine, precision: str, seed: int = 1, flags: tuple[str, ...] = ()) -> None:
+    def __init__(self, machine: CompiledMachine, precision: str, seed: int = 1, flags: tuple[str, ...] = ()) -> None:
         self.library = _built(precision, flags)
         self.outputs = _names(self.library, "hand_outputs")
         real = np.dtype(precision)
@@ -48,7 +48,7 @@ class HandLoop:
         values = self._values(machine)
         self.library.hand_init(self._loop.ctypes.data, values.ctypes.data, seed)
 
-    def _values(self, machine: Machine) -> NDArray[np.float64]:
+    def _values(self, machine: CompiledMachine) -> NDArray[np.float64]:
         names = _names(self.library, "hand_parameters")
         paths = {path.replace(".", "_"): path for path in machine.parameters if path not in ONLY_OURS}
         if set(names) != set(paths):

@@ -11,8 +11,8 @@ import numpy as np
 from bench.closed_loop import HOVER, numbered
 from bench.measure import Figure, one_core, timed
 from twodof.blocks import Diagram
-from twodof.compile import Program, build
-from twodof.compile.lanes import SIMD, Lanes, best_simd, build_lanes
+from twodof.compile import CompiledProgram, build
+from twodof.compile.lanes.lanes_program import SIMD, LanesMachine, best_simd, build_lanes
 from twodof.errors import CompileError
 from twodof.rig.parameters import lab
 from twodof.rig.rig import BASE_DT, rig
@@ -51,7 +51,7 @@ def parameters(prefix: str, delays: bool) -> dict[str, list[Any]]:
     return values
 
 
-def lanes_of(what: str, precision: str, simd: str, delays: bool = False) -> Lanes:
+def lanes_of(what: str, precision: str, simd: str, delays: bool = False) -> LanesMachine:
     """64 instances, their inputs set."""
     make, prefix, inputs = DIAGRAMS[what]
     machine = build_lanes(make(), BASE_DT, LANES, precision, simd=simd).machine()
@@ -65,7 +65,7 @@ def alone(what: str, precision: str) -> Callable[[int], None]:
     """The scalar program of one instance: a function that runs so many steps."""
     make, prefix, inputs = DIAGRAMS[what]
     program = build(make(), BASE_DT, precision)
-    if not isinstance(program, Program):
+    if not isinstance(program, CompiledProgram):
         raise CompileError("there is no C compiler", "bench", "install cc, or the wheel ziglang")
     machine = program.machine()
     machine.set_many({path: values[0] for path, values in parameters(prefix, delays=False).items()})

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from twodof.compile.toolchain import find_compiler
+from twodof.compile.toolchain.compilers import find_compiler
 from twodof.errors import CompileError
 
 

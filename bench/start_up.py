@@ -14,7 +14,7 @@ from pathlib import Path
 from bench.measure import Figure
 from twodof.blocks import Diagram
 from twodof.blocks.library import Gain, LowPass, Saturation, Sum, Trigonometry, UnitDelay
-from twodof.compile.toolchain import find_compiler
+from twodof.compile.toolchain.compilers import find_compiler
 from twodof.errors import CompileError
 
 IMPORT_SECONDS = 0.3

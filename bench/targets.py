@@ -14,7 +14,7 @@ from typing import Any
 from bench.closed_loop import HOVER, CompiledLoop, numbered
 from bench.measure import Figure, one_core, timed
 from bench.start_up import LARGE, fresh_python
-from twodof.compile.toolchain import find_compiler
+from twodof.compile.toolchain.compilers import find_compiler
 from twodof.errors import CompileError
 
 WARM_SECONDS = 1.0

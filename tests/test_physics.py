@@ -16,7 +16,7 @@ from scipy.linalg import eigvals
 
 from tests.rig.plants import dynamics, settings
 from tools.tables import PAGES, models, render
-from twodof.compile import Program, build
+from twodof.compile import CompiledProgram, build
 from twodof.models import PAPER_PITCH_RATE, PAPER_VELOCITY_GREYBOX, DelayedStateSpace
 from twodof.rig.parameters import Q_AGE, lab, paper
 from twodof.rig.rig import rig
@@ -34,7 +34,7 @@ def test_the_tables_are_those_of_the_code(page: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def mechanics() -> Program:
+def mechanics() -> CompiledProgram:
     return build(dynamics(), 1e-6)
 
 
@@ -72,7 +72,7 @@ angles = st.floats(-1.2, 1.2)
 
 @given(angles, st.floats(-4.0, 4.0), st.floats(-1.0, 1.0), st.floats(0.0, 6.0), st.floats(-0.3, 0.3))
 def test_the_accelerations_are_those_of_newton_and_euler(
-    mechanics: Program, theta: float, q: float, v: float, thrust: float, moment: float
+    mechanics: CompiledProgram, theta: float, q: float, v: float, thrust: float, moment: float
 ) -> None:
     p = {
         "mass_drone": 0.374,
@@ -99,12 +99,12 @@ def test_the_accelerations_are_those_of_newton_and_euler(
 
 
 @pytest.fixture(scope="module")
-def whole() -> Program:
+def whole() -> CompiledProgram:
     return build(rig(), TICK)
 
 
 def fly(
-    program: Program, steps: int, fore: Any, aft: Any, values: Mapping[str, float], **conditions: Any
+    program: CompiledProgram, steps: int, fore: Any, aft: Any, values: Mapping[str, float], **conditions: Any
 ) -> dict[str, NDArray[Any]]:
     machine = program.machine()
     machine.set_many({**values, "noise": 0.0, **conditions})
@@ -112,7 +112,7 @@ def fly(
     return dict(machine.run(steps, {"fore": fore, "aft": aft}))
 
 
-def test_the_accelerometer_is_the_second_derivative_of_its_place(whole: Program) -> None:
+def test_the_accelerometer_is_the_second_derivative_of_its_place(whole: CompiledProgram) -> None:
     below = 0.08
     values = {**lab().snapshot(), "imu_below": below, "acc_scale": 1.0}
     t = np.arange(800) * TICK
@@ -136,7 +136,7 @@ def test_the_accelerometer_is_the_second_derivative_of_its_place(whole: Program)
     assert np.abs(measured - expected).max() < coarse
 
 
-def test_the_paper_rig_is_the_papers_pitch_rate(whole: Program) -> None:
+def test_the_paper_rig_is_the_papers_pitch_rate(whole: CompiledProgram) -> None:
     steps = 3000
     moment = np.where((np.arange(steps) % 600) < 300, 0.03, -0.03)
     # By the log's stamps q is older than M, and the rig's delay holds that age; here nothing has a stamp.
@@ -160,7 +160,7 @@ def test_the_paper_rig_is_the_papers_pitch_rate(whole: Program) -> None:
     assert np.abs(out["theta"] - expected[:, 0]).max() < 1e-8
 
 
-def test_the_paper_rig_at_a_constant_pitch_is_the_papers_velocity(whole: Program) -> None:
+def test_the_paper_rig_at_a_constant_pitch_is_the_papers_velocity(whole: CompiledProgram) -> None:
     theta = 0.02
     # No spring: nothing turns the drone back. From the moment on at which the thrust is there (20 ms).
     out = fly(whole, 350, 0.4, 0.4, {**paper().snapshot(), "spring": 0.0, "rail_stop": 9.0}, theta_start=theta)
@@ -180,7 +180,7 @@ def k_v_rest(k_v: float, theta: float) -> float:
 DRY = ("coulomb_idle", "coulomb_run", "rail_coulomb", "ring_play", "resistance", "trim_start")
 
 
-def test_small_motions_of_the_lab_rig_are_those_of_its_linear_model(whole: Program) -> None:
+def test_small_motions_of_the_lab_rig_are_those_of_its_linear_model(whole: CompiledProgram) -> None:
     values = {**lab().snapshot(), **dict.fromkeys(DRY, 0.0), "capacity": 1e9}
     steps, amplitude = 3000, 1e-4
     moment = np.where((np.arange(steps) % 800) < 400, amplitude, -amplitude)
@@ -203,7 +203,7 @@ def test_small_motions_of_the_lab_rig_are_those_of_its_linear_model(whole: Progr
     assert np.abs(out["q"] - expected).max() < 1e-3 * np.abs(expected).max()
 
 
-def test_with_the_cart_free_the_pendulum_is_softer(whole: Program) -> None:
+def test_with_the_cart_free_the_pendulum_is_softer(whole: CompiledProgram) -> None:
     p = {**lab().snapshot(), **dict.fromkeys(DRY, 0.0), "viscous_run": 0.0, "viscous_idle": 0.0, "rail_viscous": 0.0}
     mass, lever = p["mass_drone"] + p["mass_cart"], p["mass_drone"] * p["offset"]
     thrust = models(p)["k_v at T = 0.4"][0] * mass

@@ -1,10 +1,10 @@
-"""Fits the polynomials of the elementary functions and prints `src/twodof/blocks/coefficients.py`.
+"""Fits the polynomials of the elementary functions and prints `src/twodof/blocks/elementary/coefficients.py`.
 
 Each polynomial is a weighted least-squares fit of one smooth function on Chebyshev points, which is nearly minimax. Its
 coefficients are rounded to the format from the lowest power up, and the higher ones are fitted again after each
 rounding, so that they make up for it.
 
-    python tools/minimax.py > src/twodof/blocks/coefficients.py
+    python tools/minimax.py > src/twodof/blocks/elementary/coefficients.py
 
 The largest weighted error of each fit, in units of 2^-53 or 2^-24, goes to the standard error stream.
 """

@@ -45,9 +45,9 @@ from numpy.typing import NDArray
 from tests.faults.virtual_time import run_virtual
 from tests.faults.whole import Whole
 from twodof.blocks import Diagram
-from twodof.blocks.reference import Reference
+from twodof.blocks.reference.interpreter import Reference
 from twodof.compile import build
-from twodof.compile.lanes import SIMD, best_simd, build_lanes
+from twodof.compile.lanes.lanes_program import SIMD, best_simd, build_lanes
 from twodof.compile.px4.export import make_module
 from twodof.errors import CompileError, TwodofError
 from twodof.excitation import Doublet

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from xml.etree import ElementTree
 
-from twodof.compile.lower import lower
+from twodof.compile.program.lower import lower
 from twodof.fcu.onboard_log.step_row import COLUMNS
 from twodof.fcu.parameters.row import VehicleParameter
 from twodof.fcu.parameters.table import own_rows

@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 
 from twodof.blocks import Diagram, Param, State
-from twodof.blocks.reference import Reference
-from twodof.blocks.schema import from_json
-from twodof.compile.program import emit_program
+from twodof.blocks.reference.interpreter import Reference
+from twodof.blocks.schema.json_form import from_json
+from twodof.compile.builder import emit_program
 from twodof.errors import DiagramError
 
 INF, NAN = {"float": "inf"}, {"float": "nan"}

@@ -6,8 +6,8 @@ import pytest
 
 from tests.blocks.samples import Counter, Gain, chain
 from twodof.blocks import Block, Diagram, Port
-from twodof.blocks.reference import Reference
-from twodof.compile.lower import lower
+from twodof.blocks.reference.interpreter import Reference
+from twodof.compile.program.lower import lower
 from twodof.errors import DiagramError
 
 NAMES = ("name", "item", "rate", "params", "enable", "reset", "disabled", "position", "inputs")

@@ -9,7 +9,7 @@ import pytest
 from twodof.blocks import Block, Diagram, Port
 from twodof.blocks.difference import difference
 from twodof.blocks.library import Constant, Gain, LowPass, Sum, UnitDelay
-from twodof.blocks.schema import from_json, to_json
+from twodof.blocks.schema.json_form import from_json, to_json
 
 
 class Double(Block):

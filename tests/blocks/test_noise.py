@@ -12,10 +12,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
-from tests.blocks.arrays import evaluate
-from twodof.blocks import noise, numbers
-from twodof.blocks.expr import Expr, leaf, tracing
-from twodof.blocks.graph import walk
+from tests.blocks.elementary.numpy_evaluation import evaluate
+from twodof.blocks import noise
+from twodof.blocks.expressions import numbers
+from twodof.blocks.expressions.expr import Expr, leaf, tracing
+from twodof.blocks.expressions.graph import walk
 
 N = 1 << 18
 SIGMAS = 5.0

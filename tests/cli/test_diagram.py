@@ -12,7 +12,7 @@ import pytest
 
 from twodof.blocks import Diagram
 from twodof.blocks.library import Gain, Sum, UnitDelay
-from twodof.blocks.schema import to_json
+from twodof.blocks.schema.json_form import to_json
 from twodof.cli.app import run
 from twodof.flight.starters import load_diagram
 

@@ -15,7 +15,7 @@ import pytest
 from tests.fcu.program import twodof_fcu
 from tests.patience import PATIENCE_S
 from tests.toolchains import need
-from twodof.blocks.schema import to_json
+from twodof.blocks.schema.json_form import to_json
 from twodof.cli.app import run
 from twodof.compile.cortex_m7 import processor
 from twodof.errors import CompileError, Rejected

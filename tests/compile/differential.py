@@ -12,16 +12,17 @@ from numpy.typing import NDArray
 
 from tests.compile.random_diagrams import Maker, random_inputs
 from tests.compile.v8 import V8
-from twodof.blocks import Diagram, numbers
-from twodof.blocks.graph import walk
-from twodof.blocks.numbers import Integer
-from twodof.blocks.reference import Reference
-from twodof.compile.c99 import emit
+from twodof.blocks import Diagram
+from twodof.blocks.expressions import numbers
+from twodof.blocks.expressions.graph import walk
+from twodof.blocks.expressions.numbers import Integer
+from twodof.blocks.reference.interpreter import Reference
+from twodof.compile.builder import CompiledProgram
+from twodof.compile.c.emitter import emit
 from twodof.compile.cortex_m7.target import CortexM7
-from twodof.compile.lower import lower
-from twodof.compile.native import Native
-from twodof.compile.program import Program
-from twodof.compile.target import Emitted, Target
+from twodof.compile.native.target import Native
+from twodof.compile.program.lower import lower
+from twodof.compile.target import EmittedProgram, Target
 from twodof.compile.wasm.target import Wasm
 
 DT = 0.01
@@ -129,15 +130,15 @@ def _column(values: Sequence[Any], precision: str) -> NDArray[Any]:
     return made.astype(precision) if made.dtype.kind == "f" else made
 
 
-def emitted(cases: Sequence[Case], precision: str, integrator: str) -> list[Emitted]:
+def emitted(cases: Sequence[Case], precision: str, integrator: str) -> list[EmittedProgram]:
     """All cases in one C file."""
     with numbers.precision(precision):
         lowered = [lower(c.diagram, DT, c.paths, integrator) for c in cases]
         source = emit(lowered, precision)
-    return [Emitted(flat, source.text, source.layouts[flat.name], precision) for flat in lowered]
+    return [EmittedProgram(flat, source.text, source.layouts[flat.name], precision) for flat in lowered]
 
 
-def changed(programs: Sequence[Emitted], change: Callable[[str], str]) -> list[Emitted]:
+def changed(programs: Sequence[EmittedProgram], change: Callable[[str], str]) -> list[EmittedProgram]:
     """The programs with another C source; raises if the change changes nothing."""
     source = change(programs[0].source)
     assert source != programs[0].source
@@ -147,7 +148,7 @@ def changed(programs: Sequence[Emitted], change: Callable[[str], str]) -> list[E
 def differences(
     cases: Sequence[Case],
     expected: Sequence[Judgement],
-    programs: Sequence[Emitted],
+    programs: Sequence[EmittedProgram],
     target: Target,
     most: int | None = None,
 ) -> list[str]:
@@ -155,7 +156,7 @@ def differences(
     found = []
     for case, want, program, backend in zip(cases, expected, programs, target.compile(programs), strict=True):
         steps = min(len(case.rows), most or len(case.rows))
-        machine = Program(program, backend).machine()
+        machine = CompiledProgram(program, backend).machine()
         results = machine.run(steps, case.columns(steps))
         name = case.diagram.name
         for path, column in want.signals.items():
@@ -193,7 +194,7 @@ class Kind:
     steps: int = STEPS
 
     def differences(
-        self, cases: Sequence[Case], expected: Sequence[Judgement], programs: Sequence[Emitted]
+        self, cases: Sequence[Case], expected: Sequence[Judgement], programs: Sequence[EmittedProgram]
     ) -> list[str]:
         """As the function of this name."""
         return differences(cases, expected, programs, self.target, self.steps)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from twodof.blocks import Block, Diagram, Param, Port, State, build, int32, maximum, minimum, store, vector, where
-from twodof.blocks.elementary import sin
+from twodof.blocks.elementary.functions import sin
 from twodof.blocks.library import FractionalDelay, Gain, Integrator, Sum, UnitDelay, ZeroOrderHold
 
 

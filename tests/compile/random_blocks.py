@@ -8,14 +8,16 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from twodof import blocks
-from twodof.blocks import Block, Param, Port, State, elementary, expr
+from twodof.blocks import Block, Param, Port, State
+from twodof.blocks.elementary import functions
+from twodof.blocks.expressions import expr
 
 KINDS = ("real", "real", "real", "int32", "uint32", "bool")
 WORDS = """where minimum maximum sqrt to_real to_int32 to_uint32 int32 uint32 real multiply_high vector store build
     fold"""
 NAMESPACE = {
     **{name: getattr(blocks, name) for name in WORDS.split()},
-    **{name: getattr(elementary, name) for name in elementary.ARGUMENTS if not name.endswith("octant")},
+    **{name: getattr(functions, name) for name in functions.ARGUMENTS if not name.endswith("octant")},
     "bits_of": expr.bits_of,
 }
 CHEAP = ("floor", "trunc", "ceil")
@@ -103,7 +105,7 @@ class Body:
             ]
             if dear and r.random() < 0.15:
                 name = r.choice(DEAR)
-                two = elementary.ARGUMENTS[name] == 2
+                two = functions.ARGUMENTS[name] == 2
                 return f"{name}({p('real')}, {p('real')})" if two else f"{name}({p('real')})"
         else:
             choices += [lambda: f"{p(kind)} {r.choice(('//', '%', '&', '|', '^', '<<', '>>'))} {p(kind)}"] * 3

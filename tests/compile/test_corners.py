@@ -28,9 +28,9 @@ from twodof.blocks import (
     where,
 )
 from twodof.blocks.library import Compare, Constant, DiscreteIntegrator, Integrator, UnitDelay, ZeroOrderHold
-from twodof.blocks.reference import Reference
-from twodof.blocks.schema import from_json, to_json
-from twodof.compile import Program
+from twodof.blocks.reference.interpreter import Reference
+from twodof.blocks.schema.json_form import from_json, to_json
+from twodof.compile import CompiledProgram
 from twodof.compile import build as compiled
 
 
@@ -139,7 +139,7 @@ LOGGED = tuple(
 def test_corners_have_the_bits_of_the_reference(precision: str, integrator: str, travelled: bool) -> None:
     d = from_json(to_json(corners())) if travelled else corners()
     program = compiled(d, 0.01, precision, LOGGED, integrator, optimise="-O1")
-    assert isinstance(program, Program)
+    assert isinstance(program, CompiledProgram)
     ours, theirs = program.machine(), Reference(d, 0.01, precision, LOGGED, integrator).machine()
     ours._s["tick"][0] = theirs.tick = 2**32 - 150
     rng = random.Random(1)

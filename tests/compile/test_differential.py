@@ -26,12 +26,12 @@ from tests.compile.differential import (
 from tests.compile.whole_library import SPECIAL, WORDS
 from tests.toolchains import need
 from twodof.blocks import Diagram
-from twodof.blocks.expr import Expr
+from twodof.blocks.expressions.expr import Expr
 from twodof.blocks.library import Convert, DiscreteFilter, Divide, Minimum
-from twodof.compile import cexpr
+from twodof.compile.c import expressions
 from twodof.compile.cortex_m7.target import CortexM7
-from twodof.compile.native import Native
-from twodof.compile.target import Emitted, Target
+from twodof.compile.native.target import Native
+from twodof.compile.target import EmittedProgram, Target
 from twodof.compile.wasm.target import Wasm
 
 GCC = Native("gcc", "-O1", cpu=False)
@@ -76,41 +76,43 @@ def _swapped(op: str, args: Any) -> Any:
     return _ARITHMETIC({"add": "sub", "sub": "add"}.get(op, op), args)
 
 
-_ARITHMETIC = cexpr._arithmetic
-_EXPRESSION = cexpr.Renderer._expression
+_ARITHMETIC = expressions._arithmetic
+_EXPRESSION = expressions.Renderer._expression
 
 
 def _with_minimum_by(function: str) -> Any:
-    def faulty(self: cexpr.Renderer, item: Expr, args: Sequence[cexpr.Text]) -> cexpr.Text:
+    def faulty(self: expressions.Renderer, item: Expr, args: Sequence[expressions.Text]) -> expressions.Text:
         compared = [id(a) for a in item.args[0].args] if item.args and item.args[0].op == "lt" else []
         if item.op == "where" and item.kind == "real" and compared == [id(a) for a in item.args[1:]]:
-            return f"{function}({args[1][0]}, {args[2][0]})", cexpr.ATOM
+            return f"{function}({args[1][0]}, {args[2][0]})", expressions.ATOM
         return _EXPRESSION(self, item, args)
 
     return faulty
 
 
-def _with_plain_conversion(self: cexpr.Renderer, item: Expr, args: Sequence[cexpr.Text]) -> cexpr.Text:
+def _with_plain_conversion(
+    self: expressions.Renderer, item: Expr, args: Sequence[expressions.Text]
+) -> expressions.Text:
     if item.op == "convert" and item.kind == "int32" and item.args[0].kind == "real":
-        return f"(int32_t)({args[0][0]})", cexpr.ATOM
+        return f"(int32_t)({args[0][0]})", expressions.ATOM
     return _EXPRESSION(self, item, args)
 
 
-def _with_plain_quotient(self: cexpr.Renderer, item: Expr, args: Sequence[cexpr.Text]) -> cexpr.Text:
+def _with_plain_quotient(self: expressions.Renderer, item: Expr, args: Sequence[expressions.Text]) -> expressions.Text:
     if item.op == "quot" and item.kind == "uint32":
-        return f"({args[0][0]}) / (({args[1][0]}) | ({args[1][0]} == 0u))", cexpr.ATOM
+        return f"({args[0][0]}) / (({args[1][0]}) | ({args[1][0]} == 0u))", expressions.ATOM
     return _EXPRESSION(self, item, args)
 
 
 @pytest.mark.parametrize(
     ("where", "name", "fault", "target"),
     [
-        *((cexpr, "_arithmetic", _swapped, t) for t in (GCC, Wasm(), ON_M7)),
-        (cexpr.Renderer, "_expression", _with_minimum_by("__builtin_fmin"), GCC),
-        (cexpr.Renderer, "_expression", _with_minimum_by("__builtin_fmin"), ON_M7),
-        (cexpr.Renderer, "_expression", _with_minimum_by("__builtin_wasm_min_f64"), Wasm()),
-        (cexpr.Renderer, "_expression", _with_plain_conversion, GCC),
-        *((cexpr.Renderer, "_expression", _with_plain_quotient, t) for t in (GCC, Wasm(), ON_M7)),
+        *((expressions, "_arithmetic", _swapped, t) for t in (GCC, Wasm(), ON_M7)),
+        (expressions.Renderer, "_expression", _with_minimum_by("__builtin_fmin"), GCC),
+        (expressions.Renderer, "_expression", _with_minimum_by("__builtin_fmin"), ON_M7),
+        (expressions.Renderer, "_expression", _with_minimum_by("__builtin_wasm_min_f64"), Wasm()),
+        (expressions.Renderer, "_expression", _with_plain_conversion, GCC),
+        *((expressions.Renderer, "_expression", _with_plain_quotient, t) for t in (GCC, Wasm(), ON_M7)),
     ],
     ids=[
         *(f"plus-for-minus-{n}" for n in ("native", "wasm", "m7")),
@@ -164,7 +166,7 @@ def test_contraction_is_caught(name: str, judged: tuple[list[Case], list[Judgeme
 
 
 @pytest.fixture(scope="module")
-def decaying() -> tuple[list[Case], list[Judgement], list[Emitted]]:
+def decaying() -> tuple[list[Case], list[Judgement], list[EmittedProgram]]:
     """A filter that decays through the subnormal numbers and stays there."""
     d = Diagram("decay")
     d.input("u")
@@ -197,7 +199,7 @@ FLUSH = {
 
 @pytest.mark.parametrize("where", FLUSH)
 def test_subnormals_rounded_to_zero_are_caught(
-    where: str, decaying: tuple[list[Case], list[Judgement], list[Emitted]]
+    where: str, decaying: tuple[list[Case], list[Judgement], list[EmittedProgram]]
 ) -> None:
     """What a library built with -ffast-math does to its process, and a start-up that sets FPSCR.FZ to a controller."""
     target, change = FLUSH[where]
@@ -207,7 +209,7 @@ def test_subnormals_rounded_to_zero_are_caught(
     assert differences(cases, expected, changed(programs, change), target)
 
 
-def test_one_bit_of_one_state_is_found(decaying: tuple[list[Case], list[Judgement], list[Emitted]]) -> None:
+def test_one_bit_of_one_state_is_found(decaying: tuple[list[Case], list[Judgement], list[EmittedProgram]]) -> None:
     cases, expected, programs = decaying
     states = {k: dict(v) for k, v in expected[0].states.items()}
     (path,) = states[1101]

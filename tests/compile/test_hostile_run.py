@@ -10,17 +10,17 @@ from pathlib import Path
 
 import pytest
 
-from tests.blocks.door import connected
-from tests.blocks.hostile import custom, large, loops
-from tests.blocks.mutations import mutants, retouched
+from tests.blocks.schema.door import connected
+from tests.blocks.schema.hostile import custom, large, loops
+from tests.blocks.schema.mutations import mutants, retouched
 from tests.compile.differential import DT, Case, differences, emitted, reference_run
 from tests.compile.random_diagrams import Maker
 from tests.compile.whole_library import strange_inputs
 from twodof.blocks import Diagram
-from twodof.blocks.reference import Reference
-from twodof.blocks.schema import from_json, to_json
+from twodof.blocks.reference.interpreter import Reference
+from twodof.blocks.schema.json_form import from_json, to_json
 from twodof.compile import build
-from twodof.compile.lower import lower
+from twodof.compile.program.lower import lower
 from twodof.compile.wasm.target import Wasm
 from twodof.errors import DiagramError
 

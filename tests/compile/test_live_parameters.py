@@ -10,8 +10,8 @@ import pytest
 from tests.compile import examples
 from tests.compile.differential import same
 from tests.toolchains import need
-from twodof.blocks.reference import Reference
-from twodof.compile import Machine, build
+from twodof.blocks.reference.interpreter import Reference
+from twodof.compile import CompiledMachine, build
 from twodof.errors import ParameterError
 
 STEPS = 60
@@ -19,18 +19,18 @@ LOG = ("pendulum.q", "gain.y")
 
 
 @pytest.fixture(params=["native", "wasm", "cortex-m7"])
-def machine(request: pytest.FixtureRequest) -> Machine:
+def machine(request: pytest.FixtureRequest) -> CompiledMachine:
     if request.param == "cortex-m7":
         need("qemu-system-arm")
     made: Any = build(examples.loop(), 0.01, "float32", LOG, target=request.param).machine()
     return made
 
 
-def derived(machine: Machine) -> tuple[float, float]:
+def derived(machine: CompiledMachine) -> tuple[float, float]:
     return float(machine._p["pendulum_stiffness"][0]), float(machine._p["pendulum_damping"][0])
 
 
-def test_a_change_between_two_steps_counts_from_the_next_one(machine: Machine) -> None:
+def test_a_change_between_two_steps_counts_from_the_next_one(machine: CompiledMachine) -> None:
     judge = Reference(examples.loop(), 0.01, "float32", LOG).machine()
     changes = ({}, {"k": 3.0}, {"pendulum.omega": 3.5, "pendulum.zeta": 0.2, "k": 0.5}, {"sum.limit": 0.01})
     for values in changes:
@@ -43,7 +43,7 @@ def test_a_change_between_two_steps_counts_from_the_next_one(machine: Machine) -
         assert one == other
 
 
-def test_all_change_in_one_step_or_none_does(machine: Machine) -> None:
+def test_all_change_in_one_step_or_none_does(machine: CompiledMachine) -> None:
     machine.run(STEPS, {"r": 0.4})
     machine.set_many({"pendulum.omega": 3.0, "pendulum.zeta": 0.25})
     assert derived(machine) == (9.0, 1.5)
@@ -66,7 +66,7 @@ def test_all_change_in_one_step_or_none_does(machine: Machine) -> None:
     assert machine.run(STEPS)["theta"].tobytes() == twin.run(STEPS)["theta"].tobytes()
 
 
-def test_what_float32_does_not_hold_becomes_infinite_without_a_warning(machine: Machine) -> None:
+def test_what_float32_does_not_hold_becomes_infinite_without_a_warning(machine: CompiledMachine) -> None:
     """A warning that a caller has made an error stopped half way: some parameters new, the derived ones old."""
     judge = Reference(examples.loop(), 0.01, "float32", LOG).machine()
     for each in (machine, judge):
@@ -76,7 +76,7 @@ def test_what_float32_does_not_hold_becomes_infinite_without_a_warning(machine: 
     assert machine.step({"r": 0.3}) == judge.step({"r": 0.3})
 
 
-def test_reset_starts_from_the_present_parameters(machine: Machine) -> None:
+def test_reset_starts_from_the_present_parameters(machine: CompiledMachine) -> None:
     machine.run(STEPS, {"r": 0.4})
     machine.set("pendulum.theta0", 0.25)
     machine.reset()

@@ -1,4 +1,4 @@
-"""The stepper gives the bits of `Machine.step`, by position, on every target that flies."""
+"""The stepper gives the bits of `CompiledMachine.step`, by position, on every target that flies."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import pytest
 
 from twodof.blocks import Diagram
 from twodof.blocks.library import Gain
-from twodof.compile import Program, build
-from twodof.compile.machine import Machine
+from twodof.compile import CompiledProgram, build
+from twodof.compile.machine import CompiledMachine
 from twodof.compile.stepper import Stepper
 from twodof.errors import DiagramError
 from twodof.flight.core import INPUTS, OUTPUTS, PERIOD, core
@@ -21,9 +21,9 @@ KINDS = {name: kind for name, kind, *_ in (*INPUTS, *SAFETY_INPUTS)}
 NAMES = [name for name, *_ in (*OUTPUTS, *SAFETY_OUTPUTS)]
 
 
-def machine(diagram: Diagram, precision: str = "float64", target: str = "native") -> Machine:
+def machine(diagram: Diagram, precision: str = "float64", target: str = "native") -> CompiledMachine:
     program = build(diagram, PERIOD, precision, target=target)
-    assert isinstance(program, Program)
+    assert isinstance(program, CompiledProgram)
     return program.machine()
 
 

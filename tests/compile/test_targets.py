@@ -28,11 +28,11 @@ from tests.compile.differential import (
     reference_run,
     same,
 )
-from tests.compile.lanes_differential import lane_programs
+from tests.compile.lanes.lanes_differential import lane_programs
 from tests.compile.whole_library import library_cases, room, strange_inputs
 from tests.toolchains import missing, need
-from twodof.compile.lanes import SIMD, best_simd
-from twodof.compile.target import Emitted
+from twodof.compile.lanes.lanes_program import SIMD, best_simd
+from twodof.compile.target import EmittedProgram
 from twodof.flight.core import core
 from twodof.sim.closed_loop import closed_loop
 
@@ -78,7 +78,7 @@ class InLanes:
     needs: tuple[str, ...] = ()
 
     def differences(
-        self, cases: Sequence[Case], expected: Sequence[Judgement], programs: Sequence[Emitted]
+        self, cases: Sequence[Case], expected: Sequence[Judgement], programs: Sequence[EmittedProgram]
     ) -> list[str]:
         """Every signal and state of a lane that differs from the reference."""
         found = []

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tests.patience import PATIENCE_S
-from twodof.compile.target import Emitted
-from twodof.compile.wasm.module import Module, compile_module
+from twodof.compile.target import EmittedProgram
+from twodof.compile.wasm.module import WasmModule, compile_module
 
 HOST = """
 const fs = require("fs");
@@ -61,7 +61,7 @@ class V8:
     optimise: str = "-O3"
     name = "v8"
 
-    def compile(self, programs: Sequence[Emitted]) -> list[V8Backend]:
+    def compile(self, programs: Sequence[EmittedProgram]) -> list[V8Backend]:
         """The programs of one source in one module and one process of node."""
         host = Host(compile_module(programs, None, self.optimise))
         return [V8Backend(program, host) for program in programs]
@@ -70,7 +70,7 @@ class V8:
 class Host:
     """A process of node that answers calls on the programs of a module."""
 
-    def __init__(self, module: Module) -> None:
+    def __init__(self, module: WasmModule) -> None:
         self._folder = tempfile.TemporaryDirectory()
         folder = Path(self._folder.name)
         (folder / "module.wasm").write_bytes(module.data)
@@ -107,7 +107,7 @@ def _end(node: subprocess.Popen[str], folder: tempfile.TemporaryDirectory[str]) 
 class V8Backend:
     """A program of the module."""
 
-    def __init__(self, program: Emitted, host: Host) -> None:
+    def __init__(self, program: EmittedProgram, host: Host) -> None:
         self.program = program
         self.host = host
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from twodof.blocks import Block, Diagram, Port, State, where
-from twodof.blocks.elementary import sin
+from twodof.blocks.elementary.functions import sin
 from twodof.blocks.library import Sum
 from twodof.fcu.control.control_input import ControlInput
 from twodof.fcu.control.flight_code import ControlStep, FlightCode

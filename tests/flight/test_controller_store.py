@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from twodof.blocks import Diagram
-from twodof.blocks.schema import to_json
+from twodof.blocks.schema.json_form import to_json
 from twodof.errors import DiagramError
 from twodof.flight.controller_store import STOCK, ControllerStore, data_folder, simulator_controllers
 from twodof.flight.starters import starter

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from twodof.blocks.reference import Reference, ReferenceMachine
+from twodof.blocks.reference.interpreter import Reference, ReferenceMachine
 from twodof.compile import build
 from twodof.flight.control.cascade import ATTITUDE, OFF, OPEN_LOOP, POSITION, RATE, VELOCITY
 from twodof.flight.core import INPUTS, OUTPUTS, PERIOD, core

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from tests.fmea.faults import Fault, FlagFault, Mirrored, Noise
 from twodof.blocks import Block, Diagram, Param, Port, State, int32, maximum, to_int32, where
 from twodof.blocks.library.delays import ZeroOrderHold
-from twodof.compile.lanes import Lanes, LanesProgram, build_lanes
+from twodof.compile.lanes.lanes_program import LanesMachine, LanesProgram, build_lanes
 from twodof.flight.control.cascade import cascade
 from twodof.flight.control.mixer import Mixer
 from twodof.flight.core import PreviousPitch, core
@@ -272,7 +272,7 @@ def fly(
     return {name: machine.state(f"witness.{name}") for name in MEASURED}
 
 
-def _set(machine: Lanes, lanes: Sequence[Mapping[str, Any]]) -> None:
+def _set(machine: LanesMachine, lanes: Sequence[Mapping[str, Any]]) -> None:
     """Sets the parameters that are given for any lane; in the others they stay."""
     values: dict[str, Any] = {}
     for path in sorted({path for lane in lanes for path in lane}):

@@ -3,7 +3,7 @@
 from tests.fuzz.target import Target
 from twodof.blocks import Diagram
 from twodof.blocks.library import Constant, Gain
-from twodof.blocks.schema import from_json, to_json
+from twodof.blocks.schema.json_form import from_json, to_json
 from twodof.errors import DiagramError
 
 

@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
-from twodof.blocks.reference import Reference
+from twodof.blocks.reference.interpreter import Reference
 from twodof.errors import IdentificationError
 from twodof.models import (
     Longitudinal,

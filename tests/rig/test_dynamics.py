@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from tests.rig.plants import SMOOTH, dynamics, energy, momentum, mujoco_model, settings, slopes
-from twodof.compile import Program, build
+from twodof.compile import CompiledProgram, build
 
 START = {"theta_start": 0.6, "q_start": -1.5, "x_start": 0.1, "v_start": 0.4}
 
 
 @pytest.fixture(scope="module")
-def program() -> Program:
+def program() -> CompiledProgram:
     return build(dynamics(), 1e-3)
 
 
@@ -46,7 +46,7 @@ def exact(seconds: float, thrust: float, moment: float, at: NDArray[np.float64],
 
 
 @pytest.mark.parametrize("hardening", [0.0, 0.01])
-def test_it_agrees_with_scipy(program: Program, hardening: float) -> None:
+def test_it_agrees_with_scipy(program: CompiledProgram, hardening: float) -> None:
     seconds, thrust, moment = 3.0, 2.5, 0.004
     ours = run(
         program,
@@ -59,7 +59,7 @@ def test_it_agrees_with_scipy(program: Program, hardening: float) -> None:
     assert np.abs(ours - theirs).max() < 1e-6
 
 
-def test_it_agrees_with_mujoco(program: Program) -> None:
+def test_it_agrees_with_mujoco(program: CompiledProgram) -> None:
     thrust, moment = 2.5, 0.004
     model = mujoco.MjModel.from_xml_string(mujoco_model(SMOOTH))
     data = mujoco.MjData(model)
@@ -95,7 +95,7 @@ def test_the_integrator_is_of_order_four() -> None:
 FREE = {**SMOOTH, **START, "viscous_run": 0.0, "viscous_idle": 0.0, "rail_viscous": 0.0, "rail_force": 0.0}
 
 
-def test_energy_and_momentum_stay_without_friction_and_thrust(program: Program) -> None:
+def test_energy_and_momentum_stay_without_friction_and_thrust(program: CompiledProgram) -> None:
     states = run(program, 20_000, {}, **{**FREE, "rail_stop": 9.9, "hardening": 0.02})
     p = {**FREE, "hardening": 0.02}
     # RK4 loses energy in proportion to h^5 a step: some 1e-11 of it in 20 s at 1 ms.
@@ -103,7 +103,7 @@ def test_energy_and_momentum_stay_without_friction_and_thrust(program: Program) 
     assert np.ptp(momentum(states, p)) < 1e-9 * abs(momentum(states, p)[0])
 
 
-def test_friction_takes_the_energy_that_its_power_says(program: Program) -> None:
+def test_friction_takes_the_energy_that_its_power_says(program: CompiledProgram) -> None:
     p = {**SMOOTH, **START, "rail_force": 0.0}
     states = run(program, 4000, {"running": 1.0}, **p)
     power = p["viscous_run"] * states[:, 1] ** 2 + p["rail_viscous"] * states[:, 3] ** 2
@@ -113,7 +113,7 @@ def test_friction_takes_the_energy_that_its_power_says(program: Program) -> None
     assert spent == pytest.approx(lost, rel=1e-5)  # the trapezoidal rule's error at 1 ms
 
 
-def test_a_bounce_of_the_pitch_keeps_the_momentum_along_the_rail(program: Program) -> None:
+def test_a_bounce_of_the_pitch_keeps_the_momentum_along_the_rail(program: CompiledProgram) -> None:
     p = {**FREE, "pitch_stop": 0.7, "q_start": 3.0}
     states = run(program, 400, {}, **p)
     assert (np.diff(np.sign(states[:, 1])) != 0).any()
@@ -122,7 +122,7 @@ def test_a_bounce_of_the_pitch_keeps_the_momentum_along_the_rail(program: Progra
     assert np.ptp(momentum(states, p)) < 1e-3 * np.abs(momentum(states, p)).max()
 
 
-def test_thrust_along_the_body_accelerates_towards_minus_x_when_nose_up(program: Program) -> None:
+def test_thrust_along_the_body_accelerates_towards_minus_x_when_nose_up(program: CompiledProgram) -> None:
     p = {**SMOOTH, "offset": 0.0, "spring": 0.0, "viscous_run": 0.0, "rail_viscous": 0.0, "rail_force": 0.0}
     states = run(program, 100, {"thrust": 2.5, "running": 1.0}, **p, theta_start=0.2)
     mass = SMOOTH["mass_drone"] + SMOOTH["mass_cart"]

@@ -9,7 +9,7 @@ import pytest
 
 from twodof.blocks import Diagram
 from twodof.blocks.library.delays import ZeroOrderHold
-from twodof.compile import Machine, Program, build
+from twodof.compile import CompiledMachine, CompiledProgram, build
 from twodof.rig.battery import BatteryPack
 from twodof.rig.parameters import lab, paper
 from twodof.rig.rotors import HOVER, Rotors
@@ -32,18 +32,18 @@ def rotors() -> Diagram:
 
 
 @pytest.fixture(scope="module")
-def program() -> Program:
+def program() -> CompiledProgram:
     return build(rotors(), DT)
 
 
-def machine(program: Any, **parameters: Any) -> Machine:
+def machine(program: Any, **parameters: Any) -> CompiledMachine:
     m = program.machine()
     m.set_many({f"rotors.{name}": value for name, value in {**PULL, **parameters}.items()})
     m.reset()
     return m
 
 
-def test_steady_thrust_and_moment(program: Program) -> None:
+def test_steady_thrust_and_moment(program: CompiledProgram) -> None:
     out = machine(program).run(400, {"fore": 0.5, "aft": 0.3, "supply": 1.0})
     fore, aft = 0.5 * (0.7 + 0.3 * 0.5), 0.3 * (0.7 + 0.3 * 0.3)
     assert out["thrust"][-1] == pytest.approx(4.0 * (fore + aft), rel=1e-12)
@@ -52,13 +52,13 @@ def test_steady_thrust_and_moment(program: Program) -> None:
     assert out["moment"][-1] == pytest.approx(rotor_moment({**PULL}, 0.1, 0.4), rel=1e-12)
 
 
-def test_commands_are_clipped(program: Program) -> None:
+def test_commands_are_clipped(program: CompiledProgram) -> None:
     out = machine(program).run(400, {"fore": 1.7, "aft": -0.4, "supply": 1.0})
     assert out["thrust"][-1] == pytest.approx(4.0, rel=1e-12)
 
 
 @pytest.mark.parametrize("delay", [0.001, 0.009, 0.0105, 0.02, 0.0599])
-def test_the_delay_is_exact_and_keeps_the_impulse(program: Program, delay: float) -> None:
+def test_the_delay_is_exact_and_keeps_the_impulse(program: CompiledProgram, delay: float) -> None:
     m = machine(program, delay=delay, lag=0.0, curve=0.0)
     pulse = np.zeros(200)
     pulse[20:70] = 0.5
@@ -73,7 +73,7 @@ def test_the_delay_is_exact_and_keeps_the_impulse(program: Program, delay: float
     )
 
 
-def test_the_lag_is_of_first_order(program: Program) -> None:
+def test_the_lag_is_of_first_order(program: CompiledProgram) -> None:
     m = machine(program, delay=0.001, lag=0.011, curve=0.0)
     out = m.run(100, {"fore": 0.6, "aft": 0.0, "supply": 1.0})["thrust"] / 4.0
     t = (np.arange(100) - 1) * DT  # one tick of delay
@@ -81,7 +81,7 @@ def test_the_lag_is_of_first_order(program: Program) -> None:
     assert out[1:] == pytest.approx(0.6 * (1.0 - np.exp(-t[1:] / 0.011)), abs=1.5e-7)
 
 
-def test_a_rotor_that_spins_down_ends_at_zero_and_not_in_subnormals(program: Program) -> None:
+def test_a_rotor_that_spins_down_ends_at_zero_and_not_in_subnormals(program: CompiledProgram) -> None:
     m = machine(program)
     m.run(200, {"fore": 0.4, "aft": 0.4, "supply": 1.0})
     m.run(3000, {"fore": 0.0, "aft": 0.0})
@@ -90,7 +90,7 @@ def test_a_rotor_that_spins_down_ends_at_zero_and_not_in_subnormals(program: Pro
     assert m.state("rotors.wake") == 0.0
 
 
-def test_the_trim_moment_builds_up_with_the_wake(program: Program) -> None:
+def test_the_trim_moment_builds_up_with_the_wake(program: CompiledProgram) -> None:
     m = machine(program, lag=0.0, delay=0.001, trim=3e-3, trim_start=-1e-3, wake_lag=1.3)
     out = m.run(6000, {"fore": HOVER, "aft": HOVER, "supply": 1.0})["moment"]
     t = (np.arange(6000) - 1) * DT
@@ -98,7 +98,7 @@ def test_the_trim_moment_builds_up_with_the_wake(program: Program) -> None:
     assert out[1:] == pytest.approx(expected[1:], abs=4e-3 * DT / 1.3)  # Euler: within a step of the exponential
 
 
-def test_supply_scales_the_thrust(program: Program) -> None:
+def test_supply_scales_the_thrust(program: CompiledProgram) -> None:
     full = machine(program).run(400, {"fore": 0.4, "aft": 0.4, "supply": 1.0})["thrust"][-1]
     low = machine(program).run(400, {"fore": 0.4, "aft": 0.4, "supply": 0.8})["thrust"][-1]
     assert low == pytest.approx(0.8 * full, rel=1e-12)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from twodof.blocks import Diagram
-from twodof.compile import Machine, Program, build
+from twodof.compile import CompiledMachine, CompiledProgram, build
 from twodof.rig.rig import rig
 from twodof.rig.sensors import Imu, NoiseSource, RangeSensor
 from twodof.rig.turbulence import Turbulence
@@ -34,18 +34,18 @@ def sensors() -> Diagram:
 
 
 @pytest.fixture(scope="module")
-def program() -> Program:
+def program() -> CompiledProgram:
     return build(sensors(), TS)
 
 
-def machine(program: Any, noise: float, **parameters: Any) -> Machine:
+def machine(program: Any, noise: float, **parameters: Any) -> CompiledMachine:
     m = program.machine()
     m.set_many({"imu.noise": noise, "range.noise": noise, "gust.noise": noise, **parameters})
     m.reset()
     return m
 
 
-def test_without_noise_the_imu_is_exact(program: Program) -> None:
+def test_without_noise_the_imu_is_exact(program: CompiledProgram) -> None:
     t = np.arange(500) * TS
     theta = 0.3 * np.sin(3.0 * t)
     q = 0.9 * np.cos(3.0 * t)
@@ -59,7 +59,7 @@ def test_without_noise_the_imu_is_exact(program: Program) -> None:
     assert out["acc_z"][1:] == pytest.approx(s * along - 9.81 * c - 0.02 * q[1:] ** 2, abs=1e-12)
 
 
-def test_the_range_has_its_own_clock(program: Program) -> None:
+def test_the_range_has_its_own_clock(program: CompiledProgram) -> None:
     n = 250 * 1000
     new = machine(program, 0.0).run(n, {"x": 0.0})["dist_new"].astype(bool)
     assert abs(int(new.sum()) - 18350) <= 1
@@ -68,7 +68,7 @@ def test_the_range_has_its_own_clock(program: Program) -> None:
 
 
 @pytest.mark.parametrize("age", [0.0, 0.0037, 0.032, 0.1])
-def test_the_range_is_old_by_its_age(program: Program, age: float) -> None:
+def test_the_range_is_old_by_its_age(program: CompiledProgram, age: float) -> None:
     x = 0.1 + 0.25 * np.arange(600) * TS
     m = machine(program, 0.0, **{"range.tof_age": age, "range.tof_stamp": 0.005, "range.x_start": 0.1})
     out = m.run(600, {"x": x})
@@ -79,7 +79,7 @@ def test_the_range_is_old_by_its_age(program: Program, age: float) -> None:
     assert np.all(out["dist"][held : held + 13] == out["dist"][held])
 
 
-def test_readings_are_quantised(program: Program) -> None:
+def test_readings_are_quantised(program: CompiledProgram) -> None:
     out = machine(program, 1.0).run(2000, {"theta": 0.1, "x": 0.05, "load": 1.0})
     for name, step in (("acc_x", 0.0024), ("acc_z", 0.0024), ("gyro_y", 0.00107), ("dist", 0.001)):
         counts = out[name][20:] / step
@@ -92,7 +92,7 @@ HOVER = {"acc_x": 1.0, "acc_z": 2.5, "gyro_y": 0.01}
 
 
 @pytest.mark.parametrize(("load", "sigma"), [(0.0, IDLE), (1.0, {k: np.hypot(IDLE[k], HOVER[k]) for k in IDLE})])
-def test_noise_is_that_of_the_thrust(program: Program, load: float, sigma: dict[str, float]) -> None:
+def test_noise_is_that_of_the_thrust(program: CompiledProgram, load: float, sigma: dict[str, float]) -> None:
     out = machine(program, 1.0).run(50_000, {"load": load})
     for name, expected in sigma.items():
         # 50,000 samples of band-limited noise: the standard deviation is good to a per cent.
@@ -101,7 +101,7 @@ def test_noise_is_that_of_the_thrust(program: Program, load: float, sigma: dict[
     assert out["dist"][new].std() == pytest.approx(0.004, rel=0.05)
 
 
-def test_vibration_is_a_band_and_has_no_constant_part(program: Program) -> None:
+def test_vibration_is_a_band_and_has_no_constant_part(program: CompiledProgram) -> None:
     y = machine(program, 1.0, **{"imu.acc_x_idle": 0.0}).run(65_536, {"load": 1.0})["acc_x"][4096:]
     assert np.corrcoef(y[1:], y[:-1])[0, 1] == pytest.approx(0.46, abs=0.12)  # the logs: .57 to .7
     spectrum = np.abs(np.fft.rfft(y * np.hanning(y.size))) ** 2
@@ -111,7 +111,7 @@ def test_vibration_is_a_band_and_has_no_constant_part(program: Program) -> None:
     assert low < 1e-2 * peak  # a velocity integrated from it must not walk away
 
 
-def test_the_gust_has_its_size_and_its_memory(program: Program) -> None:
+def test_the_gust_has_its_size_and_its_memory(program: CompiledProgram) -> None:
     m = machine(program, 1.0, **{"gust.gust": 2e-3, "gust.gust_time": 0.1})
     y = m.run(200_000, {"load": 1.0})["gust"][500:]
     # 800 s hold some 4000 correlation times: 3 % for the standard deviation, and the memory within as much.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from twodof.blocks.reference import Reference
+from twodof.blocks.reference.interpreter import Reference
 from twodof.compile import build
 from twodof.errors import ExperimentError, ParameterError
 from twodof.flight.gains import DEFAULT, STUDENT

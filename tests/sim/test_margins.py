@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.flight.failsafe.expr_arrays import tell
-from twodof.compile.lanes import Lanes, LanesProgram, build_lanes
+from twodof.compile.lanes.lanes_program import LanesMachine, LanesProgram, build_lanes
 from twodof.experiment.flight import Laboratory
 from twodof.experiment.protocol import EXPERIMENTS
 from twodof.experiment.script import script
@@ -72,7 +72,7 @@ def hard(name: str) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
 def used(rig: str, flight: tuple[dict[str, Any], dict[str, NDArray[Any]]], seeds: NDArray[Any]) -> dict[str, float]:
     """The largest share of each limit that is used in flight, over all seeds; the range's is of `range_error`."""
     conditions, columns = flight
-    machine: Lanes = program(len(seeds)).machine()
+    machine: LanesMachine = program(len(seeds)).machine()
     values = dict(laboratory(rig).parameters.snapshot()) | conditions
     machine.set_many({f"rig.{name}": value for name, value in values.items()} | {"rig.seed": seeds})
     machine.reset()

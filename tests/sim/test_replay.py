@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from twodof.blocks.reference import Reference
+from twodof.blocks.reference.interpreter import Reference
 from twodof.flight.control.cascade import ATTITUDE, OFF, POSITION, cascade
 from twodof.flight.gains import DEFAULT, STUDENT, Gains
 from twodof.flightlog.files import read_log

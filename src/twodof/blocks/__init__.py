@@ -1,9 +1,8 @@
 """The block language: write a block once, interpret it, compile it. See docs/explanation/language.md."""
 
-from twodof.blocks.arrays import build, fold, store, vector
 from twodof.blocks.block import Block, Param, Port, State
 from twodof.blocks.diagram import Diagram, Rate
-from twodof.blocks.elementary import (
+from twodof.blocks.elementary.functions import (
     acos,
     asin,
     atan,
@@ -20,7 +19,8 @@ from twodof.blocks.elementary import (
     tanh,
     trunc,
 )
-from twodof.blocks.expr import (
+from twodof.blocks.expressions.arrays import build, fold, store, vector
+from twodof.blocks.expressions.expr import (
     int32,
     maximum,
     minimum,

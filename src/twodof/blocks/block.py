@@ -13,11 +13,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from twodof.blocks import numbers
-from twodof.blocks.arrays import vector
-from twodof.blocks.expr import KINDS, Expr, as_expr, const, leaf, to_real, tracing
-from twodof.blocks.graph import leaves, walk
-from twodof.blocks.numbers import Integer, Vector
+from twodof.blocks.expressions import numbers
+from twodof.blocks.expressions.arrays import vector
+from twodof.blocks.expressions.expr import KINDS, Expr, as_expr, const, leaf, to_real, tracing
+from twodof.blocks.expressions.graph import leaves, walk
+from twodof.blocks.expressions.numbers import Integer, Vector
 from twodof.errors import DiagramError, ParameterError, listed, shown
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")

@@ -9,7 +9,7 @@ from typing import Any
 
 from twodof.blocks.block import Block, Param
 from twodof.blocks.diagram import Diagram, Part
-from twodof.blocks.traced import TracedBlock, graph_to_json
+from twodof.blocks.schema.traced_block import TracedBlock, graph_to_json
 
 WHATS = ("input", "output", "parameter", "block", "connection")
 _SHOWN = 8  # elements of an array

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from math import pi
 from typing import Any
 
-from twodof.blocks.elementary import cos_octant, log, sin_octant
-from twodof.blocks.expr import multiply_high, sqrt, to_int32, to_real, uint32
+from twodof.blocks.elementary.functions import cos_octant, log, sin_octant
+from twodof.blocks.expressions.expr import multiply_high, sqrt, to_int32, to_real, uint32
 
 ROUNDS = 10
 MULTIPLIERS = (0xD2511F53, 0xCD9E8D57)

@@ -15,12 +15,12 @@ from rich.table import Table
 
 from twodof.cli.diagram_argument import DIAGRAM_HELP, read_diagram
 from twodof.cli.output import Json, print_json, table_console
-from twodof.compile.check import Findings
-from twodof.compile.check import check as check_diagram
-from twodof.compile.linear_model import Array, LinearModel
-from twodof.compile.linearize import linearize as linearize_diagram
-from twodof.compile.program import emit_program
-from twodof.compile.source_map import Line, SourceMap, source_map
+from twodof.compile.builder import emit_program
+from twodof.compile.c.source_map import SourceLine, SourceMap, source_map
+from twodof.compile.linear.linear_model import Array, LinearModel
+from twodof.compile.linear.linearize import linearize as linearize_diagram
+from twodof.compile.program.check import Findings
+from twodof.compile.program.check import check as check_diagram
 from twodof.errors import DiagramError, LogError
 from twodof.flight.starters import new_diagram
 from twodof.flightlog.atomic import atomic_write
@@ -180,7 +180,7 @@ def _print_code(found: SourceMap, block: str | None) -> None:
         console.print(f"\nleft out, as nobody needs them: {', '.join(found.left_out)}")
 
 
-def _worth(line: Line) -> bool:
+def _worth(line: SourceLine) -> bool:
     return bool(line.part) and not line.part[0].isupper()
 
 

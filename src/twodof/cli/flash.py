@@ -12,15 +12,16 @@ from rich.console import Console
 
 from twodof.blocks import Diagram
 from twodof.blocks.difference import Difference, difference
-from twodof.blocks.schema import to_json
+from twodof.blocks.schema.json_form import to_json
 from twodof.cli.diagram_argument import DIAGRAM_HELP, read_diagram
 from twodof.cli.flash_place import FCU, PX4, SIM, check_name, open_place
 from twodof.cli.output import Json, print_json, table_console
-from twodof.compile import Program, build
-from twodof.compile.check import check as check_diagram
+from twodof.compile import CompiledProgram, build
 from twodof.compile.cortex_m7.report import measure
-from twodof.compile.px4 import check, export
-from twodof.compile.px4.check import ERROR
+from twodof.compile.program.check import check as check_diagram
+from twodof.compile.px4 import export
+from twodof.compile.px4.checkout import check
+from twodof.compile.px4.checkout.check import ERROR
 from twodof.errors import CompileError
 from twodof.flight.controller_store import STOCK
 from twodof.flight.starters import starter
@@ -62,7 +63,7 @@ def costs(diagram: Diagram, precision: str) -> Costs:
     Raises DiagramError and CompileError as `build` does, CompileError also without a C compiler.
     """
     program = build(diagram, PERIOD, precision)
-    if not isinstance(program, Program):
+    if not isinstance(program, CompiledProgram):
         raise CompileError("there is no C compiler", diagram.name, "install gcc, or the wheel ziglang")
     p, s, u, y = (program.dtypes[struct].itemsize for struct in "PSUY")
     try:
@@ -70,7 +71,7 @@ def costs(diagram: Diagram, precision: str) -> Costs:
     except CompileError as reason:
         return Costs(p, s, u, y, None, str(reason))
     # Only the native target falls back to the interpreter.
-    return Costs(p, s, u, y, measure(on_m7, _STEPS).to_json() if isinstance(on_m7, Program) else None, "")
+    return Costs(p, s, u, y, measure(on_m7, _STEPS).to_json() if isinstance(on_m7, CompiledProgram) else None, "")
 
 
 @app.command()

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Protocol
 
 from twodof.blocks import Diagram
-from twodof.blocks.schema import from_json, to_json
+from twodof.blocks.schema.json_form import from_json, to_json
 from twodof.cli.connect import connect
 from twodof.compile.px4 import export
 from twodof.errors import DiagramError, LinkError, Rejected, shown

@@ -3,7 +3,7 @@
 See docs/explanation/language.md, section 6, and docs/reference/compilation.md.
 """
 
-from twodof.compile.machine import Machine
-from twodof.compile.program import Program, build
+from twodof.compile.builder import CompiledProgram, build
+from twodof.compile.machine import CompiledMachine
 
-__all__ = ["Machine", "Program", "build"]
+__all__ = ["CompiledMachine", "CompiledProgram", "build"]

@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.blocks import numbers
 from twodof.blocks.block import check_bounds, check_steps, numeric, unknown_parameter
-from twodof.blocks.numbers import Integer, Vector
-from twodof.compile import flat
+from twodof.blocks.expressions import numbers
+from twodof.blocks.expressions.numbers import Integer, Vector
+from twodof.compile.program import flat_program
 from twodof.errors import DiagramError, ParameterError
 
 if TYPE_CHECKING:
-    from twodof.compile.program import Program
+    from twodof.compile.builder import CompiledProgram
 
 
-class Machine:
+class CompiledMachine:
     """One running instance: parameters, states and inputs of its own, in the memory of the C structs.
 
     `instance` is what the target gave: the structs, and the calls on them. Where the target can fault (see
@@ -26,7 +26,7 @@ class Machine:
     One thread at a time may use it: for changes from another, queue them and apply them between two steps.
     """
 
-    def __init__(self, program: Program) -> None:
+    def __init__(self, program: CompiledProgram) -> None:
         self.program = program
         self.parameters = program.parameters
         self._plain = program.precision == "float64"
@@ -150,7 +150,7 @@ class Machine:
         self.instance.run(steps, u, y)
         return {path: np.ascontiguousarray(y[member][:steps]) for path, member in self._outputs.items()}
 
-    def _input(self, name: str) -> tuple[flat.Signal, str]:
+    def _input(self, name: str) -> tuple[flat_program.FlatSignal, str]:
         if name not in self._inputs:
             known = ", ".join(self._inputs) or "none"
             raise DiagramError(f"there is no input {name!r:.80}", self.program.flat.name, f"inputs: {known}")
@@ -171,7 +171,7 @@ class Machine:
 _ACCEPTED = {"real": "fiu", "int32": "iu", "uint32": "iu", "bool": "b"}
 
 
-def _fitting(data: NDArray[Any], signal: flat.Signal) -> NDArray[Any]:
+def _fitting(data: NDArray[Any], signal: flat_program.FlatSignal) -> NDArray[Any]:
     """An input's array, checked; integers wrap around."""
     if data.dtype.kind not in _ACCEPTED[signal.kind] or data.shape[1:] != (
         () if signal.width is None else (signal.width,)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.compile.machine import Machine
+from twodof.compile.machine import CompiledMachine
 from twodof.errors import DiagramError
 
 _LETTERS = {"float64": "d", "float32": "f", "int32": "i", "uint32": "I", "bool": "?"}
@@ -18,13 +18,13 @@ _LETTERS = {"float64": "d", "float32": "f", "int32": "i", "uint32": "I", "bool":
 class Stepper:
     """Steps `machine`, whose memory it shares, with `inputs`, all that it has, and `outputs`, those that are wanted.
 
-    Both are names of scalars, and values come and go as tuples in their order. `Machine.step` by name costs some
-    twenty times as much. Values are not checked: a real is a float, an int32 or uint32 an int within its range, a bool
-    anything that is true or false. Raises DiagramError for a name that is not there or is an array, and for an input
-    that is left out. Methods that compute raise ControllerFault where the target can fault.
+    Both are names of scalars, and values come and go as tuples in their order. A machine's `step`, by name, costs
+    some twenty times as much. Values are not checked: a real is a float, an int32 or uint32 an int within its range, a
+    bool anything that is true or false. Raises DiagramError for a name that is not there or is an array, and for an
+    input that is left out. Methods that compute raise ControllerFault where the target can fault.
     """
 
-    def __init__(self, machine: Machine, inputs: Sequence[str], outputs: Sequence[str]) -> None:
+    def __init__(self, machine: CompiledMachine, inputs: Sequence[str], outputs: Sequence[str]) -> None:
         self.machine = machine
         instance = machine.instance
         program = machine.program

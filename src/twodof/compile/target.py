@@ -10,17 +10,17 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.compile import flat
-from twodof.compile.layout import Layout
+from twodof.compile.program.flat_program import FlatProgram
+from twodof.compile.program.layout import MemoryLayout
 
 
 @dataclass(frozen=True)
-class Emitted:
+class EmittedProgram:
     """A program's C, and what it was made from. `source` may hold other programs too."""
 
-    flat: flat.Program
+    flat: FlatProgram
     source: str
-    layout: Layout
+    layout: MemoryLayout
     precision: str
 
     @property
@@ -39,7 +39,7 @@ class Emitted:
         return [np.dtype(self.precision).itemsize, *(self.dtypes[k].itemsize for k in "PSUY")]
 
 
-class Instance(Protocol):
+class TargetInstance(Protocol):
     """One running program: its structs, and calls that work on them.
 
     A target whose memory is elsewhere (an emulator) carries the structs there and back in each call: what a caller
@@ -49,7 +49,7 @@ class Instance(Protocol):
 
     @property
     def structs(self) -> Mapping[str, NDArray[Any]]:
-        """The structs "P", "S", "U" and "Y": arrays of one element of `Emitted.dtypes`, the same objects for ever."""
+        """The structs "P", "S", "U" and "Y": arrays of one element of `EmittedProgram.dtypes`, always the same."""
 
     @property
     def defaults(self) -> Callable[[], None]:
@@ -78,7 +78,7 @@ class Instance(Protocol):
 class Backend(Protocol):
     """A compiled program on its target."""
 
-    def instance(self) -> Instance:
+    def instance(self) -> TargetInstance:
         """A fresh instance: its memory is its own, and zero."""
 
 
@@ -89,7 +89,7 @@ class Target(Protocol):
     def name(self) -> str:
         """As in `build(..., target=name)`."""
 
-    def compile(self, programs: Sequence[Emitted]) -> Sequence[Backend]:
+    def compile(self, programs: Sequence[EmittedProgram]) -> Sequence[Backend]:
         """Compiles `programs`, which stand in one source, and gives their backends.
 
         Raises CompileError if the tool chain is not there, with the package that gives it, or refuses the source.

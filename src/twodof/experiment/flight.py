@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twodof.blocks import Diagram
-from twodof.blocks.schema import to_json
+from twodof.blocks.schema.json_form import to_json
 from twodof.errors import ExperimentError, ParameterError
 from twodof.experiment.checks import Check, commanded, data_checks
 from twodof.experiment.protocol import EXPERIMENTS, Experiment

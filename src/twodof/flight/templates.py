@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.library.delays import ZeroOrderHold
-from twodof.compile.flat import Program
-from twodof.compile.lower import lower
+from twodof.compile.program.flat_program import FlatProgram
+from twodof.compile.program.lower import lower
 from twodof.errors import DiagramError
 
 PERIOD = 0.004
@@ -234,7 +234,7 @@ def _inputs(diagram: Diagram, template: Template) -> Iterator[str]:
             yield from _clash("input", port, given.kind, given.width, given.unit)
 
 
-def _outputs(program: Program, template: Template) -> Iterator[str]:
+def _outputs(program: FlatProgram, template: Template) -> Iterator[str]:
     """What is wrong with the types of the outputs."""
     for port in template.outputs:
         signal = program.outputs.get(port.name)

@@ -9,8 +9,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.blocks.reference import Reference
-from twodof.compile import Program, build
+from twodof.blocks.reference.interpreter import Reference
+from twodof.compile import CompiledProgram, build
 from twodof.errors import IdentificationError
 from twodof.identify.record import Record
 from twodof.models.structure import Structure
@@ -73,7 +73,7 @@ class _Sampler:
         return np.asarray(left + self._share * (y[self._index + 1] - left))
 
 
-def program_of(structure: Structure, dt: float) -> Program | Reference:
+def program_of(structure: Structure, dt: float) -> CompiledProgram | Reference:
     """The structure compiled for data with the step `dt` [s]; kept, so that a second fit does not compile again."""
     # Logs of one rig differ in the last digits of their step: a relative 1e-9 is no reason to compile again.
     digits = 9 - math.floor(math.log10(dt))
@@ -81,5 +81,5 @@ def program_of(structure: Structure, dt: float) -> Program | Reference:
 
 
 @functools.lru_cache(maxsize=64)
-def _program(structure: Structure, dt: float) -> Program | Reference:
+def _program(structure: Structure, dt: float) -> CompiledProgram | Reference:
     return build(structure.diagram, dt=dt / structure.substeps, precision="float64")

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from twodof.blocks.expr import maximum, minimum, where
+from twodof.blocks.expressions.expr import maximum, minimum, where
 
 
 def sticks(speed: Any, drive: Any, more: Any, less: Any) -> Any:

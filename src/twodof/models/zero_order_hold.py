@@ -10,9 +10,9 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from twodof.blocks.arrays import fold, store
 from twodof.blocks.block import Block, Clock, Param, Port, State, library_block
-from twodof.blocks.expr import maximum, real, to_int32, to_real, to_uint32, uint32, where
+from twodof.blocks.expressions.arrays import fold, store
+from twodof.blocks.expressions.expr import maximum, real, to_int32, to_real, to_uint32, uint32, where
 from twodof.models.plant import GRAVITY
 
 # Taylor terms of the matrix exponential: |A| h <= 2 leaves 2^21 / 21! < 5e-14. A step with more is taken in pieces.

@@ -6,7 +6,7 @@ from typing import Any
 
 from twodof.blocks import Block, Param, Port, State, where
 from twodof.blocks.block import Clock
-from twodof.blocks.elementary import cos_octant, sin_octant
+from twodof.blocks.elementary.functions import cos_octant, sin_octant
 from twodof.rig.contact import after_friction, after_stops, stays_at_rest
 
 GRAVITY = 9.81

@@ -6,7 +6,7 @@ from typing import Any
 
 from twodof.blocks import Block, Param, Port, State, int32, sqrt, store, to_int32, to_real, to_uint32, where
 from twodof.blocks.block import Clock
-from twodof.blocks.elementary import cos, floor
+from twodof.blocks.elementary.functions import cos, floor
 from twodof.blocks.noise import normal4
 from twodof.rig.dynamics import GRAVITY, sine_cosine
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from twodof.blocks import Block, Param, Port, State, sqrt
 from twodof.blocks.block import Clock
-from twodof.blocks.elementary import exp
+from twodof.blocks.elementary.functions import exp
 from twodof.blocks.noise import normal
 
 STREAM = 2

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from twodof.blocks import Diagram
 from twodof.blocks.block import Param, unknown_parameter
 from twodof.blocks.library.delays import ZeroOrderHold
-from twodof.blocks.reference import Reference
-from twodof.compile import Program, build
+from twodof.blocks.reference.interpreter import Reference
+from twodof.compile import CompiledProgram, build
 from twodof.errors import ExperimentError
 from twodof.flight.core import INPUTS, OUTPUTS, core
 from twodof.flight.failsafe.diagram import INPUTS as FAILSAFE_INPUTS
@@ -124,7 +124,7 @@ class ClosedLoop:
     ) -> None:
         # Gains are parameters: one program, compiled once, flies them all.
         diagram = closed_loop(position_filter=position_filter, controllers=controllers, failsafe=failsafe)
-        self.program: Program | Reference = build(diagram, BASE_DT, precision, log=log)
+        self.program: CompiledProgram | Reference = build(diagram, BASE_DT, precision, log=log)
         self.machine = self.program.machine()
         self.controllers = {
             name.removeprefix(CASCADE).removeprefix(FLIGHT): name
@@ -185,7 +185,7 @@ class ClosedLoop:
         """The covariances to which the estimator settles at rest: a flight does not start with a doubtful pitch."""
         paths = [f"{FLIGHT}{path}" for path in covariances(self._flight_states)]
         self.machine.reset()
-        compiled = isinstance(self.program, Program)
+        compiled = isinstance(self.program, CompiledProgram)
         self.machine.run(_SETTLE_TICKS if compiled else _SETTLE_TICKS_INTERPRETED)
         return {path: self.machine.state(path) for path in paths}
 

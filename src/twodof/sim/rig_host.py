@@ -7,7 +7,7 @@ import operator
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from twodof.compile import Program, build
+from twodof.compile import CompiledProgram, build
 from twodof.compile.stepper import Stepper
 from twodof.errors import CompileError, ExperimentError, ParameterError
 from twodof.fcu.control.control_input import ControlInput
@@ -51,7 +51,7 @@ class VirtualRig:
         safety_off: bool = True,
     ) -> None:
         program = build(rig(), BASE_DT, precision)
-        if not isinstance(program, Program):
+        if not isinstance(program, CompiledProgram):
             raise CompileError("there is no C compiler", "rig", "install gcc, or the wheel ziglang")
         self.name = name
         self.safety_off = safety_off

@@ -7,7 +7,7 @@ import numpy as np
 
 from twodof.blocks.block import Block
 from twodof.blocks.diagram import Diagram
-from twodof.blocks.reference import Reference
+from twodof.blocks.reference.interpreter import Reference
 
 
 def alone(block: Block) -> Diagram:

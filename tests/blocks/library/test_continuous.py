@@ -7,7 +7,7 @@ from scipy import signal
 
 from tests.blocks.library.harness import alone, assert_close, noise, run, run_y
 from twodof.blocks.library import FirstOrder, Integrator, SecondOrder, StateSpace, TransferFunction
-from twodof.blocks.reference import Reference
+from twodof.blocks.reference.interpreter import Reference
 from twodof.errors import DiagramError
 
 DT = 0.01

@@ -12,7 +12,7 @@ from scipy import signal
 from tests.blocks.library.harness import assert_close, noise, run, run_y
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.library import FirstOrder, Integrator, Pid, Step, Sum
-from twodof.blocks.reference import Reference
+from twodof.blocks.reference.interpreter import Reference
 from twodof.errors import DiagramError
 
 DT = 0.004

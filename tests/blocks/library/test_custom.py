@@ -7,11 +7,11 @@ import pytest
 
 from tests.blocks.library.harness import alone, assert_close, noise, run, run_y
 from twodof.blocks.block import Param, Port
-from twodof.blocks.elementary import atan, cos
-from twodof.blocks.expr import int32, where
+from twodof.blocks.elementary.functions import atan, cos
+from twodof.blocks.expressions.expr import int32, where
 from twodof.blocks.library import function_block
-from twodof.blocks.reference import Reference
-from twodof.blocks.schema import from_json, to_json
+from twodof.blocks.reference.interpreter import Reference
+from twodof.blocks.schema.json_form import from_json, to_json
 from twodof.errors import DiagramError
 
 ONE = int32(1)

@@ -20,7 +20,7 @@ from twodof.blocks.library import (
     UnitDelay,
     ZeroOrderHold,
 )
-from twodof.blocks.reference import Reference
+from twodof.blocks.reference.interpreter import Reference
 from twodof.errors import DiagramError, ParameterError
 
 

@@ -16,7 +16,7 @@ from twodof.blocks.library import (
     DiscreteTransferFunction,
     MovingAverage,
 )
-from twodof.blocks.reference import Reference
+from twodof.blocks.reference.interpreter import Reference
 from twodof.errors import DiagramError
 
 DT = 0.02

@@ -23,7 +23,7 @@ from twodof.blocks.library import (
     Saturation,
     Timer,
 )
-from twodof.blocks.reference import Reference
+from twodof.blocks.reference.interpreter import Reference
 from twodof.errors import DiagramError
 
 U = 2.0 * noise(60)

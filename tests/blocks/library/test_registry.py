@@ -7,10 +7,10 @@ from tests.blocks.library.samples import EXTRA, LIBRARY, ROOMS, SAMPLES, random_
 from twodof.blocks import library
 from twodof.blocks.block import Block
 from twodof.blocks.diagram import Diagram
-from twodof.blocks.reference import Reference, ReferenceMachine
-from twodof.blocks.schema import from_json, to_json
+from twodof.blocks.reference.interpreter import Reference, ReferenceMachine
+from twodof.blocks.schema.json_form import from_json, to_json
 from twodof.compile import build
-from twodof.compile.program import Machine
+from twodof.compile.builder import CompiledMachine
 
 DT = 0.004
 
@@ -31,7 +31,9 @@ def test_every_block_has_defaults_and_a_docstring(type_name: str) -> None:
         assert len(block.outputs) >= 1
 
 
-def feed(machine: Machine | ReferenceMachine, d_inputs: dict[str, np.ndarray], steps: int) -> dict[str, np.ndarray]:
+def feed(
+    machine: CompiledMachine | ReferenceMachine, d_inputs: dict[str, np.ndarray], steps: int
+) -> dict[str, np.ndarray]:
     return {name: np.asarray(rows) for name, rows in machine.run(steps, d_inputs).items()}
 
 

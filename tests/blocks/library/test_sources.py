@@ -26,7 +26,7 @@ from twodof.blocks.library import (
     UniformNoise,
 )
 from twodof.blocks.library.waveforms import TAPS
-from twodof.blocks.reference import Reference
+from twodof.blocks.reference.interpreter import Reference
 from twodof.errors import DiagramError
 
 DT = 0.004

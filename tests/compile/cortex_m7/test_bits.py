@@ -17,14 +17,15 @@ from tests.compile.cortex_m7.hand_written import COMPILERS
 from tests.compile.differential import Case, random_cases, same
 from tests.compile.random_diagrams import SPECIAL
 from tests.toolchains import need
-from twodof.blocks import Block, Diagram, Port, maximum, minimum, numbers, sqrt, to_int32, to_uint32, where
-from twodof.blocks.elementary import atan2, cos, exp, log, sin
-from twodof.compile import Program
-from twodof.compile.c99 import emit
+from twodof.blocks import Block, Diagram, Port, maximum, minimum, sqrt, to_int32, to_uint32, where
+from twodof.blocks.elementary.functions import atan2, cos, exp, log, sin
+from twodof.blocks.expressions import numbers
+from twodof.compile import CompiledProgram
+from twodof.compile.c.emitter import emit
 from twodof.compile.cortex_m7.target import CortexM7
-from twodof.compile.lower import lower
-from twodof.compile.native import Native
-from twodof.compile.target import Emitted, Target
+from twodof.compile.native.target import Native
+from twodof.compile.program.lower import lower
+from twodof.compile.target import EmittedProgram, Target
 from twodof.flight.core import core
 from twodof.rig.rig import rig
 
@@ -102,20 +103,20 @@ def samples() -> list[Diagram]:
     return [core(), rig(), arithmetic(), examples.loop(), examples.switched("reset"), examples.edge(), examples.delay()]
 
 
-def emitted(diagrams: Sequence[Diagram], precision: str) -> list[Emitted]:
+def emitted(diagrams: Sequence[Diagram], precision: str) -> list[EmittedProgram]:
     """All in one source."""
     with numbers.precision(precision):
         lowered = [lower(d, 0.004) for d in diagrams]
         source = emit(lowered, precision)
-    return [Emitted(flat, source.text, source.layouts[flat.name], precision) for flat in lowered]
+    return [EmittedProgram(flat, source.text, source.layouts[flat.name], precision) for flat in lowered]
 
 
-def programs(sources: Sequence[Emitted], target: Target) -> list[Program]:
+def programs(sources: Sequence[EmittedProgram], target: Target) -> list[CompiledProgram]:
     """Each with its own functions in the one library or image."""
-    return [Program(e, b) for e, b in zip(sources, target.compile(sources), strict=True)]
+    return [CompiledProgram(e, b) for e, b in zip(sources, target.compile(sources), strict=True)]
 
 
-def different(left: Program, right: Program, rows: dict[str, NDArray[Any]]) -> list[str]:
+def different(left: CompiledProgram, right: CompiledProgram, rows: dict[str, NDArray[Any]]) -> list[str]:
     """The outputs and, afterwards, structs that are not the same, of `STEPS` steps on each."""
     machines = left.machine(), right.machine()
     here, there = (m.run(STEPS, rows) for m in machines)
@@ -185,7 +186,7 @@ def test_contraction_left_on_is_caught() -> None:
     (source,) = emitted([core()], "float32")
     loose = re.sub(r"#if defined\(__clang__\)\n.*?#endif\n", "", source.source, count=1, flags=re.DOTALL)
     assert loose != source.source
-    contracted = Emitted(source.flat, loose, source.layout, source.precision)
+    contracted = EmittedProgram(source.flat, loose, source.layout, source.precision)
     (left,) = programs([source], Native())
     (right,) = programs([contracted], CortexM7("gcc", flags=("-ffp-contract=fast",)))
     assert different(left, right, inputs(core(), hostile=False)) != []

@@ -13,11 +13,12 @@ from tests.compile.cortex_m7.hand_written import ADD, COMPILERS, HEAD, STEP, ima
 from tests.patience import PATIENCE_S
 from tests.toolchains import need
 from twodof.blocks import Diagram
-from twodof.compile import build, toolchain
+from twodof.compile import build
 from twodof.compile.cortex_m7.elf import read_elf
 from twodof.compile.cortex_m7.image import find_cross_compiler
 from twodof.compile.cortex_m7.processor import Processor
 from twodof.compile.cortex_m7.usage import image_sizes
+from twodof.compile.toolchain import compilers
 from twodof.errors import CompileError
 
 
@@ -45,7 +46,7 @@ def test_the_second_time_no_compiler_runs(cache: Path, monkeypatch: pytest.Monke
     def never(*_: object, **__: object) -> None:
         raise AssertionError
 
-    monkeypatch.setattr(toolchain, "run_compiler", never)
+    monkeypatch.setattr(compilers, "run_compiler", never)
     assert image(ADD) == first
     with pytest.raises(AssertionError):
         image(ADD, optimise="-O1")

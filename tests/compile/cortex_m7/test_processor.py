@@ -19,14 +19,14 @@ from tests.compile.cortex_m7.hand_written import ADD, STEP, image, pair, steps
 from tests.patience import PATIENCE_S, patiently
 from tests.processes import alive
 from tests.toolchains import need
-from twodof.compile import Program, build
+from twodof.compile import CompiledProgram, build
 from twodof.compile.cortex_m7 import board
 from twodof.compile.cortex_m7.elf import read_elf
-from twodof.compile.cortex_m7.fault import Fault
+from twodof.compile.cortex_m7.fault import ProcessorFault
 from twodof.compile.cortex_m7.image import Image, build_image, find_cross_compiler
 from twodof.compile.cortex_m7.processor import DEFAULTS, INIT, PREPARE, Processor
 from twodof.compile.cortex_m7.target import CortexM7
-from twodof.compile.target import Emitted
+from twodof.compile.target import EmittedProgram
 from twodof.errors import CompileError, ControllerFault
 
 PROJECT = Path(__file__).resolve().parents[3]
@@ -115,8 +115,8 @@ def test_a_machine_that_faulted_stays_so_and_a_new_one_runs() -> None:
     good = build(examples.loop(), 0.01, target="cortex-m7").emitted
     source = good.source.replace("    s->tick += 1u;", "    if (s->tick == 3u) __builtin_trap();\n    s->tick += 1u;")
     assert source != good.source
-    wrong = Emitted(good.flat, source, good.layout, good.precision)
-    program = Program(wrong, CortexM7().compile([wrong])[0])
+    wrong = EmittedProgram(good.flat, source, good.layout, good.precision)
+    program = CompiledProgram(wrong, CortexM7().compile([wrong])[0])
     machine = program.machine()
     machine.run(3, {"r": 1.0})
     for _ in range(2):
@@ -278,9 +278,9 @@ def test_the_emulator_ends_when_python_is_killed() -> None:
 
 
 def test_a_fault_reads_its_words_in_order() -> None:
-    fault = Fault.from_bytes(np.arange(14, dtype="<u4").tobytes())
+    fault = ProcessorFault.from_bytes(np.arange(14, dtype="<u4").tobytes())
     assert (fault.r0, fault.pc, fault.sp, fault.cfsr, fault.bfar) == (0, 6, 8, 10, 13)
-    divided = Fault(**{**vars(fault), "cfsr": 1 << 25})
+    divided = ProcessorFault(**{**vars(fault), "cfsr": 1 << 25})
     assert divided.cause == "division of integers by zero"
-    lost = Fault(**{**vars(fault), "cfsr": 1 << 9 | 1 << 15, "bfar": 0x3000_0000})
+    lost = ProcessorFault(**{**vars(fault), "cfsr": 1 << 9 | 1 << 15, "bfar": 0x3000_0000})
     assert lost.cause == "access to where no memory is at 0x30000000"

@@ -11,10 +11,10 @@ from tests.compile import examples
 from tests.compile.cortex_m7.hand_written import ADD, COMPILERS, STEP, image, pair
 from tests.toolchains import need
 from twodof.compile import build
+from twodof.compile.builder import CompiledProgram
 from twodof.compile.cortex_m7.processor import Processor
-from twodof.compile.cortex_m7.report import Report, measure
+from twodof.compile.cortex_m7.report import CortexM7Report, measure
 from twodof.compile.cortex_m7.usage import Usage
-from twodof.compile.program import Program
 from twodof.errors import CompileError
 from twodof.flight.core import core
 
@@ -128,14 +128,14 @@ def test_the_bytes_are_those_of_what_is_called_and_read(compiler: str) -> None:
 @pytest.mark.parametrize("compiler", COMPILERS)
 def test_the_flight_core_stays_within_its_bound(compiler: str, precision: str) -> None:
     program = build(core(), 0.004, precision, target="cortex-m7", compiler=compiler)
-    assert isinstance(program, Program)
+    assert isinstance(program, CompiledProgram)
     r = np.random.default_rng(1)
     rows = {
         name: r.normal(size=500) if p.kind == "real" else r.integers(0, 2, 500).astype(p.kind)
         for name, p in program.flat.inputs.items()
     }
     report = measure(program, 500, rows)
-    assert isinstance(report, Report)
+    assert isinstance(report, CortexM7Report)
     assert report.stack is not None
     assert 0 < report.stack_seen <= report.stack
     assert report.structs == {k: program.dtypes[k].itemsize for k in "PSUY"}
@@ -148,20 +148,20 @@ def test_the_flight_core_stays_within_its_bound(compiler: str, precision: str) -
 
 def test_inputs_and_parameters_decide_what_is_measured() -> None:
     program = build(examples.switched(), 0.01, target="cortex-m7")
-    assert isinstance(program, Program)
+    assert isinstance(program, CompiledProgram)
     off, on = (measure(program, 10, {"on": on, "u": 1.0}).instructions for on in (False, True))
     assert off.max() < on.min()
 
 
 def test_only_a_program_for_this_target_can_be_measured() -> None:
     program = build(examples.loop(), 0.01)
-    assert isinstance(program, Program)
+    assert isinstance(program, CompiledProgram)
     with pytest.raises(CompileError, match='target="cortex-m7"'):
         measure(program)
 
 
 def test_no_steps_cannot_be_measured() -> None:
     program = build(examples.loop(), 0.01, target="cortex-m7")
-    assert isinstance(program, Program)
+    assert isinstance(program, CompiledProgram)
     with pytest.raises(CompileError, match="at least one"):
         measure(program, 0)

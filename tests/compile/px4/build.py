@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tests.toolchains import PACKAGES, need
 from twodof.compile.px4.build_files import EXACT
-from twodof.compile.px4.export import Module
+from twodof.compile.px4.export import Px4Module
 from twodof.compile.px4.topics import FIELDS
 
 STAND_IN = Path(__file__).parent / "stand_in"
@@ -74,7 +74,7 @@ def parse_message(text: str) -> tuple[list[tuple[str, str]], dict[str, int]]:
     return fields, constants
 
 
-def lay_out(module: Module, folder: Path) -> Path:
+def lay_out(module: Px4Module, folder: Path) -> Path:
     """The module's tree and the headers of all topics in `folder`; returns the folder of the module's sources."""
     module.write(folder / "export")
     topics = folder / "include" / "uORB" / "topics"
@@ -88,7 +88,7 @@ def lay_out(module: Module, folder: Path) -> Path:
     return folder / "export" / "src" / "modules" / module.names.module
 
 
-def compile_module(module: Module, folder: Path, optimise: str = "-O2", more: tuple[str, ...] = ()) -> list[Path]:
+def compile_module(module: Px4Module, folder: Path, optimise: str = "-O2", more: tuple[str, ...] = ()) -> list[Path]:
     """The module's two objects, built with PX4's flags and the module's own. Fails the test on any warning."""
     sources = lay_out(module, folder)
     names = module.names
@@ -140,7 +140,7 @@ class Bench:
     `at` sets the clock [us], `publish` a topic's fields, `parameter` a value, `command` runs the module's command.
     """
 
-    def __init__(self, module: Module, folder: Path, optimise: str = "-O2") -> None:
+    def __init__(self, module: Px4Module, folder: Path, optimise: str = "-O2") -> None:
         objects = compile_module(module, folder, optimise)
         n = module.names.module
         self.module, self.program = module, folder / "bench"

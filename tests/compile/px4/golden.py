@@ -9,11 +9,11 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from tests.compile.px4.modules import PITCH_LOG, pitch, rail
-from twodof.compile.px4.export import Module, make_module
+from twodof.compile.px4.export import Px4Module, make_module
 from twodof.compile.px4.tree import write_tree
 
 GOLDEN = Path(__file__).parent / "golden"
-MODULES: Mapping[str, Callable[[], Module]] = {
+MODULES: Mapping[str, Callable[[], Px4Module]] = {
     "pitch": lambda: make_module(pitch(), PITCH_LOG),
     "rail": lambda: make_module(rail()),
 }

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from tests.compile.px4.build import C_FLAGS, DEADLINE, PX4_FLAGS, run
 from twodof.blocks import Diagram
 from twodof.compile.px4.build_files import EXACT
-from twodof.compile.px4.controller import Controller, controller, header, source
-from twodof.compile.px4.message import Field, Fields, fields
+from twodof.compile.px4.controller import ControllerCode, controller, header, source
+from twodof.compile.px4.message import MessageField, MessageFields, fields
 from twodof.compile.px4.names import module_names
 from twodof.compile.px4.parameters import exported
 
@@ -42,7 +42,7 @@ int main(void)
 """
 
 
-def controller_files(diagram: Diagram, log: Sequence[str], folder: Path) -> tuple[Controller, Path]:
+def controller_files(diagram: Diagram, log: Sequence[str], folder: Path) -> tuple[ControllerCode, Path]:
     """A diagram's controller, written as the C and H files that a module has; the diagram may have any ports."""
     names = module_names(diagram.name)
     made = controller(diagram, names, log)
@@ -59,7 +59,7 @@ def build_controller(
     folder: Path,
     more: Sequence[str] = EXACT,
     edit: Callable[[Path], None] | None = None,
-) -> tuple[Path, Fields]:
+) -> tuple[Path, MessageFields]:
     """A program that maps rows of input words to rows of output words, and what the words are.
 
     It is built with PX4's flags and `more`; `edit` may change the C file before.
@@ -75,7 +75,7 @@ def build_controller(
     return folder / n, found
 
 
-def replay(program: Path, found: Fields, columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+def replay(program: Path, found: MessageFields, columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     """The outputs, by path, that the program gives for columns of inputs by path."""
     steps = len(next(iter(columns.values())))
     words = np.hstack([to_words(f, columns[f.path]).reshape(steps, -1) for f in found.inputs])
@@ -83,13 +83,13 @@ def replay(program: Path, found: Fields, columns: Mapping[str, NDArray[Any]]) ->
     return from_words(found.outputs, np.frombuffer(done.stdout, np.uint32).reshape(steps, -1))
 
 
-def to_words(field: Field, column: NDArray[Any]) -> NDArray[np.uint32]:
+def to_words(field: MessageField, column: NDArray[Any]) -> NDArray[np.uint32]:
     """A column of values as 32-bit words."""
     with np.errstate(over="ignore"):
         return np.ascontiguousarray(np.asarray(column).astype(DTYPES[field.kind])).view(np.uint32)
 
 
-def from_words(members: Sequence[Field], words: NDArray[np.uint32]) -> dict[str, NDArray[Any]]:
+def from_words(members: Sequence[MessageField], words: NDArray[np.uint32]) -> dict[str, NDArray[Any]]:
     """Rows of words as columns of values by path."""
     found, at = {}, 0
     for f in members:

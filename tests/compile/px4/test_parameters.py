@@ -12,7 +12,7 @@ import yaml
 
 from tests.compile.px4.modules import PITCH_LOG, pitch, rail
 from twodof.blocks import Block, Diagram, Param, Port
-from twodof.compile.px4.export import Module, make_module
+from twodof.compile.px4.export import Px4Module, make_module
 from twodof.compile.px4.parameters import LARGEST_FLOAT, MOST, UNITS, decimals, number
 from twodof.errors import DiagramError
 from twodof.flight.starters import STARTERS, starter
@@ -23,7 +23,7 @@ ALLOWED = {"%", "Hz", "1/s", "rad", "rad/s", "rad/s^2", "deg", "deg/s", "kg", "k
 ALLOWED |= {"m/s^3", "V", "A", "us", "ms", "s", "Nm", "N"}
 
 
-def definitions(module: Module) -> dict[str, Any]:
+def definitions(module: Px4Module) -> dict[str, Any]:
     """The parameters in module.yaml, checked against PX4's schema and its parser's rules."""
     text = module.files[f"src/modules/{module.names.module}/module.yaml"]
     document = yaml.safe_load(text)
@@ -102,7 +102,7 @@ class Many(Block):
         return u.u
 
 
-def with_params(*params: Param) -> Module:
+def with_params(*params: Param) -> Px4Module:
     """The module of a diagram with these parameters."""
     d = Diagram("many")
     d.input("q")

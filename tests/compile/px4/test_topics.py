@@ -10,7 +10,7 @@ import pytest
 from tests.compile.px4.modules import pitch, rail
 from twodof.blocks import Diagram
 from twodof.blocks import library as lib
-from twodof.compile.lower import lower
+from twodof.compile.program.lower import lower
 from twodof.compile.px4.export import make_module
 from twodof.compile.px4.inputs import _VALUES, MEMBERS
 from twodof.compile.px4.topics import FIELDS, INPUTS, OUTPUTS, role

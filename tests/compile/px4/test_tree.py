@@ -12,7 +12,7 @@ import pytest
 from tests.compile.px4.golden import GOLDEN, MODULES
 from tests.compile.px4.modules import PITCH_LOG, pitch, rail
 from tests.patience import PATIENCE_S
-from twodof.blocks.schema import from_json
+from twodof.blocks.schema.json_form import from_json
 from twodof.compile.px4 import export, make_module, tree
 from twodof.compile.px4.tree import MANIFEST, strangers, write_tree
 from twodof.errors import CompileError, TwodofError

@@ -7,7 +7,7 @@ import random
 import pytest
 
 from tests.compile import examples
-from twodof.compile.program import emit_program
+from twodof.compile.builder import emit_program
 from twodof.compile.wasm import engine
 from twodof.compile.wasm.binary import closed
 from twodof.compile.wasm.module import FUNCTIONS, STACK, compile_module

@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 from tests.blocks.library.samples import ROOMS, random_inputs, room
 from tests.compile import examples
 from tests.compile.differential import same
-from twodof.blocks import Diagram, numbers
-from twodof.compile import Machine, Program, build
-from twodof.compile.c99 import emit
-from twodof.compile.lower import lower
-from twodof.compile.native import Native
-from twodof.compile.target import Emitted, Target
+from twodof.blocks import Diagram
+from twodof.blocks.expressions import numbers
+from twodof.compile import CompiledMachine, CompiledProgram, build
+from twodof.compile.c.emitter import emit
+from twodof.compile.native.target import Native
+from twodof.compile.program.lower import lower
+from twodof.compile.target import EmittedProgram, Target
 from twodof.compile.wasm.target import Wasm
 from twodof.flight.core import PERIOD, core
 from twodof.rig.rig import BASE_DT
@@ -28,17 +29,17 @@ PRECISIONS = ("float64", "float32")
 EXAMPLES = (examples.loop, examples.switched, examples.edge, examples.delay)
 
 
-def batch(diagrams: list[Diagram], dt: float, precision: str, target: Target) -> Iterator[Machine]:
+def batch(diagrams: list[Diagram], dt: float, precision: str, target: Target) -> Iterator[CompiledMachine]:
     """Machines of `diagrams`, all compiled from one source."""
     with numbers.precision(precision):
         lowered = [lower(d, dt) for d in diagrams]
         source = emit(lowered, precision)
-    programs = [Emitted(flat, source.text, source.layouts[flat.name], precision) for flat in lowered]
+    programs = [EmittedProgram(flat, source.text, source.layouts[flat.name], precision) for flat in lowered]
     for program, backend in zip(programs, target.compile(programs), strict=True):
-        yield Program(program, backend).machine()
+        yield CompiledProgram(program, backend).machine()
 
 
-def everything(machine: Machine, runs: list[dict[str, Any]], steps: int) -> dict[str, NDArray[Any]]:
+def everything(machine: CompiledMachine, runs: list[dict[str, Any]], steps: int) -> dict[str, NDArray[Any]]:
     """All outputs of the runs, one behind the other, and the states at their end."""
     found = [machine.run(steps, inputs) for inputs in runs]
     columns = {name: np.concatenate([f[name] for f in found]) for name in found[0]}
@@ -89,7 +90,7 @@ def test_flight_core_and_rig_give_the_bits_of_native_code(
 def test_single_steps_and_runs_of_any_length_are_the_same(make: Callable[[], Diagram]) -> None:
     """Longer than the rows that stand in the memory; inputs as columns and as one value."""
     program = build(make(), 0.01, target="wasm")
-    assert isinstance(program, Program)
+    assert isinstance(program, CompiledProgram)
     rows = program.backend.module.places[program.flat.name].rows
     steps = 2 * rows + 3
     inputs = random_inputs(make(), steps, 3, False)

@@ -18,7 +18,7 @@ from tests.compile.differential import same
 from tests.patience import PATIENCE_S
 from tests.toolchains import need
 from twodof.blocks import Diagram
-from twodof.compile import Program, build
+from twodof.compile import CompiledProgram, build
 from twodof.flight.core import PERIOD, core
 
 HOST = Path(__file__).with_name("host.mjs")
@@ -41,7 +41,7 @@ def test_v8_gives_the_bits_of_native_code(
     """Two runs, a parameter changed between them; more steps than the module has rows, where one is long."""
     need("node")
     program, native = build(make(), dt, precision, target="wasm"), build(make(), dt, precision).machine()
-    assert isinstance(program, Program)
+    assert isinstance(program, CompiledProgram)
     about, runs, expected = program.backend.interface(), [], []
     for seed, strange in ((1, False), (2, True)):
         values = {} if seed == 1 else {parameter: 1.25 * native.get(parameter)}

@@ -16,8 +16,9 @@ import pytest
 from tests.blocks.library.samples import ROOMS, random_inputs, room
 from tests.compile import examples
 from twodof.blocks import Diagram
-from twodof.compile import Machine, Program, build, toolchain
-from twodof.compile.program import emit_program
+from twodof.compile import CompiledMachine, CompiledProgram, build
+from twodof.compile.builder import emit_program
+from twodof.compile.toolchain import compilers
 from twodof.compile.wasm import engine, module
 from twodof.compile.wasm.binary import PAGE
 from twodof.compile.wasm.fuel import step_fuel
@@ -29,13 +30,13 @@ from twodof.sim.closed_loop import closed_loop
 ENDLESS = "for (volatile int k = 0;; k++) {}"
 
 
-def tampered(place: str, code: str, **options: Any) -> Machine:
+def tampered(place: str, code: str, **options: Any) -> CompiledMachine:
     """The example loop with `code` before `place` in its C, as a faulty compiler could have put it there."""
     program = emit_program(examples.loop(), 0.01)
     assert program.source.count(place) == 1
     program = dataclasses.replace(program, source=program.source.replace(place, f"{code} {place}"))
     (backend,) = Wasm(**options).compile([program])
-    return Program(program, backend).machine()
+    return CompiledProgram(program, backend).machine()
 
 
 def test_a_module_imports_nothing_and_exports_its_functions_and_a_memory_that_cannot_grow() -> None:
@@ -129,7 +130,7 @@ def test_a_longer_state_needs_more_fuel() -> None:
     small, large = (emit_program(examples.delay(n), 0.01) for n in (10, 200_000))
     assert step_fuel(large) > step_fuel(small) + 1_600_000
     (backend,) = Wasm().compile([large])
-    assert Program(large, backend).machine().run(3, {"u": 1.0})["y"].tolist() == [0.0] * 3
+    assert CompiledProgram(large, backend).machine().run(3, {"u": 1.0})["y"].tolist() == [0.0] * 3
 
 
 def test_more_memory_than_the_sandbox_has_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -159,7 +160,7 @@ def test_the_second_time_no_compiler_runs(tmp_path: Path, monkeypatch: pytest.Mo
     def never(*_: object) -> None:
         raise AssertionError
 
-    monkeypatch.setattr(toolchain, "compile_c", never)
+    monkeypatch.setattr(compilers, "compile_c", never)
     again = compile_module([emit_program(examples.loop(), 0.01)])
     assert again.data == first.data
     assert [file.suffix for file in tmp_path.iterdir()] == [".wasm"]
@@ -186,7 +187,7 @@ def test_without_wasmtime_the_error_says_what_to_install(monkeypatch: pytest.Mon
 
 @pytest.mark.parametrize("name", [None, "zig", "clang", "gcc", "/nowhere/clang"])
 def test_without_a_compiler_the_error_says_what_to_install(name: str | None, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(toolchain.importlib.util, "find_spec", lambda _: None)
+    monkeypatch.setattr(compilers.importlib.util, "find_spec", lambda _: None)
     monkeypatch.setenv("PATH", "/nowhere")
     with pytest.raises(CompileError, match=r"pip install ziglang"):
         find_wasm_compiler(name)

@@ -4,7 +4,7 @@ import struct
 
 import pytest
 
-from twodof.compile.lower import lower
+from twodof.compile.program.lower import lower
 from twodof.fcu.control.flight_code import PATHS
 from twodof.fcu.parameters.failsafe_parameters import PREFIX, safe_name
 from twodof.fcu.parameters.table import own_rows, wire_rows

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import signal
 
-from twodof.blocks.reference import Reference, ReferenceMachine
+from twodof.blocks.reference.interpreter import Reference, ReferenceMachine
 from twodof.flight.control.cascade import ATTITUDE, OFF, OPEN_LOOP, POSITION, RATE, VELOCITY, cascade
 from twodof.flight.gains import DEFAULT, STUDENT
 

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from twodof.blocks import Diagram
-from twodof.blocks.reference import Reference, ReferenceMachine
+from twodof.blocks.reference.interpreter import Reference, ReferenceMachine
 from twodof.flight.control.mixer import Mixer
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from twodof.blocks import Block, Diagram
-from twodof.blocks.reference import Reference
+from twodof.blocks.reference.interpreter import Reference
 from twodof.compile import build
 from twodof.flight.control.cascade import ATTITUDE, OFF, OPEN_LOOP, POSITION, RATE, VELOCITY
 from twodof.flight.control.rotor_pairs import FiniteCommands, MotorFlags, RotorPairs

@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
-from twodof.blocks.reference import Reference
+from twodof.blocks.reference.interpreter import Reference
 from twodof.compile import build
 from twodof.errors import ParameterError
 from twodof.flight.estimator.diagram import estimator

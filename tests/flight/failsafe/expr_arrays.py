@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twodof.blocks import Block
-from twodof.blocks.expr import Expr, const, node
-from twodof.blocks.graph import walk
+from twodof.blocks.expressions.expr import Expr, const, node
+from twodof.blocks.expressions.graph import walk
 from twodof.flight.core import PERIOD
 
 Array = NDArray[Any]

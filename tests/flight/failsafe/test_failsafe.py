@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from tests.flight.failsafe.expr_arrays import tell
 from tests.toolchains import need
-from twodof.blocks.schema import from_json, to_json
+from twodof.blocks.schema.json_form import from_json, to_json
 from twodof.compile import build
 from twodof.compile.cortex_m7.report import measure
-from twodof.compile.lanes import build_lanes
+from twodof.compile.lanes.lanes_program import build_lanes
 from twodof.errors import DiagramError
 from twodof.flight.core import INPUTS, OUTPUTS, PERIOD, core
 from twodof.flight.failsafe.causes import BIT, BRAKE, CAUSES, DESCEND, LEVEL, NONE, OFF, named_causes

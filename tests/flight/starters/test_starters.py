@@ -11,7 +11,7 @@ import pytest
 
 from twodof.blocks import Diagram
 from twodof.blocks.block import REGISTRY, Block
-from twodof.blocks.schema import from_json, to_json
+from twodof.blocks.schema.json_form import from_json, to_json
 from twodof.compile import build
 from twodof.errors import DiagramError, LogError
 from twodof.flight.starters import STARTERS, load_diagram, new_diagram, save_diagram, starter

@@ -10,7 +10,7 @@ import pytest
 
 from tests.faults.virtual_time import run_virtual
 from tests.gcs.peer import Peer
-from twodof.blocks.schema import to_json
+from twodof.blocks.schema.json_form import to_json
 from twodof.errors import ParameterError, Rejected, Timeout
 from twodof.flight.starters import starter
 from twodof.gcs.async_drone import AsyncDrone

@@ -11,7 +11,7 @@ import pytest
 from pymavlink.dialects.v20 import common
 
 from tests.patience import PATIENCE_S
-from twodof.compile import cache
+from twodof.compile.toolchain import cache
 from twodof.errors import LinkError
 from twodof.fcu.command import excitation_player
 from twodof.flight.failsafe.causes import ACTIONS, BIT, CAUSES

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from twodof.blocks.block import Block, Clock, Param, Port, State, library_block
-from twodof.blocks.expr import where
+from twodof.blocks.expressions.expr import where
 from twodof.blocks.library.discrete import METHODS
 from twodof.blocks.library.shape import clamp, limits_of, one_of
 from twodof.errors import DiagramError

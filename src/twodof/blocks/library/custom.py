@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from twodof.blocks.block import NAME, Block, Clock, Param, Port
-from twodof.blocks.numbers import Integer, kind_of
+from twodof.blocks.expressions.numbers import Integer, kind_of
 from twodof.errors import DiagramError
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from twodof.blocks.arrays import build, store
 from twodof.blocks.block import Block, Clock, Param, Port, State, library_block
-from twodof.blocks.expr import int32, to_int32, to_real, where
+from twodof.blocks.expressions.arrays import build, store
+from twodof.blocks.expressions.expr import int32, to_int32, to_real, where
 from twodof.blocks.library.shape import count
 
 MAX_SAMPLES = 100_000

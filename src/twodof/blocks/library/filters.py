@@ -11,8 +11,8 @@ import math
 from typing import Any
 
 from twodof.blocks.block import Block, Clock, Param, Port, State, library_block
-from twodof.blocks.elementary import exp, tan
-from twodof.blocks.expr import minimum
+from twodof.blocks.elementary.functions import exp, tan
+from twodof.blocks.expressions.expr import minimum
 from twodof.blocks.library.shape import one_of
 
 LOW_PASS_METHODS = ("forward", "backward", "trapezoidal", "zoh")

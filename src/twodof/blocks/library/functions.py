@@ -6,28 +6,28 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any
 
-from twodof.blocks import elementary
 from twodof.blocks.block import Block, Clock, Port, library_block
-from twodof.blocks.expr import KINDS, sqrt, to_int32, to_real, to_uint32, where
+from twodof.blocks.elementary import functions
+from twodof.blocks.expressions.expr import KINDS, sqrt, to_int32, to_real, to_uint32, where
 from twodof.blocks.library.shape import elementwise, one_of
 
 Function = Callable[[Any], Any]
 
 TRIGONOMETRIC: Mapping[str, Function] = MappingProxyType(
     {
-        "sin": elementary.sin,
-        "cos": elementary.cos,
-        "tan": elementary.tan,
-        "asin": elementary.asin,
-        "acos": elementary.acos,
-        "atan": elementary.atan,
-        "tanh": elementary.tanh,
+        "sin": functions.sin,
+        "cos": functions.cos,
+        "tan": functions.tan,
+        "asin": functions.asin,
+        "acos": functions.acos,
+        "atan": functions.atan,
+        "tanh": functions.tanh,
     }
 )
 ELEMENTARY: Mapping[str, Function] = MappingProxyType(
     {
-        "exp": elementary.exp,
-        "log": elementary.log,
+        "exp": functions.exp,
+        "log": functions.log,
         "sqrt": sqrt,
         "square": lambda v: v * v,
         "reciprocal": lambda v: 1.0 / v,
@@ -35,10 +35,10 @@ ELEMENTARY: Mapping[str, Function] = MappingProxyType(
 )
 ROUNDING: Mapping[str, Function] = MappingProxyType(
     {
-        "floor": elementary.floor,
-        "ceil": elementary.ceil,
-        "trunc": elementary.trunc,
-        "nearest": lambda v: where(v < 0.0, -elementary.floor(0.5 - v), elementary.floor(v + 0.5)),
+        "floor": functions.floor,
+        "ceil": functions.ceil,
+        "trunc": functions.trunc,
+        "nearest": lambda v: where(v < 0.0, -functions.floor(0.5 - v), functions.floor(v + 0.5)),
     }
 )
 
@@ -98,7 +98,7 @@ class Atan2(Block):
         self.outputs = [Port("y", width=width, unit="rad")]
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return elementwise(self.width, elementary.atan2, u.a, u.b)
+        return elementwise(self.width, functions.atan2, u.a, u.b)
 
 
 @library_block("hypot")
@@ -111,7 +111,7 @@ class Hypot(Block):
         self.outputs = [Port("y", width=width, unit=unit)]
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return elementwise(self.width, elementary.hypot, u.a, u.b)
+        return elementwise(self.width, functions.hypot, u.a, u.b)
 
 
 @library_block("power")
@@ -124,7 +124,7 @@ class Power(Block):
         self.outputs = [Port("y", width=width, unit=unit)]
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return elementwise(self.width, elementary.pow, u.a, u.b)
+        return elementwise(self.width, functions.pow, u.a, u.b)
 
 
 @library_block("remainder")
@@ -138,7 +138,7 @@ class Remainder(Block):
         self.outputs = [Port("y", kind, width, unit)]
 
     def _of(self, a: Any, b: Any) -> Any:
-        return a - b * elementary.floor(a / b) if self.kind == "real" else a % b
+        return a - b * functions.floor(a / b) if self.kind == "real" else a % b
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         return elementwise(self.width, self._of, u.a, u.b)

@@ -9,7 +9,7 @@ from types import MappingProxyType
 from typing import Any
 
 from twodof.blocks.block import Block, Clock, Param, Port, State, library_block
-from twodof.blocks.expr import to_real, to_uint32, where
+from twodof.blocks.expressions.expr import to_real, to_uint32, where
 from twodof.blocks.library.shape import NUMERIC, elementwise, letters, one_of
 
 COMPARISONS: Mapping[str, Callable[[Any, Any], Any]] = MappingProxyType(

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from functools import reduce
 from typing import Any
 
-from twodof.blocks.arrays import build, fold
 from twodof.blocks.block import MAX_WIDTH, Block, Clock, Param, Port, library_block
-from twodof.blocks.expr import maximum, minimum, where
+from twodof.blocks.expressions.arrays import build, fold
+from twodof.blocks.expressions.expr import maximum, minimum, where
 from twodof.blocks.library.shape import NUMERIC, count, dot, elementwise, letters, matrix, one_of, reals
 from twodof.errors import DiagramError
 

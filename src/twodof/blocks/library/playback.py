@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from twodof.blocks.arrays import build
 from twodof.blocks.block import Block, Clock, Param, Port, library_block
-from twodof.blocks.expr import to_real, uint32, where
+from twodof.blocks.expressions.arrays import build
+from twodof.blocks.expressions.expr import to_real, uint32, where
 from twodof.blocks.library.shape import clamp, one_of, reals, search
 from twodof.blocks.library.sources import start_param, ticks
 from twodof.errors import DiagramError

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from twodof.blocks.arrays import build, fold
-from twodof.blocks.expr import int32, maximum, minimum, where
+from twodof.blocks.expressions.arrays import build, fold
+from twodof.blocks.expressions.expr import int32, maximum, minimum, where
 from twodof.errors import DiagramError
 
 NUMERIC = ("real", "int32", "uint32")

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 from twodof.blocks.block import Block, Clock, Param, Port, library_block
-from twodof.blocks.expr import to_real, to_uint32, where
+from twodof.blocks.expressions.expr import to_real, to_uint32, where
 
 
 def ticks(seconds: Any, t: Clock) -> Any:

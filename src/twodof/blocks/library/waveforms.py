@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from types import MappingProxyType
 from typing import Any
 
-from twodof.blocks.arrays import fold
 from twodof.blocks.block import Block, Clock, Param, Port, State, library_block
-from twodof.blocks.elementary import exp, log, sin
-from twodof.blocks.expr import maximum, multiply_high, to_real, to_uint32, uint32, where
+from twodof.blocks.elementary.functions import exp, log, sin
+from twodof.blocks.expressions.arrays import fold
+from twodof.blocks.expressions.expr import maximum, multiply_high, to_real, to_uint32, uint32, where
 from twodof.blocks.library.shape import count, one_of, reals
 from twodof.blocks.library.sources import start_param, ticks
 from twodof.errors import DiagramError

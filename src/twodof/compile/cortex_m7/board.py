@@ -13,7 +13,7 @@ import weakref
 from contextlib import suppress
 from pathlib import Path
 
-from twodof.compile.cortex_m7.fault import Fault
+from twodof.compile.cortex_m7.fault import ProcessorFault
 from twodof.errors import CompileError, ControllerFault
 
 EMULATOR = "qemu-system-arm"
@@ -131,7 +131,7 @@ class Board:
             elif kind == END:
                 last = struct.unpack("<2I", content)
             elif kind == FAULT:
-                fault = Fault.from_bytes(content)
+                fault = ProcessorFault.from_bytes(content)
                 raise ControllerFault(f"{fault.cause}; {fault.registers()}", name, "see what stands at pc in the image")
             else:
                 raise CompileError("its structs are of other sizes in the image", name, "report this as a fault")

@@ -21,7 +21,7 @@ _ARM = 40
 
 
 @dataclass
-class Section:
+class ElfSection:
     """`refers` has the indices of the symbols that its relocations name, `calls` those of them that it calls."""
 
     name: str
@@ -49,7 +49,7 @@ class Section:
 
 
 @dataclass(frozen=True)
-class Symbol:
+class ElfSymbol:
     """`section` is the index of the section that has it, 0 if another file has it, or 0xff00 and more."""
 
     name: str
@@ -63,8 +63,8 @@ class Symbol:
 class Elf:
     """The sections and symbols of a file, by index."""
 
-    sections: list[Section]
-    symbols: list[Symbol]
+    sections: list[ElfSection]
+    symbols: list[ElfSymbol]
 
     def globals(self) -> dict[str, int]:
         """The sections of the symbols that other files can name."""
@@ -89,13 +89,13 @@ def _read(data: bytes) -> Elf:
         return b"" if row[1] == NOBITS else data[row[4] : row[4] + row[5]]
 
     titles = content(rows[names])
-    sections = [Section(_text(titles, r[0]), r[1], r[2], content(r), r[5], r[6]) for r in rows]
-    symbols: list[Symbol] = []
+    sections = [ElfSection(_text(titles, r[0]), r[1], r[2], content(r), r[5], r[6]) for r in rows]
+    symbols: list[ElfSymbol] = []
     for section in sections:
         if section.kind == SYMTAB:
             strings = sections[section.link].data
             for name, value, _, info, _, index in _SYMBOL.iter_unpack(section.data):
-                symbols.append(Symbol(_text(strings, name), value, info & 15, info >> 4 == 0, index))
+                symbols.append(ElfSymbol(_text(strings, name), value, info & 15, info >> 4 == 0, index))
     for row, section in zip(rows, sections, strict=True):
         if section.kind == REL:
             named = [(info >> 8, info & 255) for _, info in _RELOCATION.iter_unpack(section.data)]

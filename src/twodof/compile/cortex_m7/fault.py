@@ -26,7 +26,7 @@ _MMFAR_VALID, _BFAR_VALID = 7, 15
 
 
 @dataclass(frozen=True)
-class Fault:
+class ProcessorFault:
     """Registers of the instruction that faulted (0 where the stack was lost), and what the processor says of it."""
 
     r0: int
@@ -45,7 +45,7 @@ class Fault:
     bfar: int
 
     @classmethod
-    def from_bytes(cls, data: bytes) -> Fault:
+    def from_bytes(cls, data: bytes) -> ProcessorFault:
         """From the words that `report_fault` of boot.c sends. Raises struct.error for another number of them."""
         return cls(*struct.unpack(f"<{WORDS}I", data))
 

@@ -10,11 +10,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from twodof.compile import cache, freestanding, toolchain
-from twodof.compile.toolchain import Compiler
+from twodof.compile.c import freestanding
+from twodof.compile.toolchain import cache, compilers
+from twodof.compile.toolchain.compilers import Compiler
 from twodof.errors import CompileError
 
-HERE = Path(__file__).parent
+FIRMWARE = Path(__file__).parent / "firmware"
 OWN = ("boot.c", "server.c", "aeabi.c")
 HEADERS = ("program.h", "semihosting.h", "server.h")
 SCRIPT = "image.ld"
@@ -22,7 +23,7 @@ CALLED = ("program", "aeabi", "memory")  # what a step may call
 MODULES = (*CALLED, "boot", "server", "dispatch")
 MEMORY = f"#include <stddef.h>\n#include <stdint.h>\n{freestanding.MEMORY}"
 
-FLAGS = (*toolchain.FLAGS, "-ffreestanding", "-fomit-frame-pointer", "-g0", "-ffunction-sections", "-fdata-sections")
+FLAGS = (*compilers.FLAGS, "-ffreestanding", "-fomit-frame-pointer", "-g0", "-ffunction-sections", "-fdata-sections")
 # FPv5 with 16 double registers, the larger of the processor's two floating-point units; values in its registers.
 GCC = ("-mcpu=cortex-m7", "-mthumb", "-mfpu=fpv5-d16", "-mfloat-abi=hard", "-fstack-usage")
 ZIG = (
@@ -44,7 +45,7 @@ def find_cross_compiler(name: str | None = None) -> Compiler:
             if path:
                 return Compiler("arm-none-eabi-gcc", (path,), GCC)
         elif candidate == "zig":
-            path = toolchain.find_zig()
+            path = compilers.find_zig()
             if path:
                 return Compiler("zig", (path, "cc"), ZIG)
         else:
@@ -92,7 +93,7 @@ def build_image(
         f'#include "program.h"\n\n{table}\nconst Program programs[] = {{\n{rows}}};\n'
         f"const uint32_t program_count = {len(names)};\n"
     )
-    own = {name: (HERE / name).read_text(encoding="utf-8") for name in (*OWN, *HEADERS, SCRIPT)}
+    own = {name: (FIRMWARE / name).read_text(encoding="utf-8") for name in (*OWN, *HEADERS, SCRIPT)}
     files = {**own, **freestanding.FILES, "memory.c": MEMORY, "program.c": source, "dispatch.c": dispatch}
     options = (*FLAGS, *compiler.flags)
     key = (
@@ -128,7 +129,7 @@ def build_image(
 
 def _command(compiler: Compiler, arguments: Sequence[str], folder: Path) -> None:
     """Run the compiler in `folder`, within bounds of time."""
-    done = toolchain.run_compiler(compiler, arguments, folder)
+    done = compilers.run_compiler(compiler, arguments, folder)
     if done.returncode:
         said = done.stderr.decode("utf-8", "replace").strip()[-2000:]
         if re.search(r"overflowed by|will not fit in region", said):

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twodof.compile.builder import CompiledProgram
 from twodof.compile.cortex_m7.processor import Processor
 from twodof.compile.cortex_m7.target import CortexM7Backend, CortexM7Instance
-from twodof.compile.cortex_m7.usage import Sizes, Usage, image_sizes
-from twodof.compile.program import Program
+from twodof.compile.cortex_m7.usage import SectionSizes, Usage, image_sizes
 from twodof.errors import CompileError
 
 STEPS = 1000
@@ -20,7 +20,7 @@ FUNCTIONS = ("defaults", "prepare", "init", "step")
 
 
 @dataclass(frozen=True)
-class Report:
+class CortexM7Report:
     """A program's bytes, stack and instructions.
 
     `code` is what its four functions (defaults, prepare, init, step) need with all they call, `step` what the step
@@ -33,9 +33,9 @@ class Report:
     precision: str
     compiler: str
     optimise: str
-    code: Sizes
-    step: Sizes
-    image: Sizes
+    code: SectionSizes
+    step: SectionSizes
+    image: SectionSizes
     structs: Mapping[str, int]
     stack: int | None
     stack_seen: int
@@ -72,11 +72,11 @@ class Report:
 
 
 def measure(
-    program: Program,
+    program: CompiledProgram,
     steps: int = STEPS,
     inputs: Mapping[str, Any] | None = None,
     parameters: Mapping[str, Any] | None = None,
-) -> Report:
+) -> CortexM7Report:
     """What `program`, built for the Cortex-M7, costs; its steps are run with these inputs (as `Machine.run` takes
     them) and parameters, which decide which instructions are reached.
 
@@ -91,14 +91,14 @@ def measure(
     image = backend.processor.image
     with Processor(image, counting=True) as processor:
         counting = _CountingBackend(program.emitted, processor, backend.index)
-        machine = Program(program.emitted, counting).machine()
+        machine = CompiledProgram(program.emitted, counting).machine()
         machine.set_many(parameters or {})
         machine.reset()
         machine.run(steps, inputs)
     (instance,) = counting.instances
     usage = Usage(image)
     prefix = program.flat.name
-    return Report(
+    return CortexM7Report(
         name=prefix,
         precision=program.precision,
         compiler=image.compiler,

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twodof.compile.c.freestanding import layout_checks
 from twodof.compile.cortex_m7.image import OPTIMISE, build_image, find_cross_compiler
 from twodof.compile.cortex_m7.processor import DEFAULTS, INIT, PREPARE, Processor
-from twodof.compile.freestanding import layout_checks
-from twodof.compile.target import Emitted
+from twodof.compile.target import EmittedProgram
 from twodof.errors import ControllerFault
 
 
@@ -30,7 +30,7 @@ class CortexM7:
     flags: tuple[str, ...] = field(default=())
     name = "cortex-m7"
 
-    def compile(self, programs: Sequence[Emitted]) -> list[CortexM7Backend]:
+    def compile(self, programs: Sequence[EmittedProgram]) -> list[CortexM7Backend]:
         """The programs of one source in one image.
 
         Raises CompileError without a cross compiler or QEMU, with the package that gives it; if the compiler refuses;
@@ -47,7 +47,7 @@ class CortexM7:
 class CortexM7Backend:
     """A program in an image: number `index` of those that `processor` can run."""
 
-    def __init__(self, program: Emitted, processor: Processor, index: int) -> None:
+    def __init__(self, program: EmittedProgram, processor: Processor, index: int) -> None:
         self.program = program
         self.processor = processor
         self.index = index

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-from twodof.compile.cortex_m7.elf import FUNCTION, Elf, Section, read_elf
+from twodof.compile.cortex_m7.elf import FUNCTION, Elf, ElfSection, read_elf
 from twodof.compile.cortex_m7.image import Image
 from twodof.errors import CompileError
 
@@ -15,7 +15,7 @@ Place = tuple[int, int]  # object file, section: each function and each constant
 
 
 @dataclass(frozen=True)
-class Sizes:
+class SectionSizes:
     """Bytes of machine code, constants, initialised variables and zeroed variables."""
 
     text: int = 0
@@ -34,7 +34,7 @@ class Sizes:
         return self.data + self.bss
 
 
-def image_sizes(image: Image) -> Sizes:
+def image_sizes(image: Image) -> SectionSizes:
     """The whole image: programs, server, start-up; without the stacks."""
     return _summed(s for s in read_elf(image.elf).sections if s.loaded and s.name != ".stacks")
 
@@ -50,7 +50,7 @@ class Usage:
             for name, section in file.globals().items():
                 self._defined.setdefault(name, (i, section))
 
-    def sizes(self, functions: Sequence[str]) -> Sizes:
+    def sizes(self, functions: Sequence[str]) -> SectionSizes:
         """The functions with all they call and the constants they read."""
         found: set[Place] = set()
         stack = [self._place(name) for name in functions]
@@ -165,8 +165,8 @@ def _stack_sizes(data: bytes) -> list[int]:
     return sizes
 
 
-def _summed(sections: Iterable[Section]) -> Sizes:
+def _summed(sections: Iterable[ElfSection]) -> SectionSizes:
     bytes_of = {"text": 0, "rodata": 0, "data": 0, "bss": 0}
     for section in sections:
         bytes_of[section.use] += section.size
-    return Sizes(**bytes_of)
+    return SectionSizes(**bytes_of)

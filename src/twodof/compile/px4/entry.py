@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from twodof.compile.px4.names import ModuleNames
-from twodof.compile.px4.topics import Role
+from twodof.compile.px4.topics import ModuleRole
 
 
-def entry_text(names: ModuleNames, role: Role) -> str:
+def entry_text(names: ModuleNames, role: ModuleRole) -> str:
     """The functions behind the command, and its entry."""
     signs = sorted(role.signs.items())
     rivals = "\n".join(f'        {{ORB_ID({topic}), "{who} publishes {topic}"}},' for topic, who in signs)

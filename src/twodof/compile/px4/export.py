@@ -8,28 +8,28 @@ from pathlib import Path
 from types import MappingProxyType
 
 from twodof.blocks.diagram import Diagram
-from twodof.blocks.schema import to_json
+from twodof.blocks.schema.json_form import to_json
 from twodof.compile.px4.airframe import airframe, airframe_file, airframe_id, board_settings, logger_topics, takeover
 from twodof.compile.px4.build_files import message_list, module_list, source_list
 from twodof.compile.px4.controller import controller, header, source
-from twodof.compile.px4.message import Fields, fields, message
+from twodof.compile.px4.message import MessageFields, fields, message
 from twodof.compile.px4.names import ModuleNames, module_names
-from twodof.compile.px4.parameters import UNITS, Exported, Kept, exported, module_yaml
+from twodof.compile.px4.parameters import UNITS, ExportedParameter, KeptParameter, exported, module_yaml
 from twodof.compile.px4.readme import readme
-from twodof.compile.px4.topics import Role, role
+from twodof.compile.px4.topics import ModuleRole, role
 from twodof.compile.px4.tree import MANIFEST, manifest, write_tree
 from twodof.compile.px4.work_item import work_item, work_item_header
 
 
 @dataclass(frozen=True)
-class Module:
+class Px4Module:
     """A diagram as a module for PX4. `files` is the whole tree: relative path -> text."""
 
     names: ModuleNames
-    role: Role
-    fields: Fields
-    parameters: tuple[Exported, ...]
-    kept: tuple[Kept, ...]
+    role: ModuleRole
+    fields: MessageFields
+    parameters: tuple[ExportedParameter, ...]
+    kept: tuple[KeptParameter, ...]
     files: Mapping[str, str]
 
     def write(self, folder: str | Path, force: bool = False) -> None:
@@ -39,14 +39,14 @@ class Module:
 
 def export(
     diagram: Diagram, folder: str | Path, log: Iterable[str] = (), prefix: str = "", force: bool = False
-) -> Module:
-    """Writes the module of `diagram` as `folder`; `make_module` and `Module.write` say how, and what is raised."""
+) -> Px4Module:
+    """Writes the module of `diagram` as `folder`; `make_module` and `Px4Module.write` say how, and what is raised."""
     module = make_module(diagram, log, prefix)
     module.write(folder, force)
     return module
 
 
-def make_module(diagram: Diagram, log: Iterable[str] = (), prefix: str = "") -> Module:
+def make_module(diagram: Diagram, log: Iterable[str] = (), prefix: str = "") -> Px4Module:
     """The module of `diagram`, which logs also the signals at the paths `log`. The same arguments give the same text.
 
     `prefix` begins the parameters' names, 1 to 5 capitals or digits; without it the diagram's name decides. Raises
@@ -90,4 +90,4 @@ def make_module(diagram: Diagram, log: Iterable[str] = (), prefix: str = "") -> 
         "log": list(log),
     }
     files[MANIFEST] = manifest(files, facts)
-    return Module(names, part, found, tuple(rows), tuple(kept), MappingProxyType(files))
+    return Px4Module(names, part, found, tuple(rows), tuple(kept), MappingProxyType(files))

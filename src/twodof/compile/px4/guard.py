@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from twodof.compile.px4.names import ModuleNames
-from twodof.compile.px4.topics import Role
+from twodof.compile.px4.topics import ModuleRole
 
 
-def guard_text(names: ModuleNames, role: Role) -> str:
+def guard_text(names: ModuleNames, role: ModuleRole) -> str:
     """The functions that take parameters, judge the commands that were given, and tell the pilot."""
     torque = f"\n    _torque_scale = values[{names.module}_TORQUE].real;" if role.commands == "torque" else ""
     text = _TEXT.replace("TORQUE_SCALE", torque)

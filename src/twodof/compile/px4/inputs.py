@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from twodof.compile.px4.names import ModuleNames, field_names
-from twodof.compile.px4.topics import Role
+from twodof.compile.px4.topics import ModuleRole
 
 # The topics that are read into a member of the class, and that member.
 MEMBERS: Mapping[str, str] = MappingProxyType(
@@ -66,7 +66,7 @@ _VALUES: Mapping[str, str] = MappingProxyType(
 )
 
 
-def members_text(role: Role) -> str:
+def members_text(role: ModuleRole) -> str:
     """The members that hold the topics' latest values, and the subscriptions."""
     read = [topic for topic in role.reads if topic in MEMBERS]
     lines = ["    hrt_abstime _now{0};"]
@@ -78,7 +78,7 @@ def members_text(role: Role) -> str:
     return "\n".join(lines)
 
 
-def inputs_text(names: ModuleNames, role: Role) -> str:
+def inputs_text(names: ModuleNames, role: ModuleRole) -> str:
     """The functions that read the topics, judge the measurements and fill the inputs."""
     c = names.class_name
     read = [topic for topic in role.reads if topic in MEMBERS]
@@ -140,7 +140,7 @@ _SETPOINT = """float CLASS::setpoint(float value, hrt_abstime stamp, float neutr
 """
 
 
-def _thrust(role: Role) -> str:
+def _thrust(role: ModuleRole) -> str:
     if not role.thrust_setpoint:
         return ""
     return """    _thrust_setpoint = _mode.flag_control_attitude_enabled
@@ -149,7 +149,7 @@ def _thrust(role: Role) -> str:
 """
 
 
-def _locals(role: Role) -> str:
+def _locals(role: ModuleRole) -> str:
     """What several inputs share."""
     values = " ".join(_VALUES[name] for name in role.inputs)
     if "FLAG_RESET_INT" in role.inputs:
@@ -168,7 +168,7 @@ def _locals(role: Role) -> str:
     return text
 
 
-def _no_thrust(role: Role) -> str:
+def _no_thrust(role: ModuleRole) -> str:
     if not role.thrust_setpoint:
         return "!along_rail"
     # Where the diagram gives the thrust along the rail, the set-point's topic is silent there.
@@ -176,7 +176,7 @@ def _no_thrust(role: Role) -> str:
     return "(!along_rail && !(_thrust_setpoint > 0.f))" if own else "!(_thrust_setpoint > 0.f)"
 
 
-def _assignments(role: Role) -> str:
+def _assignments(role: ModuleRole) -> str:
     text = ""
     members = dict(zip(role.inputs, field_names("in", role.inputs), strict=True))
     for name, member in members.items():

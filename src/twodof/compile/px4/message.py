@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from twodof.compile.flat import Program, Signal
+from twodof.compile.program.flat_program import FlatProgram, FlatSignal
 from twodof.compile.px4.names import ModuleNames, field_names, harmless
 from twodof.errors import DiagramError
 
@@ -39,7 +39,7 @@ HEAD = (
 
 
 @dataclass(frozen=True)
-class Field:
+class MessageField:
     """A signal in the message and in the C interface."""
 
     name: str
@@ -60,11 +60,11 @@ class Field:
 
 
 @dataclass(frozen=True)
-class Fields:
+class MessageFields:
     """The inputs and the outputs (with the logged signals) of a module, in the program's order."""
 
-    inputs: tuple[Field, ...]
-    outputs: tuple[Field, ...]
+    inputs: tuple[MessageField, ...]
+    outputs: tuple[MessageField, ...]
 
     @property
     def description(self) -> int:
@@ -74,14 +74,14 @@ class Fields:
         return sum(map(len, rows))
 
 
-def fields(program: Program, outputs: int) -> Fields:
+def fields(program: FlatProgram, outputs: int) -> MessageFields:
     """The fields of a program whose first `outputs` outputs are the diagram's, the others logged signals.
 
     Raises DiagramError for more than a uORB message and a log's description of it can hold.
     """
     ins = _named("in", list(program.inputs.items()))
     rows = list(program.outputs.items())
-    found = Fields(ins, _named("out", rows[:outputs]) + _named("log", rows[outputs:]))
+    found = MessageFields(ins, _named("out", rows[:outputs]) + _named("log", rows[outputs:]))
     every = [*found.inputs, *found.outputs]
     size = sum(_SIZES[f.kind] * f.words for f in every)
     text = found.description
@@ -94,12 +94,12 @@ def fields(program: Program, outputs: int) -> Fields:
     return found
 
 
-def _named(prefix: str, signals: list[tuple[str, Signal]]) -> tuple[Field, ...]:
+def _named(prefix: str, signals: list[tuple[str, FlatSignal]]) -> tuple[MessageField, ...]:
     names = field_names(prefix, [path for path, _ in signals])
-    return tuple(Field(n, p, s.kind, s.width, s.unit) for n, (p, s) in zip(names, signals, strict=True))
+    return tuple(MessageField(n, p, s.kind, s.width, s.unit) for n, (p, s) in zip(names, signals, strict=True))
 
 
-def message(names: ModuleNames, found: Fields) -> str:
+def message(names: ModuleNames, found: MessageFields) -> str:
     """The text of the .msg file."""
     lines = [f"# What the module {names.module} reads, computes and commands at each step.", ""]
     lines += [_line(kind, name, text) for kind, name, text in HEAD]

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from twodof.compile.px4.message import Fields
+from twodof.compile.px4.message import MessageFields
 from twodof.compile.px4.names import ModuleNames
-from twodof.compile.px4.topics import MOTORS, Role
+from twodof.compile.px4.topics import MOTORS, ModuleRole
 
 ACTUATORS = 12  # elements of actuator_motors.control
 
@@ -66,13 +66,13 @@ private:
 """
 
 
-def publications_text(names: ModuleNames, role: Role) -> str:
+def publications_text(names: ModuleNames, role: ModuleRole) -> str:
     """The publications among the class's members."""
     output = f"{names.class_name}Output"
     return "\n".join(f"    {output}<{topic}_s> _{topic}_pub{{ORB_ID({topic})}};" for topic in role.writes)
 
 
-def commands_text(names: ModuleNames, role: Role, found: Fields) -> str:
+def commands_text(names: ModuleNames, role: ModuleRole, found: MessageFields) -> str:
     """The functions that judge the commands and publish them."""
     c = names.class_name
     ignored = "" if "mode." in _WANTED[role.commands] else "    (void)mode;\n"
@@ -101,11 +101,11 @@ void {c}::command(hrt_abstime sample)
 """
 
 
-def _used(role: Role, output: str) -> bool:
+def _used(role: ModuleRole, output: str) -> bool:
     return {"torque": output in ("M", "thrust"), "attitude": output != "M", "motors": output in MOTORS}[role.commands]
 
 
-def _torque(role: Role, members: dict[str, str]) -> str:
+def _torque(role: ModuleRole, members: dict[str, str]) -> str:
     thrust = "_thrust_setpoint"
     if "thrust" in members and "thrust_0" in role.inputs:
         thrust = members["thrust"]
@@ -136,7 +136,7 @@ def _torque(role: Role, members: dict[str, str]) -> str:
 """
 
 
-def _attitude(role: Role, members: dict[str, str]) -> str:
+def _attitude(role: ModuleRole, members: dict[str, str]) -> str:
     return f"""    const bool along_rail = _mode.flag_control_velocity_enabled || _mode.flag_control_position_enabled;
     (void)sample;
 
@@ -161,7 +161,7 @@ def _attitude(role: Role, members: dict[str, str]) -> str:
 """
 
 
-def _motors(role: Role, members: dict[str, str]) -> str:
+def _motors(role: ModuleRole, members: dict[str, str]) -> str:
     lines = "\n".join(
         f"    motors.control[{i}] = _active ? limited({members[name]}, 0.f, 1.f) : NAN;"
         for i, name in enumerate(MOTORS)

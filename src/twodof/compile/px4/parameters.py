@@ -9,7 +9,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from twodof.compile.flat import Program
+from twodof.compile.program.flat_program import FlatProgram
 from twodof.compile.px4.names import ModuleNames, harmless, parameter_names
 from twodof.errors import DiagramError
 
@@ -27,7 +27,7 @@ UNITS: Mapping[str, str] = MappingProxyType(
 
 
 @dataclass(frozen=True)
-class Exported:
+class ExportedParameter:
     """A parameter in PX4.
 
     `kind` is "real", "int32", "uint32" or "bool" as in the diagram, `index` an element of an array. `low` and `high`
@@ -69,21 +69,23 @@ class Exported:
 
 
 @dataclass(frozen=True)
-class Kept:
+class KeptParameter:
     """A parameter that stays at its default, and why."""
 
     path: str
     reason: str
 
 
-def exported(program: Program, names: ModuleNames, torque: bool) -> tuple[list[Exported], list[Kept]]:
+def exported(
+    program: FlatProgram, names: ModuleNames, torque: bool
+) -> tuple[list[ExportedParameter], list[KeptParameter]]:
     """The rows of the diagram's parameters, those of the module itself behind them, and what is not shown.
 
     A parameter that is not tunable is read when the module starts; `diagram_rows` says what stays as it is. `torque`
     adds the scale of the torque set-point. Raises DiagramError for more than MOST parameters.
     """
     own = [
-        Exported(
+        ExportedParameter(
             f"{names.prefix}_{LIVE}",
             "bool",
             1.0,
@@ -95,7 +97,7 @@ def exported(program: Program, names: ModuleNames, torque: bool) -> tuple[list[E
     ]
     if torque:
         own.append(
-            Exported(
+            ExportedParameter(
                 f"{names.prefix}_{TORQUE}",
                 "real",
                 float32(math.sqrt(2.0)),
@@ -113,8 +115,8 @@ def exported(program: Program, names: ModuleNames, torque: bool) -> tuple[list[E
 
 
 def diagram_rows(
-    program: Program, prefix: str, elsewhere: Iterable[str] = (), part: str = ""
-) -> tuple[list[Exported], list[Kept]]:
+    program: FlatProgram, prefix: str, elsewhere: Iterable[str] = (), part: str = ""
+) -> tuple[list[ExportedParameter], list[KeptParameter]]:
     """The rows of the diagram's parameters alone, at most MOST of them, and what is not shown.
 
     An array of more than WIDEST elements, and a default that PX4 cannot hold (not finite, an integer above 2^31 - 1),
@@ -123,37 +125,37 @@ def diagram_rows(
     """
     wanted, kept = _wanted(program)
     beyond = dict.fromkeys(path for path, _ in wanted[MOST:])
-    kept += [Kept(path, f"beyond the first {MOST} numbers") for path in beyond]
+    kept += [KeptParameter(path, f"beyond the first {MOST} numbers") for path in beyond]
     # An array is shown whole or not at all.
     shown = [(path, index) for path, index in wanted[:MOST] if path not in beyond]
     return _rows(program, prefix, shown, elsewhere, part), kept
 
 
-def _wanted(program: Program) -> tuple[list[tuple[str, int | None]], list[Kept]]:
+def _wanted(program: FlatProgram) -> tuple[list[tuple[str, int | None]], list[KeptParameter]]:
     """Path and index of the numbers that PX4 can hold, and the parameters that stay at their defaults."""
     wanted: list[tuple[str, int | None]] = []
-    kept: list[Kept] = []
+    kept: list[KeptParameter] = []
     for path, parameter in program.parameters.items():
         d = parameter.declared
         values = [float(v) for v in np.ravel(np.asarray(d.value))]
         if d.width is not None and d.width > WIDEST:
-            kept.append(Kept(path, f"an array of {d.width} elements; up to {WIDEST} are shown"))
+            kept.append(KeptParameter(path, f"an array of {d.width} elements; up to {WIDEST} are shown"))
         elif d.kind == "real" and not all(math.isfinite(float32(v)) for v in values):
-            kept.append(Kept(path, "its default is not finite in float32"))
+            kept.append(KeptParameter(path, "its default is not finite in float32"))
         elif d.kind == "uint32" and max(values) > LARGEST_INT:
-            kept.append(Kept(path, "its default is above 2147483647, the largest integer of PX4"))
+            kept.append(KeptParameter(path, "its default is above 2147483647, the largest integer of PX4"))
         else:
             wanted += [(path, None)] if d.width is None else [(path, i) for i in range(d.width)]
     return wanted, kept
 
 
 def _rows(
-    program: Program,
+    program: FlatProgram,
     prefix: str,
     wanted: Sequence[tuple[str, int | None]],
     elsewhere: Iterable[str] = (),
     part: str = "",
-) -> list[Exported]:
+) -> list[ExportedParameter]:
     # Both are kept free even where a module has no torque, so that a name does not depend on what it is part of.
     module = [f"{prefix}_{LIVE}", f"{prefix}_{TORQUE}"]
     made = parameter_names(prefix, wanted, module, elsewhere, part)
@@ -166,7 +168,7 @@ def float32(value: float) -> float:
         return float(np.float32(value))
 
 
-def _row(program: Program, name: str, path: str, index: int | None) -> Exported:
+def _row(program: FlatProgram, name: str, path: str, index: int | None) -> ExportedParameter:
     d = program.parameters[path].declared
     value = np.ravel(np.asarray(d.value))
     default = float(value[0 if index is None or len(value) == 1 else index])
@@ -180,14 +182,14 @@ def _row(program: Program, name: str, path: str, index: int | None) -> Exported:
         low, high = max(_whole(d.low, math.ceil), floor), min(_whole(d.high, math.floor), LARGEST_INT)
     if not low <= default <= high:
         raise DiagramError(f"its default {default:g} is outside [{low:g}, {high:g}]", path, "change one of them")
-    return Exported(name, d.kind, default, low, high, d.unit, d.text, not d.tunable, path, index)
+    return ExportedParameter(name, d.kind, default, low, high, d.unit, d.text, not d.tunable, path, index)
 
 
 def _whole(bound: float, rounded: Callable[[float], int]) -> float:
     return float(rounded(bound)) if math.isfinite(bound) else bound
 
 
-def module_yaml(names: ModuleNames, rows: Sequence[Exported]) -> str:
+def module_yaml(names: ModuleNames, rows: Sequence[ExportedParameter]) -> str:
     """The text of module.yaml: one group with `rows`."""
     lines = [
         f"module_name: {names.module}",
@@ -214,13 +216,13 @@ def module_yaml(names: ModuleNames, rows: Sequence[Exported]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _short(row: Exported) -> str:
+def _short(row: ExportedParameter) -> str:
     unit = harmless(f" [{row.unit}]", 20) if row.unit and row.unit not in UNITS else ""
     text = ": ".join(filter(None, (row.place, row.text)))
     return _quoted(harmless(text, 70 - len(unit) - 1) + f" {unit}".rstrip(), 70)
 
 
-def _long(row: Exported) -> str:
+def _long(row: ExportedParameter) -> str:
     text = ": ".join(filter(None, (row.place, row.text)))
     when = "Read when the module starts." if row.fixed else "A change acts at the next step."
     bounds = row.bounds[0].upper() + row.bounds[1:]

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from twodof.compile.flat import Program
+from twodof.compile.program.flat_program import FlatProgram
 from twodof.errors import DiagramError
 
 
@@ -125,7 +125,7 @@ OUTPUTS: Mapping[str, str] = MappingProxyType(
 
 
 @dataclass(frozen=True)
-class Role:
+class ModuleRole:
     """Where in PX4's cascade a diagram stands.
 
     `commands` "torque" (M, perhaps thrust), "attitude" (theta_0, thrust) or "motors"; `stops` are PX4's own modules
@@ -179,7 +179,7 @@ class Role:
         }[self.commands]
 
 
-def role(program: Program) -> Role:
+def role(program: FlatProgram) -> ModuleRole:
     """The role of a program by the names of its ports.
 
     Raises DiagramError, with the names there are, for an input that PX4 has nothing for, a port of another type, width
@@ -212,19 +212,19 @@ def role(program: Program) -> Role:
             f"it commands {', '.join(found)}", program.name, "command all of motor_1 to motor_4 and no M, or only M"
         )
     if moved:
-        return Role("motors", inputs, found, ("control_allocator",))
+        return ModuleRole("motors", inputs, found, ("control_allocator",))
     if "M" in found and "M_0" in inputs:
         raise DiagramError("it reads M_0 and gives M", program.name, "M_0 is for a diagram that commands the motors")
     if "M" in found:
         above = ("mc_pos_control",) if "thrust" in found else ()
-        return Role("torque", inputs, found, ("mc_rate_control", *above))
+        return ModuleRole("torque", inputs, found, ("mc_rate_control", *above))
     if "theta_0" in found and "thrust" in found:
         circular = [name for name in ("theta_0", "thrust_0") if name in inputs]
         if circular:
             raise DiagramError(
                 f"it reads {' and '.join(circular)}, which it commands itself", program.name, "remove that input"
             )
-        return Role("attitude", inputs, found, ("mc_pos_control",))
+        return ModuleRole("attitude", inputs, found, ("mc_pos_control",))
     raise DiagramError(
         f"its outputs ({', '.join(program.outputs) or 'none'}) command nothing in PX4",
         program.name,

@@ -9,13 +9,13 @@ from twodof.compile.px4.controller import PERIOD_US
 from twodof.compile.px4.entry import entry_text
 from twodof.compile.px4.guard import guard_text
 from twodof.compile.px4.inputs import inputs_text, members_text
-from twodof.compile.px4.message import FAULTS, Fields
+from twodof.compile.px4.message import FAULTS, MessageFields
 from twodof.compile.px4.names import ModuleNames
 from twodof.compile.px4.outputs import commands_text, output_class, publications_text
-from twodof.compile.px4.topics import Role
+from twodof.compile.px4.topics import ModuleRole
 
 
-def work_item_header(names: ModuleNames, role: Role) -> str:
+def work_item_header(names: ModuleNames, role: ModuleRole) -> str:
     """The class's declaration."""
     n, c = names.module, names.class_name
     topics = "\n".join(
@@ -138,7 +138,7 @@ private:
 """
 
 
-def work_item(names: ModuleNames, role: Role, found: Fields) -> str:
+def work_item(names: ModuleNames, role: ModuleRole, found: MessageFields) -> str:
     """The class's definition and the command's entry."""
     n, c = names.module, names.class_name
     faults = "\n".join(f"static constexpr uint8_t {name} = {n}_s::FAULT_{name};" for _, name, _ in FAULTS)
@@ -370,7 +370,7 @@ _AGAIN = """
     orb_advertise(ORB_ID(vehicle_attitude_setpoint), nullptr);"""
 
 
-def _filled(found: Fields) -> str:
+def _filled(found: MessageFields) -> str:
     lines = []
     for struct, members in (("_in", found.inputs), ("_out", found.outputs)):
         for f in members:

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.compile.target import Emitted
+from twodof.compile.target import EmittedProgram
 from twodof.compile.wasm.binary import PAGE
 from twodof.compile.wasm.fuel import step_fuel
-from twodof.compile.wasm.module import Module
+from twodof.compile.wasm.module import WasmModule
 from twodof.errors import CompileError, ControllerFault
 
 CHUNK_FUEL = 10**10  # seconds: after this much at most Python looks whether the user wants to stop
@@ -44,7 +44,7 @@ def _engine() -> Any:
     return wasmtime().Engine(config)
 
 
-def backends(module: Module, fuel: int | None = None) -> list[WasmBackend]:
+def backends(module: WasmModule, fuel: int | None = None) -> list[WasmBackend]:
     """The programs of `module`, in its order; `fuel` as in `Wasm`.
 
     Raises CompileError if wasmtime is not there or refuses the module.
@@ -64,14 +64,14 @@ def backends(module: Module, fuel: int | None = None) -> list[WasmBackend]:
 class WasmBackend:
     """A program in a compiled module. `module.data` is the .wasm; `fuel` what one call may use (a run: each step)."""
 
-    def __init__(self, program: Emitted, module: Module, compiled: Any, fuel: int) -> None:
+    def __init__(self, program: EmittedProgram, module: WasmModule, compiled: Any, fuel: int) -> None:
         self.program = program
         self.module = module
         self.compiled = compiled
         self.fuel = fuel
 
     def interface(self) -> dict[str, Any]:
-        """What another host of the module must know; see `Module.interface`."""
+        """What another host of the module must know; see `WasmModule.interface`."""
         return self.module.interface(self.program.name)
 
     def instance(self) -> WasmInstance:

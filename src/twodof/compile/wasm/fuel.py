@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from twodof.blocks.block import Param, Port, State
-from twodof.blocks.effort import Meter
-from twodof.blocks.expr import Expr
-from twodof.compile.flat import Node, Program
-from twodof.compile.target import Emitted
+from twodof.blocks.expressions.cost import CostMeter
+from twodof.blocks.expressions.expr import Expr
+from twodof.compile.program.flat_program import FlatProgram, Node
+from twodof.compile.target import EmittedProgram
 
 PER_OPERATION = 100
 PER_BYTE = 8
 AT_LEAST = 10_000
 
 
-def step_fuel(program: Emitted) -> int:
+def step_fuel(program: EmittedProgram) -> int:
     """The fuel [instructions of WebAssembly, about] that one call of a function but `run` may use.
 
     An upper bound with a wide margin: PER_OPERATION for each operation of the language that any path computes, PER_BYTE
@@ -24,7 +24,7 @@ def step_fuel(program: Emitted) -> int:
     return PER_OPERATION * operations(program.flat) + PER_BYTE * sum(program.sizes[1:]) + AT_LEAST
 
 
-def operations(program: Program) -> int:
+def operations(program: FlatProgram) -> int:
     """At most this many operations of the language (elements of arrays included) are computed in a step."""
     stages = (4 if program.integrator == "rk4" else 1) * (len(program.edged) + 1)
     continuous = bool(program.integrated)
@@ -40,7 +40,7 @@ def operations(program: Program) -> int:
 
 
 def _cost(expressions: Iterable[Expr]) -> int:
-    return Meter(None).measure(expressions).operations
+    return CostMeter(None).measure(expressions).operations
 
 
 def _moved(node: Node) -> int:

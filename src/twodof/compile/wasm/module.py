@@ -8,10 +8,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from twodof.compile import freestanding, toolchain
-from twodof.compile.crowding import CROWDED, crowding
-from twodof.compile.target import Emitted
-from twodof.compile.toolchain import Compiler
+from twodof.compile.c import freestanding
+from twodof.compile.c.optimisation_budget import OPTIMISATION_BUDGET, optimisation_cost
+from twodof.compile.target import EmittedProgram
+from twodof.compile.toolchain import compilers
+from twodof.compile.toolchain.compilers import Compiler
 from twodof.compile.wasm.binary import PAGE, closed
 from twodof.compile.wasm.fuel import step_fuel
 from twodof.errors import CompileError
@@ -21,10 +22,10 @@ STACK = 1 << 20  # bytes; three nested functions may have 320 kB of arrays each
 ROWS = 4096  # at most; ticks whose inputs and outputs stand in the memory at once
 ROW_BYTES = 1 << 18  # of all rows of one program, if one row is not larger
 LARGEST = 256 << 20  # bytes of memory that a module may have
-INTERFACE = 1  # version of what `Module.interface` returns
+INTERFACE = 1  # version of what `WasmModule.interface` returns
 
 FLAGS = (
-    *toolchain.FLAGS,
+    *compilers.FLAGS,
     "-ffreestanding",  # no library; the loops of our memset must not become a call of it
     "-mno-bulk-memory",  # filling and copying cost fuel as other loops do
     "-g0",
@@ -37,7 +38,7 @@ FLAGS = (
 
 
 @dataclass(frozen=True)
-class Places:
+class WasmAddresses:
     """Addresses of a program's structs, and of `rows` further inputs and outputs, one behind the other."""
 
     structs: Mapping[str, int]
@@ -47,7 +48,7 @@ class Places:
     end: int
 
     @classmethod
-    def of(cls, program: Emitted) -> Places:
+    def of(cls, program: EmittedProgram) -> WasmAddresses:
         """Between the stack, which ends at STACK, and the constants, which begin at or after `end`."""
         sizes = dict(zip("PSUY", program.sizes[1:], strict=True))
         rows = max(1, min(ROWS, ROW_BYTES // (sizes["U"] + sizes["Y"])))
@@ -64,13 +65,13 @@ class Places:
 
 
 @dataclass(frozen=True)
-class Module:
+class WasmModule:
     """`data` is the .wasm; `pages` its memory in pages of 64 KiB; `programs` by the prefix of their names."""
 
     data: bytes
     pages: int
-    programs: Mapping[str, Emitted]
-    places: Mapping[str, Places]
+    programs: Mapping[str, EmittedProgram]
+    places: Mapping[str, WasmAddresses]
 
     def interface(self, name: str | None = None) -> dict[str, Any]:
         """What a host must know to run the program `name` (the only one, if None): see docs/reference/compilation.md.
@@ -115,7 +116,7 @@ class Module:
 class _Entries:
     """Where members stand in the memory."""
 
-    def __init__(self, program: Emitted, places: Places) -> None:
+    def __init__(self, program: EmittedProgram, places: WasmAddresses) -> None:
         self.precision = program.precision
         fields: dict[str, Any] = {k: program.dtypes[k].fields or {} for k in "PSUY"}
         starts = dict(places.structs)
@@ -149,8 +150,8 @@ def find_wasm_compiler(name: str | None = None) -> Compiler:
 
     Raises CompileError, with the package that gives it, if it is not there.
     """
-    if name in (None, "zig") and toolchain.find_zig():
-        found = toolchain.find_compiler("zig")
+    if name in (None, "zig") and compilers.find_zig():
+        found = compilers.find_compiler("zig")
         return Compiler(found.name, found.command, (*found.flags, "-target", "wasm32-freestanding"))
     clang = None if name == "zig" else shutil.which(name or "clang")
     linker = shutil.which("wasm-ld")
@@ -164,36 +165,38 @@ def find_wasm_compiler(name: str | None = None) -> Compiler:
     )
 
 
-def compile_module(programs: Sequence[Emitted], compiler: str | None = None, optimise: str = "-O3") -> Module:
+def compile_module(
+    programs: Sequence[EmittedProgram], compiler: str | None = None, optimise: str = "-O3"
+) -> WasmModule:
     """`programs`, which stand in one source, as one module; needs no engine.
 
-    What is too crowded to be optimised in seconds (compile/crowding.py) is compiled with -O0 whatever `optimise` says.
+    What cannot be optimised in seconds (`optimisation_cost`) is compiled with -O0, whatever `optimise` says.
     Raises CompileError if the compiler is not there or refuses, or if a program needs too much memory.
     """
     found = find_wasm_compiler(compiler)
-    places = {p.name: Places.of(p) for p in programs}
+    places = {p.name: WasmAddresses.of(p) for p in programs}
     functions = [f"{p.name}_{f}" for p in programs for f in FUNCTIONS]
     start = max(p.end for p in places.values())
     options = (
         *FLAGS,
-        "-O0" if crowding(programs[0].source) > CROWDED else optimise,
+        "-O0" if optimisation_cost(programs[0].source) > OPTIMISATION_BUDGET else optimise,
         *found.flags,
         f"-Wl,--global-base={start}",
         *(f"-Wl,--export={f}" for f in functions),
     )
     ticks = (_tick(p.name, places[p.name]) for p in programs)
     source = "".join([programs[0].source, *ticks, freestanding.MEMORY, freestanding.layout_checks(programs)])
-    data = toolchain.compiled_bytes(source, found, options, ".wasm", freestanding.FILES)
+    data = compilers.compiled_bytes(source, found, options, ".wasm", freestanding.FILES)
     where = ", ".join(list(places)[:3])
     data, pages = closed(data, functions, where, (STACK, start))
     if pages * PAGE > LARGEST:
         raise CompileError(
             f"it needs {pages * PAGE >> 20} MiB of memory, the sandbox gives {LARGEST >> 20}", where, "shorten tables"
         )
-    return Module(data, pages, {p.name: p for p in programs}, places)
+    return WasmModule(data, pages, {p.name: p for p in programs}, places)
 
 
-def _tick(name: str, places: Places) -> str:
+def _tick(name: str, places: WasmAddresses) -> str:
     """A step on the structs at their places: a call without arguments takes a quarter of the time."""
     arguments = ", ".join(
         f"({const}{name}_{k} *){places.structs[k]}u"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from twodof.compile.target import Emitted
+from twodof.compile.target import EmittedProgram
 from twodof.compile.wasm.engine import WasmBackend, backends
 from twodof.compile.wasm.module import compile_module
 from twodof.compile.wasm.ready import check_ready
@@ -23,7 +23,7 @@ class Wasm:
     fuel: int | None = None
     name = "wasm"
 
-    def compile(self, programs: Sequence[Emitted]) -> list[WasmBackend]:
+    def compile(self, programs: Sequence[EmittedProgram]) -> list[WasmBackend]:
         """The programs of one source in one module; raises CompileError, also if wasmtime is not there."""
         check_ready(self.compiler)
         module = compile_module(programs, self.compiler, self.optimise)

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from twodof.blocks import Diagram
-from twodof.blocks.schema import to_json
+from twodof.blocks.schema.json_form import to_json
 from twodof.errors import CompileError, ControllerFault, DiagramError
 from twodof.fcu.control.flight_code import FlightCode
 from twodof.fcu.mavlink.telemetry.twodof_messages import ControllerIdentity

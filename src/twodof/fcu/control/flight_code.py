@@ -9,8 +9,8 @@ from types import MappingProxyType
 from typing import Any
 
 from twodof.blocks import Diagram
-from twodof.compile import Program, build
-from twodof.compile.machine import Machine
+from twodof.compile import CompiledProgram, build
+from twodof.compile.machine import CompiledMachine
 from twodof.compile.stepper import Stepper
 from twodof.errors import CompileError, ParameterError
 from twodof.fcu.control.control_input import ControlInput
@@ -119,9 +119,9 @@ class FlightCode:
         outside = self.sandbox is not None
         diagram = core(position_filter=position_filter, controllers=inside, failsafe=True, outside=outside)
         program = build(diagram, PERIOD, precision)
-        if not isinstance(program, Program):
+        if not isinstance(program, CompiledProgram):
             raise CompileError("there is no C compiler", diagram.name, "install gcc, or the wheel ziglang")
-        self.machine: Machine = program.machine()
+        self.machine: CompiledMachine = program.machine()
         self._stepper = Stepper(
             self.machine, (*INPUTS, *(OWN if outside else ())), (*OUTPUTS, *(("own",) if outside else ()))
         )

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 from twodof.blocks import Diagram
-from twodof.compile import Program, build
+from twodof.compile import CompiledProgram, build
 from twodof.compile.stepper import Stepper
 from twodof.compile.wasm.target import Wasm
 from twodof.errors import CompileError, ControllerFault
@@ -68,7 +68,7 @@ class Sandbox:
         self.name = " and ".join(one.name for one in controllers)
         diagram = core(position_filter=position_filter, controllers=controllers)
         program = build(diagram, PERIOD, precision, target=Wasm(fuel=fuel))
-        if not isinstance(program, Program):
+        if not isinstance(program, CompiledProgram):
             raise CompileError("there is no WebAssembly", diagram.name, "install the wheels ziglang and wasmtime")
         self.program = program
         self.timed = False

@@ -8,7 +8,7 @@ characters, building the table fails.
 from functools import cache
 from math import isfinite
 
-from twodof.compile.lower import lower
+from twodof.compile.program.lower import lower
 from twodof.fcu.parameters.row import VehicleParameter
 from twodof.flight.core import PERIOD
 from twodof.flight.failsafe.diagram import failsafe

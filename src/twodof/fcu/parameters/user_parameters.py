@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from twodof.blocks import Diagram, Param
-from twodof.blocks.schema import to_json
-from twodof.compile.lower import lower
+from twodof.blocks.schema.json_form import to_json
+from twodof.compile.program.lower import lower
 from twodof.compile.px4.names import harmless, module_names
-from twodof.compile.px4.parameters import LARGEST_FLOAT, LARGEST_INT, SMALLEST_INT, Exported, diagram_rows
+from twodof.compile.px4.parameters import LARGEST_FLOAT, LARGEST_INT, SMALLEST_INT, ExportedParameter, diagram_rows
 from twodof.errors import listed
 from twodof.fcu.parameters.row import VehicleParameter, carried
 from twodof.fcu.parameters.table import wire_rows
@@ -91,7 +91,7 @@ def _of(kind: str, diagram: Diagram, taken: Iterable[str]) -> UserParameters:
     return UserParameters(kind, diagram.name, identity, tuple(rows), remark, text, elements)
 
 
-def _row(kind: str, diagram: str, one: Exported) -> VehicleParameter:
+def _row(kind: str, diagram: str, one: ExportedParameter) -> VehicleParameter:
     path = f"{kind}.{one.place}"
     text = ": ".join(filter(None, (path, one.text)))
     default, low, high = one.default, one.low, one.high

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Any
 
 from twodof.blocks import Block, Param, Port, State, maximum, minimum, where
-from twodof.blocks.elementary import atan, cos
+from twodof.blocks.elementary.functions import atan, cos
 from twodof.flight.finite import finite
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from twodof.blocks import Block, Param, Port, State, where
-from twodof.blocks.elementary import atan2, cos, sin
+from twodof.blocks.elementary.functions import atan2, cos, sin
 from twodof.flight.estimator.position_filter import RAIL_CENTRE
 from twodof.flight.finite import restarted
 

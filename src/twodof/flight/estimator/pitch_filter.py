@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from twodof.blocks import Block, Param, Port, State, where
-from twodof.blocks.elementary import atan2, cos, sin
+from twodof.blocks.elementary.functions import atan2, cos, sin
 from twodof.flight.finite import restarted
 
 GRAVITY = 9.81  # [m/s2]

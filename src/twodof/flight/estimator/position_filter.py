@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Any
 
 from twodof.blocks import Block, Param, Port, State, where
-from twodof.blocks.elementary import cos, sin
+from twodof.blocks.elementary.functions import cos, sin
 from twodof.flight.finite import restarted
 
 RAIL_CENTRE = 0.50  # range of the time-of-flight sensor at x = 0 [m]

@@ -7,7 +7,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from twodof.blocks import Diagram
-from twodof.blocks.schema import MAX_BYTES, from_json, to_json
+from twodof.blocks.schema.json_form import MAX_BYTES, from_json, to_json
 from twodof.errors import DiagramError
 from twodof.flight.starters import attitude, motor, position
 from twodof.flightlog.atomic import atomic_write

@@ -18,7 +18,7 @@ from typing import Any
 
 import pymavlink
 
-from twodof.compile import cache
+from twodof.compile.toolchain import cache
 from twodof.errors import LinkError, listed, shown
 
 FILES = ("dialect.xml", "common.xml")

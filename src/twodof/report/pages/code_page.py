@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from html import escape
 
-from twodof.compile.source_map import SourceMap
+from twodof.compile.c.source_map import SourceMap
 
 _STYLE = """
 * { box-sizing: border-box; }

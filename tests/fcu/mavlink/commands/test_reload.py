@@ -13,7 +13,7 @@ import pytest
 
 from tests.fcu.mavlink.test_on_board import Client
 from tests.patience import PATIENCE_S
-from twodof.blocks.schema import to_json
+from twodof.blocks.schema.json_form import to_json
 from twodof.compile.wasm import ready
 from twodof.errors import CompileError, LogError
 from twodof.fcu.command.result import ACCEPTED, FAILED, IN_PROGRESS, TEMPORARILY_REJECTED

@@ -1,0 +1,1 @@
+"""Elementary functions, written in the block language: every target computes the same bits."""

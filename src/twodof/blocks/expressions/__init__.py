@@ -1,0 +1,1 @@
+"""Expression graphs: recorded, evaluated on numbers, differentiated, and their cost."""

@@ -1,0 +1,108 @@
+"""Arrays of fixed length, and the loops over them that stay loops when they are recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextvars import ContextVar
+from typing import Any
+
+import numpy as np
+
+from twodof.blocks.expressions import numbers
+from twodof.blocks.expressions.expr import (
+    Expr,
+    as_expr,
+    const,
+    fault,
+    int32,
+    node,
+    recording,
+    scalars,
+    to_int32,
+    traced,
+    where,
+)
+from twodof.blocks.expressions.numbers import Int32, Integer, Vector
+
+LOOP_DEPTH: ContextVar[int] = ContextVar("loop depth", default=0)
+"""How many loops enclose what is being recorded."""
+
+
+def vector(elements: Sequence[Any]) -> Any:
+    """An array of the given scalars, all of one type."""
+    if not elements:
+        raise fault("an array of no elements", "an array has at least one element")
+    strong = [v for v in elements if isinstance(v, (Expr, Integer, np.floating, np.bool_, bool))]
+    anchor = next((v for v in strong if isinstance(v, Expr)), strong[0] if strong else 0.0)
+    kind = anchor.kind if isinstance(anchor, Expr) else numbers.kind_of(anchor)
+    if not traced(*elements):
+        return numbers.cast_array(elements, kind)
+    items = tuple(as_expr(e, kind) for e in elements)
+    scalars("vector", *items)
+    return node("vector", kind, items, None, len(items))
+
+
+def store(array: Any, index: Any, value: Any) -> Any:
+    """`array` with the element at the (clamped) index replaced; compiled to a write in place where it can be."""
+    if traced(array, index, value):
+        base = array if isinstance(array, Expr) else vector(list(array))
+        if base.width is None:
+            raise fault("store into a scalar", "only arrays have elements")
+        if not isinstance(index, Expr):
+            index = const(numbers.clamp_index(index, base.width), "int32")
+        elif index.kind == "uint32":
+            index = where(index < base.width, to_int32(index), int32(base.width - 1))
+        item = as_expr(value, base.kind)
+        scalars("store", item)
+        return node("store", base.kind, (base, as_expr(index, "int32"), item), None, base.width)
+    items = list(array)
+    items[numbers.clamp_index(index, len(items))] = numbers.cast(value, numbers.kind_of(items[0]))
+    return Vector(items)
+
+
+def build(length: int, element: Callable[[Any], Any]) -> Any:
+    """The array of `element(i)` for the int32 i = 0 .. length - 1; stays a loop when compiled."""
+    if length < 1:
+        raise fault("an array of no elements", "an array has at least one element")
+    if not recording():
+        return vector([element(Int32(i)) for i in range(length)])
+    depth = LOOP_DEPTH.get()
+    token = LOOP_DEPTH.set(depth + 1)
+    try:
+        body = as_expr(element(node("bound", "int32", (), (depth, 0))))
+    finally:
+        LOOP_DEPTH.reset(token)
+    scalars("build", body)
+    return node("build", body.kind, (body,), (length, depth), length)
+
+
+def fold(length: int, initial: Sequence[Any], step: Callable[..., Sequence[Any]]) -> tuple[Any, ...]:
+    """Repeat `values = step(i, *values)` for the int32 i = 0 .. length - 1 from `initial`; stays a loop when compiled.
+
+    The values are scalars; `step` returns as many as it takes, of the same types. Returns the last values.
+    """
+    if not recording():
+        kinds = [numbers.kind_of(v) for v in initial]
+        values = tuple(numbers.cast(v, k) for v, k in zip(initial, kinds, strict=True))
+        for i in range(length):
+            values = tuple(numbers.cast(v, k) for v, k in zip(step(Int32(i), *values), kinds, strict=True))
+        return values
+    starts = tuple(as_expr(v) for v in initial)
+    scalars("fold", *starts)
+    depth = LOOP_DEPTH.get()
+    token = LOOP_DEPTH.set(depth + 1)
+    try:
+        index = node("bound", "int32", (), (depth, 0))
+        carried = [node("bound", s.kind, (), (depth, j + 1)) for j, s in enumerate(starts)]
+        results = tuple(step(index, *carried))
+    finally:
+        LOOP_DEPTH.reset(token)
+    if len(results) != len(starts):
+        raise fault(
+            f"the body of fold returns {len(results)} values and takes {len(starts)}",
+            "return one value for each initial value",
+        )
+    bodies = tuple(as_expr(r, s.kind) for r, s in zip(results, starts, strict=True))
+    scalars("fold", *bodies)
+    # One node an output; all share (starts, bodies), so a compiler can emit them as one loop.
+    return tuple(node("fold", s.kind, starts + bodies, (length, depth, j)) for j, s in enumerate(starts))

@@ -1,0 +1,241 @@
+"""Exact derivatives of recorded expressions: forward-mode differentiation of the graph at a point.
+
+Each value carries its slope, the vector of its derivatives by the seeds. Source: Griewank, Walther, Evaluating
+Derivatives (2nd ed., 2008), chapter 3; at a tie, where a branch changes, the branch is the one that a direction of
+motion leads into (Griewank, On stable piecewise linearization, Optimization Methods and Software 28-6, 2013).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twodof.blocks.elementary.functions import FUNCTIONS
+from twodof.blocks.expressions import numbers
+from twodof.blocks.expressions.expr import Expr, convert
+from twodof.blocks.expressions.graph import OPERATIONS, outside, walk
+from twodof.blocks.expressions.numbers import Int32, Integer, Vector
+from twodof.errors import DiagramError
+
+Slope = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Dual:
+    """A number of the language and its slope (None: it does not change, as an integer or bool never does)."""
+
+    value: Any
+    slope: Slope | None = None
+
+
+Value = Dual | tuple[Dual, ...]
+
+
+@dataclass(frozen=True)
+class Tie:
+    """A place where a branch changes just at the point: in block `where`, `what`, and the slope that decides."""
+
+    where: str
+    what: str
+    slope: Slope
+
+
+def constant(value: Any) -> Value:
+    """A number or Vector that does not change."""
+    return tuple(Dual(v) for v in value) if isinstance(value, tuple) else Dual(value)
+
+
+def plain(value: Value) -> Any:
+    """The number, or Vector of numbers, without its slope."""
+    return Vector(d.value for d in value) if isinstance(value, tuple) else value.value
+
+
+_PARTIAL: dict[str, Callable[..., tuple[float, ...]]] = {
+    "sin": lambda x, y: (math.cos(x),),
+    "cos": lambda x, y: (-math.sin(x),),
+    "sin_octant": lambda x, y: (math.cos(x),),
+    "cos_octant": lambda x, y: (-math.sin(x),),
+    "tan": lambda x, y: (1.0 + y * y,),
+    "atan": lambda x, y: (1.0 / (1.0 + x * x),),
+    "atan2": lambda a, b, y: (b / (a * a + b * b), -a / (a * a + b * b)),
+    "asin": lambda x, y: (1.0 / math.sqrt(1.0 - x * x),),
+    "acos": lambda x, y: (-1.0 / math.sqrt(1.0 - x * x),),
+    "exp": lambda x, y: (y,),
+    "log": lambda x, y: (1.0 / x,),
+    "pow": lambda x, n, y: (n * math.pow(x, n - 1.0), y * math.log(x) if x > 0.0 else math.nan),
+    "tanh": lambda x, y: (1.0 - y * y,),
+    "hypot": lambda a, b, y: (a / y, b / y),
+}
+"""The derivatives of the elementary functions by their arguments, from these and the result."""
+
+_STEPS: dict[str, Callable[[float], float]] = {"floor": math.floor, "ceil": math.ceil, "trunc": math.trunc}
+_NEVER = math.nan
+
+
+class Tangent:
+    """Evaluates expressions with their slopes, in float64; to be used under `numbers.precision("float64")`.
+
+    `direction` says where the seeds move: at a tie the branch is taken that lies there. Without one the branch is that
+    of the point itself. `ties` collects the ties met; `block` is the path that they are noted under.
+    """
+
+    def __init__(self, direction: Slope | None = None) -> None:
+        self.direction = direction
+        self.ties: list[Tie] = []
+        self.block = ""
+
+    def evaluate(
+        self,
+        roots: Sequence[Expr],
+        leaf: Callable[[Expr], Value],
+        memo: dict[int, Value] | None = None,
+        bound: Mapping[Any, Value] | None = None,
+    ) -> list[Value]:
+        """The values of `roots`, given those of their leaves; `memo` keeps what was computed, by the node's id.
+
+        Raises DiagramError for bit patterns, which have no derivative.
+        """
+        values = {} if memo is None else memo
+        for item in walk(roots, loops=False):
+            if id(item) not in values:
+                values[id(item)] = self._compute(item, values, leaf, bound or {})
+        return [values[id(r)] for r in roots]
+
+    def _compute(
+        self, item: Expr, values: Mapping[int, Value], leaf: Callable[[Expr], Value], bound: Mapping[Any, Value]
+    ) -> Value:
+        op = item.op
+        if op == "const":
+            return Dual(numbers.cast(item.data, item.kind))
+        if op == "bound":
+            return bound[item.data]
+        if op in ("build", "fold"):
+            return self._loop(item, [values[id(a)] for a in outside(item)], leaf, bound)
+        args = [values[id(a)] for a in item.args]
+        if op == "vector":
+            return tuple(_scalar(a) for a in args)
+        if op in ("select", "store"):
+            return _element(op, args)
+        if not args:
+            return leaf(item)
+        duals = [_scalar(a) for a in args]
+        if all(d.slope is None for d in duals):
+            return Dual(self._number(item, [d.value for d in duals]))
+        if item.kind != "real" or op in ("convert", "bits") or (op == "call" and item.data in _STEPS):
+            return Dual(self._stepwise(item, duals))
+        return self._smooth(item, duals)
+
+    def _number(self, item: Expr, args: list[Any]) -> Any:
+        if item.op == "convert":
+            return convert(args[0], item.kind)
+        if item.op == "call":
+            return FUNCTIONS[item.data](*args)
+        if item.op in ("bits", "from_bits"):
+            raise DiagramError("bit patterns have no derivative", self.block, "use the functions of twodof.blocks")
+        return OPERATIONS[item.op](*args)
+
+    def _smooth(self, item: Expr, d: list[Dual]) -> Dual:
+        op = item.op
+        if op == "where":
+            return d[1] if d[0].value else d[2]
+        value = self._number(item, [a.value for a in d])
+        if op in ("add", "sub"):
+            return Dual(value, _sum(d[0].slope, 1.0, d[1].slope, 1.0 if op == "add" else -1.0))
+        if op == "mul":
+            return Dual(value, _sum(d[0].slope, d[1].value, d[1].slope, d[0].value))
+        if op == "div":
+            return Dual(value, _sum(d[0].slope, 1.0 / d[1].value, d[1].slope, -value / d[1].value))
+        if op == "neg":
+            return Dual(value, _scaled(d[0].slope, -1.0))
+        if op == "abs":
+            return Dual(value, _scaled(d[0].slope, self._sign(d[0])))
+        if op == "sqrt":
+            return Dual(value, _scaled(d[0].slope, 0.5 / value))
+        if op != "call":
+            raise DiagramError(f"{op} has no derivative", self.block, "use the functions of twodof.blocks")
+        try:
+            partial: tuple[float, ...] = _PARTIAL[item.data](*(float(a.value) for a in d), float(value))
+        except (ValueError, ZeroDivisionError, OverflowError):
+            partial = (_NEVER,) * len(d)
+        return Dual(value, _sum(d[0].slope, partial[0], d[1].slope if len(d) > 1 else None, partial[-1]))
+
+    def _sign(self, d: Dual) -> float:
+        if d.value != 0.0 or d.slope is None:
+            return float(np.sign(d.value))
+        return self._side("the argument of abs is 0", d.slope) or 1.0
+
+    def _side(self, what: str, slope: Slope) -> float:
+        """-1, 1 or 0: to which side of a tie the direction leads."""
+        if not slope.any():
+            return 0.0
+        self.ties.append(Tie(self.block, what, slope))
+        return 0.0 if self.direction is None else float(np.sign(slope @ self.direction))
+
+    def _stepwise(self, item: Expr, d: list[Dual]) -> Any:
+        """What has no slope of its own and may jump: comparisons, rounding, conversion to an integer."""
+        values = [a.value for a in d]
+        found = self._number(item, values)
+        if item.op in ("lt", "le", "eq", "ne") and item.args[0] is not item.args[1]:
+            if values[0] != values[1]:
+                return found
+            difference = _sum(d[0].slope, 1.0, d[1].slope, -1.0)
+            side = 0.0 if difference is None else self._side("both sides of a comparison are equal", difference)
+            if side == 0.0:
+                return found
+            return np.bool_(side < 0.0 if item.op in ("lt", "le") else item.op == "ne")
+        x, slope = float(values[0]), d[0].slope
+        name = {"call": item.data, "convert": "trunc", "bits": "bits"}.get(item.op, "")
+        if name == "bits":
+            raise DiagramError("bit patterns have no derivative", self.block, "use the functions of twodof.blocks")
+        if name not in _STEPS or slope is None or not math.isfinite(x) or x != math.floor(x):
+            return found
+        side = self._side("a number that is rounded is whole", slope)
+        beside = _STEPS[name](x + 0.25 * side) if abs(x) < 2.0**50 else x
+        return convert(numbers.cast(float(beside), "real"), item.kind)
+
+    def _loop(
+        self, item: Expr, starts: list[Value], leaf: Callable[[Expr], Value], bound: Mapping[Any, Value]
+    ) -> Value:
+        length, depth, *which = item.data
+        bodies = item.args[len(starts) :]
+        if item.op == "build":
+            made = [self.evaluate(bodies, leaf, None, {**bound, (depth, 0): Dual(Int32(i))})[0] for i in range(length)]
+            return tuple(_scalar(m) for m in made)
+        carried = starts
+        for i in range(length):
+            inner = {**bound, (depth, 0): Dual(Int32(i)), **{(depth, j + 1): v for j, v in enumerate(carried)}}
+            carried = self.evaluate(bodies, leaf, None, inner)
+        result: Value = carried[which[0]]
+        return result
+
+
+def _scalar(value: Value) -> Dual:
+    if isinstance(value, tuple):
+        raise TypeError("an array stands where a scalar is expected")
+    return value
+
+
+def _element(op: str, args: list[Value]) -> Value:
+    array, index = args[0], _scalar(args[1]).value
+    if not isinstance(array, tuple) or not isinstance(index, Integer):
+        raise TypeError("an element of no array")
+    place = numbers.clamp_index(index, len(array))
+    if op == "select":
+        return array[place]
+    return (*array[:place], _scalar(args[2]), *array[place + 1 :])
+
+
+def _scaled(slope: Slope | None, factor: float) -> Slope | None:
+    return None if slope is None else slope * factor
+
+
+def _sum(a: Slope | None, by_a: float, b: Slope | None, by_b: float) -> Slope | None:
+    """a * by_a + b * by_b, where None is zero."""
+    if a is None or b is None:
+        return _scaled(a, by_a) if b is None else _scaled(b, by_b)
+    return a * by_a + b * by_b

@@ -1,0 +1,480 @@
+"""The expression graph: what a block's Python code records when it is traced.
+
+An `Expr` is an immutable, typed, hash-consed node. The functions here work on numbers (`numbers.py`) and compute, or on
+an Expr and record; a block's code cannot tell which.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import Any
+from weakref import WeakValueDictionary
+
+import numpy as np
+
+from twodof.blocks.expressions import numbers
+from twodof.blocks.expressions.numbers import Int32, Integer, UInt32
+from twodof.errors import DiagramError
+
+KINDS = ("real", "int32", "uint32", "bool")
+LANGUAGE = ("twodof.blocks.expressions.expr", "twodof.blocks.expressions.arrays")  # frames of these are not the user's
+LEAVES = ("const", "input", "state", "param", "tick", "dt", "bound")
+
+_table: WeakValueDictionary[tuple[Any, ...], Expr] = WeakValueDictionary()
+_tracing: ContextVar[str] = ContextVar("tracing", default="")
+_room: ContextVar[list[int] | None] = ContextVar("room", default=None)  # nodes that may still be recorded
+
+
+@contextmanager
+def at_most(nodes: int) -> Iterator[None]:
+    """Raise DiagramError as soon as the enclosed code has recorded more than `nodes` new nodes."""
+    token = _room.set([nodes])
+    try:
+        yield
+    finally:
+        _room.reset(token)
+
+
+@contextmanager
+def tracing(path: str) -> Iterator[None]:
+    """Name the block that is being traced, for the errors that its code may cause."""
+    token = _tracing.set(path)
+    try:
+        yield
+    finally:
+        _tracing.reset(token)
+
+
+def _here() -> str:
+    """The block being traced and the user's line that is at fault."""
+    frame = sys._getframe(1)
+    while frame.f_back is not None and frame.f_globals.get("__name__", "") in (
+        "twodof.blocks.expressions.expr",
+        "twodof.blocks.expressions.arrays",
+    ):
+        frame = frame.f_back
+    line = f"{frame.f_code.co_filename}:{frame.f_lineno}"
+    block = _tracing.get()
+    return f"block {block}, {line}" if block else line
+
+
+def fault(what: str, remedy: str) -> DiagramError:
+    """A mistake in a block's code, with the block and the user's line that made it."""
+    return DiagramError(what, _here(), remedy)
+
+
+class Expr:
+    """A node: `op` on `args`, of type `kind`, an array of `width` elements unless `width` is None.
+
+    `data` holds what is not an expression: a constant's value, a leaf's name, a loop's length, a called function.
+    """
+
+    __slots__ = ("__weakref__", "args", "data", "kind", "op", "width")
+    __array_ufunc__ = None  # numpy must not make object arrays of these
+
+    op: str
+    kind: str
+    width: int | None
+    args: tuple[Expr, ...]
+    data: Any
+
+    def __hash__(self) -> int:
+        return id(self)
+
+    def __bool__(self) -> bool:
+        raise fault(
+            "a recorded value has no truth yet (`if`, `and`, `or`, `not`, `min`, `max` ask for it)",
+            "use where(condition, a, b), and & | ~ on conditions",
+        )
+
+    def __float__(self) -> float:
+        raise fault(
+            "a recorded value is not a Python number yet (math.* and float() ask for one)",
+            "use the functions of twodof.blocks, such as sin or sqrt",
+        )
+
+    def __int__(self) -> int:
+        raise fault(
+            "a recorded value is not a Python integer yet (int() and range() ask for one)",
+            "use to_int32, or loop over a constant",
+        )
+
+    __index__ = __int__
+
+    def __iter__(self) -> Iterator[Expr]:
+        if self.width is None:
+            raise fault("a scalar is iterated over", "only arrays have elements")
+        return (self[i] for i in range(self.width))
+
+    def __len__(self) -> int:
+        if self.width is None:
+            raise fault("a scalar has no length", "only arrays have elements")
+        return self.width
+
+    def __getitem__(self, index: Any) -> Any:
+        if self.width is None:
+            raise fault(f"a scalar {self.kind} is indexed", "only arrays have elements")
+        if isinstance(index, Expr):
+            if index.kind not in ("int32", "uint32") or index.width is not None:
+                raise fault(f"an array is indexed with a {index.kind}", "convert the index with to_int32")
+            # Clamped as a signed number would be: a uint32 above 2^31 is above every length.
+            position = (
+                where(index < self.width, to_int32(index), int32(self.width - 1)) if index.kind == "uint32" else index
+            )
+        else:
+            position = const(numbers.clamp_index(index, self.width), "int32")
+        return node("select", self.kind, (self, position))
+
+    def __repr__(self) -> str:
+        shape = "" if self.width is None else f"[{self.width}]"
+        if not self.args:
+            return f"{self.op}:{self.data}:{self.kind}{shape}"
+        return f"{self.op}({len(self.args)} args):{self.kind}{shape}"
+
+    def __add__(self, other: Any) -> Any:
+        return _binary("add", self, other)
+
+    def __radd__(self, other: Any) -> Any:
+        return _binary("add", other, self)
+
+    def __sub__(self, other: Any) -> Any:
+        return _binary("sub", self, other)
+
+    def __rsub__(self, other: Any) -> Any:
+        return _binary("sub", other, self)
+
+    def __mul__(self, other: Any) -> Any:
+        return _binary("mul", self, other)
+
+    def __rmul__(self, other: Any) -> Any:
+        return _binary("mul", other, self)
+
+    def __truediv__(self, other: Any) -> Any:
+        return _binary("div", self, other)
+
+    def __rtruediv__(self, other: Any) -> Any:
+        return _binary("div", other, self)
+
+    def __floordiv__(self, other: Any) -> Any:
+        return _binary("quot", self, other)
+
+    def __rfloordiv__(self, other: Any) -> Any:
+        return _binary("quot", other, self)
+
+    def __mod__(self, other: Any) -> Any:
+        return _binary("rem", self, other)
+
+    def __rmod__(self, other: Any) -> Any:
+        return _binary("rem", other, self)
+
+    def __pow__(self, other: Any) -> Any:
+        raise fault("** is not an operation of the language", "write x * x, or pow(x, y)")
+
+    __rpow__ = __pow__
+
+    def __lshift__(self, other: Any) -> Any:
+        return _binary("shl", self, other)
+
+    def __rlshift__(self, other: Any) -> Any:
+        return _binary("shl", other, self)
+
+    def __rshift__(self, other: Any) -> Any:
+        return _binary("shr", self, other)
+
+    def __rrshift__(self, other: Any) -> Any:
+        return _binary("shr", other, self)
+
+    def __and__(self, other: Any) -> Any:
+        return _binary("and", self, other)
+
+    def __rand__(self, other: Any) -> Any:
+        return _binary("and", other, self)
+
+    def __or__(self, other: Any) -> Any:
+        return _binary("or", self, other)
+
+    def __ror__(self, other: Any) -> Any:
+        return _binary("or", other, self)
+
+    def __xor__(self, other: Any) -> Any:
+        return _binary("xor", self, other)
+
+    def __rxor__(self, other: Any) -> Any:
+        return _binary("xor", other, self)
+
+    def __lt__(self, other: Any) -> Any:
+        return _binary("lt", self, other)
+
+    def __le__(self, other: Any) -> Any:
+        return _binary("le", self, other)
+
+    def __gt__(self, other: Any) -> Any:
+        return _binary("lt", other, self)
+
+    def __ge__(self, other: Any) -> Any:
+        return _binary("le", other, self)
+
+    def __eq__(self, other: object) -> Any:
+        return _binary("eq", self, other)
+
+    def __ne__(self, other: object) -> Any:
+        return _binary("ne", self, other)
+
+    def __neg__(self) -> Any:
+        return _unary("neg", self)
+
+    def __pos__(self) -> Any:
+        return self
+
+    def __abs__(self) -> Any:
+        return _unary("abs", self)
+
+    def __invert__(self) -> Any:
+        return _unary("not", self)
+
+
+# Which scalar types an operation takes; comparisons give bool, everything else the type of its operands.
+_TAKES: dict[str, tuple[str, ...]] = {
+    **dict.fromkeys(("add", "sub", "mul", "neg", "abs", "lt", "le"), ("real", "int32", "uint32")),
+    **dict.fromkeys(("div", "sqrt"), ("real",)),
+    **dict.fromkeys(("quot", "rem", "shl", "shr"), ("int32", "uint32")),
+    **dict.fromkeys(("and", "or", "xor", "not"), ("int32", "uint32", "bool")),
+    **dict.fromkeys(("eq", "ne"), KINDS),
+}
+_REMEDY = {
+    "div": "use // on integers (it truncates)",
+    "quot": "use floor(x / y) on reals",
+    "rem": "use x - y * floor(x / y) on reals",
+}
+
+
+def node(op: str, kind: str, args: tuple[Expr, ...] = (), data: Any = None, width: int | None = None) -> Expr:
+    """The one node with these fields (hash-consed). Internal: the functions below check what goes in."""
+    tag = data.hex() if isinstance(data, float) else data
+    key = (op, kind, width, tuple(map(id, args)), tag)
+    found = _table.get(key)
+    if found is None:
+        room = _room.get()
+        if room is not None:
+            room[0] -= 1
+            if room[0] < 0:
+                raise DiagramError("it records too many operations", _tracing.get(), "compute less, or in loops")
+        found = Expr.__new__(Expr)
+        found.op, found.kind, found.width, found.args, found.data = op, kind, width, args, data
+        _table[key] = found
+    return found
+
+
+def const(value: Any, kind: str) -> Expr:
+    """A constant. A real is kept as the double the user wrote and rounded once, to the final precision."""
+    if kind == "real":
+        return node("const", "real", (), float(value))
+    if kind == "bool":
+        return node("const", "bool", (), bool(value))
+    integer = Int32 if kind == "int32" else UInt32
+    return node("const", kind, (), integer(value.value if isinstance(value, Integer) else int(value)).value)
+
+
+def leaf(op: str, name: str, kind: str, width: int | None = None) -> Expr:
+    """An input, state or parameter by name (`op` is one of LEAVES)."""
+    return node(op, kind, (), name, width)
+
+
+def as_expr(value: Any, kind: str | None = None) -> Expr:
+    """`value` as a scalar Expr of `kind` (of its own kind if None). Raises DiagramError if that needs a conversion."""
+    if isinstance(value, Expr):
+        if kind is not None and value.kind != kind:
+            raise fault(f"{value.kind} meets {kind} in one operation", "convert with to_real, to_int32 or to_uint32")
+        return value
+    if isinstance(value, (np.ndarray, list, tuple)):
+        raise fault(
+            "a Python list or array is used as a scalar",
+            "make an array with vector([...]), or take one element",
+        )
+    found = numbers.kind_of(value)
+    if kind is None or found == kind:
+        return const(value, found)
+    if type(value) is int and kind in ("int32", "uint32"):
+        return const(value, kind)
+    raise fault(f"the literal {value!r} meets {kind} in one operation", "write it in that type, or convert explicitly")
+
+
+def _pair(a: Any, b: Any) -> tuple[Expr, Expr]:
+    anchor = a if isinstance(a, Expr) else b
+    if not isinstance(anchor, Expr):
+        found = {numbers.kind_of(v) for v in (a, b)}
+        strong = [v for v in (a, b) if isinstance(v, (Integer, np.floating, np.bool_))]
+        kind = numbers.kind_of(strong[0]) if strong else ("bool" if found == {"bool"} else "real")
+        return as_expr(a, kind), as_expr(b, kind)
+    return as_expr(a, anchor.kind), as_expr(b, anchor.kind)
+
+
+def scalars(op: str, *args: Expr) -> None:
+    """Raise DiagramError if one of `args` is an array."""
+    for a in args:
+        if a.width is not None:
+            raise fault(
+                f"{op} is applied to an array of {a.width}",
+                "work on its elements, with build(n, lambda i: ...)",
+            )
+
+
+def _binary(op: str, a: Any, b: Any) -> Expr:
+    left, right = _pair(a, b)
+    scalars(op, left, right)
+    if left.kind not in _TAKES[op]:
+        raise fault(f"{op} is not defined on {left.kind}", _REMEDY.get(op, f"it takes {', '.join(_TAKES[op])}"))
+    return node(op, "bool" if op in ("lt", "le", "eq", "ne") else left.kind, (left, right))
+
+
+def _unary(op: str, a: Expr) -> Expr:
+    scalars(op, a)
+    if a.kind not in _TAKES[op]:
+        raise fault(f"{op} is not defined on {a.kind}", f"it takes {', '.join(_TAKES[op])}")
+    return node(op, a.kind, (a,))
+
+
+def traced(*values: Any) -> bool:
+    """Whether an operation on `values` is to be recorded: one of them is an Expr, or a block is being traced."""
+    # While a block is traced even literals are recorded: folded here, they would round in this run's precision.
+    if _tracing.get():
+        return True
+    return Expr in map(type, values)  # any() would cost the reference's innermost loop twice the time
+
+
+def where(condition: Any, a: Any, b: Any) -> Any:
+    """`a` where the condition holds, else `b`; both are evaluated. Two literals give a real."""
+    # What the reference meets all the time comes first: two numbers of one type of the language.
+    if type(condition) is np.bool_ and type(a) is type(b) and type(a) in numbers.scalars() and not _tracing.get():
+        return a if condition else b
+    if traced(condition, a, b):
+        c = as_expr(condition, "bool")
+        left, right = _pair(a, b)
+        scalars("where", c, left, right)
+        return node("where", left.kind, (c, left, right))
+    strong = [v for v in (a, b) if isinstance(v, (Integer, np.floating, np.bool_, bool))]
+    kind = numbers.kind_of(strong[0]) if strong else "real"
+    return numbers.cast(a if condition else b, kind)
+
+
+def minimum(a: Any, b: Any) -> Any:
+    """`where(a < b, a, b)`: of two equals the second, and `b` if one is NaN."""
+    return where(_less(a, b), a, b)
+
+
+def maximum(a: Any, b: Any) -> Any:
+    """`where(b < a, a, b)`: of two equals the second, and `b` if one is NaN."""
+    return where(_less(b, a), a, b)
+
+
+def _less(a: Any, b: Any) -> Any:
+    return a < b if traced(a, b) else np.bool_(a < b)
+
+
+def sqrt(x: Any) -> Any:
+    """The IEEE square root of a real; NaN below zero."""
+    if traced(x):
+        return _unary("sqrt", as_expr(x, "real"))
+    return np.sqrt(numbers.cast(x, "real"))
+
+
+def real(value: float) -> Any:
+    """A real literal as a number of the current precision (needed only where no other operand is real)."""
+    return const(value, "real") if recording() else numbers.cast(float(value), "real")
+
+
+def int32(value: int) -> Int32:
+    """An int32 literal."""
+    return Int32(value)
+
+
+def uint32(value: int) -> UInt32:
+    """A uint32 literal."""
+    return UInt32(value)
+
+
+def to_int32(x: Any) -> Any:
+    """To int32: a real truncates and saturates, NaN gives 0; uint32 keeps its bits; bool gives 0 or 1."""
+    return convert(x, "int32")
+
+
+def to_uint32(x: Any) -> Any:
+    """To uint32: a real truncates and saturates, NaN gives 0; int32 keeps its bits; bool gives 0 or 1."""
+    return convert(x, "uint32")
+
+
+def to_real(x: Any) -> Any:
+    """To real, rounded to nearest; a real is returned as it is; bool gives 0 or 1."""
+    return convert(x, "real")
+
+
+def convert(x: Any, kind: str) -> Any:
+    """`x` as the scalar type `kind`; see to_int32, to_uint32 and to_real."""
+    if traced(x):
+        x = as_expr(x)
+        scalars(f"to_{kind}", x)
+        if x.kind == kind:
+            return x
+        if x.kind == "bool":
+            return where(x, const(1, kind), const(0, kind))
+        return node("convert", kind, (x,))
+    found = numbers.kind_of(x)
+    if kind == "real":
+        if found == "real":
+            return numbers.cast(x, "real")
+        return numbers.real_type()(x.value if isinstance(x, Integer) else bool(x))
+    integer = Int32 if kind == "int32" else UInt32
+    if found == "real":
+        if x != x:
+            return integer(0)
+        return integer(int(min(max(float(x), float(integer.low)), float(integer.low + 2**32 - 1))))
+    return integer(x.value if isinstance(x, Integer) else bool(x))
+
+
+def multiply_high(a: Any, b: Any) -> Any:
+    """The upper 32 bits of the 64-bit product of two uint32."""
+    if traced(a, b):
+        left, right = as_expr(a, "uint32"), as_expr(b, "uint32")
+        scalars("multiply_high", left, right)
+        return node("mulhi", "uint32", (left, right))
+    return UInt32(numbers.cast(a, "uint32").value * numbers.cast(b, "uint32").value >> 32)
+
+
+def bits_of(x: Any, word: int = 0) -> Any:
+    """A 32-bit word of a real's IEEE pattern as uint32: word 0 the lower, word 1 the upper (float64 only).
+
+    NaN reads as the canonical quiet NaN. The meaning depends on the precision: for definitions of elementary
+    functions only, which exist once a precision.
+    """
+    if traced(x):
+        return node("bits", "uint32", (as_expr(x, "real"),), word)
+    x = numbers.cast(x, "real")
+    x = numbers.real_type()("nan") if x != x else x
+    pattern = int.from_bytes(np.abs(x).tobytes() if x != x else x.tobytes(), "little")
+    return UInt32(pattern >> (32 * word))
+
+
+def from_bits(low: Any, high: Any = None) -> Any:
+    """The real with these IEEE words: one uint32 for float32, (low, high) for float64. The inverse of `bits_of`."""
+    if traced(low, high):
+        words = (as_expr(low, "uint32"),) if high is None else (as_expr(low, "uint32"), as_expr(high, "uint32"))
+        return node("from_bits", "real", words)
+    if high is None:
+        return np.uint32(numbers.cast(low, "uint32").value).view(np.float32)
+    pattern = numbers.cast(high, "uint32").value << 32 | numbers.cast(low, "uint32").value
+    return np.uint64(pattern).view(np.float64)
+
+
+def call(name: str, *args: Expr) -> Expr:
+    """A call of the elementary function `name` on reals; its definition is in `twodof.blocks.elementary.functions`."""
+    values = tuple(as_expr(a, "real") for a in args)
+    scalars(name, *values)
+    return node("call", "real", values, name)
+
+
+def recording() -> bool:
+    """Whether a block is being traced: loops are then recorded, else run."""
+    return bool(_tracing.get())

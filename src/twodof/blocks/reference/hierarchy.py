@@ -1,0 +1,354 @@
+"""The hierarchy of a diagram as the reference walks it: who drives whom, and in which order ports can be computed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+from twodof.blocks.block import Block, Param, Port, State, narrowed
+from twodof.blocks.diagram import BASE, MAX_NESTED, Diagram, Rate
+from twodof.blocks.expressions.graph import leaves
+from twodof.errors import DiagramError
+
+MAX_DEPTH = 64
+
+
+@dataclass(eq=False)
+class Cell:
+    """One block in its place. `drivers`: input -> who feeds it; `parameters`: own name -> path where it is set."""
+
+    path: str
+    block: Block
+    rate: Rate
+    levels: tuple[DiagramLevel, ...]  # the enclosing sub-diagrams that can be enabled or reset, outermost first
+    drivers: dict[str, PortOf | str] = field(default_factory=dict)
+    parameters: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def discrete(self) -> list[State]:
+        """Its states that change by `update`."""
+        return [s for s in self.block.states if not s.continuous]
+
+    @property
+    def continuous(self) -> list[State]:
+        """Its states that change by `derivative` and `project`."""
+        return [s for s in self.block.states if s.continuous]
+
+    def rate_due(self, tick: int) -> bool:
+        """Whether its rate makes it run at base tick `tick`."""
+        return tick % self.rate.divider == self.rate.offset
+
+
+@dataclass(frozen=True)
+class PortOf:
+    """An output port of a cell."""
+
+    cell: Cell
+    port: str
+
+    @property
+    def declared(self) -> Port:
+        """The port as its block declares it."""
+        return next(p for p in self.cell.block.outputs if p.name == self.port)
+
+    def __str__(self) -> str:
+        return f"{self.cell.path}.{self.port}"
+
+
+@dataclass(eq=False)
+class DiagramLevel:
+    """A diagram in its place: the root, or a sub-diagram within `parent`."""
+
+    diagram: Diagram
+    path: str
+    parent: DiagramLevel | None
+    part: str
+    children: dict[str, DiagramLevel | Cell] = field(default_factory=dict)
+    enable: PortOf | str | None = None
+    reset: PortOf | str | None = None
+    resets_outputs: bool = False
+
+    def resolve(self, source: str) -> PortOf | str:
+        """The block's port, or the name of the root's input, that `source` stands for here."""
+        level, text = self, source
+        for _ in range(10_000):
+            part, port = level.diagram.source(text)
+            if part is None:
+                if level.parent is None:
+                    return port
+                above = level.parent.diagram.connections.get((level.part, port))
+                if above is None:
+                    raise DiagramError("the input is not connected", f"{level.path}.{port}", "connect it or remove it")
+                level, text = level.parent, above
+                continue
+            child = level.children[part]
+            if isinstance(child, Cell):
+                return PortOf(child, port)
+            inner = child.diagram.outputs[port]
+            if inner is None:
+                raise DiagramError("the output is not connected", f"{child.path}.{port}", "connect it or remove it")
+            level, text = child, inner
+        raise DiagramError("a connection leads back to itself", f"{self.path}.{source}", "a loop needs a block in it")
+
+
+class Hierarchy:
+    """All cells of a diagram, connected, checked and put into an order.
+
+    `schedule` lists (cell, ports to compute) so that every port comes after those it depends on;
+    `continuous_schedule` is the part of it that an integration re-evaluates.
+    """
+
+    def __init__(self, diagram: Diagram) -> None:
+        self.parameters: dict[str, Param] = {}
+        self.cells: list[Cell] = []
+        self.root = self._open(diagram, diagram.name, None, "", "", BASE, (), {})
+        self._connect()
+        self._check_states()
+        self.schedule = self._order()
+        self._check_rates()
+        self.continuous_schedule = self._continuous()
+
+    def _open(
+        self,
+        diagram: Diagram,
+        path: str,
+        parent: DiagramLevel | None,
+        part: str,
+        prefix: str,
+        rate: Rate,
+        levels: tuple[DiagramLevel, ...],
+        bound: dict[str, str],
+    ) -> DiagramLevel:
+        level = DiagramLevel(diagram, path, parent, part)
+        if prefix.count(".") > MAX_DEPTH:
+            raise DiagramError(f"sub-diagrams are nested more than {MAX_DEPTH} deep", path, "flatten the diagram")
+        roots = {name: self._root(prefix + name, p, bound.get(name)) for name, p in diagram.params.items()}
+        for p in diagram.parts.values():
+            inner = {
+                own: roots[outer] if outer in roots else self._unbound(path, p.name, outer)
+                for own, outer in p.params.items()
+            }
+            at = prefix + p.name
+            if isinstance(p.item, Block):
+                cell = Cell(at, p.item, p.rate.within(rate).check(at, MAX_NESTED), levels)
+                cell.parameters = {d.name: self._root(f"{at}.{d.name}", d, inner.get(d.name)) for d in p.item.params}
+                level.children[p.name] = cell
+                self.cells.append(cell)
+            else:
+                conditional = bool(p.enable or p.reset)
+                child = self._open(
+                    p.item, at, level, p.name, at + ".", p.rate.within(rate).check(at, MAX_NESTED), levels, inner
+                )
+                level.children[p.name] = child
+                if conditional:
+                    child.resets_outputs = p.disabled == "reset"
+                    for cell in self.cells:
+                        if cell.path.startswith(at + "."):
+                            cell.levels = (*levels, child, *cell.levels[len(levels) :])
+        return level
+
+    def _root(self, path: str, declared: Param, bound: str | None) -> str:
+        if bound is None:
+            self.parameters[path] = declared
+            return path
+        outer = self.parameters[bound]
+        if (outer.kind, outer.width) != (declared.kind, declared.width) or _units_clash(outer.unit, declared.unit):
+            raise DiagramError(
+                f"it is bound to {bound!r}, which has another type, width or unit", path, "declare both alike"
+            )
+        self.parameters[bound] = narrowed(outer, declared, path)
+        return bound
+
+    def _unbound(self, path: str, part: str, outer: str) -> str:
+        raise DiagramError(
+            f"there is no parameter {outer!r} to bind to", f"{path}.{part}", "declare it with Diagram.param"
+        )
+
+    def _levels(self) -> Iterator[DiagramLevel]:
+        stack = [self.root]
+        while stack:
+            level = stack.pop()
+            yield level
+            stack.extend(c for c in level.children.values() if isinstance(c, DiagramLevel))
+
+    def _connect(self) -> None:
+        for level in self._levels():
+            for name, source in level.diagram.outputs.items():
+                if source is None:
+                    raise DiagramError("the output is not connected", f"{level.path}.{name}", "connect it or remove it")
+            for name, child in level.children.items():
+                part = level.diagram.parts[name]
+                if isinstance(child, DiagramLevel):
+                    child.enable = self._condition(level, part.enable, child.path, "enable")
+                    child.reset = self._condition(level, part.reset, child.path, "reset")
+                    for port in child.diagram.inputs.values():
+                        self._checked_driver(level, name, port, child.path)
+                else:
+                    child.drivers = {
+                        i.name: self._checked_driver(level, name, i, child.path) for i in child.block.inputs
+                    }
+
+    def _condition(self, level: DiagramLevel, source: str | None, path: str, what: str) -> PortOf | str | None:
+        if source is None:
+            return None
+        driver = level.resolve(source)
+        port = self.root.diagram.inputs[driver] if isinstance(driver, str) else driver.declared
+        if port.kind != "bool" or port.width is not None:
+            raise DiagramError(f"its {what} signal {source!r} is no bool", path, "compare the signal with something")
+        return driver
+
+    def _checked_driver(self, level: DiagramLevel, part: str, port: Port, path: str) -> PortOf | str:
+        source = level.diagram.connections.get((part, port.name))
+        if source is None:
+            raise DiagramError("the input is not connected", f"{path}.{port.name}", "connect it")
+        driver = level.resolve(source)
+        given = self.root.diagram.inputs[driver] if isinstance(driver, str) else driver.declared
+        if (given.kind, given.width) != (port.kind, port.width):
+            raise DiagramError(
+                f"it takes {_shape(port)} and {driver} gives {_shape(given)}",
+                f"{path}.{port.name}",
+                "convert the signal, or mux and demux it",
+            )
+        if _units_clash(given.unit, port.unit):
+            raise DiagramError(
+                f"it takes [{port.unit}] and {driver} gives [{given.unit}]",
+                f"{path}.{port.name}",
+                "convert the unit",
+            )
+        return driver
+
+    def _check_states(self) -> None:
+        for cell in self.cells:
+            if cell.continuous and cell.rate != BASE:
+                raise DiagramError(
+                    f"continuous states at the rate {tuple(cell.rate)}",
+                    cell.path,
+                    "keep them at the base rate",
+                )
+            if cell.block.trace.edges and cell.rate != BASE:
+                raise DiagramError(
+                    f"an edge inside the step at the rate {tuple(cell.rate)}",
+                    cell.path,
+                    "keep it at the base rate",
+                )
+
+    def _needs(self, item: PortOf) -> list[PortOf]:
+        cell = item.cell
+        drivers = [cell.drivers[name] for name in sorted(cell.block.trace.feedthrough[item.port])]
+        drivers += [s for level in cell.levels for s in (level.enable, level.reset) if s is not None]
+        return [d for d in drivers if isinstance(d, PortOf)]
+
+    def _order(self) -> list[tuple[Cell, list[str]]]:
+        done: set[tuple[str, str]] = set()
+        schedule: list[tuple[Cell, list[str]]] = []
+        for cell in self.cells:
+            for port in cell.block.outputs:
+                for item in self._ready(PortOf(cell, port.name), done):
+                    if schedule and schedule[-1][0] is item.cell and not self._feeds_itself(item):
+                        schedule[-1][1].append(item.port)
+                    else:
+                        schedule.append((item.cell, [item.port]))
+        return schedule
+
+    def _feeds_itself(self, item: PortOf) -> bool:
+        """Whether a port reads another output of its own cell, which must then be computed before, not beside it."""
+        return any(need.cell is item.cell for need in self._needs(item))
+
+    def _ready(self, item: PortOf, done: set[tuple[str, str]]) -> Iterator[PortOf]:
+        """`item` and all it needs that is not `done`, needs first. Raises DiagramError at an algebraic loop."""
+        path: list[PortOf] = []
+        stack: list[tuple[PortOf, bool]] = [(item, False)]
+        open_: set[tuple[str, str]] = set()
+        while stack:
+            at, leaving = stack.pop()
+            key = (at.cell.path, at.port)
+            if leaving:
+                path.pop()
+                open_.discard(key)
+                done.add(key)
+                yield at
+            elif key in open_:
+                loop = [str(p) for p in path]
+                loop = loop[loop.index(str(at)) :]
+                raise DiagramError(
+                    f"algebraic loop {' <- '.join([*loop, loop[0]])}",
+                    self.root.path,
+                    "put a delay or a continuous state into the loop",
+                )
+            elif key not in done:
+                open_.add(key)
+                path.append(at)
+                stack.append((at, True))
+                stack.extend((need, False) for need in self._needs(at))
+
+    def _constant(self) -> set[tuple[str, str]]:
+        """Ports that never change while parameters do not: they have no rate."""
+        found: set[tuple[str, str]] = set()
+        for cell, ports in self.schedule:
+            for port in ports:
+                t = cell.block.trace
+                roots = [t.outputs[port]]
+                fed = [cell.drivers[i] for i in t.feedthrough[port]]
+                steady = all(isinstance(d, PortOf) and (d.cell.path, d.port) in found for d in fed)
+                if (
+                    steady
+                    and not cell.levels
+                    and not leaves(roots, "state")
+                    and port not in t.uses_tick
+                    and port not in t.edges
+                ):
+                    found.add((cell.path, port))
+        return found
+
+    def _check_rates(self) -> None:
+        constant = self._constant()
+        for cell in self.cells:
+            for name, driver in cell.drivers.items():
+                rate = BASE if isinstance(driver, str) else driver.cell.rate
+                free = isinstance(driver, PortOf) and (driver.cell.path, driver.port) in constant
+                if rate != cell.rate and not free and not cell.block.crossing:
+                    raise DiagramError(
+                        f"it runs at {tuple(cell.rate)} and {driver} at {tuple(rate)}",
+                        f"{cell.path}.{name}",
+                        "put a ZeroOrderHold or RateTransition between them",
+                    )
+
+    def _continuous(self) -> list[tuple[Cell, list[str]]]:
+        varying: set[tuple[str, str]] = set()
+        chosen: list[tuple[Cell, list[str]]] = []
+        for cell, ports in self.schedule:
+            t = cell.block.trace
+            own = {s.name for s in cell.continuous}
+            for port in ports:
+                if port in t.edges:
+                    varying.add((cell.path, port))
+                    continue
+                moving = any(
+                    isinstance(d, PortOf) and (d.cell.path, d.port) in varying
+                    for d in (cell.drivers[i] for i in t.feedthrough[port])
+                )
+                moving = moving or bool(own & leaves([t.outputs[port]], "state"))
+                held = cell.rate != BASE or cell.block.crossing or (bool(cell.discrete) and not cell.continuous)
+                if moving and not held:
+                    varying.add((cell.path, port))
+                    if chosen and chosen[-1][0] is cell and not self._feeds_itself(PortOf(cell, port)):
+                        chosen[-1][1].append(port)
+                    else:
+                        chosen.append((cell, [port]))
+        return chosen
+
+    def signal(self, path: str) -> PortOf:
+        """The port with the path "part.sub.port". Raises DiagramError if there is none."""
+        owner, _, port = path.rpartition(".")
+        for cell in self.cells:
+            if cell.path == owner and any(p.name == port for p in cell.block.outputs):
+                return PortOf(cell, port)
+        raise DiagramError(f"there is no signal {path!r:.120}", self.root.path, "a signal's path is part.sub.port")
+
+
+def _shape(port: Port) -> str:
+    return port.kind if port.width is None else f"{port.kind}[{port.width}]"
+
+
+def _units_clash(a: str, b: str) -> bool:
+    return bool(a and b and a != b)

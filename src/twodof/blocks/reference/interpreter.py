@@ -1,0 +1,424 @@
+"""The reference: a diagram interpreted on plain numbers, by its hierarchy, one block after the other.
+
+It is the judge of every compiled target and shares no code with the compiler's lowering. What a step is says
+docs/explanation/language.md, section 4.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from twodof.blocks.block import (
+    Block,
+    Clock,
+    Inputs,
+    Param,
+    Parameters,
+    Port,
+    State,
+    States,
+    check_bounds,
+    check_steps,
+    names_given,
+    numeric,
+    unknown_parameter,
+)
+from twodof.blocks.diagram import Diagram
+from twodof.blocks.expressions import numbers
+from twodof.blocks.expressions.numbers import Integer, UInt32, Vector
+from twodof.blocks.reference.hierarchy import Cell, Hierarchy, PortOf
+from twodof.errors import DiagramError, ParameterError
+
+
+class Reference:
+    """A diagram ready to be interpreted: `dt` [s] the base tick, `log` paths of further signals to return.
+
+    Raises DiagramError if the diagram is not complete or not consistent.
+    """
+
+    def __init__(
+        self,
+        diagram: Diagram,
+        dt: float,
+        precision: str = "float64",
+        log: Iterable[str] = (),
+        integrator: str = "rk4",
+    ) -> None:
+        if not (np.isfinite(dt) and dt > 0):
+            raise DiagramError(f"dt = {dt!r}", diagram.name, "give the base tick in seconds, > 0")
+        if integrator not in ("rk4", "euler"):
+            raise DiagramError(f"unknown integrator {integrator!r}", diagram.name, 'use "rk4" or "euler"')
+        with numbers.precision(precision):
+            self.hierarchy = Hierarchy(diagram)
+        self.diagram = diagram
+        self.dt = float(dt)
+        self.precision = precision
+        self.integrator = integrator
+        self.log = tuple(log)
+        self.signals: dict[str, PortOf | str] = {
+            n: self.hierarchy.root.resolve(s) for n, s in diagram.outputs.items() if s
+        }
+        self.signals |= {path: self.hierarchy.signal(path) for path in self.log}
+
+    def machine(self) -> ReferenceMachine:
+        """A fresh instance in its initial state."""
+        return ReferenceMachine(self)
+
+
+_Place = tuple[dict[str, Any], str]
+"""Where a value stands while a diagram runs, and under which name."""
+
+
+class _Run:
+    """A cell while it runs: what its methods see and the outputs that it holds.
+
+    The dictionaries live as long as the run: the methods' views and the readers of the outputs refer to them.
+    """
+
+    def __init__(self, cell: Cell, clock: Clock) -> None:
+        self.cell = cell
+        self.t = clock
+        self.u = {p.name: _zero(p) for p in cell.block.inputs}
+        self.x: dict[str, Any] = {}
+        self.p: dict[str, Any] = {}
+        self.y = {p.name: _zero(p) for p in cell.block.outputs}
+        self.after: dict[str, tuple[Any, Any]] = {}  # port -> (fraction of the step, value after it)
+        self.feeds: list[tuple[str, dict[str, Any], str]] = []  # input, where its value stands, under which name
+        self.enables: list[_Place] = []
+        self.resets: list[_Place] = []
+        self.active = False
+        self.seen = (Inputs(self.u), States(self.x), Parameters(self.p), clock)
+        self.discrete = cell.discrete
+        self.continuous = cell.continuous
+        self.output = _Method(self, cell.block.output, cell.block.outputs)
+        self.update = _Method(self, cell.block.update, self.discrete)
+        self.derivative = _Method(self, cell.block.derivative, self.continuous)
+        self.project = _Method(self, cell.block.project, self.continuous)
+
+    def feed(self) -> None:
+        u = self.u
+        for port, values, key in self.feeds:
+            u[port] = values[key]
+
+    def zero_outputs(self) -> None:
+        self.y.update({p.name: _zero(p) for p in self.cell.block.outputs})
+
+
+class _Method:
+    """A method of a running block: what it gives, as numbers of the declared types (tracing has checked the names)."""
+
+    def __init__(self, run: _Run, method: Callable[..., Any], declared: Sequence[Port | State]) -> None:
+        self._seen, self._path, self._method = run.seen, run.cell.path, method
+        self._declared = [(d.name, d.kind, d.width, None if d.width is not None else d.kind) for d in declared]
+
+    def __call__(self) -> dict[str, Any]:
+        result = self._method(*self._seen)
+        if type(result) is not dict and not isinstance(result, Mapping):
+            result = {self._declared[0][0]: result}
+        types = numbers.scalar_types()
+        given = {}
+        for name, kind, width, scalar in self._declared:
+            if name in result:
+                value = result[name]
+                # What is of the type already, as nearly all is, needs no look at what else it could be.
+                given[name] = value if type(value) is types.get(scalar) else numeric(value, kind, width, self._path)
+        return given
+
+
+def _zero(port: Port) -> Any:
+    return numeric(0, port.kind, port.width, port.name)
+
+
+class ReferenceMachine:
+    """One running instance; the interface is that of a compiled program's machine."""
+
+    def __init__(self, program: Reference) -> None:
+        self.program = program
+        self.hierarchy = program.hierarchy
+        self.parameters: dict[str, Param] = self.hierarchy.parameters
+        with numbers.precision(program.precision):
+            self._values = {path: _default(p, path) for path, p in self.parameters.items()}
+            self._real_dt = numbers.real_type()(program.dt)
+            self._inputs = {name: _zero(port) for name, port in program.diagram.inputs.items()}
+            self._runs = {cell.path: self._open(cell) for cell in self.hierarchy.cells}
+        for run in self._runs.values():
+            run.feeds = [(port, *self._place(driver)) for port, driver in run.cell.drivers.items()]
+            run.enables = [self._place(level.enable) for level in run.cell.levels if level.enable]
+            run.resets = [self._place(level.reset) for level in run.cell.levels if level.reset]
+        begun: set[str] = set()
+        self._schedule: list[tuple[_Run, Block, Sequence[str], bool]] = []  # and whether it is the cell's first place
+        for cell, ports in self.hierarchy.schedule:
+            self._schedule.append((self._runs[cell.path], cell.block, ports, cell.path not in begun))
+            begun.add(cell.path)
+        self._without_outputs = [run for path, run in self._runs.items() if path not in begun]
+        self._logged = [(name, *self._place(driver)) for name, driver in program.signals.items()]
+        self._inner = [(self._runs[c.path], ports) for c, ports in self.hierarchy.continuous_schedule]
+        self.reset()
+
+    def _open(self, cell: Cell) -> _Run:
+        dt = numbers.real_type()(self.program.dt * cell.rate.divider)
+        return _Run(cell, Clock(UInt32(0), dt, self._real_dt))
+
+    def _place(self, driver: PortOf | str | None) -> _Place:
+        if driver is None:
+            raise DiagramError("a signal is not connected", self.program.diagram.name, "connect it")
+        if isinstance(driver, PortOf):
+            return self._runs[driver.cell.path].y, driver.port
+        return self._inputs, driver
+
+    def reset(self) -> None:
+        """To the initial states of the present parameters, tick 0, held outputs 0."""
+        self.tick = 0
+        with numbers.precision(self.program.precision):
+            for run in self._runs.values():
+                self._prepare(run)
+                run.x.update(self._initial(run))
+                run.zero_outputs()
+                run.after = {}
+
+    def set(self, path: str, value: Any) -> None:
+        """Set one parameter; see `set_many`."""
+        self.set_many({path: value})
+
+    def set_many(self, values: Mapping[str, Any]) -> None:
+        """Set several parameters before the next step, or, if one is refused with ParameterError, none."""
+        with numbers.precision(self.program.precision):
+            new = {path: _checked(self.parameters, path, value, self.tick > 0) for path, value in values.items()}
+            self._values |= new
+            for run in self._runs.values():
+                if any(root in new for root in run.cell.parameters.values()):
+                    self._prepare(run)
+
+    def get(self, path: str) -> Any:
+        """A parameter's present value as a Python number (or list)."""
+        if path not in self._values:
+            raise unknown_parameter(path, self.parameters)
+        return plain(self._values[path])
+
+    def state(self, path: str) -> Any:
+        """A state's present value by path, as a Python number (or list)."""
+        run, name = self._state(path)
+        return plain(run.x[name])
+
+    def set_state(self, path: str, value: Any) -> None:
+        """Overwrite a state. Raises DiagramError for an unknown path or a value of another type."""
+        run, name = self._state(path)
+        declared = next(s for s in run.cell.block.states if s.name == name)
+        with numbers.precision(self.program.precision):
+            run.x[name] = numeric(value, declared.kind, declared.width, path)
+
+    def _state(self, path: str) -> tuple[_Run, str]:
+        owner, _, name = path.rpartition(".")
+        run = self._runs.get(owner)
+        if run is None or name not in run.x:
+            raise DiagramError(
+                f"there is no state {path!r:.120}",
+                self.program.diagram.name,
+                "a state's path is part.sub.state",
+            )
+        return run, name
+
+    def run(self, steps: int, inputs: Mapping[str, Any] | None = None) -> dict[str, Any]:
+        """`steps` steps; an input is one value, or a sequence of `steps` values. Returns arrays by signal name."""
+        steps = check_steps(steps, self.program.diagram.name)
+        columns = {
+            name: _column(value, steps, self.program.diagram.inputs.get(name)) for name, value in (inputs or {}).items()
+        }
+        rows = [self.step({n: c(k) for n, c in columns.items()}) for k in range(steps)]
+        return {name: np.array([row[name] for row in rows]) for name in self.program.signals}
+
+    def step(self, inputs: Mapping[str, Any] | None = None) -> dict[str, Any]:
+        """One step; an input that is not given keeps its last value (0 at first). Returns values by signal name."""
+        with numbers.precision(self.program.precision):
+            return {name: plain(value) for name, value in self.exact_step(inputs or {}).items()}
+
+    def exact_step(self, inputs: Mapping[str, Any]) -> dict[str, Any]:
+        """`step`, with the language's own numbers; needs an enclosing `numbers.precision`."""
+        self._read(inputs)
+        self._outputs()
+        logged = {name: values[key] for name, values, key in self._logged}
+        active = [run for run in self._runs.values() if run.active]
+        updates = [(run, run.update()) for run in active if run.discrete]
+        states = self._integrate([run for run in active if run.continuous])
+        for run, new in [*updates, *states]:
+            run.x.update(new)
+        self.tick = (self.tick + 1) % 2**32
+        return logged
+
+    def _read(self, inputs: Mapping[str, Any]) -> None:
+        declared = self.program.diagram.inputs
+        for name, value in inputs.items():
+            if name not in declared:
+                known = ", ".join(declared) or "none"
+                raise DiagramError(f"there is no input {name!r:.80}", self.program.diagram.name, f"inputs: {known}")
+            self._inputs[name] = numeric(value, declared[name].kind, declared[name].width, name)
+
+    def _outputs(self) -> None:
+        for run, block, ports, first in self._schedule:
+            if first:
+                self._begin(run)
+            run.feed()
+            if run.active:
+                fresh = run.output()
+                edges = block.edges(*run.seen) if block.trace.edges else {}
+                for port in ports:
+                    run.y[port] = fresh[port]
+                    if port in edges:
+                        run.after[port] = (
+                            numbers.cast(edges[port][0], "real"),
+                            numbers.cast(edges[port][1], "real"),
+                        )
+            elif run.cell.rate_due(self.tick) and self._cleared(run.cell):
+                run.zero_outputs()
+        for run in self._without_outputs:
+            self._begin(run)
+        for run in self._runs.values():
+            run.feed()
+
+    def _cleared(self, cell: Cell) -> bool:
+        return any(level.resets_outputs and not self._value(level.enable) for level in cell.levels if level.enable)
+
+    def _begin(self, run: _Run) -> None:
+        """Whether the cell acts in this tick; its states as they read in this tick."""
+        cell = run.cell
+        run.t.tick = UInt32(self.tick)
+        run.after = {}
+        run.active = cell.rate_due(self.tick) and (not run.enables or all(values[key] for values, key in run.enables))
+        if run.active and run.resets and any(values[key] for values, key in run.resets):
+            run.x.update(self._initial(run))
+
+    def _value(self, driver: PortOf | str | None) -> Any:
+        values, key = self._place(driver)
+        return values[key]
+
+    def _integrate(self, runs: list[_Run]) -> list[tuple[_Run, dict[str, Any]]]:
+        """The continuous states of the next tick."""
+        if not runs:
+            return []
+        held = [(run, dict(run.u), dict(run.x)) for run in runs]
+        held_y = [(run, dict(run.y)) for run in self._runs.values()]
+        edged = [(run, port, run.y[port], *run.after[port]) for run in self._runs.values() for port in run.after]
+        real = numbers.real_type()
+        s, one = real(0), real(1)
+        while s < one:
+            end = one
+            for run, port, before, fraction, after in edged:
+                if before != after and fraction > s and fraction < end:
+                    end = fraction
+                run.y[port] = after if s >= fraction else before
+            self._advance(runs, (end - s) * self._real_dt)
+            s = end
+        new = []
+        for run, u, x in held:
+            integrated = {c.name: run.x[c.name] for c in run.continuous}
+            run.u.update(u)
+            new.append((run, integrated | run.project()))
+            run.x.update(x)
+        for run, y in held_y:
+            run.y.update(y)
+        return new
+
+    def _advance(self, runs: list[_Run], h: Any) -> None:
+        """One piece of RK4 or Euler; leaves the integrated states in `run.x`."""
+        real = numbers.real_type()
+        x0 = [{c.name: run.x[c.name] for c in run.continuous} for run in runs]
+
+        def moved(step: Any, slopes: list[dict[str, Any]]) -> None:
+            for run, x, k in zip(runs, x0, slopes, strict=True):
+                run.x.update({n: _elementwise(lambda a, b: a + step * b, x[n], k[n]) for n in x})
+
+        k1 = self._derivative(runs)
+        if self.program.integrator == "euler":
+            moved(h, k1)
+            return
+        half = h * real(0.5)
+        moved(half, k1)
+        k2 = self._derivative(runs)
+        moved(half, k2)
+        k3 = self._derivative(runs)
+        moved(h, k3)
+        k4 = self._derivative(runs)
+        two = real(2)
+        total = [
+            {n: _elementwise(lambda a, b, c, d: ((a + two * b) + two * c) + d, a[n], b[n], c[n], d[n]) for n in a}
+            for a, b, c, d in zip(k1, k2, k3, k4, strict=True)
+        ]
+        moved(h * real(1 / 6), total)
+
+    def _derivative(self, runs: list[_Run]) -> list[dict[str, Any]]:
+        for run, ports in self._inner:
+            if run.active:
+                run.feed()
+                fresh = run.output()
+                for port in ports:
+                    run.y[port] = fresh[port]
+        for run in runs:
+            run.feed()
+        return [run.derivative() for run in runs]
+
+    def _prepare(self, run: _Run) -> None:
+        cell = run.cell
+        given = {name: self._values[root] for name, root in cell.parameters.items()}
+        clock = Clock(None, run.t.dt, run.t.base_dt)
+        result = cell.block.prepare(Parameters(dict(given)), clock)
+        derived = names_given(cell.path, "prepare", result, cell.block.derived)
+        run.p.update(given)
+        run.p.update({d.name: numeric(derived[d.name], d.kind, d.width, cell.path) for d in cell.block.derived})
+
+    def _initial(self, run: _Run) -> dict[str, Any]:
+        return {
+            s.name: run.p[s.initial] if isinstance(s.initial, str) else numeric(s.initial, s.kind, s.width, s.name)
+            for s in run.cell.block.states
+        }
+
+
+def _default(p: Param, path: str) -> Any:
+    return numeric(p.value, p.kind, p.width, path)
+
+
+def _elementwise(f: Any, *values: Any) -> Any:
+    if isinstance(values[0], Vector):
+        return Vector(f(*items) for items in zip(*values, strict=True))
+    return f(*values)
+
+
+def _checked(parameters: Mapping[str, Param], path: str, value: Any, running: bool) -> Any:
+    if path not in parameters:
+        raise unknown_parameter(path, parameters)
+    p = parameters[path]
+    if running and not p.tunable:
+        raise ParameterError(
+            "it is fixed while the diagram runs", path, "set it before the first step, or after reset()"
+        )
+    try:
+        number = numeric(value, p.kind, p.width, path)
+    except DiagramError as error:
+        raise ParameterError(error.what, path, error.remedy) from error
+    check_bounds(p, value, path)
+    return number
+
+
+def plain(value: Any) -> Any:
+    """A number of the language as a Python number, a Vector as a list."""
+    if isinstance(value, Vector):
+        return [plain(v) for v in value]
+    return value.value if isinstance(value, Integer) else value.item()
+
+
+def _column(value: Any, steps: int, port: Any) -> Any:
+    """A function of k that gives the input's value at step k."""
+    data = np.asarray(value)
+    if port is not None and data.ndim == (0 if port.width is None else 1):
+        constant = data.tolist()
+        return lambda k: constant
+    if data.shape[0] != steps:
+        raise DiagramError(
+            f"{data.shape[0]} values for {steps} steps",
+            port.name if port else "",
+            "give one value, or one a step",
+        )
+    rows = data.tolist()
+    return lambda k: rows[k]

@@ -1,0 +1,194 @@
+"""The JSON form of a diagram. A custom block travels as its traced expressions; loading a file runs nothing of it.
+
+What comes in is bounded before it is used. docs/explanation/language.md, section 5, describes the form and the limits.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+from twodof.blocks.block import Block, Param, Port, State
+from twodof.blocks.diagram import Diagram, Part
+from twodof.blocks.schema.loader import Loader, member, only
+from twodof.blocks.schema.traced_block import TracedBlock, graph_to_json
+from twodof.errors import DiagramError, shown
+
+SCHEMA = "twodof/diagram"
+VERSION = 1
+MAX_BYTES = 8 * 2**20
+MAX_DIGITS = 40  # of an integer
+
+
+def to_json(diagram: Diagram) -> str:
+    """`diagram` as JSON text that diffs well: one part, port or node a line, in the diagram's own order.
+
+    Raises DiagramError for a library block whose constructor's arguments are not plain data.
+    """
+    return _text({"schema": SCHEMA, "version": VERSION, "diagram": _diagram_to(diagram)}) + "\n"
+
+
+def from_json(text: str | bytes) -> Diagram:
+    """The diagram in `text`. Raises DiagramError, naming the place, for what is no diagram of this version.
+
+    Nothing of the file is executed, and what it makes is bounded in memory, in what is to be compiled and in what a
+    step computes (docs/explanation/language.md, section 5). Connections are checked when the diagram is compiled or
+    interpreted.
+    """
+    if len(text) > MAX_BYTES:
+        raise DiagramError(f"{len(text)} bytes of diagram", "file", f"at most {MAX_BYTES} are read")
+    try:
+        data = json.loads(
+            text,
+            parse_constant=_no_constant,
+            parse_float=_finite,
+            parse_int=_integer,
+            object_pairs_hook=_without_duplicates,
+        )
+    except (ValueError, RecursionError) as error:
+        raise DiagramError(f"this is no JSON: {error!s:.200}", "file", "save the diagram again") from error
+    if not isinstance(data, dict) or data.get("schema") != SCHEMA:
+        raise DiagramError(
+            "this is no diagram",
+            "file",
+            f'give a file that `twodof diagram new` or to_json wrote; one has "schema": "{SCHEMA}"',
+        )
+    if data.get("version") != VERSION or type(data["version"]) is not int:
+        raise DiagramError(
+            f"schema version {shown(data.get('version'))} is unknown", "file", f"this twodof reads version {VERSION}"
+        )
+    only(data, {"schema", "version", "diagram"}, "file")
+    return Loader().diagram(member(data, "diagram", dict, "file"))
+
+
+def read_diagram(path: str | Path) -> Diagram:
+    """The diagram in the file at `path`, of which no more is read than a diagram may have. Errors as `from_json`'s."""
+    file = Path(path)
+    try:
+        if not file.is_file():
+            raise DiagramError("there is no such file", f"{path!s:.200}", "name a diagram's JSON file")
+        with file.open("rb") as stream:
+            data = stream.read(MAX_BYTES + 1)
+    except (OSError, ValueError) as error:
+        raise DiagramError(
+            f"it cannot be read: {error!s:.200}", f"{path!s:.200}", "name a diagram's JSON file"
+        ) from error
+    try:
+        return from_json(data)
+    except DiagramError as error:
+        where = f"{path}: {error.where}" if error.where != "file" else str(path)
+        raise DiagramError(error.what, where, error.remedy) from error
+
+
+def _no_constant(text: str) -> float:
+    raise ValueError(f"{text} is no JSON number")
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if math.isinf(value):
+        raise ValueError(f'{text:.40} is beyond the largest float64 (infinity is written {{"float": "inf"}})')
+    return value
+
+
+def _integer(text: str) -> int:
+    if len(text) > MAX_DIGITS:
+        raise ValueError(f"an integer of {len(text)} digits")
+    return int(text)
+
+
+def _without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    made = dict(pairs)
+    if len(made) < len(pairs):
+        twice, _ = Counter(key for key, _ in pairs).most_common(1)[0]
+        raise ValueError(f"the key {shown(twice)} stands twice in one object")
+    return made
+
+
+def _diagram_to(d: Diagram) -> dict[str, Any]:
+    return {
+        "name": d.name,
+        "text": d.text,
+        "inputs": [_declared_to(p) for p in d.inputs.values()],
+        "params": [_declared_to(p) for p in d.params.values()],
+        "parts": [_part_to(p) for p in d.parts.values()],
+        "connections": [[source, f"{part}.{port}"] for (part, port), source in d.connections.items()],
+        "outputs": [[name, source] for name, source in d.outputs.items()],
+    }
+
+
+def _part_to(part: Part) -> dict[str, Any]:
+    form: dict[str, Any] = {"name": part.name}
+    if tuple(part.rate) != (1, 0):
+        form["rate"] = list(part.rate)
+    for key in ("params", "enable", "reset"):
+        if getattr(part, key):
+            form[key] = getattr(part, key)
+    if part.disabled != "hold":
+        form["disabled"] = part.disabled
+    if part.position is not None:
+        form["position"] = list(part.position)
+    if isinstance(part.item, Diagram):
+        return form | {"diagram": _diagram_to(part.item)}
+    return form | {"block": _block_to(part.item, part.name)}
+
+
+def _block_to(block: Block, name: str) -> dict[str, Any]:
+    if type(block).type_name:
+        return {"type": type(block).type_name, "config": _encode(getattr(block, "config", {}), name)}
+    return {
+        "type": "custom",
+        "name": block.label if isinstance(block, TracedBlock) else type(block).__name__,
+        **{
+            k: [_declared_to(d) for d in getattr(block, k)]
+            for k in ("inputs", "outputs", "states", "params", "derived")
+        },
+        "crossing": block.crossing,
+        **graph_to_json(block.trace),
+    }
+
+
+_DEFAULTS: dict[str, Any] = {
+    "kind": "real",
+    "width": None,
+    "unit": "",
+    "text": "",
+    "tunable": True,
+    "continuous": False,
+}
+
+
+def _declared_to(item: Port | State | Param) -> dict[str, Any]:
+    form = {}
+    for key, value in vars(item).items():
+        infinite = key in ("low", "high") and math.isinf(value)
+        if not infinite and not (key in _DEFAULTS and value == _DEFAULTS[key]):
+            form[key] = _encode(value, item.name)
+    return form
+
+
+def _encode(value: Any, where: str) -> Any:
+    if isinstance(value, float) and not math.isfinite(value):
+        return {"float": str(value)}
+    if isinstance(value, (list, tuple)):
+        return [_encode(v, where) for v in value]
+    if isinstance(value, dict):
+        return {str(k): _encode(v, where) for k, v in value.items()}
+    if value is None or isinstance(value, (bool, int, float, str)):
+        return value
+    raise DiagramError(f"a {type(value).__name__} has no JSON form", where, "use numbers, strings and lists")
+
+
+def _text(value: Any, indent: int = 0) -> str:
+    """JSON in which whatever is short stands on one line and everything else has a line for each of its items."""
+    flat = json.dumps(value, ensure_ascii=False)
+    if not isinstance(value, (dict, list)) or len(flat) <= 80:
+        return flat
+    pad = " " * (indent + 1)
+    if isinstance(value, dict):
+        rows = [f"{pad}{json.dumps(k)}: {_text(v, indent + 1)}" for k, v in value.items()]
+        return "{\n" + ",\n".join(rows) + "\n" + " " * indent + "}"
+    return "[\n" + ",\n".join(f"{pad}{_text(v, indent + 1)}" for v in value) + "\n" + " " * indent + "]"

@@ -1,0 +1,300 @@
+"""Builds a diagram from its JSON form and refuses, at the door, what would cost too much or is not what it says."""
+
+from __future__ import annotations
+
+import difflib
+import unicodedata
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from twodof.blocks import library
+from twodof.blocks.block import NAME, REGISTRY, Block, Param, Port, State
+from twodof.blocks.diagram import Diagram
+from twodof.blocks.expressions.cost import COPIED, MAX_OPERATIONS, MAX_SIZE, CostMeter, too_large
+from twodof.blocks.expressions.expr import at_most
+from twodof.blocks.schema.traced_block import TracedBlock, graph_from_json
+from twodof.errors import DiagramError, TwodofError, listed, shown
+
+MAX_DEPTH = 64  # of sub-diagrams
+MAX_PARTS = 10_000
+MAX_DECLARED = 100_000  # inputs, outputs, states and parameters of all parts
+MAX_ELEMENTS = 1_000_000  # of their arrays, all together
+MAX_NUMBERS = 100_000  # written out: tables, initial values, arguments of blocks
+MAX_LIST_DEPTH = 4
+MAX_TEXT = 10_000  # characters
+MAX_UNIT = 40
+MAX_STRING = 1000  # an argument of a block
+STAGES = 4  # evaluations of a derivative in a step of RK4
+
+_DIAGRAM = {"name", "text", "inputs", "params", "parts", "connections", "outputs"}
+_PART = {"name", "rate", "params", "enable", "reset", "disabled", "position", "diagram", "block"}
+_SECTIONS = {"inputs", "outputs", "states", "params", "derived"}
+_CUSTOM = {"type", "name", "crossing", "nodes", "prepare", "output", "edges", "update", "derivative", "project"}
+
+
+def member(data: Mapping[str, Any], key: str, kind: type | tuple[type, ...], where: str, default: Any = None) -> Any:
+    """`data[key]` (or `default`) if it is of the type `kind`; else DiagramError."""
+    value = data.get(key, default)
+    if not isinstance(value, kind) or (isinstance(value, bool) and kind is int):
+        remedy = "see docs/explanation/language.md, section 5"
+        raise DiagramError(f"{key!r} is missing or of the wrong kind", where, remedy)
+    return value
+
+
+def only(data: Mapping[str, Any], known: set[str], where: str) -> None:
+    """Raise DiagramError if `data` has a key that is not `known`: a slip of the pen would change a diagram silently."""
+    for key in data:
+        if key not in known:
+            raise DiagramError(f"unknown key {shown(key)}", where, f"there may be: {listed(sorted(known))}")
+
+
+def text(value: str, most: int, where: str, lines: bool = False) -> str:
+    """`value` if it has at most `most` characters, all visible ones (with `lines`, also line ends); else DiagramError.
+
+    Control characters, halves of surrogate pairs, characters of no width and those that reorder a line could make a
+    text look like another one or end what it stands in.
+    """
+    if len(value) > most:
+        raise DiagramError(f"a text of {len(value)} characters", where, f"at most {most}")
+    for c in value:
+        if unicodedata.category(c) in ("Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp") and not (lines and c in "\n\t"):
+            raise DiagramError(f"the character U+{ord(c):04X} in a text", where, "use visible characters")
+    return value
+
+
+class Loader:
+    """Builds one diagram and counts what it costs."""
+
+    def __init__(self) -> None:
+        self.parts = self.declared = self.elements = self.numbers = 0
+        self.size = self.prepared = self.tick = self.stage = self.edges = 0
+        self.integrates = False
+        self.meter = CostMeter()
+
+    def diagram(self, data: dict[str, Any], path: str = "", depth: int = 0) -> Diagram:
+        """The diagram that `data` describes, at `path` and `depth` within another one. Raises DiagramError."""
+        if depth > MAX_DEPTH:
+            raise DiagramError(f"sub-diagrams are nested more than {MAX_DEPTH} deep", path, "flatten the diagram")
+        only(data, _DIAGRAM, path or "diagram")
+        name = member(data, "name", str, path or "diagram")
+        d = Diagram(name, text(member(data, "text", str, path, ""), MAX_TEXT, path or "diagram", lines=True))
+        path = path or d.name
+        for form in member(data, "inputs", list, path, []):
+            port = self._declaration(Port, form, path)
+            d.input(port.name, port.kind, port.width, port.unit)
+        for form in member(data, "params", list, path, []):
+            p = self._declaration(Param, form, path)
+            fields = {k: v for k, v in vars(p).items() if k not in ("name", "value")}
+            d.param(p.name, p.value, **fields)
+        parts = member(data, "parts", list, path, [])
+        self.parts += len(parts)
+        if self.parts > MAX_PARTS:  # counted before the first is made, which costs more than reading them
+            raise DiagramError(f"more than {MAX_PARTS} parts", path, "make the diagram smaller")
+        for form in parts:
+            self._part(d, form, path, depth)
+        for pair in member(data, "connections", list, path, []):
+            if not (isinstance(pair, list) and len(pair) == 2 and all(isinstance(s, str) for s in pair)):
+                raise DiagramError(f"{shown(pair)} is no connection", path, 'write ["source", "part.port"]')
+            self._connect(d, pair[0], pair[1])
+        for pair in member(data, "outputs", list, path, []):
+            named = isinstance(pair, list) and len(pair) == 2 and isinstance(pair[0], str)
+            if not named or not isinstance(pair[1], (str, type(None))):
+                raise DiagramError(f"{shown(pair)} is no output", path, 'write ["name", "source"]')
+            self._count(1, 0, path)
+            d.output(pair[0], pair[1])
+        return d
+
+    def _connect(self, d: Diagram, source: str, destination: str) -> None:
+        part, _, _ = destination.partition(".")
+        if part not in d.parts:
+            raise DiagramError(
+                f"a connection leads to {shown(destination)}, which is not there", d.name, "name a part's input"
+            )
+        d.connect(source, destination)
+
+    def _part(self, d: Diagram, form: Any, path: str, depth: int) -> None:
+        if not isinstance(form, dict):
+            raise DiagramError(f"{shown(form)} is no part", path, "a part is an object with a name")
+        name = member(form, "name", str, path)
+        where = f"{path}.{name:.80}"
+        only(form, _PART, where)
+        item: Block | Diagram
+        if "diagram" in form:
+            item = self.diagram(member(form, "diagram", dict, where), where, depth + 1)
+        else:
+            item = self._block(member(form, "block", dict, where), where)
+        rate = member(form, "rate", list, where, [1, 0])
+        if len(rate) != 2 or not all(type(r) is int for r in rate):
+            raise DiagramError(f"rate {shown(rate)}", where, "write [divider, offset]")
+        bound = member(form, "params", dict, where, {})
+        if not all(isinstance(v, str) for v in bound.values()):
+            raise DiagramError("params binds something that is no name", where, 'write {"inner": "outer"}')
+        position = form.get("position")
+        if position is not None:
+            good = isinstance(position, list) and len(position) == 2 and all(type(c) in (int, float) for c in position)
+            if not good or any(abs(c) > 1e6 for c in position):
+                raise DiagramError(f"position {shown(position)}", where, "write [x, y], each within +-1e6")
+        d.add(
+            name,
+            item,
+            rate=(rate[0], rate[1]),
+            params=bound,
+            enable=member(form, "enable", (str, type(None)), where),
+            reset=member(form, "reset", (str, type(None)), where),
+            disabled=member(form, "disabled", str, where, "hold"),
+            position=None if position is None else (float(position[0]), float(position[1])),
+            inputs={},
+        )
+
+    def _block(self, form: dict[str, Any], where: str) -> Block:
+        kind = member(form, "type", str, where)
+        if kind == "custom":
+            block: Block = self._custom(form, where)
+        elif kind in REGISTRY:
+            only(form, {"type", "config"}, where)
+            config = self._plain(member(form, "config", dict, where, {}), where)
+            try:
+                block = REGISTRY[kind](**config)
+                declared: list[Any] = [*block.inputs, *block.outputs, *block.states, *block.params, *block.derived]
+                self._count(len(declared), sum(item.width or 1 for item in declared), where)
+                with at_most(2 * MAX_SIZE):
+                    _ = block.trace
+            except TwodofError as error:
+                raise DiagramError(error.what, where, error.remedy) from error
+            except (TypeError, ValueError, ArithmeticError, LookupError) as error:
+                problem = f"{kind} cannot be made: {error!s:.200}"
+                raise DiagramError(problem, where, "see docs/reference/blocks.md") from error
+            for item in declared:
+                _visible(item.unit, getattr(item, "text", ""), where)
+        else:
+            near = listed(difflib.get_close_matches(kind[:80], REGISTRY, n=5))
+            raise DiagramError(
+                f"unknown block type {shown(kind)}",
+                where,
+                f"see docs/reference/blocks.md for those of {library.__name__}; like it: {near}",
+            )
+        try:
+            self._measure(block)
+        except DiagramError as error:
+            raise DiagramError(error.what, where, error.remedy) from error
+        return block
+
+    def _custom(self, form: dict[str, Any], where: str) -> TracedBlock:
+        only(form, _CUSTOM | _SECTIONS, where)
+        kinds: dict[str, type] = {"inputs": Port, "outputs": Port, "states": State, "params": Param, "derived": Port}
+        declared = {
+            k: [self._declaration(cls, f, where) for f in member(form, k, list, where, [])] for k, cls in kinds.items()
+        }
+        crossing = member(form, "crossing", bool, where, False)
+        block = TracedBlock(member(form, "name", str, where), declared, crossing)
+        graph_from_json(block, form, where)
+        return block
+
+    def _measure(self, block: Block) -> None:
+        """Count what a block adds to what is compiled and to what a step computes, whatever the rates are."""
+        t = block.trace
+        # Port by port, since each may be computed on its own.
+        outputs = [self.meter.measure([e]) for e in t.outputs.values()]
+        edges = [self.meter.measure(pair) for pair in t.edges.values()]
+        once = [self.meter.measure(t.update.values()), self.meter.measure(t.project.values())]
+        slope, prepare = self.meter.measure(t.derivative.values()), self.meter.measure(t.prepare.values())
+        arrays: list[Any] = [*block.outputs, *block.states]
+        copied = sum((item.width or 0) // COPIED for item in arrays)
+        moving = any(s.continuous for s in block.states)
+        self.tick += copied + sum(e.operations for e in [*outputs, *edges, *once])
+        self.stage += slope.operations
+        if moving or not block.states:  # what an integration may evaluate anew
+            self.stage += sum(e.operations for e in outputs)
+        self.integrates = self.integrates or moving
+        self.edges += len(edges)
+        self.prepared += prepare.operations
+        self.size += sum(e.size for e in [*outputs, *edges, *once, slope, prepare])
+        if self.size > MAX_SIZE:
+            raise too_large()
+        step = self.tick + (STAGES * (self.edges + 1) * self.stage if self.integrates else 0)
+        if max(step, self.prepared) > MAX_OPERATIONS:
+            raise DiagramError(
+                f"a step of more than {MAX_OPERATIONS} operations (of an integration {STAGES} times those of its "
+                "derivatives for each edge inside the step)",
+                "",
+                "make loops and arrays shorter",
+            )
+
+    def _declaration(self, cls: type, form: Any, where: str) -> Any:
+        fields = {"name", "kind", "width", "unit"}
+        fields |= {"initial", "continuous"} if cls is State else set()
+        fields |= {"value", "low", "high", "text", "tunable"} if cls is Param else set()
+        if not isinstance(form, dict) or not set(form) <= fields:
+            raise DiagramError(
+                f"{shown(form)} is no {cls.__name__.lower()}", where, f"it may have {', '.join(sorted(fields))}"
+            )
+        width = form.get("width")
+        if width is not None and (type(width) is not int or width < 1):
+            raise DiagramError(f"width {shown(width)}", where, "give an integer from 1, or leave it out")
+        self._count(1, width or 1, where)
+        values = {k: self._plain(v, where) if k in _NUMBERS else v for k, v in form.items()}
+        return _typed(cls, values, where)
+
+    def _count(self, declared: int, elements: int, where: str) -> None:
+        self.declared += declared
+        self.elements += elements
+        if self.declared > MAX_DECLARED:
+            raise DiagramError(f"more than {MAX_DECLARED} ports, states and parameters", where, "use arrays")
+        if self.elements > MAX_ELEMENTS:
+            raise DiagramError(f"more than {MAX_ELEMENTS} values", where, "make arrays and delays shorter")
+
+    def _plain(self, value: Any, where: str, depth: int = 0) -> Any:
+        """A value of a block's arguments with infinities and NaN decoded; counts numbers."""
+        if isinstance(value, dict) and set(value) == {"float"} and value["float"] in ("inf", "-inf", "nan"):
+            return float(value["float"])
+        if isinstance(value, (dict, list)):
+            if depth > MAX_LIST_DEPTH:
+                raise DiagramError(f"lists within more than {MAX_LIST_DEPTH} lists", where, "write a number or a table")
+            if isinstance(value, dict):
+                return {k: self._plain(v, where, depth + 1) for k, v in value.items()}
+            self.numbers += len(value)
+            if self.numbers > MAX_NUMBERS:
+                raise DiagramError(f"more than {MAX_NUMBERS} numbers written out", where, "make tables shorter")
+            return [self._plain(v, where, depth + 1) for v in value]
+        return text(value, MAX_STRING, where) if isinstance(value, str) else value
+
+
+_NUMBERS = ("initial", "value", "low", "high")
+_FIELD_TYPES: dict[str, tuple[type, ...]] = {
+    "name": (str,),
+    "kind": (str,),
+    "width": (int, type(None)),
+    "unit": (str,),
+    "text": (str,),
+    "tunable": (bool,),
+    "continuous": (bool,),
+    "low": (int, float),
+    "high": (int, float),
+    "value": (bool, int, float, list),
+    "initial": (bool, int, float, list, str),
+}
+
+
+def _typed(cls: type, fields: Mapping[str, Any], where: str) -> Any:
+    for key, value in fields.items():
+        if not isinstance(value, _FIELD_TYPES[key]) or (isinstance(value, list) and not _flat(value)):
+            raise DiagramError(f"{key!r} is {shown(value)}", where, "see docs/explanation/language.md, section 5")
+    if "name" not in fields:
+        raise DiagramError("a declaration has no name", where, "name it")
+    _visible(fields.get("unit", ""), fields.get("text", ""), where)
+    try:
+        return cls(**fields)
+    except DiagramError as error:
+        name = fields["name"] if NAME.fullmatch(fields["name"]) else ""
+        raise DiagramError(error.what, f"{where}.{name}".rstrip("."), error.remedy) from error
+
+
+def _visible(unit: str, remark: str, where: str) -> None:
+    """Raise DiagramError for a unit or a remark that is too long or not what it looks like."""
+    text(remark, MAX_TEXT, where, lines=True)
+    if unicodedata.normalize("NFKC", text(unit, MAX_UNIT, where)) != unit:
+        raise DiagramError(f"the unit {shown(unit)}", where, "write it in its usual characters (Unicode's form NFKC)")
+
+
+def _flat(values: Sequence[Any]) -> bool:
+    return all(isinstance(v, (bool, int, float)) for v in values)

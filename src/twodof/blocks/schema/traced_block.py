@@ -1,0 +1,240 @@
+"""TracedBlock: a block that is its recorded expressions, as it travels in JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from twodof.blocks.block import SECTIONS, Block, Clock, Trace, check_name, fits
+from twodof.blocks.elementary.functions import FUNCTIONS
+from twodof.blocks.expressions.arrays import vector
+from twodof.blocks.expressions.cost import MAX_LOOP_DEPTH, MAX_SIZE, CostMeter, too_large
+from twodof.blocks.expressions.expr import KINDS, Expr, const, convert, leaf, node, tracing
+from twodof.blocks.expressions.graph import OPERATIONS, evaluate, free_bounds, walk
+from twodof.errors import DiagramError, shown
+
+MAX_NODES = MAX_SIZE
+MAX_LENGTH = 1_000_000
+MAX_CARRIED = 32  # values that a fold carries from one round to the next
+
+
+class TracedBlock(Block):
+    """A block whose methods recompute recorded expressions. `label` is the name of the class it was traced from."""
+
+    def __init__(self, label: str, declared: Mapping[str, Sequence[Any]], crossing: bool = False) -> None:
+        self.label = check_name(label, "custom block")
+        self.inputs = declared["inputs"]
+        self.outputs = declared["outputs"]
+        self.states = declared["states"]
+        self.params = declared["params"]
+        self.derived = declared["derived"]
+        self.crossing = crossing
+        self.sections: dict[str, dict[str, Expr]] = {s: {} for s in SECTIONS if s != "edges"}
+        self.edge_pairs: dict[str, tuple[Expr, Expr]] = {}
+
+    def _section(self, name: str, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
+        exprs = self.sections[name]
+        return dict(zip(exprs, self._values(list(exprs.values()), u, x, p, t), strict=True))
+
+    def _values(self, exprs: list[Expr], u: Any, x: Any, p: Any, t: Clock) -> list[Any]:
+        def value(item: Expr) -> Any:
+            if item.op == "tick":
+                return t.tick
+            if item.op == "dt":
+                return t.dt if item.data == "dt" else t.base_dt
+            return {"input": u, "state": x, "param": p}[item.op][item.data]
+
+        return evaluate(exprs, value, FUNCTIONS)
+
+    def prepare(self, p: Any, t: Clock) -> Any:
+        return self._section("prepare", None, None, p, t)
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return self._section("output", u, x, p, t)
+
+    def edges(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        flat = self._values([e for pair in self.edge_pairs.values() for e in pair], u, x, p, t)
+        return {name: (flat[2 * i], flat[2 * i + 1]) for i, name in enumerate(self.edge_pairs)}
+
+    def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return self._section("update", u, x, p, t)
+
+    def derivative(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return self._section("derivative", u, x, p, t)
+
+    def project(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return self._section("project", u, x, p, t)
+
+
+def graph_to_json(trace: Trace) -> dict[str, Any]:
+    """A trace as a list of nodes [op, arguments, ...] and, by section, the node of each name."""
+    sections: dict[str, dict[str, Any]] = {
+        "prepare": trace.prepare,
+        "output": trace.outputs,
+        "update": trace.update,
+        "derivative": trace.derivative,
+        "project": trace.project,
+    }
+    roots = [e for exprs in sections.values() for e in exprs.values()] + [
+        e for pair in trace.edges.values() for e in pair
+    ]
+    order = walk(roots)
+    number = {id(item): i for i, item in enumerate(order)}
+    form: dict[str, Any] = {"nodes": [_node_to(item, number) for item in order]}
+    for name, exprs in sections.items():
+        if exprs:
+            form[name] = {key: number[id(e)] for key, e in exprs.items()}
+    if trace.edges:
+        form["edges"] = {key: [number[id(f)], number[id(a)]] for key, (f, a) in trace.edges.items()}
+    return form
+
+
+def _node_to(item: Expr, number: dict[int, int]) -> list[Any]:
+    args = [number[id(a)] for a in item.args]
+    if item.op == "const":
+        value = item.data.hex() if item.kind == "real" else item.data
+        return ["const", [], item.kind, value]
+    if item.op in ("input", "state", "param"):
+        return [item.op, [], item.data]
+    if item.op == "bound":
+        return ["bound", [], item.kind, *item.data]
+    if item.op in ("build", "fold"):
+        return [item.op, args, *item.data]
+    if item.op == "convert":
+        return ["convert", args, item.kind]
+    if item.data is None or item.op == "tick":
+        return [item.op, args]
+    return [item.op, args, item.data]
+
+
+def graph_from_json(block: TracedBlock, form: Mapping[str, Any], where: str) -> None:
+    """Fill `block` with the expressions in `form`. Raises DiagramError for a node that is not well formed."""
+    rows = form.get("nodes")
+    if not isinstance(rows, list) or len(rows) > MAX_NODES:
+        raise DiagramError(f"nodes are missing or more than {MAX_NODES}", where, "save the diagram again")
+    parameters: list[Any] = [*block.params, *block.derived]
+    leaves = {
+        "input": {d.name: leaf("input", d.name, d.kind, d.width) for d in block.inputs},
+        "state": {d.name: leaf("state", d.name, d.kind, d.width) for d in block.states},
+        "param": {d.name: leaf("param", d.name, d.kind, d.width) for d in parameters},
+    }
+    made: list[Expr] = []
+    with tracing(where):
+        for i, row in enumerate(rows):
+            try:
+                made.append(_node_from(row, made, leaves))
+            except (DiagramError, TypeError, ValueError, LookupError, AttributeError, OverflowError) as error:
+                what = error.what if isinstance(error, DiagramError) else str(error)
+                raise DiagramError(
+                    f"node {i}, {shown(row)}, is not well formed: {what:.200}", where, "save it again"
+                ) from error
+
+    def section(name: str) -> dict[str, Any]:
+        found = form.get(name, {})
+        if not isinstance(found, dict):
+            raise DiagramError(f"{name!r} is no object", where, "save the diagram again")
+        return found
+
+    def pick(index: Any, name: str) -> Expr:
+        if type(index) is not int or not 0 <= index < len(made):
+            raise DiagramError(f"{name} names node {shown(index)}, which is not there", where, "save the diagram again")
+        return made[index]
+
+    for name in block.sections:
+        block.sections[name] = {key: pick(index, f"{name}.{key}") for key, index in section(name).items()}
+    for key, pair in section("edges").items():
+        if not (isinstance(pair, list) and len(pair) == 2):
+            raise DiagramError(f"edges.{key} is no pair of nodes", where, "save the diagram again")
+        block.edge_pairs[key] = (pick(pair[0], f"edges.{key}"), pick(pair[1], f"edges.{key}"))
+    roots = [e for exprs in block.sections.values() for e in exprs.values()] + [
+        e for p in block.edge_pairs.values() for e in p
+    ]
+    try:
+        free = free_bounds(roots)
+    except DiagramError as error:
+        raise DiagramError(error.what, where, error.remedy) from error
+    if any(free[id(root)] for root in roots):
+        raise DiagramError("a loop variable stands outside its loop", where, "save the diagram again")
+    try:
+        # Before anything is computed, port by port as it will be: what is small in a file can be endless to follow.
+        meter = CostMeter()
+        if sum(meter.measure([e]).size for e in roots) > MAX_SIZE:
+            raise too_large()
+        _ = block.trace  # checks the types, and that each declared name is given
+    except DiagramError as error:
+        raise DiagramError(error.what, where, error.remedy) from error
+
+
+def _node_from(row: Any, made: list[Expr], leaves: Mapping[str, Mapping[str, Expr]]) -> Expr:
+    op, numbers_, *data = row
+    if not all(type(n) is int and 0 <= n < len(made) for n in numbers_):
+        raise ValueError("an argument does not stand above it")
+    args = [made[n] for n in numbers_]
+    if op == "const":
+        kind, value = data
+        if kind == "real":
+            return const(float.fromhex(value), "real")
+        if kind not in KINDS or type(value) is not (bool if kind == "bool" else int) or not fits(value, kind):
+            raise ValueError("a constant of another type")
+        return const(value, kind)
+    if op in leaves:
+        return leaves[op][data[0]]
+    if op == "tick":
+        return leaf("tick", "tick", "uint32")
+    if op == "dt":
+        if data[0] not in ("dt", "base_dt"):
+            raise ValueError("no such period")
+        return leaf("dt", data[0], "real")
+    if op == "bound":
+        kind, depth, which = data
+        _in_range(depth, MAX_LOOP_DEPTH)
+        _in_range(which, MAX_CARRIED + 1)
+        if kind not in KINDS:
+            raise ValueError("no such type")
+        return node("bound", kind, (), (depth, which))
+    if op == "convert":
+        if data[0] not in KINDS or data[0] == "bool":
+            raise ValueError("no such conversion")
+        return _expr(convert(args[0], data[0]))
+    if op == "bits":
+        raise ValueError("bit patterns of reals are not for diagrams")
+    if op == "call":
+        if data[0] not in FUNCTIONS:
+            raise ValueError(f"no function {shown(data[0])}")
+        return _expr(FUNCTIONS[data[0]](*args))
+    if op == "vector":
+        return _expr(vector(args))
+    if op == "build":
+        length, depth = data
+        _in_range(length - 1, MAX_LENGTH)
+        _in_range(depth, MAX_LOOP_DEPTH)
+        (body,) = args
+        if body.width is not None:
+            raise ValueError("an array of arrays")
+        return node("build", body.kind, (body,), (length, depth), length)
+    if op == "fold":
+        length, depth, which = data
+        _in_range(length, MAX_LENGTH)
+        _in_range(depth, MAX_LOOP_DEPTH)
+        half = len(args) // 2
+        if half > MAX_CARRIED:
+            raise ValueError(f"a loop that carries more than {MAX_CARRIED} values")
+        _in_range(which, half)
+        for start, body in zip(args[:half], args[half:], strict=True):
+            if (start.kind, start.width) != (body.kind, body.width) or start.width is not None:
+                raise ValueError("a loop changes a type")
+        return node("fold", args[which].kind, tuple(args), (length, depth, which))
+    if op == "from_bits":
+        raise ValueError("bit patterns of reals are not for diagrams")
+    return _expr(OPERATIONS[op](*args))
+
+
+def _expr(value: Any) -> Expr:
+    if not isinstance(value, Expr):
+        raise ValueError("no expression")
+    return value
+
+
+def _in_range(value: Any, end: int) -> None:
+    if type(value) is not int or not 0 <= value < end:
+        raise ValueError(f"{shown(value)} is not in 0..{end - 1}")

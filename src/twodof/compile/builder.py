@@ -1,0 +1,109 @@
+"""build: from a diagram to something that runs. Program: a compiled diagram."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable
+
+from twodof.blocks.block import Param
+from twodof.blocks.diagram import Diagram
+from twodof.blocks.expressions import numbers
+from twodof.blocks.reference.interpreter import Reference
+from twodof.compile.c.emitter import emit
+from twodof.compile.cortex_m7.image import OPTIMISE
+from twodof.compile.cortex_m7.target import CortexM7
+from twodof.compile.machine import CompiledMachine
+from twodof.compile.native.target import Native
+from twodof.compile.program.lower import lower
+from twodof.compile.target import Backend, EmittedProgram, Target
+from twodof.compile.toolchain import compilers
+from twodof.compile.wasm.target import Wasm
+from twodof.errors import CompileError
+
+TARGETS = ("native", "wasm", "cortex-m7")
+
+
+def build(
+    diagram: Diagram,
+    dt: float,
+    precision: str = "float64",
+    log: Iterable[str] = (),
+    integrator: str = "rk4",
+    compiler: str | None = None,
+    optimise: str | None = None,
+    native_cpu: bool = True,
+    target: str | Target = "native",
+) -> CompiledProgram | Reference:
+    """`diagram` as a program of base tick `dt` [s] that also returns the signals whose paths are in `log`.
+
+    `target` is "native", "wasm" (the sandbox), "cortex-m7" (on an emulated processor), or a Target with options of its
+    own. For a named one, `compiler` is "cc", "gcc", "clang", "zig" or a path, `optimise` a compiler option, and
+    `native_cpu` tunes for this processor. With `compiler=None` the first compiler that is there is taken; if none is,
+    "native" gives the reference interpreter (same results, thousands of times slower) with a warning. Raises
+    DiagramError for a faulty diagram, CompileError for a compiler or an engine that is missing or fails, or an unknown
+    target.
+    """
+    log = tuple(log)
+    source = emit_program(diagram, dt, precision, log, integrator)
+    chosen = _target(target, compiler, optimise, native_cpu) if isinstance(target, str) else target
+    if isinstance(chosen, Native) and chosen.compiler is None:
+        try:
+            compilers.find_compiler()
+        except CompileError:
+            warnings.warn(
+                f"no C compiler is here: {diagram.name!r} runs on the reference interpreter, thousands of times "
+                "slower; install gcc, or the wheel ziglang (pip install ziglang)",
+                RuntimeWarning,
+                stacklevel=2,
+            )
+            return Reference(diagram, dt, precision, log, integrator)
+    (backend,) = chosen.compile([source])
+    return CompiledProgram(source, backend)
+
+
+def _target(name: str, compiler: str | None, optimise: str | None, native_cpu: bool) -> Target:
+    if name == "native":
+        return Native(compiler, optimise or "-O3", native_cpu)
+    if name == "wasm":
+        return Wasm(compiler, optimise or "-O3")
+    if name == "cortex-m7":
+        return CortexM7(compiler, optimise or OPTIMISE)
+    raise CompileError(f"there is no target {name!r:.80}", "", f"targets are {', '.join(TARGETS)}")
+
+
+def emit_program(
+    diagram: Diagram,
+    dt: float,
+    precision: str = "float64",
+    log: Iterable[str] = (),
+    integrator: str = "rk4",
+) -> EmittedProgram:
+    """`diagram` as C source; arguments and errors as `build`'s."""
+    with numbers.precision(precision):  # refuses an unknown one
+        lowered = lower(diagram, dt, log, integrator)
+        emitted = emit([lowered], precision)
+    return EmittedProgram(lowered, emitted.text, emitted.layouts[lowered.name], precision)
+
+
+class CompiledProgram:
+    """A compiled diagram. `source` is its C; `flat` what was lowered; `parameters` the declarations by path."""
+
+    def __init__(self, emitted: EmittedProgram, backend: Backend) -> None:
+        self.emitted = emitted
+        self.backend = backend
+        self.flat = lowered = emitted.flat
+        self.source = emitted.source
+        self.layout = emitted.layout
+        self.precision = emitted.precision
+        self.dt = lowered.dt
+        self.parameters: dict[str, Param] = {path: q.declared for path, q in lowered.parameters.items()}
+        self.dtypes = emitted.dtypes
+        self.states = {
+            f"{node.path}.{s.name}": (s, emitted.layout.states[node, s.name].name)
+            for node in lowered.nodes
+            for s in node.block.states
+        }
+
+    def machine(self) -> CompiledMachine:
+        """A fresh instance in its initial state."""
+        return CompiledMachine(self)

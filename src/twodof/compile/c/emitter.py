@@ -1,0 +1,338 @@
+"""Readable C99 from a program: `prepare`, `init`, `step` and `run` on the structs P, S, U and Y.
+
+No globals but constant tables, no malloc, no libm. `real` is double or float. What a step is stands in
+docs/explanation/language.md.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import cache
+
+from twodof.blocks.elementary.functions import ARGUMENTS, DEFINITIONS
+from twodof.blocks.expressions.expr import leaf, tracing
+from twodof.compile.c.expressions import ATOM
+from twodof.compile.c.helpers import HELPERS
+from twodof.compile.c.integration import IntegrationEmitter
+from twodof.compile.c.names import CNames
+from twodof.compile.c.style import SCALAR, CStyle
+from twodof.compile.c.tick import INTEGRATION, NEXT_TICK, RETURNED, Scope, TickEmitter, describe
+from twodof.compile.c.writer import CWriter
+from twodof.compile.program.flat_program import FlatProgram
+from twodof.compile.program.layout import Member, MemoryLayout
+from twodof.errors import DiagramError
+
+GUARDS = """#if defined(__FAST_MATH__)
+#error "compile without -ffast-math: it changes results"
+#endif
+#if defined(__FLT_EVAL_METHOD__) && __FLT_EVAL_METHOD__ != 0
+#error "this compiler rounds to another precision than the type's (x87?)"
+#endif
+#if defined(__clang__)
+#pragma STDC FP_CONTRACT OFF
+#elif defined(__GNUC__)
+#pragma GCC optimize("fp-contract=off", "no-tree-pre") /* no-tree-pre: fewer registers spilled */
+#endif
+/* In place, so that the states of an integration stay in registers; but not where size counts. */
+#if defined(__GNUC__) && defined(__OPTIMIZE__) && !defined(__OPTIMIZE_SIZE__)
+#define td_inline static inline __attribute__((always_inline))
+#else
+#define td_inline static inline
+#endif
+"""
+
+
+MOST_ON_STACK = 40_000  # elements: 320 kB of the 512 kB that the smallest usual thread has
+
+
+@dataclass(frozen=True)
+class CSource:
+    """A C file. `layouts` tells for each program, by the prefix of its names, where everything stands."""
+
+    text: str
+    layouts: dict[str, MemoryLayout]
+    precision: str
+
+
+def emit(
+    programs: Sequence[FlatProgram], precision: str = "float64", lean: bool = False, style: CStyle = SCALAR
+) -> CSource:
+    """One C file with the functions of `programs`, whose names must differ.
+
+    `lean` is for a flight controller's firmware: without `run` and the tables, and without == on reals, of which its
+    compiler warns (-Wfloat-equal). `style` says whether a value is one instance's or several lanes'.
+    """
+    helpers: set[str] = set()
+    functions: set[str] = set()
+    layouts = {}
+    bodies = []
+    for program in programs:
+        layouts[program.name] = MemoryLayout(program)
+        emitter = _Emitter(program, layouts[program.name], precision, lean, style)
+        bodies.append(emitter.text())
+        helpers |= emitter.helpers
+        functions |= emitter.functions
+    elementary, more = _elementary(functions, precision, lean, style)
+    helpers |= more | style.needs
+    text = [
+        "#include <stdbool.h>\n#include <stddef.h>\n#include <stdint.h>\n#include <string.h>\n\n",
+        GUARDS,
+        f"\ntypedef {'float' if precision == 'float32' else 'double'} real;\n\n",
+        *(f"{HELPERS[name].text(precision)}\n" for name in HELPERS if name in helpers),
+        style.prelude,
+        *elementary,
+        *bodies,
+    ]
+    return CSource("".join(text), layouts, precision)
+
+
+def _elementary(names: Iterable[str], precision: str, lean: bool, style: CStyle) -> tuple[list[str], set[str]]:
+    """The definitions of the elementary functions `names` and of those they call, callees first; and their helpers."""
+    needed: dict[str, None] = {}
+    stack = [(n, False) for n in sorted(names)]
+    while stack:
+        name, done = stack.pop()
+        if done:
+            needed[name] = None
+        elif name not in needed:
+            stack.append((name, True))
+            stack += [(n, False) for n in sorted(_function(name, precision, lean, style)[1])]
+    helpers = frozenset[str]().union(*(_function(n, precision, lean, style)[2] for n in needed))
+    return [_function(n, precision, lean, style)[0] for n in needed], set(helpers)
+
+
+@cache
+def _function(name: str, precision: str, lean: bool, style: CStyle) -> tuple[str, frozenset[str], frozenset[str]]:
+    """An elementary function in C, the functions it calls, and its helpers."""
+    arguments = ["x"] if ARGUMENTS[name] == 1 else ["y", "x"]
+    with tracing(name):
+        result = DEFINITIONS[name][precision](*(leaf("input", a, "real") for a in arguments))
+    style = style.inner
+    writer, real = style.writer(lean), style.types["real"]
+    renderer = style.renderer(writer, CNames({*arguments, "td"}), precision, lambda e: (e.data, ATOM), "td")
+    writer.line(f"return {renderer.text(result)};")
+    head = f"{style.function} {real} td_{name}({', '.join(f'{real} {a}' for a in arguments)})\n{{\n"
+    text = head + "\n".join(writer.lines) + "\n}\n\n"
+    return text, frozenset(writer.functions), frozenset(writer.helpers)
+
+
+class _Emitter:
+    """One program's C."""
+
+    def __init__(self, program: FlatProgram, layout: MemoryLayout, precision: str, lean: bool, style: CStyle) -> None:
+        self.program = program
+        self.layout = layout
+        self.precision = precision
+        self.lean = lean
+        self.prefix = program.name
+        self.scope = Scope(program, layout, precision, style)
+        self.helpers: set[str] = set()
+        self.functions: set[str] = set()
+        self.continuous = sum(m.width or 1 for m in layout.x.members)
+
+    def text(self) -> str:
+        """Structs, functions and tables."""
+        p = self.prefix
+        stage = IntegrationEmitter(self.scope, p) if self.program.integrated else None
+        functions = [
+            self._written(f"void {p}_defaults({p}_P *p)", self._defaults),
+            self._written(f"void {p}_prepare({p}_P *p)", self._prepare),
+            self._written(f"void {p}_init(const {p}_P *p, {p}_S *s)", self._init),
+        ]
+        if stage:
+            functions.append(self._written("", stage.derivative))
+            functions.append(self._written("", stage.integrate))
+        functions.append(
+            self._written(
+                f"void {p}_step(const {p}_P *restrict p, {p}_S *restrict s, const {p}_U *restrict u, "
+                f"{p}_Y *restrict y)",
+                lambda writer: self._step(writer, stage),
+            )
+        )
+        if not self.lean:
+            functions.append(self._run())
+        remark = f" {_comment(self.program.text)}" if self.program.text else ""
+        parts = [f"/* {p}: one step is {self.program.dt:.9g} s.{remark} */\n"]
+        parts.append(self._struct("P", "parameters; `prepare` computes the derived ones", self.layout.p.members))
+        if stage:
+            parts.append(self._struct("X", "continuous states", self.layout.x.members))
+            parts.append(
+                f"typedef struct {{ /* what does not change inside a step */\n"
+                f"{_indented(stage.declarations())}}} {p}_Held;\n\n"
+            )
+        parts.append(
+            self._struct("S", "discrete and continuous states, held signals", self.layout.s.members, bool(stage))
+        )
+        parts.append(self._struct("U", "inputs", self.layout.u.members))
+        parts.append(self._struct("Y", "outputs and logged signals", self.layout.y.members))
+        return "".join(parts + functions) + ("" if self.lean else self._tables() + self._sizes())
+
+    def _written(self, head: str, write: Callable[[CWriter], None]) -> str:
+        writer = self.scope.style.writer(self.lean)
+        write(writer)
+        if (writer.elements + 6 * self.continuous) * self.scope.style.copies > MOST_ON_STACK:
+            raise DiagramError(
+                f"its arrays have more than {MOST_ON_STACK} elements at once, too many for a stack",
+                self.prefix,
+                "make them shorter, or states, which do not stand on the stack",
+            )
+        self.helpers |= writer.helpers
+        self.functions |= writer.functions
+        body = "\n".join(writer.lines) + "\n"
+        if not head:
+            return _unused(body)
+        return _unused(f"{head}\n{{\n{body if writer.lines else ''}}}\n\n")
+
+    def _struct(self, name: str, remark: str, members: Sequence[Member], nested: bool = False) -> str:
+        lines = [m.declaration(self.scope.style.types) + _remark(m) for m in members]
+        if nested:
+            lines.append(f"{self.prefix}_X x;")
+        lines = lines or ["unsigned char none;"]
+        return f"typedef struct {{ /* {remark} */\n{_indented(lines)}}} {self.prefix}_{name};\n\n"
+
+    def _defaults(self, writer: CWriter) -> None:
+        for parameter, member in self.layout.parameters.items():
+            d = parameter.declared
+            self.scope.fill(writer, f"p->{member.name}", _listed(d.value), d)
+
+    def _prepare(self, writer: CWriter) -> None:
+        names = self.scope.names("p")
+        for node in self.program.nodes:
+            if not node.block.derived:
+                continue
+            writer.line(describe(node))
+            leaf_text = self.scope.leaf(node, lambda s: s.path, {}, "")
+            renderer = self.scope.renderer(writer, names, leaf_text, node.path)
+            renderer.assign([(f"p->{self.layout.derived[node, n].name}", e) for n, e in node.trace.prepare.items()])
+
+    def _init(self, writer: CWriter) -> None:
+        writer.line("memset(s, 0, sizeof *s);")
+        for node in self.program.nodes:
+            if node.block.states:
+                writer.line(describe(node))
+            for state in node.block.states:
+                prefix = "s->x." if state.continuous else "s->"
+                target = prefix + self.layout.states[node, state.name].name
+                self.scope.initial(writer, node, state, target)
+
+    def _step(self, writer: CWriter, stage: IntegrationEmitter | None) -> None:
+        tick = TickEmitter(self.scope, writer, self.scope.names("p", "s", "u", "y"))
+        tick.due()
+        tick.outputs()
+        if self.program.outputs:
+            writer.line(RETURNED)
+            tick.returned()
+        if stage:
+            writer.line(INTEGRATION)
+            stage.within_step(tick)
+        tick.updates()
+        if stage:
+            stage.commit(tick)
+        else:
+            writer.line(NEXT_TICK)
+        writer.line("s->tick += 1u;")
+        tick.forget_idle_rates()
+
+    def _run(self) -> str:
+        p = self.prefix
+        return f"""/* n steps; a stride of 0 reads the same inputs, or writes the same outputs, at each. */
+void {p}_run(const {p}_P *p, {p}_S *s, const {p}_U *u, size_t u_stride, {p}_Y *y, size_t y_stride, size_t n)
+{{
+    for (size_t k = 0; k < n; k++)
+        {p}_step(p, s, u + k * u_stride, y + k * y_stride);
+}}
+
+"""
+
+    def _tables(self) -> str:
+        if not self.scope.style.tables:
+            return ""
+        p, layout = self.prefix, self.layout
+        low_high = {m.name: (q.declared.low, q.declared.high) for q, m in layout.parameters.items()}
+        infinity = "__builtin_inf()"
+
+        def bound(value: float) -> str:
+            return (
+                f"-{infinity}" if value == -float("inf") else infinity if value == float("inf") else float(value).hex()
+            )
+
+        def entry(struct: str, m: Member, place: str) -> str:
+            low, high = (
+                low_high.get(m.name, (-float("inf"), float("inf"))) if struct == "P" else (-float("inf"), float("inf"))
+            )
+            return (
+                f"{{\"{m.path}\", \"{_quoted(m.unit)}\", '{struct}', '{m.kind[0]}', {m.width or 1}u, "
+                f"(uint32_t)offsetof({p}_{struct}, {place}), {bound(low)}, {bound(high)}}},"
+            )
+
+        states = [("S", m, m.name) for m in layout.s.members if m.path and m.remark != "work"]
+        states += [("S", m, f"x.{m.name}") for m in layout.x.members]
+        signals = [("U", m, m.name) for m in layout.u.members] + [("Y", m, m.name) for m in layout.y.members] + states
+        parameters = [("P", m, m.name) for m in layout.p.members]
+        text = f"""/* For live tuning and logging: path, unit, struct (P, S, U, Y), type (r real, i int32, u uint32,
+   b bool), number of elements, offset, bounds. The last entry has no path. */
+typedef struct {{
+    const char *path, *unit;
+    char where, type;
+    uint32_t count, offset;
+    double low, high;
+}} {p}_Entry;
+
+"""
+        none = "{0, 0, 0, 0, 0u, 0u, 0.0, 0.0},"
+        for name, rows in (("parameters", parameters), ("signals", signals)):
+            lines = [entry(*row) for row in rows]
+            declared = f"const {p}_Entry {p}_{name}[]"
+            text += f"extern {declared};\n{declared} = {{\n{_indented([*lines, none])}}};\n\n"
+        return text
+
+    def _sizes(self) -> str:
+        p = self.prefix
+        return f"""/* Sizes of real, P, S, U, Y: whoever loads this must agree. */
+extern const size_t {p}_sizes[5];
+const size_t {p}_sizes[5] = {{sizeof(real), sizeof({p}_P), sizeof({p}_S), sizeof({p}_U), sizeof({p}_Y)}};
+
+"""
+
+
+def _indented(lines: Iterable[str]) -> str:
+    return "".join(f"    {line}\n" for line in lines)
+
+
+def _listed(value: object) -> object:
+    return value.tolist() if hasattr(value, "tolist") else value
+
+
+_POINTERS = re.compile(r"\*(?:restrict )?(\w+)")
+
+
+def _unused(function: str) -> str:
+    """`function` with a line for each parameter that it does not use, against the compiler's warnings."""
+    made = []
+    for text in re.split(r"(?m)(?<=^}\n)", function):
+        head, brace, body = text.partition("\n{\n")
+        named = _POINTERS.findall(head.rpartition("(")[2])
+        idle = [n for n in named if not re.search(rf"\b{n}\b", body)]
+        made.append(head + brace + "".join(f"    (void){n};\n" for n in idle) + body)
+    return "".join(made)
+
+
+def _comment(text: str) -> str:
+    """User's text made harmless within a C comment."""
+    plain = " ".join("".join(c if " " <= c <= "~" else " " for c in text).split())
+    return plain.replace("*/", "* /").replace("/*", "/ *").replace("??", "?")[:300]
+
+
+def _quoted(text: str) -> str:
+    """User's text made harmless within a C string."""
+    safe = {c: c for c in map(chr, range(32, 127)) if c not in '"\\?'}
+    return "".join(safe.get(c) or "".join(f"\\{b:03o}" for b in c.encode("utf-8", "replace")) for c in text)
+
+
+def _remark(m: Member) -> str:
+    words = [m.path] if m.path and m.path != m.name else []
+    words += [f"[{m.unit}]"] if m.unit else []
+    words += [m.remark] if m.remark else []
+    return f" /* {_comment(' '.join(words))} */" if words else ""

@@ -1,0 +1,456 @@
+"""Expressions as C99: one `Renderer` for one block in one C scope."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+
+from twodof.blocks.expressions.expr import LEAVES, Expr, node
+from twodof.blocks.expressions.graph import outside, walk
+from twodof.blocks.expressions.numbers import Integer
+from twodof.compile.c.helpers import HELPERS
+from twodof.compile.c.names import CNames
+from twodof.compile.c.writer import CWriter
+
+C_TYPES = {"real": "real", "int32": "int32_t", "uint32": "uint32_t", "bool": "bool"}
+_CALL = re.compile(r"\w+\(.*\)")  # or what looks like it, which does no harm
+WIDEST_LINE = 150  # an expression that would be longer becomes two
+SMALL_ARRAY = 16  # up to here a copy is cheaper than a choice
+MOST_CHOICES = 4  # stores in a row that are read by choices: more are copied, as each reader would choose among all
+
+NOBODY = 0  # no node's identity
+
+# How tightly an expression's text binds.
+ATOM, PRODUCT, SUM, SIGNED, COMPARISON, LOOSE = range(6)
+Text = tuple[str, int]
+
+
+def constant(value: Any, kind: str, precision: str) -> Text:
+    """A C literal of the final type, real numbers in hexadecimal with their decimal value beside."""
+    value = value.value if isinstance(value, Integer) else value
+    if kind == "bool":
+        return ("true" if value else "false"), ATOM
+    if kind == "int32":
+        if value == -(2**31):
+            return "INT32_MIN", ATOM
+        return str(value), ATOM if value >= 0 else SIGNED
+    if kind == "uint32":
+        return f"{value}u", ATOM
+    with np.errstate(over="ignore"):
+        rounded = float(np.float32(value)) if precision == "float32" else float(value)
+    suffix = "f" if precision == "float32" else ""
+    if math.isnan(rounded):
+        return f'__builtin_nan{suffix}("")', ATOM
+    sign, binding = ("-", SIGNED) if math.copysign(1.0, rounded) < 0 else ("", ATOM)
+    if math.isinf(rounded):
+        return f"{sign}__builtin_inf{suffix}()", binding
+    digits, _, exponent = abs(rounded).hex().partition("p")
+    mantissa = digits.rstrip("0").rstrip(".") if "." in digits else digits
+    mantissa = "0x0" if mantissa == "0x" else mantissa
+    return f"{sign}{mantissa}p{exponent}{suffix} /* {rounded:.9g} */", binding
+
+
+def _paren(item: Text, loosest: int) -> str:
+    return item[0] if item[1] <= loosest else f"({item[0]})"
+
+
+def _loop_key(item: Expr) -> tuple[Any, ...]:
+    """What the results of one fold have in common."""
+    return (*map(id, item.args), *item.data[:2])
+
+
+def _arithmetic(op: str, args: Sequence[Text]) -> Text:
+    if op == "mul":
+        return f"{_paren(args[0], PRODUCT)} * {_paren(args[1], ATOM)}", PRODUCT
+    return f"{_paren(args[0], SUM)} {'+' if op == 'add' else '-'} {_paren(args[1], PRODUCT)}", SUM
+
+
+def _stores(array: Expr) -> int:
+    """How many stores in a row made `array`, counted to one more than MOST_CHOICES."""
+    found = 0
+    while array.op == "store" and found <= MOST_CHOICES:
+        array = array.args[0]
+        found += 1
+    return found
+
+
+def loop_depths(item: Expr, known: Mapping[int, frozenset[int]]) -> frozenset[int]:
+    """The depths of the loops around `item` whose counters or sums it reads; `known` has those of its arguments."""
+    if item.op == "bound":
+        return frozenset((item.data[0],))
+    outer = outside(item)
+    bodies = item.args[len(outer) :]
+    found = frozenset[int]().union(*(known[id(a)] for a in outer))
+    if bodies:
+        found |= frozenset[int]().union(*(known[id(b)] for b in bodies)) - {item.data[1]}
+    return found
+
+
+class Renderer:
+    """Writes the expressions of one block into a C scope.
+
+    `leaf` gives the C text of an input, state, parameter, tick or dt; `known` that of whole expressions that
+    are already at hand; `stem` names temporaries.
+    """
+
+    types: Mapping[str, str] = C_TYPES
+
+    def __init__(
+        self,
+        writer: CWriter,
+        names: CNames,
+        precision: str,
+        leaf: Callable[[Expr], Text],
+        stem: str,
+        known: Mapping[Expr, str] | None = None,
+    ) -> None:
+        self.writer = writer
+        self.names = names
+        self.precision = precision
+        self.leaf = leaf
+        self.stem = stem
+        self.named: dict[int, Text] = {}
+        self.bound: dict[tuple[int, int], Text] = {}
+        self.limits: dict[tuple[int, int], int] = {}  # loop counters: one more than the largest value
+        self.targets: dict[int, str] = {}
+        self._kept: list[Expr] = []  # nodes made here, whose identities are used as keys
+        self._resolved: dict[int, Expr] = {}
+        self._free: dict[int, frozenset[int]] = {}
+        self._wanted: dict[tuple[Any, ...], set[int]] = {}  # of each fold, which of its results
+        self.learn(known or {})
+        self._later: dict[int, list[int]] = {}  # of expressions that are needed later, what there reads them
+
+    def learn(self, known: Mapping[Expr, str]) -> None:
+        """More expressions that are already at hand."""
+        self.named |= {id(e): self._local(t) if e.width is None else (t, ATOM) for e, t in known.items()}
+
+    def _local(self, name: str) -> Text:
+        """The text of a number that stands in a variable or a struct's member."""
+        return name, ATOM
+
+    def _stored(self, text: str, kind: str) -> str:
+        """A number's text as it is assigned."""
+        return text
+
+    def expect(self, roots: Iterable[Expr]) -> None:
+        """Expressions that will be asked for later: what they share with others before them becomes a temporary."""
+        for root in roots:
+            self._later.setdefault(id(root), []).append(NOBODY)
+        for item in walk(roots):
+            self._kept.append(item)
+            for a in outside(item):
+                self._later.setdefault(id(a), []).append(id(item))
+
+    def scalars(self, roots: Sequence[Expr]) -> list[Text]:
+        """The C texts of `roots`, after the lines that they need. An array's text is a name."""
+        self._find_bound(roots)
+        resolved = [self._resolve(r) for r in roots]
+        texts = zip(resolved, self._texts(resolved), strict=True)
+        return [(self._stored(text, r.kind) if r.width is None else text, binding) for r, (text, binding) in texts]
+
+    def text(self, root: Expr) -> str:
+        """The C text of one expression."""
+        return self.scalars([root])[0][0]
+
+    def index(self, root: Expr, width: int) -> str:
+        """The C text of an array index, clamped unless it cannot be outside."""
+        self._find_bound([root])
+        resolved = self._resolve(root)
+        return self._index(resolved, self._texts([resolved])[0], width)
+
+    def assign(self, targets: Sequence[tuple[str, Expr]]) -> None:
+        """Lines that store each expression in its lvalue, which no expression may read."""
+        self._find_bound([e for _, e in targets])
+        roots = [self._resolve(e) for _, e in targets]
+        for (target, _), root in zip(targets, roots, strict=True):
+            direct = root.op in ("vector", "build", "store") and not self.writer.masked
+            if direct and id(root) not in self.named:
+                self.targets.setdefault(id(root), target)
+        texts = self._texts(roots)
+        for (target, _), root, (text, _) in zip(targets, roots, texts, strict=True):
+            if root.width is None:
+                self.writer.assign(target, self._stored(text, root.kind), root.kind)
+            elif text != target:
+                self.writer.copy(target, text, root.width, root.kind)
+
+    def _find_bound(self, roots: Sequence[Expr]) -> None:
+        """For each node the depths of the loops around it on which it depends."""
+        for item in walk(roots):
+            if id(item) not in self._free:
+                self._kept.append(item)
+                self._free[id(item)] = loop_depths(item, self._free)
+
+    def _texts(self, roots: Sequence[Expr]) -> list[Text]:
+        order = self._order(roots)
+        uses: dict[int, int] = {}
+        for item in order:
+            for a in self._args(item):
+                uses[id(a)] = uses.get(id(a), 0) + 1
+        for r in roots:
+            uses[id(r)] = uses.get(id(r), 0) + 1
+        asked = {id(r) for r in roots}
+        for item in order:
+            more = [reader for reader in self._later.get(id(item), ()) if reader not in uses]
+            uses[id(item)] += sum(1 for reader in more if reader != NOBODY or id(item) not in asked)
+        for item in order:
+            if item.op == "fold":
+                self._wanted.setdefault(_loop_key(item), set()).add(item.data[2])
+        whole = {id(r) for r in roots if uses[id(r)] == 1}
+        texts: dict[int, Text] = {}
+        for item in order:
+            if id(item) in self.named:
+                texts[id(item)] = self.named[id(item)]
+                continue
+            args = [texts[id(a)] for a in self._args(item)]
+            made = self._statement(item, args) if item.op in ("vector", "build", "store", "fold") else None
+            if made is None:
+                made = self._expression(item, args)
+                trivial = item.op in LEAVES or (item.op == "select" and "(" not in made[0])
+                if not trivial and (uses[id(item)] > 1 or (len(made[0]) > WIDEST_LINE and id(item) not in whole)):
+                    name = self.names.numbered(f"{self.stem}_t")
+                    self.writer.line(f"const {self.types[item.kind]} {name} = {self._stored(made[0], item.kind)};")
+                    made = self._local(name)
+                    self.named[id(item)] = made
+            else:
+                self.named[id(item)] = made
+            texts[id(item)] = made
+        return [texts[id(r)] for r in roots]
+
+    def _order(self, roots: Iterable[Expr]) -> list[Expr]:
+        order: list[Expr] = []
+        seen: set[int] = set()
+        stack = [(r, False) for r in reversed(list(roots))]
+        while stack:
+            item, done = stack.pop()
+            if done:
+                order.append(item)
+            elif id(item) not in seen:
+                seen.add(id(item))
+                stack.append((item, True))
+                stack.extend((a, False) for a in reversed(self._args(item)))
+        return order
+
+    def _args(self, item: Expr) -> tuple[Expr, ...]:
+        if id(item) in self.named:
+            return ()
+        return tuple(self._resolve(a) for a in outside(item))
+
+    def _resolve(self, item: Expr) -> Expr:
+        """`item`, or for an element of an array that is just being made, that element."""
+        start = item
+        found = self._resolved.get(id(start))
+        if found is not None:
+            return found
+        while item.op == "select" and id(item) not in self.named:
+            array, index = item.args
+            if array.op == "vector" and index.op == "const":
+                item = array.args[min(max(index.data, 0), len(array.args) - 1)]
+            elif array.width is not None and array.width > SMALL_ARRAY and 0 < _stores(array) <= MOST_CHOICES:
+                base, where, value = array.args
+                same = self._keep("eq", "bool", (self._clamped(index, array.width), self._clamped(where, array.width)))
+                other = self._keep("select", array.kind, (base, index))
+                item = self._keep("where", array.kind, (same, value, other))
+            else:
+                break
+        self._resolved[id(start)] = item
+        self._kept.append(start)
+        return item
+
+    def _keep(self, op: str, kind: str, args: tuple[Expr, ...], data: Any = None) -> Expr:
+        made = node(op, kind, args, data)
+        self._kept.append(made)
+        self._free.setdefault(id(made), loop_depths(made, self._free))
+        return made
+
+    def _clamped(self, index: Expr, width: int) -> Expr:
+        if index.op == "const":
+            return self._keep("const", "int32", (), min(max(index.data, 0), width - 1))
+        last, zero = self._keep("const", "int32", (), width - 1), self._keep("const", "int32", (), 0)
+        upper = self._keep("where", "int32", (self._keep("lt", "bool", (index, last)), index, last))
+        return self._keep("where", "int32", (self._keep("lt", "bool", (upper, zero)), zero, upper))
+
+    def _use(self, helper: str) -> str:
+        self.writer.helpers.add(helper)
+        return HELPERS[helper].name
+
+    def _index(self, index: Expr, text: Text, width: int) -> str:
+        if index.op == "const":
+            return str(min(max(index.data, 0), width - 1))
+        if index.op == "bound" and self.limits.get(index.data, width + 1) <= width:
+            return text[0]
+        return f"{self._use('clamp_index')}({text[0]}, {width - 1})"
+
+    def _expression(self, item: Expr, args: Sequence[Text]) -> Text:
+        op, kind = item.op, item.kind
+        if op == "const":
+            return constant(item.data, kind, self.precision)
+        if op == "bound":
+            return self.bound[item.data]
+        if op in LEAVES:
+            return self.leaf(item)
+        if op == "select":
+            array = self._resolve(item.args[0])
+            if array.width is None:
+                raise ValueError("select on a scalar")
+            return f"{args[0][0]}[{self._index(self._resolve(item.args[1]), args[1], array.width)}]", ATOM
+        if op == "call":
+            self.writer.functions.add(item.data)
+            return f"td_{item.data}({', '.join(a for a, _ in args)})", ATOM
+        if op == "where":
+            return f"{_paren(args[0], COMPARISON)} ? {_paren(args[1], SIGNED)} : {_paren(args[2], SIGNED)}", LOOSE
+        if op in ("lt", "le", "eq", "ne"):
+            same = self._resolve(item.args[0]) is self._resolve(item.args[1])
+            if same and item.args[0].kind != "real":  # compilers warn about these; a real may be NaN
+                return ("true" if op in ("le", "eq") else "false"), ATOM
+            if self.writer.lean and op in ("eq", "ne") and item.args[0].kind == "real":
+                equal = f"{self._use('real_equal')}({args[0][0]}, {args[1][0]})"
+                return (equal, ATOM) if op == "eq" else (f"!{equal}", SIGNED)
+            sign = {"lt": "<", "le": "<=", "eq": "==", "ne": "!="}[op]
+            return f"{_paren(args[0], SUM)} {sign} {_paren(args[1], SUM)}", COMPARISON
+        operand = self._resolve(item.args[0]).kind
+        if kind == "bool":
+            if op == "not":
+                return f"!{_paren(args[0], ATOM)}", SIGNED
+            sign = {"and": "&&", "or": "||", "xor": "!="}[op]
+            return f"{_paren(args[0], ATOM)} {sign} {_paren(args[1], ATOM)}", LOOSE
+        if op in ("and", "or", "xor"):
+            return f"{_paren(args[0], ATOM)} {'&|^'[('and', 'or', 'xor').index(op)]} {_paren(args[1], ATOM)}", LOOSE
+        if op == "not":
+            return f"~{_paren(args[0], ATOM)}", SIGNED
+        if op == "convert":
+            if operand == "real":
+                return f"{self._use(f'real_to_{kind}')}({args[0][0]})", ATOM
+            if self.writer.lean and _CALL.fullmatch(args[0][0]):
+                return f"{self._use(f'{operand}_to_{kind}')}({args[0][0]})", ATOM
+            return f"({C_TYPES[kind]}){_paren(args[0], ATOM)}", SIGNED
+        if kind != "int32" and op in ("add", "sub", "mul"):
+            return _arithmetic(op, args)
+        if kind == "real":
+            return self._real(item, args)
+        if kind == "uint32":
+            return self._unsigned(item, args)
+        return f"{self._use(f'int32_{op}')}({', '.join(a for a, _ in args)})", ATOM
+
+    def _real(self, item: Expr, args: Sequence[Text]) -> Text:
+        f = "f" if self.precision == "float32" else ""
+        if item.op == "div":
+            return f"{_paren(args[0], PRODUCT)} / {_paren(args[1], ATOM)}", PRODUCT
+        if item.op == "neg":
+            return f"-{_paren(args[0], ATOM)}", SIGNED
+        if item.op == "abs":
+            return f"__builtin_fabs{f}({args[0][0]})", ATOM
+        if item.op == "sqrt":
+            return f"__builtin_sqrt{f}({args[0][0]})", ATOM
+        if item.op == "from_bits":
+            helper = self._use("real_from_bits" if len(args) == 2 else "real_from_word")
+            return f"{helper}({', '.join(a for a, _ in args)})", ATOM
+        raise ValueError(f"no C for {item!r}")
+
+    def _unsigned(self, item: Expr, args: Sequence[Text]) -> Text:
+        op = item.op
+        if op in ("shl", "shr"):
+            count = self._resolve(item.args[1])
+            by = f"{count.data & 31}" if count.op == "const" else f"({_paren(args[1], ATOM)} & 31u)"
+            return f"{_paren(args[0], ATOM)} {'<<' if op == 'shl' else '>>'} {by}", LOOSE
+        if op == "neg":
+            return f"0u - {_paren(args[0], PRODUCT)}", SUM
+        if op == "abs":
+            return args[0]
+        if op == "mulhi":
+            return f"(uint32_t)(((uint64_t){_paren(args[0], ATOM)} * {_paren(args[1], ATOM)}) >> 32)", SIGNED
+        if op == "bits":
+            return f"{self._use('real_word_1' if item.data else 'real_word_0')}({args[0][0]})", ATOM
+        if op in ("quot", "rem"):
+            divisor = self._resolve(item.args[1])
+            if divisor.op == "const" and divisor.data:
+                return f"{_paren(args[0], ATOM)} {'/' if op == 'quot' else '%'} {args[1][0]}", LOOSE
+            return f"{self._use(f'uint32_{op}')}({', '.join(a for a, _ in args)})", ATOM
+        raise ValueError(f"no C for {item!r}")
+
+    def _statement(self, item: Expr, args: Sequence[Text]) -> Text:
+        """Write the lines that make an array or run a loop; the name of the result."""
+        if item.op == "fold":
+            return self._fold(item, args)
+        target = self.targets.get(id(item))
+        ctype, width = self.types[item.kind], item.width
+        if width is None:
+            raise ValueError("an array without a width")
+        name = target or self.names.new(f"{self.stem}_array")
+        self.writer.elements += 0 if target else width
+        if item.op == "vector":
+            elements = [self._stored(a, item.kind) for a, _ in args]
+            if target is None:
+                self.writer.line(f"const {ctype} {name}[{width}] = {{{', '.join(elements)}}};")
+            else:
+                for i, a in enumerate(elements):
+                    self.writer.line(f"{name}[{i}] = {a};")
+            return name, ATOM
+        if target is None:
+            self.writer.line(f"{ctype} {name}[{width}];")
+        if item.op == "store":
+            self.writer.copy(name, args[0][0], width, item.kind, target is None)
+            at = self._index(self._resolve(item.args[1]), args[1], width)
+            self.writer.put(name, at, self._stored(args[2][0], item.kind), item.kind, target is None)
+            return name, ATOM
+        length, depth = item.data
+        with self._loop(length, depth) as counter:
+            ((body, _),) = self._texts([self._resolve(item.args[0])])
+            self.writer.line(f"{name}[{counter}] = {self._stored(body, item.kind)};")
+        return name, ATOM
+
+    def _fold(self, item: Expr, args: Sequence[Text]) -> Text:
+        length, depth, which = item.data
+        bodies = item.args[len(args) :]
+        needed = self._carried(bodies, depth, {which} | self._wanted.get(_loop_key(item), set()))
+        names = {j: self.names.new(f"{self.stem}_sum") for j in needed}
+        for j, name in names.items():
+            kind = bodies[j].kind
+            self.writer.line(f"{self.types[kind]} {name} = {self._stored(args[j][0], kind)};")
+        with self._loop(length, depth):
+            for j, name in names.items():
+                self.bound[depth, j + 1] = self._local(name)
+            texts = self._texts([self._resolve(bodies[j]) for j in needed])
+            if len(names) == 1:
+                (j,) = needed
+                self.writer.line(f"{names[j]} = {self._stored(texts[0][0], bodies[j].kind)};")
+            else:
+                nexts = [self.names.new(f"{names[j]}_next") for j in needed]
+                for j, new, (text, _) in zip(needed, nexts, texts, strict=True):
+                    kind = bodies[j].kind
+                    self.writer.line(f"const {self.types[kind]} {new} = {self._stored(text, kind)};")
+                for j, new in zip(needed, nexts, strict=True):
+                    self.writer.line(f"{names[j]} = {new};")
+        for j, name in names.items():  # the loop's other results
+            twin = self._keep("fold", bodies[j].kind, item.args, (length, depth, j))
+            self.named[id(twin)] = self._local(name)
+        return self._local(names[which])
+
+    def _carried(self, bodies: Sequence[Expr], depth: int, wanted: set[int]) -> list[int]:
+        """The values that a fold must carry so that those `wanted` come out."""
+        found: set[int] = set()
+        stack = list(wanted)
+        while stack:
+            j = stack.pop()
+            if j not in found:
+                found.add(j)
+                read = [e.data for e in walk([bodies[j]]) if e.op == "bound"]
+                stack += [k - 1 for d, k in read if d == depth and k > 0]
+        return sorted(found)
+
+    @contextmanager
+    def _loop(self, length: int, depth: int) -> Iterator[str]:
+        """A C loop; inside, only those names are known that do not depend on a loop of this depth."""
+        counter = self.names.new("ijk"[depth] if depth < 3 else "i")
+        outer = self.named, self.bound, self.limits, self._resolved
+        self.named = {key: t for key, t in self.named.items() if depth not in self._free.get(key, ())}
+        self.bound = {**self.bound, (depth, 0): (counter, ATOM)}
+        self.limits = {**self.limits, (depth, 0): length}
+        self._resolved = {}
+        with self.writer.block(f"for (int32_t {counter} = 0; {counter} < {length}; {counter}++)"):
+            yield counter
+        self.named, self.bound, self.limits, self._resolved = outer

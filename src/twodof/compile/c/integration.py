@@ -1,0 +1,379 @@
+"""The C of the integration: what is held, one `derivative` function, Runge-Kutta or Euler, edges and projections."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
+
+from twodof.blocks.expressions.expr import LEAVES, Expr
+from twodof.blocks.expressions.graph import walk
+from twodof.compile.c.expressions import Renderer, loop_depths
+from twodof.compile.c.names import CNames
+from twodof.compile.c.tick import FROZEN, NEXT_TICK, Scope, TickEmitter, commit, describe
+from twodof.compile.c.writer import CWriter
+from twodof.compile.program.flat_program import FlatSignal, Guard, Node
+from twodof.compile.program.layout import Member, Struct
+
+ONE_SIXTH = 1 / 6
+LONGEST_INLINE = 300  # lines of a derivative that may appear four times in the machine code
+
+
+class IntegrationEmitter:
+    """Writes the functions `derivative` and `integrate`, and the integration within the step function.
+
+    What does not change inside a step is computed once, in the step, and passed in the struct Held.
+    """
+
+    def __init__(self, scope: Scope, prefix: str) -> None:
+        self.scope = scope
+        self.layout = scope.layout
+        self.program = scope.program
+        self.prefix = prefix
+        self.held = Struct()
+        self.captured: dict[FlatSignal, Member] = {}
+        self.active: dict[Guard, Member] = {}
+        self._states: dict[tuple[Node, str], Member] = {}
+        self._hoisted: dict[tuple[Node, Expr], Member] = {}
+        self._tick: Member | None = None
+        self._qualifier = "td_inline"
+
+    def derivative(self, writer: CWriter) -> None:
+        """The function that gives the derivatives of the continuous states."""
+        names = self.scope.names("p", "held", "x", "slope")
+        local: dict[FlatSignal, str] = {}
+        renderers: dict[Node, Renderer] = {}
+        p = self.prefix
+        writer.depth = 0
+        head = len(writer.lines)
+        writer.line("{")
+        writer.depth = 1
+        for group in self.program.stage:
+            if not group.guard.always:
+                for action in group.actions:
+                    writer.line(describe(action.node))
+                    for s in action.signals:
+                        self._held_value(writer, names, local, s)
+            with self._guarded(writer, group.guard):
+                for action in group.actions:
+                    node = action.node
+                    writer.line(describe(node))
+                    roots = [node.trace.outputs[s.port] for s in action.signals]
+                    renderer = self._renderer(writer, names, local, node, roots, renderers)
+                    for s, root in zip(action.signals, roots, strict=True):
+                        self._output(writer, names, local, renderer, s, root, group.guard.always)
+        for node in self.program.integrated:
+            writer.line(describe(node))
+            targets = [
+                (f"slope->{self.layout.states[node, s.name].name}", node.trace.derivative[s.name])
+                for s in node.continuous
+            ]
+            if not node.guard.always:
+                for (target, _), state in zip(targets, node.continuous, strict=True):
+                    if state.width is None:
+                        writer.line(f"{target} = {self.scope.style.same('0', 'real')};")
+                    else:
+                        writer.line(f"memset({target}, 0, sizeof {target});")
+            with self._guarded(writer, node.guard):
+                renderer = self._renderer(writer, names, local, node, [e for _, e in targets], renderers)
+                renderer.assign(targets)
+        writer.depth = 0
+        writer.line("}")
+        writer.line("")
+        if len(writer.lines) - head > LONGEST_INLINE:
+            self._qualifier = "static"
+        writer.lines.insert(
+            head,
+            f"{self._qualifier} void {p}_derivative(const {p}_P *restrict p, const {p}_Held *restrict held, "
+            f"const {p}_X *restrict x, {p}_X *restrict slope)",
+        )
+
+    def _guarded(self, writer: CWriter, guard: Guard) -> AbstractContextManager[None]:
+        return nullcontext() if guard.always else writer.choice("", [f"held->{self._flag(guard).name}"])
+
+    def _flag(self, guard: Guard) -> Member:
+        if guard not in self.active:
+            stem = "_".join(e.path for e in guard.enables)
+            self.active[guard] = self.held.add(f"{stem[:60]}_active", "bool", None)
+        return self.active[guard]
+
+    def _held_value(self, writer: CWriter, names: CNames, local: dict[FlatSignal, str], s: FlatSignal) -> None:
+        """A local that starts with the value of the tick, for a block that may be disabled."""
+        local[s] = names.new(s.path)
+        held = f"held->{self._capture(s).name}"
+        if s.width is None:
+            writer.line(f"{self.scope.type(s.kind)} {local[s]} = {held};")
+        else:
+            writer.line(f"{self.scope.type(s.kind)} {local[s]}[{s.width}];")
+            writer.duplicate(local[s], held, s.width, s.kind)
+
+    def _output(
+        self,
+        writer: CWriter,
+        names: CNames,
+        local: dict[FlatSignal, str],
+        renderer: Renderer,
+        s: FlatSignal,
+        root: Expr,
+        always: bool,
+    ) -> None:
+        if not always:
+            renderer.assign([(local[s], root)])
+            return
+        local[s] = names.new(s.path)
+        if s.width is None:
+            writer.line(f"const {self.scope.type(s.kind)} {local[s]} = {renderer.text(root)};")
+        else:
+            writer.line(f"{self.scope.type(s.kind)} {local[s]}[{s.width}];")
+            renderer.assign([(local[s], root)])
+
+    def _renderer(
+        self,
+        writer: CWriter,
+        names: CNames,
+        local: dict[FlatSignal, str],
+        node: Node,
+        roots: Sequence[Expr],
+        renderers: dict[Node, Renderer],
+    ) -> Renderer:
+        def signal(s: FlatSignal) -> str:
+            return local[s] if s in local else f"held->{self._capture(s).name}"
+
+        states = _Lookup(self, node)
+        known = {e: f"held->{self._hoist(node, e).name}" for e in self._steady(node, roots)}
+        if node in renderers:
+            renderers[node].learn(known)
+            return renderers[node]
+        leaf = self.scope.leaf(node, signal, states, "held->tick")
+        if any(e.op == "tick" for e in walk(roots)):
+            self._need_tick()
+        made = self.scope.renderer(writer, names, leaf, node.path, known)
+        if node.guard.always:
+            renderers[node] = made
+        return made
+
+    def _need_tick(self) -> None:
+        if self._tick is None:
+            self._tick = self.held.add("tick", "uint32", None, shared=True)
+
+    def state(self, node: Node, name: str) -> str:
+        """The text of a state within `derivative`: a continuous one is integrated, a discrete one held."""
+        if any(s.name == name for s in node.continuous):
+            return f"x->{self.layout.states[node, name].name}"
+        if (node, name) not in self._states:
+            member = self.layout.states[node, name]
+            self._states[node, name] = self.held.add(member.name, member.kind, member.width)
+        return f"held->{self._states[node, name].name}"
+
+    def _capture(self, s: FlatSignal) -> Member:
+        if s not in self.captured:
+            self.captured[s] = self.held.add(s.path, s.kind, s.width)
+        return self.captured[s]
+
+    def _hoist(self, node: Node, e: Expr) -> Member:
+        if (node, e) not in self._hoisted:
+            self._hoisted[node, e] = self.held.add(f"{node.path}.held", e.kind, e.width)
+        return self._hoisted[node, e]
+
+    def _steady(self, node: Node, roots: Sequence[Expr]) -> list[Expr]:
+        """The largest sub-expressions of `roots` worth computing once a step: they do not change inside it."""
+        own = {s.name for s in node.continuous}
+        moves: dict[int, bool] = {}
+        worth: dict[int, bool] = {}
+        loops: dict[int, frozenset[int]] = {}
+        for e in walk(roots):
+            loops[id(e)] = loop_depths(e, loops)
+            moves[id(e)] = (
+                (e.op == "state" and e.data in own)
+                or (e.op == "input" and node.drivers[e.data] in self.program.moving)
+                or any(moves[id(a)] for a in e.args)
+            )
+            worth[id(e)] = e.op in ("input", "state", "param", "tick", "call") or any(worth[id(a)] for a in e.args)
+        found: list[Expr] = []
+        seen: set[int] = set()
+        stack = list(reversed(roots))
+        while stack:
+            e = stack.pop()
+            if id(e) in seen:
+                continue
+            seen.add(id(e))
+            if moves[id(e)] or loops[id(e)] or not worth[id(e)]:
+                stack.extend(reversed(e.args))
+            elif e.op not in LEAVES:
+                found.append(e)
+        return found
+
+    def integrate(self, writer: CWriter) -> None:
+        """The functions that move the continuous states by a step h."""
+        p, members = self.prefix, self.layout.x.members
+        real, style = self.scope.constant, self.scope.style
+        h = style.types["real"]
+        writer.depth = 0
+        if self.program.integrator == "rk4":
+            writer.line("/* to = from + h * slope */")
+            writer.line(
+                f"{self._qualifier} void {p}_along({p}_X *restrict to, const {p}_X *restrict from, {h} h, "
+                f"const {p}_X *restrict slope)"
+            )
+            with _Braces(writer):
+                self._each(writer, "to->{m} = " + style.along.format("from->{m}", "slope->{m}") + ";")
+            writer.line("")
+            writer.line(f"/* Runge and Kutta's method of order 4 over h; {len(members)} continuous states. */")
+        writer.line(
+            f"{self._qualifier} void {p}_integrate(const {p}_P *restrict p, const {p}_Held *restrict held, "
+            f"{p}_X *restrict x, {h} h)"
+        )
+        with _Braces(writer):
+            if self.program.integrator == "euler":
+                writer.line(f"{p}_X k1;")
+                writer.line(f"{p}_derivative(p, held, x, &k1);")
+                self._each(writer, "x->{m} = " + style.along.format("x->{m}", "k1.{m}") + ";")
+            else:
+                writer.line(f"{p}_X k1, k2, k3, k4, at;")
+                writer.line(f"const {h} half = {style.product('h', real(0.5, 'real'))};")
+                writer.line(f"const {h} sixth = {style.product('h', real(ONE_SIXTH, 'real'))};")
+                for k, before, step in ((1, 0, ""), (2, 1, "half"), (3, 2, "half"), (4, 3, "h")):
+                    if before:
+                        writer.line(f"{p}_along(&at, x, {step}, &k{before});")
+                    writer.line(f"{p}_derivative(p, held, {'&at' if before else 'x'}, &k{k});")
+                self._each(writer, "x->{m} = " + style.weighted.replace("{two}", real(2.0, "real")) + ";")
+        writer.line("")
+
+    def _each(self, writer: CWriter, line: str) -> None:
+        for m in self.layout.x.members:
+            if m.width is None:
+                writer.line(line.format(m=m.name))
+            else:
+                with writer.block(f"for (int32_t i = 0; i < {m.width}; i++)"):
+                    writer.line(line.format(m=f"{m.name}[i]"))
+
+    def within_step(self, tick: TickEmitter) -> None:
+        """The lines of the step function that integrate the continuous states into the local x, and project them."""
+        writer, names, p = tick.writer, tick.names, self.prefix
+        x, held = names.new("x"), names.new("held")
+        writer.line(f"{p}_Held {held};")
+        if not self.held.members:
+            writer.line(f"{held}.none = 0;")
+        for s, member in self.captured.items():
+            if s not in tick.fractions:
+                writer.line(f"{held}.{member.name} = {tick.signal(s)};")
+        for (node, name), member in self._states.items():
+            state = next(s for s in node.discrete if s.name == name)
+            writer.line(f"{held}.{member.name} = {tick.state(node, state)};")
+        if self._tick is not None:
+            writer.line(f"{held}.{self._tick.name} = s->tick;")
+        for guard, member in self.active.items():
+            writer.line(f"{held}.{member.name} = {self.scope.style.truth(*tick.terms(guard))};")
+        for node in dict.fromkeys(n for n, _ in self._hoisted):
+            mine = [(e, m) for (n, e), m in self._hoisted.items() if n is node]
+            texts = tick.renderer(node).scalars([e for e, _ in mine])
+            for (text, _), (_, member) in zip(texts, mine, strict=True):
+                writer.line(f"{held}.{member.name} = {text};")
+        writer.line(f"{p}_X {x} = s->x;")
+        dt = self.scope.constant(self.program.dt, "real")
+        if tick.fractions:
+            self._pieces(tick, x, held, dt)
+        else:
+            writer.line(f"{p}_integrate(p, &{held}, &{x}, {dt});")
+        for node in self.program.integrated:
+            if node.trace.project:
+                with nullcontext() if node.guard.always else writer.choice(*tick.terms(node.guard)):
+                    self._project(tick, node, x)
+        self.integrated = x
+
+    def _pieces(self, tick: TickEmitter, x: str, held: str, dt: str) -> None:
+        """The integration in pieces that end where an edged output changes."""
+        writer, names = tick.writer, tick.names
+        start, end = names.new("from"), names.new("to")
+        style, real = self.scope.style, self.scope.type("real")
+        one, zero = style.same("1", "real"), style.same("0", "real")
+        writer.line(f"{real} {start} = {zero}, {end};")
+        writer.line("do {")
+        writer.depth += 1
+        writer.line(f"{end} = {one};")
+        for s, (fraction, after) in tick.fractions.items():
+            changed = style.compared("!=", tick.signal(s), after, s.kind)
+            if writer.lean and s.kind == "real":
+                writer.helpers.add("real_equal")
+                changed = f"!real_equal({tick.signal(s)}, {after})"
+            tests = [
+                changed,
+                style.compared(">", fraction, start),
+                style.compared("<", fraction, end),
+            ]
+            with writer.choice("", tests):
+                writer.assign(end, fraction, "real")
+        for s, (fraction, after) in tick.fractions.items():
+            if s in self.captured:
+                chosen = style.chosen(style.compared(">=", start, fraction), after, tick.signal(s), s.kind)
+                writer.line(f"{held}.{self.captured[s].name} = {chosen};")
+        with style.moving(writer, names, self.prefix, self.layout.x.members, start, x) as moved:
+            writer.line(f"{self.prefix}_integrate(p, &{held}, &{moved}, {style.piece(start, end, dt)});")
+        writer.line(f"{start} = {end};")
+        writer.depth -= 1
+        writer.line(f"}} while ({style.anywhere(style.compared('<', start, one))});")
+
+    def _project(self, tick: TickEmitter, node: Node, x: str) -> None:
+        tick.writer.line(describe(node))
+        lvalues = {
+            s.name: f"{x}.{self.layout.states[node, s.name].name}" if s.continuous else tick.state(node, s)
+            for s in node.block.states
+        }
+        leaf = self.scope.leaf(node, tick.signal, lvalues, "s->tick")
+        renderer = self.scope.renderer(tick.writer, tick.names, leaf, node.path)
+        commit(tick.writer, renderer, tick.names, node, node.trace.project, lvalues)
+
+    def commit(self, tick: TickEmitter) -> None:
+        """The continuous states of the next tick; those of disabled blocks keep theirs."""
+        writer, x = tick.writer, self.integrated
+        frozen = [node for node in self.program.integrated if not node.guard.always]
+        if frozen:
+            writer.line(FROZEN)
+        for node in frozen:
+            style = self.scope.style
+            _, enables = tick.terms(node.guard)  # continuous states live at the base rate, which is always due
+            with writer.choice("", [style.negation(style.conjunction(enables))]):
+                for s in node.continuous:
+                    name = self.layout.states[node, s.name].name
+                    if s.width is None:
+                        writer.assign(f"{x}.{name}", f"s->x.{name}", s.kind)
+                    else:
+                        writer.duplicate(f"{x}.{name}", f"s->x.{name}", s.width, s.kind)
+        writer.line(NEXT_TICK)
+        writer.line(f"s->x = {x};")
+
+    def declarations(self) -> Iterator[str]:
+        """The members of the struct Held; an array is held by its address."""
+        for m in self.held.members:
+            if m.width is None:
+                yield m.declaration(self.scope.style.types)
+            else:
+                yield f"const {self.scope.type(m.kind)} *{m.name};"
+        if not self.held.members:
+            yield "unsigned char none;"
+
+
+class _Lookup(dict[str, str]):
+    """The texts of a node's states within `derivative`, captured when they are asked for."""
+
+    def __init__(self, stage: IntegrationEmitter, node: Node) -> None:
+        super().__init__()
+        self.stage = stage
+        self.node = node
+
+    def __missing__(self, name: str) -> str:
+        return self.stage.state(self.node, name)
+
+
+class _Braces:
+    """A function's body."""
+
+    def __init__(self, writer: CWriter) -> None:
+        self.writer = writer
+
+    def __enter__(self) -> None:
+        self.writer.line("{")
+        self.writer.depth += 1
+
+    def __exit__(self, *_: object) -> None:
+        self.writer.depth -= 1
+        self.writer.line("}")

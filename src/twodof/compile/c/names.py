@@ -1,0 +1,43 @@
+"""Identifiers for emitted C: none twice in a scope, no keyword, nothing that headers or helpers define."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+
+from twodof.blocks.elementary.functions import ARGUMENTS
+from twodof.compile.c.helpers import HELPERS
+
+RESERVED = """
+    auto break case char const continue default do double else enum extern float for goto if inline int
+    long register restrict return short signed sizeof static struct switch typedef union unsigned void
+    volatile while asm typeof real bool true false offsetof linux unix memcpy memmove memset NULL
+"""
+KEYWORDS = frozenset(RESERVED.split())
+# What the included headers and the emitted file itself define beside those: macros, types, helpers.
+DEFINED = re.compile(r"[A-Z][A-Z0-9_]*_(MAX|MIN|C|WIDTH)|[a-z0-9_]+_t|td_inline")
+FUNCTIONS = frozenset(HELPERS) | {f"td_{name}" for name in ARGUMENTS}
+
+
+@dataclass
+class CNames:
+    """Identifiers of one C scope, each different."""
+
+    taken: set[str] = field(default_factory=set)
+    last: dict[str, int] = field(default_factory=dict)
+
+    def new(self, stem: str) -> str:
+        """`stem` with dots as underscores; with a number behind it if that is taken."""
+        name = base = stem.replace(".", "_")
+        number = 2
+        while name in self.taken or name in KEYWORDS or name in FUNCTIONS or DEFINED.fullmatch(name):
+            name = f"{base}_{number}"
+            number += 1
+        self.taken.add(name)
+        return name
+
+    def numbered(self, stem: str) -> str:
+        """`stem` with the next number behind it."""
+        base = stem.replace(".", "_")
+        self.last[base] = self.last.get(base, 0) + 1
+        return self.new(f"{base}{self.last[base]}")

@@ -1,0 +1,393 @@
+"""The C of one tick: outputs, returned signals, discrete states."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+
+from twodof.blocks.block import Param, Port, State
+from twodof.blocks.expressions.expr import LEAVES, Expr
+from twodof.blocks.expressions.graph import leaves
+from twodof.compile.c.expressions import ATOM, C_TYPES, Renderer, Text, constant
+from twodof.compile.c.names import CNames
+from twodof.compile.c.style import SCALAR, CStyle
+from twodof.compile.c.writer import CWriter
+from twodof.compile.program.flat_program import Action, FlatProgram, FlatSignal, Guard, Node
+from twodof.compile.program.layout import Member, MemoryLayout
+from twodof.compile.program.lower import inputs_of
+
+TICKS = 2**32  # a tick is a uint32
+# Comments above lines that belong to no single block; `twodof.compile.c.source_map` reads them.
+RATES_DUE = "/* which rates are due */"
+DISABLED = "/* outputs of what is disabled */"
+RETURNED = "/* what is returned */"
+INTEGRATION = "/* the continuous states of the next tick */"
+FROZEN = "/* what is disabled keeps its continuous states */"
+NEXT_TICK = "/* the next tick */"
+OWN = ("P", "S", "U", "Y", "X", "Held", "derivative", "integrate", "along", "step")  # what a body may name
+
+
+class Scope:
+    """What the functions of one program share: its layout, precision and the text of leaves."""
+
+    def __init__(self, program: FlatProgram, layout: MemoryLayout, precision: str, style: CStyle = SCALAR) -> None:
+        self.program = program
+        self.layout = layout
+        self.precision = precision
+        self.style = style
+
+    def names(self, *arguments: str) -> CNames:
+        """Identifiers of a function: its locals may hide neither its `arguments` nor what the program defines."""
+        return CNames({*arguments, *(f"{self.program.name}_{own}" for own in OWN), *self.style.reserved})
+
+    def constant(self, value: object, kind: str) -> str:
+        """A literal of the program's precision."""
+        return self.style.same(constant(value, kind, self.precision)[0], kind)
+
+    def type(self, kind: str) -> str:
+        """The C type of a value of one instance, or of all the lanes'."""
+        return self.style.types[kind]
+
+    def renderer(
+        self,
+        writer: CWriter,
+        names: CNames,
+        leaf: Callable[[Expr], Text],
+        stem: str,
+        known: Mapping[Expr, str] | None = None,
+    ) -> Renderer:
+        """What writes a block's expressions."""
+        return self.style.renderer(writer, names, self.precision, leaf, stem, known)
+
+    def leaf(
+        self, node: Node, signal: Callable[[FlatSignal], str], states: Mapping[str, str], tick: str
+    ) -> Callable[[Expr], Text]:
+        """The C text of `node`'s leaves; `states` is its own states' texts by name."""
+
+        def text(item: Expr) -> Text:
+            if item.op == "input":
+                return signal(node.drivers[item.data]), ATOM
+            if item.op == "state":
+                return states[item.data], ATOM
+            if item.op == "param":
+                return f"p->{self.parameter(node, item.data).name}", ATOM
+            if item.op == "tick":
+                return self.style.same(tick, "uint32"), ATOM
+            seconds = self.program.dt * (node.rate.divider if item.data == "dt" else 1)
+            return self.style.literal(*constant(seconds, "real", self.precision), "real")
+
+        return text
+
+    def parameter(self, node: Node, name: str) -> Member:
+        """The member of P that a block's parameter (given or derived) stands for."""
+        if name in node.parameters:
+            return self.layout.parameters[node.parameters[name]]
+        return self.layout.derived[node, name]
+
+    def initial(self, writer: CWriter, node: Node, state: State, target: str) -> None:
+        """Lines that set a state to its initial value."""
+        if isinstance(state.initial, str):
+            source = f"p->{self.parameter(node, state.initial).name}"
+            if state.width is None:
+                writer.assign(target, source, state.kind)
+            else:
+                writer.duplicate(target, source, state.width, state.kind)
+            return
+        self.fill(writer, target, state.initial, state)
+
+    def fill(self, writer: CWriter, target: str, value: object, declared: Port | State | Param) -> None:
+        """Lines that store a constant number, or a sequence of them, in `target`."""
+        kind, width = declared.kind, declared.width
+        if width is None:
+            writer.assign(target, self.constant(value, kind), kind)
+            return
+        values = list(value) if isinstance(value, (list, tuple)) else [value]
+        texts = [constant(v, kind, self.precision)[0] for v in values]
+        if len(set(texts)) == 1:
+            with writer.block(f"for (int32_t i = 0; i < {width}; i++)"):
+                writer.assign(f"{target}[i]", self.style.same(texts[0], kind), kind)
+        else:
+            with writer.block(""):
+                writer.line(f"static const {C_TYPES[kind]} initial[{width}] = {{{', '.join(texts)}}};")
+                writer.table(target, "initial", width, kind)
+
+
+def describe(node: Node) -> str:
+    """A block's path and type, for a comment."""
+    kind = node.block.type_name or type(node.block).__name__
+    return f"/* {node.path}: {kind} */" if kind.isascii() and kind.isidentifier() else f"/* {node.path} */"
+
+
+class TickEmitter:
+    """Writes the body of the step function, apart from the integration."""
+
+    def __init__(self, scope: Scope, writer: CWriter, names: CNames) -> None:
+        self.scope = scope
+        self.layout = scope.layout
+        self.program = scope.program
+        self.writer = writer
+        self.names = names
+        self.texts: dict[FlatSignal, str] = {}
+        self.renderers: dict[Node, Renderer] = {}
+        self.computed: set[FlatSignal | Node] = set()  # signals computed so far, nodes reset so far
+        self.updated: set[Node] = set()
+        self.stored: dict[Node, dict[Expr, str]] = {}  # expressions that stand in S
+        self.fractions: dict[FlatSignal, tuple[str, str]] = {}  # edged signal -> names of its fraction and later value
+        self._due: dict[tuple[int, int], str] = {}
+        self._tick_signals = {s for g in self.program.tick for a in g.actions for s in a.signals}
+
+    def signal(self, signal: FlatSignal) -> str:
+        """The C text of a signal's value at the tick."""
+        if signal.node is None:
+            return f"u->{self.layout.inputs[signal].name}"
+        if signal in self.layout.stored:
+            return f"s->{self.layout.stored[signal].name}"
+        return self.texts[signal]
+
+    def state(self, node: Node, state: State) -> str:
+        """The lvalue of a state."""
+        prefix = "s->x." if state.continuous else "s->"
+        return prefix + self.layout.states[node, state.name].name
+
+    def renderer(self, node: Node) -> Renderer:
+        """A node has one renderer in each C block, so that its temporaries serve all that is computed there."""
+        if node in self.renderers:
+            return self.renderers[node]
+        states = {s.name: self.state(node, s) for s in node.block.states}
+        leaf = self.scope.leaf(node, self.signal, states, "s->tick")
+        made = self.scope.renderer(self.writer, self.names, leaf, node.path, self.stored.get(node))
+        made.expect(node.trace.update.values())
+        self.renderers[node] = made
+        return made
+
+    @contextmanager
+    def guarded(self, guard: Guard) -> Iterator[None]:
+        """An `if` block; what is declared in it is forgotten at its end."""
+        outside = self.renderers
+        self.renderers = dict(outside)
+        with self.writer.choice(*self.terms(guard)):
+            yield
+        self.renderers = outside
+
+    def due(self) -> None:
+        """Lines that say which rates are due."""
+        for node in self.program.nodes:
+            rate = node.rate
+            if rate.divider > 1 and rate not in self._due:
+                if not self._due:
+                    self.writer.line(RATES_DUE)
+                self._due[rate] = self.names.new(f"due_{rate.divider}_{rate.offset}")
+                due = f"s->tick % {rate.divider}u == {rate.offset}u"
+                if rate.divider >= TICKS:  # sub-diagrams multiply their rates
+                    due = f"s->tick == {rate.offset}u" if rate.offset < TICKS else "false"
+                self.writer.line(f"const bool {self._due[rate]} = {due};")
+
+    def forget_idle_rates(self) -> None:
+        """Take out the lines of rates that nothing asked for."""
+        for name in self._due.values():
+            lines = [i for i, line in enumerate(self.writer.lines) if re.search(rf"\b{name}\b", line)]
+            if len(lines) == 1:
+                del self.writer.lines[lines[0]]
+        asked = "\n".join(self.writer.lines)
+        if self._due and not any(re.search(rf"\b{name}\b", asked) for name in self._due.values()):
+            self.writer.lines = [line for line in self.writer.lines if line.strip() != RATES_DUE]
+
+    def terms(self, guard: Guard) -> tuple[str, list[str]]:
+        """The C conditions under which a guard's nodes act: that the rate is due ("" if always), and the enables."""
+        return self._due.get(guard.rate, ""), [self.signal(e) for e in guard.enables]
+
+    def outputs(self) -> None:
+        """The outputs of all blocks, group by group."""
+        for signal in self.program.edged:
+            fraction, after = self.names.new(f"{signal.path}.fraction"), self.names.new(f"{signal.path}.after")
+            self.fractions[signal] = fraction, after
+            node = signal.node
+            if node is not None and not node.guard.always:
+                self.writer.line(describe(node))
+                real, zero = self.scope.type("real"), self.scope.style.same("0", "real")
+                self.writer.line(f"{real} {fraction} = {self.scope.style.same('1', 'real')}, {after} = {zero};")
+        for group in self.program.tick:
+            if group.guard.always:
+                for action in group.actions:
+                    self._action(action)
+                continue
+            with self.guarded(group.guard):
+                for action in group.actions:
+                    self._action(action)
+                self._early_updates(group.guard)
+            held = [s for action in group.actions for s in action.signals]
+            if group.guard.clears and held:
+                style = self.scope.style
+                self.writer.line(DISABLED)
+                cleared = style.negation(style.conjunction([self.signal(e) for e in group.guard.clears]))
+                with self.writer.choice(self._due.get(group.guard.rate, ""), [cleared]):
+                    for s in held:
+                        self.scope.fill(self.writer, self.signal(s), 0, Port("y", s.kind, s.width))
+
+    def _action(self, action: Action) -> None:
+        node, write = action.node, self.writer
+        write.line(describe(node))
+        if not action.signals:
+            with write.choice("", [self.scope.style.disjunction([self.signal(r) for r in node.resets])]):
+                for state in node.block.states:
+                    self.scope.initial(write, node, state, self.state(node, state))
+            self.computed.add(node)
+            return
+        renderer = self.renderer(node)
+        roots = [node.trace.outputs[s.port] for s in action.signals]
+        together: dict[FlatSignal, Expr] = {}  # outputs that share their temporaries, as none reads another
+        for signal, root in zip(action.signals, roots, strict=True):
+            if signal not in self.layout.stored or together.keys() & inputs_of(node, [root]):
+                self._store(renderer, node, together)
+                together = {}
+            if signal in self.layout.stored:
+                together[signal] = root
+            else:
+                self._output(renderer, signal, root)
+        self._store(renderer, node, together)
+        for signal in action.signals:
+            if signal in self.fractions:
+                fraction, after = node.trace.edges[signal.port]
+                for name, root in zip(self.fractions[signal], (fraction, after), strict=True):
+                    if node.guard.always:
+                        write.line(f"const {self.scope.type('real')} {name} = {renderer.text(root)};")
+                    else:
+                        write.assign(name, renderer.text(root), "real")
+        self.computed.update(action.signals)
+
+    def _store(self, renderer: Renderer, node: Node, outputs: Mapping[FlatSignal, Expr]) -> None:
+        renderer.assign([(self.signal(s), root) for s, root in outputs.items()])
+        known = {root: self.signal(s) for s, root in outputs.items() if root.op not in LEAVES}
+        renderer.learn(known)
+        self.stored.setdefault(node, {}).update(known)
+
+    def _output(self, renderer: Renderer, signal: FlatSignal, root: Expr) -> None:
+        ctype = self.scope.type(signal.kind)
+        name = self.names.new(signal.path)
+        self.texts[signal] = name
+        if signal.width is None:
+            self.writer.line(f"const {ctype} {name} = {renderer.text(root)};")
+            if root.op not in LEAVES:
+                renderer.learn({root: name})
+        elif root.op in ("input", "param"):
+            self.writer.line(f"const {ctype} *const {name} = {renderer.text(root)};")
+        else:
+            self.writer.elements += signal.width
+            self.writer.line(f"{ctype} {name}[{signal.width}];")
+            renderer.assign([(name, root)])
+
+    def returned(self) -> None:
+        """The outputs and logged signals."""
+        for path, signal in self.program.outputs.items():
+            member = f"y->{self.layout.outputs[path].name}"
+            if signal.width is None:
+                self.writer.line(f"{member} = {self.signal(signal)};")
+            else:
+                self.writer.duplicate(member, self.signal(signal), signal.width, signal.kind)
+
+    def updates(self) -> None:
+        """The next discrete states. A block's own are the only ones that its update reads."""
+        by_guard: dict[Guard, list[Node]] = {}
+        for node in self._changing():
+            if node not in self.updated:
+                by_guard.setdefault(node.guard, []).append(node)
+        for guard in sorted(by_guard, key=lambda g: not g.always):
+            if guard.always:
+                for node in by_guard[guard]:
+                    self._update(node)
+                continue
+            with self.guarded(guard):
+                for node in by_guard[guard]:
+                    self._update(node)
+
+    def _changing(self) -> list[Node]:
+        """The nodes with discrete states that may change."""
+        return [n for n in self.program.nodes if any(not _keeps(k, e) for k, e in n.trace.update.items())]
+
+    def _early_updates(self, guard: Guard) -> None:
+        """The updates, of nodes of `guard`, that need nothing more: here they share the temporaries of the outputs.
+
+        Nobody but a block itself reads its states, and only one with continuous states reads them again in this tick.
+        """
+        for node in self._changing():
+            if node.guard != guard or node.continuous or node in self.updated:
+                continue
+            read = [node.drivers[name] for name in leaves(node.trace.update.values(), "input")]
+            needed = {s for s in [*read, *node.outputs.values()] if s in self._tick_signals}
+            if needed <= self.computed and (not node.resets or node in self.computed):
+                self.updated.add(node)
+                self._update(node)
+
+    def _update(self, node: Node) -> None:
+        self.writer.line(describe(node))
+        texts = {s.name: self.state(node, s) for s in node.discrete}
+        commit(self.writer, self.renderer(node), self.names, node, node.trace.update, texts)
+
+
+def _keeps(name: str, e: Expr) -> bool:
+    return e.op == "state" and e.data == name
+
+
+def commit(
+    writer: CWriter,
+    renderer: Renderer,
+    names: CNames,
+    node: Node,
+    values: Mapping[str, Expr],
+    lvalues: Mapping[str, str],
+) -> None:
+    """Lines that replace states by `values`, all of which read the states before any is replaced."""
+    changed = {name: e for name, e in values.items() if not _keeps(name, e)}
+    reads = {name: leaves([e], "state") for name, e in changed.items()}
+    later: list[tuple[str, str, str]] = []
+    wide: list[tuple[str, str, int]] = []
+    direct = []
+    for name, e in changed.items():
+        shared = any(name in read for other, read in reads.items() if other != name)
+        chain = _stores(name, e)
+        if chain and (shared or len(chain) > 1):
+            for index, value in chain:
+                i, v = names.new(f"{node.path}.index"), names.new(f"{node.path}.{name}_next")
+                writer.index(i, renderer.index(index, e.width or 1))
+                writer.line(f"const {renderer.types[e.kind]} {v} = {renderer.text(value)};")
+                later.append((name, i, v))
+        elif chain:
+            direct.append((name, e))
+        elif e.width is not None and (shared or name in reads[name]):
+            source = renderer.text(e)
+            if e.op == "state":
+                source = names.new(f"{node.path}.{name}_next")
+                writer.line(f"{renderer.types[e.kind]} {source}[{e.width}];")
+                writer.copy(source, renderer.text(e), e.width, e.kind, own=True)
+            wide.append((name, source, e.width))
+        elif shared:
+            new = names.new(f"{node.path}.{name}_next")
+            writer.line(f"const {renderer.types[e.kind]} {new} = {renderer.text(e)};")
+            later.append((name, "", new))
+        else:
+            direct.append((name, e))
+    for name, e in direct:
+        chain = _stores(name, e)
+        if chain:
+            ((index, value),) = chain
+            at, (new, _) = renderer.index(index, e.width or 1), renderer.scalars([value])[0]
+            writer.put(lvalues[name], at, new, e.kind)
+        else:
+            renderer.assign([(lvalues[name], e)])
+    for changing, at, text in later:
+        if at:
+            writer.put(lvalues[changing], at, text, changed[changing].kind)
+        else:
+            writer.assign(lvalues[changing], text, changed[changing].kind)
+    for changing, source, width in wide:
+        writer.copy(lvalues[changing], source, width, changed[changing].kind)
+
+
+def _stores(name: str, e: Expr) -> list[tuple[Expr, Expr]]:
+    """(index, value) of each element that `e` replaces in the array state `name`, in order; [] for other values."""
+    chain = []
+    while e.op == "store":
+        chain.append((e.args[1], e.args[2]))
+        e = e.args[0]
+    return chain[::-1] if _keeps(name, e) else []

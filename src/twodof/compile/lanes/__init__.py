@@ -1,0 +1,1 @@
+"""Many instances of one diagram at once, in the processor's vectors."""

@@ -1,0 +1,425 @@
+"""Lanes: many instances of one diagram at once, in the processor's vectors, each with the scalar program's bits."""
+
+from __future__ import annotations
+
+import ctypes
+import platform
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twodof.blocks.block import Param, State, check_bounds, check_steps, numeric, unknown_parameter
+from twodof.blocks.diagram import Diagram
+from twodof.blocks.expressions import numbers
+from twodof.blocks.expressions.numbers import Integer, Vector
+from twodof.compile.c.emitter import emit
+from twodof.compile.lanes.helpers import LaneShape
+from twodof.compile.lanes.style import LaneStyle as Style
+from twodof.compile.native.target import load
+from twodof.compile.program import flat_program
+from twodof.compile.program.layout import MemoryLayout
+from twodof.compile.program.lower import lower
+from twodof.compile.toolchain import compilers
+from twodof.errors import CompileError, DiagramError, ParameterError
+
+MOST_LANES = 65_536
+MOST_RESULTS = 2**28
+"""Values of all signals that one call of `run` may return."""
+CHUNK = 256  # steps between two copies of outputs
+
+
+@dataclass(frozen=True)
+class Simd:
+    """A processor's vectors: bytes in one, how many a struct holds, and what a compiler must be told."""
+
+    name: str
+    size: int
+    vectors: int
+    flags: tuple[str, ...]
+    native: bool
+
+
+SIMD = {
+    simd.name: simd
+    for simd in (
+        Simd("avx512", 64, 2, ("-mprefer-vector-width=512",), True),
+        Simd("avx2", 32, 2, ("-mavx2", "-mfma", "-mno-avx512f", "-mtune=skylake"), False),
+        Simd("baseline", 16, 2, (), False),
+    )
+}
+"""By name; "baseline" is what every processor of an architecture has (SSE2, NEON)."""
+
+
+def best_simd() -> str:
+    """The name of the widest vectors in SIMD that this processor has."""
+    try:
+        text = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return "baseline"
+    flags = set(text.partition("\nflags")[2].partition("\n")[0].split())
+    if platform.machine() == "x86_64":
+        if {"avx512f", "avx512dq", "avx512bw", "avx512vl"} <= flags:
+            return "avx512"
+        if {"avx2", "fma"} <= flags:
+            return "avx2"
+    return "baseline"
+
+
+def build_lanes(
+    diagram: Diagram,
+    dt: float,
+    lanes: int,
+    precision: str = "float64",
+    log: Iterable[str] = (),
+    integrator: str = "rk4",
+    compiler: str | None = None,
+    optimise: str = "-O3",
+    simd: str | None = None,
+) -> LanesProgram:
+    """`lanes` instances of `diagram`, side by side; the other arguments as `twodof.compile.build`'s.
+
+    `simd` is a name in SIMD, None the best that this processor has. Raises DiagramError for a faulty diagram or number
+    of lanes, CompileError for a compiler that is missing or fails, or unknown vectors.
+    """
+    if isinstance(lanes, bool) or not isinstance(lanes, int) or not 1 <= lanes <= MOST_LANES:
+        raise DiagramError(f"{lanes!r:.40} lanes", diagram.name, f"use 1 to {MOST_LANES}")
+    name = simd or best_simd()
+    if name not in SIMD:
+        raise CompileError(f"there are no vectors {name!r:.40}", "lanes", f"use one of {', '.join(SIMD)}")
+    found = compilers.find_compiler(compiler)
+    with numbers.precision(precision):
+        lowered = lower(diagram, dt, tuple(log), integrator)
+        source = emit([lowered], precision, style=Style(shape(name, precision)))
+    library = load(source.text, found, optimise, SIMD[name].native, SIMD[name].flags)
+    return LanesProgram(lowered, source.text, source.layouts[lowered.name], library, lanes, precision, name)
+
+
+def shape(simd: str, precision: str) -> LaneShape:
+    """The lanes of one struct."""
+    return LaneShape(precision, SIMD[simd].size, SIMD[simd].vectors)
+
+
+class LanesProgram:
+    """A diagram compiled for `lanes` instances. `source` is its C, `parameters` the declarations by path."""
+
+    def __init__(
+        self,
+        lowered: flat_program.FlatProgram,
+        source: str,
+        layout: MemoryLayout,
+        library: ctypes.CDLL,
+        lanes: int,
+        precision: str,
+        simd: str,
+    ) -> None:
+        self.flat = lowered
+        self.source = source
+        self.layout = layout
+        self.lanes = lanes
+        self.precision = precision
+        self.simd = simd
+        self.dt = lowered.dt
+        self.shape = shape(simd, precision)
+        self.blocks = -(-lanes // self.shape.lanes)
+        self.dtypes = layout.lane_dtypes(self.shape)
+        self.parameters: dict[str, Param] = {path: q.declared for path, q in lowered.parameters.items()}
+        self.states: dict[str, tuple[State, str]] = {
+            f"{node.path}.{s.name}": (s, layout.states[node, s.name].name)
+            for node in lowered.nodes
+            for s in node.block.states
+        }
+        sizes = list((ctypes.c_size_t * 5).in_dll(library, f"{lowered.name}_sizes"))
+        ours = [np.dtype(precision).itemsize, *(self.dtypes[k].itemsize for k in "PSUY")]
+        if sizes != ours:
+            raise CompileError(
+                f"its structs have the sizes {sizes}, expected {ours}", lowered.name, "report this as a fault"
+            )
+        self._library = library
+        pointer, size = ctypes.c_void_p, ctypes.c_size_t
+        self.c_defaults = self._function("defaults", pointer)
+        self.c_prepare = self._function("prepare", pointer)
+        self.c_init = self._function("init", pointer, pointer)
+        self.c_run = self._function("run", pointer, pointer, pointer, size, pointer, size, size)
+
+    def _function(self, name: str, *arguments: Any) -> Any:
+        function = getattr(self._library, f"{self.flat.name}_{name}")
+        function.argtypes, function.restype = arguments, None
+        return function
+
+    @property
+    def lane_bytes(self) -> float:
+        """Memory of one lane [bytes]: its parameters, states, inputs and outputs."""
+        return sum(self.dtypes[k].itemsize for k in "PSUY") / self.shape.lanes
+
+    def machine(self) -> LanesMachine:
+        """Fresh instances in their initial states."""
+        return LanesMachine(self)
+
+
+class LanesMachine:
+    """Running instances side by side, each with parameters, states and inputs of its own; they share the tick.
+
+    A value is one for all lanes, of the shape () or (width,), or has the lane as its first axis: (lanes,) or
+    (lanes, width). A sequence for an array of one dimension is the same array in all lanes.
+    """
+
+    def __init__(self, program: LanesProgram) -> None:
+        self.program = program
+        self.lanes = program.lanes
+        self.parameters = program.parameters
+        self._structs = {k: _structs(program.blocks, program.dtypes[k]) for k in "PSUY"}
+        layout, lowered = program.layout, program.flat
+        self._members = {path: layout.parameters[q].name for path, q in lowered.parameters.items()}
+        self._inputs = {name: (s, layout.inputs[s].name) for name, s in lowered.inputs.items()}
+        self._outputs = {path: (s, layout.outputs[path].name) for path, s in lowered.outputs.items()}
+        for block in self._structs["P"]:
+            program.c_defaults(block.ctypes.data)
+            program.c_prepare(block.ctypes.data)
+        self.reset()
+
+    @property
+    def tick(self) -> int:
+        """Base ticks since the start, modulo 2^32."""
+        return int(self._structs["S"][0]["tick"][0])
+
+    def reset(self) -> None:
+        """To the initial states of the present parameters, tick 0, held outputs 0."""
+        for p, s in zip(self._structs["P"], self._structs["S"], strict=True):
+            self.program.c_init(p.ctypes.data, s.ctypes.data)
+
+    def set(self, path: str, value: Any) -> None:
+        """Set one parameter, in all lanes or each; see `set_many`."""
+        self.set_many({path: value})
+
+    def set_many(self, values: Mapping[str, Any]) -> None:
+        """Set several parameters before the next step, or, if one is refused in any lane, none in none.
+
+        Raises ParameterError, which names the lane and the bound.
+        """
+        new = {self._member(path): (path, self._checked(path, value)) for path, value in values.items()}
+        for member, (path, data) in new.items():
+            self._write("P", member, data, self.parameters[path].kind)
+        for block in self._structs["P"]:
+            self.program.c_prepare(block.ctypes.data)
+
+    def get(self, path: str) -> NDArray[Any]:
+        """A parameter's present values, (lanes,) or (lanes, width)."""
+        declared = self.parameters[path] if path in self._members else None
+        return self._read("P", self._member(path), declared.kind if declared else "real")
+
+    def state(self, path: str) -> NDArray[Any]:
+        """A state's present values by path, (lanes,) or (lanes, width)."""
+        declared, member = self._state(path)
+        return self._read("S", member, declared.kind)
+
+    def set_state(self, path: str, value: Any) -> None:
+        """Overwrite a state. Raises DiagramError for an unknown path or a value of another type."""
+        declared, member = self._state(path)
+        self._write("S", member, self._numbers(value, declared.kind, declared.width, path), declared.kind)
+
+    def step(self, inputs: Mapping[str, Any] | None = None) -> dict[str, NDArray[Any]]:
+        """One step; an input that is not given keeps its last values (0 at first).
+
+        Returns each signal's values, (lanes,) or (lanes, width). Raises DiagramError for an input that does not fit.
+        """
+        for name, value in (inputs or {}).items():
+            signal, member = self._input(name)
+            self._write("U", member, self._numbers(value, signal.kind, signal.width, name), signal.kind)
+        return {path: column[0] for path, column in self._advance(1, {}).items()}
+
+    def run(self, steps: int, inputs: Mapping[str, Any] | None = None) -> dict[str, NDArray[Any]]:
+        """`steps` steps. An input is one value, or has the step as its first axis: (steps,), the same in all lanes, or
+        (steps, lanes), or (1, lanes) for values that stay; an array's last axis is its width.
+
+        Returns each signal, (steps, lanes) or (steps, lanes, width). Raises DiagramError for an input that does not
+        fit, or more than MOST_RESULTS results.
+        """
+        steps = check_steps(steps, self.program.flat.name)
+        results = steps * self.lanes * sum(s.width or 1 for s, _ in self._outputs.values())
+        if results > MOST_RESULTS:
+            raise DiagramError(
+                f"{steps} steps give {results} values", self.program.flat.name, f"ask for {MOST_RESULTS} at most"
+            )
+        columns: dict[str, NDArray[Any]] = {}
+        for name, value in (inputs or {}).items():
+            signal, member = self._input(name)
+            data = np.asarray(value)
+            inner = () if signal.width is None else (signal.width,)
+            if data.shape in ((), inner):
+                self._write("U", member, self._numbers(value, signal.kind, signal.width, name), signal.kind)
+                continue
+            columns[member] = _column(data, signal, steps, self.lanes)
+        return self._advance(steps, columns)
+
+    def skip(self, steps: int) -> None:
+        """`steps` steps with the last inputs, whose outputs nobody wants."""
+        steps = check_steps(steps, self.program.flat.name)
+        for p, s, u, y in zip(*(self._structs[k] for k in "PSUY"), strict=True):
+            self.program.c_run(p.ctypes.data, s.ctypes.data, u.ctypes.data, 0, y.ctypes.data, 0, steps)
+
+    def _advance(self, steps: int, columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+        program, wide = self.program, self.program.shape.lanes
+        results = {
+            path: np.empty(self._shape(s, steps), _kind(s.kind, program)) for path, (s, _) in self._outputs.items()
+        }
+        y = _structs(min(CHUNK, max(steps, 1)), program.dtypes["Y"], together=True)[0]
+        changing = _structs(min(CHUNK, max(steps, 1)), program.dtypes["U"], together=True)[0] if columns else None
+        for b, (p, s, u) in enumerate(zip(*(self._structs[k] for k in "PSU"), strict=True)):
+            mine = slice(b * wide, min((b + 1) * wide, self.lanes))
+            count = mine.stop - mine.start
+            for first in range(0, steps, CHUNK):
+                n = min(CHUNK, steps - first)
+                at, stride = u.ctypes.data, 0
+                if changing is not None:
+                    changing[:n] = u[0]
+                    for member, column in columns.items():
+                        part = column[first : first + n] if len(column) > 1 else column
+                        _spread(changing[member][:n], part[:, mine] if part.shape[1] > 1 else part, count)
+                    at, stride = changing.ctypes.data, 1
+                program.c_run(p.ctypes.data, s.ctypes.data, at, stride, y.ctypes.data, 1, n)
+                if changing is not None:
+                    u[0] = changing[n - 1]
+                for path, (signal, member) in self._outputs.items():
+                    values = np.moveaxis(_apart(y[member][:n], signal.kind), -1, 1)
+                    results[path][first : first + n, mine] = values[:, :count]
+        return results
+
+    def _shape(self, signal: flat_program.FlatSignal, steps: int) -> tuple[int, ...]:
+        return (steps, self.lanes) if signal.width is None else (steps, self.lanes, signal.width)
+
+    def _member(self, path: str) -> str:
+        if path not in self._members:
+            raise unknown_parameter(path, self._members)
+        return self._members[path]
+
+    def _checked(self, path: str, value: Any) -> NDArray[Any]:
+        declared = self.parameters[path]
+        if not declared.tunable and self.tick > 0:
+            raise ParameterError(
+                "it is fixed while the diagram runs", path, "set it before the first step, or after reset()"
+            )
+        with numbers.precision("float64"):  # bounds are compared with what is given, then it is rounded
+            for lane, given in self._each(value, declared.width, path):
+                try:
+                    numeric(given, declared.kind, declared.width, path)
+                    check_bounds(declared, given, path)
+                except (DiagramError, ParameterError) as error:
+                    what = error.what if lane is None else f"lane {lane}: {error.what}"
+                    raise ParameterError(what, path, error.remedy) from error
+            return self._numbers(value, declared.kind, declared.width, path)
+
+    def _each(self, value: Any, width: int | None, path: str) -> list[tuple[int | None, Any]]:
+        """(lane, its value), or (None, the value) if it is one for all."""
+        many = isinstance(value, (np.ndarray, Sequence)) and not isinstance(value, (str, bytes))
+        try:
+            data: NDArray[Any] = np.asarray(value) if many else np.zeros(())
+        except ValueError as error:
+            raise ParameterError("its rows differ in length", path, "give each lane the same") from error
+        if data.ndim == 0 or (width is not None and data.shape == (width,)):
+            return [(None, value)]
+        if data.shape not in ((self.lanes,), (self.lanes, width)) or data.dtype == object:
+            raise ParameterError(
+                f"a value of shape {data.shape} for {self.lanes} lanes", path, "give one value, or one for each lane"
+            )
+        rows: list[Any] = data.tolist()
+        return list(enumerate(rows))
+
+    def _numbers(self, value: Any, kind: str, width: int | None, path: str) -> NDArray[Any]:
+        """A value's numbers, with the lane as the first axis, of length 1 if it is one for all."""
+        rows = []
+        for _, given in self._each(value, width, path):
+            number = numeric(given, kind, width, path)
+            scalars = number if isinstance(number, Vector) else (number,)
+            plain = [n.value if isinstance(n, Integer) else n.item() for n in scalars]
+            rows.append(plain[0] if width is None else plain)
+        return np.array(rows, dtype={"real": "float64", "bool": "bool"}.get(kind, kind))
+
+    def _state(self, path: str) -> tuple[State, str]:
+        if path not in self.program.states:
+            raise DiagramError(
+                f"there is no state {path!r:.120}", self.program.flat.name, "a state's path is part.sub.state"
+            )
+        return self.program.states[path]
+
+    def _input(self, name: str) -> tuple[flat_program.FlatSignal, str]:
+        if name not in self._inputs:
+            known = ", ".join(self._inputs) or "none"
+            raise DiagramError(f"there is no input {name!r:.80}", self.program.flat.name, f"inputs: {known}")
+        return self._inputs[name]
+
+    def _views(self, struct: str, member: str) -> Iterable[NDArray[Any]]:
+        """A member's memory in each block of lanes, ([width,] lanes of the block)."""
+        for block in self._structs[struct]:
+            whole = block["x"] if struct == "S" and member not in (block.dtype.names or ()) else block
+            yield whole[member][0]
+
+    def _read(self, struct: str, member: str, kind: str) -> NDArray[Any]:
+        views = (_apart(view, kind) for view in self._views(struct, member))
+        data = np.concatenate([np.moveaxis(view, -1, 0) for view in views])[: self.lanes]
+        return data != 0 if kind == "bool" else data
+
+    def _write(self, struct: str, member: str, data: NDArray[Any], kind: str) -> None:
+        wide = self.program.shape.lanes
+        for b, view in enumerate(self._views(struct, member)):
+            part = data[b * wide : (b + 1) * wide] if len(data) > 1 else data
+            _spread(view[np.newaxis], part[np.newaxis], min(wide, self.lanes - b * wide))
+
+
+def _structs(count: int, dtype: np.dtype[Any], together: bool = False) -> list[NDArray[Any]]:
+    """`count` zeroed structs, in one array or in one each, aligned as vectors must be."""
+    size = dtype.itemsize
+    pitch = size if together else -(-size // 64) * 64
+    memory = np.zeros(count * pitch + 64, np.uint8)
+    start = -memory.ctypes.data % 64
+    if together:
+        return [memory[start : start + count * size].view(dtype)]
+    return [memory[start + i * pitch : start + i * pitch + size].view(dtype) for i in range(count)]
+
+
+def _spread(target: NDArray[Any], data: NDArray[Any], count: int) -> None:
+    """Writes values (steps, lanes[, width]) into a member's memory (steps[, width], lanes).
+
+    The lanes that pad the last vector do what the last lane does.
+    """
+    values = np.moveaxis(-data.astype(np.int8) if data.dtype == np.bool_ else data, 1, -1)
+    if target.dtype == np.uint8:
+        lanes = np.zeros((*target.shape[:-1], 8 * target.shape[-1]), np.bool_)
+        lanes[..., :count] = values
+        lanes[..., count:] = lanes[..., count - 1 : count]
+        target[...] = np.packbits(lanes, axis=-1, bitorder="little")
+        return
+    with np.errstate(over="ignore"):
+        target[..., :count] = values
+    target[..., count:] = target[..., count - 1 : count]
+
+
+def _apart(view: NDArray[Any], kind: str) -> NDArray[Any]:
+    """A member's memory with the lane as its last axis, also where it holds eight truth values in a byte."""
+    return np.unpackbits(view, axis=-1, bitorder="little") if kind == "bool" and view.dtype == np.uint8 else view
+
+
+def _kind(kind: str, program: LanesProgram) -> np.dtype[Any]:
+    return np.dtype(program.precision if kind == "real" else kind)
+
+
+_ACCEPTED = {"real": "fiu", "int32": "iu", "uint32": "iu", "bool": "b"}
+
+
+def _column(data: NDArray[Any], signal: flat_program.FlatSignal, steps: int, lanes: int) -> NDArray[Any]:
+    """An input's array as (steps or 1, lanes or 1[, width]), checked; integers wrap around."""
+    inner = () if signal.width is None else (signal.width,)
+    if data.shape == (steps, *inner):
+        data = data[:, np.newaxis]
+    fits = data.shape in ((steps, lanes, *inner), (1, lanes, *inner), (steps, 1, *inner))
+    if data.dtype.kind not in _ACCEPTED[signal.kind] or not fits:
+        raise DiagramError(
+            f"an array of {data.dtype} and shape {data.shape} is given for {signal.kind} of width {signal.width or 1}, "
+            f"{steps} steps and {lanes} lanes",
+            signal.path,
+            "give one value, or (steps,), (steps, lanes) or (1, lanes) of them, with the width as the last axis",
+        )
+    return data if signal.kind in ("real", "bool") else data.astype(signal.kind)

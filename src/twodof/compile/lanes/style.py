@@ -1,0 +1,328 @@
+"""The emitter's style for lanes: several instances in the vectors of one struct; see `lane_helpers` for the C below.
+
+What is the same in all lanes (rates that are due, loops with their counters) stays ordinary C; a condition of a lane's
+own becomes a mask, under which both sides are computed and only stores are chosen.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass, field
+
+from twodof.blocks.expressions.expr import Expr
+from twodof.blocks.expressions.graph import outside
+from twodof.compile.c.expressions import ATOM, Renderer, Text, constant
+from twodof.compile.c.names import CNames
+from twodof.compile.c.style import CStyle
+from twodof.compile.c.writer import CWriter
+from twodof.compile.lanes.helpers import SCALARS, TYPES, VECTORS, LaneShape, prelude
+from twodof.compile.program.layout import Member
+
+MASKS = 1000  # names kept for masks
+DEEPEST_INDEX = 20  # operations in an index that is the same in all lanes
+
+
+@dataclass
+class LaneWriter(CWriter):
+    """Lines of C whose stores a mask may choose."""
+
+    mask: str = ""
+    masks: int = 0
+    shared: set[str] = field(default_factory=set)  # indices that are the same in all lanes
+
+    @contextmanager
+    def choice(self, due: str, tests: Sequence[str] = ()) -> Iterator[None]:
+        """An `if` on `due`, and within it a mask of `tests`."""
+        with self.block(f"if ({due})" if due else "") if due or tests else nullcontext():
+            outer = self.mask, self.masked
+            if tests:
+                self.masks += 1
+                on = f"on_{self.masks}"
+                whole = conjunction([*filter(None, (self.mask,)), *tests])
+                self.line(f"const lanes_bool {on} = {whole};")
+                self.mask, self.masked = on, True
+            yield
+            self.mask, self.masked = outer
+
+    def assign(self, target: str, text: str, kind: str) -> None:
+        """A line that stores a value where the mask allows it."""
+        self.line(
+            f"{target} = lanes_pick_{kind}({self.mask}, {text}, {target});" if self.mask else f"{target} = {text};"
+        )
+
+    def copy(self, target: str, source: str, width: int, kind: str, own: bool = False) -> None:
+        """Lines that copy an array where the mask allows it."""
+        if own or not self.mask:
+            self.line(f"memcpy({target}, {source}, sizeof {source}[0] * {width});")
+            return
+        with self.block(f"for (int32_t i = 0; i < {width}; i++)"):
+            self.assign(f"{target}[i]", f"{source}[i]", kind)
+
+    def duplicate(self, target: str, source: str, width: int, kind: str) -> None:
+        """As `copy`."""
+        self.copy(target, source, width, kind)
+
+    def table(self, target: str, table: str, width: int, kind: str) -> None:
+        """Lines that copy a table of constants into an array."""
+        with self.block(f"for (int32_t i = 0; i < {width}; i++)"):
+            self.assign(f"{target}[i]", f"lanes_{kind}_all({table}[i])", kind)
+
+    def put(self, target: str, index: str, text: str, kind: str, own: bool = False) -> None:
+        """A line that stores an element of an array; its index may be each lane's own."""
+        mask = "" if own else self.mask
+        if index not in self.shared:
+            self.line(f"lanes_put_{kind}({target}, {index}, {text}, {mask or 'lanes_bool_all(true)'});")
+        elif mask:
+            self.assign(f"{target}[{index}]", text, kind)
+        else:
+            self.line(f"{target}[{index}] = {text};")
+
+    def index(self, name: str, text: str) -> None:
+        """A line that keeps an index."""
+        if text in self.shared:
+            self.shared.add(name)
+        self.line(f"const {'int32_t' if text in self.shared else 'lanes_int32'} {name} = {text};")
+
+
+def conjunction(texts: Sequence[str]) -> str:
+    """Whether all hold, as C."""
+    made = texts[0]
+    for text in texts[1:]:
+        made = f"lanes_and_bool({made}, {text})"
+    return made
+
+
+_VARIABLE = re.compile(r"[A-Za-z_][\w.\[\]]*(->[\w.\[\]]+)?\.v@")
+
+
+class LaneRenderer(Renderer):
+    """Writes the expressions of one block, each value in all lanes: `@` stands for the number of a vector."""
+
+    vectors: int
+
+    types: Mapping[str, str] = TYPES
+    writer: LaneWriter
+
+    def _local(self, name: str) -> Text:
+        return f"{name}.v@", ATOM
+
+    def _stored(self, text: str, kind: str) -> str:
+        """All vectors of a value: an expression is written once for each, all of one before the next.
+
+        So it needs the registers of one, and the processor still finds both to work on.
+        """
+        if _VARIABLE.fullmatch(text):
+            return text[:-3]
+        return f"({self.types[kind]}){{{', '.join(text.replace('@', str(k)) for k in range(self.vectors))}}}"
+
+    def _args(self, item: Expr) -> tuple[Expr, ...]:
+        if id(item) in self.named:
+            return ()
+        args = [self._resolve(a) for a in outside(item)]
+        if item.op in ("select", "store") and self._counted(args[1]) is not None:
+            args[1] = args[0]  # an index that all lanes share is no value
+        return tuple(args)
+
+    def _counted(self, index: Expr, depth: int = 0) -> Text | None:
+        """The C of an index that is made of constants and loop counters alone."""
+        if index.op == "const":
+            return constant(index.data, "int32", self.precision)
+        if index.op == "bound" and index.data[1] == 0:
+            return self.bound[index.data]
+        if index.op in ("add", "sub", "mul") and index.kind == "int32" and depth < DEEPEST_INDEX:
+            a, b = (self._counted(self._resolve(x), depth + 1) for x in index.args)
+            if a is not None and b is not None:
+                return f"{self._use(f'int32_{index.op}')}({a[0]}, {b[0]})", ATOM
+        return None
+
+    def _index(self, index: Expr, text: Text, width: int) -> str:
+        counted = self._counted(index)
+        if counted is not None:
+            at = super()._index(index, counted, width)
+            self.writer.shared.add(at)
+            return at
+        if index.op == "and" and any(a.op == "const" and 0 <= a.data < width for a in map(self._resolve, index.args)):
+            return self._stored(text[0], "int32")
+        return self._stored(f"lanes_within({text[0]}, {width - 1})", "int32")
+
+    def _expression(self, item: Expr, args: Sequence[Text]) -> Text:
+        op, kind, texts = item.op, item.kind, [a for a, _ in args]
+        if op == "const":
+            return f"lanes_v_{kind}_all({constant(item.data, kind, self.precision)[0]})", ATOM
+        if op == "bound":
+            text = self.bound[item.data]
+            return (f"lanes_v_int32_all({text[0]})", ATOM) if item.data[1] == 0 else text
+        if op in ("input", "state", "param", "tick", "dt"):
+            text = self.leaf(item)
+            return text if item.width is not None else self._local(text[0])
+        if op == "select":
+            return self._element(item, texts[0], args[1])
+        if op == "call":
+            self.writer.functions.add(item.data)
+            return f"td_{item.data}({', '.join(texts)})", ATOM
+        operand = self._resolve(item.args[0]).kind
+        if op == "where":
+            name = f"pick_{kind}"
+            test = self._resolve(item.args[0])
+            if kind == "real" and test.op == "lt":
+                compared = [id(self._resolve(a)) for a in test.args]
+                chosen = [id(self._resolve(a)) for a in item.args[1:]]
+                if compared == chosen:
+                    return f"lanes_v_min_real({texts[1]}, {texts[2]})", ATOM
+                if compared == chosen[::-1]:
+                    return f"lanes_v_max_real({texts[1]}, {texts[2]})", ATOM
+        elif op in ("lt", "le", "eq", "ne"):
+            name = f"{op}_{operand}"
+        elif op == "convert":
+            name = f"{operand}_to_{kind}"
+        elif op == "from_bits":
+            name = "from_bits" if len(args) == 2 else "from_word"
+        elif op == "bits":
+            name = f"word_{1 if item.data else 0}"
+        else:
+            name = f"{op}_{kind}"
+        return f"lanes_v_{name}({', '.join(texts)})", ATOM
+
+    def _element(self, item: Expr, name: str, index: Text) -> Text:
+        """An array's element; one at each lane's own index is fetched into a variable."""
+        array = self._resolve(item.args[0])
+        if array.width is None:
+            raise ValueError("select on a scalar")
+        at = self._index(self._resolve(item.args[1]), index, array.width)
+        if at in self.writer.shared:
+            return self._local(f"{name}[{at}]")
+        fetched = self.names.numbered(f"{self.stem}_t")
+        self.writer.line(f"const {self.types[item.kind]} {fetched} = lanes_get_{item.kind}({name}, {at});")
+        self.named[id(item)] = self._local(fetched)
+        return self.named[id(item)]
+
+
+class VectorRenderer(LaneRenderer):
+    """Writes an elementary function of a single vector."""
+
+    types: Mapping[str, str] = VECTORS
+
+    def _local(self, name: str) -> Text:
+        return name, ATOM
+
+    def _stored(self, text: str, kind: str) -> str:
+        return text
+
+
+_WEIGHTED = (
+    "lanes_v_add_real(x->{m}.v@, lanes_v_mul_real(sixth.v@, lanes_v_add_real(lanes_v_add_real(lanes_v_add_real("
+    "k1.{m}.v@, lanes_v_mul_real({two}.v@, k2.{m}.v@)), lanes_v_mul_real({two}.v@, k3.{m}.v@)), k4.{m}.v@)))"
+)
+
+
+class LaneStyle(CStyle):
+    """C for as many instances as a `LaneShape` says."""
+
+    types: Mapping[str, str] = TYPES
+    function = "td_inline"
+    needs = SCALARS
+    tables = False
+
+    def __init__(self, shape: LaneShape) -> None:
+        self.shape = shape
+        along = self._whole("lanes_v_add_real({0}.v@, lanes_v_mul_real(h.v@, {1}.v@))")
+        self.along = along.replace("{{", "{{{{").replace("}}", "}}}}")  # it is formatted twice
+        self.weighted = self._whole(_WEIGHTED)
+        self.renderer = type("Renderer", (LaneRenderer,), {"vectors": shape.vectors})
+        self.copies = shape.lanes
+        self.prelude = prelude(shape)
+        self.reserved = frozenset(re.findall(r"\blanes_\w+", self.prelude)) | {f"on_{i}" for i in range(MASKS)}
+
+    def _whole(self, text: str) -> str:
+        """A real whose vectors `text` gives, `@` being the number of each; braces doubled, for it will be formatted."""
+        vectors = ", ".join(text.replace("@", str(k)) for k in range(self.shape.vectors))
+        return f"(lanes_real){{{{{vectors}}}}}"
+
+    @property
+    def inner(self) -> CStyle:
+        """The style of the elementary functions: of single vectors."""
+        return VECTOR
+
+    def writer(self, lean: bool) -> CWriter:
+        """A new writer."""
+        return LaneWriter(lean=lean)
+
+    def same(self, text: str, kind: str) -> str:
+        """A value that is the same in all lanes."""
+        return f"lanes_{kind}_all({text})"
+
+    def literal(self, text: str, binding: int, kind: str) -> Text:
+        """A constant in all lanes."""
+        return self.same(text, kind), ATOM
+
+    def conjunction(self, texts: Sequence[str]) -> str:
+        """Where all hold."""
+        return conjunction(texts)
+
+    def disjunction(self, texts: Sequence[str]) -> str:
+        """Where any holds."""
+        made = texts[0]
+        for text in texts[1:]:
+            made = f"lanes_or_bool({made}, {text})"
+        return made
+
+    def negation(self, text: str) -> str:
+        """Where it does not hold."""
+        return f"lanes_not_bool({text})"
+
+    def truth(self, due: str, tests: Sequence[str]) -> str:
+        """Where a rate is due and all `tests` hold."""
+        return conjunction([*([f"lanes_bool_all({due})"] if due else []), *tests])
+
+    def product(self, a: str, b: str) -> str:
+        """a * b"""
+        return f"lanes_mul_real({a}, {b})"
+
+    def compared(self, sign: str, a: str, b: str, kind: str = "real") -> str:
+        """A comparison."""
+        name = {"!=": "ne", ">": "gt", "<": "lt", ">=": "ge"}[sign]
+        return f"lanes_{name}_{kind}({a}, {b})"
+
+    def chosen(self, test: str, a: str, b: str, kind: str) -> str:
+        """`a` where `test` holds, else `b`."""
+        return f"lanes_pick_{kind}({test}, {a}, {b})"
+
+    def anywhere(self, test: str) -> str:
+        """Whether `test` holds in any lane."""
+        return f"lanes_any({test})"
+
+    def piece(self, start: str, end: str, dt: str) -> str:
+        """The length of a part of a step [s]."""
+        return f"lanes_mul_real(lanes_sub_real({end}, {start}), {dt})"
+
+    @contextmanager
+    def moving(
+        self, writer: CWriter, names: CNames, prefix: str, members: Sequence[Member], start: str, x: str
+    ) -> Iterator[str]:
+        """A copy of the states; those of lanes whose step is not over yet are taken from it."""
+        moved = names.new("moved")
+        writer.line(f"{prefix}_X {moved} = {x};")
+        yield moved
+        with writer.choice("", [self.compared("<", start, self.same("1", "real"))]):
+            for m in members:
+                if m.width is None:
+                    writer.assign(f"{x}.{m.name}", f"{moved}.{m.name}", m.kind)
+                else:
+                    writer.copy(f"{x}.{m.name}", f"{moved}.{m.name}", m.width, m.kind)
+
+
+class VectorStyle(CStyle):
+    """C of single vectors, for the elementary functions."""
+
+    types: Mapping[str, str] = VECTORS
+    renderer = VectorRenderer
+    function = "td_inline"
+
+    def writer(self, lean: bool) -> CWriter:
+        """A new writer."""
+        return LaneWriter(lean=lean)
+
+
+VECTOR = VectorStyle()

@@ -1,0 +1,1 @@
+"""Shared objects for this computer, loaded into this process."""

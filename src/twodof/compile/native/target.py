@@ -1,0 +1,123 @@
+"""Native code: shared objects from C source, loaded into this process."""
+
+from __future__ import annotations
+
+import ctypes
+import platform
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twodof.compile.target import EmittedProgram
+from twodof.compile.toolchain import compilers
+from twodof.compile.toolchain.compilers import Compiler
+from twodof.errors import CompileError
+
+FLAGS = (*compilers.FLAGS, "-fPIC", "-shared")
+
+
+def load(
+    source: str, compiler: Compiler, optimise: str = "-O3", native: bool = True, flags: Sequence[str] = ()
+) -> ctypes.CDLL:
+    """The library compiled from `source`, taken from the cache if it is there.
+
+    `native` tunes for this processor. Raises CompileError if the compiler refuses or hangs, or if this process rounds
+    subnormal numbers to zero.
+    """
+    _check_subnormals()
+    march = ("-mcpu=native" if platform.machine() in ("arm64", "aarch64") else "-march=native",) if native else ()
+    # The few functions on memory are found in this process; else zig first makes itself a C library, for seconds.
+    alone = ("-nostdlib",) if compiler.name == "zig" and platform.system() == "Linux" else ()
+    options = (*FLAGS, optimise, *march, *alone, *compiler.flags, *flags)
+    cpu = compilers.processor() if native else platform.machine()
+    with suppress(OSError), compilers.compiled(source, compiler, options, ".so", cpu) as file:
+        return ctypes.CDLL(str(file))  # stays mapped when its file goes
+    with compilers.compiled(source, compiler, options, ".so", cpu, afresh=True) as file:
+        try:
+            return ctypes.CDLL(str(file))
+        except OSError as error:
+            raise CompileError(
+                f"its library does not load: {error}",
+                compiler.name,
+                "let TWODOF_CACHE name a folder whose files may be executed",
+            ) from error
+
+
+def _check_subnormals() -> None:
+    """A library built with -ffast-math sets the whole process to flush subnormals to zero, which changes results."""
+    if np.float64(2.0**-1074) * np.float64(1.0) == 0.0:
+        raise CompileError(
+            "this process rounds subnormal numbers to zero",
+            "",
+            "find the imported library that was built with -ffast-math, and import it after twodof or not at all",
+        )
+
+
+@dataclass(frozen=True)
+class Native:
+    """This processor. `compiler` is "cc", "gcc", "clang", "zig" or a path; `cpu` tunes for this very processor."""
+
+    compiler: str | None = None
+    optimise: str = "-O3"
+    cpu: bool = True
+    flags: tuple[str, ...] = ()
+    name = "native"
+
+    def compile(self, programs: Sequence[EmittedProgram]) -> list[NativeBackend]:
+        """The programs of one source in one library; raises CompileError, see `load`."""
+        found = compilers.find_compiler(self.compiler)
+        library = load(programs[0].source, found, self.optimise, self.cpu, self.flags)
+        return [NativeBackend(program, library) for program in programs]
+
+
+class NativeBackend:
+    """A program's functions in a loaded library.
+
+    Raises CompileError if the library's structs are not of the expected sizes.
+    """
+
+    def __init__(self, program: EmittedProgram, library: ctypes.CDLL) -> None:
+        self.program = program
+        self.library = library
+        sizes = list((ctypes.c_size_t * 5).in_dll(library, f"{program.name}_sizes"))
+        if sizes != program.sizes:
+            raise CompileError(
+                f"its structs have the sizes {sizes}, expected {program.sizes}", program.name, "report this as a fault"
+            )
+        pointer, size = ctypes.c_void_p, ctypes.c_size_t
+        self.defaults = self._function("defaults", pointer)
+        self.prepare = self._function("prepare", pointer)
+        self.init = self._function("init", pointer, pointer)
+        self.step = self._function("step", pointer, pointer, pointer, pointer)
+        self.run = self._function("run", pointer, pointer, pointer, size, pointer, size, size)
+
+    def _function(self, name: str, *arguments: Any) -> Any:
+        function = getattr(self.library, f"{self.program.name}_{name}")
+        function.argtypes, function.restype = arguments, None
+        return function
+
+    def instance(self) -> NativeInstance:
+        """A fresh instance; its structs are numpy's memory."""
+        return NativeInstance(self)
+
+
+class NativeInstance:
+    """Structs of one instance; the calls are C functions bound to their addresses, with no Python between."""
+
+    def __init__(self, backend: NativeBackend) -> None:
+        self.structs: dict[str, NDArray[Any]] = {k: np.zeros(1, t) for k, t in backend.program.dtypes.items()}
+        p, s, u, y = (self.structs[k].ctypes.data for k in "PSUY")
+        self.defaults = partial(backend.defaults, p)
+        self.prepare = partial(backend.prepare, p)
+        self.init = partial(backend.init, p, s)
+        self.step = partial(backend.step, p, s, u, y)
+        self._run = partial(backend.run, p, s)
+
+    def run(self, steps: int, u: NDArray[Any], y: NDArray[Any]) -> None:
+        """`steps` ticks on the caller's own arrays; see `target.Instance`."""
+        self._run(u.ctypes.data, int(len(u) > 1), y.ctypes.data, int(len(y) > 1), steps)

@@ -1,0 +1,224 @@
+"""check: every problem of a diagram at once, what is odd about it though it compiles, and how large it is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from twodof.blocks.block import Clock, Param, Parameters, numeric
+from twodof.blocks.diagram import Diagram
+from twodof.blocks.expressions import numbers
+from twodof.blocks.reference.interpreter import Reference
+from twodof.compile.program.flat_program import FlatProgram, FlatSignal, Node
+from twodof.compile.program.flatten import FlatDiagram
+from twodof.compile.program.lower import lower
+from twodof.errors import DiagramError
+
+MAX_PROBLEMS = 1000
+
+
+@dataclass(frozen=True)
+class Remark:
+    """Something that compiles and is probably not meant: what, where (a path), what to do about it."""
+
+    what: str
+    where: str
+    remedy: str
+
+
+@dataclass(frozen=True)
+class DiagramSizes:
+    """How large a diagram is; states and parameters in numbers (an array counts its elements)."""
+
+    blocks: int
+    subdiagrams: int
+    inputs: int
+    outputs: int
+    signals: int
+    discrete_states: int
+    continuous_states: int
+    parameters: int
+    rates: tuple[tuple[int, int], ...]  # (divider, offset) of the tick, those in use
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What `check` found.
+
+    `problems` keep the diagram from compiling. The rest is there only without problems: `remarks`; `sizes`;
+    `feedthrough`, for each output of the diagram the inputs that it depends on in the same tick; `port_feedthrough`,
+    the same for each output port of each block; `unread`, the output ports that nobody reads; `left_out`, the blocks
+    of which nothing is compiled, because nobody needs them.
+    """
+
+    problems: tuple[DiagramError, ...]
+    remarks: tuple[Remark, ...] = ()
+    sizes: DiagramSizes | None = None
+    feedthrough: dict[str, tuple[str, ...]] | None = None
+    port_feedthrough: dict[str, tuple[str, ...]] | None = None
+    unread: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()
+
+    @property
+    def fine(self) -> bool:
+        """Whether the diagram compiles."""
+        return not self.problems
+
+
+def check(diagram: Diagram, dt: float) -> Findings:
+    """Everything that `lower` would refuse in `diagram` (1000 problems at most), or, if nothing, what it consists of.
+
+    `dt` is the base tick [s]. Raises DiagramError only for a `dt` that is none.
+    """
+    problems: list[DiagramError] = []
+
+    def report(error: DiagramError) -> None:
+        if len(problems) >= MAX_PROBLEMS:
+            raise _Enough
+        if str(error) not in {str(p) for p in problems[-50:]}:
+            problems.append(error)
+
+    try:
+        flat = FlatDiagram(diagram, report)
+        ordered = flat.ordered()
+    except _Enough:
+        return Findings(tuple(problems))
+    if problems:
+        return Findings(tuple(problems))
+    program = lower(diagram, dt)
+    through = _feedthrough(ordered)
+    read = _read(flat)
+    needed = set(compiled(program))
+    left_out = tuple(n.path for n in program.nodes if n.path not in needed)
+    return Findings(
+        (),
+        tuple(_remarks(diagram, flat, read, left_out, dt)),
+        _sizes(flat, program),
+        {
+            name: tuple(sorted(through[s])) if s.node else (s.path,)
+            for name, s in ((name, flat.root.driver(name)) for name in diagram.outputs)
+        },
+        {s.path: tuple(sorted(s.node.trace.feedthrough[s.port])) for s in ordered if s.node},
+        tuple(s.path for n in flat.nodes for s in n.outputs.values() if s not in read),
+        left_out,
+    )
+
+
+class _Enough(Exception):
+    """Ends a check that has found more problems than anybody reads."""
+
+
+def compiled(program: FlatProgram) -> dict[str, None]:
+    """The paths of the blocks of which something runs at a tick: outputs, or states that change."""
+    found = {a.node.path: None for group in (*program.tick, *program.stage) for a in group.actions}
+    for n in program.nodes:
+        moving = any(not (e.op == "state" and e.data == name) for name, e in n.trace.update.items())
+        if moving or n.continuous:
+            found[n.path] = None
+    return found
+
+
+def _feedthrough(ordered: Iterable[FlatSignal]) -> dict[FlatSignal, frozenset[str]]:
+    """For each signal the inputs of the diagram on which it depends in the same tick."""
+    through: dict[FlatSignal, frozenset[str]] = {}
+    for s in ordered:
+        if s.node is not None:
+            drivers = [s.node.drivers[name] for name in s.node.trace.feedthrough[s.port]]
+            drivers += [c for q in s.node.conditions for c in (q.enable, q.reset) if c is not None]
+            names = (through[d] if d.node else frozenset((d.path,)) for d in drivers)
+            through[s] = frozenset[str]().union(*names)
+    return through
+
+
+def _read(flat: FlatDiagram) -> set[FlatSignal]:
+    read = {flat.root.driver(name) for name in flat.diagram.outputs}
+    for node in flat.nodes:
+        read.update(node.drivers.values())
+        for condition in node.conditions:
+            read.update(s for s in (condition.enable, condition.reset) if s is not None)
+    return read
+
+
+def _sizes(flat: FlatDiagram, program: FlatProgram) -> DiagramSizes:
+    def elements(nodes: Iterable[Node], continuous: bool) -> int:
+        return sum(s.width or 1 for n in nodes for s in n.block.states if s.continuous == continuous)
+
+    return DiagramSizes(
+        len(flat.nodes),
+        len(flat.levels) - 1,
+        len(program.inputs),
+        len(program.outputs),
+        sum(len(n.outputs) for n in flat.nodes),
+        elements(flat.nodes, False),
+        elements(flat.nodes, True),
+        sum(p.declared.width or 1 for p in flat.parameters.values()),
+        tuple(sorted({(n.rate.divider, n.rate.offset) for n in flat.nodes})),
+    )
+
+
+def _remarks(
+    diagram: Diagram, flat: FlatDiagram, read: set[FlatSignal], left_out: tuple[str, ...], dt: float
+) -> Iterator[Remark]:
+    for name, signal in flat.root.root_inputs.items():
+        if signal not in read:
+            yield Remark("nothing reads this input", name, "connect it, or leave it if a template asks for it")
+    for path in left_out:
+        yield Remark("nothing reads its outputs: it is left out", path, "connect it, log it, or remove it")
+    for node in flat.nodes:
+        idle = node.outputs and not any(s in read for s in node.outputs.values())
+        if idle and node.path not in left_out:
+            yield Remark(
+                "its states are computed, and nothing reads its outputs", node.path, "connect it, or remove it"
+            )
+    used = {p.path for n in flat.nodes for p in n.parameters.values()}
+    for parameter in flat.parameters.values():
+        if parameter.path not in used:
+            yield Remark("no block uses this parameter", parameter.path, "bind a parameter of a part to it")
+            continue
+        yield from _at_bound(parameter.path, parameter.declared)
+    yield from _not_finite(diagram, flat, dt)
+
+
+def _at_bound(path: str, declared: Param) -> Iterator[Remark]:
+    """A default at a bound leaves no room on one side. 0 is not counted: it switches things off."""
+    if declared.kind == "bool" or declared.low == declared.high or not declared.tunable:
+        return
+    for bound, word in ((declared.low, "lower"), (declared.high, "upper")):
+        if np.isfinite(bound) and bound != 0 and np.any(np.asarray(declared.value) == bound):
+            yield Remark(f"its default {bound:g} is its {word} bound", path, "check the bound")
+
+
+def _not_finite(diagram: Diagram, flat: FlatDiagram, dt: float) -> Iterator[Remark]:
+    """Derived parameters that the defaults make infinite or NaN, else signals that are so at once with inputs 0."""
+    found = False
+    with numbers.precision("float64"):
+        for node in flat.nodes:
+            if not node.block.derived:
+                continue
+            given = {}
+            for name, parameter in node.parameters.items():
+                d = parameter.declared
+                given[name] = numeric(d.value, d.kind, d.width, parameter.path)
+            real = numbers.real_type()
+            clock = Clock(None, real(dt * node.rate.divider), real(dt))
+            made = node.block.prepare(Parameters(given), clock)
+            for name, value in (made if isinstance(made, dict) else {node.block.derived[0].name: made}).items():
+                if not _finite(value):
+                    found = True
+                    where = f"{node.path}.{name}"
+                    yield Remark("the default parameters make it infinite or NaN", where, "change the defaults")
+    if found:
+        return
+    paths = [s.path for n in flat.nodes for s in n.outputs.values() if s.kind == "real"]
+    for path, value in Reference(diagram, dt, log=paths).machine().step().items():
+        if path in paths and not np.all(np.isfinite(value)):
+            yield Remark(
+                "with all inputs 0 it is infinite or NaN at the first step", path, "guard the division with where"
+            )
+
+
+def _finite(value: object) -> bool:
+    items = value if isinstance(value, tuple) else (value,)
+    return all(bool(np.isfinite(v)) for v in items if isinstance(v, np.floating))

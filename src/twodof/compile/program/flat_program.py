@@ -1,0 +1,141 @@
+"""The target-independent program: a flattened diagram whose ports are in an order in which they can be computed.
+
+Every emitter (C99 first) reads these; `twodof.compile.program.lower` makes them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from twodof.blocks.block import Block, Param, State, Trace
+from twodof.blocks.diagram import Rate
+
+
+@dataclass(eq=False)
+class FlatSignal:
+    """A port that drives others: an output of a node, or (`node` None) an input of the program."""
+
+    path: str
+    port: str
+    kind: str
+    width: int | None
+    unit: str
+    node: Node | None = None
+
+
+@dataclass(eq=False)
+class FlatParameter:
+    """A parameter at the path where it is set; `declared` has its default, bounds and unit."""
+
+    path: str
+    declared: Param
+
+
+@dataclass(eq=False)
+class Condition:
+    """A sub-diagram that is enabled or reset by bool signals; `clears`: its outputs read 0 while it is disabled."""
+
+    path: str
+    enable: FlatSignal | None = None
+    reset: FlatSignal | None = None
+    clears: bool = False
+
+
+@dataclass(eq=False)
+class Node:
+    """A block in its place. `drivers`: input -> signal; `parameters`: own name -> parameter of the program."""
+
+    path: str
+    block: Block
+    rate: Rate
+    conditions: tuple[Condition, ...]
+    drivers: dict[str, FlatSignal] = field(default_factory=dict)
+    parameters: dict[str, FlatParameter] = field(default_factory=dict)
+    outputs: dict[str, FlatSignal] = field(default_factory=dict)
+
+    @property
+    def trace(self) -> Trace:
+        """The block's expressions."""
+        return self.block.trace
+
+    @property
+    def discrete(self) -> list[State]:
+        """The states that `update` gives."""
+        return [s for s in self.block.states if not s.continuous]
+
+    @property
+    def continuous(self) -> list[State]:
+        """The states that `derivative` moves."""
+        return [s for s in self.block.states if s.continuous]
+
+    @property
+    def guard(self) -> Guard:
+        """When the node acts."""
+        enables = tuple(c.enable for c in self.conditions if c.enable is not None)
+        clears = tuple(c.enable for c in self.conditions if c.enable is not None and c.clears)
+        return Guard(self.rate, enables, clears)
+
+    @property
+    def resets(self) -> tuple[FlatSignal, ...]:
+        """The signals any of which resets the node's states."""
+        return tuple(c.reset for c in self.conditions if c.reset is not None)
+
+
+@dataclass(frozen=True)
+class Guard:
+    """When a node acts: at the ticks of `rate` while all `enables` hold.
+
+    At such a tick without one of `clears`, its outputs read 0.
+    """
+
+    rate: Rate
+    enables: tuple[FlatSignal, ...] = ()
+    clears: tuple[FlatSignal, ...] = ()
+
+    @property
+    def always(self) -> bool:
+        """Whether the nodes act at every tick."""
+        return self.rate.divider == 1 and not self.enables
+
+
+@dataclass(frozen=True)
+class Action:
+    """Compute `signals`, outputs of `node`, or (with none) set its states to their initial values if it is reset."""
+
+    node: Node
+    signals: tuple[FlatSignal, ...]
+
+
+@dataclass(frozen=True)
+class Group:
+    """Actions that share one guard."""
+
+    guard: Guard
+    actions: tuple[Action, ...]
+
+
+@dataclass(eq=False)
+class FlatProgram:
+    """A checked, flattened and ordered diagram.
+
+    `tick` computes the outputs of a tick; `stage` the continuous outputs that the derivative needs, once a stage of the
+    integration; `moving` are all signals that change inside a step, `edged` those of them that do so at an edge.
+    """
+
+    name: str
+    text: str
+    dt: float
+    integrator: str
+    inputs: dict[str, FlatSignal]
+    outputs: dict[str, FlatSignal]  # with the logged signals
+    parameters: dict[str, FlatParameter]
+    nodes: list[Node]
+    tick: list[Group]
+    stage: list[Group]
+    moving: frozenset[FlatSignal]
+    edged: list[FlatSignal]
+
+    @property
+    def integrated(self) -> list[Node]:
+        """The nodes with continuous states."""
+        return [n for n in self.nodes if n.continuous]

@@ -1,0 +1,378 @@
+"""Flat: the blocks of a diagram without its sub-diagrams: connected, checked, in an order in which they can run."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from twodof.blocks.block import Block, Param, Port, narrowed
+from twodof.blocks.diagram import BASE, MAX_NESTED, Diagram, Part, Rate
+from twodof.blocks.expressions.graph import leaves
+from twodof.compile.program.flat_program import Condition, FlatParameter, FlatSignal, Node
+from twodof.errors import DiagramError
+
+MAX_DEPTH = 64
+MAX_LOOPS = 20  # algebraic loops that are listed; each costs a walk through the diagram
+
+Report = Callable[[DiagramError], None]
+"""What is done with a problem: `lower` raises the first, `twodof.compile.program.check` collects them all."""
+
+
+def refuse(error: DiagramError) -> None:
+    """Raise it."""
+    raise error
+
+
+@dataclass(eq=False)
+class _Level:
+    """A diagram in its place; `parts` are its blocks' nodes and its sub-diagrams' levels."""
+
+    diagram: Diagram
+    path: str  # of this diagram, for messages
+    prefix: str  # of its parts
+    parent: _Level | None = None
+    name: str = ""  # in the parent
+    parts: dict[str, Node | _Level] = field(default_factory=dict)
+    condition: Condition | None = None
+    root_inputs: dict[str, FlatSignal] = field(default_factory=dict)
+
+    def driver(self, output: str) -> FlatSignal:
+        """The signal that drives one of this diagram's outputs."""
+        source = self.diagram.outputs[output]
+        if source is None:
+            raise DiagramError("the output is not connected", f"{self.path}.{output}", "connect it or remove it")
+        return self.resolve(source)
+
+    def resolve(self, source: str) -> FlatSignal:
+        """The signal that `source` means in this diagram, followed through the borders of sub-diagrams."""
+        at, text = self, source
+        seen: set[tuple[int, str]] = set()
+        while (id(at), text) not in seen:
+            seen.add((id(at), text))
+            try:
+                part, port = at.diagram.source(text)
+            except DiagramError as error:
+                raise DiagramError(error.what, at.path, error.remedy) from error
+            if part is None:
+                if at.parent is None:
+                    return at.root_inputs[port]
+                above = at.parent.diagram.connections.get((at.name, port))
+                if above is None:
+                    raise DiagramError("the input is not connected", f"{at.path}.{port}", "connect it or remove it")
+                at, text = at.parent, above
+                continue
+            inner = at.parts.get(part)
+            if inner is None:
+                raise DiagramError("its source lies too deep", f"{self.path}.{source}", "flatten the diagram")
+            if isinstance(inner, Node):
+                return inner.outputs[port]
+            below = inner.diagram.outputs[port]
+            if below is None:
+                raise DiagramError("the output is not connected", f"{inner.path}.{port}", "connect it or remove it")
+            at, text = inner, below
+        raise DiagramError("a connection leads back to itself", f"{self.path}.{source}", "a loop needs a block in it")
+
+
+class FlatDiagram:
+    """The nodes and parameters of a diagram, connected and checked. `report` is told of each problem.
+
+    Where a report returns, something harmless stands in for what is missing, so that the checks can go on: an input
+    that nothing feeds is fed by a signal in `unknown`, a block that cannot be traced is left out.
+    """
+
+    def __init__(self, diagram: Diagram, report: Report = refuse) -> None:
+        self.diagram = diagram
+        self.report = report
+        self.unknown: set[FlatSignal] = set()
+        self.nodes: list[Node] = []
+        self.parameters: dict[str, FlatParameter] = {}
+        self.levels: list[_Level] = []
+        self.root = _Level(diagram, diagram.name, "")
+        self.root.root_inputs = {
+            p.name: FlatSignal(p.name, p.name, p.kind, p.width, p.unit) for p in diagram.inputs.values()
+        }
+        stack: list[tuple[_Level, Rate, tuple[Condition, ...], dict[str, FlatParameter], int]] = [
+            (self.root, BASE, (), {}, 0)
+        ]
+        while stack:
+            level, rate, conditions, bound, depth = stack.pop()
+            if depth > MAX_DEPTH:
+                report(DiagramError(f"sub-diagrams are nested more than {MAX_DEPTH} deep", level.path, "flatten it"))
+                continue
+            self.levels.append(level)
+            declared = level.diagram.params
+            own = {n: self._parameter(level.prefix + n, p, bound.get(n)) for n, p in declared.items()}
+            for part in level.diagram.parts.values():
+                inner = self._bindings(level, part, own)
+                if isinstance(part.item, Block):
+                    level.parts[part.name] = self._node(level, part, part.item, rate, conditions, inner)
+                    continue
+                path = level.prefix + part.name
+                below = _Level(part.item, path, f"{path}.", level, part.name)
+                level.parts[part.name] = below
+                around = conditions
+                if part.enable or part.reset:
+                    below.condition = Condition(path, clears=part.disabled == "reset")
+                    around = (*conditions, below.condition)
+                stack.append((below, part.rate.within(rate).check(path, MAX_NESTED), around, inner, depth + 1))
+        self.nodes.sort(key=lambda n: n.path)
+        self._trace()
+        self._connect()
+        self._check_base_rate()
+
+    def _bindings(self, level: _Level, part: Part, own: Mapping[str, FlatParameter]) -> dict[str, FlatParameter]:
+        for outer in part.params.values():
+            if outer not in own:
+                self.report(
+                    DiagramError(
+                        f"there is no parameter {outer!r} to bind to",
+                        f"{level.path}.{part.name}",
+                        "declare it with Diagram.param",
+                    )
+                )
+        return {inner: own[outer] for inner, outer in part.params.items() if outer in own}
+
+    def _parameter(self, path: str, declared: Param, bound: FlatParameter | None) -> FlatParameter:
+        if bound is None:
+            self.parameters[path] = FlatParameter(path, declared)
+            return self.parameters[path]
+        outer = bound.declared
+        try:
+            if (outer.kind, outer.width) != (declared.kind, declared.width) or _clash(outer.unit, declared.unit):
+                raise DiagramError(
+                    f"it is bound to {bound.path!r}, which has another type, width or unit", path, "declare both alike"
+                )
+            bound.declared = narrowed(outer, declared, path)
+        except DiagramError as error:
+            self.report(error)
+            return self._parameter(path, declared, None)
+        return bound
+
+    def _node(
+        self,
+        level: _Level,
+        part: Part,
+        block: Block,
+        rate: Rate,
+        conditions: tuple[Condition, ...],
+        bound: Mapping[str, FlatParameter],
+    ) -> Node:
+        path = level.prefix + part.name
+        node = Node(path, block, part.rate.within(rate).check(path, MAX_NESTED), conditions)
+        node.outputs = {
+            o.name: FlatSignal(f"{path}.{o.name}", o.name, o.kind, o.width, o.unit, node) for o in block.outputs
+        }
+        node.parameters = {d.name: self._parameter(f"{path}.{d.name}", d, bound.get(d.name)) for d in block.params}
+        self.nodes.append(node)
+        return node
+
+    def _trace(self) -> None:
+        """Trace every block; one that cannot be is left out, and its outputs are as if given from outside."""
+        for node in list(self.nodes):
+            try:
+                _ = node.trace
+            except DiagramError as error:
+                self.report(DiagramError(error.what, f"{node.path}, {error.where}", error.remedy))
+                self.nodes.remove(node)
+                for signal in node.outputs.values():
+                    signal.node = None
+                    self.unknown.add(signal)
+
+    def _connect(self) -> None:
+        """Give each node its drivers and each condition its signals; checks types, widths and units."""
+        for level in self.levels:
+            for name in level.diagram.outputs:
+                try:
+                    level.driver(name)
+                except DiagramError as error:
+                    self.report(error)
+            for part in level.diagram.parts.values():
+                inner = level.parts.get(part.name)
+                if isinstance(inner, Node):
+                    inner.drivers = {
+                        port.name: self._driver(level, part.name, port, inner.path) for port in inner.block.inputs
+                    }
+                    continue
+                if inner is None:
+                    continue
+                for port in inner.diagram.inputs.values():
+                    self._driver(level, part.name, port, inner.path)
+                if inner.condition is not None:
+                    inner.condition.enable = self._bool(level, part.enable, inner.path, "enable")
+                    inner.condition.reset = self._bool(level, part.reset, inner.path, "reset")
+
+    def _driver(self, level: _Level, part: str, port: Port, path: str) -> FlatSignal:
+        try:
+            return self._checked_driver(level, part, port, path)
+        except DiagramError as error:
+            self.report(error)
+            stand_in = FlatSignal(f"{path}.{port.name}", port.name, port.kind, port.width, port.unit)
+            self.unknown.add(stand_in)
+            return stand_in
+
+    def _checked_driver(self, level: _Level, part: str, port: Port, path: str) -> FlatSignal:
+        where = f"{path}.{port.name}"
+        source = level.diagram.connections.get((part, port.name))
+        if source is None:
+            raise DiagramError("the input is not connected", where, "connect it")
+        signal = level.resolve(source)
+        if (signal.kind, signal.width) != (port.kind, port.width):
+            raise DiagramError(
+                f"it takes {_shape(port.kind, port.width)} and {signal.path} is {_shape(signal.kind, signal.width)}",
+                where,
+                "convert the signal, or mux and demux it",
+            )
+        if _clash(signal.unit, port.unit):
+            raise DiagramError(
+                f"it takes [{port.unit}] and {signal.path} is in [{signal.unit}]", where, "convert the unit"
+            )
+        return signal
+
+    def _bool(self, level: _Level, source: str | None, path: str, what: str) -> FlatSignal | None:
+        if not source:
+            return None
+        try:
+            signal = level.resolve(source)
+            if signal.kind != "bool" or signal.width is not None:
+                remedy = "compare the signal with something"
+                raise DiagramError(f"its {what} signal {source!r} is no bool", path, remedy)
+        except DiagramError as error:
+            self.report(error)
+            return None
+        return signal
+
+    def _check_base_rate(self) -> None:
+        for node in self.nodes:
+            what = "continuous states" if node.continuous else "an edge inside the step" if node.trace.edges else ""
+            if what and node.rate != BASE:
+                self.report(
+                    DiagramError(f"{what} at the rate {tuple(node.rate)}", node.path, "keep it at the base rate")
+                )
+
+    def ordered(self) -> list[FlatSignal]:
+        """All outputs of all nodes, each after those it needs, ties by path; checks for loops and for rates."""
+        everything = [s for n in self.nodes for s in n.outputs.values()]
+        order = _ordered(self.diagram.name, everything, self.report)
+        _check_rates(self.nodes, order, self.unknown, self.report)
+        return order
+
+    def input_signal(self, name: str) -> FlatSignal:
+        """The signal of an input of the diagram."""
+        return self.root.root_inputs[name]
+
+    def logged(self, path: str) -> FlatSignal:
+        """The signal with the path "part.sub.port". Raises DiagramError if there is none."""
+        owner, _, port = path.rpartition(".")
+        for node in self.nodes:
+            if node.path == owner and port in node.outputs:
+                return node.outputs[port]
+        raise DiagramError(f"there is no signal {path!r:.120}", self.diagram.name, "a signal's path is part.sub.port")
+
+
+def _clash(a: str, b: str) -> bool:
+    return bool(a) and bool(b) and a != b
+
+
+def _shape(kind: str, width: int | None) -> str:
+    return kind if width is None else f"{kind}[{width}]"
+
+
+def node_of(signal: FlatSignal) -> Node:
+    """The node that gives a signal. Raises ValueError for an input of the program, which the callers never ask."""
+    if signal.node is None:
+        raise ValueError(f"{signal.path} is an input of the program")
+    return signal.node
+
+
+def drivers_of(signal: FlatSignal) -> list[FlatSignal]:
+    """The driven signals that this one depends on in the same tick through its block."""
+    node = node_of(signal)
+    found = [node.drivers[name] for name in sorted(node.trace.feedthrough[signal.port])]
+    return [d for d in found if d.node is not None]
+
+
+def tick_needs(signal: FlatSignal) -> list[FlatSignal]:
+    """The signals that must be known before this one can be computed in a tick."""
+    return drivers_of(signal) + conditions_of(node_of(signal))
+
+
+def conditions_of(node: Node) -> list[FlatSignal]:
+    """The driven signals that enable and reset a node."""
+    signals = [s for c in node.conditions for s in (c.enable, c.reset)]
+    return [s for s in signals if s is not None and s.node is not None]
+
+
+def _ordered(name: str, signals: Sequence[FlatSignal], report: Report) -> list[FlatSignal]:
+    """`signals` with each after those it needs, ties by path. Reports each algebraic loop, and goes on as if cut."""
+    rank = {s: i for i, s in enumerate(signals)}
+    needs = {s: set(tick_needs(s)) for s in signals}
+    users: dict[FlatSignal, list[FlatSignal]] = {s: [] for s in signals}
+    for s, before in needs.items():
+        for b in before:
+            users[b].append(s)
+    waiting = {s: len(before) for s, before in needs.items()}
+    ready = [rank[s] for s in signals if waiting[s] == 0]
+    heapq.heapify(ready)
+    order: dict[FlatSignal, None] = {}
+    for _ in range(MAX_LOOPS):
+        while ready:
+            s = signals[heapq.heappop(ready)]
+            order[s] = None
+            for user in users[s]:
+                waiting[user] -= 1
+                if waiting[user] == 0:
+                    heapq.heappush(ready, rank[user])
+        if len(order) == len(signals):
+            break
+        loop = _loop({s: [b for b in needs[s] if b not in order] for s in signals if s not in order})
+        report(
+            DiagramError(
+                f"algebraic loop {' <- '.join(s.path for s in loop)}",
+                name,
+                "put a delay or a continuous state into the loop",
+            )
+        )
+        waiting[loop[0]] = 0  # from here on it only falls, so it is not pushed again
+        ready.append(rank[loop[0]])
+    return list(order)
+
+
+def _loop(needs: Mapping[FlatSignal, Sequence[FlatSignal]]) -> list[FlatSignal]:
+    """A cycle in a graph in which everything needs something."""
+    at = min(needs, key=lambda s: s.path)
+    seen: dict[FlatSignal, int] = {}
+    while at not in seen:
+        seen[at] = len(seen)
+        at = min(needs[at], key=lambda s: s.path)
+    return [*list(seen)[seen[at] :], at]
+
+
+def constants(ordered: Iterable[FlatSignal]) -> set[FlatSignal]:
+    """The signals that never change while parameters do not: they have no rate."""
+    constant: set[FlatSignal] = set()
+    for s in ordered:
+        node = node_of(s)
+        steady = not node.conditions and s.port not in node.trace.uses_tick and s.port not in node.trace.edges
+        fed = [node.drivers[i] for i in node.trace.feedthrough[s.port]]
+        if steady and all(d in constant for d in fed) and not leaves([node.trace.outputs[s.port]], "state"):
+            constant.add(s)
+    return constant
+
+
+def _check_rates(
+    nodes: Sequence[Node], ordered: Sequence[FlatSignal], unknown: set[FlatSignal], report: Report
+) -> None:
+    """Report where a block reads a signal of another rate and is no crossing."""
+    rateless = constants(ordered) | unknown
+    for node in nodes:
+        for name, signal in node.drivers.items():
+            rate = BASE if signal.node is None else signal.node.rate
+            if rate != node.rate and signal not in rateless and not node.block.crossing:
+                report(
+                    DiagramError(
+                        f"it runs at {tuple(node.rate)} and {signal.path} at {tuple(rate)}",
+                        f"{node.path}.{name}",
+                        "put a ZeroOrderHold or RateTransition between them",
+                    )
+                )

@@ -1,0 +1,172 @@
+"""From a diagram to a program: check, flatten, find what is needed, order."""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections.abc import Callable, Iterable, Sequence
+
+from twodof.blocks.diagram import BASE, Diagram
+from twodof.blocks.expressions.expr import Expr
+from twodof.blocks.expressions.graph import leaves
+from twodof.compile.program.flat_program import Action, FlatProgram, FlatSignal, Group, Guard, Node
+from twodof.compile.program.flatten import FlatDiagram, conditions_of, drivers_of, node_of, tick_needs
+from twodof.errors import DiagramError
+
+INTEGRATORS = ("rk4", "euler")
+
+
+def lower(diagram: Diagram, dt: float, log: Iterable[str] = (), integrator: str = "rk4") -> FlatProgram:
+    """The program of `diagram` at the base tick `dt` [s], which also returns the signals whose paths are in `log`.
+
+    Raises DiagramError, with the whole path, where the diagram is incomplete or contradicts itself.
+    """
+    if not (isinstance(dt, (int, float)) and math.isfinite(dt) and dt > 0):
+        raise DiagramError(f"dt = {dt!r}", diagram.name, "give the base tick in seconds, > 0")
+    if integrator not in INTEGRATORS:
+        raise DiagramError(f"unknown integrator {integrator!r}", diagram.name, 'use "rk4" or "euler"')
+    flat = FlatDiagram(diagram)
+    ordered = flat.ordered()
+    inputs = {name: flat.input_signal(name) for name in diagram.inputs}
+    outputs = {name: flat.root.driver(name) for name in diagram.outputs}
+    for path in log:
+        outputs[path] = flat.logged(path)
+    moving = _moving(ordered)
+    integrated = [n for n in flat.nodes if n.continuous]
+    edged = [s for s in ordered if integrated and node_of(s).trace.edges.get(s.port) is not None]
+    stage = _stage(integrated, ordered, moving)
+    live = _live(flat.nodes, outputs.values(), stage, edged, moving)
+    return FlatProgram(
+        diagram.name,
+        diagram.text,
+        float(dt),
+        integrator,
+        inputs,
+        outputs,
+        flat.parameters,
+        flat.nodes,
+        _grouped([s for s in ordered if s in live], flat.nodes, tick_needs),
+        _grouped(stage, (), lambda s: [d for d in drivers_of(s) if d in moving]),
+        frozenset(moving),
+        edged,
+    )
+
+
+def _moving(ordered: Sequence[FlatSignal]) -> set[FlatSignal]:
+    """The signals that change inside a step: by an edge, with a continuous state, or with such an input."""
+    moving: set[FlatSignal] = set()
+    for s in ordered:
+        node = node_of(s)
+        if s.port in node.trace.edges:
+            moving.add(s)
+            continue
+        if node.rate != BASE or node.block.crossing or (node.discrete and not node.continuous):
+            continue
+        own = {x.name for x in node.continuous}
+        if own & leaves([node.trace.outputs[s.port]], "state") or any(d in moving for d in drivers_of(s)):
+            moving.add(s)
+    return moving
+
+
+def inputs_of(node: Node, roots: Iterable[Expr]) -> set[FlatSignal]:
+    """The signals that expressions of `node` read."""
+    return {node.drivers[name] for name in leaves(roots, "input")}
+
+
+def _stage(integrated: Sequence[Node], ordered: Sequence[FlatSignal], moving: set[FlatSignal]) -> list[FlatSignal]:
+    """The continuous outputs that the derivatives depend on, in order; edged ones are given, not computed."""
+    needed = {s for n in integrated for s in inputs_of(n, n.trace.derivative.values())}
+    chosen = []
+    for s in reversed(ordered):
+        if s in needed and s in moving and s.port not in node_of(s).trace.edges:
+            chosen.append(s)
+            needed |= inputs_of(node_of(s), [node_of(s).trace.outputs[s.port]])
+    return chosen[::-1]
+
+
+def _live(
+    nodes: Sequence[Node],
+    outputs: Iterable[FlatSignal],
+    stage: Sequence[FlatSignal],
+    edged: Sequence[FlatSignal],
+    moving: set[FlatSignal],
+) -> set[FlatSignal]:
+    """The signals that must be computed at the tick, because they are returned, stored or held."""
+    stack = [*outputs, *edged]
+    for n in nodes:
+        if n.block.states:
+            stack += conditions_of(n)
+            stack += inputs_of(n, [*n.trace.update.values(), *n.trace.project.values()])
+            stack += [s for s in inputs_of(n, n.trace.derivative.values()) if s not in moving]
+    for s in stage:
+        node = node_of(s)
+        stack += [d for d in inputs_of(node, [node.trace.outputs[s.port]]) if d not in moving]
+        if node.guard.enables:
+            stack += [s, *conditions_of(node)]
+    live: set[FlatSignal] = set()
+    while stack:
+        s = stack.pop()
+        if s.node is not None and s not in live:
+            live.add(s)
+            stack += tick_needs(s)
+    return live
+
+
+def _grouped(
+    signals: Sequence[FlatSignal], nodes: Sequence[Node], needs: Callable[[FlatSignal], list[FlatSignal]]
+) -> list[Group]:
+    """`signals` in an order that keeps blocks of one guard together, as actions; `nodes` that reset start with that."""
+    chosen = set(signals)
+    starting = [n for n in nodes if n.resets and n.block.states]
+    begins = {n: i for i, n in enumerate(starting)}
+    # What is done: a signal, or the resetting of a node's states.
+    things: list[FlatSignal | Node] = [*starting, *signals]
+    before: dict[FlatSignal | Node, set[FlatSignal | Node]] = {}
+    for thing in things:
+        if isinstance(thing, Node):
+            before[thing] = {s for s in conditions_of(thing) if s in chosen}
+        else:
+            before[thing] = {s for s in needs(thing) if s in chosen}
+            owner = node_of(thing)
+            if owner in begins:
+                before[thing].add(owner)
+    rank = {thing: i for i, thing in enumerate(things)}
+    users: dict[FlatSignal | Node, list[FlatSignal | Node]] = {t: [] for t in things}
+    for thing, earlier in before.items():
+        for e in earlier:
+            users[e].append(thing)
+    waiting = {t: len(earlier) for t, earlier in before.items()}
+    queues: dict[Guard, list[int]] = {}
+
+    def guard_of(thing: FlatSignal | Node) -> Guard:
+        return thing.guard if isinstance(thing, Node) else node_of(thing).guard
+
+    def push(thing: FlatSignal | Node) -> None:
+        heapq.heappush(queues.setdefault(guard_of(thing), []), rank[thing])
+
+    for thing in things:
+        if waiting[thing] == 0:
+            push(thing)
+    groups: list[Group] = []
+    open_guard, actions = Guard(BASE), list[Action]()
+    while any(queues.values()):
+        if not queues.get(open_guard):
+            if actions:
+                groups.append(Group(open_guard, tuple(actions)))
+            # What always runs first, for it wakes what is guarded.
+            open_guard = min((g for g, q in queues.items() if q), key=lambda g: (not g.always, queues[g][0]))
+            actions = []
+        thing = things[heapq.heappop(queues[open_guard])]
+        if isinstance(thing, Node):
+            actions.append(Action(thing, ()))
+        elif actions and actions[-1].signals and actions[-1].node is thing.node:
+            actions[-1] = Action(actions[-1].node, (*actions[-1].signals, thing))
+        else:
+            actions.append(Action(node_of(thing), (thing,)))
+        for user in users[thing]:
+            waiting[user] -= 1
+            if waiting[user] == 0:
+                push(user)
+    if actions:
+        groups.append(Group(open_guard, tuple(actions)))
+    return groups

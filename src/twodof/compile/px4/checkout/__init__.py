@@ -1,0 +1,1 @@
+"""Whether a checkout of PX4 fits an exported module."""

@@ -1,0 +1,179 @@
+"""Compilers, and what they make of C: libraries, WebAssembly modules, images."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import importlib.util
+import os
+import platform
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from twodof.compile.toolchain.cache import cached, cached_bytes
+from twodof.errors import CompileError
+
+if sys.platform == "linux":
+    import resource
+
+# Every target gives the same bits only under these; see the rules at the head of the emitted file.
+FLAGS = (
+    "-std=c99",
+    "-ffp-contract=off",
+    "-fno-math-errno",
+    # No branch around what is cheaper computed for nothing; changes no result, as no IEEE exception is looked at.
+    "-fno-trapping-math",
+    # Packed stores of neighbouring states that are loaded one by one right after, or the other way, wait for memory.
+    "-fno-tree-slp-vectorize",
+    "-w",
+)
+BUILD_SECONDS = 600
+
+
+@dataclass(frozen=True)
+class Compiler:
+    """A C compiler: its command line's beginning, and the flags only it needs."""
+
+    name: str
+    command: tuple[str, ...]
+    flags: tuple[str, ...] = ()
+
+    def identity(self) -> str:
+        """What changes when the compiler does: the resolved program, its size and its time."""
+        path = Path(self.command[0]).resolve()
+        stat = path.stat()
+        return f"{self.name} {path} {stat.st_size} {stat.st_mtime_ns}"
+
+
+def find_compiler(name: str | None = None) -> Compiler:
+    """The compiler called `name` ("cc", "gcc", "clang", "zig" or a path), or else the first there is.
+
+    Raises CompileError if it is not there.
+    """
+    for candidate in (name,) if name else ("cc", "gcc", "clang", "zig"):
+        path = find_zig() if candidate == "zig" else shutil.which(candidate)
+        if path and candidate == "zig":
+            return Compiler("zig", (path, "cc"), ("-fno-sanitize=undefined",))
+        if path:
+            return Compiler(candidate, (path,))
+    raise CompileError(
+        f"there is no C compiler {name!r}" if name else "there is no C compiler",
+        "",
+        "install gcc (Debian: apt-get install gcc libc6-dev), or the wheel ziglang (pip install ziglang)",
+    )
+
+
+def find_zig() -> str | None:
+    """The path of zig: in the wheel ziglang, or else where PATH says."""
+    wheel = importlib.util.find_spec("ziglang")
+    folders = (wheel.submodule_search_locations or ()) if wheel is not None else ()
+    # Not by way of `python -m ziglang`, which takes another tenth of a second.
+    return next((path for path in (shutil.which("zig", path=f) for f in folders) if path), None) or shutil.which("zig")
+
+
+@functools.cache
+def processor() -> str:
+    """What `-march=native` depends on."""
+    try:
+        first = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").partition("\n\n")[0]
+    except OSError:
+        first = platform.processor()
+    volatile = ("processor", "cpu MHz", "bogomips", "apicid", "initial apicid", "core id", "physical id", "microcode")
+    lines = [line for line in first.splitlines() if not line.lower().startswith(tuple(v.lower() for v in volatile))]
+    return f"{platform.machine()} {platform.system()} {hashlib.sha256(chr(10).join(lines).encode()).hexdigest()}"
+
+
+@contextmanager
+def compiled(
+    source: str,
+    compiler: Compiler,
+    options: Sequence[str],
+    suffix: str,
+    depends: str = "",
+    files: Mapping[str, str] | None = None,
+    afresh: bool = False,
+) -> Iterator[Path]:
+    """The file that `compiler` makes of the C `source` with `options`, from the cache if it is there.
+
+    `suffix` ends its name (".so", ".wasm", ".elf"). `depends` is what else decides its bytes (the processor, with
+    `-march=native`). `files` (name -> text) are written beside the source, where the compiler runs, so that an option
+    may name them (a linker script). The file ends with a seal, which loaders of shared objects and ELF ignore;
+    `compiled_bytes` gives the bytes without it. It may be gone after the `with`, and before where another process makes
+    room. `afresh` makes it even if it is there. Raises CompileError if the compiler refuses or hangs.
+    """
+    key = _key(source, compiler, options, depends, files)
+    with cached(key, suffix, lambda made: compile_c(source, made, compiler, options, files), afresh) as file:
+        yield file
+
+
+def compiled_bytes(
+    source: str, compiler: Compiler, options: Sequence[str], suffix: str, files: Mapping[str, str] | None = None
+) -> bytes:
+    """The bytes of the file that `compiled` gives, without its seal. Raises CompileError as that does."""
+    key = _key(source, compiler, options, "", files)
+    return cached_bytes(key, suffix, lambda made: compile_c(source, made, compiler, options, files))
+
+
+def _key(
+    source: str, compiler: Compiler, options: Sequence[str], depends: str, files: Mapping[str, str] | None
+) -> tuple[str, ...]:
+    named = [part for item in sorted((files or {}).items()) for part in item]
+    return (source, compiler.identity(), *options, depends, *named)
+
+
+def compile_c(
+    source: str, target: Path, compiler: Compiler, options: Sequence[str], files: Mapping[str, str] | None = None
+) -> None:
+    """Write what `compiler` makes of `source` to `target`, whose folder is its working directory; see `compiled`."""
+    file = target.with_suffix(".c")
+    for path, text in {file: source, **{target.parent / n: t for n, t in (files or {}).items()}}.items():
+        path.write_text(text, encoding="utf-8")
+    done = run_compiler(compiler, (*options, "-o", str(target), str(file)), target.parent)
+    if done.returncode or not target.is_file():
+        said = done.stderr.decode("utf-8", "replace").strip()[-2000:]
+        raise CompileError(
+            f"it refused the C that was generated: {said or f'exit status {done.returncode}'}",
+            compiler.name,
+            "check that the compiler works; if it does, this is a fault of twodof",
+        )
+
+
+def run_compiler(compiler: Compiler, arguments: Sequence[str], folder: Path) -> subprocess.CompletedProcess[bytes]:
+    """Run `compiler` in `folder`, where its temporary files are too; the result has what it said, but no output.
+
+    Raises CompileError if it does not start, or does not end within BUILD_SECONDS: then the processes it has started
+    end with it.
+    """
+    command = [*compiler.command, *arguments]
+    try:
+        with subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            cwd=folder,
+            env=os.environ | {"TMPDIR": str(folder)},
+            start_new_session=True,
+        ) as process:
+            if sys.platform == "linux":
+                with suppress(OSError):  # it may have ended; a limit of its own, for when this process is killed
+                    resource.prlimit(process.pid, resource.RLIMIT_CPU, (BUILD_SECONDS, BUILD_SECONDS))
+            try:
+                _, said = process.communicate(timeout=BUILD_SECONDS)
+            except BaseException:
+                with suppress(OSError):  # the driver is only the parent of what computes
+                    os.killpg(process.pid, signal.SIGKILL)
+                raise
+    except subprocess.TimeoutExpired as error:
+        raise CompileError(
+            f"it did not end within {BUILD_SECONDS} s", compiler.name, "make the diagram smaller"
+        ) from error
+    except OSError as error:
+        raise CompileError(f"it does not start: {error}", compiler.name, "install a working C compiler") from error
+    return subprocess.CompletedProcess(command, process.returncode, None, said)

@@ -1,0 +1,149 @@
+"""Loads files in processes of their own with bounded memory and time, and says what became of each.
+
+Run as a program with a folder: one line of JSON for each file of it, in the order of their names; with a file: one line
+for each of its lines, which are texts of diagrams as JSON strings, all in one process.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from twodof.blocks import Block, Diagram
+from twodof.blocks.reference.interpreter import Reference
+from twodof.blocks.schema.json_form import from_json, read_diagram
+from twodof.compile.builder import emit_program
+from twodof.errors import TwodofError
+
+MEMORY = 2**30
+SECONDS = 2.0
+FAULTS = (ArithmeticError, AttributeError, AssertionError, EOFError, LookupError, MemoryError, NameError, OSError)
+FAULTS += (RuntimeError, TypeError, ValueError)  # whatever else can be raised: what is looked for
+CPU_SECONDS = 20  # when a process is ended; a load that takes more than SECONDS of them is a failure of its own
+
+
+def judge(files: Mapping[str, bytes], folder: Path) -> dict[str, dict[str, Any]]:
+    """What became of each of `files`: "error" (its type, "" if it loaded), "text", "seconds" of CPU, peak "bytes"."""
+    for number, data in enumerate(files.values()):
+        (folder / f"{number:05d}").write_bytes(data)
+    done = subprocess.run(
+        [sys.executable, "-m", "tests.blocks.schema.door", str(folder)],
+        cwd=Path(__file__).resolve().parents[3],
+        capture_output=True,
+        text=True,
+        timeout=60 + CPU_SECONDS * len(files),
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    return dict(zip(files, map(json.loads, done.stdout.splitlines()), strict=True))
+
+
+def judge_many(texts: Sequence[str], file: Path, seconds: float) -> list[dict[str, Any]]:
+    """What became of each of `texts`, loaded one after the other in one process; `seconds` for all of them."""
+    file.write_text("".join(json.dumps(text) + "\n" for text in texts))
+    done = subprocess.run(
+        [sys.executable, "-m", "tests.blocks.schema.door", str(file)],
+        cwd=Path(__file__).resolve().parents[3],
+        capture_output=True,
+        text=True,
+        timeout=seconds,
+        check=False,
+    )
+    rows = [json.loads(line) for line in done.stdout.splitlines()]
+    assert done.returncode == 0, f"{done.stderr[-2000:]}\nat {texts[len(rows)]:.2000}"
+    return rows
+
+
+def connected(diagram: Diagram) -> Diagram:
+    """`diagram` with an input of its own for each input of a part that nothing feeds."""
+    number = 0
+    for name, part in list(diagram.parts.items()):
+        ports = part.item.inputs if isinstance(part.item, Block) else part.item.inputs.values()
+        for port in ports:
+            if (name, port.name) not in diagram.connections:
+                number += 1
+                diagram.connect(diagram.input(f"free_{number}", port.kind, port.width), f"{name}.{port.name}")
+    return diagram
+
+
+def attempt(diagram: Diagram, stage: list[str]) -> None:
+    """Take two steps on the reference and write the C of a diagram."""
+    stage.append("loaded")
+    machine = Reference(diagram, 0.01).machine()
+    machine.run(2)
+    emit_program(diagram, 0.01)
+    stage.append("compiled")
+
+
+def _child(file: Path, pipe: int) -> None:
+    """In a process of its own: bounds, then the attempt; what came of it goes into the pipe."""
+    size = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGESIZE")
+    resource.setrlimit(resource.RLIMIT_AS, (size + MEMORY, size + MEMORY))
+    resource.setrlimit(resource.RLIMIT_CPU, (CPU_SECONDS, CPU_SECONDS))
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    error, text, stage = "", "", ["refused"]
+    start = time.process_time()
+    try:
+        attempt(read_diagram(file), stage)
+    except TwodofError as found:
+        error, text = type(found).__name__, str(found)
+    except FAULTS as found:
+        error, text = f"!{type(found).__name__}", str(found)[:500]
+    seconds = time.process_time() - start
+    peak = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) * 1024
+    row = {
+        "error": error,
+        "text": text[:1000],
+        "long": len(text),
+        "stage": stage[-1],
+        "seconds": seconds,
+        "bytes": peak,
+    }
+    os.write(pipe, json.dumps(row).encode())
+
+
+def many(file: Path) -> None:
+    """Judge every line of the file in this process."""
+    size = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGESIZE")
+    resource.setrlimit(resource.RLIMIT_AS, (size + MEMORY, size + MEMORY))
+    for line in file.read_text().splitlines():
+        error, text, stage = "", "", ["refused"]
+        start = time.process_time()
+        try:
+            attempt(connected(from_json(json.loads(line))), stage)
+        except TwodofError as found:
+            error, text = type(found).__name__, str(found)
+        except FAULTS as found:
+            error, text = f"!{type(found).__name__}", str(found)[:500]
+        seconds = time.process_time() - start
+        row = {"error": error, "text": text[:300], "long": len(text), "stage": stage[-1], "seconds": seconds}
+        sys.stdout.write(json.dumps(row) + "\n")
+
+
+def main(folder: Path) -> None:
+    """Judge every file of the folder."""
+    for file in sorted(folder.iterdir()):
+        reading, writing = os.pipe()
+        child = os.fork()
+        if child == 0:
+            os.close(reading)
+            _child(file, writing)
+            os._exit(0)
+        os.close(writing)
+        with os.fdopen(reading) as stream:
+            said = stream.read()
+        _, status = os.waitpid(child, 0)
+        ended = {"error": f"!ended by signal {status & 127}", "text": "", "long": 0, "stage": "refused"}
+        sys.stdout.write((said or json.dumps({**ended, "seconds": float(CPU_SECONDS), "bytes": 0})) + "\n")
+
+
+if __name__ == "__main__":
+    given = Path(sys.argv[1])
+    main(given) if given.is_dir() else many(given)

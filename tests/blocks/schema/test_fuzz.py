@@ -1,0 +1,51 @@
+"""The loader fuzzed: whatever comes in loads or is refused with a typed error, in bounded time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.blocks.schema.door import SECONDS, judge_many
+from tests.blocks.schema.mutations import constructions, mutants
+from tests.blocks.schema.test_schema import everything
+from tests.compile.random_diagrams import Maker
+from twodof.blocks.schema.json_form import to_json
+
+BASES = [to_json(everything()), *(to_json(Maker(seed).diagram("r")) for seed in (3, 11, 23))]
+ALLOWED = {"", "DiagramError"}
+
+
+def check(rows: list[dict[str, object]], names: list[str]) -> int:
+    """Assert that all went as it may; how many files were loaded."""
+    wrong = [
+        (name, row)
+        for name, row in zip(names, rows, strict=True)
+        if row["error"] not in ALLOWED or float(str(row["seconds"])) > SECONDS or int(str(row["long"])) > 1000
+    ]
+    assert not wrong, wrong[:5]
+    return sum(row["stage"] != "refused" for row in rows)
+
+
+def test_every_argument_of_every_block_is_bounded(tmp_path: Path) -> None:
+    names, texts = map(list, zip(*constructions(), strict=True))
+    loaded = check(judge_many(texts, tmp_path / "files", 300), names)
+    assert len(texts) / 10 < loaded < len(texts)
+
+
+def fuzz(count: int, seed: int, file: Path, seconds: float) -> None:
+    """Load `count` mutated files."""
+    texts = list(mutants(BASES, count, seed))
+    loaded = check(judge_many(texts, file, seconds), texts)
+    assert count / 100 < loaded < count / 2
+
+
+@pytest.mark.parametrize("part", range(2))
+def test_thousands_of_mutated_files_load_or_are_refused(part: int, tmp_path: Path) -> None:
+    fuzz(3000, part, tmp_path / "files", 300)
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("part", range(20))
+def test_many_mutated_files_load_or_are_refused(part: int, tmp_path: Path) -> None:
+    fuzz(20_000, 100 + part, tmp_path / "files", 3000)

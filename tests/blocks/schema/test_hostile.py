@@ -1,0 +1,44 @@
+"""A hostile diagram file is refused with a reason, in bounded time and memory (docs/explanation/language.md, 5)."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from tests.blocks.schema.door import MEMORY, SECONDS, judge
+from tests.blocks.schema.hostile import ENDLESS, MALFORMED, NAMES, large, named, too_large
+
+
+def test_a_hostile_file_is_refused_with_a_reason_in_two_seconds_and_a_gigabyte(tmp_path: Path) -> None:
+    """The largest takes half of it. A busy machine adds to processor time too: what is over is measured again."""
+    refused = {**too_large(), **ENDLESS, **MALFORMED}
+    found = judge({name: data for name, (data, _) in refused.items()}, tmp_path)
+    wrong = []
+    for name, row in found.items():
+        good = row["error"] == "DiagramError" and re.search(refused[name][1], row["text"]) and row["long"] < 1000
+        seconds = least_seconds(refused[name][0], row["seconds"], tmp_path / "again")
+        if not good or seconds > SECONDS or row["bytes"] > MEMORY:
+            wrong.append((name, row))
+    assert not wrong
+
+
+def least_seconds(data: bytes, first: float, folder: Path) -> float:
+    """The processor time [s] that judging a file takes, of which it took `first`: the least of six times at most."""
+    least = first
+    folder.mkdir(exist_ok=True)
+    for _ in range(5):
+        if least <= SECONDS:
+            break
+        least = min(least, judge({"again": data}, folder)["again"]["seconds"])
+    return least
+
+
+def test_what_is_large_and_allowed_stays_bounded(tmp_path: Path) -> None:
+    found = judge(large(), tmp_path)
+    assert not [(name, row) for name, row in found.items() if row["stage"] != "compiled" or row["bytes"] > MEMORY]
+
+
+def test_no_name_but_an_identifier_comes_in_anywhere(tmp_path: Path) -> None:
+    files = {f"{name} as {place}": data for name, text in NAMES.items() for place, data in named(text).items()}
+    found = judge(files, tmp_path)
+    assert not [(name, row) for name, row in found.items() if row["error"] != "DiagramError" or row["long"] > 1000]

@@ -1,0 +1,181 @@
+"""The JSON form: a round trip to the bit, and files that are broken or hostile are refused at the door."""
+
+import json
+import random
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.blocks.samples import Bouncer, Gain, Lag, Late, Memory, chain
+from twodof.blocks import Block, Diagram, Param, Port, build, fold, int32, where
+from twodof.blocks.elementary.functions import atan2, sin
+from twodof.blocks.reference.interpreter import Reference
+from twodof.blocks.schema.json_form import from_json, to_json
+from twodof.blocks.schema.loader import MAX_DEPTH
+from twodof.errors import TwodofError
+
+
+class Everything(Block):
+    """Uses what an expression may use: functions, loops, arrays, all types, both clocks."""
+
+    inputs = (Port("u"),)
+    outputs = (Port("y"), Port("n", "int32"))
+    params = (Param("c", [0.1, -2.0, 3.0], width=3), Param("top", float("inf")))
+    derived = (Port("scaled", width=3),)
+
+    def prepare(self, p: Any, t: Any) -> Any:
+        return {"scaled": build(3, lambda i: p.c[i] * t.dt)}
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        poly = fold(3, [u.u * -0.0], lambda i, s: [s * u.u + p.scaled[2 - i]])[0]
+        return {
+            "y": where(u.u < p.top, sin(poly) + atan2(u.u, t.time), -0.0),
+            "n": where((t.tick >> 1) % 3 == 1, int32(3), int32(-3)),
+        }
+
+
+def everything() -> Diagram:
+    d = chain(Gain(), Late(), Lag(), Everything(), Memory())
+    d.text = 'quotes " and Greek θ'
+    d.param("k", 2.5, low=-3.0, text="shared")
+    inner = Diagram("inner")
+    inner.add("ball", Bouncer())
+    inner.add("gain", Gain(), u="ball.h")
+    inner.output("h", "gain")
+    d.input("on", "bool")
+    d.add("sub", inner, enable="on", reset="on", disabled="reset", position=(1.0, 2.5))
+    d.add("slow", Memory(), rate=(5, 2))
+    d.add("zero", Gain(), rate=(5, 2))
+    d.connect("slow", "zero.u")
+    d.connect("zero", "slow.u")
+    d.output("h", "sub")
+    return d
+
+
+def test_the_round_trip_is_the_same_text_and_flies_the_same_bits() -> None:
+    text = to_json(everything())
+    again = from_json(text)
+    assert to_json(again) == text
+    u = np.random.default_rng(0).normal(size=40)
+    for precision in ("float64", "float32"):
+        flown = [
+            Reference(d, 0.01, precision, ["b3.n"]).machine().run(40, {"r": u, "on": u > 0})
+            for d in (everything(), again)
+        ]
+        for name in flown[0]:
+            assert flown[0][name].tobytes() == flown[1][name].tobytes()
+
+
+def test_the_text_diffs_well() -> None:
+    a, b = everything(), everything()
+    b.parts["sub"].position = (9.0, 9.0)
+    lines = [set(to_json(d).splitlines()) for d in (a, b)]
+    assert len(lines[0] ^ lines[1]) == 2
+
+
+def form(**changes: Any) -> dict[str, Any]:
+    data: dict[str, Any] = json.loads(to_json(everything()))
+    data["diagram"].update(changes)
+    return data
+
+
+def nested(depth: int) -> dict[str, Any]:
+    data: dict[str, Any] = {"name": "leaf"}
+    for _ in range(depth):
+        data = {"name": "level", "parts": [{"name": "inner", "diagram": data}]}
+    return data
+
+
+GAIN = {"name": "g", "block": json.loads(to_json(chain(Gain())))["diagram"]["parts"][0]["block"]}
+
+
+def custom(**changes: Any) -> dict[str, Any]:
+    return form(parts=[{"name": "g", "block": {**GAIN["block"], **changes}}], connections=[], outputs=[])
+
+
+HOSTILE = {
+    "no JSON": (b"{", "no JSON"),
+    "another schema": ({"schema": "x"}, "no diagram"),
+    "a future version": ({"schema": "twodof/diagram", "version": 2, "diagram": {}}, "version 2 is unknown"),
+    "NaN in the file": (b'{"schema": NaN}', "NaN is no JSON number"),
+    "deep JSON": (b"[" * 200_000, "no JSON"),
+    "deep nesting": ({"schema": "twodof/diagram", "version": 1, "diagram": nested(MAX_DEPTH + 2)}, "nested more than"),
+    "a name of C code": (form(name="x; system(1)"), "is no name"),
+    "a look-alike name": (form(inputs=[{"name": "а"}]), "is no name"),
+    "a newline in a name": (form(inputs=[{"name": "a\n"}]), "is no name"),
+    "an array of a gigabyte": (form(inputs=[{"name": "a", "width": 10**9}]), "more than 1000000 values"),
+    "many wide arrays": (
+        form(inputs=[{"name": f"a{i}", "width": 10**6} for i in range(11)]),
+        "more than 1000000 values",
+    ),
+    "an unknown block": (
+        form(parts=[{"name": "g", "block": {"type": "os.system", "config": {}}}]),
+        "unknown block type",
+    ),
+    "an unknown field": (form(inputs=[{"name": "a", "__class__": "x"}]), "is no port"),
+    "a node that looks ahead": (custom(nodes=[["neg", [0]]]), "does not stand above"),
+    "an operation of another type": (custom(nodes=[["input", [], "u"], ["and", [0, 0]]]), "not defined on real"),
+    "a foreign operation": (custom(nodes=[["__import__", []]]), "not well formed"),
+    "a loop variable outside": (custom(nodes=[["bound", [], "real", 0, 1]], output={"y": 0}), "outside its loop"),
+    "an endless loop": (custom(nodes=[["input", [], "u"], ["build", [0], 10**12, 0]]), "is not in 0"),
+    "a missing output": (custom(output={}), "does not give 'y'"),
+    "a node that is not there": (custom(output={"y": 99}), "node 99, which is not there"),
+    "a rate of zero": (form(parts=[{**GAIN, "rate": [0, 0]}], connections=[], outputs=[]), "is impossible"),
+    "a connection to nowhere": (form(connections=[["r", "nowhere.u"]]), "which is not there"),
+    "an input fed twice": (form(connections=[["r", "b0.u"], ["r", "b0.u"]]), "fed twice"),
+    "a name used twice": (form(parts=[GAIN, GAIN], connections=[], outputs=[]), "used twice"),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_hostile_files_are_refused_with_a_reason(name: str) -> None:
+    data, message = HOSTILE[name]
+    with pytest.raises(TwodofError, match=message):
+        from_json(data if isinstance(data, bytes) else json.dumps(data))
+
+
+def mutate(value: Any, rng: random.Random) -> Any:
+    """`value` with one place in it changed to something else."""
+    if isinstance(value, dict) and value and rng.random() < 0.9:
+        key = rng.choice(list(value))
+        return (
+            {**value, key: mutate(value[key], rng)}
+            if rng.random() < 0.95
+            else {k: v for k, v in value.items() if k != key}
+        )
+    if isinstance(value, list) and value and rng.random() < 0.9:
+        i = rng.randrange(len(value))
+        return (
+            [*value[:i], mutate(value[i], rng), *value[i + 1 :]] if rng.random() < 0.95 else value[:i] + value[i + 1 :]
+        )
+    return rng.choice(
+        [None, True, 0, -1, 10**30, 1e308, "", "u", "y", "real", "bool", [], [0], {}, {"float": "inf"}, "b0.u", "∞"]
+    )
+
+
+def fuzz(count: int, seed: int) -> int:
+    """Load `count` mutated diagrams; all but a TwodofError escapes. Returns how many loaded."""
+    rng = random.Random(seed)
+    text, loaded = json.loads(to_json(everything())), 0
+    for _ in range(count):
+        data = text
+        for _ in range(rng.randint(1, 3)):
+            data = mutate(data, rng)
+        try:
+            Reference(from_json(json.dumps(data)), 0.01).machine().run(2)
+        except TwodofError:
+            continue
+        loaded += 1
+    return loaded
+
+
+def test_mutated_files_load_or_are_refused_and_nothing_else_happens() -> None:
+    loaded = fuzz(400, 7)
+    assert 0 < loaded < 400
+
+
+@pytest.mark.soak
+def test_many_mutated_files_load_or_are_refused() -> None:
+    loaded = fuzz(50_000, 8)
+    assert 0 < loaded < 50_000

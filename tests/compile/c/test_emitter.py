@@ -1,0 +1,226 @@
+"""The emitted C: readable, without globals or allocation, accepted by strict compilers, usable from C."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+
+from tests.compile import differential, examples
+from twodof.blocks import Block, Diagram, Param, Port, State, sin, store, to_int32, to_real, to_uint32
+from twodof.blocks.reference.interpreter import Reference
+from twodof.compile import build
+from twodof.compile.builder import emit_program
+from twodof.compile.c.expressions import constant
+from twodof.compile.native import target
+from twodof.compile.toolchain import compilers
+
+STRICT = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-Wshadow", "-pedantic", "-ffp-contract=off"]
+ALL = [examples.loop, examples.switched, examples.edge, examples.delay]
+
+
+def strictly(compiler: str, source: str, folder: Path, *more: str) -> subprocess.CompletedProcess[str]:
+    file = folder / "emitted.c"
+    file.write_text(source, encoding="utf-8")
+    found = compilers.find_compiler(compiler)
+    command = [*found.command, *STRICT, *found.flags, *more, "-c", "-o", str(folder / "emitted.o"), str(file)]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+class Stores(Block):
+    """An array in which elements are replaced `count` times before as many are read."""
+
+    inputs: ClassVar = [Port("i", "int32")]
+    outputs: ClassVar = [Port("y")]
+    states: ClassVar = [State("a", width=20)]
+
+    def __init__(self, count: int) -> None:
+        self.count = count
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        a = x.a
+        for k in range(self.count):
+            a = store(a, u.i * (k + 1), a[u.i - k] + float(k))
+        total = 0.0
+        for k in range(self.count):
+            total = total + a[u.i + 3 * k]
+        return total
+
+    def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        return {"a": store(store(x.a, u.i, x.a[u.i + 1] + 1.0), u.i + 2, 0.5)}
+
+
+def stores(count: int) -> Diagram:
+    d = Diagram("stores")
+    d.input("i", "int32")
+    d.add("b", Stores(count), i="i")
+    d.output("y", "b")
+    return d
+
+
+def test_reading_what_was_stored_costs_what_is_written() -> None:
+    """Each reader asking for each store grew with the square: 300 gave five megabytes."""
+    small, large = (len(emit_program(stores(n), 0.01).source) for n in (100, 200))
+    assert large < 2.2 * small  # twice, and names that are a digit longer
+
+
+@pytest.mark.parametrize("count", [1, 3, 4, 5, 6, 12])
+def test_reading_what_was_stored_gives_the_same_bits(count: int) -> None:
+    compiled, judge = build(stores(count), 0.01).machine(), Reference(stores(count), 0.01).machine()
+    places = [*range(-3, 24), 2**31 - 1, -(2**31), *range(19)]
+    assert compiled.run(len(places), {"i": places})["y"].tolist() == [judge.step({"i": i})["y"] for i in places]
+
+
+@pytest.mark.parametrize("compiler", [c for c in ("gcc", "zig") if c == "zig" or shutil.which(c)])
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+def test_strict_compilers_do_not_complain(compiler: str, precision: str, tmp_path: Path) -> None:
+    emitted = [emit_program(make(), 0.01, precision).source for make in ALL]
+    emitted.append(differential.emitted(differential.random_cases(range(300, 308), 1), precision, "rk4")[0].source)
+    for source in emitted:
+        done = strictly(compiler, source, tmp_path)
+        assert done.returncode == 0, done.stderr
+
+
+def test_fast_math_is_refused(tmp_path: Path) -> None:
+    done = strictly("zig", emit_program(examples.loop(), 0.01).source, tmp_path, "-ffast-math")
+    assert done.returncode != 0
+    assert "fast-math" in done.stderr
+
+
+def test_the_c_is_the_kind_a_person_writes() -> None:
+    source = emit_program(examples.loop(), 0.01, log=("pendulum.q",)).source
+    code = re.sub(r"/\*.*?\*/", "", source, flags=re.DOTALL)
+    assert not re.search(r"\b(malloc|calloc|free|goto|fmin|fmax|sin|cos|pow|sqrt)\s*\(", code)
+    assert "math.h" not in code
+    # File scope: types, functions and constant tables, nothing that can change.
+    for line in code.splitlines():
+        if re.match(r"[A-Za-z]", line) and line.rstrip().endswith((";", "{")) and "(" not in line:
+            assert re.match(r"(typedef|extern const|const|static const) ", line), line
+    assert not re.search(r"\bstatic (?!inline|const|void|real)", code)
+    # Nothing is called step or advance, and all that is visible bears the diagram's name.
+    visible = re.findall(r"^(?:void|real|int|bool|const \w+) \*?(\w+)[(\[]", code, flags=re.MULTILINE)
+    assert visible
+    assert all(name.startswith("loop_") for name in visible), visible
+    for path in ("held", "gain", "back", "error", "sum", "pendulum"):
+        assert f"/* {path}: " in source
+    assert "real k; /* gain of the feedback */" in source
+    assert "s->held_y" in source  # names come from paths
+    step = source[source.index("void loop_step") :]
+    order = [step.index(text) for text in ("/* pendulum:", "if (due_4_1)", "/* gain:", "/* error:")]
+    assert order == sorted(order)
+    assert step.count("if (due_4_1)") == 1  # blocks of one rate share one guard
+    assert max(map(len, source.splitlines())) < 260
+
+
+def test_a_users_text_cannot_leave_its_comment() -> None:
+    hostile = Diagram("hostile", "*/ int main(void); /* ??/ \n #include")
+    hostile.input("u", unit='"*/\\')
+    hostile.param("k", 1.0, unit="%s\n", text="*/ #error /*")
+    hostile.output("y", "u")
+    source = emit_program(hostile, 0.01).source
+    code = re.sub(r"/\*.*?\*/", "", source, flags=re.DOTALL)
+    assert "main" not in code
+    assert "#error /" not in code
+    assert not re.search(r'"[^"\n]*\n', re.sub(r'"[^"\n]*"', "", code))
+    assert target.load(source, compilers.find_compiler("zig"), "-O0") is not None
+
+
+def test_constants_are_exact() -> None:
+    rng = np.random.default_rng(1)
+    values = [*rng.normal(size=50), 0.0, -0.0, 0.1, 1e-310, 5e-324, 1.7e308, -1 / 3]
+    for value in values:
+        text, _ = constant(float(value), "real", "float64")
+        assert float.fromhex(text.split(" /*")[0]).hex() == float(value).hex()
+        single = constant(float(value), "real", "float32")[0].split(" /*")[0]
+        with np.errstate(all="ignore"):
+            rounded = float(np.float32(value))
+        if np.isfinite(rounded):
+            assert float.fromhex(single.removesuffix("f")).hex() == rounded.hex()
+    assert constant(float("nan"), "real", "float32")[0] == '__builtin_nanf("")'
+    assert constant(-float("inf"), "real", "float64")[0] == "-__builtin_inf()"
+    assert constant(-(2**31), "int32", "float64")[0] == "INT32_MIN"
+
+
+MAIN = r"""
+#include <stdio.h>
+int main(void)
+{
+    loop_P p;
+    loop_S s;
+    loop_U u[3] = {{0}};
+    loop_Y y[3];
+    loop_defaults(&p);
+    loop_prepare(&p);
+    loop_init(&p, &s);
+    u[0].r = u[1].r = u[2].r = 0.5;
+    loop_run(&p, &s, u, 1, y, 1, 3);
+    for (const loop_Entry *e = loop_parameters; e->path; e++)
+        printf("%s [%s] %c %.17g\n", e->path, e->unit, e->type, *(const real *)((const char *)&p + e->offset));
+    for (const loop_Entry *e = loop_signals; e->path; e++)
+        if (e->where == 'S' && e->type == 'r')
+            printf("%s %.17g\n", e->path, *(const real *)((const char *)&s + e->offset));
+    printf("y %.17g\n", y[2].y);
+    return 0;
+}
+"""
+
+
+def test_the_tables_lead_a_c_program_to_parameters_and_signals(tmp_path: Path) -> None:
+    (tmp_path / "main.c").write_text(emit_program(examples.loop(), 0.01).source + MAIN, encoding="utf-8")
+    found = compilers.find_compiler()
+    command = [*found.command, "-std=c99", *found.flags, "-o", str(tmp_path / "main"), str(tmp_path / "main.c")]
+    subprocess.run(command, check=True)
+    said = subprocess.run([str(tmp_path / "main")], capture_output=True, text=True, check=True).stdout.splitlines()
+    assert "k [] r 2" in said
+    assert "sum.limit [rad] r 1" in said
+    assert "pendulum.stiffness [] r 4" in said
+    machine = build(examples.loop(), 0.01).machine()
+    y = machine.run(3, {"r": 0.5})["y"][-1]
+    assert f"y {y:.17g}" in said
+    assert f"sum.sum {machine.state('sum.sum'):.17g}" in said
+    assert f"pendulum.theta {machine.state('pendulum.theta'):.17g}" in said
+
+
+class Named(Block):
+    """A block whose ports, parameter and states bear given names and whose code calls helpers and functions."""
+
+    def __init__(self, port: str) -> None:
+        self.port = port
+        self.inputs = [Port(port)]
+        self.outputs = [Port(port)]
+        self.params = [Param(port, 0.5)]
+        self.states = [State(port, 0.25, continuous=True), State(f"{port}2", 0.5)]
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        n = to_int32(u[self.port])
+        return sin(x[self.port]) * p[self.port] + to_real((n + 1) * n) + x[f"{self.port}2"] + to_real(to_uint32(n))
+
+    def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        return {f"{self.port}2": u[self.port]}
+
+    def derivative(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        return {self.port: u[self.port] - x[self.port]}
+
+
+@pytest.mark.parametrize(
+    ("part", "port"),
+    [
+        *[("part", name) for name in ("INT32_MAX", "SIZE_MAX", "int", "NULL", "real", "memcpy", "unix", "s", "held")],
+        *[("int32", "t"), ("int32", "add"), ("real_to", "int32"), ("td", "sin"), ("td", "inline"), ("INT32", "MIN")],
+        *[("prog", name) for name in ("X", "P", "Held", "derivative", "integrate", "along", "step")],
+    ],
+)
+def test_no_name_can_collide_with_what_c_or_the_file_defines(part: str, port: str) -> None:
+    d = Diagram("prog")
+    d.input(port)
+    d.add(part, Named(port), **{port: port})
+    d.add("behind", Named(port), **{port: f"{part}.{port}"})
+    d.output(port, f"behind.{port}")
+    rows = [{port: 0.3 * k} for k in range(4)]
+    machine, reference = build(d, 0.01, optimise="-O0").machine(), Reference(d, 0.01).machine()
+    assert [machine.step(row) for row in rows] == [reference.step(row) for row in rows]

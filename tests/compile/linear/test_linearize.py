@@ -1,0 +1,335 @@
+"""Exact linear models: against equations, python-control, finite differences of the compiled step, the course."""
+
+from __future__ import annotations
+
+import math
+import random
+from typing import Any
+
+import control
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from tests.compile.linear.linear_diagrams import DT, chain, pendulum, same_response
+from twodof.blocks import Block, Diagram, Param, Port, State, sqrt
+from twodof.blocks import library as lib
+from twodof.blocks.elementary import functions as f
+from twodof.compile import build
+from twodof.compile.linear.linear_model import LinearModel
+from twodof.compile.linear.linearize import linearize
+from twodof.errors import DiagramError
+from twodof.rig.dynamics import GRAVITY, Dynamics
+
+
+def test_a_pendulum_is_its_textbook_linearization() -> None:
+    model = linearize(pendulum(), DT, at={"p.theta": 0.3, "p.omega": 3.0, "p.zeta": 0.1})
+    assert model.dt is None
+    assert model.states == ("p.theta", "p.q")
+    np.testing.assert_allclose(model.a, [[0.0, 1.0], [-9.0 * math.cos(0.3), -0.6]], rtol=1e-15)
+    np.testing.assert_array_equal(model.b, [[0.0], [1.0]])
+    np.testing.assert_array_equal(model.c, [[1.0, 0.0]])
+    np.testing.assert_array_equal(model.d, [[0.0]])
+    assert model.point["p.theta"] == 0.3
+
+
+def test_trim_finds_where_the_moment_holds_it() -> None:
+    model = linearize(pendulum(), DT, at={"M": 1.0}, trim=True)
+    # omega = 2: 4 sin(theta) = 1. The search ends within some roundings of its residual.
+    assert model.point["p.theta"] == pytest.approx(math.asin(0.25), abs=1e-12)
+    held = linearize(pendulum(), DT, at={"M": 0.1, "p.theta": 0.4}, trim=True, free=["M"])
+    assert held.point["M"] == pytest.approx(4.0 * math.sin(0.4), abs=1e-12)
+    assert held.point["p.theta"] == 0.4
+    with pytest.raises(DiagramError, match="no equilibrium"):
+        linearize(pendulum(), DT, at={"M": 5.0}, trim=True)
+
+
+def test_the_rig_at_hover() -> None:
+    """The equations of docs/explanation/physics.md for small angles, solved for the accelerations by hand."""
+    d = Diagram("hover")
+    for name in ("thrust", "moment", "gust", "running"):
+        d.input(name)
+    d.add("dynamics", Dynamics(), **{name: name for name in d.inputs})
+    for name in ("theta", "q", "x", "v"):
+        d.output(name, f"dynamics.{name}")
+    thrust, spring, c, c_x = 5.2, 0.03, 0.002, 0.4
+    model = linearize(
+        d,
+        0.001,
+        at={"thrust": thrust, "dynamics.spring": spring, "dynamics.viscous_idle": c, "dynamics.rail_viscous": c_x},
+        inputs=["moment"],
+    )
+    j, m_d, m, offset = 2.6e-3, 0.374, 0.534, 5e-3
+    s = m_d * offset
+    mass = np.array([[j, s], [s, m]])  # of (q', v')
+    forces = np.array([[-s * GRAVITY - spring, -c, 0.0, 0.0], [-thrust, 0.0, 0.0, -c_x]])
+    rates = np.linalg.solve(mass, forces)
+    expected = np.array([[0, 1, 0, 0], rates[0], [0, 0, 0, 1], rates[1]])
+    assert model.dt is None
+    assert model.states == ("dynamics.theta", "dynamics.q", "dynamics.x", "dynamics.v")
+    assert set(model.left_out) == {"dynamics.sine", "dynamics.cosine"}
+    np.testing.assert_allclose(model.a, expected, rtol=1e-12, atol=1e-14)
+    push = np.linalg.solve(mass, [1.0, 0.0])
+    np.testing.assert_allclose(model.b[:, 0], [0.0, push[0], 0.0, push[1]], rtol=1e-12)
+
+
+def test_pid_is_its_z_transform() -> None:
+    kp, ki, kd, n = 0.08535, 0.25103, 0.000541, 100.0
+    model = linearize(chain(lib.Pid(kp, ki, kd, n)), DT)
+    assert model.dt == DT
+    same_response(model, lambda z: kp + ki * DT * z / (z - 1) + kd * (z - 1) / ((1 / n + DT) * z - 1 / n), rtol=1e-11)
+
+
+@pytest.mark.parametrize("samples", [1, 2, 5, 64])
+def test_a_delay_is_as_many_states_newest_first(samples: int) -> None:
+    model = linearize(chain(lib.Delay(samples, bound=64)), DT)
+    assert model.states == tuple(f"b0.buffer[k-{i + 1}]" for i in range(samples))
+    np.testing.assert_array_equal(model.a, np.eye(samples, k=-1))
+    np.testing.assert_array_equal(model.b[:, 0], np.eye(samples)[0])
+    np.testing.assert_array_equal(model.c[0], np.eye(samples)[-1])
+
+
+def test_a_delay_of_arrays_and_a_mean() -> None:
+    d = Diagram("arrays")
+    d.input("u", width=2)
+    d.add("delay", lib.Delay(3, width=2), u="u")
+    d.output("y", "delay")
+    model = linearize(d, DT)
+    np.testing.assert_array_equal(model.a, np.eye(6, k=-2))
+    assert model.inputs == ("u[0]", "u[1]")
+    assert model.states[:3] == ("delay.buffer[k-1][0]", "delay.buffer[k-1][1]", "delay.buffer[k-2][0]")
+    mean = linearize(chain(lib.MovingAverage(4)), DT)
+    same_response(mean, lambda z: (1 + z**-1 + z**-2 + z**-3) / 4, rtol=1e-11)
+
+
+# python-control
+
+A2, F2, B2, C2 = [[0, 1], [-2, -3]], [[0.5, 1], [0, 0.2]], [[0], [1]], [[1, 1]]
+
+
+@pytest.mark.parametrize(
+    ("block", "system"),
+    [
+        (lib.FirstOrder(2.0, 0.3), control.tf([2.0], [0.3, 1.0])),
+        (lib.SecondOrder(1.5, 3.4, 0.08), control.tf([1.5 * 3.4**2], [1.0, 2 * 0.08 * 3.4, 3.4**2])),
+        (lib.TransferFunction((358.5, 0.0), (1.0, 0.5747, 11.81)), control.tf([358.5, 0.0], [1.0, 0.5747, 11.81])),
+        (lib.TransferFunction((2.0, 1.0, 3.0), (1.0, 4.0, 5.0)), control.tf([2.0, 1.0, 3.0], [1.0, 4.0, 5.0])),
+        (lib.Integrator(), control.tf([1.0], [1.0, 0.0])),
+        (lib.StateSpace(A2, B2, C2), control.ss(A2, B2, C2, 0)),
+        (lib.DiscreteIntegrator("trapezoidal", 2.0), control.tf([DT, DT], [1.0, -1.0], DT)),
+        (lib.DiscreteDerivative(0.5), control.tf([0.5 / DT, -0.5 / DT], [1.0, 0.0], DT)),
+        (lib.DiscreteFilter((0.2, 0.3, 0.1), (1.0, -0.5, 0.06)), control.tf([0.2, 0.3, 0.1], [1.0, -0.5, 0.06], DT)),
+        (lib.DiscreteTransferFunction((0.3,), (1.0, -0.7, 0.1)), control.tf([0.3], [1.0, -0.7, 0.1], DT)),
+        (lib.DiscreteStateSpace(F2, B2, C2), control.ss(F2, B2, C2, 0, DT)),
+    ],
+    ids=lambda item: type(item).__name__,
+)  # fmt: skip
+def test_the_linear_blocks_are_python_controls(block: Block, system: Any) -> None:
+    model = linearize(chain(block), DT)
+    assert (model.dt or 0) == system.dt
+    # Transfer functions to state space and back lose some digits.
+    same_response(model, lambda s: system(s), rtol=1e-9)
+    assert model.to_control().dt == system.dt
+
+
+def test_a_loop_is_python_controls_feedback() -> None:
+    """Continuous blocks only: closed by hand and closed by python-control, the same poles."""
+    d = Diagram("loop")
+    d.input("r")
+    d.add("error", lib.Sum("+-"), a="r", b="plant")
+    d.add("lead", lib.TransferFunction((3.0, 12.0), (1.0, 20.0)), u="error")
+    d.add("plant", lib.TransferFunction((5.0,), (1.0, 2.0, 1.0)), u="lead")
+    d.output("y", "plant")
+    loop = control.tf([3.0, 12.0], [1.0, 20.0]) * control.tf([5.0], [1.0, 2.0, 1.0])
+    closed = control.feedback(loop, 1)
+    model = linearize(d, DT)
+    np.testing.assert_allclose(np.sort_complex(model.poles()), np.sort_complex(closed.poles()), rtol=1e-9)
+    same_response(model, lambda s: closed(s))
+    opened = linearize(d, DT, inputs=["error.y"], outputs=["error.y"])
+    same_response(opened, lambda s: -loop(s))
+
+
+MU, W, XI = 358.5, 3.437, 0.0836
+
+
+def course_loop(plant: Block, integrator: Block) -> Diagram:
+    """The two inner loops of the course on the paper's model: P, PID, 20 ms of delay in five samples, pitch."""
+    d = Diagram("course")
+    d.input("q0")
+    d.input("theta0")
+    d.add("theta_error", lib.Sum("+-"), a="theta0", b="theta")
+    d.add("attitude", lib.Gain(11.0), u="theta_error")
+    d.add("command", lib.Sum("++"), a="q0", b="attitude")
+    d.add("error", lib.Sum("+-"), a="command", b="plant")
+    d.add("pid", lib.Pid(0.08535, 0.25103, 0.000541, 100.0), e="error")
+    d.add("delay", lib.Delay(5), u="pid")
+    d.add("plant", plant, u="delay")
+    d.add("theta", integrator, u="plant")
+    d.output("q", "plant")
+    d.output("theta_out", "theta")
+    return d
+
+
+def continuous_course_loop() -> Diagram:
+    return course_loop(lib.TransferFunction((MU, 0.0), (1.0, 2 * XI * W, W * W)), lib.Integrator())
+
+
+def margins(cut: LinearModel) -> tuple[float, float, float]:
+    """Gain margin, phase margin [deg] and crossover [rad/s] of a loop that is cut: its gain is minus the model's."""
+
+    def loop(w: float) -> complex:
+        return complex(-cut.response(w)[0, 0, 0])
+
+    def falls(values: Any, function: Any, start: float) -> float:
+        """Where a function of frequency first falls through 0 above `start`."""
+        k = next(k for k in range(len(grid) - 1) if grid[k] >= start and values[k] > 0.0 >= values[k + 1])
+        return float(brentq(function, grid[k], grid[k + 1]))
+
+    grid = np.geomspace(1.0, 400.0, 2000)
+    response = -cut.response(grid)[:, 0, 0]
+    crossover = falls(np.abs(response) - 1.0, lambda w: abs(loop(w)) - 1.0, 1.0)
+    turn = falls(-response.imag, lambda w: -loop(w).imag, crossover)
+    return 1.0 / abs(loop(turn)), 180.0 + math.degrees(np.angle(loop(crossover))), crossover
+
+
+def test_the_margins_of_the_course() -> None:
+    """Of the published designs: 33.5 rad/s, 57.7 deg, 6.9 dB at 30 rad/s; the attitude loop 11.7 rad/s, 71.5 deg.
+
+    They hold for the plant discretised by Tustin's rule, which spares it the hold's half sample of delay.
+    """
+    top = [2 * MU / DT, 0.0, -2 * MU / DT]
+    bottom = [4 / DT**2 + s * 4 * XI * W / DT + W * W if s else 2 * W * W - 8 / DT**2 for s in (1, 0, -1)]
+    # The pitch angle is the sum of the rates up to its own sample: backward Euler, as all integrals of the platform.
+    d = course_loop(lib.DiscreteTransferFunction(top, bottom), lib.DiscreteIntegrator("backward"))
+    rate = linearize(d, DT, at={"attitude.k": 0.0}, inputs=["pid.M"], outputs=["pid.M"])
+    assert rate.dt == DT
+    gain, phase, crossover = margins(rate)
+    assert crossover == pytest.approx(33.5, abs=0.05)  # half of the last digit that is published, each
+    assert phase == pytest.approx(57.7, abs=0.05)
+    assert 20 * math.log10(gain) == pytest.approx(6.9, abs=0.05)
+    outer = linearize(d, DT, inputs=["attitude.y"], outputs=["attitude.y"])
+    _, phase, crossover = margins(outer)
+    assert crossover == pytest.approx(11.7, abs=0.05)
+    assert phase == pytest.approx(71.5, abs=0.05)
+
+
+def test_a_sampled_loop_has_the_margins_that_python_control_finds() -> None:
+    """The same PID and delay before the continuous plant: python-control's exact hold, to the accuracy of RK4."""
+    model = linearize(continuous_course_loop(), DT, at={"attitude.k": 0.0}, inputs=["pid.M"], outputs=["pid.M"])
+    z = control.tf([1.0, 0.0], [1.0], DT)
+    pid = 0.08535 + 0.25103 * DT * z / (z - 1) + 0.000541 * (z - 1) / ((0.01 + DT) * z - 0.01)
+    plant = control.c2d(control.tf([MU, 0.0], [1.0, 2 * XI * W, W * W]), DT)
+    # RK4 misses (W DT)^5 / 120 = 4e-12 of the state a step; the integral over the slow poles multiplies that.
+    same_response(model, lambda s: -(pid * plant * z**-5)(s), rtol=1e-7)
+
+
+# The compiled step
+
+
+class Smooth(Block):
+    """Two states, smooth and coupled, discrete or continuous."""
+
+    inputs = (Port("u"),)
+    outputs = (Port("y"), Port("z"))
+
+    def __init__(self, continuous: bool, seed: int) -> None:
+        r = random.Random(seed)
+        self.k = [r.uniform(-1.0, 1.0) for _ in range(9)]
+        self.params = [Param("p", r.uniform(0.5, 1.5))]
+        self.derived = [Port("double")]
+        start = [r.uniform(-0.5, 0.5) for _ in range(2)]
+        self.states = [State("a", start[0], continuous=continuous), State("b", start[1], continuous=continuous)]
+
+    def prepare(self, p: Any, t: Any) -> Any:
+        return 2.0 * p.p
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        k = self.k
+        return {"y": k[0] * f.sin(x.a) + x.b * x.b, "z": k[1] * f.tanh(u.u + x.a) + sqrt(2.0 + x.b * u.u)}
+
+    def _change(self, u: Any, x: Any, p: Any) -> Any:
+        k = self.k
+        a = k[2] * x.a + f.atan2(x.b + u.u, 2.0 + x.a) * p.double
+        return {"a": a, "b": k[3] * f.exp(k[4] * x.a) - x.b / (1.0 + x.a * x.a) + k[5] * u.u}
+
+    def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        return {} if self.states[0].continuous else self._change(u, x, p)
+
+    def derivative(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        return self._change(u, x, p) if self.states[0].continuous else {}
+
+
+def smooth_diagram(seed: int) -> Diagram:
+    r = random.Random(seed)
+    d = Diagram(f"smooth{seed}")
+    sources = [d.input("u"), d.input("w")]
+    for i in range(5):
+        block = r.choice(
+            [
+                lambda: Smooth(False, r.randrange(10**6)),
+                lambda: Smooth(True, r.randrange(10**6)),
+                lambda: lib.Pid(0.3, 0.2, 0.01, 20.0),
+                lambda: lib.UnitDelay(0.1),
+                lambda: lib.FractionalDelay(0.6 * DT),
+                lambda: lib.LowPass(20.0),
+                lambda: lib.FirstOrder(1.5, 0.3),
+                lambda: lib.Product("*"),
+            ]
+        )()
+        d.add(f"s{i}", lib.Sum("+-"), a=r.choice(sources), b=r.choice(sources))
+        part = d.add(f"b{i}", block)
+        d.connect(f"s{i}", f"{part}.{block.inputs[0].name}")
+        sources += [f"{part}.{o.name}" for o in block.outputs]
+    for i, source in enumerate(sources[-3:]):
+        d.output(f"y{i}", source)
+    return d
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_random_smooth_diagrams_agree_with_differences_of_the_compiled_step(seed: int) -> None:
+    """x[k + 1] and y of the machine code at x + h and x - h, for each scalar state and input."""
+    d = smooth_diagram(seed)
+    at = {"u": 0.2, "w": -0.3}
+    model = linearize(d, DT, at=at, time="discrete", keep_all=True)
+    machine = build(d, DT).machine()
+    scalars = [n for n in model.states if "[" not in n]
+    rows = [model.states.index(n) for n in scalars]
+
+    def after(name: str, shift: float) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+        machine.reset()
+        inputs = dict(at)
+        if name in inputs:
+            inputs[name] += shift
+        else:
+            machine.set_state(name, machine.state(name) + shift)
+        y = machine.step(inputs)
+        return np.array([machine.state(n) for n in scalars]), np.array([y[n] for n in model.outputs])
+
+    h = 1e-5  # errors: third derivatives times h^2 and roundings 1e-16 / h, both near 1e-10
+    for matrix_x, matrix_y, names in ((model.a, model.c, model.states), (model.b, model.d, model.inputs)):
+        for j, name in enumerate(names):
+            if "[" in name:
+                continue
+            up, down = after(name, h), after(name, -h)
+            np.testing.assert_allclose(matrix_x[rows, j], (up[0] - down[0]) / (2 * h), atol=2e-8)
+            np.testing.assert_allclose(matrix_y[:, j], (up[1] - down[1]) / (2 * h), atol=2e-8)
+    machine.reset()
+    stepped = machine.step(at)
+    for name in model.outputs:
+        assert model.output_values[name] == pytest.approx(stepped[name], rel=1e-13, abs=1e-15)
+
+
+def test_a_model_follows_the_compiled_diagram_over_many_steps() -> None:
+    """Delay, PID and continuous plant together: a linear diagram and its model answer alike for a thousand steps."""
+    d = continuous_course_loop()
+    model = linearize(d, DT)
+    u = np.random.Generator(np.random.PCG64(3)).standard_normal((1000, 2))
+    out = build(d, DT).machine().run(1000, {"q0": u[:, 0], "theta0": u[:, 1]})
+    x = np.zeros(len(model.a))
+    y = np.empty((1000, 2))
+    for k in range(1000):
+        y[k] = model.c @ x + model.d @ u[k]
+        x = model.a @ x + model.b @ u[k]
+    for j, name in enumerate(model.outputs):
+        # Some hundred steps of memory, each with roundings of numbers below 10.
+        np.testing.assert_allclose(out[name], y[:, j], atol=1e-11)

@@ -1,0 +1,174 @@
+"""What a faulty diagram is told, with the whole path; what order and hoisting give."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from tests.compile import examples
+from twodof.blocks import Block, Diagram, Param, Port
+from twodof.blocks.library import FractionalDelay, Gain, Integrator, Sum, UnitDelay
+from twodof.compile.program.lower import lower
+from twodof.errors import DiagramError
+
+
+class Moment(Block):
+    """An output in N m."""
+
+    outputs = (Port("y", unit="N m"),)
+    params = (Param("k", 1, kind="int32"),)
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        return 1.0
+
+
+def within(fault: Callable[[Diagram], None]) -> Diagram:
+    """The faulty diagram as the sub-diagram `sub` of another."""
+    inner = Diagram("inner")
+    inner.input("u")
+    inner.output("y", "u")
+    fault(inner)
+    outer = Diagram("outer")
+    outer.input("u")
+    outer.add("sub", inner, u="u")
+    outer.output("y", "sub.y")
+    return outer
+
+
+def algebraic(d: Diagram) -> None:
+    d.add("sum", Sum("+-"), a="u", b="gain")
+    d.add("gain", Gain(), u="sum")
+
+
+def unconnected(d: Diagram) -> None:
+    d.add("gain", Gain())
+
+
+def of_another_type(d: Diagram) -> None:
+    d.add("count", examples.Counter())
+    d.add("gain", Gain(), u="count.n")
+
+
+def of_another_width(d: Diagram) -> None:
+    d.add("rotate", examples.Rotate())
+    d.add("gain", Gain(), u="rotate.a")
+
+
+def of_another_unit(d: Diagram) -> None:
+    d.add("moment", Moment())
+    d.add("sum", examples.LimitedIntegrator(), u="moment")
+
+
+def without_crossing(d: Diagram) -> None:
+    d.add("slow", UnitDelay(), u="u", rate=(4, 0))
+    d.add("gain", Gain(), u="slow")
+
+
+def continuous_and_slow(d: Diagram) -> None:
+    d.add("gain", Gain(0.5), u="slow", rate=(2, 0))
+    d.add("slow", Integrator(), u="gain", rate=(2, 0))
+
+
+def edged_and_slow(d: Diagram) -> None:
+    d.add("gain", Gain(0.5), u="slow", rate=(2, 0))
+    d.add("slow", FractionalDelay(0.1), u="gain", rate=(2, 0))
+
+
+def enabled_by_a_real(d: Diagram) -> None:
+    inner = Diagram("inner")
+    inner.add("count", examples.Counter())
+    d.add("part", inner, enable="u")
+
+
+def bound_to_nothing(d: Diagram) -> None:
+    d.add("gain", Gain(), u="u", params={"k": "nobody"})
+
+
+def bound_to_another_type(d: Diagram) -> None:
+    d.param("k", 1.0)
+    d.add("moment", Moment(), params={"k": "k"})
+
+
+def without_source(d: Diagram) -> None:
+    d.output("z")
+
+
+@pytest.mark.parametrize(
+    ("fault", "where", "what"),
+    [
+        (algebraic, "outer", r"algebraic loop sub\.gain\.y <- sub\.sum\.y <- sub\.gain\.y"),
+        (unconnected, "sub.gain.u", "not connected"),
+        (of_another_type, "sub.gain.u", "int32"),
+        (of_another_width, "sub.gain.u", r"real\[3\]"),
+        (of_another_unit, "sub.sum.u", r"\[N m\]"),
+        (without_crossing, "sub.gain.u", "runs at"),
+        (continuous_and_slow, "sub.slow", "continuous states"),
+        (edged_and_slow, "sub.slow", "edge"),
+        (enabled_by_a_real, "sub.part", "no bool"),
+        (bound_to_nothing, "sub.gain", "no parameter 'nobody'"),
+        (bound_to_another_type, "sub.moment.k", "another type"),
+        (without_source, "sub.z", "not connected"),
+    ],
+)
+def test_a_fault_is_named_with_its_path(fault: Callable[[Diagram], None], where: str, what: str) -> None:
+    with pytest.raises(DiagramError, match=what) as caught:
+        lower(within(fault), 0.01)
+    assert caught.value.where == where
+    assert caught.value.remedy
+
+
+@pytest.mark.parametrize(
+    ("options", "what"),
+    [
+        ({"dt": 0.0}, "dt"),
+        ({"dt": float("nan")}, "dt"),
+        ({"dt": 0.01, "integrator": "magic"}, "integrator"),
+        ({"dt": 0.01, "log": ("sum",)}, "no signal 'sum'"),
+        ({"dt": 0.01, "log": ("sum.z",)}, "no signal"),
+    ],
+)
+def test_wrong_options_are_refused(options: dict[str, Any], what: str) -> None:
+    with pytest.raises(DiagramError, match=what):
+        lower(examples.loop(), **options)
+
+
+def test_an_output_that_leads_back_to_itself_is_refused() -> None:
+    inner = Diagram("inner")
+    inner.input("u")
+    inner.output("y", "u")
+    d = Diagram("outer")
+    d.add("a", inner, u="b")
+    d.add("b", inner, u="a")
+    d.output("y", "a")
+    with pytest.raises(DiagramError, match="leads back to itself"):
+        lower(d, 0.01)
+
+
+def test_feedback_through_one_port_of_a_block_is_no_loop() -> None:
+    """Feed-through is a matter of ports: the pendulum's angle does not depend on its moment in the same tick."""
+    flat = lower(examples.loop(), 0.01)
+    order = [s.path for g in flat.tick for a in g.actions for s in a.signals]
+    assert order.index("pendulum.theta") < order.index("held.y") < order.index("error.y") < order.index("sum.y")
+
+
+def test_what_nobody_needs_is_not_computed() -> None:
+    d = Diagram("idle")
+    d.input("u")
+    d.add("unused", Gain(), u="u")
+    d.add("used", Gain(), u="u")
+    d.output("y", "used")
+    flat = lower(d, 0.01)
+    assert [s.path for g in flat.tick for a in g.actions for s in a.signals] == ["used.y"]
+
+
+def test_thousands_of_blocks_in_a_row_do_not_exhaust_the_stack() -> None:
+    d = Diagram("deep")
+    d.input("u")
+    last = "u"
+    for k in range(3000):
+        d.add(f"g{k}", Gain(), u=last)
+        last = f"g{k}"
+    d.output("y", last)
+    assert len(lower(d, 0.01).tick[0].actions) == 3000

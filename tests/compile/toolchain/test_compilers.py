@@ -1,0 +1,234 @@
+"""Compilers and the cache of what they made: two processes at once, damage, no right to write, other flags."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import select
+import stat
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.patience import PATIENCE_S
+from twodof.compile.native import target
+from twodof.compile.toolchain import cache as cache_module
+from twodof.compile.toolchain import compilers
+from twodof.errors import CompileError
+
+SOURCE = "int twodof_answer(void) { return 42; }\n"
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("TWODOF_CACHE", str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+def answer(library: ctypes.CDLL) -> int:
+    return int(library.twodof_answer())
+
+
+def test_the_second_time_no_compiler_runs(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    compiler = compilers.find_compiler()
+    assert answer(target.load(SOURCE, compiler)) == 42
+    assert len(list(cache.glob("*.so"))) == 1
+    assert stat.S_IMODE(cache.stat().st_mode) == 0o700
+
+    def never(*_: object) -> None:
+        raise AssertionError
+
+    monkeypatch.setattr(compilers, "compile_c", never)
+    start = time.process_time()
+    assert answer(target.load(SOURCE, compiler)) == 42
+    assert time.process_time() - start < 0.5  # milliseconds, by this process's own clock
+
+
+def test_source_flags_and_compiler_are_in_the_key(cache: Path) -> None:
+    gcc, zig = compilers.find_compiler(), compilers.find_compiler("zig")
+    target.load(SOURCE, gcc)
+    target.load(SOURCE, gcc, "-O0")
+    target.load(SOURCE, gcc, native=False)
+    target.load(SOURCE, gcc, flags=["-DX=1"])
+    target.load(SOURCE.replace("42", "43"), gcc)
+    target.load(SOURCE, zig)
+    assert len(list(cache.glob("*.so"))) == 6
+    assert [p for p in cache.iterdir() if p.suffix != ".so"] == []  # nothing is left over
+
+
+@pytest.mark.parametrize("damage", [b"", b"\x7fELF", None])
+def test_a_damaged_entry_is_made_anew(cache: Path, damage: bytes | None) -> None:
+    compiler = compilers.find_compiler()
+    target.load(SOURCE.replace("42", "44"), compiler)
+    (entry,) = cache.glob("*.so")
+    whole = entry.read_bytes()
+    entry.unlink()  # the old file stays mapped in this process
+    entry.write_bytes(whole[: len(whole) // 2] if damage is None else damage)
+    assert answer(target.load(SOURCE.replace("42", "44"), compiler)) == 44
+    assert cache_module.contents(entry)
+
+
+def test_a_flipped_bit_is_noticed(cache: Path) -> None:
+    target.load(SOURCE, compilers.find_compiler())
+    (entry,) = cache.glob("*.so")
+    data = bytearray(entry.read_bytes())
+    data[len(data) // 2] ^= 1
+    entry.unlink()
+    entry.write_bytes(bytes(data))
+    assert cache_module.contents(entry) is None
+
+
+def test_a_cache_that_cannot_be_written_is_done_without(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    blocked = tmp_path / "file"
+    blocked.write_text("not a folder", encoding="utf-8")
+    monkeypatch.setenv("TWODOF_CACHE", str(blocked / "cache"))
+    assert answer(target.load(SOURCE, compilers.find_compiler())) == 42
+    if os.geteuid() != 0:  # root may write everywhere
+        closed = tmp_path / "closed"
+        closed.mkdir(mode=0o500)
+        monkeypatch.setenv("TWODOF_CACHE", str(closed))
+        assert answer(target.load(SOURCE, compilers.find_compiler())) == 42
+
+
+def test_processes_that_build_the_same_at_once_all_get_it(cache: Path) -> None:
+    code = (
+        "from twodof.compile.native.target import load\n"
+        "from twodof.compile.toolchain.compilers import find_compiler\n"
+        f"print(load({SOURCE!r}, find_compiler()).twodof_answer())\n"
+    )
+    started = [subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) for _ in range(3)]
+    assert [p.communicate(timeout=PATIENCE_S)[0].strip() for p in started] == ["42"] * 3
+    assert len(list(cache.iterdir())) == 1
+
+
+def test_what_a_compiler_says_is_passed_on(cache: Path) -> None:
+    with pytest.raises(CompileError, match="refused"):
+        target.load("int broken(", compilers.find_compiler())
+    assert list(cache.iterdir()) == []
+
+
+def test_a_compiler_that_is_missing_or_broken_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(CompileError, match="no C compiler"):
+        compilers.find_compiler("no-such-compiler")
+    broken = tmp_path / "cc"
+    broken.write_text("#!/no/such/interpreter\n", encoding="utf-8")
+    broken.chmod(0o755)
+    with pytest.raises(CompileError, match="does not start"):
+        target.load(SOURCE, compilers.find_compiler(str(broken)))
+
+
+def test_a_compiler_that_hangs_ends_with_all_that_it_started(
+    cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As gcc's driver does, the script leaves the work to a process of its own, which holds the pipe's other end."""
+    pipe, hanging = tmp_path / "pipe", tmp_path / "cc"
+    os.mkfifo(pipe)
+    hanging.write_text(f"#!/bin/sh\nexec 3> {pipe}\nprintf begun >&3\nsleep {10 * PATIENCE_S:.0f}\ntrue\n")
+    hanging.chmod(0o755)
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+
+    class Begun(subprocess.Popen[bytes]):
+        """One whose time begins once its script has, however long the machine takes to start that."""
+
+        def communicate(self, input: bytes | None = None, timeout: float | None = None) -> tuple[bytes, bytes]:
+            assert select.select([reader], [], [], PATIENCE_S)[0] == [reader]
+            assert timeout == 1
+            return super().communicate(input, timeout)
+
+    monkeypatch.setattr(compilers, "BUILD_SECONDS", 1)
+    monkeypatch.setattr(subprocess, "Popen", Begun)
+    try:
+        with pytest.raises(CompileError, match="did not end within 1 s"):
+            target.load(SOURCE, compilers.find_compiler(str(hanging)))
+        assert os.read(reader, 100) == b"begun"
+        assert select.select([reader], [], [], PATIENCE_S)[0] == [reader]
+        assert os.read(reader, 100) == b""  # nobody has the other end any more
+    finally:
+        os.close(reader)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux limits a process that runs")
+def test_a_compiler_has_a_limit_of_processor_time_of_its_own(cache: Path, tmp_path: Path) -> None:
+    """It ends even if the Python that waits for it is killed before. The limit comes after its start, however soon."""
+    asked, wanted = tmp_path / "cc", compilers.BUILD_SECONDS
+    wait = f'for k in $(seq {10 * PATIENCE_S:.0f}); do [ "$(ulimit -t)" = {wanted} ] && break; sleep 0.1; done'
+    asked.write_text(f"#!/bin/sh\n{wait}\nulimit -t >&2\nexit 1\n", encoding="utf-8")
+    asked.chmod(0o755)
+    with pytest.raises(CompileError, match=f"{wanted}"):
+        target.load(SOURCE, compilers.find_compiler(str(asked)))
+
+
+def test_the_cache_does_not_grow_for_ever(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cache_module, "MOST_ENTRIES", 3)
+    compiler = compilers.find_compiler()
+    for k in range(6):
+        target.load(SOURCE.replace("42", str(k)), compiler, "-O0")
+    assert len(list(cache.glob("*.so"))) <= 4
+
+
+def test_the_cache_is_bounded_in_bytes(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    compiler = compilers.find_compiler()
+    target.load(SOURCE, compiler, "-O0")
+    one = sum(file.stat().st_size for file in cache.glob("*.so"))
+    monkeypatch.setattr(cache_module, "MOST_BYTES", 3 * one)
+    for k in range(8):
+        target.load(SOURCE.replace("42", str(k)), compiler, "-O0")
+    assert sum(file.stat().st_size for file in cache.glob("*.so")) <= 4 * one
+
+
+def test_what_another_process_prunes_between_look_and_reading_is_made_anew(
+    cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = []
+
+    def make(file: Path) -> None:
+        made.append(file)
+        file.write_bytes(b"made")
+
+    look = cache_module.contents
+
+    def pruned(file: Path) -> bytes | None:
+        found = look(file)
+        file.unlink(missing_ok=True)
+        return found
+
+    for number, whole in enumerate((look, pruned, look), 1):
+        monkeypatch.setattr(cache_module, "contents", whole)
+        assert cache_module.cached_bytes(["a key"], ".x", make) == b"made"
+        assert len(made) == min(number, 2)
+    (entry,) = cache.iterdir()
+    assert look(entry)
+
+
+@pytest.mark.parametrize("mode", [0o777, 0o770])
+def test_a_cache_that_others_can_write_is_not_used(cache: Path, mode: int) -> None:
+    compiler = compilers.find_compiler()
+    target.load(SOURCE, compiler, "-O0")
+    before = sorted(cache.iterdir())
+    assert before
+    cache.chmod(mode)
+    with pytest.warns(RuntimeWarning, match="others may write into this cache"):
+        assert target.load(SOURCE.replace("42", "43"), compiler, "-O0") is not None
+    assert sorted(cache.iterdir()) == before
+
+
+def test_without_a_home_a_folder_that_others_can_write_is_not_trusted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def homeless() -> Path:
+        raise RuntimeError("no home")
+
+    for name in ("TWODOF_CACHE", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(Path, "home", homeless)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    own = cache_module.cache_folder()
+    assert own.parent == tmp_path
+    assert cache_module.cache_folder() == own
+    assert own.stat().st_mode & 0o077 == 0
+    own.chmod(0o777)
+    assert cache_module.cache_folder() != own
