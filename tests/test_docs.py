@@ -82,6 +82,14 @@ def test_a_broken_link_is_found(tmp_path: Path) -> None:
     assert list(broken_links(page)) == ["page.md: nowhere.md", "page.md: #c (no such heading)"]
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(PROJECT)))
+def test_every_file_that_a_page_names_is_there(page: Path) -> None:
+    text = re.sub(r"```.*?```", "", page.read_text(), flags=re.DOTALL)
+    named = set(re.findall(r"(?<![\w/.*$])((?:\w+/)+\w+\.(?:py|c|xml|mjs))\b", text))
+    places = (PROJECT, SOURCE, PROJECT / "tests", PROJECT / "tests" / "fcu")
+    assert sorted(name for name in named if not any((place / name).is_file() for place in places)) == []
+
+
 def run(code: Path, folder: Path) -> None:
     """Run a Python file in an empty folder, warnings being errors; its stderr is the failure's text."""
     environment = {**os.environ, "MPLBACKEND": "Agg", "PYTHONWARNINGS": "error"}
