@@ -14,8 +14,9 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from bench import closed_loop, companion, cortex_m7, flight_stack, greybox, kill_latency, lanes, link, start_up, targets
+from bench.computing import closed_loop, cortex_m7, greybox, lanes, start_up, targets
 from bench.measure import Figure, machine
+from bench.stack import companion, flight_stack, kill_latency, link
 from twodof.flightlog.atomic import atomic_write
 
 BENCHMARKS: Mapping[str, Callable[[bool], list[Figure]]] = {

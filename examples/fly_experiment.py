@@ -8,8 +8,8 @@ import sys
 
 import numpy as np
 
-from twodof.cli.own_drone import own_drone
 from twodof.experiment import Flight, Laboratory, fly
+from twodof.fleet import virtual_drone
 from twodof.gcs import Drone
 from twodof.identify import KINDS, cut, fit
 from twodof.models import pitch_rate
@@ -31,7 +31,7 @@ else:
     simulated = Laboratory("paper").fly("doublet", seed=3)
     print("simulated")
     told(simulated)
-    with own_drone("paper") as url, Drone.connect(url) as drone:
+    with virtual_drone("paper") as url, Drone.connect(url) as drone:
         flown = fly("doublet", drone, seed=3)
     print("flown over MAVLink, in a process of its own")
     told(flown)

@@ -4,8 +4,8 @@ from math import radians
 
 import numpy as np
 
-from twodof.cli.own_drone import own_drone
 from twodof.excitation import Doublet
+from twodof.fleet import virtual_drone
 from twodof.gcs import Drone
 
 # Proportional, integral and derivative gain by crossover [rad/s], found by loop shaping on the identified model.
@@ -16,7 +16,7 @@ designs = {
 }
 doublets = Doublet(radians(30.0), 1.0, unit="rad/s", repeat=2, pause=0.5, settle=0.5)
 
-with own_drone("lab", "--rings") as url, Drone.connect(url) as drone:
+with virtual_drone("lab", "--rings") as url, Drone.connect(url) as drone:
     print("crossover  RMS of q0 - q  peak of q  RMS of M")
     for crossover, gains in designs.items():
         drone.parameters.update(gains)  # all of them at one tick, or none

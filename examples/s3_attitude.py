@@ -2,13 +2,13 @@
 
 from math import radians
 
-from twodof.cli.own_drone import own_drone
+from twodof.fleet import virtual_drone
 from twodof.gcs import Drone
 from twodof.models import step_figures
 
 STEP = radians(10.0)
 
-with own_drone("lab", "--rings") as url, Drone.connect(url) as drone:
+with virtual_drone("lab", "--rings") as url, Drone.connect(url) as drone:
     for gain in (5.0, 11.0):
         drone.parameters["ATT_KP"] = gain
         drone.run(0.5)

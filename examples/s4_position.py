@@ -1,13 +1,13 @@
 """Session 4: the cart is free: velocity and position along the rail with two position gains, recorded; the failsafe."""
 
-from twodof.cli.own_drone import own_drone
+from twodof.fleet import virtual_drone
 from twodof.flightlog import read_log, write_log
 from twodof.gcs import Drone
 from twodof.models import step_figures
 
 STEP = 0.15
 
-with own_drone("lab") as url, Drone.connect(url) as drone, drone.record("position.mcap") as recording:
+with virtual_drone("lab") as url, Drone.connect(url) as drone, drone.record("position.mcap") as recording:
     drone.parameters.update({"VEL_KP": 2.4, "VEL_KI": 2.81})  # the paper's design; crossover 4.2 rad/s
     drone.run(0.5)
     drone.arm()

@@ -21,6 +21,7 @@ ROWS = [
     {"rig", "flight", "link"},
     {"fcu", "fcc", "gcs", "identify", "design"},
     {"sim"},
+    {"fleet"},
     {"experiment"},
     {"calibrate", "report", "campaign"},
     {"lab"},

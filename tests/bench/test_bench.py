@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench import closed_loop, greybox, start_up
 from bench.__main__ import BENCHMARKS, main
-from bench.closed_loop import AGREEMENT, CompiledLoop, numbered
-from bench.hand_loop import HandLoop
+from bench.computing import closed_loop, greybox, start_up
+from bench.computing.closed_loop import AGREEMENT, CompiledLoop, numbered
+from bench.computing.hand_loop import HandLoop
+from bench.computing.mujoco_loop import MujocoLoop
 from bench.measure import Figure, timed
-from bench.mujoco_loop import MujocoLoop
 from twodof.errors import ParameterError
 from twodof.identify import Record
 from twodof.identify.simulate import RecordSimulator

@@ -3,7 +3,7 @@
 import asyncio
 from pathlib import Path
 
-from bench import companion
+from bench.stack import companion
 
 
 def test_every_frame_is_measured(tmp_path: Path) -> None:

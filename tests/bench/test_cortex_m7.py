@@ -9,8 +9,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from bench import cortex_m7
-from bench.cortex_m7 import AGREEMENT, ATTITUDE_WORDS, CASCADE_WORDS, PLAIN, UNFUSED, compiled, difference, hand
+from bench.computing import cortex_m7
+from bench.computing.cortex_m7 import (
+    AGREEMENT,
+    ATTITUDE_WORDS,
+    CASCADE_WORDS,
+    PLAIN,
+    UNFUSED,
+    compiled,
+    difference,
+    hand,
+)
 from tests.toolchains import need
 from twodof.blocks import Diagram
 from twodof.flight.control.cascade import cascade

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from bench.latency import lateness
+from bench.stack.latency import lateness
 
 
 def test_a_set_point_is_as_late_as_the_first_change_by_it() -> None:

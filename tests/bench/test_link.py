@@ -3,7 +3,7 @@
 import asyncio
 import time
 
-from bench import link
+from bench.stack import link
 
 
 def test_every_round_trip_is_answered() -> None:

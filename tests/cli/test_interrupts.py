@@ -85,7 +85,7 @@ def test_an_interrupt_where_python_can_raise_nothing_comes_again() -> None:
         import signal, sys, time, types
         import typer
         from twodof.cli import main
-        slow = types.ModuleType("twodof.cli.log")
+        slow = types.ModuleType("twodof.cli.logs.log")
         slow.app = typer.Typer()
         class Closing:
             def __del__(self) -> None:
@@ -97,7 +97,7 @@ def test_an_interrupt_where_python_can_raise_nothing_comes_again() -> None:
             for _ in range(10_000):
                 time.sleep(0.001)
             print("it goes on")
-        sys.modules["twodof.cli.log"] = slow
+        sys.modules["twodof.cli.logs.log"] = slow
         sys.argv[1:] = ["log"]
         main()
     """

@@ -11,7 +11,7 @@ from pathlib import Path
 from queue import Queue
 from typing import Any
 
-from bench.programs import Running, running
+from bench.stack.programs import Running, running
 from tests.patience import PATIENCE_S
 from twodof.sim.virtual_drone import VirtualDrone
 

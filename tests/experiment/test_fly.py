@@ -23,7 +23,7 @@ from twodof.experiment.checks import data_checks, received
 from twodof.experiment.flight import Flight, Laboratory
 from twodof.experiment.fly import fly
 from twodof.experiment.protocol import EXPERIMENTS, Experiment, experiment
-from twodof.experiment.received import COLUMNS, NAMES, Samples
+from twodof.experiment.received import COLUMNS, NAMES, ReceivedSamples
 from twodof.experiment.script import Script, script
 from twodof.flight.core import PERIOD
 from twodof.flight.failsafe.causes import ACTIONS, named_causes
@@ -431,7 +431,7 @@ def test_lost_samples_are_gaps_in_the_log_and_fail_the_check_where_there_are_too
     ticks = np.arange(plan.steps)
 
     def judged(kept: NDArray[np.bool_]) -> tuple[bool, int]:
-        samples = Samples.of(ticks[kept], values[kept], 0, plan.steps)
+        samples = ReceivedSamples.of(ticks[kept], values[kept], 0, plan.steps)
         return received(plan, samples.on_grid(0, plan.steps)[1]).passed, len(samples.log({})["theta"])
 
     def without(start: int, stop: int, every: int = 1) -> NDArray[np.bool_]:
@@ -452,7 +452,7 @@ def test_truth_that_was_lost_is_a_gap_and_its_steps_are_judged_by_the_estimates(
     values[:, NAMES.index("theta")] = 0.2
     ticks, true = np.arange(plan.steps), np.full((plan.steps, 4), 0.1)
     known = (ticks < plan.begin) | (ticks >= plan.begin + 3)
-    samples = Samples.of(ticks, values, 0, plan.steps, ticks[known], true[known])
+    samples = ReceivedSamples.of(ticks, values, 0, plan.steps, ticks[known], true[known])
     assert len(samples.log({})["theta_true"]) == plan.steps - 3
     out, _ = samples.on_grid(0, plan.steps)
     (pitch,) = (
@@ -466,7 +466,7 @@ def test_truth_that_was_lost_is_a_gap_and_its_steps_are_judged_by_the_estimates(
 
 def test_rows_that_come_twice_in_disorder_or_from_before_are_put_right() -> None:
     values = np.arange(4.0)[:, None] * np.ones(len(COLUMNS))
-    samples = Samples.of([12, 10, 12, 3], values, first=10, steps=3)
+    samples = ReceivedSamples.of([12, 10, 12, 3], values, first=10, steps=3)
     np.testing.assert_array_equal(samples.ticks, [10, 12])
     out, have = samples.on_grid(10, 3)
     np.testing.assert_array_equal(have, [True, False, True])

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.programs import Running, running
+from bench.stack.programs import Running, running
 from tests.faults.cable import Cable
 from tests.faults.whole import DESCEND, LEVEL, OFF, tell
 from tests.patience import PATIENCE_S, patiently

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.programs import running
+from bench.stack.programs import running
 from twodof.flightlog import read_log
 from twodof.gcs.drone import Drone
 from twodof.signals import TOPICS

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from bench.programs import free_port, port, running
+from bench.stack.programs import free_port, port, running
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.programs import port
+from bench.stack.programs import port
 from tests.interop.mavproxy import MavProxy
 from tests.patience import patiently
 from twodof.fcu.parameters.store import ParameterStore

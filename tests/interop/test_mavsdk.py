@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from pyulog import ULog
 
-from bench.programs import port
+from bench.stack.programs import port
 from tests.patience import PATIENCE_S
 from twodof.fcu.parameters.store import ParameterStore
 

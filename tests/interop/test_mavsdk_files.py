@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.programs import port
+from bench.stack.programs import port
 from tests.patience import PATIENCE_S
 from twodof.fcu.mavlink.files.metadata import metadata_files
 from twodof.fcu.onboard_log.step_row import STEP_TOPIC

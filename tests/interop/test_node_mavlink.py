@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import common
 
-from bench.programs import port
+from bench.stack.programs import port
 from tests.interop.raw_session import RawSession
 from tests.patience import PATIENCE_S
 from tests.toolchains import need_node_package

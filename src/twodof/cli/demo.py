@@ -11,10 +11,10 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from twodof.cli.fly_series import fly_series
 from twodof.cli.output import Json, print_json, progress, table_console
 from twodof.errors import LogError
 from twodof.experiment.flight import Flight, Laboratory
+from twodof.experiment.flight_series import fly_series
 from twodof.experiment.protocol import IDENTIFICATION, Experiment
 from twodof.flightlog.atomic import atomic_write
 from twodof.flightlog.files import check_folder

@@ -10,9 +10,9 @@ from rich.console import Console
 from rich.table import Table
 
 from twodof.blocks import Diagram
-from twodof.cli.diagram_argument import DIAGRAM_HELP, read_diagram
+from twodof.cli.diagrams.argument import DIAGRAM_HELP, read_diagram
+from twodof.cli.logs.plot import Plot, draw
 from twodof.cli.output import Json, print_json, say_line, table_console
-from twodof.cli.plot import Plot, draw
 from twodof.errors import ParameterError
 from twodof.experiment.flight import Laboratory
 from twodof.experiment.protocol import EXPERIMENTS

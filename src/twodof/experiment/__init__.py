@@ -1,6 +1,6 @@
 """Experiments: protocols that excite a rig whose flight controller runs a diagram, and the flights they make."""
 
-from twodof.experiment.checks import Check
+from twodof.experiment.checks import FlightCheck
 from twodof.experiment.flight import Flight, Laboratory, simulate
 from twodof.experiment.fly import fly
 from twodof.experiment.protocol import EXPERIMENTS, IDENTIFICATION, Experiment, experiment
@@ -8,9 +8,9 @@ from twodof.experiment.protocol import EXPERIMENTS, IDENTIFICATION, Experiment, 
 __all__ = [
     "EXPERIMENTS",
     "IDENTIFICATION",
-    "Check",
     "Experiment",
     "Flight",
+    "FlightCheck",
     "Laboratory",
     "experiment",
     "fly",

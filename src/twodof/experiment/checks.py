@@ -29,7 +29,7 @@ _EXCITED = {"M_open": "q", "q0": "q", "theta0": "theta", "v0": "v", "x0": "x"}
 
 
 @dataclass(frozen=True)
-class Check:
+class FlightCheck:
     """Whether a flight is good for its purpose in one respect, and what was seen."""
 
     name: str
@@ -37,7 +37,7 @@ class Check:
     seen: str
 
 
-def data_checks(experiment: Experiment, plan: Script, out: Signals, stops: Mapping[str, float]) -> list[Check]:
+def data_checks(experiment: Experiment, plan: Script, out: Signals, stops: Mapping[str, float]) -> list[FlightCheck]:
     """No stop was touched, and the response stands out of what the signal did before (five standard deviations).
 
     `stops` are `pitch_stop` [rad] and `rail_stop` [m]. Pitch and place are the true ones in the steps in which `out`
@@ -46,12 +46,14 @@ def data_checks(experiment: Experiment, plan: Script, out: Signals, stops: Mappi
     flown = slice(plan.begin, plan.end)
     steepest, by = _farthest(out, "theta", flown)
     checks = [
-        Check("pitch free", steepest < stops["pitch_stop"] - STOP_MARGIN, f"{np.degrees(steepest):.1f} deg, {by}"),
+        FlightCheck(
+            "pitch free", steepest < stops["pitch_stop"] - STOP_MARGIN, f"{np.degrees(steepest):.1f} deg, {by}"
+        ),
         _excited(experiment, plan, out),
     ]
     if not experiment.rings:
         farthest, by = _farthest(out, "x", flown)
-        checks.append(Check("rail free", farthest < stops["rail_stop"] - STOP_MARGIN, f"{farthest:.3f} m, {by}"))
+        checks.append(FlightCheck("rail free", farthest < stops["rail_stop"] - STOP_MARGIN, f"{farthest:.3f} m, {by}"))
     return checks
 
 
@@ -72,38 +74,38 @@ def _largest(values: NDArray[Any]) -> float:
     return float(np.abs(known).max()) if known.size else float("nan")
 
 
-def _excited(experiment: Experiment, plan: Script, out: Signals) -> Check:
+def _excited(experiment: Experiment, plan: Script, out: Signals) -> FlightCheck:
     name = _EXCITED[SETPOINT[experiment.mode]]
     before = out[name][max(0, plan.begin - 250) : plan.begin]
     before = before[np.isfinite(before)]
     if not before.size:
-        return Check("excited", False, f"no sample of {name} before the excitation")
+        return FlightCheck("excited", False, f"no sample of {name} before the excitation")
     largest = _largest(out[name][plan.begin : plan.end] - before.mean())
-    return Check(
+    return FlightCheck(
         "excited", largest > 5.0 * float(before.std()), f"{name} moves by {largest:.3g}, {before.std():.2g} before"
     )
 
 
-def commanded(out: Signals) -> Check:
+def commanded(out: Signals) -> FlightCheck:
     """Whether the controllers always gave numbers."""
     lost = {name: np.flatnonzero(~np.isfinite(out[name])) for name in ("M", "T")}
     first = {name: steps[0] * PERIOD for name, steps in lost.items() if steps.size}
     if not first:
-        return Check("commands are numbers", True, "M and T are")
+        return FlightCheck("commands are numbers", True, "M and T are")
     name = min(first, key=lambda name: first[name])
-    return Check(
+    return FlightCheck(
         "commands are numbers",
         False,
         f"{name} is not finite from {first[name]:.3f} s on, in {lost[name].size} steps, where the motors were stopped",
     )
 
 
-def not_judged(reason: str) -> Check:
+def not_judged(reason: str) -> FlightCheck:
     """What stands for the checks of the data of a flight that was broken off."""
-    return Check("data", False, f"not judged: {reason}")
+    return FlightCheck("data", False, f"not judged: {reason}")
 
 
-def received(plan: Script, have: NDArray[np.bool_]) -> Check:
+def received(plan: Script, have: NDArray[np.bool_]) -> FlightCheck:
     """Whether enough samples came over the link; `have` (n,) says of which of the control steps that were flown."""
     missing = int((~have).sum())
     flown = have[plan.begin : plan.end]
@@ -111,4 +113,4 @@ def received(plan: Script, have: NDArray[np.bool_]) -> Check:
     gap = float(np.diff(edges).max() - 1) * PERIOD
     good = missing <= MOST_LOST * len(have) and gap <= LONGEST_GAP
     seen = f"{missing} of {len(have)} lost" + (f", longest gap in the excitation {1e3 * gap:.0f} ms" if gap else "")
-    return Check("samples received", good, seen)
+    return FlightCheck("samples received", good, seen)

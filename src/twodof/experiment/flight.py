@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from twodof.blocks import Diagram
 from twodof.blocks.schema.json_form import to_json
 from twodof.errors import ExperimentError, ParameterError
-from twodof.experiment.checks import Check, commanded, data_checks
+from twodof.experiment.checks import FlightCheck, commanded, data_checks
 from twodof.experiment.protocol import EXPERIMENTS, Experiment
 from twodof.experiment.protocol import experiment as named_experiment
 from twodof.experiment.record import flight_log
@@ -54,7 +54,7 @@ class Flight:
     log: FlightLog
     x_start: float
     seed: int
-    checks: tuple[Check, ...]
+    checks: tuple[FlightCheck, ...]
     reason: str = ""
 
     @property

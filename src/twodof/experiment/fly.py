@@ -10,10 +10,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from twodof.errors import ExperimentError, LinkLost, Rejected, Timeout
-from twodof.experiment.checks import Check, data_checks, not_judged, received
+from twodof.experiment.checks import FlightCheck, data_checks, not_judged, received
 from twodof.experiment.flight import MARGIN, PITCH_MARGIN, Flight, Laboratory, ready
 from twodof.experiment.protocol import Experiment
-from twodof.experiment.received import COLUMNS, Samples, safety_in
+from twodof.experiment.received import COLUMNS, ReceivedSamples, safety_in
 from twodof.experiment.script import Script, on_wire, script
 from twodof.flight.core import PERIOD
 from twodof.flightlog.provenance import versions
@@ -111,11 +111,11 @@ def fly(
 
         def flight(reason: str) -> Flight:
             known = (truth.ticks, truth.values) if truth is not None else ()
-            samples = Samples.of(rows.ticks, rows.values, course.first, plan.steps, *known)
+            samples = ReceivedSamples.of(rows.ticks, rows.values, course.first, plan.steps, *known)
             out, have = samples.on_grid(course.first, plan.steps)
             checks = [
-                Check("flown to its end", not reason, reason or "yes"),
-                Check("failsafe silent", not course.acted, course.acted or "yes"),
+                FlightCheck("flown to its end", not reason, reason or "yes"),
+                FlightCheck("failsafe silent", not course.acted, course.acted or "yes"),
                 received(plan, have[: course.flown]),
             ]
             if reason:

@@ -50,7 +50,7 @@ def _no_states() -> NDArray[np.float64]:
 
 
 @dataclass(frozen=True, eq=False)
-class Samples:
+class ReceivedSamples:
     """Rows of `COLUMNS` that came: `values` (n, k), NaN where a channel had no new sample, at the `ticks` (n,).
 
     `truth` (m, 4) are the states `flightlog.steps.TRUTH` of a virtual rig at the ticks `truth_ticks` (m,); m is 0 with
@@ -71,7 +71,7 @@ class Samples:
         steps: int,
         truth_ticks: ArrayLike = (),
         truth: ArrayLike = (),
-    ) -> Samples:
+    ) -> ReceivedSamples:
         """Those of the `steps` control steps from the tick `first` on, in their order, each once."""
         rows = _within(ticks, np.reshape(np.asarray(values, dtype=np.float64), (-1, len(COLUMNS))), first, steps)
         return cls(

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.programs import running
+from bench.stack.programs import running
 from tests.patience import PATIENCE_S
 from twodof.errors import LinkError, LinkLost, Timeout
 from twodof.fcu.parameters.store import ParameterStore

@@ -1,0 +1,1 @@
+"""Benchmarks of compiled programs, of fits and of the start-up."""

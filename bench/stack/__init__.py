@@ -1,0 +1,1 @@
+"""Benchmarks of the flight stack: links, drones in processes of their own, latencies."""

@@ -1,0 +1,1 @@
+"""Commands that start a drone, find one or talk to one."""

@@ -1,0 +1,138 @@
+"""`twodof fly`: fly a ready-made experiment over MAVLink, on a virtual drone or a real one."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from twodof.cli.drone.connect import connect
+from twodof.cli.logs.plot import Plot, draw
+from twodof.cli.output import Json, print_json, progress, say_line, table_console
+from twodof.errors import LinkLost
+from twodof.experiment.flight import Flight, Laboratory
+from twodof.experiment.fly import fly as fly_experiment
+from twodof.experiment.protocol import EXPERIMENTS
+from twodof.experiment.protocol import experiment as named_experiment
+from twodof.fleet.active_controller import controller_in_words
+from twodof.fleet.virtual_drone import virtual_drone
+from twodof.flightlog.files import check_place, write_log
+from twodof.gcs.async_drone import DEFAULT_URL
+from twodof.gcs.drone import Drone
+from twodof.report.plots.flight_view import check_place as check_plot
+
+app = typer.Typer(add_completion=False, rich_markup_mode=None)
+
+
+@app.command()
+def fly(
+    experiment: Annotated[str, typer.Argument(help=f"One of {', '.join(EXPERIMENTS)}.")],
+    url: Annotated[str | None, typer.Option(help=f"Where the drone is, as `twodof up` says [{DEFAULT_URL}].")] = None,
+    rig: Annotated[
+        str | None, typer.Option(help="lab, paper, or a JSON file: fly a virtual drone of our own on this rig.")
+    ] = None,
+    controller: Annotated[
+        list[str] | None,
+        typer.Option(metavar="DIAGRAM", help="With --rig: fly this controller, in a sandbox; may be repeated."),
+    ] = None,
+    drone: Annotated[int | None, typer.Option(min=1, max=255, help="Its system, where several are heard.")] = None,
+    key: Annotated[Path | None, typer.Option(help="File of the key that signs everything.")] = None,
+    seed: Annotated[int, typer.Option(min=0, max=2**32 - 1, help="Seed of a virtual drone's noise.")] = 1,
+    start: Annotated[
+        float | None, typer.Option(metavar="X", help="Where the cart starts, in metres; left out: where it fits.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Write the flight's log (.mat, .mcap, .parquet, .csv).")] = None,
+    plot: Plot = None,
+    json: Json = False,
+) -> None:
+    """Arm, hold, excite on board, disarm, and check that the data are good enough.
+
+    A virtual drone is put to its start first. What went wrong in flight breaks it off: the drone is levelled and
+    disarmed, and the log holds what there is; so does Ctrl-C, which disarms at once, with exit status 130. Exit status
+    1: it was broken off, or its data are not good.
+    """
+    asked = named_experiment(experiment)
+    if url is not None and rig is not None:
+        raise typer.BadParameter("--url and --rig name two drones: give one of them")
+    if controller and rig is None:
+        raise typer.BadParameter("--controller goes with --rig: another drone flies what it was given")
+    if out is not None:
+        check_place(out)  # before anything moves: a flight is not flown for nothing
+    if plot is not None:
+        check_plot(plot)
+    own = [option for name in controller or [] for option in ("--controller", name)]
+    with ExitStack() as stack:
+        where = url or DEFAULT_URL if rig is None else stack.enter_context(virtual_drone(rig, *own))
+        report = stack.enter_context(progress())
+        there = stack.enter_context(connected(where, key, drone))
+        stands = there.state.rig
+        if stands.controller and not json:
+            sys.stderr.write(
+                f"drone {there.there.session.system} {controller_in_words(stands.controller, stands.changed)}\n"
+            )
+        laboratory = Laboratory(rig, controllers=controller) if rig is not None and controller else None
+
+        def interrupted(flight: Flight) -> None:
+            if out is not None:
+                write_log(flight.log, out)
+                say_line(f"written: {out}, up to the interruption")
+
+        flight = fly_experiment(
+            asked,
+            there,
+            seed=seed,
+            x_start=start,
+            laboratory=laboratory,
+            progress=report,
+            interrupted=interrupted,
+        )
+        machine = there.state.rig
+        if out is not None:
+            write_log(flight.log, out)
+        if plot is not None:
+            draw(flight.log, plot, title=f"{experiment} on {machine.name}")
+    if json:
+        print_json(
+            {
+                "experiment": experiment,
+                "rig": machine.name,
+                "virtual": machine.virtual,
+                "controller": stands.controller,
+                "changed": stands.changed,
+                "seed": flight.seed,
+                "x_start_m": flight.x_start,
+                "good": flight.good,
+                "reason": flight.reason or None,
+                "checks": [{"name": c.name, "passed": c.passed, "seen": c.seen} for c in flight.checks],
+                "file": None if out is None else str(out),
+                "plot": None if plot is None else str(plot),
+            }
+        )
+    else:
+        _print(flight, machine.name, out, plot)
+    if not flight.good:
+        raise typer.Exit(1)
+
+
+@contextmanager
+def connected(url: str, key: Path | None, system: int | None) -> Iterator[Drone]:
+    """The drone at `url`. That its link was lost is no news at the end: the flight has said so."""
+    drone = connect(url, key=key, drone=system)
+    try:
+        yield drone
+    finally:
+        with suppress(LinkLost):
+            drone.close()
+
+
+def _print(flight: Flight, rig: str, *written: Path | None) -> None:
+    console = table_console()
+    console.print(f"{flight.experiment.name} flown on {rig}, seed {flight.seed}, start x = {flight.x_start:+.3f} m")
+    for check in flight.checks:
+        console.print(f"  {'ok    ' if check.passed else 'FAILED'} {check.name}: {check.seen}")
+    for path in filter(None, written):
+        console.print(f"written: {path}")

@@ -1,0 +1,122 @@
+"""`twodof parameters`: see and set what can be tuned on a drone, the parameters of a controller of one's own too."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.markup import escape
+from rich.table import Table
+
+from twodof.cli.drone.connect import connect
+from twodof.cli.output import Json, print_json, table_console
+from twodof.errors import ParameterError, shown
+from twodof.gcs.async_drone import DEFAULT_URL
+from twodof.gcs.control.parameter_entry import ParameterDescription, ParameterEntry
+from twodof.gcs.drone import Drone
+from twodof.parameters import Parameter
+
+app = typer.Typer(add_completion=False, rich_markup_mode=None)
+
+
+@app.command()
+def parameters(
+    wanted: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[NAME[=VALUE]]...",
+            help="Which to show, or to set: a name, or a path such as attitude_control.k_q.",
+        ),
+    ] = None,
+    url: Annotated[str, typer.Option(help="Where the drone is, as `twodof up` or `twodof drones` says.")] = DEFAULT_URL,
+    drone: Annotated[int | None, typer.Option(min=1, max=255, help="Its system, where several are heard.")] = None,
+    key: Annotated[Path | None, typer.Option(help="File of the key that signs everything.")] = None,
+    changed: Annotated[
+        bool, typer.Option("--changed", help="Of all, show those that are not at their defaults.")
+    ] = False,
+    json: Json = False,
+) -> None:
+    """Show a drone's parameters, or set some: all that are given act together at one tick, or none does.
+
+    Those of a controller of one's own that flies there have the paths in its diagram as names too. Setting needs that
+    nobody else commands the drone; showing needs nothing. A value that the drone refuses, and a name that it has not:
+    exit status 2, and nothing was changed.
+    """
+    names, changes = _asked(wanted or ())
+    with Drone.connect(url, key=key, drone=drone, take_lease=False) as there:
+        described = there.parameters.describe() if there.there.ours else {}
+        # Whoever has a lease disarms when leaving, and a drone in flight is not ours to disarm: who flies it tunes it.
+        with_lease = bool(changes) and not there.state.armed
+        rows = [] if with_lease else _rows(there, names, changes, described)
+    if with_lease:
+        with connect(url, key=key, drone=drone) as there:
+            rows = _rows(there, names, changes, described)
+    if changed:
+        rows = [row for row in rows if row["default"] is not None and row["value"] != row["default"]]
+    if json:
+        print_json({"url": url, "set": changes, "parameters": rows})
+        return
+    if changed and not rows:
+        table_console().print("all are at their defaults")
+        return
+    table = Table("name", "value", "default", "from", "to", "unit", "is", box=None, pad_edge=False)
+    for column in table.columns[:-1]:  # in a narrow terminal the words are broken, no name and no number is cut
+        column.no_wrap = True
+    for column in table.columns[1:5]:
+        column.justify = "right"
+    for row in rows:
+        numbers = (_number(row[key]) for key in ("value", "default", "low", "high"))
+        table.add_row(row["name"], *numbers, escape(row["unit"]), escape(row["text"]))
+    table_console().print(table)
+
+
+def _asked(wanted: Iterable[str]) -> tuple[list[str], dict[str, float]]:
+    """The names to show and what is to be set. Raises ParameterError for a value that is no number."""
+    names: list[str] = []
+    changes: dict[str, float] = {}
+    for one in wanted:
+        name, set_it, text = one.partition("=")
+        if set_it:
+            try:
+                changes[name] = float(text)
+            except ValueError:
+                raise ParameterError(f"{shown(text)} is no number", name, "nothing was changed") from None
+        names.append(name)
+    return [*dict.fromkeys(names)], changes
+
+
+def _rows(
+    drone: Drone, names: Iterable[str], changes: Mapping[str, float], described: Mapping[str, ParameterDescription]
+) -> list[dict[str, Any]]:
+    """Sets what is to be set, and says how those of `names`, or all, stand then."""
+    if changes:
+        drone.parameters.change(changes)
+    if not names:
+        return [_listed(entry, described) for entry in drone.parameters.all().values()]
+    paths = {row.path: row.name for row in described.values() if row.path}
+    values = {paths.get(name, name): drone.parameters[name] for name in names}
+    return [_row(name, value, described.get(name)) for name, value in values.items()]
+
+
+def _listed(entry: ParameterEntry, described: Mapping[str, ParameterDescription]) -> dict[str, Any]:
+    return _row(entry.name, entry.value, described.get(entry.name) or entry.row)
+
+
+def _row(name: str, value: float, row: Parameter | None) -> dict[str, Any]:
+    """What --json shows of one; null for what is not known of it."""
+    return {
+        "name": name,
+        "value": value,
+        "default": None if row is None else row.default,
+        "low": None if row is None else row.low,
+        "high": None if row is None else row.high,
+        "unit": "" if row is None else row.unit,
+        "text": "" if row is None else row.text,
+        "path": row.path if isinstance(row, ParameterDescription) else "",
+    }
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None or abs(value) > 3e38 else f"{value:.9g}"

@@ -1,0 +1,209 @@
+"""`twodof log info`, `plot`, `convert`, `recover` and `fetch`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.table import Table
+
+from twodof.cli.logs.plot import draw
+from twodof.cli.output import Json, one_line, print_json, table_console
+from twodof.errors import LogError
+from twodof.flightlog.contents import describe
+from twodof.flightlog.files import convert as convert_log
+from twodof.flightlog.files import read_log
+from twodof.flightlog.log import FlightLog
+from twodof.flightlog.public_data import PUBLIC_LOGS, find
+from twodof.flightlog.recovery import Recovered
+from twodof.flightlog.recovery import recover as recover_log
+from twodof.report.plots.flight_view import SUFFIXES, check_place, failsafe_bands
+
+app = typer.Typer(
+    help="Look into flight logs and convert them.", no_args_is_help=True, add_completion=False, rich_markup_mode=None
+)
+# More rows than this say nothing more to a reader; --json has all.
+_ROWS = 20
+
+
+@app.command()
+def info(
+    file: Annotated[Path, typer.Argument(help="A .mat, .mcap, .parquet, .csv or .ulg log.")],
+    json: Json = False,
+) -> None:
+    """Channels, rates, gaps, events, the experiment that a log looks like, what the failsafe did and the drone said."""
+    log = read_log(file)
+    found = describe(log)
+    found["failsafe"] = [asdict(band) for band in failsafe_bands(log)]
+    if json:
+        print_json(found)
+        return
+    console = table_console()
+    console.print(f"{found['source']}: {found['span_s'][0]:.3f} to {found['span_s'][1]:.3f} s, {_experiment(found)}")
+    table = Table("channel", "unit", "samples", "rate, Hz", "missing", "longest gap, ms", box=None, pad_edge=False)
+    for column in table.columns[2:]:
+        column.justify = "right"
+    for row in found["channels"]:
+        rate = "on events" if row["rate_hz"] is None else f"{row['rate_hz']:.2f}"
+        gap = f"{1e3 * row['longest_gap_s']:.1f}" if row["gaps"] else ""
+        table.add_row(row["name"], row["unit"] or "-", str(row["samples"]), rate, str(row["missing"] or ""), gap)
+    console.print(table)
+    if found["modes_unclear"]:
+        console.print(f"modes unknown: {found['modes_unclear']}")
+    for start, end in found["armed_s"]:
+        console.print(f"thrust on: {start:.3f} to {end:.3f} s")
+    for line in _flown(log):
+        console.print(line, soft_wrap=True)
+    for band in found["failsafe"][:_ROWS]:
+        console.print(f"failsafe: {band['start']:.3f} to {band['stop']:.3f} s  {band['label']}")
+    for event in found["events"][:_ROWS]:
+        console.print(
+            f"{event['time']:10.3f} s  {event['kind']} {event['channel']}: {event['before']:g} to {event['after']:g}"
+        )
+    if len(found["events"]) > _ROWS:
+        console.print(f"... and {len(found['events']) - _ROWS} more events")
+    said = [*_said(log)]
+    for line in said[:_ROWS]:
+        console.print(line, soft_wrap=True)
+    if len(said) > _ROWS:
+        console.print(f"... and {len(said) - _ROWS} more lines that the drone said")
+
+
+def _flown(log: FlightLog) -> Iterator[str]:
+    """What flew, and why it was broken off, as far as the log's maker has noted it."""
+    flown, drone = (log.provenance.get(name) for name in ("flown", "drone"))
+    flown, drone = (found if isinstance(found, dict) else {} for found in (flown, drone))
+    controller = flown.get("controller") or drone.get("controller")
+    if controller:
+        yield f"controller: {one_line(controller)}"
+    if flown.get("reason"):
+        yield f"broken off: {one_line(flown['reason'])}"
+
+
+def _said(log: FlightLog) -> Iterator[str]:
+    """What the drone said, as our own logs have it; of another's what is laid out so."""
+    texts = log.provenance.get("texts")
+    for row in texts if isinstance(texts, list) else ():
+        match row:
+            case [int() | float() as time, str() | int() as severity, str() as text]:
+                yield f"{time:10.3f} s  {one_line(severity)}: {one_line(text)}"
+
+
+def _experiment(found: dict[str, Any]) -> str:
+    experiment = found["experiment"]
+    if experiment is None:
+        return "no excitation found"
+    start, end = experiment["window"]
+    return f"{experiment['name']} between {start:.2f} and {end:.2f} s"
+
+
+@app.command()
+def plot(
+    file: Annotated[Path, typer.Argument(help="A .mat, .mcap, .parquet, .csv or .ulg log.")],
+    out: Annotated[
+        Path | None,
+        typer.Option(help=f"What to draw ({', '.join(SUFFIXES)}); FILE with .png if it is left out."),
+    ] = None,
+    topics: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME,...", help="Draw these signals only, such as theta,q,imu.gyro; may be repeated."),
+    ] = None,
+    window: Annotated[
+        tuple[float, float] | None, typer.Option(metavar="T0 T1", help="Draw this stretch only, in seconds of the log.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Draw a flight: pitch, rate, position, velocity and motors, set-points, modes, failsafe and excitation."""
+    target = out if out is not None else file.with_suffix(".png")
+    check_place(target)
+    names = [name for text in topics or () for name in text.split(",") if name]
+    notes = draw(read_log(file), target, names, window, file.name)
+    if json:
+        print_json({"file": str(target), "notes": list(notes)})
+        return
+    console = table_console()
+    for note in notes:
+        console.print(f"note: {note}")
+    console.print(f"written: {target}")
+
+
+@app.command()
+def convert(
+    source: Annotated[Path, typer.Argument(help="The log to read.")],
+    target: Annotated[Path, typer.Argument(help="The file to write; its suffix says the format.")],
+    wide: Annotated[
+        bool,
+        typer.Option("--wide", help="A table (.csv, .parquet) with a row a time stamp and a column a signal."),
+    ] = False,
+    json: Json = False,
+) -> None:
+    """Write a log in another format (.mat, .mcap, .parquet, .csv); the target is there whole or not at all."""
+    log = convert_log(source, target, wide)
+    if json:
+        print_json({"file": str(target), "channels": list(log.channels)})
+    else:
+        table_console().print(f"{target}: {len(log.channels)} channels")
+
+
+@app.command()
+def recover(
+    file: Annotated[Path, typer.Argument(help="An .mcap recording or .ulg log that was cut off or damaged.")],
+    out: Annotated[
+        Path | None, typer.Argument(help="The .mcap file to write; FILE with .recovered.mcap if it is left out.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Write what is sound of a recording as a complete .mcap file; FILE stays as it is.
+
+    Exit status 1: it is written, and no checksum vouches for something in it, which is named here and in the file.
+    """
+    target = out if out is not None else file.with_name(f"{file.stem}.recovered.mcap")
+    if target.suffix.lower() != ".mcap":
+        raise LogError(f"{target.suffix!r} is not what is written", str(target), "name an .mcap file")
+    if target.exists():
+        raise LogError("is there already", str(target), "name a new file: nothing is replaced")
+    found = recover_log(file)
+    found.write(target)
+    # What was written is what is reported: it has to read back whole.
+    samples = sum(len(channel) for channel in read_log(target).channels.values())
+    start, end = found.log.span
+    if json:
+        kept = {"file": str(target), "samples": samples, "span_s": [start, end]}
+        told = {"lost_bytes": found.lost_bytes, "what": list(found.what), "unverified": list(found.unverified)}
+        print_json(kept | told)
+    else:
+        _print_recovered(found, target, samples, (start, end))
+    if found.unverified:
+        raise typer.Exit(1)
+
+
+def _print_recovered(found: Recovered, target: Path, samples: int, span: tuple[float, float]) -> None:
+    start, end = span
+    console = table_console()
+    console.print(f"{target}: {samples} samples from {start:.3f} to {end:.3f} s", soft_wrap=True)
+    for line in found.what[:_ROWS] or ("nothing was wrong with it",):
+        console.print(line, soft_wrap=True)
+    if len(found.what) > _ROWS:
+        console.print(f"... and {len(found.what) - _ROWS} more")
+    console.print(f"{found.lost_bytes} bytes could not be used")
+
+
+@app.command()
+def fetch(
+    names: Annotated[
+        list[str] | None, typer.Argument(help="Names of public logs; all of them if none is named.")
+    ] = None,
+    deadline: Annotated[float, typer.Option(min=1.0, help="Seconds to wait for each download.")] = 60.0,
+    json: Json = False,
+) -> None:
+    """Find the public logs of the real drone, downloading those that are not at hand; checksums are verified."""
+    found = {}
+    for name in names or PUBLIC_LOGS:
+        found[name] = find(name, deadline)
+        if not json:
+            table_console().print(f"{name}: {found[name]}", soft_wrap=True)
+    if json:
+        print_json({name: str(path) for name, path in found.items()})

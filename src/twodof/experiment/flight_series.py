@@ -1,0 +1,108 @@
+"""Many flights over MAVLink at once: a process for each rig, which flies its drone and hands the flights over."""
+
+from __future__ import annotations
+
+import multiprocessing
+import signal
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from multiprocessing.connection import Connection, wait
+
+from twodof.errors import ExperimentError, TwodofError
+from twodof.experiment.flight import Flight, Laboratory
+from twodof.experiment.fly import fly
+from twodof.fleet.virtual_drone import virtual_drone
+from twodof.gcs.drone import Drone
+
+FLIGHT_S = 300.0
+"""Longest time without a flight from any rig [s]: the first one waits for the compiler."""
+
+_END_S = 10.0
+
+
+SeriesFlight = tuple[str, str, int, Flight]
+"""Rig, experiment, seed and the flight."""
+
+
+def fly_series(rigs: Iterable[str], names: Sequence[str], seeds: Iterable[int]) -> Iterator[SeriesFlight]:
+    """Flies the experiments `names` with each of the `seeds` on a virtual drone of each rig, in lockstep, side by side.
+
+    Yields them as they come. Raises what `fly` raises, and ExperimentError where a process
+    ends or says nothing; then, and when it is left early, all processes are ended.
+    """
+    spawning = multiprocessing.get_context("spawn")
+    seeds = list(seeds)
+    left: dict[Connection, str] = {}
+    processes = []
+    try:
+        for rig in rigs:
+            ours, theirs = spawning.Pipe(duplex=False)
+            process = spawning.Process(target=_fly_all, args=(theirs, rig, list(names), seeds), name=f"rig {rig}")
+            with _no_interrupt_for_children():
+                process.start()
+                processes.append(process)
+            theirs.close()
+            left[ours] = rig
+        while left:
+            ready = wait(list(left), FLIGHT_S)
+            if not ready:
+                raise ExperimentError(f"no flight within {FLIGHT_S:g} s", ", ".join(left.values()), "try again")
+            for connection in ready:
+                if isinstance(connection, Connection):
+                    yield from _taken(connection, left)
+    finally:
+        for process in processes:
+            process.terminate()
+        for process in processes:
+            process.join(_END_S)
+            process.kill()
+            process.join()
+        for connection in left:
+            connection.close()
+
+
+@contextmanager
+def _no_interrupt_for_children() -> Iterator[None]:
+    """What is started meanwhile never gets Ctrl-C, from its first moment on; it is the parent's, who ends them.
+
+    One that comes meanwhile waits for the end of the block.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _taken(connection: Connection, left: dict[Connection, str]) -> Iterator[SeriesFlight]:
+    """The flight that has come from a rig, if it was not the last already."""
+    rig = left[connection]
+    try:
+        got = connection.recv()
+    except EOFError:
+        raise ExperimentError("its process ended in the middle", f"rig {rig}", "see what it says") from None
+    if got is None:
+        del left[connection]
+        connection.close()
+    elif isinstance(got, TwodofError):
+        raise got
+    else:
+        name, seed, flight = got
+        yield rig, name, seed, flight
+
+
+def _fly_all(connection: Connection, rig: str, names: list[str], seeds: list[int]) -> None:
+    """The process of a rig."""
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit())
+    sys.unraisablehook = lambda _: None  # where that cannot be raised nobody is to read of it
+    try:
+        laboratory = Laboratory(rig)
+        with virtual_drone(rig) as url, Drone.connect(url) as drone:
+            drone.parameters["SDLOG_MODE"] = -1  # nobody is to read a log on board
+            for name in names:
+                for seed in seeds:
+                    connection.send((name, seed, fly(name, drone, seed, laboratory=laboratory)))
+    except TwodofError as error:
+        connection.send(error)
+    connection.send(None)

@@ -1,0 +1,22 @@
+"""`python -m twodof.fleet.child ARGUMENTS`: runs `twodof ARGUMENTS`, which ends with the process that started it.
+
+The parent holds the other end of our standard input and never writes: its end is the parent's, however that died.
+"""
+
+from __future__ import annotations
+
+import os
+import runpy
+import signal
+import threading
+
+
+def _end_with_parent() -> None:
+    while os.read(0, 1):
+        pass
+    os.kill(os.getpid(), signal.SIGTERM)
+
+
+if __name__ == "__main__":
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    runpy.run_module("twodof.cli", run_name="__main__")

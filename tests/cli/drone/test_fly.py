@@ -1,0 +1,67 @@
+"""`twodof fly`: an experiment over MAVLink from the command line, and what is identified from its log."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twodof.cli.app import run
+from twodof.experiment.flight import Laboratory
+from twodof.flightlog.files import read_log
+
+
+def test_what_is_flown_can_be_identified_and_is_what_is_simulated(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    file = str(tmp_path / "flight.mat")
+    assert run(["fly", "doublet", "--rig", "paper", "--seed", "3", "--out", file, "--json"]) == 0
+    found = json.loads(capfd.readouterr().out)
+    assert (found["good"], found["reason"], found["rig"], found["seed"]) == (True, None, "paper", 3)
+    assert {check["name"] for check in found["checks"]} >= {"flown to its end", "failsafe silent", "samples received"}
+    assert run(["identify", file, "--experiment", "doublet", "--json"]) == 0
+    identified = json.loads(capfd.readouterr().out)["estimates"]["mu"]["value"]
+    assert identified == pytest.approx(358.5, rel=0.02)
+    simulated = Laboratory("paper").fly("doublet", 3).log["q"].value
+    np.testing.assert_array_equal(read_log(file)["q"].value, simulated.astype(np.float32))
+
+
+def test_what_cannot_be_flown_is_said(capfd: pytest.CaptureFixture[str]) -> None:
+    assert run(["fly", "doublt", "--rig", "paper"]) == 2
+    assert "no experiment called 'doublt'" in capfd.readouterr().err
+    assert run(["fly", "doublet", "--rig", "paper", "--url", "tcp://127.0.0.1:5790"]) == 2
+    assert "two drones" in capfd.readouterr().err
+    assert run(["fly", "velocity-doublet", "--rig", "paper", "--start", "5"]) == 2
+    said = capfd.readouterr().err
+    assert "x = 5 m is no place to start at" in said
+    assert "of the rail's middle" in said
+    assert run(["fly", "doublet", "--rig", "no-such-rig.json"]) == 2
+    assert "no-such-rig.json" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("command", [["fly", "doublet", "--rig", "paper"], ["simulate", "doublet"]])
+@pytest.mark.parametrize(
+    ("name", "word"),
+    [
+        ("flight.h5", "no log format has the suffix '.h5'"),
+        ("flight.ulg", "read, not written"),
+        ("nowhere/flight.mat", "mkdir -p"),
+        ("folder.mat", "is a directory"),
+    ],
+)
+def test_a_log_that_cannot_be_written_is_refused_before_anything_flies(
+    command: list[str],
+    name: str,
+    word: str,
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def moved(*_: object, **__: object) -> None:
+        raise AssertionError("it flew")
+
+    monkeypatch.setattr("twodof.cli.drone.fly.virtual_drone", moved)
+    monkeypatch.setattr("twodof.cli.simulate.Laboratory", moved)
+    (tmp_path / "folder.mat").mkdir()
+    assert run([*command, "--out", str(tmp_path / name)]) == 2
+    assert word in capfd.readouterr().err

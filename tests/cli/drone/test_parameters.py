@@ -1,0 +1,46 @@
+"""`twodof parameters`: what can be tuned on a drone is seen, found by path, set together or not at all."""
+
+import json
+import re
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from tests.experiment.drones import drone_thread
+from twodof.cli.app import run
+from twodof.cli.drone import parameters
+from twodof.gcs.drone import Drone
+
+PATH, NAME = "attitude_control.k_q", "TLA_K_Q"
+
+
+def test_a_controller_is_tuned_from_the_shell(
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def said(*arguments: str, status: int = 0) -> Any:
+        assert run(["parameters", "--url", url, *arguments]) == status
+        told = capfd.readouterr()
+        return told.err if status else json.loads(told.out) if "--json" in arguments else told.out
+
+    with drone_thread(controllers=["lqr-attitude"]) as url:
+        assert len(said().splitlines()) == 1 + len(said("--json")["parameters"])
+        assert said("--changed", "--json")["parameters"] == []
+        assert said("--changed") == "all are at their defaults\n"
+        assert "…" not in said()
+        monkeypatch.setattr(parameters, "table_console", lambda: Console(width=70))
+        assert re.search(rf"{NAME} +0.108704\d+ +0.108704\d+ +0 +1  s/rad", said())  # in a narrow terminal too
+        monkeypatch.undo()
+        assert f"{NAME}    0.2  0.10870461     0     1  s/rad  {PATH}: " in said(f"{PATH}=0.2", "RATE_KP=0.07")
+        assert {row["name"] for row in said("--changed", "--json")["parameters"]} == {NAME, "RATE_KP", "FC_PARAM_4"}
+        (row,) = said(PATH, "--json")["parameters"]
+        assert (row["name"], row["path"], row["value"], row["high"], row["unit"]) == (NAME, PATH, 0.2, 1.0, "s/rad")
+
+        assert "2 is outside 0 to 1 s/rad" in said("RATE_KP=0.05", f"{PATH}=2", status=2)
+        assert "no such parameter" in said("RATE_KP=0.05", "attitude_control.kq=0.1", status=2)
+        assert "'much' is no number" in said("RATE_KP=0.05", f"{PATH}=much", status=2)
+        with Drone.connect(url) as pilot:
+            assert "holds the lease" in said(f"{PATH}=0.3", status=2)
+            assert (pilot.parameters[PATH], pilot.parameters["RATE_KP"]) == (0.2, 0.07)
+            pilot.parameters[PATH] = 0.3
+            assert said(PATH, "--json")["parameters"][0]["value"] == 0.3
