@@ -11,15 +11,12 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from xml.etree import ElementTree
 
-from twodof.compile.program.lower import lower
 from twodof.fcu.onboard_log.step_row import COLUMNS
 from twodof.fcu.parameters.row import VehicleParameter
 from twodof.fcu.parameters.table import own_rows
 from twodof.fcu.px4_compat.event_table import CHECKS, CRITICAL, ERROR, EVENTS, INFO, WARNING
 from twodof.fcu.px4_compat.log_topics import PX4_TOPICS
-from twodof.flight.core import PERIOD
 from twodof.flight.failsafe.causes import ACTIONS, CAUSES, NONE
-from twodof.flight.failsafe.diagram import failsafe
 from twodof.flight.gains import NAMED
 from twodof.flight.starters import STARTERS, starter
 from twodof.flight.templates import TEMPLATES, kind_of
@@ -29,6 +26,7 @@ from twodof.gcs.telemetry.recording import SAFETY
 from twodof.link.mavlink import dialect
 from twodof.link.mavlink.dialect import FILES
 from twodof.link.mavlink.rates import GROUND, ONBOARD
+from twodof.parameters import TUNABLES
 from twodof.rig.parameters import CONDITIONS, NAMES, TABLE, load_rig, origins
 from twodof.rig.rig import PARTS, rig_params
 from twodof.rig.rotors import HOVER
@@ -38,15 +36,6 @@ from twodof.signals import TOPICS
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 PAGES = tuple(sorted(page for page in DOCS.rglob("*.md") if "<!-- made: " in page.read_text(encoding="utf-8")))
 FMEA = DOCS.parent / "tests" / "fmea" / "measured.csv"
-UNITS = {
-    "rate.kp": "s/rad",
-    "rate.ki": "1/rad",
-    "rate.kd": "s2/rad",
-    "attitude.kp": "1/s",
-    "velocity.kp": "N s/m",
-    "velocity.ki": "N/m",
-    "position.kp": "1/s",
-}
 PULSE = 0.1
 
 
@@ -111,7 +100,8 @@ def _gains() -> Iterator[str]:
     sets = {name: gains.parameters() for name, gains in NAMED.items()}
     yield f"| parameter | unit | {' | '.join(sets)} |"
     yield "|---|---|" + "---|" * len(sets)
-    for path, unit in UNITS.items():
+    for path in next(iter(sets.values())):
+        unit = TUNABLES[f"cascade.{path}"].unit
         yield f"| `cascade.{path}` | {unit} | {' | '.join(f'{values[path]:g}' for values in sets.values())} |"
 
 
@@ -157,12 +147,12 @@ def _causes() -> Iterator[str]:
 def _safety() -> Iterator[str]:
     yield "| parameter | over MAVLink | unit | default | from | to | is |"
     yield "|---|---|---|---|---|---|---|"
-    names = {row.path: row.name for row in own_rows(1)}
-    for path, parameter in lower(failsafe(), PERIOD).parameters.items():
-        declared = parameter.declared
-        bounds = "" if declared.kind == "bool" else f"{declared.low:g} | {declared.high:g}"
-        value = declared.value if declared.kind == "bool" else f"{declared.value:g}"
-        yield f"| `{path}` | `{names[path]}` | {declared.unit} | {value} | {bounds or ' | '} | {declared.text} |"
+    for path, row in TUNABLES.items():
+        if path.startswith("failsafe."):
+            flag = isinstance(row.default, bool)
+            value, bounds = (row.default, " | ") if flag else (f"{row.default:g}", f"{row.low:g} | {row.high:g}")
+            path = path.removeprefix("failsafe.")
+            yield f"| `{path}` | `{row.name}` | {row.unit} | {value} | {bounds} | {row.text} |"
 
 
 def _fmea() -> Iterator[str]:

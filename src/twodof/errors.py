@@ -19,6 +19,11 @@ def listed(names: Iterable[str], most: int = 20) -> str:
     return ", ".join(rows[:most]) + (" and more" if len(rows) > most else "") if rows else "none"
 
 
+def outside(value: float, low: float, high: float, unit: str = "") -> str:
+    """What is wrong with a value that is not within its bounds."""
+    return f"{value:g} is outside {low:g} to {high:g} {unit}".rstrip()
+
+
 def printable(text: object) -> str:
     """What somebody else's file or the wire says, without what a terminal would act on; lines stay lines."""
     return "".join(c if c.isprintable() or c == "\n" else " " for c in str(text))

@@ -1,19 +1,25 @@
-"""PARAMETERS: what may be tuned while the drone flies; ParameterSet: bounded, all or nothing, undoable.
+"""Every parameter of the flight code, one row each, and ParameterSet: values that are bounded and can be undone.
 
-A name has at most 16 characters, as MAVLink's PARAM_SET carries it. Where the real drone has the parameter
-too, `drone` is what QGroundControl calls it there, and a ParameterSet answers to either name. Bounds are the
-drone's where it has them.
+A row says where the parameter stands in the flight code, what MAVLink calls it, its default, bounds, unit and text.
+The blocks of the flight code, the gains, the vehicle's list, its metadata and the tables of the documentation derive
+from the rows. A row without a wire name is set by its path in a simulation, and not in flight.
+
+A wire name has at most 16 characters, as MAVLink's PARAM_SET carries it. Where the real drone has the parameter too,
+`drone` is what QGroundControl calls it there, and a ParameterSet answers to either name. Bounds are the drone's where
+it has them.
 """
 
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from math import isfinite
+from math import inf, isfinite
 from numbers import Real
 from types import MappingProxyType
-from typing import Literal
+from typing import Any, Literal, NamedTuple
 
-from twodof.errors import ParameterError
+import numpy as np
+
+from twodof.errors import ParameterError, outside
 
 NAME_LENGTH = 16
 UNDO_STEPS = 100
@@ -22,7 +28,10 @@ _VERSION = 1
 
 @dataclass(frozen=True)
 class Parameter:
-    """One tunable number: `low` <= value <= `high` in `unit`; one of kind "int32" is a whole number."""
+    """One tunable number: `low` <= value <= `high` in `unit`; one of kind "int32" is a whole number.
+
+    `path` is where it stands in the flight code, "" for one that does not.
+    """
 
     name: str
     default: float
@@ -32,6 +41,7 @@ class Parameter:
     text: str
     drone: str = ""
     kind: Literal["float", "int32"] = "float"
+    path: str = ""
 
     def __post_init__(self) -> None:
         if not 1 <= len(self.name) <= NAME_LENGTH or not self.name.isascii():
@@ -49,20 +59,215 @@ class Parameter:
         return int(value) if self.kind == "int32" else float(value)
 
 
-PARAMETERS: tuple[Parameter, ...] = (
-    Parameter("RATE_KP", 0.0854, 0.0, 0.12, "s/rad", "rate loop, proportional gain", "FC_PARAM_4"),
-    Parameter("RATE_KI", 0.251, 0.0, 0.5, "1/rad", "rate loop, integral gain", "FC_PARAM_5"),
-    Parameter("RATE_KD", 0.00054, 0.0, 0.003, "s^2/rad", "rate loop, derivative gain", "FC_PARAM_6"),
-    Parameter("RATE_N", 100.0, 1.0, 250.0, "1/s", "rate loop, bandwidth of the derivative's filter"),
-    Parameter("ATT_KP", 11.0, 0.0, 15.0, "1/s", "attitude loop, proportional gain", "FC_PARAM_11"),
-    Parameter("VEL_KP", 2.4, 0.0, 4.0, "N s/m", "velocity loop, proportional gain", "FC_PARAM_13"),
-    Parameter("VEL_KI", 2.81, 0.0, 4.0, "N/m", "velocity loop, integral gain", "FC_PARAM_14"),
-    Parameter("POS_KP", 1.5, 0.0, 2.5, "1/s", "position loop, proportional gain", "FC_PARAM_19"),
-    Parameter("THRUST_BAR", 0.4, 0.05, 1.0, "-", "thrust held while flying level"),
-    Parameter("THRUST_ETA", 6.3386, 1.0, 20.0, "N", "force at full thrust, of the projection to theta0"),
-    Parameter("M_MAX", 1.0, 0.0, 1.0, "-", "limit of the moment commanded"),
-    Parameter("X0_MAX", 0.3, 0.0, 0.4, "m", "limit of the position set-point"),
+class Tunable(NamedTuple):
+    """A row of `TUNABLES`. The default's type is the parameter's: float, int (a whole number) or bool (a flag)."""
+
+    path: str
+    name: str
+    default: float
+    low: float
+    high: float
+    unit: str
+    text: str
+    drone: str = ""
+
+
+# By block: member of the block, name on the wire, default, bounds, unit, text, the real drone's name.
+_BLOCKS: Mapping[str, tuple[tuple[Any, ...], ...]] = {
+    "cascade.rate": (
+        ("kp", "RATE_KP", 0.0854, 0.0, 0.12, "s/rad", "rate loop, proportional gain", "FC_PARAM_4"),
+        ("ki", "RATE_KI", 0.251, 0.0, 0.5, "1/rad", "rate loop, integral gain", "FC_PARAM_5"),
+        ("kd", "RATE_KD", 0.00054, 0.0, 0.003, "s^2/rad", "rate loop, derivative gain", "FC_PARAM_6"),
+        ("N", "RATE_N", 100.0, 1.0, 250.0, "1/s", "rate loop, bandwidth of the derivative's filter"),
+        ("limit", "M_MAX", 1.0, 0.0, 1.0, "-", "limit of the moment commanded"),
+    ),
+    "cascade.attitude": (
+        ("kp", "ATT_KP", 11.0, 0.0, 15.0, "1/s", "attitude loop, proportional gain", "FC_PARAM_11"),
+        ("limit", "", 20.0, 0.0, inf, "rad/s", "largest rate set-point"),
+    ),
+    "cascade.velocity": (
+        ("kp", "VEL_KP", 2.4, 0.0, 4.0, "N s/m", "velocity loop, proportional gain", "FC_PARAM_13"),
+        ("ki", "VEL_KI", 2.81, 0.0, 4.0, "N/m", "velocity loop, integral gain", "FC_PARAM_14"),
+    ),
+    "cascade.position": (
+        ("kp", "POS_KP", 1.5, 0.0, 2.5, "1/s", "position loop, proportional gain", "FC_PARAM_19"),
+        ("limit", "", 1.0, 0.0, inf, "m/s", "largest velocity set-point"),
+    ),
+    "cascade.projection": (
+        ("T_bar", "THRUST_BAR", 0.4, 0.05, 1.0, "-", "thrust held while flying level"),
+        ("eta_T", "THRUST_ETA", 6.3386, 1.0, 20.0, "N", "force at full thrust, of the projection to theta0"),
+    ),
+    "hold": (
+        ("settle", "", 2.0, 0.0, 60.0, "s", "wait before the mean is taken"),
+        ("window", "", 5.0, 0.1, 60.0, "s", "memory of the mean"),
+    ),
+    "arming": (("samples", "", 3, 0, 1000, "", "samples of reset after arming"),),
+    "failsafe": (("descent", "SAFE_DESCENT", 1.0, 0.1, 10.0, "s", "time in which the thrust fades"),),
+    "failsafe.sensors": (
+        ("range_error", "SAFE_RANGE_ERR", 0.1, 0.02, 1.0, "m", "range further from the estimate is not believed"),
+        ("range_end", "SAFE_RANGE_END", 0.39, 0.05, 0.45, "m", "range from the middle at which the motors stop"),
+        ("range_old", "SAFE_RANGE_OLD", 0.2, 0.02, 1.0, "s", "range older than this is not believed"),
+        ("watch_bits", "SAFE_WATCH_BITS", True, 0, 1, "", "a sensor that repeats itself to the bit is stuck"),
+    ),
+    "failsafe.place": (
+        ("pitch_limit", "SAFE_PITCH_LIM", 0.8, 0.2, 0.87, "rad", "pitch beyond which it is levelled"),
+        ("pitch_margin", "SAFE_PITCH_MARG", 0.1, 0.01, 0.3, "rad", "hysteresis of the pitch limit"),
+        ("look_ahead", "SAFE_LOOK_AHEAD", 0.06, 0.0, 0.2, "s", "the pitch is foreseen by this time"),
+        ("pitch_end", "SAFE_PITCH_END", 0.85, 0.2, 0.87, "rad", "pitch at which the motors stop"),
+        ("theta_bound", "SAFE_THETA_BOUND", 1.2, 0.9, 3.0, "rad", "no pitch beyond it is believed"),
+        ("q_bound", "SAFE_Q_BOUND", 30.0, 5.0, 60.0, "rad/s", "no pitch rate beyond it is believed"),
+        ("arm_tilt", "SAFE_ARM_TILT", 0.3, 0.02, 0.8, "rad", "largest pitch at arming"),
+        ("rail_limit", "SAFE_RAIL_LIM", 0.37, 0.05, 0.4, "m", "beyond which the cart is braked"),
+        ("rail_margin", "SAFE_RAIL_MARG", 0.03, 0.005, 0.1, "m", "hysteresis of the rail's limit"),
+        ("reaction", "SAFE_REACTION", 0.25, 0.0, 0.5, "s", "time until braking takes hold"),
+        ("braking", "SAFE_BRAKING", 3.0, 0.5, 10.0, "m/s2", "deceleration that braking is trusted with"),
+        ("rail_end", "SAFE_RAIL_END", 0.395, 0.05, 0.45, "m", "place at which the motors stop"),
+    ),
+    "failsafe.force": (
+        ("pull", "SAFE_PULL", 12.5, 1.0, 100.0, "m/s2", "full thrust over the mass that slides"),
+        ("pull_share", "SAFE_PULL_SHARE", 0.3, 0.05, 1.0, "", "share of the pull that may be missing, or more"),
+        ("drag", "SAFE_DRAG", 0.9, 0.0, 10.0, "1/s", "friction of the rail over the mass"),
+        ("along_slack", "SAFE_ALONG_SLACK", 0.4, 0.1, 5.0, "m/s2", "acceleration along the rail left unexplained"),
+        ("along_limit", "SAFE_ALONG_LIM", 0.15, 0.05, 2.0, "m/s", "unexplained speed along it: motors off"),
+        ("up_slack", "SAFE_UP_SLACK", 0.8, 0.1, 5.0, "m/s2", "vertical acceleration left unexplained"),
+        ("up_limit", "SAFE_UP_LIM", 0.3, 0.05, 2.0, "m/s", "unexplained vertical speed: motors off"),
+    ),
+    "failsafe.rate": (
+        ("turn", "SAFE_TURN", 165.0, 10.0, 2000.0, "rad/s2", "angular acceleration of one pair at full"),
+        ("curve", "SAFE_CURVE", 0.3, 0.0, 1.0, "", "quadratic share of a pair's thrust curve"),
+        ("answer", "SAFE_ANSWER", 0.021, 0.004, 0.2, "s", "delay and lag of the rotors"),
+        ("swing", "SAFE_SWING", 9.5, 0.0, 100.0, "rad/s2", "angular acceleration back to level, of the sine"),
+        ("turn_slack", "SAFE_TURN_SLACK", 10.0, 1.0, 100.0, "rad/s2", "angular acceleration left unexplained"),
+        ("turn_share", "SAFE_TURN_SHARE", 0.3, 0.05, 1.0, "", "share of the expected one left unexplained"),
+        ("turn_limit", "SAFE_TURN_LIM", 1.5, 0.2, 10.0, "rad/s", "unexplained pitch rate: motors off"),
+    ),
+    "failsafe.battery": (
+        ("low", "SAFE_BAT_LOW", 11.1, 0.0, 60.0, "V", "low voltage: no arming (3.7 V a cell)"),
+        ("critical", "SAFE_BAT_CRIT", 10.5, 0.0, 60.0, "V", "critical voltage: it descends (3.5 V a cell)"),
+        ("margin", "SAFE_BAT_MARG", 0.2, 0.01, 2.0, "V", "hysteresis of both"),
+        ("high", "SAFE_BAT_HIGH", 13.5, 0.0, 65.0, "V", "no voltage beyond it is believed (4.5 V a cell)"),
+    ),
+    "failsafe.setpoint": (
+        ("timeout", "SAFE_SP_T", 0.5, 0.02, 0.9, "s", "silence of set-points after which it levels"),
+    ),
+    "failsafe.link": (
+        (
+            "timeout",
+            "SAFE_LINK_T",
+            3.0,
+            0.1,
+            30.0,
+            "s",
+            "silence of the link after which it descends (heartbeats come at 1 Hz)",
+        ),
+    ),
+    "failsafe.imu": (
+        (
+            "timeout",
+            "SAFE_IMU_T",
+            0.02,
+            0.004,
+            0.1,
+            "s",
+            "silence or repetition of the IMU after which the motors stop",
+        ),
+    ),
+    "failsafe.axis": (
+        ("timeout", "SAFE_AXIS_T", 0.1, 0.02, 1.0, "s", "repetition of an axis of the IMU after which the motors stop"),
+    ),
+    "failsafe.range": (
+        ("timeout", "SAFE_RANGE_T", 0.24, 0.06, 2.0, "s", "time without a believed range after which it descends"),
+    ),
+    "failsafe.range_stuck": (
+        ("timeout", "SAFE_RANGE_STK_T", 0.5, 0.06, 5.0, "s", "time of one and the same range after which it descends"),
+    ),
+    "failsafe.brake": (
+        ("timeout", "SAFE_BRAKE_T", 3.0, 0.1, 10.0, "s", "longest time of braking, then the motors stop"),
+    ),
+    "failsafe.battery_low": (
+        ("timeout", "SAFE_BAT_LOW_T", 1.0, 0.004, 30.0, "s", "time of low voltage until it counts"),
+    ),
+    "failsafe.battery_critical": (
+        ("timeout", "SAFE_BAT_CRIT_T", 0.5, 0.004, 10.0, "s", "time of critical voltage until it descends"),
+    ),
+    "failsafe.late": (
+        ("timeout", "SAFE_LATE_T", 0.008, 0.004, 0.008, "s", "time of late steps in a row after which the motors stop"),
+    ),
+    "failsafe.stuck": (
+        (
+            "timeout",
+            "SAFE_STK_T",
+            0.5,
+            0.02,
+            5.0,
+            "s",
+            "time of commands that do not move after which they are not believed",
+        ),
+    ),
+    "failsafe.level_lasts": (("time", "SAFE_LEVEL_LASTS", 0.5, 0.02, 5.0, "s", "levelling lasts at least"),),
+    "failsafe.brake_lasts": (("time", "SAFE_BRAKE_LASTS", 0.5, 0.02, 5.0, "s", "braking lasts at least"),),
+    "failsafe.machine": (
+        ("level_limit", "SAFE_LEVEL_LIM", 10.0, 0.1, 60.0, "s", "longest time of level and brake, then it descends"),
+    ),
+    "failsafe.safe": (
+        ("thrust_held", "SAFE_THRUST_HELD", 0.6, 0.0, 1.0, "", "most thrust that is held while levelling"),
+        ("rail_hold", "SAFE_RAIL_HOLD", 0.1, 0.0, 0.36, "m", "farthest place that braking goes to"),
+        ("brake_x", "SAFE_BRAKE_X", 0.8, 0.0, 5.0, "rad/m", "pitch of braking per metre beyond that place"),
+        ("brake_v", "SAFE_BRAKE_V", 0.8, 0.0, 5.0, "rad*s/m", "pitch of braking per speed"),
+        ("brake_tilt", "SAFE_BRAKE_TILT", 0.55, 0.05, 0.7, "rad", "largest pitch of braking"),
+        ("x0_limit", "X0_MAX", 0.3, 0.0, 0.4, "m", "limit of the position set-point"),
+        ("v0_limit", "SAFE_V0_LIM", 0.5, 0.0, 2.0, "m/s", "largest velocity set-point"),
+        ("theta0_limit", "SAFE_THETA0_LIM", 0.6, 0.0, 0.8, "rad", "largest pitch set-point"),
+        ("q0_limit", "SAFE_Q0_LIM", 20.0, 0.0, 20.0, "rad/s", "largest pitch-rate set-point"),
+    ),
+    "estimator.filter": (
+        ("sigma_gyro", "", 0.002, 0.0, inf, "rad/s/sqrt(Hz)", "gyro noise density"),
+        ("sigma_walk", "", 0.0001, 0.0, inf, "rad/s/sqrt(s)", "walk of the gyro's bias"),
+        ("sigma_a", "", 0.02, 0.0, inf, "m/s2/sqrt(Hz)", "noise density of the acceleration"),
+        ("sigma_range", "", 0.016, 1e-06, inf, "m", "range noise"),
+        ("sigma_gravity", "", 20.0, 0.01, inf, "m/s2", "acceleration that tilt is told from, one sample"),
+        ("sigma_theta_0", "", 0.02, 0.0, inf, "rad", "uncertainty of the first pitch"),
+        ("sigma_bias_0", "", 0.01, 0.0, inf, "rad/s", "uncertainty of the first bias"),
+        ("sigma_x_0", "", 1.0, 0.0, inf, "m", "uncertainty of x before the first range sample"),
+        ("sigma_v_0", "", 0.01, 0.0, inf, "m/s", "uncertainty of the first velocity"),
+    ),
+    "estimator.pitch": (
+        ("sigma_gyro", "", 0.004, 0.0, inf, "rad/s/sqrt(Hz)", "gyro noise density"),
+        ("sigma_walk", "", 0.0007, 0.0, inf, "rad/s/sqrt(s)", "walk of the gyro's bias"),
+        ("sigma_acc", "", 5.0, 0.01, inf, "m/s2", "horizontal acceleration and vibration, one sample"),
+        ("sigma_theta_0", "", 0.05, 0.0, inf, "rad", "uncertainty of the first pitch"),
+        ("sigma_bias_0", "", 0.01, 0.0, inf, "rad/s", "uncertainty of the first bias"),
+    ),
+    "estimator.position": (
+        ("k_x", "", 0.16, 0.0, 1.0, "", "share of the innovation that corrects x"),
+        ("k_v", "", 0.56, 0.0, 20.0, "1/s", "correction of v for an innovation of 1 m"),
+        ("bias", "", 0.0, -5.0, 5.0, "m/s2", "added to the acceleration; 0 on board"),
+        ("lag", "", 0.1, 0.0, 10.0, "s", "time in which the output's x follows the filter's"),
+        ("sigma_a", "", 0.05, 0.0, inf, "m/s2/sqrt(Hz)", "noise density of the acceleration"),
+        ("sigma_walk", "", 0.005, 0.0, inf, "m/s2/sqrt(s)", "walk of the accelerometer's bias"),
+        ("sigma_tof", "", 0.004, 1e-06, inf, "m", "range noise"),
+        ("sigma_v_0", "", 0.02, 0.0, inf, "m/s", "uncertainty of the first velocity"),
+        ("sigma_bias_0", "", 0.05, 0.0, inf, "m/s2", "uncertainty of the first bias"),
+    ),
+}
+
+TUNABLES: Mapping[str, Tunable] = MappingProxyType(
+    {f"{block}.{row[0]}": Tunable(f"{block}.{row[0]}", *row[1:]) for block, rows in _BLOCKS.items() for row in rows}
 )
+"""The rows by their path in the flight code."""
+
+
+def _on_the_wire(row: Tunable) -> Parameter:
+    kind: Literal["float", "int32"] = "float" if isinstance(row.default, float) else "int32"
+    numbers = float(row.default), float(row.low), float(row.high)
+    return Parameter(row.name, *numbers, row.unit, row.text, row.drone, kind, row.path)
+
+
+FLIGHT_PARAMETERS: tuple[Parameter, ...] = tuple(_on_the_wire(row) for row in TUNABLES.values() if row.name)
+"""What a client can change on a drone: all rows that have a name on the wire."""
+
+PARAMETERS: tuple[Parameter, ...] = tuple(row for row in FLIGHT_PARAMETERS if not row.name.startswith("SAFE_"))
+"""Those that tune the flight: gains, thrust and limits. The others are the failsafe's."""
 
 PRESETS: Mapping[str, Mapping[str, float]] = MappingProxyType(
     {
@@ -81,6 +286,13 @@ PRESETS: Mapping[str, Mapping[str, float]] = MappingProxyType(
     }
 )
 """Sets of values flown on the real drone, as differences from the defaults."""
+
+
+def float32_decimal(value: float) -> float:
+    """The shortest decimal among the numbers that float32 rounds as it does `value`; what is not a number stays."""
+    if isinstance(value, bool) or not isinstance(value, Real) or abs(value) > 3e38 or not isfinite(value):
+        return value
+    return float(str(np.float32(value)))
 
 
 class ParameterSet(Mapping[str, float]):
@@ -223,13 +435,13 @@ class ParameterSet(Mapping[str, float]):
         row = self.row(name)
         # bool is a number to Python, and `True` for a gain is a mistake
         if isinstance(value, bool) or not isinstance(value, Real):
-            return f"{value!r} is no number"
+            return f"{value!r} is not a number"
         if isinstance(value, int) and abs(value) > 2**1000:  # beyond any float, which isfinite does not take
-            return f"is outside {row.low:g} to {row.high:g} {row.unit}"
+            value = inf if value > 0 else -inf
         if not isfinite(value) or not row.low <= value <= row.high:
-            return f"{float(value):g} is outside {row.low:g} to {row.high:g} {row.unit}"
+            return outside(float(value), row.low, row.high, row.unit)
         if row.kind == "int32" and not float(value).is_integer():
-            return f"{float(value):g} is no whole number"
+            return f"{float(value):g} is not a whole number"
         return ""
 
     def _commit(self, values: Mapping[str, float]) -> None:

@@ -8,9 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from twodof.blocks.reference.interpreter import Reference
 from twodof.errors import ParameterError
+from twodof.flight.core import PERIOD, core
 from twodof.flight.gains import DEFAULT, STUDENT, Gains, load_gains
-from twodof.parameters import PARAMETERS
+from twodof.parameters import PARAMETERS, ParameterSet
 
 
 def test_default_gains_are_the_drones_own() -> None:
@@ -38,10 +40,10 @@ def test_a_file_of_gains_is_read_back(tmp_path: Path) -> None:
         ('{"rate": [1, 2, 3], "attitude": 1, "velocity": [1, 2]}', "gains.json"),
         ('{"rate": [1, 2], "attitude": 1, "velocity": [1, 2], "position": 1}', "rate"),
         ('{"rate": [1, 2, true], "attitude": 1, "velocity": [1, 2], "position": 1}', "rate"),
-        ('{"rate": [1, 2, 3], "attitude": "1", "velocity": [1, 2], "position": 1}', "attitude"),
-        ('{"rate": [1, 2, 3], "attitude": 1, "velocity": [1, -2], "position": 1}', "velocity.ki"),
-        ('{"rate": [1, 2, 3], "attitude": 1, "velocity": [1, 2], "position": NaN}', "position"),
-        ('{"rate": [1, 2, 3], "attitude": 1, "velocity": [1, 2], "position": 1%s}' % ("0" * 400), "position"),
+        ('{"rate": [0, 0, 0], "attitude": "1", "velocity": [1, 2], "position": 1}', "attitude"),
+        ('{"rate": [0, 0, 0], "attitude": 1, "velocity": [1, -2], "position": 1}', "gains.json: VEL_KI: -2 is"),
+        ('{"rate": [0, 0, 0], "attitude": 1, "velocity": [1, 2], "position": NaN}', "gains.json: POS_KP: nan is"),
+        ('{"rate": [0, 0, 0], "attitude": 1, "velocity": [1, 2], "position": 1%s}' % ("0" * 400), "POS_KP: inf is"),
     ],
 )
 def test_what_is_no_set_of_gains_is_refused(tmp_path: Path, text: str, where: str) -> None:
@@ -49,7 +51,7 @@ def test_what_is_no_set_of_gains_is_refused(tmp_path: Path, text: str, where: st
     path.write_text(text, encoding="utf-8")
     with pytest.raises(ParameterError) as caught:
         load_gains(path)
-    assert where in caught.value.where
+    assert where in str(caught.value)
     assert caught.value.remedy
 
 
@@ -64,17 +66,37 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
         ({"rate": (1.0, 2.0)}, "rate"),
         ({"rate": 1.0}, "rate"),
         ({"velocity": (1.0, 2.0, 3.0)}, "velocity"),
-        ({"attitude": "11"}, "attitude.kp"),
-        ({"attitude": None}, "attitude.kp"),
-        ({"position": True}, "position.kp"),
-        ({"position": float("inf")}, "position.kp"),
-        ({"position": 10**400}, "position.kp"),
+        ({"attitude": "11"}, "ATT_KP"),
+        ({"attitude": None}, "ATT_KP"),
+        ({"position": True}, "POS_KP"),
+        ({"position": float("inf")}, "POS_KP"),
+        ({"position": 10**400}, "POS_KP"),
     ],
 )
 def test_gains_of_another_shape_are_refused(changes: dict[str, Any], where: str) -> None:
     with pytest.raises(ParameterError) as caught:
         replace(DEFAULT, **changes)
-    assert caught.value.where == where
+    assert where in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "value"), [({"rate": (0.2, 0.2, 0.001)}, {"RATE_KP": 0.2}), ({"attitude": 16.0}, {"ATT_KP": 16.0})]
+)
+def test_what_the_drone_refuses_the_simulator_refuses_with_the_same_words(
+    changes: dict[str, Any], value: dict[str, float]
+) -> None:
+    """Before, RATE_KP could be 0.12 on the drone and 1.0 in the simulator, ATT_KP 15 and 50."""
+    with pytest.raises(ParameterError) as drone:
+        ParameterSet().update(value)
+    with pytest.raises(ParameterError) as simulator:
+        replace(DEFAULT, **changes)
+    assert simulator.value.what == drone.value.what
+    ((name, number),) = value.items()
+    (row,) = (row for row in PARAMETERS if row.name == name)
+    code = Reference(core(), PERIOD).machine()
+    with pytest.raises(ParameterError) as program:
+        code.set(row.path, number)
+    assert f"{name}: {program.value.what}" == drone.value.what
 
 
 def test_what_a_log_says_of_its_gains_is_read_back() -> None:

@@ -18,7 +18,7 @@ from twodof.blocks.expressions.arrays import vector
 from twodof.blocks.expressions.expr import KINDS, Expr, as_expr, const, leaf, to_real, tracing
 from twodof.blocks.expressions.graph import leaves, walk
 from twodof.blocks.expressions.numbers import Integer, Vector
-from twodof.errors import DiagramError, ParameterError, listed, shown
+from twodof.errors import DiagramError, ParameterError, listed, outside, shown
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")
 MAX_WIDTH = 1_000_000
@@ -436,7 +436,7 @@ def check_bounds(declared: Param, value: Any, path: str) -> None:
         number = given.value if isinstance(given, Integer) else given
         if not declared.low <= number <= declared.high:
             raise ParameterError(
-                f"{number} is outside [{declared.low}, {declared.high}] {declared.unit}".rstrip(),
+                outside(number, declared.low, declared.high, declared.unit),
                 path,
                 "choose a value within the bounds",
             )

@@ -3,31 +3,31 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
-from numbers import Real
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-import numpy as np
-
 from twodof.errors import LogError, ParameterError
 from twodof.flightlog.provenance import read_bytes
-from twodof.parameters import PARAMETERS, PRESETS
+from twodof.parameters import PARAMETERS, PRESETS, ParameterSet, float32_decimal
 
-_NAMES = ("RATE_KP", "RATE_KI", "RATE_KD", "ATT_KP", "VEL_KP", "VEL_KI", "POS_KP")
-"""What the drone calls the gains, in the order of `Gains.parameters`."""
-_LARGEST = float(np.finfo(np.float32).max)
+_ROWS = {
+    row.name: row for row in PARAMETERS if row.path.startswith("cascade.") and row.path[-3:] in (".kp", ".ki", ".kd")
+}
+"""The rows of the gains, in the order in which `Gains` has them."""
+_DEFAULTS = {name: row.default for name, row in _ROWS.items()}
+_CASCADE = "cascade."
 _SHAPE = '{"rate": [Kp, Ki, Kd], "attitude": Kp, "velocity": [Kp, Ki], "position": Kp}'
 
 
 @dataclass(frozen=True)
 class Gains:
     """The gains of the four loops: `rate` (Kp [s/rad], Ki [1/rad], Kd [s2/rad]), `attitude` Kp [1/s],
-    `velocity` (Kp [N s/m], Ki [N/m]), `position` Kp [1/s]. Raises ParameterError for another number of gains and for
-    what is no number, not finite or negative.
+    `velocity` (Kp [N s/m], Ki [N/m]), `position` Kp [1/s].
+
+    Raises ParameterError for another number of gains, and for a gain that the drone refuses, in the same words.
     """
 
     rate: tuple[float, float, float]
@@ -40,30 +40,20 @@ class Gains:
             values = getattr(self, name)
             if not isinstance(values, (tuple, list)) or len(values) != count:
                 raise ParameterError(f"{values!r:.80} is not {count} numbers", name, f"give {_SHAPE}")
-        for name, value in self.parameters().items():
-            if isinstance(value, bool) or not isinstance(value, Real):
-                raise ParameterError(f"a gain of {value!r:.80}", name, "give a number")
-            if not 0.0 <= value <= sys.float_info.max:
-                raise ParameterError(f"a gain of {value!r:.80}", name, "gains are finite and not negative")
+        _, faults = ParameterSet(table=tuple(_ROWS.values())).check(self._named())
+        if faults:
+            raise ParameterError("; ".join(faults), "gains", "give values within the bounds")
+
+    def _named(self) -> dict[str, float]:
+        return dict(zip(_ROWS, (*self.rate, self.attitude, *self.velocity, self.position), strict=True))
 
     def parameters(self) -> dict[str, float]:
         """Parameter path inside the cascade -> value."""
-        kp, ki, kd = self.rate
-        return {
-            "rate.kp": kp,
-            "rate.ki": ki,
-            "rate.kd": kd,
-            "attitude.kp": self.attitude,
-            "velocity.kp": self.velocity[0],
-            "velocity.ki": self.velocity[1],
-            "position.kp": self.position,
-        }
+        return {_ROWS[name].path.removeprefix(_CASCADE): value for name, value in self._named().items()}
 
     def tuned(self) -> dict[str, float]:
         """Those that are not the default ones, by the names of the drone's parameters ("RATE_KP")."""
-        values = dict(zip(_NAMES, self.parameters().values(), strict=True))
-        defaults = {row.name: row.default for row in PARAMETERS}
-        return {name: value for name, value in values.items() if value != defaults[name]}
+        return {name: value for name, value in self._named().items() if value != _DEFAULTS[name]}
 
     @classmethod
     def flown(cls, provenance: Mapping[str, Any]) -> Gains | None:
@@ -73,15 +63,16 @@ class Gains:
         """
         drone = provenance.get("drone")
         known = provenance.get("parameters", drone.get("parameters") if isinstance(drone, Mapping) else None)
-        if not isinstance(known, Mapping) or ("ulog" in provenance and not set(_NAMES) <= set(known)):
+        if not isinstance(known, Mapping) or ("ulog" in provenance and not _ROWS.keys() <= known.keys()):
             return None
-        if not all(_is_gain(known.get(name, 0.0)) for name in _NAMES):
-            return None
-        defaults = {row.name: row.default for row in PARAMETERS}
         # The shortest decimal of a float32 is what was set.
-        kp, ki, kd, attitude, velocity_kp, velocity_ki, position = (
-            float(str(np.float32(known[name]))) if name in known else defaults[name] for name in _NAMES
-        )
+        given = {name: float32_decimal(known[name]) for name in _ROWS if name in known}
+        wrong = ParameterSet(table=tuple(_ROWS.values())).check(given)[1]
+        return None if wrong else cls._of(_DEFAULTS | given)
+
+    @classmethod
+    def _of(cls, values: Mapping[str, float]) -> Gains:
+        kp, ki, kd, attitude, velocity_kp, velocity_ki, position = (values[name] for name in _ROWS)
         return cls((kp, ki, kd), attitude, (velocity_kp, velocity_ki), position)
 
     def to_json(self) -> dict[str, Any]:
@@ -105,21 +96,15 @@ class Gains:
         velocity_kp, velocity_ki = _numbers(data["velocity"], 2, f"{where}: velocity")
         (attitude,) = _numbers([data["attitude"]], 1, f"{where}: attitude")
         (position,) = _numbers([data["position"]], 1, f"{where}: position")
-        return cls((kp, ki, kd), attitude, (velocity_kp, velocity_ki), position)
+        try:
+            return cls((kp, ki, kd), attitude, (velocity_kp, velocity_ki), position)
+        except ParameterError as error:
+            raise ParameterError(error.what, where, error.remedy) from error
 
 
-def _is_gain(value: object) -> bool:
-    """Whether it is a number that float32 carries and a gain may be."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and 0.0 <= value <= _LARGEST
-
-
-def _preset(name: str) -> Gains:
-    values = {row.name: row.default for row in PARAMETERS} | dict(PRESETS[name])
-    kp, ki, kd, attitude, velocity_kp, velocity_ki, position = (values[one] for one in _NAMES)
-    return Gains((kp, ki, kd), attitude, (velocity_kp, velocity_ki), position)
-
-
-NAMED: Mapping[str, Gains] = MappingProxyType({name: _preset(name) for name in PRESETS})
+NAMED: Mapping[str, Gains] = MappingProxyType(
+    {name: Gains._of(_DEFAULTS | dict(values)) for name, values in PRESETS.items()}
+)
 """The sets the drone was flown with: its own, and one designed by loop shaping in the course."""
 
 MAX_BYTES = 1 << 20

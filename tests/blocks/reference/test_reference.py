@@ -190,7 +190,7 @@ def test_the_oscillator_agrees_with_the_matrix_exponential() -> None:
 
 def test_parameters_are_set_together_or_not_at_all() -> None:
     m = Reference(chain(Gain(), Lag()), 0.1).machine()
-    with pytest.raises(ParameterError, match=r"b1\.tau: 0\.0 is outside \[0\.001"):
+    with pytest.raises(ParameterError, match=r"b1\.tau: 0 is outside 0\.001"):
         m.set_many({"b0.k": 7.0, "b1.tau": 0.0})
     assert m.get("b0.k") == 2.0
     with pytest.raises(ParameterError, match=r"there is no parameter 'b0\.q'"):

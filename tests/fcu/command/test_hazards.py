@@ -17,13 +17,13 @@ from twodof.fcu.command.setpoint_manager import FRESH
 from twodof.fcu.command.setpoints import ATTITUDE, OFF, OPEN_LOOP, POSITION, VELOCITY, SetPoint
 from twodof.fcu.mavlink.parameters import INT32, REAL32
 from twodof.fcu.mavlink.transactions import BEGIN, COMMIT, UNDO
-from twodof.fcu.parameters.failsafe_parameters import failsafe_rows
 from twodof.fcu.parameters.row import VehicleParameter
 from twodof.fcu.px4_compat.storage import STORAGE
 from twodof.flight.failsafe.causes import BIT
 from twodof.flight.failsafe.state_machine import BRAKE, DESCEND, LEVEL
 from twodof.link.mavlink import modes
 from twodof.link.mavlink.messages import float_of_int, message
+from twodof.parameters import FLIGHT_PARAMETERS
 
 PULSE = written_out(Impulse(0.1, 0.02, settle=0.4))
 PITCHED = SetPoint(ATTITUDE, theta0=0.3, thrust=0.5)
@@ -237,7 +237,7 @@ def test_in_flight_no_message_changes_a_parameter_of_the_failsafe() -> None:
     drone = Assembled()
     store, code = drone.drone.assembly.store, drone.drone.controller.code
     rows = [row for row in store.rows if row.disarmed and not row.fixed]
-    failsafe = {row.name for row in failsafe_rows()} - {"SAFE_X0_LIM"} | {"X0_MAX"}  # its name since before
+    failsafe = {row.name for row in FLIGHT_PARAMETERS if row.path.startswith("failsafe.")}
     assert failsafe <= {row.name for row in rows}
     first = rows[0]
 

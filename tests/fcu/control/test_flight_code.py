@@ -12,11 +12,10 @@ from tests.fcu.flights import ARM_AT, FLY_AT, FLYING, OFF, Script, controller, e
 from twodof.blocks import Diagram
 from twodof.errors import ControllerFault, ParameterError
 from twodof.fcu.control.control_input import ControlInput
-from twodof.fcu.control.flight_code import OUTPUTS, PATHS, ControlStep, FlightCode
-from twodof.fcu.parameters.table import own_rows
+from twodof.fcu.control.flight_code import OUTPUTS, ControlStep, FlightCode
 from twodof.flight.failsafe.causes import ACTIONS, BIT
 from twodof.flight.starters import starter
-from twodof.parameters import PARAMETERS, PRESETS
+from twodof.parameters import FLIGHT_PARAMETERS, PARAMETERS, PRESETS
 
 NONE, LEVEL = ACTIONS.index("none"), ACTIONS.index("level")
 UNTIL = 500
@@ -134,8 +133,7 @@ CODES: dict[str, Any] = {
 @pytest.mark.parametrize("which", CODES)
 def test_every_parameter_is_set_by_its_name_and_read_back(which: str) -> None:
     code = FlightCode(**CODES[which])
-    assert set(PATHS) == {row.name for row in PARAMETERS}
-    for row in PARAMETERS:
+    for row in FLIGHT_PARAMETERS:
         code.set_parameters({row.name: row.high})
         assert code.parameter(row.name) == row.high
         code.set_parameters({row.name: row.low})
@@ -143,10 +141,6 @@ def test_every_parameter_is_set_by_its_name_and_read_back(which: str) -> None:
     code.set_parameters(PRESETS["student"])
     for name, value in PRESETS["student"].items():
         assert code.parameter(name) == value
-    for row in own_rows(1):
-        if path := getattr(row, "path", ""):
-            for value in (row.low, row.high):
-                code.set_parameters({f"failsafe.{path}": value})
 
 
 def test_parameters_are_set_all_or_none() -> None:

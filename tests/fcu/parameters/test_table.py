@@ -2,11 +2,7 @@
 
 import struct
 
-import pytest
-
 from twodof.compile.program.lower import lower
-from twodof.fcu.control.flight_code import PATHS
-from twodof.fcu.parameters.failsafe_parameters import PREFIX, safe_name
 from twodof.fcu.parameters.table import own_rows, wire_rows
 from twodof.flight.core import PERIOD
 from twodof.flight.failsafe.diagram import failsafe
@@ -38,32 +34,11 @@ def test_what_qgroundcontrol_cannot_miss_is_there_with_px4s_type() -> None:
     assert {name: rows.get(name) for name in QGROUNDCONTROL} == QGROUNDCONTROL
 
 
-def test_the_failsafe_has_each_of_its_parameters_once() -> None:
+def test_each_parameter_of_the_failsafe_is_on_the_wire_once_and_safe_from_changes_in_flight() -> None:
+    rows = [row for row in own_rows(1) if row.path.startswith("failsafe.")]
     declared = lower(failsafe(), PERIOD).parameters
-    rows = {row.path: row for row in own_rows(1) if row.path}
-    assert rows.keys() == declared.keys()
-    for path, row in rows.items():
-        assert row.default == float(declared[path].declared.value), path
-        assert path == "safe.x0_limit" or row.name == safe_name(path)
-    # The one that PARAMETERS names already.
-    assert rows["safe.x0_limit"].name == "X0_MAX"
-    assert PATHS["X0_MAX"] == PREFIX.removeprefix("flight.") + "safe.x0_limit"
-
-
-@pytest.mark.parametrize(
-    ("path", "name"),
-    [
-        ("descent", "SAFE_DESCENT"),
-        ("place.pitch_limit", "SAFE_PITCH_LIM"),
-        ("setpoint.timeout", "SAFE_SP_T"),
-        ("range_stuck.timeout", "SAFE_RANGE_STK_T"),
-        ("battery.critical", "SAFE_BAT_CRIT"),
-        ("battery_critical.timeout", "SAFE_BAT_CRIT_T"),
-        ("level_lasts.time", "SAFE_LEVEL_LASTS"),
-    ],
-)
-def test_the_rule_of_the_failsafes_names(path: str, name: str) -> None:
-    assert safe_name(path) == name
+    assert sorted(row.path for row in rows) == sorted(f"failsafe.{path}" for path in declared)
+    assert all(row.disarmed for row in rows)
 
 
 def test_the_drones_own_names_are_rows_of_their_own() -> None:

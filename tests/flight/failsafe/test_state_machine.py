@@ -28,6 +28,7 @@ from twodof.flight.failsafe.diagram import TIMERS
 from twodof.flight.failsafe.state_machine import BRAKE, DESCEND, FLYING, MAY_TURN, REFUSED, FailsafeStateMachine
 from twodof.flight.failsafe.state_machine import LEVEL as LEVELLING
 from twodof.flight.failsafe.timers import OffDelay, WatchdogTimer
+from twodof.flight.tunables import tunable
 
 EQUIVALENT = {
     "lt: le": "maximum(timer, 0) of 0 is 0 either way",
@@ -133,7 +134,7 @@ def explore_timer(block: Block, inputs: str, limit: int) -> dict[str, NDArray[An
 
 @pytest.mark.parametrize("name", TIMERS)
 def test_a_timeout_expires_after_its_ticks_and_never_else(name: str) -> None:
-    block = WatchdogTimer(**TIMERS[name].config)
+    block = WatchdogTimer(tunable(f"failsafe.{name}.timeout"))
     limit = round(block.params[0].value / 0.004)
     table = explore_timer(block, "alive", limit)
     alive, count = table["alive"], table["count"]
@@ -142,7 +143,7 @@ def test_a_timeout_expires_after_its_ticks_and_never_else(name: str) -> None:
 
 
 def test_a_linger_lasts_its_ticks_and_not_longer() -> None:
-    table = explore_timer(OffDelay(0.5), "flag", 125)
+    table = explore_timer(OffDelay(), "flag", 125)
     np.testing.assert_array_equal(table["update.left"], np.where(table["flag"], 125, np.maximum(table["left"] - 1, 0)))
     np.testing.assert_array_equal(table["output.lasting"], table["flag"] | (table["left"] > 0))
 

@@ -20,6 +20,7 @@ from twodof.fcu.parameters.user_parameters import UserParameters, user_parameter
 from twodof.flight.core import PERIOD, core
 from twodof.flight.failsafe.diagram import OWN_INPUTS
 from twodof.flight.templates import MOTOR, TEMPLATES
+from twodof.parameters import FLIGHT_PARAMETERS
 
 INPUTS = (
     *("acc_x", "acc_z", "gyro_y", "dist", "dist_new", "dist_age", "imu_new", "voltage"),
@@ -37,23 +38,8 @@ OUTPUTS = (
 )
 """What it gives: the fields of `ControlStep` behind `asked`."""
 
-PATHS: Mapping[str, str] = MappingProxyType(
-    {
-        "RATE_KP": "cascade.rate.kp",
-        "RATE_KI": "cascade.rate.ki",
-        "RATE_KD": "cascade.rate.kd",
-        "RATE_N": "cascade.rate.N",
-        "ATT_KP": "cascade.attitude.kp",
-        "VEL_KP": "cascade.velocity.kp",
-        "VEL_KI": "cascade.velocity.ki",
-        "POS_KP": "cascade.position.kp",
-        "THRUST_BAR": "cascade.projection.T_bar",
-        "THRUST_ETA": "cascade.projection.eta_T",
-        "M_MAX": "cascade.rate.limit",
-        "X0_MAX": "failsafe.safe.x0_limit",
-    }
-)
-"""Where each of `parameters.PARAMETERS` stands in the flight code."""
+PATHS: Mapping[str, str] = MappingProxyType({row.name: row.path for row in FLIGHT_PARAMETERS})
+"""Where each of `parameters.FLIGHT_PARAMETERS` stands in the flight code, by its name on the wire."""
 
 _USED = slice(OUTPUTS.index("x0"), OUTPUTS.index("q0") + 1)
 _CASCADE, _RESERVE = "cascade.", "stock."
@@ -171,7 +157,7 @@ class FlightCode:
         self._revive()
 
     def set_parameters(self, values: Mapping[str, Any]) -> None:
-        """Sets parameters by the names of `parameters.PARAMETERS`, or by paths such as "failsafe.battery.low".
+        """Sets parameters by their names on the wire, or by paths such as "failsafe.battery.low".
 
         Those of a user's controllers have paths such as "attitude_control.k_q". A flag is true or false, or 1 or 0.
         All take effect at the next step, or none does: raises ParameterError for a name that is not there and a value

@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import isfinite
-from numbers import Real
-
-import numpy as np
 
 from twodof.parameters import Parameter
 
@@ -17,9 +13,8 @@ class VehicleParameter(Parameter):
 
     `group` is where a ground station shows it. `disarmed`: it is changed only while disarmed; `reboot`: a change acts
     after the next start. `acts` is False for one that clients of PX4 ask for and nothing on board reads. `of` names the
-    parameter that this one is another name of. `path` is where it stands in the failsafe's diagram, `own` where in that
-    of a user's controller (`attitude_control.k_q`, with an index for an array's element); without bounds in the diagram
-    it is not `bounded`.
+    parameter that this one is another name of. `own` is where it stands in the diagram of a user's controller
+    (`attitude_control.k_q`, with an index for an array's element); without bounds in the diagram it is not `bounded`.
     """
 
     group: str = "Flight"
@@ -27,7 +22,6 @@ class VehicleParameter(Parameter):
     reboot: bool = False
     acts: bool = True
     of: str = ""
-    path: str = ""
     own: str = ""
     bounded: bool = True
 
@@ -35,10 +29,3 @@ class VehicleParameter(Parameter):
     def fixed(self) -> bool:
         """Whether it has only one value, which tells a client something."""
         return self.low == self.high
-
-
-def carried(value: float) -> float:
-    """The shortest decimal among the numbers that float32 rounds as it does `value`; what is no number stays."""
-    if isinstance(value, bool) or not isinstance(value, Real) or abs(value) > 3e38 or not isfinite(value):
-        return value
-    return float(str(np.float32(value)))

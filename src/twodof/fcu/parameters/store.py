@@ -11,11 +11,11 @@ from types import TracebackType
 from typing import Any, Self
 
 from twodof.errors import ParameterError, TwodofError, listed
-from twodof.fcu.parameters.row import VehicleParameter, carried
+from twodof.fcu.parameters.row import VehicleParameter
 from twodof.fcu.parameters.store_file import StoredParameters, StoreFile, TunedController
 from twodof.fcu.parameters.table import own_rows, wire_rows
 from twodof.fcu.parameters.user_parameters import UserParameters
-from twodof.parameters import PARAMETERS, ParameterSet
+from twodof.parameters import TUNABLES, ParameterSet, float32_decimal
 
 HASH_NAME = "_HASH_CHECK"
 MOST_TUNED = 8
@@ -91,21 +91,13 @@ class ParameterStore(Mapping[str, float]):
         self.row(name)
         return self._index[name]
 
-    def tuned(self) -> dict[str, float]:
-        """The values of `parameters.PARAMETERS` by main name: gains and limits of the flight code."""
-        return {row.name: self._set[row.name] for row in PARAMETERS}
-
-    def failsafe(self) -> dict[str, float]:
-        """The failsafe's values by their path in its diagram (`place.pitch_limit`); a flag is a bool."""
+    def flying(self) -> dict[str, float]:
+        """What the flight code is to fly with: values by their paths in it; a flag is a bool."""
         return {
-            row.path: bool(self._set[row.name]) if row.kind == "int32" else self._set[row.name]
+            row.path: bool(self._set[row.name]) if isinstance(TUNABLES[row.path].default, bool) else self._set[row.name]
             for row in self.rows
             if row.path and not row.of
         }
-
-    def flying(self) -> dict[str, float]:
-        """What the flight code is to fly with, as `FlightCode.set_parameters` takes it: `tuned` and `failsafe`."""
-        return self.tuned() | {f"failsafe.{path}": value for path, value in self.failsafe().items()}
 
     def own(self) -> dict[str, Any]:
         """What is to fly in the user's controllers, by path (`attitude_control.k_q`): numbers, lists for arrays."""
@@ -148,7 +140,7 @@ class ParameterStore(Mapping[str, float]):
         Raises ParameterError, naming every fault: an unknown name, one parameter twice, a value that is no number, no
         whole number, or outside its bounds, and, if `armed`, a parameter that is changed only while disarmed.
         """
-        wanted = {name: carried(value) if self._is_float(name) else value for name, value in changes.items()}
+        wanted = {name: float32_decimal(value) if self._is_float(name) else value for name, value in changes.items()}
         good, faults = self._set.check(wanted)
         faults += self._locked(good, armed)
         if faults:
@@ -300,7 +292,7 @@ class ParameterStore(Mapping[str, float]):
     def _take_over(self, found: tuple[StoredParameters, str]) -> tuple[str, ...]:
         """Takes each value of the file that is still right; returns what was not."""
         kept, remark = found
-        values = {n: carried(v) if self._is_float(n) else v for n, v in kept.values.items()}
+        values = {n: float32_decimal(v) if self._is_float(n) else v for n, v in kept.values.items()}
         good, faults = self._set.check(values)
         self._set = ParameterSet(good, own_rows(int(self._set["MAV_SYS_ID"])))
         self._tuned = {one.identity: one for one in kept.controllers[-MOST_TUNED:]}
@@ -308,4 +300,4 @@ class ParameterStore(Mapping[str, float]):
 
 
 def _restored(row: VehicleParameter, value: float) -> float:
-    return carried(value) if row.kind == "float" else value
+    return float32_decimal(value) if row.kind == "float" else value

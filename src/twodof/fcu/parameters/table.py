@@ -1,28 +1,28 @@
-"""All parameters of a vehicle: the flight code's, the failsafe's, and those of PX4 that its clients ask for."""
+"""All parameters of a vehicle: the flight code's, and those of PX4 that its clients ask for."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from types import MappingProxyType
 
-from twodof.fcu.parameters.failsafe_parameters import failsafe_rows
 from twodof.fcu.parameters.row import VehicleParameter
 from twodof.fcu.px4_compat.parameters import px4_rows
-from twodof.parameters import PARAMETERS
-
-_SAME = MappingProxyType({"X0_MAX": "safe.x0_limit"})
-"""Those of PARAMETERS that are the failsafe's: not there twice, and changed only while disarmed like the others."""
+from twodof.parameters import FLIGHT_PARAMETERS, PARAMETERS
 
 
 @cache
 def own_rows(system: int) -> tuple[VehicleParameter, ...]:
     """Every parameter of the vehicle `system` once, by its main name."""
-    tuned = (
-        VehicleParameter(**vars(row), disarmed=row.name in _SAME, path=_SAME.get(row.name, "")) for row in PARAMETERS
+    flight = (*PARAMETERS, *(row for row in FLIGHT_PARAMETERS if row not in PARAMETERS))
+    rows = (
+        VehicleParameter(
+            **vars(row),
+            group="Flight" if row in PARAMETERS else "Failsafe",
+            disarmed=row.path.startswith("failsafe."),
+        )
+        for row in flight
     )
-    safe = (row for row in failsafe_rows() if row.path not in _SAME.values())
-    return (*tuned, *safe, *px4_rows(system))
+    return (*rows, *px4_rows(system))
 
 
 @cache

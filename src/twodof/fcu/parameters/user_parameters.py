@@ -20,10 +20,11 @@ from twodof.compile.program.lower import lower
 from twodof.compile.px4.names import harmless, module_names
 from twodof.compile.px4.parameters import LARGEST_FLOAT, LARGEST_INT, SMALLEST_INT, ExportedParameter, diagram_rows
 from twodof.errors import listed
-from twodof.fcu.parameters.row import VehicleParameter, carried
+from twodof.fcu.parameters.row import VehicleParameter
 from twodof.fcu.parameters.table import wire_rows
 from twodof.flight.core import PERIOD
 from twodof.flight.templates import by_kind
+from twodof.parameters import float32_decimal
 
 LONGEST_TEXT, LONGEST_UNIT = 160, 20
 """Of what a diagram says of its parameters, which nobody has looked at."""
@@ -96,7 +97,7 @@ def _row(kind: str, diagram: str, one: ExportedParameter) -> VehicleParameter:
     text = ": ".join(filter(None, (path, one.text)))
     default, low, high = one.default, one.low, one.high
     if one.kind == "real":
-        default, low, high = carried(default), carried(low), carried(high)
+        default, low, high = float32_decimal(default), float32_decimal(low), float32_decimal(high)
     return VehicleParameter(
         one.name,
         default,

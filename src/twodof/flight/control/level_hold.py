@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from twodof.blocks import Block, Param, Port, State, int32, maximum, minimum, to_int32, to_real, where
+from twodof.blocks import Block, Port, State, int32, maximum, minimum, to_int32, to_real, where
 from twodof.flight.control.cascade import ATTITUDE, RATE, VELOCITY
+from twodof.flight.tunables import tunables
 
 
 class LevelHold(Block):
@@ -26,10 +27,7 @@ class LevelHold(Block):
     outputs = (Port("M_open"), Port("M_trim"))
     states = (State("mean"), State("samples", 0, "int32"))
     derived = (Port("settle_samples", "int32"), Port("window_samples"))
-    params = (
-        Param("settle", 2.0, unit="s", low=0.0, high=60.0, text="wait before the mean is taken"),
-        Param("window", 5.0, unit="s", low=0.1, high=60.0, text="memory of the mean"),
-    )
+    params = tunables("hold")
 
     def prepare(self, p: Any, t: Any) -> Any:
         return {"settle_samples": to_int32(p.settle / t.dt + 0.5), "window_samples": p.window / t.dt}
@@ -58,7 +56,7 @@ class ArmingReset(Block):
     outputs = (Port("in_reset", "bool"),)
     states = (State("count", 0, "int32"),)
     # The drone's logs show two to four samples.
-    params = (Param("samples", 3, "int32", low=0, high=1000, text="samples of reset after arming"),)
+    params = tunables("arming")
 
     def _thrusting(self, u: Any) -> Any:
         return (u.mode >= int32(VELOCITY)) | ((u.mode >= int32(RATE)) & (u.thrust > 0.0))

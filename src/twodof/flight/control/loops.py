@@ -7,9 +7,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from twodof.blocks import Block, Param, Port, State, maximum, minimum, where
+from twodof.blocks import Block, Port, State, maximum, minimum, where
 from twodof.blocks.elementary.functions import atan, cos
 from twodof.flight.finite import finite
+from twodof.flight.tunables import tunables
 
 
 def limited(value: Any, limit: Any) -> Any:
@@ -39,11 +40,8 @@ class PositionLoop(Block):
     )
     outputs = (Port("v0", unit="m/s"),)
 
-    def __init__(self, kp: float = 1.5) -> None:
-        self.params = [
-            Param("kp", kp, unit="1/s", low=0.0, high=10.0, text="position P"),
-            Param("limit", 1.0, unit="m/s", low=0.0, text="largest velocity set-point"),
-        ]
+    def __init__(self, kp: float | None = None) -> None:
+        self.params = tunables("cascade.position", kp=kp)
 
     def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
         return where(u.closed, limited(p.kp * (u.x0 - u.x), p.limit), u.v0)
@@ -65,11 +63,8 @@ class VelocityLoop(Block):
     states = (State("sum", unit="N"), State("carry", unit="N"))
     derived = (Port("ki_dt"),)
 
-    def __init__(self, kp: float = 2.4, ki: float = 2.81) -> None:
-        self.params = [
-            Param("kp", kp, unit="N*s/m", low=0.0, high=20.0, text="velocity P"),
-            Param("ki", ki, unit="N/m", low=0.0, high=20.0, text="velocity I"),
-        ]
+    def __init__(self, kp: float | None = None, ki: float | None = None) -> None:
+        self.params = tunables("cascade.velocity", kp=kp, ki=ki)
 
     def prepare(self, p: Any, t: Any) -> Any:
         return p.ki * t.dt
@@ -101,10 +96,7 @@ class Projection(Block):
 
     inputs = (Port("force", unit="N"),)
     outputs = (Port("theta0", unit="rad"), Port("T"))
-    params = (
-        Param("T_bar", 0.4, low=0.05, high=1.0, text="thrust when level"),
-        Param("eta_T", 6.3386, unit="N", low=0.1, high=100.0, text="force of full thrust"),
-    )
+    params = tunables("cascade.projection")
 
     def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
         theta0 = -atan(u.force / (p.T_bar * p.eta_T))
@@ -122,11 +114,8 @@ class AttitudeLoop(Block):
     )
     outputs = (Port("q0", unit="rad/s"),)
 
-    def __init__(self, kp: float = 11.0) -> None:
-        self.params = [
-            Param("kp", kp, unit="1/s", low=0.0, high=50.0, text="attitude P"),
-            Param("limit", 20.0, unit="rad/s", low=0.0, text="largest rate set-point"),
-        ]
+    def __init__(self, kp: float | None = None) -> None:
+        self.params = tunables("cascade.attitude", kp=kp)
 
     def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
         return where(u.closed, limited(p.kp * (u.theta0 - u.theta), p.limit), u.q0)
@@ -145,14 +134,8 @@ class RateLoop(Block):
     states = (State("sum"), State("carry"), State("slope", unit="rad/s2"), State("error", unit="rad/s"))
     derived = (Port("ki_dt"), Port("decay"), Port("rise"))
 
-    def __init__(self, kp: float = 0.0854, ki: float = 0.251, kd: float = 0.00054) -> None:
-        self.params = [
-            Param("kp", kp, unit="s/rad", low=0.0, high=1.0, text="rate P"),
-            Param("ki", ki, unit="1/rad", low=0.0, high=5.0, text="rate I"),
-            Param("kd", kd, unit="s2/rad", low=0.0, high=0.05, text="rate D"),
-            Param("N", 100.0, unit="1/s", low=1.0, high=1000.0, text="corner of the derivative's filter"),
-            Param("limit", 1.0, low=0.0, high=1.0, text="largest moment"),
-        ]
+    def __init__(self, kp: float | None = None, ki: float | None = None, kd: float | None = None) -> None:
+        self.params = tunables("cascade.rate", kp=kp, ki=ki, kd=kd)
 
     def prepare(self, p: Any, t: Any) -> Any:
         lag = 1.0 / p.N

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from twodof.blocks import Block, Param, Port, State, where
+from twodof.blocks import Block, Port, State, where
 from twodof.blocks.elementary.functions import atan2, cos, sin
 from twodof.flight.estimator.position_filter import RAIL_CENTRE
 from twodof.flight.finite import restarted
+from twodof.flight.tunables import tunables
 
 STATES = ("theta", "bias", "x", "v")
 PAIRS = tuple((a, b) for i, a in enumerate(STATES) for b in STATES[i:])
@@ -60,17 +61,7 @@ class LongitudinalFilter(Block):
         *(Port(f"P_{name}_{name}_0") for name in STATES),
         *(Port(name) for name in ("gyro_q", "walk_q", "q_xx", "q_xv", "q_vv", "gravity_r", "range_r")),
     )
-    params = (
-        Param("sigma_gyro", 0.002, unit="rad/s/sqrt(Hz)", low=0.0, text="gyro noise density"),
-        Param("sigma_walk", 0.0001, unit="rad/s/sqrt(s)", low=0.0, text="walk of the gyro's bias"),
-        Param("sigma_a", 0.02, unit="m/s2/sqrt(Hz)", low=0.0, text="noise density of the acceleration"),
-        Param("sigma_range", 0.016, unit="m", low=1e-6, text="range noise"),
-        Param("sigma_gravity", 20.0, unit="m/s2", low=0.01, text="acceleration that tilt is told from, one sample"),
-        Param("sigma_theta_0", 0.02, unit="rad", low=0.0, text="uncertainty of the first pitch"),
-        Param("sigma_bias_0", 0.01, unit="rad/s", low=0.0, text="uncertainty of the first bias"),
-        Param("sigma_x_0", 1.0, unit="m", low=0.0, text="uncertainty of x before the first range sample"),
-        Param("sigma_v_0", 0.01, unit="m/s", low=0.0, text="uncertainty of the first velocity"),
-    )
+    params = tunables("estimator.filter")
 
     def prepare(self, p: Any, t: Any) -> Any:
         density = p.sigma_a * p.sigma_a

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from twodof.blocks import Block, Param, Port, State, where
+from twodof.blocks import Block, Port, State, where
 from twodof.blocks.elementary.functions import atan2, cos, sin
 from twodof.flight.finite import restarted
+from twodof.flight.tunables import tunables
 
 GRAVITY = 9.81  # [m/s2]
 
@@ -48,13 +49,7 @@ class PitchFilter(Block):
     )
     # The noise densities are those of the drone in hover (q .06 rad/s a sample, acceleration and vibration together
     # some m/s2); with them theta stays within .3 deg RMS of the drone's own estimate on each of its logs.
-    params = (
-        Param("sigma_gyro", 0.004, unit="rad/s/sqrt(Hz)", low=0.0, text="gyro noise density"),
-        Param("sigma_walk", 0.0007, unit="rad/s/sqrt(s)", low=0.0, text="walk of the gyro's bias"),
-        Param("sigma_acc", 5.0, unit="m/s2", low=0.01, text="horizontal acceleration and vibration, one sample"),
-        Param("sigma_theta_0", 0.05, unit="rad", low=0.0, text="uncertainty of the first pitch"),
-        Param("sigma_bias_0", 0.01, unit="rad/s", low=0.0, text="uncertainty of the first bias"),
-    )
+    params = tunables("estimator.pitch")
 
     def prepare(self, p: Any, t: Any) -> Any:
         return {

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from twodof.blocks import Block, Param, Port, State, where
+from twodof.blocks import Block, Port, State, where
 from twodof.blocks.elementary.functions import cos, sin
 from twodof.flight.finite import restarted
+from twodof.flight.tunables import tunables
 
 RAIL_CENTRE = 0.50  # range of the time-of-flight sensor at x = 0 [m]
 
@@ -51,12 +52,7 @@ class FixedGainPosition(Block):
         State("started", False, "bool"),
     )
     derived = (Port("follow"),)
-    params = (
-        Param("k_x", 0.16, low=0.0, high=1.0, text="share of the innovation that corrects x"),
-        Param("k_v", 0.56, unit="1/s", low=0.0, high=20.0, text="correction of v for an innovation of 1 m"),
-        Param("bias", 0.0, unit="m/s2", low=-5.0, high=5.0, text="added to the acceleration; 0 on board"),
-        Param("lag", 0.10, unit="s", low=0.0, high=10.0, text="time in which the output's x follows the filter's"),
-    )
+    params = tunables("estimator.position", "k_x", "k_v", "bias", "lag")
 
     def prepare(self, p: Any, t: Any) -> Any:
         return where(p.lag > t.dt, t.dt / p.lag, 1.0)
@@ -119,13 +115,7 @@ class KalmanPosition(Block):
         Port("q_bb"),
         Port("r"),
     )
-    params = (
-        Param("sigma_a", 0.05, unit="m/s2/sqrt(Hz)", low=0.0, text="noise density of the acceleration"),
-        Param("sigma_walk", 0.005, unit="m/s2/sqrt(s)", low=0.0, text="walk of the accelerometer's bias"),
-        Param("sigma_tof", 0.004, unit="m", low=1e-6, text="range noise"),
-        Param("sigma_v_0", 0.02, unit="m/s", low=0.0, text="uncertainty of the first velocity"),
-        Param("sigma_bias_0", 0.05, unit="m/s2", low=0.0, text="uncertainty of the first bias"),
-    )
+    params = tunables("estimator.position", "sigma_a", "sigma_walk", "sigma_tof", "sigma_v_0", "sigma_bias_0")
 
     def prepare(self, p: Any, t: Any) -> Any:
         density = p.sigma_a * p.sigma_a

@@ -6,8 +6,9 @@ from functools import reduce
 from operator import or_
 from typing import Any
 
-from twodof.blocks import Block, Param, Port, State, minimum, where
+from twodof.blocks import Block, Port, State, minimum, where
 from twodof.flight.estimator.pitch_filter import GRAVITY
+from twodof.flight.tunables import tunables
 
 FORCE_SUMS = ("forth", "back", "up", "down")
 RATE_SUMS = ("faster", "slower")
@@ -62,15 +63,7 @@ class ForceConsistency(Block):
     )
     outputs = (Port("disagrees", "bool"), *(Port(name, unit="m/s") for name in FORCE_SUMS))
     states = (*(State(name, unit="m/s") for name in FORCE_SUMS), State("thrust"))
-    params = (
-        Param("pull", 12.5, unit="m/s2", low=1.0, high=100.0, text="full thrust over the mass that slides"),
-        Param("pull_share", 0.3, low=0.05, high=1.0, text="share of the pull that may be missing, or more"),
-        Param("drag", 0.9, unit="1/s", low=0.0, high=10.0, text="friction of the rail over the mass"),
-        Param("along_slack", 0.4, unit="m/s2", low=0.1, high=5.0, text="acceleration along the rail left unexplained"),
-        Param("along_limit", 0.15, unit="m/s", low=0.05, high=2.0, text="unexplained speed along it: motors off"),
-        Param("up_slack", 0.8, unit="m/s2", low=0.1, high=5.0, text="vertical acceleration left unexplained"),
-        Param("up_limit", 0.3, unit="m/s", low=0.05, high=2.0, text="unexplained vertical speed: motors off"),
-    )
+    params = tunables("failsafe.force")
 
     def _sums(self, u: Any, x: Any, p: Any, t: Any) -> Sums:
         pull = p.pull * x.thrust * u.sine
@@ -113,15 +106,7 @@ class RateConsistency(Block):
         State("arrived"),
     )
     derived = (Port("per_answer"), Port("per_dt", unit="1/s"))
-    params = (
-        Param("turn", 165.0, unit="rad/s2", low=10.0, high=2000.0, text="angular acceleration of one pair at full"),
-        Param("curve", 0.3, low=0.0, high=1.0, text="quadratic share of a pair's thrust curve"),
-        Param("answer", 0.021, unit="s", low=0.004, high=0.2, text="delay and lag of the rotors"),
-        Param("swing", 9.5, unit="rad/s2", low=0.0, high=100.0, text="angular acceleration back to level, of the sine"),
-        Param("turn_slack", 10.0, unit="rad/s2", low=1.0, high=100.0, text="angular acceleration left unexplained"),
-        Param("turn_share", 0.3, low=0.05, high=1.0, text="share of the expected one left unexplained"),
-        Param("turn_limit", 1.5, unit="rad/s", low=0.2, high=10.0, text="unexplained pitch rate: motors off"),
-    )
+    params = tunables("failsafe.rate")
 
     def prepare(self, p: Any, t: Any) -> Any:
         return {"per_answer": minimum(1.0, t.dt / p.answer), "per_dt": 1.0 / t.dt}

@@ -21,6 +21,7 @@ from twodof.flight.failsafe.thresholds import (
     StuckCommands,
 )
 from twodof.flight.failsafe.timers import OffDelay, WatchdogTimer
+from twodof.flight.tunables import tunable
 
 __all__ = ["ACTIONS", "CAUSES", "INPUTS", "OUTPUTS", "OWN_INPUTS", "STATES", "TIMERS", "failsafe"]
 
@@ -61,20 +62,20 @@ OUTPUTS: tuple[tuple[str, str, str], ...] = (
 
 TIMERS = MappingProxyType(
     {
-        "setpoint": WatchdogTimer(0.5, 0.02, 0.9, "silence of set-points after which it levels"),
-        "link": WatchdogTimer(3.0, 0.1, 30.0, "silence of the link after which it descends (heartbeats come at 1 Hz)"),
-        "imu": WatchdogTimer(0.02, 0.004, 0.1, "silence or repetition of the IMU after which the motors stop"),
-        "axis": WatchdogTimer(0.1, 0.02, 1.0, "repetition of an axis of the IMU after which the motors stop"),
-        "range": WatchdogTimer(0.24, 0.06, 2.0, "time without a believed range after which it descends"),
-        "range_stuck": WatchdogTimer(0.5, 0.06, 5.0, "time of one and the same range after which it descends"),
-        "brake": WatchdogTimer(3.0, 0.1, 10.0, "longest time of braking, then the motors stop"),
-        "battery_low": WatchdogTimer(1.0, 0.004, 30.0, "time of low voltage until it counts"),
-        "battery_critical": WatchdogTimer(0.5, 0.004, 10.0, "time of critical voltage until it descends"),
-        "late": WatchdogTimer(0.008, 0.004, 0.008, "time of late steps in a row after which the motors stop"),
-        "stuck": WatchdogTimer(0.5, 0.02, 5.0, "time of commands that do not move after which they are not believed"),
+        "setpoint": "asked.fed",
+        "link": "link_new",
+        "imu": "sensors.imu_moves",
+        "axis": "sensors.axes_move",
+        "range": "sensors.range_good",
+        "range_stuck": "sensors.range_moves",
+        "brake": "at_large",
+        "battery_low": "battery.full",
+        "battery_critical": "battery.usable",
+        "late": "in_time",
+        "stuck": "commands.moves",
     }
 )
-"""The timers by name: `failsafe.NAME.timeout` is the parameter."""
+"""What each timer waits for, by the timer's name; its parameter is `failsafe.NAME.timeout`."""
 
 _MEASURED = (
     ("acc_x", "real", "m/s2"),
@@ -111,7 +112,8 @@ def failsafe() -> Diagram:
         d.input(name)
     for name, kind, unit, _ in OWN_INPUTS:
         d.input(name, kind, unit=unit)
-    d.param("descent", 1.0, unit="s", low=0.1, high=10.0, text="time in which the thrust fades")
+    descent = tunable("failsafe.descent")
+    d.param("descent", descent.value, unit=descent.unit, low=descent.low, high=descent.high, text=descent.text)
     _flags(d)
     _timers(d)
     _machine(d)
@@ -140,21 +142,9 @@ def _flags(d: Diagram) -> None:
 
 
 def _timers(d: Diagram) -> None:
-    for name, timer in TIMERS.items():
-        d.add(name, WatchdogTimer(**timer.config))
-    for name, source in (
-        ("setpoint", "asked.fed"),
-        ("link", "link_new"),
-        ("imu", "sensors.imu_moves"),
-        ("axis", "sensors.axes_move"),
-        ("range", "sensors.range_good"),
-        ("range_stuck", "sensors.range_moves"),
-        ("battery_low", "battery.full"),
-        ("battery_critical", "battery.usable"),
-        ("late", "in_time"),
-        ("stuck", "commands.moves"),
-        ("brake", "at_large"),
-    ):
+    for name in TIMERS:
+        d.add(name, WatchdogTimer(tunable(f"failsafe.{name}.timeout")))
+    for name, source in TIMERS.items():
         d.connect(source, f"{name}.alive")
 
 
@@ -185,8 +175,8 @@ def _machine(d: Diagram) -> None:
         force_disagrees="force.disagrees",
         rate_disagrees="rate.disagrees",
     )
-    for name, text in (("level", "levelling lasts at least"), ("brake", "braking lasts at least")):
-        d.add(f"{name}_lasts", OffDelay(0.5, 0.02, 5.0, text), flag=f"classes.{name}")
+    for name in ("level", "brake"):
+        d.add(f"{name}_lasts", OffDelay(tunable(f"failsafe.{name}_lasts.time")), flag=f"classes.{name}")
     d.add("at_large", Logic("not"), a="brake_lasts")
     d.add(
         "machine",

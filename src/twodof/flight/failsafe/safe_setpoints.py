@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from twodof.blocks import Block, Param, Port, State, int32, maximum, minimum, to_real, where
+from twodof.blocks import Block, Port, State, int32, maximum, minimum, to_real, where
 from twodof.flight.control.cascade import ATTITUDE, OFF, POSITION
 from twodof.flight.failsafe.state_machine import BRAKE, DESCEND, FLYING, LEVEL
 from twodof.flight.failsafe.thresholds import SET_POINTS
 from twodof.flight.failsafe.timers import ticks
 from twodof.flight.finite import finite
+from twodof.flight.tunables import tunable, tunables
 
 
 class SafeSetPoints(Block):
@@ -37,18 +38,7 @@ class SafeSetPoints(Block):
     outputs = (Port("mode", "int32"), *(Port(name, unit=unit) for name, unit in SET_POINTS), Port("ax0", unit="m/s2"))
     states = (State("thrust"),)
     derived = (Port("per_tick"),)
-    params = (
-        Param("descent", 1.0, unit="s", low=0.1, high=10.0, text="time in which the thrust fades"),
-        Param("thrust_held", 0.6, low=0.0, high=1.0, text="most thrust that is held while levelling"),
-        Param("rail_hold", 0.10, unit="m", low=0.0, high=0.36, text="farthest place that braking goes to"),
-        Param("brake_x", 0.8, unit="rad/m", low=0.0, high=5.0, text="pitch of braking per metre beyond that place"),
-        Param("brake_v", 0.8, unit="rad*s/m", low=0.0, high=5.0, text="pitch of braking per speed"),
-        Param("brake_tilt", 0.55, unit="rad", low=0.05, high=0.7, text="largest pitch of braking"),
-        Param("x0_limit", 0.30, unit="m", low=0.0, high=0.40, text="largest position set-point"),
-        Param("v0_limit", 0.5, unit="m/s", low=0.0, high=2.0, text="largest velocity set-point"),
-        Param("theta0_limit", 0.6, unit="rad", low=0.0, high=0.80, text="largest pitch set-point"),
-        Param("q0_limit", 20.0, unit="rad/s", low=0.0, high=20.0, text="largest pitch-rate set-point"),
-    )
+    params = (tunable("failsafe.descent"), *tunables("failsafe.safe"))
 
     def prepare(self, p: Any, t: Any) -> Any:
         return 1.0 / to_real(ticks(p.descent, t.dt))

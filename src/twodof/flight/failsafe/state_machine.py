@@ -6,9 +6,10 @@ from functools import reduce
 from operator import or_
 from typing import Any
 
-from twodof.blocks import Block, Param, Port, State, int32, maximum, where
+from twodof.blocks import Block, Port, State, int32, maximum, where
 from twodof.flight.failsafe.causes import ACTIONS, BIT, CAUSES, NONE
 from twodof.flight.failsafe.timers import ticks
+from twodof.flight.tunables import tunable, tunables
 
 STATES = ("disarmed", "refused", "flying", "level", "brake", "descend", "off")
 """What the failsafe is in, by number. Motors may turn in flying, level, brake and descend."""
@@ -61,12 +62,7 @@ class FailsafeStateMachine(Block):
     )
     states = (State("state", DISARMED, "int32"), State("timer", 0, "int32"), State("own_failed", False, "bool"))
     derived = (Port("level_ticks", "int32"), Port("descent_ticks", "int32"))
-    params = (
-        Param(
-            "level_limit", 10.0, unit="s", low=0.1, high=60.0, text="longest time of level and brake, then it descends"
-        ),
-        Param("descent", 1.0, unit="s", low=0.1, high=10.0, text="time in which the thrust fades"),
-    )
+    params = (*tunables("failsafe.machine"), tunable("failsafe.descent"))
 
     def prepare(self, p: Any, t: Any) -> Any:
         return {

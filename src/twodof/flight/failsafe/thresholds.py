@@ -6,10 +6,11 @@ from functools import reduce
 from operator import and_, or_
 from typing import Any
 
-from twodof.blocks import Block, Param, Port, State, int32, where
+from twodof.blocks import Block, Port, State, int32, where
 from twodof.flight.control.cascade import OFF, POSITION, RATE, VELOCITY
 from twodof.flight.estimator.position_filter import RAIL_CENTRE
 from twodof.flight.finite import finite
+from twodof.flight.tunables import tunables
 
 SET_POINTS = (("x0", "m"), ("v0", "m/s"), ("theta0", "rad"), ("q0", "rad/s"), ("thrust", ""), ("M_open", ""))
 """The set-points that are numbers, with their units."""
@@ -59,14 +60,7 @@ class SensorFlags(Block):
         State("dist", unit="m"),
         State("at_end", False, "bool"),
     )
-    params = (
-        Param(
-            "range_error", 0.10, unit="m", low=0.02, high=1.0, text="range further from the estimate is not believed"
-        ),
-        Param("range_end", 0.39, unit="m", low=0.05, high=0.45, text="range from the middle at which the motors stop"),
-        Param("range_old", 0.2, unit="s", low=0.02, high=1.0, text="range older than this is not believed"),
-        Param("watch_bits", True, "bool", text="a sensor that repeats itself to the bit is stuck"),
-    )
+    params = tunables("failsafe.sensors")
 
     def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
         moved = [u[axis] != x[axis] for axis in IMU_AXES]
@@ -124,20 +118,7 @@ class PlaceFlags(Block):
         Port(name, "bool") for name in ("estimate_lost", "pitch_near", "pitch_stop", "rail_near", "rail_end", "tilted")
     )
     states = (State("pitch_near", False, "bool"), State("rail_near", False, "bool"))
-    params = (
-        Param("pitch_limit", 0.80, unit="rad", low=0.2, high=0.87, text="pitch beyond which it is levelled"),
-        Param("pitch_margin", 0.10, unit="rad", low=0.01, high=0.3, text="hysteresis of the pitch limit"),
-        Param("look_ahead", 0.06, unit="s", low=0.0, high=0.2, text="the pitch is foreseen by this time"),
-        Param("pitch_end", 0.85, unit="rad", low=0.2, high=0.87, text="pitch at which the motors stop"),
-        Param("theta_bound", 1.2, unit="rad", low=0.9, high=3.0, text="no pitch beyond it is believed"),
-        Param("q_bound", 30.0, unit="rad/s", low=5.0, high=60.0, text="no pitch rate beyond it is believed"),
-        Param("arm_tilt", 0.30, unit="rad", low=0.02, high=0.8, text="largest pitch at arming"),
-        Param("rail_limit", 0.37, unit="m", low=0.05, high=0.40, text="beyond which the cart is braked"),
-        Param("rail_margin", 0.03, unit="m", low=0.005, high=0.1, text="hysteresis of the rail's limit"),
-        Param("reaction", 0.25, unit="s", low=0.0, high=0.5, text="time until braking takes hold"),
-        Param("braking", 3.0, unit="m/s2", low=0.5, high=10.0, text="deceleration that braking is trusted with"),
-        Param("rail_end", 0.395, unit="m", low=0.05, high=0.45, text="place at which the motors stop"),
-    )
+    params = tunables("failsafe.place")
 
     def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
         theta, q = abs(u.theta), abs(u.q)
@@ -168,12 +149,7 @@ class BatteryFlags(Block):
     inputs = (Port("voltage", unit="V"),)
     outputs = (Port("full", "bool"), Port("usable", "bool"))
     states = (State("low", False, "bool"), State("critical", False, "bool"))
-    params = (
-        Param("low", 11.1, unit="V", low=0.0, high=60.0, text="low voltage: no arming (3.7 V a cell)"),
-        Param("critical", 10.5, unit="V", low=0.0, high=60.0, text="critical voltage: it descends (3.5 V a cell)"),
-        Param("margin", 0.2, unit="V", low=0.01, high=2.0, text="hysteresis of both"),
-        Param("high", 13.5, unit="V", low=0.0, high=65.0, text="no voltage beyond it is believed (4.5 V a cell)"),
-    )
+    params = tunables("failsafe.battery")
 
     def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
         believed = u.voltage <= p.high

@@ -12,6 +12,9 @@ from twodof.blocks import Block, Param, Port, State, int32, maximum, minimum, to
 MOST = 60.0
 """Longest time of a timer [s]: at 250 Hz a count of 15,000."""
 
+_TIMEOUT = Param("timeout", 1.0, unit="s", low=0.004, high=MOST)
+_TIME = Param("time", 0.5, unit="s", low=0.004, high=MOST)
+
 
 def ticks(seconds: Any, dt: Any) -> Any:
     """`seconds` as a number of periods `dt`, to the nearest, one at least; int32."""
@@ -31,8 +34,8 @@ class WatchdogTimer(Block):
     states = (State("count", "limit", "int32"),)
     derived = (Port("limit", "int32"),)
 
-    def __init__(self, timeout: float = 1.0, low: float = 0.004, high: float = MOST, text: str = "") -> None:
-        self.params = [Param("timeout", timeout, unit="s", low=low, high=high, text=text)]
+    def __init__(self, timeout: Param = _TIMEOUT) -> None:
+        self.params = [timeout]
 
     def prepare(self, p: Any, t: Any) -> Any:
         return ticks(p.timeout, t.dt)
@@ -56,8 +59,8 @@ class OffDelay(Block):
     states = (State("left", 0, "int32"),)
     derived = (Port("limit", "int32"),)
 
-    def __init__(self, time: float = 0.5, low: float = 0.004, high: float = MOST, text: str = "") -> None:
-        self.params = [Param("time", time, unit="s", low=low, high=high, text=text)]
+    def __init__(self, time: Param = _TIME) -> None:
+        self.params = [time]
 
     def prepare(self, p: Any, t: Any) -> Any:
         return ticks(p.time, t.dt)

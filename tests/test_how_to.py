@@ -1,0 +1,16 @@
+"""The how-to pages that change the source say all that is needed: their steps work on a copy of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from tests.how_to import carry_out, copied
+
+
+def test_a_flight_parameter_is_one_file(tmp_path: Path) -> None:
+    root = copied(tmp_path)
+    before = (root / "docs" / "reference" / "parameters.md").read_text(encoding="utf-8")
+    assert carry_out("add-a-parameter.md", root) == {"src/twodof/parameters.py"}
+    after = (root / "docs" / "reference" / "parameters.md").read_text(encoding="utf-8")
+    assert "ATT_Q_MAX" not in before
+    assert "ATT_Q_MAX" in after
