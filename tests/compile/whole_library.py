@@ -12,8 +12,8 @@ from tests.compile.differential import Case
 from twodof.blocks import Diagram
 from twodof.blocks.library import Integrator
 
-CALM = 2_000  # steps in which no input is NaN, infinite or huge, as these stay in a state for ever
-PATTERN = 500  # steps of each kind thereafter
+CALM = 0.1  # of all steps: no input is NaN, infinite or huge, as these stay in a state for ever
+PATTERN = 0.025  # of all steps: each kind thereafter
 BENIGN = (0.0, -0.0, 5e-324, -1e-310, 1e-45, 1e-38, -1e-20)
 SPECIAL = (*BENIGN, math.nan, math.inf, -math.inf, 3e38, -1e300, 1.7e308, 2147483648.0, -4294967296.5, 0.5, 1.0)
 WORDS = (0, 1, -1, 2, 31, 32, -(2**31), 2**31 - 1)
@@ -51,9 +51,10 @@ def room(name: str, extra: bool) -> Diagram:
 def strange_inputs(d: Diagram, steps: int, seed: int) -> list[dict[str, Any]]:
     """Rows of inputs: calm at first (subnormals and signed zeros among normal numbers), then stretches of all kinds."""
     rng = random.Random(seed)
+    calm, pattern = int(CALM * steps), max(1, int(PATTERN * steps))
     rows = []
     for k in range(steps):
-        wild = 0.0 if k < CALM else (0.02, 0.5, 0.0)[(k - CALM) // PATTERN % 3]
+        wild = 0.0 if k < calm else (0.02, 0.5, 0.0)[(k - calm) // pattern % 3]
         row: dict[str, Any] = {}
         for name, port in d.inputs.items():
             if rng.random() < 0.5:
