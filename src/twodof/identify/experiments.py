@@ -113,6 +113,21 @@ def kind_of(log: FlightLog) -> ExperimentKind:
     return max(fitting, key=lambda one: one[0])[1]
 
 
+def around(log: FlightLog, record: Record, before: float = 1.0, after: float = 2.0) -> Record:
+    """The channels of a `record` that was cut from `log`, over a stretch longer by `before` and `after` [s].
+
+    It is for pictures: one sees what led to the excitation and what became of the flight.
+    """
+    names = (*record.inputs, *record.outputs)
+    channels = {one: _channel(log, one, one in record.outputs) for one in names}
+    first = max(float(channels[one][0][0]) for one in record.inputs) + record.dt
+    start = min(max(first, record.start - before), record.start)
+    stop = float(record.time[-1]) + after
+    return Record.from_channels(
+        channels, tuple(record.inputs), tuple(record.outputs), start=start, stop=stop, name=record.name
+    )
+
+
 def only(record: Record, *outputs: str) -> Record:
     """The same record with these of its outputs: a fit uses all that it finds."""
     return replace(record, outputs={name: record.outputs[name] for name in outputs})

@@ -90,22 +90,24 @@ class FigurePoint:
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """One pair of axes; `label` names the quantity and its unit."""
+    """One pair of axes; `label` names the quantity and its unit. `limits` are those of the vertical axis, if given."""
 
     label: str
     lines: Sequence[FigureLine]
     marks: Sequence[Span | FigureBand | FigurePoint] = ()
     height: float = 1.0
+    limits: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Figure:
-    """One of the paper's figures, redrawn: panels above one another over one time axis [s]."""
+    """One of the paper's figures, redrawn: panels above one another over one time axis [s], or a `picture` (SVG)."""
 
     number: int
     title: str
     caption: str
-    panels: Sequence[Panel]
+    panels: Sequence[Panel] = ()
+    picture: str = ""
 
 
 @dataclass(frozen=True, eq=False)

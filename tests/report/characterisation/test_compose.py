@@ -12,6 +12,7 @@ from twodof.models.plant import PAPER_PITCH_RATE, PAPER_VELOCITY_GREYBOX
 from twodof.report.characterisation.characterise import Characterisation, ExperimentRecords, characterise
 from twodof.report.characterisation.compose import CharacterisedMachine, content, rows
 from twodof.report.characterisation.paper_figures import figures
+from twodof.report.content import Span
 from twodof.report.pages.report_page import to_html
 
 TRUTH = {
@@ -115,9 +116,9 @@ def test_one_flight_has_no_spread() -> None:
     assert once.spreads == {}
 
 
-def test_the_five_figures_are_drawn_from_the_first_edge_on(found: Characterisation) -> None:
+def test_the_six_figures_are_drawn_from_the_first_edge_on(found: Characterisation) -> None:
     drawn = list(figures(found))
-    assert [figure.number for figure in drawn] == [3, 4, 5, 7, 8]
+    assert [figure.number for figure in drawn] == [3, 4, 5, 6, 7, 8]
     for figure in drawn:
         for panel in figure.panels:
             for line in panel.lines:
@@ -125,6 +126,28 @@ def test_the_five_figures_are_drawn_from_the_first_edge_on(found: Characterisati
                 assert line.time[0] == pytest.approx(-0.4, abs=0.005)
     labels = [panel.label for figure in drawn for panel in figure.panels]
     assert all("[" in label for label in labels), "every axis has a unit"
+
+
+def test_figure_6_is_a_block_diagram_with_the_values_that_were_found(found: Characterisation) -> None:
+    figure = next(one for one in figures(found) if one.number == 6)
+    k_v, p_v = (f"{found.greybox[key].value:.4g}" for key in ("k_v", "p_v"))
+    assert "T_att" in figure.picture
+    assert f"\N{MINUS SIGN}{k_v}<" in figure.picture
+    assert f"s + {p_v}<" in figure.picture
+    page = to_html(content([CharacterisedMachine("rig", "", found, {})], {}))
+    assert page.index('id="figure-5"') < page.index('<svg class="diagram"') < page.index('id="figure-7"')
+
+
+def test_data_figures_show_the_flight_around_what_identified(found: Characterisation) -> None:
+    whole = found.flights.doublets[0]
+    used = whole.part(whole.start + 0.2, whole.start + 1.2)
+    flown = replace(found.flights, doublets=[used], surroundings={used.name: whole})
+    figure = next(one for one in figures(replace(found, flights=flown)) if one.number == 4)
+    for panel in figure.panels:
+        assert panel.lines[0].time[-1] - panel.lines[0].time[0] == pytest.approx(whole.time[-1] - whole.start)
+    (mark,) = figure.panels[0].marks
+    assert isinstance(mark, Span)
+    assert mark.stop - mark.start == pytest.approx(1.0)
 
 
 def test_table_1_has_the_papers_numbers_and_shows_the_delay_in_milliseconds(found: Characterisation) -> None:

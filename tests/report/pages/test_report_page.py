@@ -105,3 +105,10 @@ def test_without_checks_errata_and_doubts_their_sections_are_left_out() -> None:
     ids = parsed(text).ids
     assert "table-1" in ids
     assert not {"residuals", "doubts", "errata", "provenance", "figure-3"} & set(ids)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_cards_stand_in_as_many_columns_as_there_are_machines(count: int) -> None:
+    one = content().subjects[0]
+    page = to_html(replace(content(), subjects=[replace(one, name=f"rig {k}") for k in range(count)]))
+    assert set(re.findall(r'class="grid ([^"]*)"', page)) == {f"of-{count}"}

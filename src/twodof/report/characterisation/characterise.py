@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -36,6 +36,7 @@ class ExperimentRecords:
     `by_hand` names what the simple method may be read from: a drone that moves along the rail without having been
     given a doublet of pitch has no step response to read. `trim` is the moment that holds the drone level (default:
     the moment before the doublet). With `gyro_bias` the gyro's bias is estimated too, as a real gyro needs it.
+    `surroundings` hold, by a record's name, a longer stretch of the same flight, for pictures.
     """
 
     impulses: Sequence[Record]
@@ -44,6 +45,7 @@ class ExperimentRecords:
     by_hand: frozenset[str] = frozenset({"pitch", "velocity"})
     trim: float | None = None
     gyro_bias: bool = False
+    surroundings: Mapping[str, Record] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

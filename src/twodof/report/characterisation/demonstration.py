@@ -11,7 +11,7 @@ from twodof.flight.gains import NAMED
 from twodof.flightlog.files import read_log
 from twodof.flightlog.log import FlightLog
 from twodof.flightlog.public_data import PUBLIC_LOGS
-from twodof.identify.experiments import KINDS, cut
+from twodof.identify.experiments import KINDS, around, cut
 from twodof.identify.information import predict
 from twodof.identify.record import Record
 from twodof.models.structures import pitch_rate
@@ -59,16 +59,18 @@ def virtual(
     """
     rig = laboratory.rig_name
     records: dict[str, list[Record]] = {}
-    remarks = []
+    surroundings, remarks = {}, []
     for kind, name in _PAPER_EXPERIMENT.items():
         progress(f"{rig}: look at {name}, {repetitions} flights")
         records[kind] = []
         for seed in range(1, repetitions + 1):
             flight = fly(IDENTIFICATION[name], seed)
-            records[kind].append(cut(flight.log, KINDS[kind], name=f"{name} {seed}"))
+            record = cut(flight.log, KINDS[kind], name=f"{name} {seed}")
+            records[kind].append(record)
+            surroundings[record.name] = around(flight.log, record)
             remarks += [f"{name} {seed}: {check.name}, {check.seen}." for check in flight.checks if not check.passed]
     progress(f"{rig}: identify")
-    flights = ExperimentRecords(records["impulse"], records["doublet"], records["velocity"])
+    flights = ExperimentRecords(records["impulse"], records["doublet"], records["velocity"], surroundings=surroundings)
     found = characterise(flights, dry_friction=laboratory.parameters["coulomb_idle"] > 0.0)
     truth = truth_of(laboratory.parameters.snapshot())
     return CharacterisedMachine(f"virtual rig “{rig}”", _TEXT[rig], found, truth, remarks)
@@ -123,32 +125,41 @@ def truth_of(rig: Mapping[str, float]) -> dict[str, float]:
 
 def real(logs: Mapping[str, Path], progress: StepProgress) -> CharacterisedMachine | None:
     """Identify the real drone from those of the public logs that are at hand; None without any of the three."""
-    needed = {
-        name: read_log(logs[name])
-        for name in ("free-response-impulse", "doublet-0.03", "velocity-doublets-0.25")
-        if name in logs
-    }
+    needed = {stem: read_log(logs[stem]) for stem in dict.fromkeys(row[0] for row in _REAL) if stem in logs}
     if not needed:
         return None
     progress("real drone: identify")
     return CharacterisedMachine("real drone", _TEXT["real"], characterise(_real_flights(needed), dry_friction=True), {})
 
 
+_REAL = (
+    ("free-response-impulse", "impulse", None, "free response"),
+    # From the moment in which the motors start: before, nothing moves.
+    ("doublet-0.03", "doublet", (244.66, 245.75), "doublet"),
+    ("velocity-doublets-0.25", "velocity", (151.0, 155.2), "velocity doublet 1"),
+    ("velocity-doublets-0.25", "velocity", (155.0, 159.2), "velocity doublet 2"),
+)
+"""The public logs that hold the experiments: file stem, kind, window [s] on the log's axis, name of the record."""
+
+
 def _real_flights(logs: Mapping[str, FlightLog]) -> ExperimentRecords:
-    """The windows of the public logs that hold the experiments (times on each log's own axis)."""
-    impulses, doublets, velocities = [], [], []
-    if "free-response-impulse" in logs:
-        impulses = [cut(logs["free-response-impulse"], KINDS["impulse"], name="free response")]
-    if "doublet-0.03" in logs:
-        # From the moment in which the motors start: before, nothing moves.
-        doublets = [cut(logs["doublet-0.03"], KINDS["doublet"], (244.66, 245.75), "doublet")]
-    if "velocity-doublets-0.25" in logs:
-        velocities = [
-            cut(logs["velocity-doublets-0.25"], KINDS["velocity"], window, f"velocity doublet {number}")
-            for number, window in enumerate(((151.0, 155.2), (155.0, 159.2)), start=1)
-        ]
+    records: dict[str, list[Record]] = {kind: [] for kind in KINDS}
+    surroundings = {}
+    for stem, kind, window, name in _REAL:
+        if stem in logs:
+            record = cut(logs[stem], KINDS[kind], window, name)
+            records[kind].append(record)
+            surroundings[name] = around(logs[stem], record)
     # The drone was at rest at M = 0 when the motors started; the velocity loop gave no doublet of pitch to read.
-    return ExperimentRecords(impulses, doublets, velocities, by_hand=frozenset({"pitch"}), trim=0.0, gyro_bias=True)
+    return ExperimentRecords(
+        records["impulse"],
+        records["doublet"],
+        records["velocity"],
+        by_hand=frozenset({"pitch"}),
+        trim=0.0,
+        gyro_bias=True,
+        surroundings=surroundings,
+    )
 
 
 def comparisons(logs: Mapping[str, Path], progress: StepProgress) -> list[ReportTable]:

@@ -1,4 +1,4 @@
-"""The paper's Figures 3, 4, 5, 7 and 8, redrawn from one machine's characterisation."""
+"""The paper's Figures 3 to 8, redrawn from one machine's characterisation."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from twodof.blocks.diagram import Diagram
+from twodof.blocks.library.continuous import Integrator, TransferFunction
 from twodof.errors import IdentificationError
 from twodof.identify.estimate import Estimate
 from twodof.identify.experiments import only
@@ -20,6 +22,7 @@ from twodof.identify.validate import Comparison, fit_percent
 from twodof.models.structures import rail
 from twodof.report.characterisation.characterise import Characterisation
 from twodof.report.content import Figure, FigureBand, FigureLine, FigurePoint, Panel, Span
+from twodof.report.drawing.diagram_svg import to_inline_svg
 from twodof.report.numbers import plain
 
 Array = NDArray[np.float64]
@@ -35,6 +38,8 @@ def figures(found: Characterisation) -> Iterator[Figure]:
     if found.flights.doublets:
         yield _figure_4(found)
         yield _figure_5(found)
+    if "k_v" in found.greybox or found.velocity is not None:
+        yield _figure_6(found)
     if found.flights.velocities:
         yield _figure_7(found)
         yield _figure_8(found)
@@ -43,7 +48,8 @@ def figures(found: Characterisation) -> Iterator[Figure]:
 def _figure_3(found: Characterisation) -> Figure:
     record = found.flights.impulses[0]
     zero = _first_edge(record, "M")
-    lines = [_measured(record, "q", zero)]
+    whole = _whole_flight(found, record)
+    lines = [_measured(whole, "q", zero)]
     fit = found.dry or found.free
     caption = "M = 0.1 for 0.2 s, then free. "
     if fit is not None:
@@ -66,13 +72,17 @@ def _figure_3(found: Characterisation) -> Figure:
             f"{free.settling_time:.1f} s{late}, which gives ξ = {plain(free.xi, 3)}. The paper read 1.83 s and 16 s."
         )
     return Figure(
-        3, "response to the impulse-like signal", caption, [_input_panel(record, zero), Panel(_Q, lines, marks, 1.7)]
+        3,
+        "response to the impulse-like signal",
+        caption,
+        [_input_panel(record, whole, zero), Panel(_Q, lines, marks, 1.7)],
     )
 
 
 def _figure_4(found: Characterisation) -> Figure:
     record = found.flights.doublets[0]
     zero = _first_edge(record, "M")
+    whole = _whole_flight(found, record)
     marks, caption = [], "Open loop, rotors on. "
     if found.pitch is not None:
         one = found.pitch.doublet
@@ -86,7 +96,7 @@ def _figure_4(found: Characterisation) -> Figure:
             f"</sup> rad/s with μ = 1: μ = {one.mu:.1f} rad/s² (paper: 2.40, 6.68·10<sup>−3</sup>, 358.5). The "
             f"response lies {one.shift} samples, {1e3 * one.tau:.0f} ms, behind the input."
         )
-    panels = [_input_panel(record, zero), Panel(_Q, [_measured(record, "q", zero)], marks, 1.7)]
+    panels = [_input_panel(record, whole, zero), Panel(_Q, [_measured(whole, "q", zero)], marks, 1.7)]
     return Figure(4, "doublet, identification data", caption, panels)
 
 
@@ -115,13 +125,39 @@ def _figure_5(found: Characterisation) -> Figure:
     return Figure(5, "angular rate model, verification", caption, panels)
 
 
+def _figure_6(found: Characterisation) -> Figure:
+    if "k_v" in found.greybox:
+        k_v, p_v, method = found.greybox["k_v"].value, found.greybox["p_v"].value, "of the grey-box fit"
+    elif found.velocity is not None:
+        k_v, p_v, method = found.velocity.model.k_v, found.velocity.model.p_v, "read by hand"
+    gain, pole = (float(f"{value:.4g}") for value in (k_v, p_v))
+    attitude = Diagram("attitude", "the closed attitude loop")
+    attitude.output("theta", attitude.input("theta_d", unit="rad"))
+    model = Diagram("figure_6")
+    model.input("theta_d", unit="rad")
+    model.add("T_att", attitude, theta_d="theta_d")
+    model.add("G_v", TransferFunction([-gain], [1.0, pole], unit="m/s"), u="T_att.theta")
+    model.add("G_x", Integrator(unit="m"), u="G_v")
+    model.output("theta", "T_att.theta")
+    model.output("v", "G_v")
+    model.output("x", "G_x")
+    caption = (
+        "The attitude loop T<sub>att</sub> turns the set-point θ<sub>d</sub> into the pitch θ, which drives the "
+        "velocity v and the position x. G<sub>v</sub> = −k<sub>v</sub> / (s + p<sub>v</sub>) with the values "
+        f"{method}: k<sub>v</sub> = {plain(k_v)} m/s², p<sub>v</sub> = {plain(p_v)} 1/s."
+    )
+    title = "cascaded attitude and translation dynamics"
+    return Figure(6, title, caption, picture=to_inline_svg(model, title))
+
+
 def _figure_7(found: Characterisation) -> Figure:
     record = found.flights.velocities[0]
     zero = _first_edge(record, "theta0")
-    time = record.time - zero
+    whole = _whole_flight(found, record)
+    time = whole.time - zero
     pitch = [
-        FigureLine("set-point", "set-point", time, np.degrees(record.inputs["theta0"])),
-        FigureLine("theta", "measured", time, np.degrees(record.inputs["theta"])),
+        FigureLine("set-point", "set-point", time, np.degrees(whole.inputs["theta0"])),
+        FigureLine("theta", "measured", time, np.degrees(whole.inputs["theta"])),
     ]
     caption, marks = "Pitch set-point and pitch above, velocity below. ", []
     if found.velocity is not None:
@@ -134,7 +170,10 @@ def _figure_7(found: Characterisation) -> Figure:
         )
     else:
         caption += "The velocity loop was closed, so there is no doublet of pitch to read by hand."
-    panels = [Panel("θ [°]", pitch, height=1.1), Panel(_V, [_measured(record, "v", zero)], marks, 1.3)]
+    panels = [
+        Panel("θ [°]", pitch, _used(record, whole, zero), 1.1),
+        Panel(_V, [_measured(whole, "v", zero)], marks, 1.3),
+    ]
     return Figure(7, "velocity experiment", caption, panels)
 
 
@@ -182,6 +221,18 @@ def _velocity(estimate: Estimate, record: Record) -> Array:
     return RecordSimulator(rail(thrust="curve" in values), only(record, "v")).run(values)["v"]
 
 
+def _whole_flight(found: Characterisation, record: Record) -> Record:
+    """The flight around the record, as far as it is known."""
+    return found.flights.surroundings.get(record.name, record)
+
+
+def _used(record: Record, whole: Record, zero: float) -> list[Span]:
+    """The stretch of the flight that the model is identified from, where more than that is drawn."""
+    if whole is record:
+        return []
+    return [Span(record.start - zero, float(record.time[-1]) - zero, "identification")]
+
+
 def _first_edge(record: Record, channel: str) -> float:
     """Time [s] of the excitation's first edge; of one without edges (a sweep) the record's start."""
     try:
@@ -190,10 +241,14 @@ def _first_edge(record: Record, channel: str) -> float:
         return record.start
 
 
-def _input_panel(record: Record, zero: float) -> Panel:
+def _input_panel(record: Record, whole: Record, zero: float) -> Panel:
+    """M over the whole flight, to the scale of the excitation: what stops the drone afterwards may be far larger."""
     # Two points a step, so that a held input is drawn held.
-    time = np.repeat(record.time - zero, 2)[1:]
-    return Panel("M [–]", [FigureLine("M", "input", time, np.repeat(record.inputs["M"], 2)[:-1])], height=0.6)
+    time = np.repeat(whole.time - zero, 2)[1:]
+    line = FigureLine("M", "input", time, np.repeat(whole.inputs["M"], 2)[:-1])
+    low, high = float(record.inputs["M"].min()), float(record.inputs["M"].max())
+    room = 0.15 * (high - low) or 0.01
+    return Panel("M [–]", [line], _used(record, whole, zero), 0.6, (low - room, high + room))
 
 
 def _measured(record: Record, output: str, zero: float) -> FigureLine:

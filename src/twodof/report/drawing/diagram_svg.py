@@ -107,6 +107,17 @@ def to_svg(diagram: Diagram, depth: int = 0) -> str:
     return "\n".join(lines) + "\n"
 
 
+def to_inline_svg(diagram: Diagram, title: str) -> str:
+    """The picture without a heading as an element of a page, whose style sheet gives it the page's colours.
+
+    Raises DiagramError as `draw` does.
+    """
+    drawing = draw(diagram)
+    view = f"0 0 {drawing.placed.width:g} {drawing.placed.height:g}"
+    head = f'<svg class="diagram" viewBox="{view}" role="img" aria-label="{escape(title)}">'
+    return "\n".join([head, *_written(drawing), "</svg>"])
+
+
 def _legend(drawing: Drawing) -> list[str]:
     """What the kinds of wires mean, where there are others than of single reals."""
     found: set[str] = set()

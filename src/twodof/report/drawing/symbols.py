@@ -129,7 +129,7 @@ def _block(part: Part, block: Block) -> BlockSymbol:
 
 def _subdiagram(part: Part, diagram: Diagram) -> BlockSymbol:
     count = len(diagram.parts)
-    lines = [f"{count} part{'s' if count != 1 else ''}"]
+    lines = [f"{count} part{'s' if count != 1 else ''}"] if count else []
     lines += [f"{inner} = {outer}" for inner, outer in part.params.items() if inner != outer][:MANY_PARAMETERS]
     made = _rectangle(part, "", lines, [(name, "") for name in diagram.outputs], "sub")
     made.title = f"{part.name}: {diagram.text}" if diagram.text else part.name

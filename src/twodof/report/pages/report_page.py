@@ -117,11 +117,17 @@ def _figure_sections(subjects: Sequence[Subject]) -> Iterator[tuple[str, str, st
         roles = [line.role for _, figure in shown for panel in figure.panels for line in panel.lines]
         cards = "".join(_figure_card(subject, figure) for subject, figure in shown)
         title = f"Figure {number}: {shown[0][1].title}"
-        yield f"figure-{number}", title, f'{_key(tuple(dict.fromkeys(roles)), "lines")}<div class="grid">{cards}</div>'
+        key = _key(tuple(dict.fromkeys(roles)), "lines") if roles else ""
+        yield f"figure-{number}", title, f"{key}{_grid(len(shown))}{cards}</div>"
+
+
+def _grid(columns: int) -> str:
+    """The opening of a grid of cards, beside one another where there is room for all `columns`, else in one column."""
+    return f'<div class="grid of-{min(columns, 3)}">'
 
 
 def _figure_card(subject: Subject, figure: Figure) -> str:
-    drawing = time_figure(figure, escape(f"{figure.title}, {subject.name}", quote=True))
+    drawing = figure.picture or time_figure(figure, escape(f"{figure.title}, {subject.name}", quote=True))
     caption = _tied(figure.caption)
     return f"<figure><h3>{escape(subject.name)}</h3>{drawing}<figcaption>{caption}</figcaption></figure>"
 
@@ -159,7 +165,7 @@ def _residual_section(subjects: Sequence[Subject]) -> Iterator[str]:
     head = "".join(f'<th scope="col">{name}</th>' for name in heads)
     yield '<div class="scroll"><table class="break">'
     yield f"<thead><tr>{head}</tr></thead><tbody>{_tied(''.join(lines))}</tbody></table></div>"
-    yield '<div class="grid">'
+    yield _grid(len(subjects))
     for subject, check in checks:
         yield _residual_card(subject, check)
     yield "</div>"

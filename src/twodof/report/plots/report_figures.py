@@ -45,6 +45,8 @@ def _draw_panel(ax: Axes, panel: Panel) -> None:
     ax.set_ylabel(panel.label)
     for line in panel.lines:
         ax.plot(line.time, line.value, color=STAND_IN[line.role], **_STROKE[line.role])
+    if panel.limits is not None:
+        ax.set_ylim(*panel.limits)
     low, high = ax.get_ylim()
     for mark in panel.marks:
         if isinstance(mark, FigureBand):
