@@ -10,7 +10,8 @@ from importlib import import_module
 from pathlib import Path
 
 from twodof.blocks import library
-from twodof.blocks.block import REGISTRY, Block, Param, Port
+from twodof.blocks.block import REGISTRY, Block
+from twodof.blocks.declarations import Param, Port
 from twodof.blocks.library.custom import function_block
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "blocks.md"

@@ -1,6 +1,7 @@
 """The block language: write a block once, interpret it, compile it. See docs/explanation/language.md."""
 
-from twodof.blocks.block import Block, Param, Port, State
+from twodof.blocks.block import Block
+from twodof.blocks.declarations import Param, Port, State
 from twodof.blocks.diagram import Diagram, Rate
 from twodof.blocks.elementary.functions import (
     acos,

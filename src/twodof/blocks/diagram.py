@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from twodof.blocks.block import Block, Param, Port, check_name
+from twodof.blocks.block import Block
+from twodof.blocks.declarations import Param, Port, check_name
 from twodof.errors import DiagramError, listed, shown
 
 MAX_DIVIDER = 2**31 - 1

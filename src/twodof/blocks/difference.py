@@ -7,7 +7,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from twodof.blocks.block import Block, Param
+from twodof.blocks.block import Block
+from twodof.blocks.declarations import Param
 from twodof.blocks.diagram import Diagram, Part
 from twodof.blocks.schema.traced_block import TracedBlock, graph_to_json
 

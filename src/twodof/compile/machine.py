@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.blocks.block import check_bounds, check_steps, numeric, unknown_parameter
+from twodof.blocks.declarations import check_bounds, check_steps, numeric, unknown_parameter
 from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.numbers import Integer, Vector
 from twodof.compile.program import flat_program

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from twodof.blocks.block import Block, Clock, Param, Port, library_block
+from twodof.blocks.block import Block, Clock, library_block
+from twodof.blocks.declarations import Param, Port
 
 
 @library_block("models.Offset")

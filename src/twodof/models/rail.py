@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from twodof.blocks.block import Block, Clock, Param, Port, State, library_block
+from twodof.blocks.block import Block, Clock, library_block
+from twodof.blocks.declarations import Param, Port, State
 from twodof.blocks.elementary.functions import sin
 from twodof.blocks.expressions.expr import maximum, minimum, where
 from twodof.models.friction import after_friction, sticks

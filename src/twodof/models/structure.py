@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, field, replace
 
-from twodof.blocks.block import Param
+from twodof.blocks.declarations import Param
 from twodof.blocks.diagram import Diagram
 from twodof.errors import IdentificationError
 

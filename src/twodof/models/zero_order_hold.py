@@ -10,7 +10,8 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from twodof.blocks.block import Block, Clock, Param, Port, State, library_block
+from twodof.blocks.block import Block, Clock, library_block
+from twodof.blocks.declarations import Param, Port, State
 from twodof.blocks.expressions.arrays import fold, store
 from twodof.blocks.expressions.expr import maximum, real, to_int32, to_real, to_uint32, uint32, where
 from twodof.models.plant import GRAVITY

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twodof.blocks import Diagram
-from twodof.blocks.block import Param, unknown_parameter
+from twodof.blocks.declarations import Param, unknown_parameter
 from twodof.blocks.library.delays import ZeroOrderHold
 from twodof.blocks.reference.interpreter import Reference
 from twodof.compile import CompiledProgram, build

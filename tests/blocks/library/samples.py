@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 
 from twodof.blocks import library
-from twodof.blocks.block import REGISTRY, Port
+from twodof.blocks.block import REGISTRY
+from twodof.blocks.declarations import Port
 from twodof.blocks.diagram import Diagram
 
 Config = dict[str, Any]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.blocks.library.harness import alone, assert_close, noise, run, run_y
-from twodof.blocks.block import Param, Port
+from twodof.blocks.declarations import Param, Port
 from twodof.blocks.elementary.functions import atan, cos
 from twodof.blocks.expressions.expr import int32, where
 from twodof.blocks.library import function_block

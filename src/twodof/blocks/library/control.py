@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from twodof.blocks.block import Block, Clock, Param, Port, State, library_block
+from twodof.blocks.block import Block, Clock, library_block
+from twodof.blocks.declarations import Param, Port, State
 from twodof.blocks.expressions.expr import where
 from twodof.blocks.library.discrete import METHODS
 from twodof.blocks.library.shape import clamp, limits_of, one_of

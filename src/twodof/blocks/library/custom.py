@@ -6,7 +6,8 @@ import inspect
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from twodof.blocks.block import NAME, Block, Clock, Param, Port
+from twodof.blocks.block import Block, Clock
+from twodof.blocks.declarations import NAME, Param, Port
 from twodof.blocks.expressions.numbers import Integer, kind_of
 from twodof.errors import DiagramError
 

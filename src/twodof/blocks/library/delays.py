@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from twodof.blocks.block import Block, Clock, Param, Port, State, library_block
+from twodof.blocks.block import Block, Clock, library_block
+from twodof.blocks.declarations import Param, Port, State
 from twodof.blocks.expressions.arrays import build, store
 from twodof.blocks.expressions.expr import int32, to_int32, to_real, where
 from twodof.blocks.library.shape import count

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from twodof.blocks.block import Block, Clock, Param, Port, State, library_block
+from twodof.blocks.block import Block, Clock, library_block
+from twodof.blocks.declarations import Param, Port, State
 from twodof.blocks.expressions.arrays import build, fold, store, vector
 from twodof.blocks.expressions.expr import int32, where
 from twodof.blocks.library.shape import clamp, count, dot, elementwise, limits_of, matrix, one_of, reals

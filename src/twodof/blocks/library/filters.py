@@ -10,7 +10,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from twodof.blocks.block import Block, Clock, Param, Port, State, library_block
+from twodof.blocks.block import Block, Clock, library_block
+from twodof.blocks.declarations import Param, Port, State
 from twodof.blocks.elementary.functions import exp, tan
 from twodof.blocks.expressions.expr import minimum
 from twodof.blocks.library.shape import one_of

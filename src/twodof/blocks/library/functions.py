@@ -6,7 +6,8 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any
 
-from twodof.blocks.block import Block, Clock, Port, library_block
+from twodof.blocks.block import Block, Clock, library_block
+from twodof.blocks.declarations import Port
 from twodof.blocks.elementary import functions
 from twodof.blocks.expressions.expr import KINDS, sqrt, to_int32, to_real, to_uint32, where
 from twodof.blocks.library.shape import elementwise, one_of

@@ -8,7 +8,8 @@ from functools import reduce
 from types import MappingProxyType
 from typing import Any
 
-from twodof.blocks.block import Block, Clock, Param, Port, State, library_block
+from twodof.blocks.block import Block, Clock, library_block
+from twodof.blocks.declarations import Param, Port, State
 from twodof.blocks.expressions.expr import to_real, to_uint32, where
 from twodof.blocks.library.shape import NUMERIC, elementwise, letters, one_of
 

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from functools import reduce
 from typing import Any
 
-from twodof.blocks.block import MAX_WIDTH, Block, Clock, Param, Port, library_block
+from twodof.blocks.block import Block, Clock, library_block
+from twodof.blocks.declarations import MAX_WIDTH, Param, Port
 from twodof.blocks.expressions.arrays import build, fold
 from twodof.blocks.expressions.expr import maximum, minimum, where
 from twodof.blocks.library.shape import NUMERIC, count, dot, elementwise, letters, matrix, one_of, reals

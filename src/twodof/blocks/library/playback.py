@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from twodof.blocks.block import Block, Clock, Param, Port, library_block
+from twodof.blocks.block import Block, Clock, library_block
+from twodof.blocks.declarations import Param, Port
 from twodof.blocks.expressions.arrays import build
 from twodof.blocks.expressions.expr import to_real, uint32, where
 from twodof.blocks.library.shape import clamp, one_of, reals, search

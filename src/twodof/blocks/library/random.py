@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from twodof.blocks.block import Block, Clock, Param, Port, library_block
+from twodof.blocks.block import Block, Clock, library_block
+from twodof.blocks.declarations import Param, Port
 from twodof.blocks.expressions.arrays import vector
 from twodof.blocks.library.shape import count
 from twodof.blocks.noise import normal, normal4, uniform, uniform4

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from twodof.blocks.block import MAX_WIDTH, Block, Clock, Port, library_block
+from twodof.blocks.block import Block, Clock, library_block
+from twodof.blocks.declarations import MAX_WIDTH, Port
 from twodof.blocks.expressions.arrays import vector
 from twodof.blocks.expressions.expr import where
 from twodof.blocks.library.shape import count, elementwise, letters

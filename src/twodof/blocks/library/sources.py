@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from twodof.blocks.block import Block, Clock, Param, Port, library_block
+from twodof.blocks.block import Block, Clock, library_block
+from twodof.blocks.declarations import Param, Port
 from twodof.blocks.expressions.expr import to_real, to_uint32, where
 
 

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from types import MappingProxyType
 from typing import Any
 
-from twodof.blocks.block import Block, Clock, Param, Port, State, library_block
+from twodof.blocks.block import Block, Clock, library_block
+from twodof.blocks.declarations import Param, Port, State
 from twodof.blocks.elementary.functions import exp, log, sin
 from twodof.blocks.expressions.arrays import fold
 from twodof.blocks.expressions.expr import maximum, multiply_high, to_real, to_uint32, uint32, where

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from twodof.blocks.block import Block, Param, Port, State, narrowed
+from twodof.blocks.block import Block
+from twodof.blocks.declarations import Param, Port, State, narrowed
 from twodof.blocks.diagram import BASE, MAX_NESTED, Diagram, Rate
 from twodof.blocks.expressions.graph import leaves
 from twodof.errors import DiagramError

@@ -11,21 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from twodof.blocks.block import (
-    Block,
-    Clock,
-    Inputs,
-    Param,
-    Parameters,
-    Port,
-    State,
-    States,
-    check_bounds,
-    check_steps,
-    names_given,
-    numeric,
-    unknown_parameter,
-)
+from twodof.blocks.block import Block, Clock, Inputs, Parameters, States, names_given
+from twodof.blocks.declarations import Param, Port, State, check_bounds, check_steps, numeric, unknown_parameter
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.numbers import Integer, UInt32, Vector

@@ -11,7 +11,8 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-from twodof.blocks.block import Block, Param, Port, State
+from twodof.blocks.block import Block
+from twodof.blocks.declarations import Param, Port, State
 from twodof.blocks.diagram import Diagram, Part
 from twodof.blocks.schema.loader import Loader, member, only
 from twodof.blocks.schema.traced_block import TracedBlock, graph_to_json

@@ -8,7 +8,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from twodof.blocks import library
-from twodof.blocks.block import NAME, REGISTRY, Block, Param, Port, State
+from twodof.blocks.block import REGISTRY, Block
+from twodof.blocks.declarations import NAME, Param, Port, State
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.expressions.cost import COPIED, MAX_OPERATIONS, MAX_SIZE, CostMeter, too_large
 from twodof.blocks.expressions.expr import at_most

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from twodof.blocks.block import SECTIONS, Block, Clock, Trace, check_name, fits
+from twodof.blocks.block import SECTIONS, Block, Clock, Trace
+from twodof.blocks.declarations import check_name, fits
 from twodof.blocks.elementary.functions import FUNCTIONS
 from twodof.blocks.expressions.arrays import vector
 from twodof.blocks.expressions.cost import MAX_LOOP_DEPTH, MAX_SIZE, CostMeter, too_large

@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 
-from twodof.blocks.block import Param, Port, State
+from twodof.blocks.declarations import Param, Port, State
 from twodof.blocks.expressions.expr import LEAVES, Expr
 from twodof.blocks.expressions.graph import leaves
 from twodof.compile.c.expressions import ATOM, C_TYPES, Renderer, Text, constant

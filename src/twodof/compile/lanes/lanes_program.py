@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.blocks.block import Param, State, check_bounds, check_steps, numeric, unknown_parameter
+from twodof.blocks.declarations import Param, State, check_bounds, check_steps, numeric, unknown_parameter
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.numbers import Integer, Vector

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.blocks.block import check_bounds, numeric, unknown_parameter
+from twodof.blocks.declarations import check_bounds, numeric, unknown_parameter
 from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.derivative import plain
 from twodof.blocks.expressions.numbers import Vector

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from twodof.blocks.block import Clock, Parameters, names_given, numeric
+from twodof.blocks.block import Clock, Parameters, names_given
+from twodof.blocks.declarations import numeric
 from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.derivative import Dual, Slope, Tangent, Value, constant, plain
 from twodof.blocks.expressions.expr import Expr

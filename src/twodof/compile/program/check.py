@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twodof.blocks.block import Clock, Param, Parameters, numeric
+from twodof.blocks.block import Clock, Parameters
+from twodof.blocks.declarations import Param, numeric
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.expressions import numbers
 from twodof.blocks.reference.interpreter import Reference

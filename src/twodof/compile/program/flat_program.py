@@ -7,7 +7,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from twodof.blocks.block import Block, Param, State, Trace
+from twodof.blocks.block import Block, Trace
+from twodof.blocks.declarations import Param, State
 from twodof.blocks.diagram import Rate
 
 

@@ -6,7 +6,8 @@ import heapq
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from twodof.blocks.block import Block, Param, Port, narrowed
+from twodof.blocks.block import Block
+from twodof.blocks.declarations import Param, Port, narrowed
 from twodof.blocks.diagram import BASE, MAX_NESTED, Diagram, Part, Rate
 from twodof.blocks.expressions.graph import leaves
 from twodof.compile.program.flat_program import Condition, FlatParameter, FlatSignal, Node

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from twodof.blocks.block import State
+from twodof.blocks.declarations import State
 from twodof.compile.c.expressions import C_TYPES
 from twodof.compile.c.names import CNames
 from twodof.compile.lanes.helpers import LaneShape

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from twodof.blocks.block import Param, Port, State
+from twodof.blocks.declarations import Param, Port, State
 from twodof.blocks.expressions.cost import CostMeter
 from twodof.blocks.expressions.expr import Expr
 from twodof.compile.program.flat_program import FlatProgram, Node

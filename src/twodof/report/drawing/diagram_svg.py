@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from html import escape as escape_html
 
-from twodof.blocks.block import Block, Port
+from twodof.blocks.block import Block
+from twodof.blocks.declarations import Port
 from twodof.blocks.diagram import Diagram, Part
 from twodof.errors import DiagramError
 from twodof.report.drawing.layered_layout import Box, GraphLayout, Net, layout

@@ -6,7 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from twodof.blocks.block import Block, Port
+from twodof.blocks.block import Block
+from twodof.blocks.declarations import Port
 from twodof.blocks.diagram import BASE, Diagram, Part
 from twodof.blocks.library.math import Sum
 from twodof.report.drawing.layered_layout import Box

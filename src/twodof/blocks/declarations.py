@@ -1,0 +1,209 @@
+"""What a block declares: ports, states and parameters with their types, widths, units and bounds."""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from twodof.blocks.expressions import numbers
+from twodof.blocks.expressions.expr import KINDS
+from twodof.blocks.expressions.numbers import Integer, Vector
+from twodof.errors import DiagramError, ParameterError, shown
+
+NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")
+MAX_WIDTH = 1_000_000
+MAX_STEPS = 100_000_000
+_RANGES = {"int32": (-(2**31), 2**31 - 1), "uint32": (0, 2**32 - 1)}
+
+
+def check_name(name: object, where: str) -> str:
+    """`name` if it is a legal name (a letter, then letters, digits and _, 63 at most); else DiagramError."""
+    if not isinstance(name, str) or not NAME.fullmatch(name):
+        raise DiagramError(
+            f"{shown(name)} is no name", where, "use a letter, then up to 62 letters, digits or _ (ASCII)"
+        )
+    return name
+
+
+def check_steps(steps: object, where: str) -> int:
+    """`steps` if it is a number of steps that one call may run, 0 to MAX_STEPS; else DiagramError."""
+    if isinstance(steps, (bool, np.bool_)) or not isinstance(steps, (int, np.integer)) or not 0 <= steps <= MAX_STEPS:
+        raise DiagramError(f"{steps!r:.40} steps", where, f"run 0 to {MAX_STEPS} steps in one call")
+    return int(steps)
+
+
+def _check_shape(kind: str, width: int | None, name: str, unit: str) -> None:
+    check_name(name, "block")
+    if not isinstance(unit, str):
+        raise DiagramError(f"the unit {shown(unit)} is no text", name, 'write it as "m/s", or "" for none')
+    if kind not in KINDS:
+        raise DiagramError(f"unknown type {shown(kind)}", name, f"use one of {', '.join(KINDS)}")
+    if width is not None and not (type(width) is int and 1 <= width <= MAX_WIDTH):
+        raise DiagramError(f"width {shown(width)} is not in 1..{MAX_WIDTH}", name, "use None for a scalar")
+
+
+@dataclass(frozen=True)
+class Port:
+    """An input, output or derived parameter: scalar if `width` is None, else an array. `unit` "" is not compared."""
+
+    name: str
+    kind: str = "real"
+    width: int | None = None
+    unit: str = ""
+
+    def __post_init__(self) -> None:
+        _check_shape(self.kind, self.width, self.name, self.unit)
+
+
+@dataclass(frozen=True)
+class State:
+    """A state. `initial` is a number, a sequence of `width` numbers, or the name of a parameter of the block.
+
+    A discrete state changes by `update`, a continuous one (real only) by `derivative` and `project`.
+    """
+
+    name: str
+    initial: Any = 0
+    kind: str = "real"
+    width: int | None = None
+    unit: str = ""
+    continuous: bool = False
+
+    def __post_init__(self) -> None:
+        _check_shape(self.kind, self.width, self.name, self.unit)
+        if self.continuous and self.kind != "real":
+            raise DiagramError(f"a continuous state of type {self.kind}", self.name, "continuous states are real")
+        if not isinstance(self.initial, str):
+            _declared(self.initial, self.kind, self.width, self.name)
+
+
+@dataclass(frozen=True)
+class Param:
+    """A parameter: default `value` (a sequence if `width` is given), bounds `low` and `high` (inclusive), unit, text.
+
+    Raises DiagramError for a default that is not of its kind or not within the bounds, and for bounds that are none. A
+    parameter that is not `tunable` is fixed once the diagram runs (it may still be set before).
+    """
+
+    name: str
+    value: Any = 0.0
+    kind: str = "real"
+    width: int | None = None
+    unit: str = ""
+    low: float = -math.inf
+    high: float = math.inf
+    text: str = ""
+    tunable: bool = True
+
+    def __post_init__(self) -> None:
+        _check_shape(self.kind, self.width, self.name, self.unit)
+        given = _declared(self.value, self.kind, self.width, self.name)
+        _check_limits(self)
+        free = self.kind == "bool" or (self.low == -math.inf and self.high == math.inf)
+        for value in () if free else given:
+            if not self.low <= value <= self.high:
+                raise DiagramError(f"the default {value} is outside [{self.low}, {self.high}]", self.name, "change one")
+
+
+def _declared(value: Any, kind: str, width: int | None, name: str) -> list[Any]:
+    """The numbers of a declared value, as given. Raises DiagramError for one that is not of its kind."""
+    try:
+        numeric(value, kind, width, name)
+    except OverflowError:
+        raise DiagramError(f"{shown(value)} is no real number", name, "make it smaller") from None
+    given = value.tolist() if isinstance(value, np.ndarray) else value
+    scalars = [*given] if isinstance(given, (list, tuple)) else [given]
+    plain = [one.value if isinstance(one, Integer) else one for one in scalars]
+    if kind in _RANGES:  # an integer that is computed wraps around, one that is written down is a slip of the pen
+        low, high = _RANGES[kind]
+        for one in plain:
+            if not fits(one, kind):
+                raise DiagramError(f"{one} is no {kind}", name, f"write a whole number from {low} to {high}")
+    return plain
+
+
+def fits(value: int, kind: str) -> bool:
+    """Whether a whole number, or a bool, is one of `kind` as it is, without wrapping around."""
+    low, high = _RANGES.get(kind, (0, 1))
+    return low <= value <= high
+
+
+def _check_limits(declared: Param) -> None:
+    """Raise DiagramError for bounds that are none."""
+    for bound in (declared.low, declared.high):
+        if isinstance(bound, (bool, np.bool_)) or not isinstance(bound, (int, float, np.number)) or math.isnan(bound):
+            raise DiagramError(
+                f"the bound {shown(bound)} is no number", declared.name, "leave it out, or give a number"
+            )
+        if declared.kind in _RANGES and math.isfinite(bound) and bound != int(bound):
+            raise DiagramError(f"the bound {bound} of whole numbers is not whole", declared.name, "round it")
+    if declared.low > declared.high:
+        raise DiagramError(
+            f"no value is within [{declared.low}, {declared.high}]", declared.name, "exchange the bounds"
+        )
+
+
+def narrowed(outer: Param, inner: Param, path: str) -> Param:
+    """`outer` within the bounds of `inner` too, the parameter at `path` that is bound to it.
+
+    Raises DiagramError if the default of `outer` lies outside.
+    """
+    low, high = max(outer.low, inner.low), min(outer.high, inner.high)
+    for value in np.ravel(np.asarray(outer.value)):
+        if outer.kind != "bool" and not low <= value <= high:
+            raise DiagramError(
+                f"it is bound to {outer.name!r}, whose default {value} is outside [{low}, {high}]", path, "change it"
+            )
+    return replace(outer, low=low, high=high)
+
+
+def numeric(value: Any, kind: str, width: int | None, where: str) -> Any:
+    """`value` as a number of the current precision (or a Vector of `width` of them; one number fills an array).
+
+    Raises DiagramError if it is of another type or length.
+    """
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    elif isinstance(value, np.generic) and not isinstance(value, np.bool_):
+        value = value.item()
+    try:
+        if kind == "bool" and type(value) is int and value in (0, 1):
+            value = bool(value)
+        if width is None:
+            return numbers.cast(value, kind)
+        if isinstance(value, (list, tuple)):
+            if len(value) != width:
+                raise DiagramError(f"{len(value)} values for an array of {width}", where, f"give {width} values")
+            return Vector(numeric(v, kind, None, where) for v in value)
+        return Vector([numbers.cast(value, kind)] * width)
+    except DiagramError as error:
+        raise DiagramError(error.what, where, error.remedy) from error
+
+
+def check_bounds(declared: Param, value: Any, path: str) -> None:
+    """Raise ParameterError if a number of `value`, as given (neither rounded nor wrapped), is out of bounds."""
+    for given in value if isinstance(value, (list, tuple, np.ndarray)) else (value,):
+        number = given.value if isinstance(given, Integer) else given
+        if not declared.low <= number <= declared.high:
+            raise ParameterError(
+                f"{number} is outside [{declared.low}, {declared.high}] {declared.unit}".rstrip(),
+                path,
+                "choose a value within the bounds",
+            )
+
+
+def unknown_parameter(path: object, known: Iterable[str]) -> ParameterError:
+    """The error for a parameter `path` that is not there; it lists up to 40 of the `known` ones, the nearest first."""
+    names = sorted(known)
+    nearest = difflib.get_close_matches(str(path)[:200], names, n=5)
+    listed = [*nearest, *(name for name in names if name not in nearest)]
+    more = f" and {len(listed) - 40} more" if len(listed) > 40 else ""
+    return ParameterError(
+        f"there is no parameter {path!r:.120}", "", f"there are: {', '.join(listed[:40]) or 'none'}{more}"
+    )
