@@ -17,9 +17,9 @@ from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.graph import walk
 from twodof.blocks.expressions.numbers import Integer
 from twodof.blocks.reference.interpreter import Reference
-from twodof.compile.builder import CompiledProgram
 from twodof.compile.c.emitter import emit
 from twodof.compile.cortex_m7.target import CortexM7
+from twodof.compile.machine import CompiledProgram
 from twodof.compile.native.target import Native
 from twodof.compile.program.lower import lower
 from twodof.compile.target import EmittedProgram, Target

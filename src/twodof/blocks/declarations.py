@@ -186,16 +186,26 @@ def numeric(value: Any, kind: str, width: int | None, where: str) -> Any:
         raise DiagramError(error.what, where, error.remedy) from error
 
 
-def check_bounds(declared: Param, value: Any, path: str) -> None:
-    """Raise ParameterError if a number of `value`, as given (neither rounded nor wrapped), is out of bounds."""
+def check_value(declared: Param, value: Any, path: str) -> Any:
+    """`value` as plain numbers, if a parameter may have it; else ParameterError.
+
+    The numbers are compared as they were given, neither rounded nor wrapped around, with the bounds and the type's
+    range.
+    """
+    try:
+        with numbers.precision("float64"):
+            number = numbers.plain(numeric(value, declared.kind, declared.width, path))
+    except DiagramError as error:
+        raise ParameterError(error.what, path, error.remedy) from error
+    lowest, highest = _RANGES.get(declared.kind, (-math.inf, math.inf))
+    low, high = max(declared.low, lowest), min(declared.high, highest)
     for given in value if isinstance(value, (list, tuple, np.ndarray)) else (value,):
-        number = given.value if isinstance(given, Integer) else given
-        if not declared.low <= number <= declared.high:
+        one = given.value if isinstance(given, Integer) else given
+        if not low <= one <= high:
             raise ParameterError(
-                f"{number} is outside [{declared.low}, {declared.high}] {declared.unit}".rstrip(),
-                path,
-                "choose a value within the bounds",
+                f"{one} is outside [{low}, {high}] {declared.unit}".rstrip(), path, "choose a value within the bounds"
             )
+    return number
 
 
 def unknown_parameter(path: object, known: Iterable[str]) -> ParameterError:

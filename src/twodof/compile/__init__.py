@@ -3,7 +3,7 @@
 See docs/explanation/language.md, section 6, and docs/reference/compilation.md.
 """
 
-from twodof.compile.builder import CompiledProgram, build
-from twodof.compile.machine import CompiledMachine
+from twodof.compile.builder import build
+from twodof.compile.machine import CompiledMachine, CompiledProgram
 
 __all__ = ["CompiledMachine", "CompiledProgram", "build"]

@@ -1,21 +1,20 @@
-"""build: from a diagram to something that runs. Program: a compiled diagram."""
+"""build: from a diagram to something that runs."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable
 
-from twodof.blocks.declarations import Param
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.expressions import numbers
 from twodof.blocks.reference.interpreter import Reference
 from twodof.compile.c.emitter import emit
 from twodof.compile.cortex_m7.image import OPTIMISE
 from twodof.compile.cortex_m7.target import CortexM7
-from twodof.compile.machine import CompiledMachine
+from twodof.compile.machine import CompiledProgram
 from twodof.compile.native.target import Native
 from twodof.compile.program.lower import lower
-from twodof.compile.target import Backend, EmittedProgram, Target
+from twodof.compile.target import EmittedProgram, Target
 from twodof.compile.toolchain import compilers
 from twodof.compile.wasm.target import Wasm
 from twodof.errors import CompileError
@@ -83,27 +82,3 @@ def emit_program(
         lowered = lower(diagram, dt, log, integrator)
         emitted = emit([lowered], precision)
     return EmittedProgram(lowered, emitted.text, emitted.layouts[lowered.name], precision)
-
-
-class CompiledProgram:
-    """A compiled diagram. `source` is its C; `flat` what was lowered; `parameters` the declarations by path."""
-
-    def __init__(self, emitted: EmittedProgram, backend: Backend) -> None:
-        self.emitted = emitted
-        self.backend = backend
-        self.flat = lowered = emitted.flat
-        self.source = emitted.source
-        self.layout = emitted.layout
-        self.precision = emitted.precision
-        self.dt = lowered.dt
-        self.parameters: dict[str, Param] = {path: q.declared for path, q in lowered.parameters.items()}
-        self.dtypes = emitted.dtypes
-        self.states = {
-            f"{node.path}.{s.name}": (s, emitted.layout.states[node, s.name].name)
-            for node in lowered.nodes
-            for s in node.block.states
-        }
-
-    def machine(self) -> CompiledMachine:
-        """A fresh instance in its initial state."""
-        return CompiledMachine(self)

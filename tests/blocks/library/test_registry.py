@@ -10,7 +10,7 @@ from twodof.blocks.diagram import Diagram
 from twodof.blocks.reference.interpreter import Reference, ReferenceMachine
 from twodof.blocks.schema.json_form import from_json, to_json
 from twodof.compile import build
-from twodof.compile.builder import CompiledMachine
+from twodof.compile.machine import CompiledMachine
 
 DT = 0.004
 

@@ -11,10 +11,10 @@ from tests.compile import examples
 from tests.compile.cortex_m7.hand_written import ADD, COMPILERS, STEP, image, pair
 from tests.toolchains import need
 from twodof.compile import build
-from twodof.compile.builder import CompiledProgram
 from twodof.compile.cortex_m7.processor import Processor
 from twodof.compile.cortex_m7.report import CortexM7Report, measure
 from twodof.compile.cortex_m7.usage import Usage
+from twodof.compile.machine import CompiledProgram
 from twodof.errors import CompileError
 from twodof.flight.core import core
 

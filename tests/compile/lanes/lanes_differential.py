@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 from tests.compile.differential import DT, Case, emitted, same
 from twodof.blocks import Diagram
 from twodof.blocks.expressions import numbers
-from twodof.compile.builder import CompiledProgram
 from twodof.compile.c.emitter import emit
 from twodof.compile.lanes.lanes_program import SIMD, LanesMachine, LanesProgram, shape
 from twodof.compile.lanes.style import LaneStyle as Style
-from twodof.compile.machine import CompiledMachine
+from twodof.compile.machine import CompiledMachine, CompiledProgram
 from twodof.compile.native import target
 from twodof.compile.native.target import Native
 from twodof.compile.program.lower import lower

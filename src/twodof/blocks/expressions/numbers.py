@@ -264,6 +264,13 @@ def cast(value: Any, kind: str) -> Any:
     )
 
 
+def plain(value: Any) -> Any:
+    """A number of the language as a Python number, a Vector as a list."""
+    if isinstance(value, Vector):
+        return [plain(v) for v in value]
+    return value.value if isinstance(value, Integer) else value.item()
+
+
 def cast_array(values: Sequence[Any], kind: str) -> Vector:
     """`values` as a Vector of numbers of `kind`; raises like `cast`."""
     return Vector(cast(v, kind) for v in values)

@@ -10,14 +10,16 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twodof.blocks.block import Block, Clock, Inputs, Parameters, States, names_given
-from twodof.blocks.declarations import Param, Port, State, check_bounds, check_steps, numeric, unknown_parameter
+from twodof.blocks.declarations import Param, Port, State, numeric
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.expressions import numbers
-from twodof.blocks.expressions.numbers import Integer, UInt32, Vector
+from twodof.blocks.expressions.numbers import UInt32, Vector
+from twodof.blocks.machine import Machine
 from twodof.blocks.reference.hierarchy import Cell, Hierarchy, PortOf
-from twodof.errors import DiagramError, ParameterError
+from twodof.errors import DiagramError
 
 
 class Reference:
@@ -119,17 +121,18 @@ def _zero(port: Port) -> Any:
     return numeric(0, port.kind, port.width, port.name)
 
 
-class ReferenceMachine:
-    """One running instance; the interface is that of a compiled program's machine."""
+class ReferenceMachine(Machine):
+    """One running instance of a diagram on plain numbers."""
 
     def __init__(self, program: Reference) -> None:
         self.program = program
         self.hierarchy = program.hierarchy
-        self.parameters: dict[str, Param] = self.hierarchy.parameters
+        diagram = program.diagram
+        super().__init__(diagram.name, program.precision, self.hierarchy.parameters, diagram.inputs.values())
         with numbers.precision(program.precision):
-            self._values = {path: _default(p, path) for path, p in self.parameters.items()}
+            self._values = {path: _number(p.value, p, path) for path, p in self.parameters.items()}
             self._real_dt = numbers.real_type()(program.dt)
-            self._inputs = {name: _zero(port) for name, port in program.diagram.inputs.items()}
+            self._inputs = {name: _zero(port) for name, port in self.inputs.items()}
             self._runs = {cell.path: self._open(cell) for cell in self.hierarchy.cells}
         for run in self._runs.values():
             run.feeds = [(port, *self._place(driver)) for port, driver in run.cell.drivers.items()]
@@ -156,75 +159,61 @@ class ReferenceMachine:
             return self._runs[driver.cell.path].y, driver.port
         return self._inputs, driver
 
+    @property
+    def tick(self) -> int:
+        """Base ticks since the start, modulo 2^32."""
+        return self._tick
+
     def reset(self) -> None:
         """To the initial states of the present parameters, tick 0, held outputs 0."""
-        self.tick = 0
-        with numbers.precision(self.program.precision):
+        self._tick = 0
+        with numbers.precision(self.precision):
             for run in self._runs.values():
                 self._prepare(run)
                 run.x.update(self._initial(run))
                 run.zero_outputs()
                 run.after = {}
 
-    def set(self, path: str, value: Any) -> None:
-        """Set one parameter; see `set_many`."""
-        self.set_many({path: value})
-
-    def set_many(self, values: Mapping[str, Any]) -> None:
-        """Set several parameters before the next step, or, if one is refused with ParameterError, none."""
-        with numbers.precision(self.program.precision):
-            new = {path: _checked(self.parameters, path, value, self.tick > 0) for path, value in values.items()}
-            self._values |= new
+    def _store_parameters(self, values: Mapping[str, Any]) -> None:
+        with numbers.precision(self.precision):
+            for path, value in values.items():
+                self._values[path] = _number(value, self.parameters[path], path)
             for run in self._runs.values():
-                if any(root in new for root in run.cell.parameters.values()):
+                if any(root in values for root in run.cell.parameters.values()):
                     self._prepare(run)
 
-    def get(self, path: str) -> Any:
-        """A parameter's present value as a Python number (or list)."""
-        if path not in self._values:
-            raise unknown_parameter(path, self.parameters)
-        return plain(self._values[path])
+    def _parameter(self, path: str) -> Any:
+        return numbers.plain(self._values[path])
 
-    def state(self, path: str) -> Any:
-        """A state's present value by path, as a Python number (or list)."""
-        run, name = self._state(path)
-        return plain(run.x[name])
-
-    def set_state(self, path: str, value: Any) -> None:
-        """Overwrite a state. Raises DiagramError for an unknown path or a value of another type."""
-        run, name = self._state(path)
-        declared = next(s for s in run.cell.block.states if s.name == name)
-        with numbers.precision(self.program.precision):
-            run.x[name] = numeric(value, declared.kind, declared.width, path)
-
-    def _state(self, path: str) -> tuple[_Run, str]:
+    def _find_state(self, path: str) -> State | None:
         owner, _, name = path.rpartition(".")
         run = self._runs.get(owner)
-        if run is None or name not in run.x:
-            raise DiagramError(
-                f"there is no state {path!r:.120}",
-                self.program.diagram.name,
-                "a state's path is part.sub.state",
-            )
-        return run, name
+        return next((s for s in run.cell.block.states if s.name == name), None) if run else None
 
-    def run(self, steps: int, inputs: Mapping[str, Any] | None = None) -> dict[str, Any]:
-        """`steps` steps; an input is one value, or a sequence of `steps` values. Returns arrays by signal name."""
-        steps = check_steps(steps, self.program.diagram.name)
-        columns = {
-            name: _column(value, steps, self.program.diagram.inputs.get(name)) for name, value in (inputs or {}).items()
-        }
-        rows = [self.step({n: c(k) for n, c in columns.items()}) for k in range(steps)]
+    def _state(self, path: str, declared: State) -> Any:
+        return numbers.plain(self._runs[path.rpartition(".")[0]].x[declared.name])
+
+    def _store_state(self, path: str, declared: State, value: Any) -> None:
+        with numbers.precision(self.precision):
+            self._runs[path.rpartition(".")[0]].x[declared.name] = _number(value, declared, path)
+
+    def _store_input(self, port: Port, value: Any) -> None:
+        with numbers.precision(self.precision):
+            self._inputs[port.name] = _number(value, port, port.name)
+
+    def _run(self, steps: int, columns: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
+        given = {name: column.tolist() for name, column in columns.items()}
+        rows = [self.step({name: column[k] for name, column in given.items()}) for k in range(steps)]
         return {name: np.array([row[name] for row in rows]) for name in self.program.signals}
 
-    def step(self, inputs: Mapping[str, Any] | None = None) -> dict[str, Any]:
-        """One step; an input that is not given keeps its last value (0 at first). Returns values by signal name."""
-        with numbers.precision(self.program.precision):
-            return {name: plain(value) for name, value in self.exact_step(inputs or {}).items()}
+    def _step(self) -> dict[str, Any]:
+        with numbers.precision(self.precision):
+            return {name: numbers.plain(value) for name, value in self.exact_step({}).items()}
 
     def exact_step(self, inputs: Mapping[str, Any]) -> dict[str, Any]:
         """`step`, with the language's own numbers; needs an enclosing `numbers.precision`."""
-        self._read(inputs)
+        for name, value in inputs.items():
+            self._write(name, value)
         self._outputs()
         logged = {name: values[key] for name, values, key in self._logged}
         active = [run for run in self._runs.values() if run.active]
@@ -232,16 +221,8 @@ class ReferenceMachine:
         states = self._integrate([run for run in active if run.continuous])
         for run, new in [*updates, *states]:
             run.x.update(new)
-        self.tick = (self.tick + 1) % 2**32
+        self._tick = (self._tick + 1) % 2**32
         return logged
-
-    def _read(self, inputs: Mapping[str, Any]) -> None:
-        declared = self.program.diagram.inputs
-        for name, value in inputs.items():
-            if name not in declared:
-                known = ", ".join(declared) or "none"
-                raise DiagramError(f"there is no input {name!r:.80}", self.program.diagram.name, f"inputs: {known}")
-            self._inputs[name] = numeric(value, declared[name].kind, declared[name].width, name)
 
     def _outputs(self) -> None:
         for run, block, ports, first in self._schedule:
@@ -362,50 +343,11 @@ class ReferenceMachine:
         }
 
 
-def _default(p: Param, path: str) -> Any:
-    return numeric(p.value, p.kind, p.width, path)
+def _number(value: Any, declared: Port | State | Param, where: str) -> Any:
+    return numeric(value, declared.kind, declared.width, where)
 
 
 def _elementwise(f: Any, *values: Any) -> Any:
     if isinstance(values[0], Vector):
         return Vector(f(*items) for items in zip(*values, strict=True))
     return f(*values)
-
-
-def _checked(parameters: Mapping[str, Param], path: str, value: Any, running: bool) -> Any:
-    if path not in parameters:
-        raise unknown_parameter(path, parameters)
-    p = parameters[path]
-    if running and not p.tunable:
-        raise ParameterError(
-            "it is fixed while the diagram runs", path, "set it before the first step, or after reset()"
-        )
-    try:
-        number = numeric(value, p.kind, p.width, path)
-    except DiagramError as error:
-        raise ParameterError(error.what, path, error.remedy) from error
-    check_bounds(p, value, path)
-    return number
-
-
-def plain(value: Any) -> Any:
-    """A number of the language as a Python number, a Vector as a list."""
-    if isinstance(value, Vector):
-        return [plain(v) for v in value]
-    return value.value if isinstance(value, Integer) else value.item()
-
-
-def _column(value: Any, steps: int, port: Any) -> Any:
-    """A function of k that gives the input's value at step k."""
-    data = np.asarray(value)
-    if port is not None and data.ndim == (0 if port.width is None else 1):
-        constant = data.tolist()
-        return lambda k: constant
-    if data.shape[0] != steps:
-        raise DiagramError(
-            f"{data.shape[0]} values for {steps} steps",
-            port.name if port else "",
-            "give one value, or one a step",
-        )
-    rows = data.tolist()
-    return lambda k: rows[k]

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.compile.builder import CompiledProgram
 from twodof.compile.cortex_m7.processor import Processor
 from twodof.compile.cortex_m7.target import CortexM7Backend, CortexM7Instance
 from twodof.compile.cortex_m7.usage import SectionSizes, Usage, image_sizes
+from twodof.compile.machine import CompiledProgram
 from twodof.errors import CompileError
 
 STEPS = 1000

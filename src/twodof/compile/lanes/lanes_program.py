@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.blocks.declarations import Param, State, check_bounds, check_steps, numeric, unknown_parameter
+from twodof.blocks.declarations import Param, Port, State, check_steps, numeric
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.expressions import numbers
-from twodof.blocks.expressions.numbers import Integer, Vector
+from twodof.blocks.machine import Machine, fitting
 from twodof.compile.c.emitter import emit
 from twodof.compile.lanes.helpers import LaneShape
 from twodof.compile.lanes.style import LaneStyle as Style
@@ -160,21 +160,23 @@ class LanesProgram:
         return LanesMachine(self)
 
 
-class LanesMachine:
+class LanesMachine(Machine):
     """Running instances side by side, each with parameters, states and inputs of its own; they share the tick.
 
     A value is one for all lanes, of the shape () or (width,), or has the lane as its first axis: (lanes,) or
-    (lanes, width). A sequence for an array of one dimension is the same array in all lanes.
+    (lanes, width). A sequence for an array of one dimension is the same array in all lanes. Parameters and states come
+    back as (lanes,) or (lanes, width). A parameter that is refused in one lane changes in none; the error names the
+    lane.
     """
 
     def __init__(self, program: LanesProgram) -> None:
+        layout, lowered = program.layout, program.flat
+        super().__init__(lowered.name, program.precision, program.parameters, lowered.ports)
         self.program = program
         self.lanes = program.lanes
-        self.parameters = program.parameters
         self._structs = {k: _structs(program.blocks, program.dtypes[k]) for k in "PSUY"}
-        layout, lowered = program.layout, program.flat
         self._members = {path: layout.parameters[q].name for path, q in lowered.parameters.items()}
-        self._inputs = {name: (s, layout.inputs[s].name) for name, s in lowered.inputs.items()}
+        self._inputs = {name: layout.inputs[s].name for name, s in lowered.inputs.items()}
         self._outputs = {path: (s, layout.outputs[path].name) for path, s in lowered.outputs.items()}
         for block in self._structs["P"]:
             program.c_defaults(block.ctypes.data)
@@ -191,46 +193,6 @@ class LanesMachine:
         for p, s in zip(self._structs["P"], self._structs["S"], strict=True):
             self.program.c_init(p.ctypes.data, s.ctypes.data)
 
-    def set(self, path: str, value: Any) -> None:
-        """Set one parameter, in all lanes or each; see `set_many`."""
-        self.set_many({path: value})
-
-    def set_many(self, values: Mapping[str, Any]) -> None:
-        """Set several parameters before the next step, or, if one is refused in any lane, none in none.
-
-        Raises ParameterError, which names the lane and the bound.
-        """
-        new = {self._member(path): (path, self._checked(path, value)) for path, value in values.items()}
-        for member, (path, data) in new.items():
-            self._write("P", member, data, self.parameters[path].kind)
-        for block in self._structs["P"]:
-            self.program.c_prepare(block.ctypes.data)
-
-    def get(self, path: str) -> NDArray[Any]:
-        """A parameter's present values, (lanes,) or (lanes, width)."""
-        declared = self.parameters[path] if path in self._members else None
-        return self._read("P", self._member(path), declared.kind if declared else "real")
-
-    def state(self, path: str) -> NDArray[Any]:
-        """A state's present values by path, (lanes,) or (lanes, width)."""
-        declared, member = self._state(path)
-        return self._read("S", member, declared.kind)
-
-    def set_state(self, path: str, value: Any) -> None:
-        """Overwrite a state. Raises DiagramError for an unknown path or a value of another type."""
-        declared, member = self._state(path)
-        self._write("S", member, self._numbers(value, declared.kind, declared.width, path), declared.kind)
-
-    def step(self, inputs: Mapping[str, Any] | None = None) -> dict[str, NDArray[Any]]:
-        """One step; an input that is not given keeps its last values (0 at first).
-
-        Returns each signal's values, (lanes,) or (lanes, width). Raises DiagramError for an input that does not fit.
-        """
-        for name, value in (inputs or {}).items():
-            signal, member = self._input(name)
-            self._write("U", member, self._numbers(value, signal.kind, signal.width, name), signal.kind)
-        return {path: column[0] for path, column in self._advance(1, {}).items()}
-
     def run(self, steps: int, inputs: Mapping[str, Any] | None = None) -> dict[str, NDArray[Any]]:
         """`steps` steps. An input is one value, or has the step as its first axis: (steps,), the same in all lanes, or
         (steps, lanes), or (1, lanes) for values that stay; an array's last axis is its width.
@@ -238,30 +200,21 @@ class LanesMachine:
         Returns each signal, (steps, lanes) or (steps, lanes, width). Raises DiagramError for an input that does not
         fit, or more than MOST_RESULTS results.
         """
-        steps = check_steps(steps, self.program.flat.name)
-        results = steps * self.lanes * sum(s.width or 1 for s, _ in self._outputs.values())
+        results = check_steps(steps, self.name) * self.lanes * sum(s.width or 1 for s, _ in self._outputs.values())
         if results > MOST_RESULTS:
-            raise DiagramError(
-                f"{steps} steps give {results} values", self.program.flat.name, f"ask for {MOST_RESULTS} at most"
-            )
-        columns: dict[str, NDArray[Any]] = {}
-        for name, value in (inputs or {}).items():
-            signal, member = self._input(name)
-            data = np.asarray(value)
-            inner = () if signal.width is None else (signal.width,)
-            if data.shape in ((), inner):
-                self._write("U", member, self._numbers(value, signal.kind, signal.width, name), signal.kind)
-                continue
-            columns[member] = _column(data, signal, steps, self.lanes)
-        return self._advance(steps, columns)
+            raise DiagramError(f"{steps} steps give {results} values", self.name, f"ask for {MOST_RESULTS} at most")
+        return super().run(steps, inputs)
 
     def skip(self, steps: int) -> None:
         """`steps` steps with the last inputs, whose outputs nobody wants."""
-        steps = check_steps(steps, self.program.flat.name)
+        steps = check_steps(steps, self.name)
         for p, s, u, y in zip(*(self._structs[k] for k in "PSUY"), strict=True):
             self.program.c_run(p.ctypes.data, s.ctypes.data, u.ctypes.data, 0, y.ctypes.data, 0, steps)
 
-    def _advance(self, steps: int, columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    def _step(self) -> dict[str, NDArray[Any]]:
+        return {path: column[0] for path, column in self._run(1, {}).items()}
+
+    def _run(self, steps: int, columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
         program, wide = self.program, self.program.shape.lanes
         results = {
             path: np.empty(self._shape(s, steps), _kind(s.kind, program)) for path, (s, _) in self._outputs.items()
@@ -276,9 +229,9 @@ class LanesMachine:
                 at, stride = u.ctypes.data, 0
                 if changing is not None:
                     changing[:n] = u[0]
-                    for member, column in columns.items():
+                    for name, column in columns.items():
                         part = column[first : first + n] if len(column) > 1 else column
-                        _spread(changing[member][:n], part[:, mine] if part.shape[1] > 1 else part, count)
+                        _spread(changing[self._inputs[name]][:n], part[:, mine] if part.shape[1] > 1 else part, count)
                     at, stride = changing.ctypes.data, 1
                 program.c_run(p.ctypes.data, s.ctypes.data, at, stride, y.ctypes.data, 1, n)
                 if changing is not None:
@@ -291,26 +244,53 @@ class LanesMachine:
     def _shape(self, signal: flat_program.FlatSignal, steps: int) -> tuple[int, ...]:
         return (steps, self.lanes) if signal.width is None else (steps, self.lanes, signal.width)
 
-    def _member(self, path: str) -> str:
-        if path not in self._members:
-            raise unknown_parameter(path, self._members)
-        return self._members[path]
-
-    def _checked(self, path: str, value: Any) -> NDArray[Any]:
-        declared = self.parameters[path]
-        if not declared.tunable and self.tick > 0:
-            raise ParameterError(
-                "it is fixed while the diagram runs", path, "set it before the first step, or after reset()"
-            )
-        with numbers.precision("float64"):  # bounds are compared with what is given, then it is rounded
-            for lane, given in self._each(value, declared.width, path):
-                try:
-                    numeric(given, declared.kind, declared.width, path)
-                    check_bounds(declared, given, path)
-                except (DiagramError, ParameterError) as error:
-                    what = error.what if lane is None else f"lane {lane}: {error.what}"
-                    raise ParameterError(what, path, error.remedy) from error
+    def _checked(self, path: str, value: Any) -> Any:
+        declared = self._declared(path)
+        for lane, given in self._each(value, declared.width, path):
+            try:
+                super()._checked(path, given)
+            except ParameterError as error:
+                if lane is None:
+                    raise
+                raise ParameterError(f"lane {lane}: {error.what}", path, error.remedy) from error
+        with numbers.precision("float64"):  # it is rounded where it is stored
             return self._numbers(value, declared.kind, declared.width, path)
+
+    def _store_parameters(self, values: Mapping[str, Any]) -> None:
+        for path, data in values.items():
+            self._put("P", self._members[path], data)
+        for block in self._structs["P"]:
+            self.program.c_prepare(block.ctypes.data)
+
+    def _parameter(self, path: str) -> NDArray[Any]:
+        return self._read("P", self._members[path], self.parameters[path].kind)
+
+    def _find_state(self, path: str) -> State | None:
+        found = self.program.states.get(path)
+        return found[0] if found else None
+
+    def _state(self, path: str, declared: State) -> NDArray[Any]:
+        return self._read("S", self.program.states[path][1], declared.kind)
+
+    def _store_state(self, path: str, declared: State, value: Any) -> None:
+        self._put("S", self.program.states[path][1], value)
+
+    def _store_input(self, port: Port, value: Any) -> None:
+        self._put("U", self._inputs[port.name], value)
+
+    def _plain(self, value: Any, declared: Port | State, where: str) -> Any:
+        with numbers.precision(self.precision):
+            return self._numbers(value, declared.kind, declared.width, where)
+
+    def _column(self, port: Port, data: NDArray[Any], steps: int) -> NDArray[Any]:
+        """An input's array as (steps or 1, lanes or 1[, width]), checked; integers wrap around."""
+        inner = () if port.width is None else (port.width,)
+        if data.shape == (steps, *inner):
+            data = data[:, np.newaxis]
+        fits = data.shape in ((steps, self.lanes, *inner), (1, self.lanes, *inner), (steps, 1, *inner))
+        room = f", {steps} steps and {self.lanes} lanes"
+        remedy = "give one value, or (steps,), (steps, lanes) or (1, lanes) of them, with the width as the last axis"
+        return fitting(port, data, fits, room, remedy)
 
     def _each(self, value: Any, width: int | None, path: str) -> list[tuple[int | None, Any]]:
         """(lane, its value), or (None, the value) if it is one for all."""
@@ -332,24 +312,8 @@ class LanesMachine:
         """A value's numbers, with the lane as the first axis, of length 1 if it is one for all."""
         rows = []
         for _, given in self._each(value, width, path):
-            number = numeric(given, kind, width, path)
-            scalars = number if isinstance(number, Vector) else (number,)
-            plain = [n.value if isinstance(n, Integer) else n.item() for n in scalars]
-            rows.append(plain[0] if width is None else plain)
+            rows.append(numbers.plain(numeric(given, kind, width, path)))
         return np.array(rows, dtype={"real": "float64", "bool": "bool"}.get(kind, kind))
-
-    def _state(self, path: str) -> tuple[State, str]:
-        if path not in self.program.states:
-            raise DiagramError(
-                f"there is no state {path!r:.120}", self.program.flat.name, "a state's path is part.sub.state"
-            )
-        return self.program.states[path]
-
-    def _input(self, name: str) -> tuple[flat_program.FlatSignal, str]:
-        if name not in self._inputs:
-            known = ", ".join(self._inputs) or "none"
-            raise DiagramError(f"there is no input {name!r:.80}", self.program.flat.name, f"inputs: {known}")
-        return self._inputs[name]
 
     def _views(self, struct: str, member: str) -> Iterable[NDArray[Any]]:
         """A member's memory in each block of lanes, ([width,] lanes of the block)."""
@@ -362,7 +326,7 @@ class LanesMachine:
         data = np.concatenate([np.moveaxis(view, -1, 0) for view in views])[: self.lanes]
         return data != 0 if kind == "bool" else data
 
-    def _write(self, struct: str, member: str, data: NDArray[Any], kind: str) -> None:
+    def _put(self, struct: str, member: str, data: NDArray[Any]) -> None:
         wide = self.program.shape.lanes
         for b, view in enumerate(self._views(struct, member)):
             part = data[b * wide : (b + 1) * wide] if len(data) > 1 else data
@@ -404,22 +368,3 @@ def _apart(view: NDArray[Any], kind: str) -> NDArray[Any]:
 
 def _kind(kind: str, program: LanesProgram) -> np.dtype[Any]:
     return np.dtype(program.precision if kind == "real" else kind)
-
-
-_ACCEPTED = {"real": "fiu", "int32": "iu", "uint32": "iu", "bool": "b"}
-
-
-def _column(data: NDArray[Any], signal: flat_program.FlatSignal, steps: int, lanes: int) -> NDArray[Any]:
-    """An input's array as (steps or 1, lanes or 1[, width]), checked; integers wrap around."""
-    inner = () if signal.width is None else (signal.width,)
-    if data.shape == (steps, *inner):
-        data = data[:, np.newaxis]
-    fits = data.shape in ((steps, lanes, *inner), (1, lanes, *inner), (steps, 1, *inner))
-    if data.dtype.kind not in _ACCEPTED[signal.kind] or not fits:
-        raise DiagramError(
-            f"an array of {data.dtype} and shape {data.shape} is given for {signal.kind} of width {signal.width or 1}, "
-            f"{steps} steps and {lanes} lanes",
-            signal.path,
-            "give one value, or (steps,), (steps, lanes) or (1, lanes) of them, with the width as the last axis",
-        )
-    return data if signal.kind in ("real", "bool") else data.astype(signal.kind)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.blocks.declarations import check_bounds, numeric, unknown_parameter
+from twodof.blocks.declarations import check_value, numeric, unknown_parameter
 from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.derivative import plain
 from twodof.blocks.expressions.numbers import Vector
@@ -31,8 +31,8 @@ class OperatingPoint:
             if name not in known:
                 raise unknown_parameter(name, known)
         for path, parameter in program.parameters.items():
-            if path in at and parameter.declared.kind != "bool":
-                check_bounds(parameter.declared, at[path], path)
+            if path in at:
+                check_value(parameter.declared, at[path], path)
         self.parameters = parameter_values(program, {p: at[p] for p in program.parameters if p in at})
         self.states: dict[Key, Any] = initial_states(program, self.parameters)
         self.given: set[Key] = set()

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from twodof.blocks.block import Block, Trace
-from twodof.blocks.declarations import Param, State
+from twodof.blocks.declarations import Param, Port, State
 from twodof.blocks.diagram import Rate
 
 
@@ -135,6 +135,11 @@ class FlatProgram:
     stage: list[Group]
     moving: frozenset[FlatSignal]
     edged: list[FlatSignal]
+
+    @property
+    def ports(self) -> list[Port]:
+        """The inputs as ports."""
+        return [Port(name, s.kind, s.width, s.unit) for name, s in self.inputs.items()]
 
     @property
     def integrated(self) -> list[Node]:

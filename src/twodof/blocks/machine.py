@@ -1,0 +1,169 @@
+"""Machine: one running program, on whichever target, with the rules and words that all targets share."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twodof.blocks.declarations import Param, Port, State, check_steps, check_value, numeric, unknown_parameter
+from twodof.blocks.expressions import numbers
+from twodof.errors import DiagramError, ParameterError
+
+_ACCEPTED = {"real": "fiu", "int32": "iu", "uint32": "iu", "bool": "b"}
+
+
+class Machine(ABC):
+    """One running program: parameters, states and inputs of its own, by name or path.
+
+    A value is a number, or a list of `width` numbers for an array. An input that is not given keeps its last value (0
+    at first). A parameter is refused outside its bounds or its type's range; inputs and states that are integers wrap
+    around. Where the target can fault (docs/reference/compilation.md), a method that computes raises ControllerFault.
+    One thread at a time may use a machine: queue the changes of others and apply them between two steps.
+    """
+
+    def __init__(self, name: str, precision: str, parameters: Mapping[str, Param], inputs: Iterable[Port]) -> None:
+        self.name = name
+        self.precision = precision
+        self.parameters = parameters
+        self.inputs = {port.name: port for port in inputs}
+
+    @property
+    @abstractmethod
+    def tick(self) -> int:
+        """Base ticks since the start, modulo 2^32."""
+
+    @abstractmethod
+    def reset(self) -> None:
+        """To the initial states of the present parameters, tick 0, held outputs 0."""
+
+    def set(self, path: str, value: Any) -> None:
+        """Set one parameter; see `set_many`."""
+        self.set_many({path: value})
+
+    def set_many(self, values: Mapping[str, Any]) -> None:
+        """Set several parameters before the next step, or, if one is refused with ParameterError, none."""
+        self._store_parameters({path: self._checked(path, value) for path, value in values.items()})
+
+    def get(self, path: str) -> Any:
+        """A parameter's present value."""
+        self._declared(path)
+        return self._parameter(path)
+
+    def state(self, path: str) -> Any:
+        """A state's present value. Raises DiagramError for an unknown path."""
+        return self._state(path, self._state_at(path))
+
+    def set_state(self, path: str, value: Any) -> None:
+        """Overwrite a state. Raises DiagramError for an unknown path or a value of another type."""
+        declared = self._state_at(path)
+        self._store_state(path, declared, self._plain(value, declared, path))
+
+    def step(self, inputs: Mapping[str, Any] | None = None) -> dict[str, Any]:
+        """One step. Returns values by signal name. Raises DiagramError for an input that does not fit."""
+        for name, value in (inputs or {}).items():
+            self._write(name, value)
+        return self._step()
+
+    def run(self, steps: int, inputs: Mapping[str, Any] | None = None) -> dict[str, Any]:
+        """`steps` steps; an input is one value, or an array of `steps` values. Returns arrays by signal name.
+
+        Raises DiagramError for an input that does not fit, and for more than MAX_STEPS steps.
+        """
+        steps = check_steps(steps, self.name)
+        columns: dict[str, NDArray[Any]] = {}
+        for name, value in (inputs or {}).items():
+            port = self._input(name)
+            data = value if isinstance(value, np.ndarray) else np.asarray(value)
+            if data.shape in ((), _inner(port)):
+                self._write(name, data.tolist())
+            else:
+                columns[name] = self._column(port, data, steps)
+        return self._run(steps, columns)
+
+    @abstractmethod
+    def _step(self) -> dict[str, Any]:
+        """One step with the inputs as they were written."""
+
+    @abstractmethod
+    def _run(self, steps: int, columns: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
+        """`steps` steps with a row of each column at each; the last row stays written."""
+
+    @abstractmethod
+    def _store_parameters(self, values: Mapping[str, Any]) -> None:
+        """Take over checked values, all or, if an error is raised, none."""
+
+    @abstractmethod
+    def _parameter(self, path: str) -> Any: ...
+
+    @abstractmethod
+    def _find_state(self, path: str) -> State | None: ...
+
+    @abstractmethod
+    def _state(self, path: str, declared: State) -> Any: ...
+
+    @abstractmethod
+    def _store_state(self, path: str, declared: State, value: Any) -> None: ...
+
+    @abstractmethod
+    def _store_input(self, port: Port, value: Any) -> None: ...
+
+    def _declared(self, path: str) -> Param:
+        if path not in self.parameters:
+            raise unknown_parameter(path, self.parameters)
+        return self.parameters[path]
+
+    def _checked(self, path: str, value: Any) -> Any:
+        """A parameter's new value as plain numbers, as given: it is rounded where it is stored."""
+        declared = self._declared(path)
+        if not declared.tunable and self.tick > 0:
+            raise ParameterError(
+                "it is fixed while the diagram runs", path, "set it before the first step, or after reset()"
+            )
+        return check_value(declared, value, path)
+
+    def _state_at(self, path: str) -> State:
+        declared = self._find_state(path)
+        if declared is None:
+            raise DiagramError(f"there is no state {path!r:.120}", self.name, "a state's path is part.sub.state")
+        return declared
+
+    def _input(self, name: str) -> Port:
+        if name not in self.inputs:
+            known = ", ".join(self.inputs) or "none"
+            raise DiagramError(f"there is no input {name!r:.80}", self.name, f"inputs: {known}")
+        return self.inputs[name]
+
+    def _write(self, name: str, value: Any) -> None:
+        port = self._input(name)
+        self._store_input(port, self._plain(value, port, name))
+
+    def _plain(self, value: Any, declared: Port | State, where: str) -> Any:
+        """`value` as plain numbers of the declared type, in this machine's precision."""
+        with numbers.precision(self.precision):
+            return numbers.plain(numeric(value, declared.kind, declared.width, where))
+
+    def _column(self, port: Port, data: NDArray[Any], steps: int) -> NDArray[Any]:
+        """An input's array, checked; integers wrap around."""
+        if data.shape[:1] != (steps,):
+            raise DiagramError(f"{len(data)} values for {steps} steps", port.name, "give one value, or one a step")
+        return fitting(port, data, data.shape == (steps, *_inner(port)), "", "convert it")
+
+
+def _inner(port: Port) -> tuple[int, ...]:
+    return () if port.width is None else (port.width,)
+
+
+def fitting(port: Port, data: NDArray[Any], fits: bool, room: str, remedy: str) -> NDArray[Any]:
+    """`data` in the port's type, if its own type allows that and its shape `fits`; else DiagramError."""
+    if data.dtype.kind not in _ACCEPTED[port.kind] or not fits:
+        raise DiagramError(
+            f"an array of {data.dtype} and shape {data.shape} is given for {port.kind} of width "
+            f"{port.width or 1}{room}",
+            port.name,
+            remedy,
+        )
+    return data if port.kind in ("real", "bool") else data.astype(port.kind)
