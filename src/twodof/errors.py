@@ -20,8 +20,9 @@ def listed(names: Iterable[str], most: int = 20) -> str:
 
 
 def outside(value: float, low: float, high: float, unit: str = "") -> str:
-    """What is wrong with a value that is not within its bounds."""
-    return f"{value:g} is outside {low:g} to {high:g} {unit}".rstrip()
+    """What is wrong with a value that is not within its bounds. Whole numbers are written with all digits."""
+    given, least, most = (str(n) if isinstance(n, int) else f"{n:g}" for n in (value, low, high))
+    return f"{given} is outside {least} to {most} {unit}".rstrip()
 
 
 def printable(text: object) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.expr import KINDS
 from twodof.blocks.expressions.numbers import Integer, Vector
-from twodof.errors import DiagramError, ParameterError, shown
+from twodof.errors import DiagramError, ParameterError, outside, shown
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")
 MAX_WIDTH = 1_000_000
@@ -202,9 +202,7 @@ def check_value(declared: Param, value: Any, path: str) -> Any:
     for given in value if isinstance(value, (list, tuple, np.ndarray)) else (value,):
         one = given.value if isinstance(given, Integer) else given
         if not low <= one <= high:
-            raise ParameterError(
-                f"{one} is outside [{low}, {high}] {declared.unit}".rstrip(), path, "choose a value within the bounds"
-            )
+            raise ParameterError(outside(one, low, high, declared.unit), path, "choose a value within the bounds")
     return number
 
 
