@@ -1,0 +1,54 @@
+"""What the package imports is declared in pyproject.toml: whoever installs the package gets what it needs."""
+
+from __future__ import annotations
+
+import ast
+import re
+import sys
+import tomllib
+from collections.abc import Iterable
+from importlib.metadata import packages_distributions
+from pathlib import Path
+
+PROJECT = Path(__file__).resolve().parents[1]
+
+
+def imported(files: Iterable[Path]) -> dict[str, Path]:
+    """Top-level modules of others that `files` import, each with a file that does."""
+    found = {}
+    for path in files:
+        for node in ast.walk(ast.parse(path.read_text())):
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            if isinstance(node, ast.ImportFrom) and not node.level and node.module:
+                names = [node.module]
+            found |= {name.split(".")[0]: path for name in names}
+    return {name: path for name, path in found.items() if name not in {*sys.stdlib_module_names, "twodof"}}
+
+
+def declared() -> set[str]:
+    """Distributions that an installation may have: the dependencies and the extras for users."""
+    project = tomllib.loads((PROJECT / "pyproject.toml").read_text())["project"]
+    extras = project["optional-dependencies"]
+    rows = [*project["dependencies"], *(row for name in extras if name != "dev" for row in extras[name])]
+    return {_plain(re.split(r"[ <>=;\[]", row)[0]) for row in rows}
+
+
+def test_every_import_is_a_declared_dependency() -> None:
+    distributions = packages_distributions()
+    known = declared()
+    missing = {
+        name: str(path.relative_to(PROJECT))
+        for name, path in imported((PROJECT / "src").rglob("*.py")).items()
+        if not {_plain(one) for one in distributions.get(name, [name])} & known
+    }
+    assert missing == {}
+
+
+def test_an_import_that_is_not_declared_is_found(tmp_path: Path) -> None:
+    file = tmp_path / "module.py"
+    file.write_text("import os, serial.tools\nfrom lxml.etree import parse\nfrom . import neighbour\n")
+    assert imported([file]) == {"serial": file, "lxml": file}
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[-_.]+", "-", name).lower()
