@@ -40,6 +40,7 @@ def test_what_the_other_commands_in_flight_is_refused_counted_and_changes_nothin
     async def work() -> None:
         async with Whole() as whole:
             pilot = await whole.airborne(0.1)
+            await pilot.withhold_tuning()
             other = await whole.client(system=251, take_lease=False)
             await other.run(1.5)  # until it has heard who holds the lease
             first, before = whole.tick, dict(whole.drone.assembly.store)

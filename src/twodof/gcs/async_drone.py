@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractAsyncContextManager
-from math import ceil
+from math import ceil, inf
 from pathlib import Path
 from typing import Any
 
@@ -98,6 +98,14 @@ class AsyncDrone(Connected):
         """Follow a position along the rail [m], with an acceleration [m/s^2] fed forward."""
         await self._follow(setpoints.position(x, acceleration), self._deadline(timeout, _FOLLOWING))
 
+    async def withhold_tuning(self, withhold: bool = True, timeout: float = TIMEOUT_S) -> None:
+        """Let nobody else change parameters while we command, or (`withhold` False) let them again, as at first.
+
+        Raises Rejected where somebody else commands, or nobody does.
+        """
+        self._needs_ours("withholding tuning", "TWODOF_LEASE")
+        await self.lease.withhold_tuning(withhold, timeout)
+
     def stop_setpoints(self) -> None:
         """Send no more set-points: after .5 s the drone levels itself."""
         self.setpoints.stop()
@@ -176,8 +184,14 @@ class AsyncDrone(Connected):
             )
 
     async def run(self, seconds: float) -> None:
-        """Let the drone's time pass. Raises LinkLost, Timeout if it stands still, Rejected if a kill ends a flight."""
-        await self.run_until(self.tick + max(0, ceil(seconds / TICK_S - 1e-9)))
+        """Let the drone's time pass.
+
+        Raises ParameterError for a time that is negative or infinite, LinkLost, Timeout if its time stands still,
+        Rejected if a kill ends a flight.
+        """
+        if not 0.0 <= seconds < inf:
+            raise ParameterError(f"run({shown(seconds)}): time passes forwards", "drone", "give 0 or more seconds")
+        await self.run_until(self.tick + ceil(max(0.0, seconds / TICK_S - 1e-9)))
 
     async def run_until(self, tick: int) -> None:
         """Let the drone's time pass up to a tick, which is the first not run. Raises as `run`."""

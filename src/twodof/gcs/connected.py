@@ -12,6 +12,7 @@ from twodof.errors import LinkLost, Rejected, Timeout, TwodofError
 from twodof.gcs.control.excitation_player import ExcitationPlayer
 from twodof.gcs.control.parameters import AsyncParameters
 from twodof.gcs.control.setpoints import SetpointStream
+from twodof.gcs.discovery import open_link
 from twodof.gcs.mavlink.clock import DroneClock
 from twodof.gcs.mavlink.commands import ACCEPTED, IN_PROGRESS, CommandSender, number_of
 from twodof.gcs.mavlink.deadline import Deadline
@@ -34,7 +35,6 @@ from twodof.link.signing.key import Key, read_key
 from twodof.link.statistics import LinkStatistics
 from twodof.link.transport import ports
 from twodof.link.transport.base import Transport
-from twodof.link.transport.open_transport import open_transport
 
 DEFAULT_URL = f"udpin://127.0.0.1:{ports.ONBOARD}"
 TIMEOUT_S = 5.0
@@ -103,7 +103,7 @@ class Connected:
         deadline = Deadline(timeout, "connecting", url)
         if key is not None and not isinstance(key, Key):
             read_key(key)  # a key that is none is said before anything is opened
-        transport = await open_transport(url, timeout)
+        transport = await open_link(url, timeout)
         return await cls.over(transport, deadline.left, system, key, take_lease, drone, component)
 
     @classmethod

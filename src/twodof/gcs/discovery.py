@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 from collections import Counter
 from collections.abc import Iterable
 from contextlib import suppress
@@ -15,7 +16,9 @@ from twodof.link.mavlink.components import AUTOPILOT, GROUND_STATION, NO_AUTOPIL
 from twodof.link.mavlink.messages import message
 from twodof.link.mavlink.modes import mode_name
 from twodof.link.transport import ports
+from twodof.link.transport.base import Transport
 from twodof.link.transport.open_transport import open_transport
+from twodof.link.transport.url import parse
 
 LISTENED = (
     ("udp", ports.COMPANION_ONBOARD),
@@ -55,6 +58,23 @@ def urls(hosts: Iterable[str] = (), drones: int = DRONES) -> list[str]:
         for i in range(drones):
             places += [f"{kind}://{host}:{port + i}" for kind, port in LISTENED]
     return [*places, f"udpin://127.0.0.1:{ports.GROUND_STATION}"]
+
+
+async def open_link(url: str, timeout: float) -> Transport:
+    """The transport of `url`; raises as `open_transport`.
+
+    A drone sends to one UDP port of this machine, which one program can have. Where another program has it, this one
+    calls the drone at the port that it listens at.
+    """
+    try:
+        return await open_transport(url, timeout)
+    except LinkError as error:
+        address, cause = parse(url), error.__cause__
+        taken = isinstance(cause, OSError) and cause.errno == errno.EADDRINUSE
+        index = address.port - ports.ONBOARD
+        if not taken or address.kind != "udpin" or not 0 <= index < ports.GROUND_STATION - ports.ONBOARD:
+            raise
+        return await open_transport(f"udp://{LOOPBACK}:{ports.COMPANION_ONBOARD + index}", timeout)
 
 
 async def discover(
@@ -108,9 +128,7 @@ async def _look(url: str, timeout: float, heard: dict[tuple[int, str], FoundDron
     loop = asyncio.get_running_loop()
     end = loop.time() + timeout
     with suppress(LinkError):
-        async with Connection(
-            await open_transport(url, timeout), system=SYSTEM, component=GROUND_STATION
-        ) as connection:
+        async with Connection(await open_link(url, timeout), system=SYSTEM, component=GROUND_STATION) as connection:
             while loop.time() < end:
                 with suppress(LinkLost):
                     connection.send(message("HEARTBEAT", type=6, autopilot=NO_AUTOPILOT, system_status=4))

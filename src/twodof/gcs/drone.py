@@ -312,6 +312,13 @@ class Drone:
         """Have a message (such as "ACTUATOR_CONTROL_TARGET") sent `rate` times a second; 0: as by default, < 0: not."""
         self._runner.run(self.there.stream(name, rate, timeout))
 
+    def withhold_tuning(self, withhold: bool = True, timeout: float = TIMEOUT_S) -> None:
+        """Let nobody else change parameters while we command, or (`withhold` False) let them again, as at first.
+
+        Raises Rejected where somebody else commands, or nobody does.
+        """
+        self._runner.run(self.there.withhold_tuning(withhold, timeout))
+
     def stop_setpoints(self) -> None:
         """Send no more set-points: after .5 s the drone levels itself."""
         self._runner.call(self.there.stop_setpoints)

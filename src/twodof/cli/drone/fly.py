@@ -45,6 +45,9 @@ def fly(
     start: Annotated[
         float | None, typer.Option(metavar="X", help="Where the cart starts, in metres; left out: where it fits.")
     ] = None,
+    withhold_tuning: Annotated[
+        bool, typer.Option("--withhold-tuning", help="Let no other program change parameters meanwhile.")
+    ] = False,
     out: Annotated[Path | None, typer.Option(help="Write the flight's log (.mat, .mcap, .parquet, .csv).")] = None,
     plot: Plot = None,
     json: Json = False,
@@ -69,6 +72,8 @@ def fly(
         where = url or DEFAULT_URL if rig is None else stack.enter_context(virtual_drone(rig, *own))
         report = stack.enter_context(progress())
         there = stack.enter_context(connected(where, key, drone))
+        if withhold_tuning:
+            there.withhold_tuning()
         stands = there.state.rig
         if stands.controller and not json:
             sys.stderr.write(

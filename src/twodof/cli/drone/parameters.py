@@ -10,7 +10,6 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from twodof.cli.drone.connect import connect
 from twodof.cli.output import Json, print_json, table_console
 from twodof.errors import ParameterError, shown
 from twodof.gcs.async_drone import DEFAULT_URL
@@ -40,19 +39,14 @@ def parameters(
 ) -> None:
     """Show a drone's parameters, or set some: all that are given act together at one tick, or none does.
 
-    Those of a controller of one's own that flies there have the paths in its diagram as names too. Setting needs that
-    nobody else commands the drone; showing needs nothing. A value that the drone refuses, and a name that it has not:
-    exit status 2, and nothing was changed.
+    Those of a controller of one's own that flies there have the paths in its diagram as names too. It takes no lease:
+    a drone that another program flies is tuned in flight, unless that program withholds it. A value that the drone
+    refuses, and a name that it has not: exit status 2, and nothing was changed.
     """
     names, changes = _asked(wanted or ())
     with Drone.connect(url, key=key, drone=drone, take_lease=False) as there:
         described = there.parameters.describe() if there.there.ours else {}
-        # Whoever has a lease disarms when leaving, and a drone in flight is not ours to disarm: who flies it tunes it.
-        with_lease = bool(changes) and not there.state.armed
-        rows = [] if with_lease else _rows(there, names, changes, described)
-    if with_lease:
-        with connect(url, key=key, drone=drone) as there:
-            rows = _rows(there, names, changes, described)
+        rows = _rows(there, names, changes, described)
     if changed:
         rows = [row for row in rows if row["default"] is not None and row["value"] != row["default"]]
     if json:

@@ -40,6 +40,11 @@ class CommandAuthority:
         return self._lease.orphaned
 
     @property
+    def tuning_withheld(self) -> bool:
+        """Whether nobody but the holder may change parameters."""
+        return self._lease.tuning_withheld
+
+    @property
     def heard(self) -> bool:
         """Whether the link is alive in the tick that comes."""
         return self._heard or self._granted
@@ -64,12 +69,28 @@ class CommandAuthority:
         self._heard = True
         return DONE
 
-    def ask(self, source: Source, duration_ms: int, tick: int) -> CommandResult:
-        """Takes the lease, or renews it, for a time of 30 s at most (0: 2 s); refused while another holds it."""
+    def may_tune(self, source: Source, what: str, tick: int) -> CommandResult:
+        """Whether `source` may change parameters: anybody, unless the holder withholds it.
+
+        It takes no lease; that of its holder it renews. `what` it wanted is named in a refusal.
+        """
+        if not source[0]:
+            return CommandResult(DENIED, f"{what} refused: it has no sender")
+        if not self._lease.may_tune(source):
+            return CommandResult(
+                TEMPORARILY_REJECTED, f"{what} refused: {self._who()} holds the lease and withholds tuning"
+            )
+        return self.take(source, what, tick) if self._lease.holder == source else DONE
+
+    def ask(self, source: Source, duration_ms: int, tick: int, withhold_tuning: bool = False) -> CommandResult:
+        """Takes the lease, or renews it, for a time of 30 s at most (0: 2 s); refused while another holds it.
+
+        `withhold_tuning`: until it is renewed without that, or ends, nobody else may change parameters.
+        """
         if not source[0]:
             return CommandResult(DENIED, "lease refused: it has no sender")
         ticks = round(duration_ms * 1e-3 / PERIOD) if duration_ms else COMMANDING
-        if not self._lease.ask(source, tick, ticks):
+        if not self._lease.ask(source, tick, ticks, withhold_tuning):
             return CommandResult(TEMPORARILY_REJECTED, f"lease refused: {self._who()} holds it")
         self._heard = True
         return DONE

@@ -183,9 +183,21 @@ class Commander:
         self._hand_over()
         return verdict
 
-    def ask_lease(self, source: Source, duration_ms: int = 0) -> CommandResult:
-        """Takes the lease, or renews it, for a time of 30 s at most (0: 2 s); refused while another holds it."""
-        verdict = self._pilot.ask(source, duration_ms, self._now)
+    @property
+    def tuning_withheld(self) -> bool:
+        """Whether nobody but the holder of the lease may change parameters."""
+        return self._pilot.tuning_withheld
+
+    def may_tune(self, source: Source, what: str = "parameters") -> CommandResult:
+        """Whether `source` may change parameters: anybody, unless the holder of the lease withholds it."""
+        return self._pilot.may_tune(source, what, self._now)
+
+    def ask_lease(self, source: Source, duration_ms: int = 0, withhold_tuning: bool = False) -> CommandResult:
+        """Takes the lease, or renews it, for a time of 30 s at most (0: 2 s); refused while another holds it.
+
+        `withhold_tuning`: nobody else may change parameters meanwhile.
+        """
+        verdict = self._pilot.ask(source, duration_ms, self._now, withhold_tuning)
         self._hand_over()
         return verdict
 
@@ -290,6 +302,10 @@ class Commander:
 
         Then the attitude loop holds the pitch level, but in manual mode, which closes no loop, M is 0.
         """
+        if enableM and not abs(M) <= 1.0:  # nor does NaN pass
+            return self._refuse("invalid", f"M = {M:g} is outside -1 to 1")
+        if enableT and not 0.0 <= T <= 1.0:
+            return self._refuse("invalid", f"T = {T:g} is outside 0 to 1")
         thrust = T if enableT else None
         if openloop or self.custom_mode == modes.MANUAL:
             setpoint = SetPoint(OPEN_LOOP, M_open=M if openloop and enableM else 0.0, thrust=thrust)

@@ -34,12 +34,15 @@ class CommandLease:
     Where time stands still until its holder grants it (`stands`), one that died would hold it for ever: of one that was
     not heard for `HEARD` ticks of standing time another may take it. Unless another does nothing changes, as nothing
     that flies may depend on how long a client thinks.
+
+    `tuning_withheld`: nobody but the holder may change parameters.
     """
 
     def __init__(self) -> None:
         self.holder: Source | None = None
         self.orphaned = False
         self.revision = 0
+        self.tuning_withheld = False
         self._until = 0
         self._heard = 0
         self._stood = 0
@@ -57,10 +60,11 @@ class CommandLease:
             left = min(left, HEARD - self._stood)
         return LeaseState(self.holder, max(0, left), self.revision)
 
-    def ask(self, source: Source, tick: int, ticks: int) -> bool:
+    def ask(self, source: Source, tick: int, ticks: int, withhold_tuning: bool = False) -> bool:
         """Takes it, or renews it for `ticks` from now, 1 to LONGEST; False while another holds it."""
         if not self._take(source, tick):
             return False
+        self.tuning_withheld = withhold_tuning
         self._until = tick + min(max(ticks, 1), LONGEST)
         return True
 
@@ -70,6 +74,10 @@ class CommandLease:
             return False
         self._until = max(self._until, tick + COMMANDING)
         return True
+
+    def may_tune(self, source: Source) -> bool:
+        """Whether `source` may change parameters: anybody, unless the holder withholds it. Takes no lease."""
+        return not self.tuning_withheld or self.holder == source
 
     def give_up(self, source: Source, armed: bool) -> bool:
         """Frees it; False if `source` does not hold it."""
@@ -104,6 +112,7 @@ class CommandLease:
     def _take(self, source: Source, tick: int) -> bool:
         if self.holder is None or (self.holder != source and self._stood >= HEARD):
             self.holder, self.orphaned, self._until = source, False, tick
+            self.tuning_withheld = False
             self.revision += 1
         elif self.holder != source:
             return False
@@ -111,5 +120,5 @@ class CommandLease:
         return True
 
     def _free(self) -> None:
-        self.holder = None
+        self.holder, self.tuning_withheld = None, False
         self.revision += 1

@@ -40,7 +40,7 @@ MOST_LISTS = 64
 
 
 class ParameterService:
-    """The parameter protocol in front of `store`; changes need the lease."""
+    """The parameter protocol in front of `store`; who holds the lease may withhold changes from all others."""
 
     def __init__(
         self,
@@ -97,7 +97,7 @@ class ParameterService:
 
     def change(self, wanted: Mapping[str, float], sender: Source) -> tuple[int, str, str]:
         """Changes all of `wanted` or nothing: MAV_PARAM_ERROR, the first parameter it is about, and why."""
-        verdict = self._commander.take(sender, "parameters")
+        verdict = self._commander.may_tune(sender)
         if not verdict.accepted:
             return PERMISSION_DENIED, "", verdict.text
         try:

@@ -168,7 +168,7 @@ class TransactionService:
         return TransactionAnswer(error, have, name, why)
 
     def _undo(self, sender: Source) -> TransactionAnswer:
-        verdict = self._commander.take(sender, "undo")
+        verdict = self._commander.may_tune(sender, "undo")
         if not verdict.accepted:
             return TransactionAnswer(PERMISSION_DENIED, why=verdict.text)
         try:

@@ -103,11 +103,18 @@ class CommanderView(Protocol):
         """Who may command."""
 
     @property
+    def tuning_withheld(self) -> bool:
+        """Whether nobody but the holder of the lease may change parameters."""
+
+    @property
     def remarks(self) -> list[tuple[int, str]]:
         """(MAV_SEVERITY, text) to be told to the clients, drained by who tells them."""
 
     def take(self, source: Source, what: str = "") -> CommandResult:
         """Whether `source` may command now; a free lease becomes its own. `what` it wants is named in a refusal."""
+
+    def may_tune(self, source: Source, what: str = "parameters") -> CommandResult:
+        """Whether `source` may change parameters; takes no lease. `what` it wants is named in a refusal."""
 
     def arm(self, source: Source, force: bool = False) -> CommandResult:
         """Arms; `force` leaves checks out that may be."""

@@ -38,7 +38,7 @@ class Setpoint:
 def moment(M: float, thrust: float | None) -> Setpoint:
     """Normalised pitch moment without a loop; thrust None leaves the thrust as it is."""
     fields = {
-        "M": _number("M", M),
+        "M": _fraction("M", M, -1.0),
         "T": _thrust(thrust),
         "openloop": 1,
         "enableM": 1,
@@ -82,10 +82,14 @@ def _along_rail(make: Callable[..., Any], value: float, acceleration: float | No
 
 
 def _thrust(thrust: float | None) -> float:
-    value = _number("thrust", 0.0 if thrust is None else thrust)
-    if not 0.0 <= value <= 1.0:
-        raise ParameterError(f"thrust {value:g} is outside 0 to 1", "set-point", "nothing was sent")
-    return value
+    return _fraction("thrust", 0.0 if thrust is None else thrust, 0.0)
+
+
+def _fraction(name: str, value: float, least: float) -> float:
+    found = _number(name, value)
+    if not least <= found <= 1.0:
+        raise ParameterError(f"{name} = {found:g} is outside {least:g} to 1", "set-point", "nothing was sent")
+    return found
 
 
 def _angle(name: str, value: float, most: float, unit: str, degrees_unit: str) -> float:

@@ -1,4 +1,7 @@
-"""The lease: who may command. Asked for once, renewed while the session lives, given up at its end."""
+"""The lease: who may command. Asked for once, renewed while the session lives, given up at its end.
+
+Its holder says with each renewal whether others may change parameters meanwhile.
+"""
 
 import asyncio
 from contextlib import suppress
@@ -22,12 +25,17 @@ _ANSWER = ("TWODOF_LEASE",)
 
 
 class LeaseClient:
-    """Our hold on the vehicle, and who else has it: `holder` is (system, component), None for nobody."""
+    """Our hold on the vehicle, and who else has it: `holder` is (system, component), None for nobody.
+
+    `tuning_withheld`: nobody but the holder may change parameters.
+    """
 
     def __init__(self, session: DroneSession, commands: CommandSender) -> None:
         self._session, self._commands = session, commands
         self.holder: tuple[int, int] | None = None
+        self.tuning_withheld = False
         self.wanted = False
+        self._withholds = False  # whether we say so, while we hold it
         self._ends = 0.0  # by the loop's clock, if nothing more is heard of its holder
         self._renewing: asyncio.Task[None] | None = None
         session.on(self._told, "TWODOF_LEASE")
@@ -84,6 +92,22 @@ class LeaseClient:
             "wait until it is given up, or watch with take_lease=False",
         )
 
+    async def withhold_tuning(self, withhold: bool, timeout: float) -> None:
+        """Let nobody else change parameters while we hold the lease, or let them again; see that it is so.
+
+        Raises Rejected where we do not hold it, LinkLost, Timeout.
+        """
+        deadline = Deadline(timeout, "withholding tuning", f"drone {self._session.system}")
+        if not self.wanted:
+            raise Rejected("we do not hold the lease", deadline.where, "connect with take_lease=True")
+        self._withholds = withhold
+        await self._session.ask(
+            lambda _: self._message(ASK),
+            _ANSWER,
+            lambda got: True if self._granted(got) and self.tuning_withheld == withhold else None,
+            deadline,
+        )
+
     async def give_up(self, timeout: float) -> None:
         """Let others command. Raises LinkLost, Timeout; without a lease it does nothing."""
         self.stop()
@@ -112,11 +136,13 @@ class LeaseClient:
     def _message(self, action: int) -> Any:
         place = {"target_system": self._session.system, "target_component": self._session.component}
         duration = DURATION_MS if action == ASK else 0
-        return message("TWODOF_LEASE", action=action, duration_ms=duration, **place)
+        withheld = int(self._withholds and action == ASK)
+        return message("TWODOF_LEASE", action=action, duration_ms=duration, tuning_withheld=withheld, **place)
 
     def _told(self, got: Any) -> None:
         if got.action == STATE:
             self.holder = (got.holder_system, got.holder_component) if got.holder_system else None
+            self.tuning_withheld = bool(got.tuning_withheld)
             self._ends = self._session.now + got.duration_ms / 1000
 
     def _granted(self, got: Any) -> bool | None:

@@ -49,7 +49,7 @@ class LeaseService:
             return False
         if self._us.addressed(got):
             if got.action == ASK:
-                self._answer(received, self._commander.ask_lease(sender, got.duration_ms))
+                self._answer(received, self._commander.ask_lease(sender, got.duration_ms, bool(got.tuning_withheld)))
             elif got.action == GIVE_UP:
                 self._answer(received, self._commander.give_up_lease(sender))
         return True
@@ -67,7 +67,13 @@ class LeaseService:
         now = self._commander.lease
         system, component = now.holder or (0, 0)
         self._link.send(
-            message("TWODOF_LEASE", duration_ms=now.left * TICK_MS, holder_system=system, holder_component=component),
+            message(
+                "TWODOF_LEASE",
+                duration_ms=now.left * TICK_MS,
+                holder_system=system,
+                holder_component=component,
+                tuning_withheld=int(self._commander.tuning_withheld),
+            ),
             received.peer,
         )
 

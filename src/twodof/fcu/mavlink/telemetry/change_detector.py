@@ -32,7 +32,8 @@ class ChangeDetector:
             self._safety, self._causes, self._told = safety, step.causes, step.tick
             found.append(SAFETY)
         hardware, commander = self._controller.hardware, self._commander
-        slow = (hardware.rings, hardware.safety_off, hardware.seed, commander.lease.holder, commander.openloop.revision)
+        lease = commander.lease.holder, commander.tuning_withheld
+        slow = (hardware.rings, hardware.safety_off, hardware.seed, lease, commander.openloop.revision)
         if slow != self._slow:
             if slow[:3] != self._slow[:3]:
                 found.append(RIG)

@@ -75,13 +75,13 @@ def timing(controller: ControllerView, lost: Callable[[], int]) -> Callable[[], 
 
 
 def lease(commander: CommanderView) -> Callable[[], Packed]:
-    """TWODOF_LEASE: who may command."""
+    """TWODOF_LEASE: who may command, and whether others may tune."""
     pack = Packer("TWODOF_LEASE")
 
     def encode() -> Packed:
         now = commander.lease
         holder = now.holder or NOBODY
-        return pack(min(max(now.left, 0) * TICK_MS, MASK_32), 0, 0, 0, *holder)
+        return pack(min(max(now.left, 0) * TICK_MS, MASK_32), 0, 0, 0, *holder, int(commander.tuning_withheld))
 
     return encode
 

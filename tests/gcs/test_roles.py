@@ -1,0 +1,121 @@
+"""One program commands, another tunes: beside each other at one drone, on the port that every program looks at."""
+
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+
+import pytest
+from tests.cli.numbers import free_numbers
+
+from tests.fcu.command.cockpit import ME, OTHER, Cockpit
+from tests.gcs.virtual import on_board
+from tests.patience import PATIENCE_S
+from tests.processes import started
+from twodof.errors import Rejected
+from twodof.fcc.companion import Companion, px4_links
+from twodof.gcs.drone import Drone
+from twodof.gcs.loop_thread import LoopThread
+from twodof.link.transport import ports
+
+COMMANDER = """
+import sys
+from twodof.gcs.drone import Drone
+with Drone.connect(sys.argv[1]) as drone:
+    drone.arm()
+    drone.set_pitch(0.0, thrust=0.3)
+    drone.run(0.2)
+    for wish in ("share", "withhold"):
+        drone.withhold_tuning(wish == "withhold")
+        print(wish, drone.state.armed, flush=True)
+        sys.stdin.readline()
+"""
+
+
+@contextmanager
+def directly(index: int) -> Iterator[None]:
+    """A drone that sends to the onboard port, and listens as PX4 does."""
+    place = f"udp://127.0.0.1:{ports.ONBOARD + index}?bind=127.0.0.1:{ports.COMPANION_ONBOARD + index}"
+    with on_board(place, conditions={"rings": True}):
+        yield
+
+
+@contextmanager
+def through_the_companion(index: int) -> Iterator[None]:
+    """A drone behind its companion, which has the usual ports."""
+    thread = LoopThread("companion")
+    with on_board(conditions={"rings": True}) as there:
+
+        async def start() -> Companion:
+            return await Companion(there.url, px4_links(index)).__aenter__()
+
+        companion = thread.run(start())
+        try:
+            yield
+        finally:
+            thread.run(companion.close())
+            thread.close()
+
+
+@pytest.mark.parametrize("served", [directly, through_the_companion])
+def test_a_program_tunes_what_another_flies_until_that_one_withholds_it(
+    served: Callable[[int], AbstractContextManager[None]],
+) -> None:
+    with free_numbers(1) as index, served(index):
+        url = f"udpin://127.0.0.1:{ports.ONBOARD + index}"
+        flies = [sys.executable, "-c", COMMANDER, url]
+        with started(flies, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as commander:
+            assert commander.stdout.readline() == "share True\n"
+            with Drone.connect(url, take_lease=False) as tuner:
+                tuner.parameters["RATE_KP"] = 0.06
+                commander.stdin.write("\n")
+                commander.stdin.flush()
+                assert commander.stdout.readline() == "withhold True\n"
+                with pytest.raises(Rejected, match="holds the lease and withholds tuning"):
+                    tuner.parameters["RATE_KP"] = 0.08
+                with pytest.raises(Rejected, match="holds the lease and withholds tuning"):
+                    tuner.parameters.change({"RATE_KP": 0.08, "ATT_KP": 9.0})
+                with pytest.raises(Rejected, match="we do not hold the lease"):
+                    tuner.withhold_tuning()
+                assert tuner.parameters["RATE_KP"] == pytest.approx(0.06)
+                commander.stdin.write("\n")
+                commander.stdin.flush()
+                assert commander.wait(PATIENCE_S) == 0
+                tuner.parameters["RATE_KP"] = 0.08  # the lease was given up, and with it what it withheld
+
+
+def test_the_shell_tunes_what_another_program_flies_at_the_port_that_one_has() -> None:
+    with free_numbers(1) as index, directly(index):
+        url = f"udpin://127.0.0.1:{ports.ONBOARD + index}"
+        with Drone.connect(url):
+            command = [sys.executable, "-m", "twodof.cli", "parameters", "RATE_KP=0.06", "--url", url]
+            done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+            assert (done.returncode, done.stderr) == (0, "")
+            assert " 0.06 " in done.stdout
+
+
+def test_the_right_to_tune_is_everybodys_but_for_as_long_as_the_holder_withholds_it() -> None:
+    cockpit = Cockpit()
+    commander = cockpit.commander
+    assert commander.may_tune(OTHER).accepted
+    assert commander.lease.holder is None
+    assert commander.ask_lease(ME, 1000).accepted
+    assert commander.may_tune(OTHER).accepted
+    assert commander.lease.holder == ME
+    assert commander.ask_lease(ME, 1000, withhold_tuning=True).accepted
+    assert "withholds tuning" in commander.may_tune(OTHER).text
+    assert commander.may_tune(ME).accepted
+    assert not commander.ask_lease(OTHER, 1000, withhold_tuning=True).accepted
+    assert commander.ask_lease(ME, 1000).accepted
+    assert commander.may_tune(OTHER).accepted
+    commander.ask_lease(ME, 1000, withhold_tuning=True)
+    assert commander.give_up_lease(ME).accepted
+    assert commander.may_tune(OTHER).accepted
+    assert not commander.may_tune((0, 0)).accepted
+
+
+@pytest.mark.parametrize(("M", "T", "why"), [(5.0, 0.0, "M = 5 is outside -1 to 1"), (0.0, 1.5, "T = 1.5 is outside")])
+def test_an_open_loop_message_beyond_its_bounds_is_refused(M: float, T: float, why: str) -> None:
+    commander = Cockpit().commander
+    assert why in commander.open_loop(ME, M, T, True, True, True).text
+    assert commander.open_loop(ME, M, T, True, False, False).accepted  # it is not flown
