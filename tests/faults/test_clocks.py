@@ -39,7 +39,7 @@ async def signed(whole: Whole, key: Key, clock: Clock, system: int = 250) -> Asy
         real(self, transport, system, component, Signing(key, Stamps(None, clock)))
 
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr("twodof.gcs.connected.Connection.__init__", made)
+        patched.setattr("twodof.gcs.async_drone.Connection.__init__", made)
         return await AsyncDrone.over(await whole.open(), timeout=5.0, system=system)
 
 

@@ -45,7 +45,7 @@ def signing(link: int = 0, key: Key = KEY) -> Signing:
 async def fly(whole: Whole) -> AsyncDrone:
     """A pilot in the air, in a level hold, which asks for nothing more of it."""
     link = await whole.open()
-    with patch("twodof.gcs.connected.identity", lambda *_: (PILOT[0], signing(1))):
+    with patch("twodof.gcs.async_drone.identity", lambda *_: (PILOT[0], signing(1))):
         drone = await whole.client_over(link, key=KEY)
     await drone.run(0.5)
     await drone.arm(timeout=30.0)

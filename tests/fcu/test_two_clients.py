@@ -110,6 +110,7 @@ def flown(drone: VirtualDrone) -> tuple[Any, ...]:
 def test_all_that_commands_is_refused_to_the_other_and_changes_nothing() -> None:
     async def work(drone: VirtualDrone, pilot: Client, other: Client) -> None:
         before, gain = flown(drone), drone.assembly.store["ATT_KP"]
+        await pilot.say(message("TWODOF_LEASE", action=1, duration_ms=30_000, tuning_withheld=1, **DRONE))
         for name, sent in COMMANDS.items():
             tick = drone.controller.tick
             heard = await other.say(*sent)

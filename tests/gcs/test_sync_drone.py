@@ -1,6 +1,8 @@
-"""The synchronous face and the asynchronous one: the same verbs, the same arguments, the same defaults."""
+"""The synchronous drone is made of the asynchronous one: the same verbs, arguments, defaults and words."""
 
+import importlib.util
 import inspect
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -9,12 +11,10 @@ from twodof.gcs import AsyncDrone, Drone
 from twodof.gcs.control.parameters import AsyncParameters
 from twodof.gcs.mavlink.files import AsyncFiles
 from twodof.gcs.mavlink.log_download import AsyncLogs
-from twodof.gcs.sync_parts import DroneFiles, DroneLogs, DroneParameters, DroneSignal
+from twodof.gcs.sync_parts import DroneParameters, DroneSignal
 from twodof.gcs.telemetry.signals import AsyncSignal
 
-# A transport belongs to its loop; the component of a program on board is no script's.
-ONLY_ASYNC = {"over"}
-HIDDEN = {"connect": {"component"}}
+TOOL = Path(__file__).resolve().parents[2] / "tools" / "sync_stub.py"
 
 
 def verbs(kind: type) -> dict[str, Any]:
@@ -23,30 +23,31 @@ def verbs(kind: type) -> dict[str, Any]:
     return {name: one for name, one in found if not name.startswith("_")}
 
 
-def arguments(verb: Any) -> list[tuple[str, Any, Any]]:
-    """Names, kinds and defaults of its parameters."""
-    rows = inspect.signature(verb).parameters.values()
-    return [(row.name, row.kind, row.default) for row in rows if row.name != "self"]
+def test_the_stub_for_editors_and_mypy_is_the_one_that_the_tool_writes() -> None:
+    spec = importlib.util.spec_from_file_location("sync_stub", TOOL)
+    assert spec is not None
+    assert spec.loader is not None
+    tool = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(tool)
+    assert tool.STUB.read_text() == tool.stub(), "run tools/sync_stub.py"
 
 
-@pytest.mark.parametrize("name", sorted(set(verbs(AsyncDrone)) - ONLY_ASYNC))
-def test_every_verb_of_a_drone_has_both(name: str) -> None:
-    there = [row for row in arguments(verbs(AsyncDrone)[name]) if row[0] not in HIDDEN.get(name, ())]
-    assert arguments(verbs(Drone)[name]) == there
+def test_what_connects_takes_the_same_but_for_the_component_of_a_program_on_board() -> None:
+    there = inspect.signature(AsyncDrone.connect).parameters
+    here = inspect.signature(Drone.connect).parameters
+    assert [(row.name, row.default) for row in here.values()] == [
+        (row.name, row.default) for row in there.values() if row.name != "component"
+    ]
 
 
-def test_every_property_of_a_drone_has_both() -> None:
-    def properties(kind: type) -> set[str]:
-        return {name for name, one in inspect.getmembers(kind) if isinstance(one, property) and name[0] != "_"}
-
-    assert properties(AsyncDrone) <= properties(Drone)
-
-
-@pytest.mark.parametrize(("face", "there"), [(DroneFiles, AsyncFiles), (DroneLogs, AsyncLogs)])
-def test_files_and_logs_have_both(face: type, there: type) -> None:
-    assert {name: arguments(verb) for name, verb in verbs(face).items()} == {
-        name: arguments(verb) for name, verb in verbs(there).items()
-    }
+@pytest.mark.parametrize("name", ["arm", "record", "batch", "state", "stop_setpoints"])
+def test_a_call_shows_its_own_words_and_no_async(name: str) -> None:
+    member = getattr(Drone, name)
+    assert member.__doc__
+    assert "async" not in member.__doc__
+    if callable(member):
+        assert "Async" not in str(inspect.signature(member))
+        assert not inspect.iscoroutinefunction(member)
 
 
 def test_what_waits_has_a_deadline_that_can_be_given() -> None:

@@ -179,7 +179,7 @@ def _listening(drone: Drone) -> Iterator[_Heard]:
     def safety(got: Any) -> None:
         heard.safety.append((got.tick, safety_row(got)))
 
-    with there.session.handling(safety, "TWODOF_SAFETY"), there.texts.listening(said):
+    with there.session.handling(safety, "TWODOF_SAFETY"), there.session.events.handling(StatusText, said):
         yield heard
 
 

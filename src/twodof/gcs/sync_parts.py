@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, MutableMapping
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -14,8 +13,6 @@ from twodof.errors import ParameterError
 from twodof.gcs.control.parameter_entry import ParameterDescription, ParameterEntry
 from twodof.gcs.control.parameters import AsyncParameters
 from twodof.gcs.loop_thread import LoopThread
-from twodof.gcs.mavlink.files import AsyncFiles, FileEntry
-from twodof.gcs.mavlink.log_download import AsyncLogs, LogEntry
 from twodof.gcs.telemetry.sample_rows import Kind, SampleRows
 from twodof.gcs.telemetry.signals import QUEUE, AsyncSignal, Callback, SampleStream, TelemetrySample, Value
 
@@ -82,29 +79,6 @@ class DroneParameters(MutableMapping[str, float]):
     def undo(self, timeout: float = TIMEOUT_S) -> None:
         """Back to what was before the last change. Raises Rejected, LinkLost, Timeout."""
         self._runner.run(self._there.undo(timeout))
-
-
-class DroneFiles:
-    """Files on board: descriptions, logs, controllers. Calls raise Rejected, LinkLost and Timeout."""
-
-    def __init__(self, there: AsyncFiles, runner: LoopThread) -> None:
-        self._there, self._runner = there, runner
-
-    def list(self, path: str = "/", timeout: float = 10.0) -> list[FileEntry]:
-        """What is in the folder `path`."""
-        return self._runner.run(self._there.list(path, timeout))
-
-    def read(self, path: str, timeout: float = 60.0) -> bytes:
-        """What is in the file `path`."""
-        return self._runner.run(self._there.read(path, timeout))
-
-    def write(self, path: str, content: bytes, timeout: float = 60.0) -> None:
-        """Makes `content` the file `path`, whole or not at all."""
-        self._runner.run(self._there.write(path, content, timeout))
-
-    def remove(self, path: str, timeout: float = 5.0) -> None:
-        """Deletes the file `path`."""
-        self._runner.run(self._there.remove(path, timeout))
 
 
 class DroneSignal:
@@ -186,24 +160,3 @@ class DroneRows(Generic[Kind]):
 
     def _ask(self, work: Callable[[], T]) -> T:
         return self._runner.call(work) if self._runner.alive else work()
-
-
-class DroneLogs:
-    """The logs on board."""
-
-    def __init__(self, there: AsyncLogs, runner: LoopThread) -> None:
-        self._there, self._runner = there, runner
-
-    def list(self, timeout: float = 5.0) -> list[LogEntry]:
-        """All logs on board, the oldest first. Raises LinkLost, Timeout."""
-        return self._runner.run(self._there.list(timeout))
-
-    def download(
-        self,
-        entry: LogEntry,
-        path: str | Path,
-        timeout: float = 600.0,
-        progress: Callable[[int, int], None] | None = None,
-    ) -> Path:
-        """Bring a log down into `path`, whole or not at all. Raises LogError, LinkLost, Timeout."""
-        return self._runner.run(self._there.download(entry, path, timeout, progress))

@@ -40,7 +40,11 @@ def test_a_controller_is_tuned_from_the_shell(
         assert "no such parameter" in said("RATE_KP=0.05", "attitude_control.kq=0.1", status=2)
         assert "'much' is no number" in said("RATE_KP=0.05", f"{PATH}=much", status=2)
         with Drone.connect(url) as pilot:
-            assert "holds the lease" in said(f"{PATH}=0.3", status=2)
+            said("RATE_KP=0.08")
+            assert pilot.parameters["RATE_KP"] == pytest.approx(0.08)
+            said("RATE_KP=0.07")
+            pilot.withhold_tuning()
+            assert "holds the lease and withholds tuning" in said(f"{PATH}=0.3", status=2)
             assert (pilot.parameters[PATH], pilot.parameters["RATE_KP"]) == (0.2, 0.07)
             pilot.parameters[PATH] = 0.3
             assert said(PATH, "--json")["parameters"][0]["value"] == 0.3

@@ -178,12 +178,12 @@ def test_an_int32_travels_with_its_bits(row: Any) -> None:
         assert {struct.unpack("<i", bits(one))[0] for one in got} == {value}
 
 
-def test_a_change_is_told_to_everybody_under_all_its_names_and_needs_the_lease() -> None:
+def test_a_change_is_told_to_everybody_under_all_its_names_and_takes_no_lease() -> None:
     world = World()
     set_to(world, "RATE_KP", 0.0625)
     told = world.taken("PARAM_VALUE", None)
     assert {(one.param_id, one.param_value) for one in told} == {("RATE_KP", 0.0625), ("FC_PARAM_4", 0.0625)}
-    assert world.commander.asked == [("take", CLIENT, "parameters")]
+    assert world.commander.asked == [("tune", CLIENT, "parameters")]
 
 
 def test_what_is_set_to_the_same_is_answered_to_who_asked() -> None:
@@ -221,9 +221,9 @@ def test_refusals(name: str, value: float, kind: int, error: int, answered: bool
     assert dict(world.store) == before
 
 
-def test_without_the_lease_nothing_is_changed() -> None:
+def test_who_is_not_let_tune_changes_nothing() -> None:
     world = World()
-    world.commander.verdict = CommandResult(TEMPORARILY_REJECTED, "parameters refused: system 7 holds the lease")
+    world.commander.verdict = CommandResult(TEMPORARILY_REJECTED, "system 7 holds the lease and withholds tuning")
     before = dict(world.store)
     set_to(world, "RATE_KP", 0.0625)
     assert [one.error for one in world.taken("PARAM_ERROR")] == [PERMISSION_DENIED]

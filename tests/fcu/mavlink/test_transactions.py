@@ -166,9 +166,9 @@ def test_senders_do_not_mix() -> None:
     assert world.store["VEL_KP"] == 1.5
 
 
-def test_the_lease_is_needed() -> None:
+def test_who_is_not_let_tune_changes_nothing() -> None:
     world = World()
-    world.commander.verdict = CommandResult(TEMPORARILY_REJECTED, "parameters refused: system 7 holds the lease")
+    world.commander.verdict = CommandResult(TEMPORARILY_REJECTED, "system 7 holds the lease and withholds tuning")
     before = dict(world.store)
     transact(world, BEGIN)
     put_all(world, GOOD)

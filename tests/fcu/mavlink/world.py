@@ -79,6 +79,7 @@ class Commander:
     custom_mode: int = modes.MANUAL
     system_status: int = 3
     lease: Standing = NOBODY
+    tuning_withheld: bool = False
     openloop: Loop = CLOSED
     arming: CommandResult = DONE
     verdict: CommandResult = DONE
@@ -92,6 +93,9 @@ class Commander:
 
     def take(self, source: Source, what: str = "") -> CommandResult:
         return self._note("take", source, what)
+
+    def may_tune(self, source: Source, what: str = "parameters") -> CommandResult:
+        return self._note("tune", source, what)
 
     def arm(self, source: Source, force: bool = False) -> CommandResult:
         return self._note("arm", source, force)

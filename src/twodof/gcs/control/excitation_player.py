@@ -56,7 +56,7 @@ class ExcitationPlayer:
         """Send it and have it start at tick `at`, None: at once. Raises Rejected with the reason, LinkLost, Timeout."""
         number = loop_number(excitation, loop)
         transfer = next(self._transfers) & 0xFFFF
-        deadline = Deadline(timeout, "sending an excitation", f"drone {self._session.system}")
+        deadline = self._session.deadline(timeout, "sending an excitation")
         while not await self._send(excitation, number, transfer, deadline):
             transfer = next(self._transfers) & 0xFFFF
         start = message(
@@ -66,7 +66,7 @@ class ExcitationPlayer:
             loop=number,
             tick=(at or 0) & 0xFFFFFFFF,
             thrust=nan if thrust is None else float(thrust),
-            **self._place(),
+            **self._session.target,
         )
         # It may be over before who asked runs on: what is told meanwhile is kept too.
         before, told = self._playback, ExcitationPlayback(transfer, 0, 0)
@@ -98,8 +98,8 @@ class ExcitationPlayer:
         Said again until it is seen; what nobody here has started is told to stop once.
         """
         session, playback = self._session, self._playback
-        deadline = Deadline(timeout, "stopping the excitation", f"drone {session.system}")
-        asked = message("TWODOF_EXCITE", action=_STOP, **self._place())
+        deadline = session.deadline(timeout, "stopping the excitation")
+        asked = message("TWODOF_EXCITE", action=_STOP, **self._session.target)
         if playback is None:
             session.send(asked)
             return
@@ -140,9 +140,6 @@ class ExcitationPlayer:
             elif got.state in (_DONE, _STOPPED, _REFUSED):
                 playback.state = "done" if got.state == _DONE else "stopped"
                 playback.reason = str(got.reason)
-
-    def _place(self) -> dict[str, int]:
-        return {"target_system": self._session.system, "target_component": self._session.component}
 
 
 def loop_number(excitation: Excitation, loop: str | None) -> int:

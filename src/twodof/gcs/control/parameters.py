@@ -164,7 +164,7 @@ class AsyncParameters:
         return found
 
     async def _ask_for_all(self, deadline: Deadline) -> dict[str, ParameterEntry]:
-        place = self._place()
+        place = self._session.target
         found: dict[int, ParameterEntry] = {}
         total = MOST
         with self._session.listen("PARAM_VALUE") as heard:
@@ -255,7 +255,7 @@ class AsyncParameters:
         def question(_: int) -> Any:
             for entry, value in wanted:
                 self._session.send(self._set_message(entry, value))
-            place = self._place()
+            place = self._session.target
             return message("TWODOF_PARAM_TRANSACTION", transaction=number, count=len(wanted), action=action, **place)
 
         def accept(got: Any) -> bool | None:
@@ -330,7 +330,7 @@ class AsyncParameters:
             return entry_of(got) if got.param_id == name else None
 
         return await self._session.ask(
-            lambda _: message("PARAM_REQUEST_READ", param_id=name, param_index=-1, **self._place()),
+            lambda _: message("PARAM_REQUEST_READ", param_id=name, param_index=-1, **self._session.target),
             ("PARAM_VALUE", "PARAM_ERROR"),
             accept,
             deadline,
@@ -375,13 +375,12 @@ class AsyncParameters:
 
     def _set_message(self, entry: ParameterEntry, value: float) -> Any:
         carried = float_of_int(int(value)) if entry.kind == INT32 else float(value)
-        return message("PARAM_SET", param_id=entry.name, param_value=carried, param_type=entry.kind, **self._place())
-
-    def _place(self) -> dict[str, int]:
-        return {"target_system": self._session.system, "target_component": self._session.component}
+        return message(
+            "PARAM_SET", param_id=entry.name, param_value=carried, param_type=entry.kind, **self._session.target
+        )
 
     def _deadline(self, timeout: float | None, doing: str) -> Deadline:
-        return Deadline(self._timeout if timeout is None else timeout, doing, f"drone {self._session.system}")
+        return self._session.deadline(self._timeout if timeout is None else timeout, doing)
 
 
 def _error(number: int) -> str:

@@ -13,6 +13,7 @@ from typing import Any
 
 from twodof.errors import LinkLost, ParameterError, shown
 from twodof.gcs.mavlink.clock import SETPOINT_TICKS, DroneClock
+from twodof.gcs.mavlink.events import SliceStarts
 from twodof.gcs.mavlink.session import DroneSession
 from twodof.link.control_period import TICK_MS
 from twodof.link.mavlink.messages import message
@@ -128,7 +129,7 @@ class SetpointStream:
         self.sent = 0
         self._next_tick = 0
         self._streaming: asyncio.Task[None] | None = None
-        clock.before_slice.append(self._slice)
+        session.events.on(SliceStarts, self._slice)
 
     def hold(self, setpoint: Setpoint) -> None:
         """Send it now and keep sending it. Raises LinkLost."""
@@ -166,17 +167,15 @@ class SetpointStream:
                 await asyncio.sleep(due - loop.time())
                 self._send(0)
 
-    def _slice(self, tick: int, until: int) -> None:
-        """Those that belong to the ticks from `tick` to `until` (not included), before they are granted."""
-        if self._next_tick < tick:
-            self._next_tick = tick
-        while self.current is not None and self._next_tick < until:
+    def _slice(self, granted: SliceStarts) -> None:
+        """Send those that belong to these ticks, before they are granted."""
+        self._next_tick = max(self._next_tick, granted.tick)
+        while self.current is not None and self._next_tick < granted.until:
             self._send(self._next_tick)
 
     def _send(self, tick: int) -> None:
         if self.current is None:
             return
-        place = {"target_system": self._session.system, "target_component": self._session.component}
-        self._session.send(self.current.make(tick, place))
+        self._session.send(self.current.make(tick, self._session.target))
         self.sent += 1
         self._next_tick = tick + SETPOINT_TICKS

@@ -8,6 +8,7 @@ from typing import Any
 
 from twodof.errors import Rejected, Timeout
 from twodof.gcs.mavlink.deadline import Deadline
+from twodof.gcs.mavlink.events import DroneRestarted, SliceStarts
 from twodof.gcs.mavlink.session import DroneSession
 from twodof.link.control_period import TICK_MS, TICK_S
 from twodof.link.mavlink.messages import message
@@ -44,9 +45,6 @@ class DroneClock:
         self._session = session
         self.tick = 0
         self.granting = False  # time stands still, and is ours to grant
-        self.before_slice: list[Callable[[int, int], None]] = []
-        self.on_restart: Callable[[], None] = self.restart
-        """What is done when its time has gone back although nobody here has asked for that."""
         self._older = 0  # stamps in a row, the first one at
         self._older_since = 0.0
         self._resets_until = 0.0
@@ -64,7 +62,7 @@ class DroneClock:
     async def begin_granting(self, timeout: float) -> None:
         """From now on its time is ours to grant: learn how far it has come. Raises LinkLost, Timeout."""
         self.granting = True
-        deadline = Deadline(timeout, "asking how far its time has come", f"drone {self._session.system}")
+        deadline = self._session.deadline(timeout, "asking how far its time has come")
         # A tick that ran long ago grants nothing; 0 could be one that has not run where ticks begin anew.
         self.tick = await self._ask(max(0, self.tick - _STAMPS), deadline, 0)
 
@@ -103,15 +101,14 @@ class DroneClock:
             return
         step = SETPOINT_TICKS if done is not None else SLICE_TICKS
         wall = SLICE_WALL_S + SLOWEST_LOCKSTEP * max(0, tick - self.tick) * TICK_S
-        deadline = within or Deadline(wall, f"granting time up to tick {tick}", f"drone {self._session.system}")
+        deadline = within or self._session.deadline(wall, f"granting time up to tick {tick}")
         for until in [*range(self.tick + step, tick, step), tick]:
             if self.tick >= tick or (done is not None and done()):
                 return
             await self._grant(until, deadline, inf if patience is None else min(SLICE_WALL_S, most))
 
     async def _grant(self, until: int, deadline: Deadline, still: float) -> None:
-        for prepare in self.before_slice:
-            prepare(self.tick, until)
+        self._session.events.emit(SliceStarts(self.tick, until))
         slowest = still + SLOWEST_LOCKSTEP * (until - self.tick) * TICK_S
         if slowest < deadline.left:
             deadline = Deadline(slowest, f"granting time up to tick {until}", deadline.where)
@@ -121,9 +118,8 @@ class DroneClock:
     async def _ask(self, until: int, deadline: Deadline, least: int) -> int:
         """Grant time up to a tick; returns how far it has come then. Raises Rejected where that is not to `least`."""
         session, number = self._session, next(self._numbers)
-        place = {"target_system": session.system, "target_component": session.component}
         return await session.ask(
-            lambda _: message("TWODOF_GRANT", until=until % _TICKS, number=number % _TICKS, **place),
+            lambda _: message("TWODOF_GRANT", until=until % _TICKS, number=number % _TICKS, **session.target),
             ("TWODOF_TICK",),
             lambda got: self._come(got, number % _TICKS, least, deadline),
             deadline,
@@ -155,7 +151,7 @@ class DroneClock:
         """Another number than before: in the first second of a drone its stamps do not show that it has restarted."""
         before, self._start = self._start, got.start
         if before and got.start not in (0, before) and self._session.lost is None:
-            self.on_restart()
+            self._session.events.emit(DroneRestarted())
 
     def _stamped(self, got: Any) -> None:
         self._to(self._meant(got.time_boot_ms // TICK_MS, _STAMPS))
@@ -180,7 +176,7 @@ class DroneClock:
             self._older += 1
             long = self.granting or now - self._older_since >= RESTART_SEEN_S
             if self._older >= STAMPS_OF_A_RESTART and long and self._session.lost is None:
-                self.on_restart()
+                self._session.events.emit(DroneRestarted())
         elif not self.granting:
             self.tick = tick
 

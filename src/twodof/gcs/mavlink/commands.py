@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import Awaitable, Callable, Sequence
+from functools import partial
 from itertools import count
 from typing import Any
 
@@ -39,18 +40,22 @@ def number_of(command: str) -> int:
 
 
 class CommandSender:
-    """Commands to the session's vehicle. One of a kind at a time, as an answer names only its kind."""
+    """Commands to the session's vehicle. One of a kind at a time, as an answer names only its kind.
 
-    def __init__(self, session: DroneSession, texts: StatusTexts) -> None:
+    `progress` makes the drone's time pass, by a deadline, where it stands still while a command is in progress.
+    """
+
+    def __init__(
+        self, session: DroneSession, texts: StatusTexts, progress: Callable[[Deadline], Awaitable[None]]
+    ) -> None:
         self._session = session
         self._texts = texts
+        self._progress = progress
         self._turns: dict[int, asyncio.Lock] = {}
         self.words_follow = False
         """Whether its words come after its refusal, as one of ours says them; PX4 says them before."""
         self._spoken: dict[int, int] = {}  # lines that had come with the latest answer to each command
         session.on(self._answered, "COMMAND_ACK")
-        self.on_progress: Callable[[Deadline], Awaitable[None]] | None = None
-        """What makes the drone's time pass, by a deadline, where it stands still while a command is in progress."""
 
     async def run(self, command: str, values: Sequence[float], timeout: float, doing: str) -> Any:
         """Send a command with up to seven `values` and return its COMMAND_ACK once it was accepted.
@@ -58,7 +63,7 @@ class CommandSender:
         Without an answer it is sent again, with a count, as MAVLink wants it; "in progress" lets it take its time
         within `timeout` [s]. Raises Rejected with the drone's reason, LinkLost, Timeout.
         """
-        deadline = Deadline(timeout, doing, f"drone {self._session.system}")
+        deadline = self._session.deadline(timeout, doing)
         number = number_of(command)
         turn = self._turns.setdefault(number, asyncio.Lock())
         try:
@@ -88,8 +93,8 @@ class CommandSender:
                             spoken = self._spoken[number] if self.words_follow else spoken
                             raise await self._refusal(got.result, spoken, deadline)
                         progress = True
-                    if progress and self.on_progress is not None:
-                        await self.on_progress(deadline)
+                    if progress:
+                        await self._progress(deadline)
                     deadline.check()
                 deadline.check()
         raise deadline.error()
@@ -101,8 +106,23 @@ class CommandSender:
     def long(self, number: int, values: Sequence[float], attempt: int = 0) -> Any:
         """The COMMAND_LONG of a command."""
         params = {f"param{k}": float(value) for k, value in enumerate(values, 1)}
-        place = {"target_system": self._session.system, "target_component": self._session.component}
-        return message("COMMAND_LONG", command=number, confirmation=min(attempt, 255), **place, **params)
+        return message("COMMAND_LONG", command=number, confirmation=min(attempt, 255), **self._session.target, **params)
+
+    async def request(self, name: str, deadline: Deadline, retry_s: float = RETRY_S) -> Any | None:
+        """The vehicle's next message of this name, asked for; None where it refuses. Raises Timeout, LinkLost."""
+        asked = number_of("REQUEST_MESSAGE")
+
+        def accept(got: Any) -> tuple[Any] | None:
+            if got.get_type() == name:
+                return (got,)
+            return (None,) if got.command == asked and got.result not in (ACCEPTED, IN_PROGRESS) else None
+
+        question = partial(self.request_of, name)
+        return (await self._session.ask(question, (name, "COMMAND_ACK"), accept, deadline, retry_s))[0]
+
+    def request_of(self, name: str, attempt: int = 0) -> Any:
+        """What asks the vehicle for its message of this name."""
+        return self.long(number_of("REQUEST_MESSAGE"), [dialect.message_id(name)], attempt)
 
     def _is_ours(self, got: Any) -> bool:
         connection = self._session.connection

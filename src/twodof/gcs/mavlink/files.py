@@ -40,7 +40,7 @@ class AsyncFiles:
 
     async def write(self, path: str, content: bytes, timeout: float = 60.0) -> None:
         """Makes `content` the file `path`, whole or not at all."""
-        deadline = self._deadline(timeout, f"sending {path}")
+        deadline = self._session.deadline(timeout, f"sending {path}")
         number = (await self._ask(FtpOperation.CREATE, deadline, data=path.encode())).session
         with self._ending(number):
             for start in range(0, len(content), MOST_DATA):
@@ -50,7 +50,7 @@ class AsyncFiles:
 
     async def read(self, path: str, timeout: float = 60.0) -> bytes:
         """What is in the file `path`."""
-        deadline = self._deadline(timeout, f"reading {path}")
+        deadline = self._session.deadline(timeout, f"reading {path}")
         opened = await self._ask(FtpOperation.OPEN_RO, deadline, data=path.encode())
         (size,) = struct.unpack("<I", opened.data[:4])
         content = bytearray()
@@ -67,7 +67,7 @@ class AsyncFiles:
 
     async def list(self, path: str = "/", timeout: float = 10.0) -> list[FileEntry]:
         """What is in the folder `path`."""
-        deadline = self._deadline(timeout, f"listing {path}")
+        deadline = self._session.deadline(timeout, f"listing {path}")
         found: list[FileEntry] = []
         places = 0
         while places < MOST_ENTRIES:
@@ -84,7 +84,7 @@ class AsyncFiles:
 
     async def remove(self, path: str, timeout: float = 5.0) -> None:
         """Deletes the file `path`."""
-        await self._ask(FtpOperation.REMOVE, self._deadline(timeout, f"removing {path}"), data=path.encode())
+        await self._ask(FtpOperation.REMOVE, self._session.deadline(timeout, f"removing {path}"), data=path.encode())
 
     async def _ask(
         self,
@@ -127,9 +127,6 @@ class AsyncFiles:
         sequence, self._sequence = self._sequence, (self._sequence + 2) & 0xFFFF
         packet = FtpPacket(sequence, number, op, size, 0, 0, offset, data)
         return packed(packet, self._session.system, self._session.component)
-
-    def _deadline(self, timeout: float, doing: str) -> Deadline:
-        return Deadline(timeout, doing, f"drone {self._session.system}")
 
 
 def _words(code: int) -> str:

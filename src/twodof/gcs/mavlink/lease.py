@@ -8,10 +8,9 @@ from contextlib import suppress
 from typing import Any
 
 from twodof.errors import LinkLost, Rejected, Timeout
-from twodof.gcs.mavlink.commands import CommandSender, number_of
+from twodof.gcs.mavlink.commands import CommandSender
 from twodof.gcs.mavlink.deadline import Deadline
 from twodof.gcs.mavlink.session import DroneSession
-from twodof.link.mavlink import dialect
 from twodof.link.mavlink.messages import message
 
 DURATION_MS = 3000
@@ -52,7 +51,7 @@ class LeaseClient:
         Another's is waited for while it runs out: its holder, perhaps a script that was killed, is not heard any more.
         Raises Rejected as soon as it is seen to be renewed, and where it ends too late; LinkLost, Timeout.
         """
-        deadline = Deadline(timeout, "asking for the lease", f"drone {self._session.system}")
+        deadline = self._session.deadline(timeout, "asking for the lease")
         began, before, ends = self._session.now, None, 0.0
         while not await self._session.ask(lambda _: self._message(ASK), _ANSWER, self._granted, deadline):
             if self.holder != before:
@@ -70,7 +69,6 @@ class LeaseClient:
         Raises Rejected where it does not, LinkLost, Timeout.
         """
         holder = self.holder
-        question = number_of("REQUEST_MESSAGE"), [dialect.message_id("TWODOF_LEASE")]
         while self.holder == holder:
             if ends > deadline.end:
                 raise self._theirs(deadline, f"for {ends - self._session.now:.1f} s more")
@@ -81,7 +79,7 @@ class LeaseClient:
             if over:  # where time stands still it ends only for who asks for it
                 return
             await self._session.ask(
-                lambda attempt: self._commands.long(*question, attempt), _ANSWER, self._seen, deadline
+                lambda attempt: self._commands.request_of("TWODOF_LEASE", attempt), _ANSWER, self._seen, deadline
             )
 
     def _theirs(self, deadline: Deadline, how: str) -> Rejected:
@@ -97,7 +95,7 @@ class LeaseClient:
 
         Raises Rejected where we do not hold it, LinkLost, Timeout.
         """
-        deadline = Deadline(timeout, "withholding tuning", f"drone {self._session.system}")
+        deadline = self._session.deadline(timeout, "withholding tuning")
         if not self.wanted:
             raise Rejected("we do not hold the lease", deadline.where, "connect with take_lease=True")
         self._withholds = withhold
@@ -112,7 +110,7 @@ class LeaseClient:
         """Let others command. Raises LinkLost, Timeout; without a lease it does nothing."""
         self.stop()
         if self.ours:
-            deadline = Deadline(timeout, "giving up the lease", f"drone {self._session.system}")
+            deadline = self._session.deadline(timeout, "giving up the lease")
             await self._session.ask(lambda _: self._message(GIVE_UP), _ANSWER, self._gone, deadline)
 
     def stop(self) -> None:
@@ -134,10 +132,11 @@ class LeaseClient:
                 self.renew()
 
     def _message(self, action: int) -> Any:
-        place = {"target_system": self._session.system, "target_component": self._session.component}
         duration = DURATION_MS if action == ASK else 0
         withheld = int(self._withholds and action == ASK)
-        return message("TWODOF_LEASE", action=action, duration_ms=duration, tuning_withheld=withheld, **place)
+        return message(
+            "TWODOF_LEASE", action=action, duration_ms=duration, tuning_withheld=withheld, **self._session.target
+        )
 
     def _told(self, got: Any) -> None:
         if got.action == STATE:

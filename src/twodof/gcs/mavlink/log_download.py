@@ -38,11 +38,11 @@ class AsyncLogs:
 
     async def list(self, timeout: float = 5.0) -> list[LogEntry]:
         """All logs on board, the oldest first. Raises LinkLost, Timeout."""
-        deadline = Deadline(timeout, "listing the logs on board", f"drone {self._session.system}")
+        deadline = self._session.deadline(timeout, "listing the logs on board")
         found: dict[int, LogEntry] = {}
         with self._session.listen("LOG_ENTRY") as heard:
             while True:
-                self._session.send(message("LOG_REQUEST_LIST", start=0, end=0xFFFF, **self._place()))
+                self._session.send(message("LOG_REQUEST_LIST", start=0, end=0xFFFF, **self._session.target))
                 until = min(deadline.end, self._session.now + RETRY_S)
                 while (got := await heard.next(until)) is not None:
                     if got.num_logs == 0:
@@ -86,7 +86,7 @@ class AsyncLogs:
                         progress(entry.size - sum(min(PIECE, entry.size - at) for at in missing), entry.size)
         finally:
             if self._session.lost is None:
-                self._session.send(message("LOG_REQUEST_END", **self._place()))
+                self._session.send(message("LOG_REQUEST_END", **self._session.target))
         return bytes(data)
 
     async def _window(
@@ -99,7 +99,9 @@ class AsyncLogs:
         while wanted:
             at = min(wanted)
             count = min(max(wanted) + PIECE, entry.size) - at
-            self._session.send(message("LOG_REQUEST_DATA", id=entry.number, ofs=at, count=count, **self._place()))
+            self._session.send(
+                message("LOG_REQUEST_DATA", id=entry.number, ofs=at, count=count, **self._session.target)
+            )
             before = len(wanted)
             while wanted and (got := await heard.next(min(stalled.end, self._session.now + RETRY_S))) is not None:
                 if got.id == entry.number and got.ofs in wanted and got.count == min(PIECE, entry.size - got.ofs):
@@ -110,6 +112,3 @@ class AsyncLogs:
             if len(wanted) < before:
                 stalled = Deadline(min(STALLED_S, deadline.left), "bringing a log down", where)
             stalled.check()
-
-    def _place(self) -> dict[str, int]:
-        return {"target_system": self._session.system, "target_component": self._session.component}

@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 
 from twodof.errors import LinkLost, TwodofError
 from twodof.gcs.mavlink.deadline import Deadline
+from twodof.gcs.mavlink.events import EventBus, ProgramPaused
 from twodof.link.connection import Connection, Received
 from twodof.link.mavlink.components import AUTOPILOT, NO_AUTOPILOT
 from twodof.link.mavlink.messages import message
@@ -92,8 +93,7 @@ class DroneSession:
         self._sought: int | None = None
         self.heard_at = self._last_heard = self._awake = self._loop.time()
         """When the vehicle was heard last, by the loop's clock [s]."""
-        self.on_pause: Callable[[float], None] | None = None
-        """What is done once this program has stood still for longer than SILENT_S, with that time [s]."""
+        self.events = EventBus()
         self._lost: LinkLost | None = None
         self._handlers: dict[str, list[Handler]] = {}
         self._listeners: list[MessageListener] = []
@@ -108,6 +108,15 @@ class DroneSession:
     def url(self) -> str:
         """Where the link leads."""
         return self.connection.transport.url
+
+    @property
+    def target(self) -> dict[str, int]:
+        """The fields that say whom a message is for."""
+        return {"target_system": self.system, "target_component": self.component}
+
+    def deadline(self, seconds: float, doing: str) -> Deadline:
+        """A deadline for something that is asked of the vehicle."""
+        return Deadline(seconds, doing, f"drone {self.system}")
 
     @property
     def lost(self) -> LinkLost | None:
@@ -238,8 +247,8 @@ class DroneSession:
         if paused > HEARTBEAT_S + SLACK_S and self._lost is None:
             self._last_heard = min(self.now, self._last_heard + paused - HEARTBEAT_S)
             self._awake = self.now
-            if paused > SILENT_S and self.on_pause is not None:
-                self.on_pause(paused)
+            if paused > SILENT_S:
+                self.events.emit(ProgramPaused(paused))
 
     async def close(self) -> None:
         """End the session and close the link; a second time does nothing."""

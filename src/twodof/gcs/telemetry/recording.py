@@ -27,7 +27,7 @@ from twodof.gcs.mavlink.session import DroneSession, Handler
 from twodof.gcs.telemetry.decoding import DECODERS, Decoded, columns_of
 from twodof.gcs.telemetry.drone_state import DroneState
 from twodof.gcs.telemetry.full_rate import FullRateSubscription
-from twodof.gcs.telemetry.status_texts import StatusText, StatusTexts
+from twodof.gcs.telemetry.status_texts import StatusText
 from twodof.gcs.telemetry.truth import TruthSubscription
 from twodof.link.control_period import TICK_S, TICK_US
 from twodof.link.mavlink.messages import batch_rows
@@ -289,11 +289,10 @@ class Recordings:
         session: DroneSession,
         batches: FullRateSubscription,
         truth: TruthSubscription,
-        texts: StatusTexts,
         clock: DroneClock,
     ) -> None:
         self._session, self._batches, self._truth = session, batches, truth
-        self._texts, self._clock = texts, clock
+        self._clock = clock
 
     @asynccontextmanager
     async def to(
@@ -327,7 +326,9 @@ class Recordings:
             async with AsyncExitStack() as stack:
                 for name, handler in handlers.items():
                     stack.enter_context(session.handling(handler, name))
-                stack.enter_context(self._texts.listening(lambda line: recording.said(self._clock.tick, line)))
+                stack.enter_context(
+                    session.events.handling(StatusText, lambda line: recording.said(self._clock.tick, line))
+                )
                 if any(not row.onboard for row in rows):
                     await stack.enter_async_context(self._truth.to(recording.truth))
                 if ours and recording.columns:

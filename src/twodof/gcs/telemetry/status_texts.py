@@ -2,8 +2,6 @@
 
 import asyncio
 from collections import deque
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 from twodof.gcs.mavlink.session import DroneSession
@@ -28,26 +26,17 @@ class StatusText(NamedTuple):
 
 
 class StatusTexts:
-    """The last KEPT lines, the oldest first."""
+    """The last KEPT lines, the oldest first; each is an event of the session too."""
 
     def __init__(self, session: DroneSession) -> None:
         self.lines: deque[StatusText] = deque(maxlen=KEPT)
         self.count = 0
-        self.listeners: list[Callable[[StatusText], None]] = []
         self._pieces: dict[int, bytes] = {}
         self._number = self._severity = 0
         self._waiting: asyncio.TimerHandle | None = None
         self._loop = asyncio.get_running_loop()
+        self._events = session.events
         session.on(self._take, "STATUSTEXT")
-
-    @contextmanager
-    def listening(self, listener: Callable[[StatusText], None]) -> Iterator[None]:
-        """Tell `listener` of each line meanwhile."""
-        self.listeners.append(listener)
-        try:
-            yield
-        finally:
-            self.listeners.remove(listener)
 
     def since(self, count: int) -> list[StatusText]:
         """Lines that came after the first `count`."""
@@ -58,8 +47,7 @@ class StatusTexts:
         line = StatusText(self.count, severity, text)
         self.lines.append(line)
         self.count += 1
-        for listener in [*self.listeners]:
-            listener(line)
+        self._events.emit(line)
 
     def _take(self, got: Any) -> None:
         piece = _bytes(got)

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from twodof.errors import LinkLost, Rejected, Timeout
 from twodof.gcs.mavlink.commands import CommandSender
-from twodof.gcs.mavlink.deadline import Deadline
 from twodof.gcs.mavlink.session import DroneSession
 from twodof.gcs.telemetry.sample_rows import SampleRows
 from twodof.link.control_period import TICK_US
@@ -61,7 +60,7 @@ class TruthSubscription:
 
         Raises Rejected by a real drone, whose truth nobody knows, LinkLost, Timeout.
         """
-        deadline = Deadline(TIMEOUT_S, "subscribing to the rig's true state", f"drone {self._session.system}")
+        deadline = self._session.deadline(TIMEOUT_S, "subscribing to the rig's true state")
         number = dialect.message_id(MESSAGE)
         self._takers.append(taker)
         try:

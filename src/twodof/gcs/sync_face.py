@@ -1,0 +1,90 @@
+"""Synchronous classes made of asynchronous ones: the same calls, each run by the drone's own thread.
+
+What `synchronous` adds at import, tools/sync_stub.py writes into drone.pyi for editors and for mypy.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Iterator
+from contextlib import AbstractAsyncContextManager, contextmanager, suppress
+from functools import wraps
+from typing import Any, TypeVar
+
+from twodof.errors import TwodofError
+from twodof.gcs.loop_thread import LoopThread
+from twodof.gcs.sync_parts import DroneRows
+from twodof.gcs.telemetry.sample_rows import SampleRows
+
+Kind = TypeVar("Kind", bound=type)
+_CONTEXT = "AbstractAsyncContextManager"
+_SYNCHRONOUS = {
+    "[BatchRows]": "[DroneRows[np.float32]]",
+    "[TruthRows]": "[DroneRows[np.float64]]",
+    _CONTEXT: "AbstractContextManager",
+}
+
+
+class SyncFace:
+    """Stands for `there`, which lives in the loop of `runner`."""
+
+    def __init__(self, there: Any, runner: LoopThread) -> None:
+        self.there = there
+        self._runner = runner
+
+    @contextmanager
+    def _within(self, manager: AbstractAsyncContextManager[Any]) -> Iterator[Any]:
+        """An asynchronous context as one for `with`."""
+
+        async def enter() -> Any:
+            return await manager.__aenter__()
+
+        async def leave(*reason: Any) -> None:
+            await manager.__aexit__(*reason)
+
+        entered = self._runner.run(enter())
+        try:
+            yield DroneRows(entered, self._runner) if isinstance(entered, SampleRows) else entered
+        except BaseException as error:
+            with suppress(TwodofError):  # what went wrong in the block says more
+                self._runner.run(leave(type(error), error, error.__traceback__))
+            raise
+        self._runner.run(leave(None, None, None))
+
+
+def synchronous(there: type) -> Callable[[Kind], Kind]:
+    """Gives a SyncFace every public method and property of the class `there` that it has not itself."""
+
+    def filled(kind: Kind) -> Kind:
+        for name in dir(there):
+            member = inspect.getattr_static(there, name)
+            if not name.startswith("_") and not hasattr(kind, name) and not isinstance(member, classmethod):
+                setattr(kind, name, _property(name, member) if isinstance(member, property) else _method(member))
+        return kind
+
+    return filled
+
+
+def _property(name: str, there: property) -> property:
+    return property(lambda self: getattr(self.there, name), doc=there.__doc__)
+
+
+def _method(there: Any) -> Any:
+    signature = inspect.signature(there)
+    context = str(signature.return_annotation).startswith(_CONTEXT)
+    waits = inspect.iscoroutinefunction(there)
+
+    @wraps(there)
+    def call(self: SyncFace, *args: Any, **named: Any) -> Any:
+        if waits:
+            return self._runner.run(there(self.there, *args, **named))
+        if context:
+            return self._within(there(self.there, *args, **named))
+        return self._runner.call(lambda: there(self.there, *args, **named))
+
+    returned = str(signature.return_annotation)
+    for old, new in _SYNCHRONOUS.items():
+        returned = returned.replace(old, new)
+    call.__doc__ = (there.__doc__ or "").replace("`async with`", "`with`")
+    call.__signature__ = signature.replace(return_annotation=returned)  # type: ignore[attr-defined]
+    return call
