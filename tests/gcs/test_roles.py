@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 
 import pytest
-from tests.cli.numbers import free_numbers
 
 from tests.fcu.command.cockpit import ME, OTHER, Cockpit
+from tests.fleet.drone_numbers import free_numbers
 from tests.gcs.virtual import on_board
 from tests.patience import PATIENCE_S
 from tests.processes import started

@@ -27,8 +27,9 @@ CALL_S = 6.0
 LATE_S = 1.5
 # Two subscriptions of 5 s each; a second for the end of the truth's, three for that of the rows: the last come then.
 RECORD_S = 14.0
-# It waits .6 s of the drone's time: 2 s of ours without any of it, where it is granted and where it passes by itself.
-WAIT_S = 2.2
+# It waits .6 s of the drone's time: 2 s of ours without any of it, where it is granted and where it passes by itself;
+# and 2 s more where a grant was answered before.
+WAIT_S = 4.2
 EXCITATION = Doublet(0.1, 0.2, unit="rad")
 ENTRY = LogEntry(0, 1280, 0)
 PARTS = {
@@ -93,9 +94,10 @@ def calls(drone: AsyncDrone, folder: Path) -> dict[str, Callable[[], Awaitable[A
         "wait_until": lambda: drone.wait_until(lambda: drone.tick > here + 125, timeout=0.6),
         "batch": batch,
         "truth": truth,
-        "flies": lambda: drone.active_controller(CALL_S),
+        "active_controller": lambda: drone.active_controller(CALL_S),
         "record": record,
         "command": lambda: drone.command("REQUEST_AUTOPILOT_CAPABILITIES", 1.0, timeout=CALL_S),
+        "withhold_tuning": lambda: drone.withhold_tuning(False, CALL_S),
         "stream": lambda: drone.stream("ATTITUDE", 50.0, CALL_S),
         "logs.list": lambda: drone.logs.list(CALL_S),
         "logs.download": lambda: drone.logs.download(ENTRY, folder / "log.ulg", CALL_S),
