@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tests.toolchains import PACKAGES, need
-from twodof.compile.px4.build_files import EXACT
+from twodof.compile.px4.controller import EXACT
 from twodof.compile.px4.export import Px4Module
 from twodof.compile.px4.topics import FIELDS
 

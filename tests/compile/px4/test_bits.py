@@ -16,8 +16,7 @@ from tests.compile.px4.build import PX4_FLAGS, compile_module, run
 from tests.compile.px4.host import build_controller, replay
 from twodof.blocks import Block, Diagram, Port, sqrt
 from twodof.compile import build
-from twodof.compile.px4.build_files import EXACT
-from twodof.compile.px4.controller import DT
+from twodof.compile.px4.controller import DT, EXACT
 from twodof.compile.px4.export import make_module
 
 STEPS = 2_000

@@ -13,7 +13,7 @@ from tests.compile.px4.modules import pitch
 from tests.compile.test_large import chain
 from twodof.blocks import Diagram
 from twodof.blocks import library as lib
-from twodof.compile.px4.build_files import EXACT
+from twodof.compile.px4.controller import EXACT
 from twodof.compile.px4.export import make_module
 from twodof.errors import DiagramError
 from twodof.flight.starters import STARTERS, starter

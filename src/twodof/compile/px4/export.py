@@ -10,12 +10,12 @@ from types import MappingProxyType
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.schema.json_form import to_json
 from twodof.compile.px4.airframe import airframe, airframe_file, airframe_id, board_settings, logger_topics, takeover
-from twodof.compile.px4.build_files import message_list, module_list, source_list
-from twodof.compile.px4.controller import controller, header, source
+from twodof.compile.px4.controller import EXACT, controller, header, source
 from twodof.compile.px4.message import MessageFields, fields, message
 from twodof.compile.px4.names import ModuleNames, module_names
 from twodof.compile.px4.parameters import UNITS, ExportedParameter, KeptParameter, exported, module_yaml
 from twodof.compile.px4.readme import readme
+from twodof.compile.px4.template_files import fill
 from twodof.compile.px4.topics import ModuleRole, role
 from twodof.compile.px4.tree import MANIFEST, manifest, write_tree
 from twodof.compile.px4.work_item import work_item, work_item_header
@@ -61,14 +61,16 @@ def make_module(diagram: Diagram, log: Iterable[str] = (), prefix: str = "") -> 
     files = {
         "README.md": readme(names, part, found, rows, kept, diagram.text),
         "diagram.json": to_json(diagram),
-        "src/CMakeLists.txt": source_list(names),
-        f"{where}/CMakeLists.txt": module_list(names, made.stack),
+        "src/CMakeLists.txt": fill("sources.cmake", names),
+        f"{where}/CMakeLists.txt": fill(
+            "module.cmake", names, stack=made.stack, flags="\n".join(f"        {f}" for f in EXACT)
+        ),
         f"{where}/module.yaml": module_yaml(names, rows),
         f"{where}/{names.module}.h": header(names, found, rows, made),
         f"{where}/{names.module}.c": source(names, found, rows, made),
         f"{where}/{names.class_name}.hpp": work_item_header(names, part),
         f"{where}/{names.class_name}.cpp": work_item(names, part, found),
-        "msg/CMakeLists.txt": message_list(names),
+        "msg/CMakeLists.txt": fill("messages.cmake", names),
         f"msg/{names.class_name}.msg": message(names, found),
         f"etc/init.d-posix/airframes/{frame}": airframe(names, part, diagram.text),
         f"etc/init.d-posix/airframes/{frame}.post": takeover(names, part),

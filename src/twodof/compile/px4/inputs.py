@@ -1,4 +1,4 @@
-"""The C++ that reads uORB topics into a controller's inputs."""
+"""How uORB topics become a controller's inputs, in the C++ of the module."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from twodof.compile.px4.names import ModuleNames, field_names
+from twodof.compile.px4.template_files import fill
 from twodof.compile.px4.topics import ModuleRole
 
 # The topics that are read into a member of the class, and that member.
@@ -78,75 +79,20 @@ def members_text(role: ModuleRole) -> str:
     return "\n".join(lines)
 
 
-def inputs_text(names: ModuleNames, role: ModuleRole) -> str:
-    """The functions that read the topics, judge the measurements and fill the inputs."""
-    c = names.class_name
+def input_fields(names: ModuleNames, role: ModuleRole) -> dict[str, str]:
+    """The fields of work_item.cpp that read the topics, judge the measurements and fill the inputs."""
     read = [topic for topic in role.reads if topic in MEMBERS]
-    updates = "\n".join(f"    {MEMBERS[topic]}_sub.update(&{MEMBERS[topic]});" for topic in read)
     members = dict(zip(role.inputs, field_names("in", role.inputs), strict=True))
     tests = [_FRESH[topic] for topic in read if topic in _FRESH]
     tests += [f"PX4_ISFINITE(_in.{members[name]})" for name in MEASURED if name in members]
-    sound = "\n           && ".join(tests) or "true"
     body = _locals(role) + _assignments(role)
-    helpers = _AGE + (_PITCH if "pitch_of" in body else "")
-    ignored = "" if "rates." in body else "    (void)rates;\n"
-    setpoint = _SETPOINT.replace("CLASS", c)
-    return f"""{helpers}void {c}::read_topics()
-{{
-    _now = hrt_absolute_time();
-{updates}
-{_thrust(role)}}}
-
-bool {c}::measurements_are_sound() const
-{{
-    return {sound};
-}}
-
-{setpoint}
-void {c}::read_inputs(const vehicle_angular_velocity_s &rates)
-{{
-{ignored}{body}}}
-"""
-
-
-_AGE = """static bool fresh(hrt_abstime stamp, hrt_abstime now, hrt_abstime oldest)
-{
-    return stamp != 0 && now < stamp + oldest;
-}
-
-"""
-
-_PITCH = """/** The pitch of an attitude, with the sine kept in its range against rounding; NaN stays NaN. */
-static float pitch_of(const float q[4])
-{
-    const float sine = 2.f * (q[0] * q[2] - q[3] * q[1]);
-    return asinf(sine > 1.f ? 1.f : sine < -1.f ? -1.f : sine);
-}
-
-"""
-
-_SETPOINT = """float CLASS::setpoint(float value, hrt_abstime stamp, float neutral, bool wanted)
-{
-    if (PX4_ISFINITE(value) && fresh(stamp, _now, SETPOINT_AGE)) {
-        return value;
+    return {
+        "pitch_of": fill("pitch_of.cpp", names) if "pitch_of" in body else "",
+        "updates": "\n".join(f"    {MEMBERS[topic]}_sub.update(&{MEMBERS[topic]});" for topic in read),
+        "thrust": fill("thrust_setpoint.cpp", names) if role.thrust_setpoint else "",
+        "sound": "\n           && ".join(tests) or "true",
+        "inputs": body if "rates." in body else f"    (void)rates;\n{body}",
     }
-
-    if (wanted) {
-        _faults |= NO_SETPOINT;
-    }
-
-    return neutral;
-}
-"""
-
-
-def _thrust(role: ModuleRole) -> str:
-    if not role.thrust_setpoint:
-        return ""
-    return """    _thrust_setpoint = _mode.flag_control_attitude_enabled
-               ? setpoint(-_attitude_setpoint.thrust_body[2], _attitude_setpoint.timestamp, 0.f, false)
-               : setpoint(-_rates_setpoint.thrust_body[2], _rates_setpoint.timestamp, 0.f, false);
-"""
 
 
 def _locals(role: ModuleRole) -> str:
