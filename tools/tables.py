@@ -4,6 +4,7 @@ A table stands between `<!-- made: NAME -->` and `<!-- end -->`; the text around
 the pages with what this gives.
 """
 
+import ast
 import csv
 import re
 import sys
@@ -35,6 +36,8 @@ from twodof.signals import TOPICS
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 PAGES = tuple(sorted(page for page in DOCS.rglob("*.md") if "<!-- made: " in page.read_text(encoding="utf-8")))
+SOURCE = DOCS.parent / "src" / "twodof"
+LAYERS = DOCS.parent / "tests" / "test_layers.py"
 FMEA = DOCS.parent / "tests" / "fmea" / "measured.csv"
 PULSE = 0.1
 
@@ -58,6 +61,7 @@ def render(text: str) -> str:
         "streams": _streams,
         "events": _events,
         "fmea": _fmea,
+        "rooms": _rooms,
     }
 
     def made(match: re.Match[str]) -> str:
@@ -85,6 +89,31 @@ def models(rig: Mapping[str, float]) -> dict[str, tuple[float, str, str]]:
         "rail's dry friction": (known["rail_coulomb"], "m/s2", "(15)"),
         "hardening k_3 / J": (known["hardening"], "rad/s2 per rad3", "(2)"),
     }
+
+
+def _rooms() -> Iterator[str]:
+    yield "| row | room | is |"
+    yield "|---|---|---|"
+    for number, row in enumerate(_layers(), 1):
+        for room in sorted(row):
+            base = SOURCE / room
+            if base.is_dir():
+                parts = sorted(part.parent.name for part in base.glob("*/__init__.py"))
+                below = f" ({', '.join(parts)})" if parts else ""
+                yield f"| {number} | `{room}/`{below} | {_first_line(base / '__init__.py')} |"
+            elif base.with_suffix(".py").is_file():
+                yield f"| {number} | `{room}.py` | {_first_line(base.with_suffix('.py'))} |"
+
+
+def _layers() -> list[set[str]]:
+    """The rows of rooms, as the test of their order states them."""
+    tree = ast.parse(LAYERS.read_text(encoding="utf-8"))
+    (rows,) = [node.value for node in tree.body if isinstance(node, ast.Assign) and "ROWS" in ast.dump(node.targets[0])]
+    return ast.literal_eval(rows)
+
+
+def _first_line(file: Path) -> str:
+    return (ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) or "").split("\n")[0]
 
 
 def _models() -> Iterator[str]:
