@@ -80,7 +80,7 @@ class CompanionClient:
         return True
 
     def forget(self) -> None:
-        """It has been silent for so long that whoever speaks there next is somebody else."""
+        """It has been silent for so long that the next one to speak there is somebody else."""
         self.identities.clear()
         self.wishes.clear()
         self.due_once.clear()

@@ -109,12 +109,11 @@ class _Port:
 class Companion:
     """Routes between the flight controller at `vehicle` (a URL) and clients at `serve`; a context manager.
 
-    `system` is the vehicle's system id (1 to 255). With `signing` its own messages are signed, and nothing else than
-    what is signed with that key passes or influences it, from either side; without, signed frames pass untouched.
-    `line_rate`
-    [byte/s] bounds what is sent to the flight controller: unless said, what a serial line's baud rate carries, and
-    1 Mbyte/s over a network. In memory nothing is bounded. `tell` is called with a line for people when the flight
-    controller is not reached, each minute as long as it is not, and when it is heard then.
+    `system` is the vehicle's system id (1 to 255). With `signing` its own messages are signed, and only frames that are
+    signed with that key pass or have any effect. Without it signed frames pass untouched. `line_rate` [byte/s] bounds
+    what is sent to the flight controller. Its default is what a serial line's baud rate carries, and 1 Mbyte/s over a
+    network; in memory nothing is bounded. `tell` is called with a line for people while the flight controller is not
+    reached, each minute, and when it is heard then.
     Raises LinkError where a client's link cannot be opened; the flight controller may come later.
     """
 

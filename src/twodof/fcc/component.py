@@ -70,7 +70,7 @@ class CompanionComponent:
                 self._reply(client, message("TIMESYNC", tc1=now, ts1=ours, **there))
 
     def _asked(self, asked: frame_fields.CommandFields) -> Any | None:
-        """What a command asks for, None if it is nothing that we have."""
+        """The message that a command asks for, None if we do not have it."""
         answers: dict[int, Callable[[], Any]] = {0: self._heartbeat, 148: self._version, 390: self._computer.status}
         if asked.command != frame_fields.REQUEST_MESSAGE:
             return None

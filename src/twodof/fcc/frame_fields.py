@@ -30,7 +30,7 @@ _COMMAND = struct.Struct("<7fHBB")
 
 
 class FieldOffsets(NamedTuple):
-    """Where in a payload the target's system and component stand, and the time [bytes]; -1: the message has none."""
+    """Where in a payload the target's system and component stand, and the time [bytes]; -1: nowhere."""
 
     system: int = -1
     component: int = -1
@@ -93,7 +93,7 @@ def target(frame: Frame) -> tuple[int, int]:
 
 
 def time_us(frame: Frame) -> int:
-    """The time [us] that a frame's sender wrote into it, -1 if its message has none."""
+    """The time [us] that a frame's sender wrote into it, -1 if its message does not have one."""
     where = places().get(frame.message_id)
     if where is None or where.time < 0:
         return -1
@@ -125,8 +125,8 @@ def command(frame: Frame) -> CommandFields | None:
 def stop(asked: CommandFields) -> tuple[int, bool] | None:
     """Which kind of kill or disarm a command is (these never wait their turn), None if it is none.
 
-    The kinds are the command and whether it is forced: a disarm that the vehicle refuses in flight must not stand in
-    the way of one that it obeys.
+    The kinds are the command and whether it is forced. A disarm that the vehicle refuses in flight must not hold up one
+    that it obeys.
     """
     if asked.command == ARM_DISARM and asked.params[0] == 0.0:
         return ARM_DISARM, asked.params[1] == FORCE

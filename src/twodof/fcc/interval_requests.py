@@ -55,7 +55,7 @@ class IntervalRequests:
 
     @property
     def known(self) -> set[int]:
-        """Ids of the messages that were asked for, or are to be."""
+        """Ids of the messages that were asked for, or will be."""
         return {*self.granted, *self._pending}
 
     def restart(self) -> None:
@@ -80,7 +80,7 @@ class IntervalRequests:
         self.poll(now)
 
     def poll(self, now: float) -> None:
-        """Ask what is to be asked, and ask again where no answer came."""
+        """Ask the next question that waits, and again where no answer came."""
         if self._asked is not None and now >= self._until:
             if self._tries < TRIES:
                 self._ask(self._asked, now)

@@ -45,7 +45,7 @@ class ReplyRouting:
             waiting.pop(client, None)
 
     def receivers(self, frame: Frame, now: float) -> list[CompanionClient] | None:
-        """Who gets a message of the vehicle; None: it is no such answer, or everybody's.
+        """Who gets a message of the vehicle; None: it is not such an answer, or it concerns everybody.
 
         While a client changes parameters, what comes of it concerns everybody.
         """

@@ -46,8 +46,8 @@ class RouterCounts:
 
 
 class Router:
-    """Passes frames on for the vehicle `system`. `clock` gives seconds; `signing` signs what is sent in our own name:
-    with it all that arrives was signed with its key.
+    """Passes frames on for the vehicle `system`. `clock` gives seconds; `signing` signs what is sent in our own
+    name; with it everything that arrives was signed with its key.
 
     `own` takes the frames that are for the companion itself: called with the client it came from, None for the vehicle.
     """
@@ -98,8 +98,9 @@ class Router:
         self.subscriptions.refresh()
 
     def follow(self, now: float) -> None:
-        """See who speaks from another address than before (another network, a router that gave it another port): what
-        it had asked for goes with it, once the old address has been silent for MOVED_S while the new one was not.
+        """See which clients have moved to another address: another network, or a router that gave another port.
+
+        What such a client had asked for moves with it, once its old address has been silent for MOVED_S.
         """
         for client in self.clients:
             if not client.identities or not MOVED_S < now - client.came < SILENT_S:
@@ -181,7 +182,7 @@ class Router:
             client.counts.crowded_out += 1
 
     def from_stranger(self, frame: Frame) -> None:
-        """A frame of somebody for whom there is no room among the clients: what stops motors passes nevertheless."""
+        """A frame of a sender that found no place among the clients: only what stops motors passes."""
         asked = frame_fields.command(frame)
         urgent = frame_fields.stop(asked) if asked is not None else None
         if asked is not None and urgent is not None and asked.system in (0, self.system) and self._may_say(frame):
@@ -235,12 +236,13 @@ class Router:
         client.write(self._encoded(sent, COMPANION, client.number((self.system, COMPANION))))
 
     def said(self, sent: Any) -> bytes:
-        """What the companion says to who is no client."""
+        """A message of the companion for a peer that is not a client."""
         return self._encoded(sent, COMPANION, 0)
 
     def _came_round(self, client: CompanionClient, frame: Frame, now: float) -> bool:
-        """Whether the very frame came just now from one client and then again and again from others: links make a
-        circle, in which it would go for ever. Who sent it first may say it as often as it likes.
+        """Whether this very frame came from one client and then again and again from others.
+
+        Then links make a circle, in which it would go for ever. Its first sender may repeat it as often as it likes.
         """
         first, since, rounds = self._passed.pop(frame.raw, (client, now, 0))
         if now - since > ROUND_S:
@@ -252,8 +254,10 @@ class Router:
         return first is not client and rounds > MOST_ROUNDS
 
     def _may_say(self, frame: Frame, on_board: bool = False) -> bool:
-        """Whether it may come from a client: none speaks for the vehicle or for us, and with the drone's own system
-        only what is `on_board`. Else anybody's ATTITUDE would be the drone's to all others.
+        """Whether it may come from a client. No client speaks for the vehicle or for us.
+
+        Only a program that is `on_board` speaks with the drone's own system. Otherwise anybody's ATTITUDE would look
+        like the drone's to all others.
         """
         identity = (frame.system, frame.component)
         if frame.system == self.system:

@@ -1,7 +1,7 @@
 """Who gets which message how often: the wishes of all clients, the fastest of them for the vehicle, the rest thinned.
 
-Thinning goes by the time in the message (or, where it tells none, by counting), never by our clock: the same flight
-gives a client the same messages, in lockstep as in real time.
+Thinning goes by the time in the message, or by counting where a message has no time. It never goes by our clock, so
+the same flight gives a client the same messages in lockstep and in real time.
 """
 
 from collections.abc import Sequence
@@ -46,8 +46,9 @@ def events() -> frozenset[int]:
 
 @cache
 def settled() -> tuple[int, ...]:
-    """Ids of the messages that the vehicle is told about without anybody having asked for them: those with a rate, and
-    the one of our own that comes so often that it should not cross the line for nobody.
+    """Ids of the messages whose rates the vehicle is told even if no client has asked for them.
+
+    These are the messages with a rate, and TWODOF_TOF, which comes so often that it should not cross the line unused.
     """
     timed = {number for rows in profiles().values() for number, one in rows.items() if one > EVERY}
     return tuple(sorted(timed | {dialect.message_id("TWODOF_TOF")}))

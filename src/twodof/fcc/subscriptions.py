@@ -48,7 +48,7 @@ class Subscriptions:
         self._signs = signs
 
     def refresh(self) -> None:
-        """Ask the vehicle anew for whatever the clients that are there want together."""
+        """Ask the vehicle again for what the present clients want together."""
         self.streams.changed()
         now = self._clock()
         kept = {number for client in self.streams.clients for number in client.wishes}.union(settled())
@@ -142,7 +142,7 @@ class Subscriptions:
         return True
 
     def _answerable(self, frame: Frame) -> bool:
-        """Whether we can answer in the vehicle's name: to who does not sign, and with a key to all that was let in."""
+        """Whether we can answer in the vehicle's name: where we have the key, or the question is not signed."""
         return self._signs or not frame.signed
 
     def _acknowledge(self, client: CompanionClient, command: int, to: Identity, result: int) -> None:

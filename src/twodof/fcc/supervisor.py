@@ -41,8 +41,9 @@ class AppLimits:
 class RestartPolicy:
     """When an app that crashed is started again.
 
-    After `first` [s], which is longer than a lease lives without its holder (3 s), so that what flew has come to rest;
-    then after twice as long, up to `longest`; at most `most` times in a row. A run of `good` [s] counts as a new start.
+    The first time after `first` [s], then after twice as long each time, up to `longest`; at most `most` times in a
+    row. A lease lives 3 s without its holder, so what flew has come to rest by then. A run of `good` [s] counts as a
+    new start.
     """
 
     first: float = 4.0

@@ -51,7 +51,7 @@ class _Queue:
 class UplinkQueue:
     """Toward the flight controller. `rate` is what it carries [byte/s], None for as much as the system takes.
 
-    `overhead` is what a frame takes of it besides its own bytes.
+    `overhead` is how many bytes a frame takes on it beyond its own.
     """
 
     def __init__(self, rate: float | None = None, overhead: int = 0) -> None:
@@ -86,8 +86,9 @@ class UplinkQueue:
 
     @contextmanager
     def together(self) -> Iterator[None]:
-        """What goes out meanwhile is handed to the system in one piece at the end, where the link is a stream: from a
-        client that floods frames come by the hundred, and each by itself costs ten times the routing.
+        """On a stream, hand what goes out during the block to the system in one piece at its end.
+
+        A client that floods sends frames by the hundred, and one call to the system costs ten times the routing.
         """
         self._gathers = self.transport is not None and not self.transport.whole
         try:
@@ -104,8 +105,8 @@ class UplinkQueue:
     def offer(self, source: Hashable, raw: bytes, now: float, urgent: Hashable | None = None) -> bool:
         """Send a frame of `source` now or in its turn; False if it was dropped.
 
-        What is `urgent` goes before all turns and is never dropped for want of room; while one still waits, another of
-        the same source and the same `urgent` says nothing new.
+        An `urgent` frame goes before all turns and is never dropped for want of room. While one waits, another of the
+        same source and the same `urgent` says nothing new.
         """
         if self.transport is None:
             self.counts.cut += 1

@@ -2,7 +2,7 @@
 
 On board the companion starts it (`twodof companion run FILE`) and it speaks as component 192 of the drone's own system.
 It has the lease while it runs; leaving it, however that comes about, disarms. Exit status: 0 it ended by itself or was
-told to (SIGTERM), 1 it raised, 2 FILE is no such program.
+told to (SIGTERM), 1 it raised, 2 FILE is not such a program.
 """
 
 from __future__ import annotations

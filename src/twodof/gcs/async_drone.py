@@ -166,7 +166,7 @@ class AsyncDrone(FlyingDrone):
     ) -> AbstractAsyncContextManager[Recording]:
         """Record topics (None: all) at the full rate into a new MCAP file, for `async with`. See gcs.recording.
 
-        With them what flies: tuned parameters and, as attachments, the diagrams of controllers of one's own.
+        The file also holds what flies: tuned parameters and, as attachments, the diagrams of the user's controllers.
 
         Of a drone that is not ours what it sends is recorded as it comes: `stream` asks for more of it.
         """
@@ -221,8 +221,9 @@ class AsyncDrone(FlyingDrone):
     async def fly_controller(self, template: str, diagram: str | bytes, timeout: float = 120.0) -> None:
         """Send a controller, a diagram's JSON, and have it fly in the place of the one of that template, in a sandbox.
 
-        A stock controller's own diagram brings the stock one back. Raises Rejected where the drone is armed, lacks what
-        the sandbox takes (asked before anything is sent) or finds a fault in it; then what flew before flies on.
+        A stock controller's own diagram brings the stock one back. Before anything is sent the drone is asked whether
+        it has what the sandbox takes. Raises Rejected where it lacks that, is armed, or finds a fault in the diagram;
+        then what flew before flies on.
         """
         self._needs_ours("controllers of one's own", "folder of controllers")
         path = f"/controllers/{template}.json"

@@ -103,7 +103,9 @@ async def _known(host: str) -> None:
     try:
         await asyncio.get_running_loop().getaddrinfo(host, None)
     except (OSError, UnicodeError) as error:
-        raise LinkError("is no host that is known here", shown(host), "correct its name, or give its number") from error
+        raise LinkError(
+            "is not a host that is known here", shown(host), "correct its name, or give its number"
+        ) from error
 
 
 def _note(heard: dict[tuple[int, str], FoundDrone], connection: Connection, url: str, system: int, got: Any) -> None:

@@ -116,12 +116,13 @@ class Drone(SyncDrone):
     def fly_controller(self, template: str, diagram: str | bytes, timeout: float = 120.0) -> None:
         """Send a controller, a diagram's JSON, and have it fly in the place of the one of that template, in a sandbox.
 
-        A stock controller's own diagram brings the stock one back. Raises Rejected where the drone is armed, lacks what
-        the sandbox takes (asked before anything is sent) or finds a fault in it; then what flew before flies on.
+        A stock controller's own diagram brings the stock one back. Before anything is sent the drone is asked whether
+        it has what the sandbox takes. Raises Rejected where it lacks that, is armed, or finds a fault in the diagram;
+        then what flew before flies on.
         """
 
     def kill(self, timeout: float = 5.0) -> None:
-        """Motors off, now, whoever has the lease and whatever it does; said again until it is seen.
+        """Motors off, now, in any state and without the lease; said again until it is seen.
 
         It holds the drone disarmed until `release`. Raises Timeout, LinkLost if it is not seen: the drone's own
         failsafe then acts on the lost link.
@@ -142,13 +143,13 @@ class Drone(SyncDrone):
     ) -> AbstractContextManager[Recording]:
         """Record topics (None: all) at the full rate into a new MCAP file, for `with`. See gcs.recording.
 
-        With them what flies: tuned parameters and, as attachments, the diagrams of controllers of one's own.
+        The file also holds what flies: tuned parameters and, as attachments, the diagrams of the user's controllers.
 
         Of a drone that is not ours what it sends is recorded as it comes: `stream` asks for more of it.
         """
 
     def release(self, timeout: float = 5.0) -> None:
-        """Let it be armed again after a kill, whoever killed it. Raises Rejected where somebody else has the lease."""
+        """Let it be armed again after a kill, by us or by others. Raises Rejected where somebody else has the lease."""
 
     def reset(
         self,

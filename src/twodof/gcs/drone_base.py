@@ -142,7 +142,7 @@ class DroneBase:
             self.session.send_anyway(self.commands.request_of("TWODOF_RIG"))
 
     def _stood_still(self, pause: ProgramPaused) -> None:
-        """A drone that this program flew has made itself safe meanwhile, and is not to be surprised now."""
+        """A drone that this program flew has made itself safe in that time: it must not be surprised now."""
         if self.session.lockstep:  # the drone's time stood still too
             return
         what = f"this program stood still for {pause.seconds:.1f} s"
@@ -153,7 +153,7 @@ class DroneBase:
             )
 
     async def _see(self, condition: Callable[[], bool], deadline: Deadline, remedy: str = "") -> None:
-        """Wait until the drone's heartbeat says so; in lockstep its time passes meanwhile, tick by tick."""
+        """Wait until the drone's heartbeat says so; in lockstep its time passes tick by tick."""
         last = self.tick + _TICKS_FOR_AN_ANSWER
         with self.session.listen("HEARTBEAT") as heard:
             while not condition():

@@ -1,4 +1,4 @@
-"""An event loop in a thread of its own, for whoever does not write asyncio; it never keeps a process from ending."""
+"""An event loop in a thread of its own, for scripts without asyncio; it never keeps a process from ending."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class LoopThread:
                 return tasks[0].result()
         except asyncio.CancelledError:
             pass
-        raise LinkLost("the drone was closed meanwhile", self._where, "connect again")
+        raise LinkLost("the drone was closed during the call", self._where, "connect again")
 
     def call(self, work: Callable[[], T]) -> T:
         """What the plain function `work` returns, called in the thread."""

@@ -19,7 +19,7 @@ _FORCE = 21196
 
 
 class StoppableDrone(DroneBase):
-    """A drone that is left disarmed, whatever happens: for `async with`."""
+    """A drone that is always left disarmed: for `async with`."""
 
     async def __aenter__(self) -> Self:
         return self
@@ -60,7 +60,7 @@ class StoppableDrone(DroneBase):
         self._may_be_armed = False
 
     async def kill(self, timeout: float = TIMEOUT_S) -> None:
-        """Motors off, now, whoever has the lease and whatever it does; said again until it is seen.
+        """Motors off, now, in any state and without the lease; said again until it is seen.
 
         It holds the drone disarmed until `release`. Raises Timeout, LinkLost if it is not seen: the drone's own
         failsafe then acts on the lost link.
@@ -68,13 +68,13 @@ class StoppableDrone(DroneBase):
         await self._insist(_FORCE, self._deadline(timeout, "killing"))
 
     async def release(self, timeout: float = TIMEOUT_S) -> None:
-        """Let it be armed again after a kill, whoever killed it. Raises Rejected where somebody else has the lease."""
+        """Let it be armed again after a kill, by us or by others. Raises Rejected where somebody else has the lease."""
         deadline = self._deadline(timeout, "releasing a kill")
         await self.commands.run("DO_FLIGHTTERMINATION", [0.0], timeout, deadline.doing)
         await self._see(lambda: not self.state.killed, deadline)
 
     async def _stand(self, timeout: float) -> None:
-        """Disarm it; where that is not seen insist, and where there is no time to look say it all the same.
+        """Disarm it. Insist where that is not seen, and say it also where there is no time to look.
 
         What is silent may still hear. One of ours is always disarmed by the ordinary command, which holds nothing
         afterwards; another's PX4 in flight by a kill only.

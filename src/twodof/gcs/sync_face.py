@@ -53,7 +53,7 @@ class SyncFace:
 
 
 def synchronous(there: type) -> Callable[[Kind], Kind]:
-    """Gives a SyncFace every public method and property of the class `there` that it has not itself."""
+    """Gives a SyncFace every public method and property of the class `there` that it lacks."""
 
     def filled(kind: Kind) -> Kind:
         for name in dir(there):

@@ -37,14 +37,14 @@ class DroneParameters(MutableMapping[str, float]):
         return isinstance(name, str) and self.get(name) is not None
 
     def get(self, name: str, default: Any = None) -> Any:
-        """The value, `default` for one that the drone has not. Raises LinkLost, Timeout."""
+        """The value, `default` for one that the drone lacks. Raises LinkLost, Timeout."""
         try:
             return self[name]
         except ParameterError:
             return default
 
     def __getitem__(self, name: str) -> float:
-        """Raises ParameterError for one that it has not, LinkLost, Timeout."""
+        """Raises ParameterError for one that it lacks, LinkLost, Timeout."""
         return self._runner.run(self._there.read(name))
 
     def __setitem__(self, name: str, value: float) -> None:

@@ -1,1 +1,1 @@
-"""The wire: our MAVLink dialect, transports by URL, framing, signing, statistics, and a connection of all of them."""
+"""The wire: transports by URL, our MAVLink dialect, signing, and a connection that joins them."""

@@ -44,8 +44,8 @@ class Received(NamedTuple):
 class Connection:
     """Messages over `transport` as `system` and `component` (1 to 255 each).
 
-    With `signing` everything sent is signed, and nothing that is not signed with its key is taken in: it is counted,
-    and influences nothing else. `clock` gives seconds for statistics and round trips. Closing it closes the transport.
+    With `signing` everything sent is signed, and only what is signed with its key is taken in; the rest is counted and
+    has no other effect. `clock` gives seconds for statistics and round trips. Closing it closes the transport.
     """
 
     def __init__(
@@ -132,7 +132,8 @@ class Connection:
                 await asyncio.sleep(0)
 
     def receive_now(self) -> Received | None:
-        """The next message if one is there, found in a look of bounded length: who has none may `receive` one yet.
+        """The next message if one is there, found in a look of bounded length; if it finds none, `receive` may still
+        find one.
 
         Raises LinkLost as `receive`.
         """
@@ -145,7 +146,7 @@ class Connection:
         return None
 
     async def receive_frame(self, timeout: float) -> tuple[Frame, Hashable] | None:
-        """The next frame, of messages that the dialect has not too, and its peer: what a router passes on.
+        """The next frame and its peer; the dialect may not know its message. A router passes it on.
 
         None if none comes within `timeout` [s]. Raises LinkLost as `receive`.
         """
@@ -224,7 +225,7 @@ class Connection:
         return parser.counts.bad_checksum - bad
 
     def _take_ahead(self, packet: Packet) -> None:
-        """A frame that stops motors, before all that came earlier, of its peer too."""
+        """A frame that stops motors, before everything that came earlier."""
         again = self._again.setdefault(packet.peer, [])
         again.append(packet.data)
         if len(again) > MOST_AGAIN:  # a stream that breaks off in them: they will not come

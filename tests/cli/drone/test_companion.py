@@ -95,7 +95,7 @@ async def _gone(process: asyncio.subprocess.Process) -> None:
     ("arguments", "complaint"),
     [
         (["run", "no-such-app.py"], "does not exist"),
-        (["--fcu", "gopher://x"], "is no kind of link"),
+        (["--fcu", "gopher://x"], "is not a kind of link"),
         (["--onboard", "udp://10.0.0.2:1?bind=2"], "bind=0.0.0.0:2"),
         (["--index", "200"], "--index"),
         (["--index", "10"], "say where this one serves"),

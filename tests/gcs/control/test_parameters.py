@@ -163,7 +163,7 @@ def test_the_timeout_of_a_drone_that_does_not_even_list_says_what_it_may_be() ->
     peer = Peer(spoil=lambda _, sent: [] if sent.get_type().startswith(silent) else [sent])
 
     async def flight(_: Peer, drone: AsyncDrone) -> None:
-        with pytest.raises(Timeout, match="silent about a name it has not"):
+        with pytest.raises(Timeout, match="silent about a name that it lacks"):
             await drone.parameters.read("ATT_KP", 3.0)
 
     fly(flight, peer=peer)

@@ -36,7 +36,7 @@ def test_what_is_not_given_is_zero() -> None:
     assert (got.type, got.autopilot, got.mavlink_version) == (2, 0, 3)
     with pytest.raises(LinkError, match=r"has no field 'typ'.*its fields are type, autopilot"):
         message("HEARTBEAT", typ=2)
-    with pytest.raises(LinkError, match="is no text of at most 16 bytes"):
+    with pytest.raises(LinkError, match="is not text of at most 16 bytes"):
         message("PARAM_SET", param_id="A_NAME_OF_SEVENTEE")
     with pytest.raises(LinkError, match="at most 40 fit"):
         message("EVENT", arguments=range(41))
@@ -126,7 +126,7 @@ def test_an_int32_that_a_float_holds(value: int) -> None:
 
 def test_what_is_no_int32_is_refused() -> None:
     for value in (2**31, 1.5, "1"):
-        with pytest.raises(LinkError, match="no int32"):
+        with pytest.raises(LinkError, match="not an int32"):
             float_of_int(value)
 
 

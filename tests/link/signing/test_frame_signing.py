@@ -232,7 +232,7 @@ def test_stamps_that_others_may_set_back_are_refused(tmp_path: Path, mode: int) 
 
 def test_stamps_are_a_file_and_their_lock_is_no_link(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "fifo", 0o600)
-    with pytest.raises(LinkError, match="are no file"):  # and nobody waits for a writer
+    with pytest.raises(LinkError, match="are not a file"):  # and nobody waits for a writer
         Stamps(tmp_path / "fifo")
     (tmp_path / "stamps.lock").symlink_to(tmp_path / "elsewhere")
     with pytest.raises(LinkError, match="cannot be locked"):
@@ -435,7 +435,7 @@ def test_what_is_no_key_is_refused(tmp_path: Path) -> None:
     with pytest.raises(LinkError, match="cannot be read"):
         read_key(path)
     os.mkfifo(tmp_path / "fifo", 0o600)
-    with pytest.raises(LinkError, match="is no file"):
+    with pytest.raises(LinkError, match="is not a file"):
         read_key(tmp_path / "fifo")  # and it does not wait for a writer
     for text in ("", "secret", "0" * 63, "0" * 64 + "zz", "x" * 10_000):
         path.write_text(text)

@@ -307,7 +307,7 @@ def test_a_serial_line_is_raw_at_its_speed_and_exclusive(tmp_path: Path) -> None
             await open_transport("serial:///dev/ttyNONE")
         file = tmp_path / "file"
         file.write_text("")
-        with pytest.raises(LinkError, match="is no serial line"):
+        with pytest.raises(LinkError, match="is not a serial line"):
             await open_transport(f"serial://{file}")
 
     run(work())

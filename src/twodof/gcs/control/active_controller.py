@@ -1,4 +1,4 @@
-"""What flies on a drone: the parameters that were tuned, and the diagrams of controllers of one's own."""
+"""What flies on a drone: the parameters that were tuned, and the diagrams of the user's controllers."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _ALSO = frozenset(row.drone for row in PARAMETERS if row.drone)  # the same numb
 
 @dataclass(frozen=True)
 class ActiveController:
-    """`parameters` that are not at their defaults, by name; `diagrams` of controllers of one's own, JSON by template.
+    """`parameters` that are not at their defaults, by name; `diagrams` of the user's controllers, JSON by template.
 
     `known` is False where the drone does not tell.
     """

@@ -79,11 +79,11 @@ def checked(entry: ParameterEntry, value: float) -> float:
     """A value that the parameter can have. Raises ParameterError."""
     row = entry.row
     if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
-        raise ParameterError(f"{shown(value)} is no number", entry.name, "nothing was changed")
+        raise ParameterError(f"{shown(value)} is not a number", entry.name, "nothing was changed")
     if entry.kind not in (INT32, REAL32):
         raise ParameterError(f"has the type {entry.kind}, which is not set from here", entry.name)
     if entry.kind == INT32 and (value != int(value) or not -(2**31) <= value < 2**31):
-        raise ParameterError(f"{value:g} is no int32", entry.name, "nothing was changed")
+        raise ParameterError(f"{value:g} is not an int32", entry.name, "nothing was changed")
     if row is not None and not row.low <= value <= row.high:
         raise ParameterError(
             f"{value:g} is outside {row.low:g} to {row.high:g} {row.unit}", entry.name, "nothing was changed"

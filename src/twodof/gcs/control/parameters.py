@@ -85,7 +85,7 @@ class AsyncParameters:
         return self._session.system
 
     async def read(self, name: str, timeout: float | None = None) -> float:
-        """The value of one, as the drone says now. Raises ParameterError for one that it has not, LinkLost, Timeout."""
+        """The value of one, as the drone says now. Raises ParameterError for one that it lacks, LinkLost, Timeout."""
         deadline = self._deadline(timeout, f"reading {shown(name)}")
         return (await self._ask(await self._on_board(name, deadline), deadline)).value
 
@@ -273,7 +273,7 @@ class AsyncParameters:
 
     @asynccontextmanager
     async def _alone(self, deadline: Deadline) -> AsyncIterator[None]:
-        """Nobody else changes anything meanwhile: what is set during a transaction would be a part of it."""
+        """Let one change go on at a time: what is set during a transaction would be a part of it."""
         try:
             await asyncio.wait_for(self._changing.acquire(), deadline.left)
         except TimeoutError:
@@ -287,7 +287,7 @@ class AsyncParameters:
     async def _on_board(self, name: str, deadline: Deadline) -> str:
         """What the drone calls it, of which a path in a diagram is asked for. Raises ParameterError for none."""
         if not isinstance(name, str):
-            raise ParameterError(f"{shown(name)} is no name", "parameters")
+            raise ParameterError(f"{shown(name)} is not a name", "parameters")
         if "." in name and self.transactions and name not in self._paths:
             await self._describe(deadline)
             if name not in self._paths:
@@ -308,7 +308,7 @@ class AsyncParameters:
                 await self._list(deadline)
         except Timeout:
             raise deadline.error(
-                "another's PX4 is silent about a name it has not: parameters.all() lists its"
+                "another's PX4 is silent about a name that it lacks: parameters.all() lists its names"
             ) from None
         found = self.known.get(self.name_on_board(name))  # by now it is known which of its names it goes by there
         if found is None:
@@ -318,7 +318,7 @@ class AsyncParameters:
     async def _ask_for(self, name: str, deadline: Deadline) -> ParameterEntry:
         if not isinstance(name, str) or not name.isascii() or not 1 <= len(name) <= 16:
             raise ParameterError(
-                f"{shown(name)} is no name of 1 to 16 ASCII characters",
+                f"{shown(name)} is not a name of 1 to 16 ASCII characters",
                 "parameters",
                 "paths in a diagram are names on a drone of ours only" if "." in name else "parameters.all() lists all",
             )
@@ -349,7 +349,7 @@ class AsyncParameters:
         return f"{name}: {said[-1].text if said else _error(error)}"
 
     def _unknown(self, name: str) -> ParameterError:
-        """That the drone has not `name`, with the nearest names that it has."""
+        """That the drone lacks `name`, with the nearest names that it has."""
         ours = [one for one in BY_NAME if not self._whole or self.name_on_board(one) in self.known]
         names = {known.casefold(): known for known in (*ours, *self.known, *self._paths)}
         near = [names[one] for one in get_close_matches(name.casefold(), names, 3, 0.5)]

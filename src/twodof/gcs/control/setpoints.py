@@ -29,7 +29,7 @@ MOST_WAY, MOST_SPEED = 1.0, 5.0
 
 @dataclass(frozen=True)
 class Setpoint:
-    """What is to be followed, in one of the vehicle's `modes`, best the first: `make(tick, place)` is its message."""
+    """What the drone shall follow, in one of its `modes`, the first is best: `make(tick, place)` is its message."""
 
     modes: tuple[str, ...]
     make: Callable[[int, dict[str, int]], Any]
@@ -116,7 +116,7 @@ def _length(name: str, value: float, most: float, unit: str) -> float:
 
 def _number(name: str, value: float) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
-        raise ParameterError(f"{name} = {shown(value)} is no finite number", "set-point", "nothing was sent")
+        raise ParameterError(f"{name} = {shown(value)} is not a finite number", "set-point", "nothing was sent")
     return float(value)
 
 

@@ -92,8 +92,8 @@ class DroneClock:
     ) -> None:
         """Let the drone's time pass up to `tick` (not run yet), or until `done()`, asked each 20 ms of its time.
 
-        Raises LinkLost, Rejected if it is not ours to grant; Timeout if it stands still, for `patience` [s] of ours at
-        most where that is at least SOONEST_S, or at the deadline of the call that lets it pass (`within`).
+        Raises LinkLost, and Rejected if it is not ours to grant. Raises Timeout if it stands still, after `patience`
+        [s] of ours but not before SOONEST_S, or at the deadline of the call that lets it pass (`within`).
         """
         most = inf if patience is None else max(SOONEST_S, patience)
         if not self.granting:
@@ -138,7 +138,7 @@ class DroneClock:
                     raise Timeout(
                         f"the drone's time does not pass as ours does: it is at tick {self.tick}",
                         f"drone {session.system}",
-                        "nothing that carries its time comes: subscribe to ATTITUDE, or look at the link",
+                        "no message with its time comes: subscribe to ATTITUDE, or look at the link",
                     )
                 if within is not None:
                     within.check()

@@ -1,4 +1,4 @@
-"""By when a call ends, and how it says that it has not succeeded."""
+"""When a call ends, and how it says that it did not succeed."""
 
 import asyncio
 

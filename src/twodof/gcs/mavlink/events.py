@@ -39,7 +39,7 @@ class EventBus:
 
     @contextmanager
     def handling(self, kind: type[Event], handler: Callable[[Event], None]) -> Iterator[None]:
-        """As `on`, meanwhile."""
+        """As `on`, until the end of the block."""
         self.on(kind, handler)
         try:
             yield

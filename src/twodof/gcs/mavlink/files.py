@@ -28,7 +28,7 @@ class FileEntry(NamedTuple):
 
 
 class AsyncFiles:
-    """Files of one drone; one call at a time. `words` of a refusal are what the drone says besides.
+    """Files of one drone; one call at a time. The reason of a refusal is in the words that the drone says with it.
 
     Every call raises Rejected with the drone's reason, LinkLost and Timeout.
     """

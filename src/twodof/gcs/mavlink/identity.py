@@ -22,7 +22,7 @@ _MOST_TRIES = 8
 
 
 def drawn(besides: Collection[int] = ()) -> int:
-    """A system id of one's own, none of `besides`."""
+    """A system id that is drawn, none of `besides`."""
     found: int = secrets.choice([system for system in OWN_SYSTEMS if system not in besides])
     return found
 

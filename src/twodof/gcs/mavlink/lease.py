@@ -1,6 +1,6 @@
 """The lease: who may command. Asked for once, renewed while the session lives, given up at its end.
 
-Its holder says with each renewal whether others may change parameters meanwhile.
+With each renewal its holder says whether others may change parameters.
 """
 
 import asyncio

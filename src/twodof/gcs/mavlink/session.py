@@ -1,8 +1,8 @@
 """A session: the conversation with one vehicle. One task receives and hands on; silence ends every call that waits.
 
-The vehicle is lost when nothing of it was heard for SILENT_S; it stays lost until a new session is begun, since what
-was agreed (lease, subscriptions, set-points) is gone with it. Where simulated time stands still nothing need be heard
-between calls, so there silence counts from the question on.
+The vehicle is lost when nothing of it was heard for SILENT_S. It stays lost until a new session begins, since lease,
+subscriptions and set-points are gone with it. Where simulated time stands still nothing need be heard between calls, so
+there silence counts from the question on.
 """
 
 import asyncio
@@ -165,7 +165,7 @@ class DroneSession:
 
     @contextmanager
     def handling(self, handler: Handler, name: str) -> Iterator[None]:
-        """As `on`, meanwhile."""
+        """As `on`, until the end of the block."""
         self.on(handler, name)
         try:
             yield
@@ -222,7 +222,7 @@ class DroneSession:
         self._loop.call_soon(callback, value)
 
     def check(self, since: float) -> None:
-        """Raise LinkLost if the vehicle is lost; `since` is when whoever asks began to wait."""
+        """Raise LinkLost if the vehicle is lost; `since` is when the caller began to wait."""
         self._woke()
         if self._lost is None and self.system:
             heard = max(self._last_heard, since) if self.lockstep else self._last_heard
@@ -320,7 +320,7 @@ class DroneSession:
         return flies and self._sought in (None, beat.get_srcSystem())
 
     def end(self, reason: LinkLost) -> None:
-        """The vehicle is lost: whoever waits and every call from now on says `reason`; the first one stays."""
+        """The vehicle is lost: every call that waits or comes later raises `reason`; the first one stays."""
         if self._lost is None:
             self._lost = reason
         for heard in self._listeners:

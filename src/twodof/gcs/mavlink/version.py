@@ -12,8 +12,8 @@ _OURS = b"twodof"
 class DroneVersion(NamedTuple):
     """The program of a drone, as AUTOPILOT_VERSION tells it.
 
-    `firmware` is the PX4 whose protocol it speaks ("1.16.1 rc 2"), `build` what names its sources (hexadecimal, or
-    "twodof"), `twodof` its own version where it is one of ours, else ""; `uid` tells the machines apart, 0: unknown.
+    `firmware` is the PX4 whose protocol it speaks ("1.16.1 rc 2"). `build` names its sources (hexadecimal, or
+    "twodof"). `twodof` is its own version if it is one of ours, else "". `uid` tells machines apart; 0 is unknown.
     """
 
     autopilot: str

@@ -58,7 +58,7 @@ class DroneState:
 
     Its parts come in messages of their own: `mode`, `armed`, `status` (and `killed`) in HEARTBEAT, `safety` in
     TWODOF_SAFETY, `rig` in TWODOF_RIG. For a moment one may tell of what another does not yet: who waits for
-    `safety.action` to be "off" may still find `armed`. Wait for each that is to be looked at.
+    `safety.action` to be "off" may still find `armed`. Wait for each part that you want to look at.
     """
 
     mode: str = "unknown"
@@ -144,13 +144,13 @@ class StateTracker:
 
 
 def names_of(enum: str, mask: int) -> tuple[str, ...]:
-    """The bits of a mask in the words of the dialect's enumeration; "bit 7" for one it has not."""
+    """The bits of a mask in the words of the dialect's enumeration; "bit 7" for one that it lacks."""
     rows = dialect.load().enums.get(enum, {})
     return tuple(_word(enum, rows, bit) for k in range(32) if mask & (bit := 1 << k))
 
 
 def word_of(enum: str, value: int) -> str:
-    """A value in the words of the dialect's enumeration, its number where it has none."""
+    """A value in the words of the dialect's enumeration, its number where it lacks one."""
     return _word(enum, dialect.load().enums.get(enum, {}), value)
 
 

@@ -1,4 +1,4 @@
-"""Samples at the full rate of control: one subscription of the drone for all that want some of them."""
+"""Samples at the full rate of control: one subscription of the drone serves all who want some of them."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class FullRateSubscription:
 
     @asynccontextmanager
     async def to(self, columns: Iterable[str], taker: Callable[[Any], None]) -> AsyncIterator[None]:
-        """Hands every TWODOF_BATCH with these columns (`imu.gyro_y`) to `taker` meanwhile.
+        """Hands every TWODOF_BATCH with these columns (`imu.gyro_y`) to `taker` until the end of the block.
 
         Raises LinkError for a column that is none, Rejected, LinkLost, Timeout.
         """
@@ -70,7 +70,7 @@ class FullRateSubscription:
 
     @asynccontextmanager
     async def rows(self, columns: Iterable[str]) -> AsyncIterator[BatchRows]:
-        """Every row of these columns that comes meanwhile."""
+        """Every row of these columns that comes during the block."""
         rows = BatchRows(tuple(columns))
         async with self.to(rows.columns, rows.take):
             yield rows

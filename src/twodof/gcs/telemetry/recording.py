@@ -93,7 +93,7 @@ class Recording:
 
     @property
     def acknowledged(self) -> Acknowledged:
-        """What is on the disk, and stays readable whatever happens."""
+        """What is on the disk, and stays readable after a crash."""
         return self.recorder.acknowledged
 
     @property
@@ -266,7 +266,7 @@ def stamps(mat: str, ticks: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def chosen(topics: Iterable[str] | None, truth: bool, ours: bool = True) -> list[Topic]:
-    """The rows to record; None: all that there are, with the `truth` if so. Raises LogError for one there is not.
+    """The rows to record; None: all, with the `truth` if so. Raises LogError for one there is not.
 
     Of a drone that is not `ours` there is what messages of `common` carry.
     """
@@ -303,11 +303,11 @@ class Recordings:
         provenance: Mapping[str, object],
         flying: Callable[[], Awaitable[ActiveController]] | None,
     ) -> AsyncIterator[Recording]:
-        """Records meanwhile into a new file: every sample of a drone of ours, what another's sends as it comes.
+        """Records into a new file until the end of the block: all samples of a drone of ours, what another's sends.
 
         `flying` asks a drone of ours what flies on it; None for another's.
 
-        Raises LogError for a file that exists or a topic that is none, RecordingError when the disk refuses, Rejected,
+        Raises LogError for a file that exists or an unknown topic; RecordingError when the disk refuses; Rejected,
         LinkLost, Timeout.
         """
         ours, session = flying is not None, self._session

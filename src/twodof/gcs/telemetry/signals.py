@@ -40,7 +40,7 @@ class SampleStream:
         self.lost = 0
 
     def put(self, sample: TelemetrySample) -> None:
-        """One more; the oldest goes where there is no room."""
+        """One more; the oldest goes if the stream is full."""
         self.lost += len(self._samples) == self._samples.maxlen
         self._samples.append(sample)
         if self._waiter is not None and not self._waiter.done():

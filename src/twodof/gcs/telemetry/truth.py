@@ -1,4 +1,4 @@
-"""The true state of a virtual rig, for the ground alone: one subscription of the drone for all that want it."""
+"""The true state of a virtual rig, for the ground alone: one subscription serves all who want it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _PIECE = 1024
 
 
 class TruthRows(SampleRows[np.float64]):
-    """True states, of theta, q, x, v: that which the sensors measure in a tick, before its command acts."""
+    """The true state of each tick, as the sensors measure it before the command acts."""
 
     def __init__(self) -> None:
         super().__init__(("truth.theta", "truth.q", "truth.x", "truth.v"), np.float64)
@@ -56,7 +56,7 @@ class TruthSubscription:
 
     @asynccontextmanager
     async def to(self, taker: Callable[[Any], None]) -> AsyncIterator[None]:
-        """Hands every TWODOF_TRUTH to `taker` meanwhile; where time is granted, that of the present tick first.
+        """Hands every TWODOF_TRUTH to `taker` until the end of the block; where time is granted, the present one first.
 
         Raises Rejected by a real drone, whose truth nobody knows, LinkLost, Timeout.
         """
@@ -76,7 +76,7 @@ class TruthSubscription:
 
     @asynccontextmanager
     async def rows(self) -> AsyncIterator[TruthRows]:
-        """Every state that comes meanwhile."""
+        """Every state that comes during the block."""
         rows = TruthRows()
         async with self.to(rows.take):
             yield rows

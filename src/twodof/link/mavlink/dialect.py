@@ -37,7 +37,7 @@ _lock = Lock()
 
 
 def load() -> ModuleType:
-    """The dialect's module, the same one for the whole process, whichever thread asks.
+    """The dialect's module, the same one for all threads of the process.
 
     Raises LinkError where it cannot be generated.
     """

@@ -82,14 +82,14 @@ class Parser:
 
     @property
     def waiting(self) -> int:
-        """Bytes kept of a frame that has not arrived whole, less than LONGEST_FRAME."""
+        """Bytes kept of a frame that is still incomplete, less than LONGEST_FRAME."""
         return len(self._pending)
 
     def feed(self, data: bytes, whole: bool = False) -> list[Frame]:
         """The frames that end in `data`, which continues what was fed before.
 
-        `whole`: nothing follows (a datagram; a stream that has been silent for as long as a frame takes), so that what
-        looks like the beginning of a frame is searched for frames too, up to MOST_FALSE of them.
+        `whole`: nothing follows, as after a datagram or a long silence. Then what looks like the beginning of a frame
+        is searched for frames too, up to MOST_FALSE of them.
         """
         data = self._pending + data
         counts, frames, at, end = self.counts, [], 0, len(data)

@@ -37,7 +37,7 @@ def message(name: str, /, **fields: Any) -> Any:
     """The message called `name` ("COMMAND_LONG") with these fields, the others 0.
 
     Text may be str (UTF-8) or bytes; an array may be shorter than its field and is filled with zeros. Raises LinkError
-    for a name that is none and for text or an array that is too long; a number that does not fit its type is found when
+    for an unknown name, and for text or an array that is too long. A number that does not fit its type is found when
     the message is sent.
     """
     kind, layout = _layout(name)
@@ -60,7 +60,7 @@ def message(name: str, /, **fields: Any) -> Any:
 def _text(name: str, field: str, value: Any, length: int) -> bytes:
     text = b"" if value is None else value.encode() if isinstance(value, str) else value
     if not isinstance(text, bytes | bytearray) or len(text) > length:
-        raise LinkError(f"{field} = {shown(value)} is no text of at most {length} bytes", name, "shorten it")
+        raise LinkError(f"{field} = {shown(value)} is not text of at most {length} bytes", name, "shorten it")
     return bytes(text)
 
 
@@ -74,13 +74,13 @@ def _array(name: str, field: str, value: Any, length: int) -> list[Any]:
 def float_of_int(value: int) -> float:
     """The float32 with the bits of an int32: how PX4 carries int32 parameters in PARAM_VALUE and PARAM_SET.
 
-    Raises LinkError for a value that is no int32, and for the few (7f800001 to 7fbfffff, ff800001 to ffbfffff) that
-    are signalling NaNs, which a float of Python does not keep.
+    Raises LinkError for a value outside of int32, and for the bits of signalling NaNs, which Python's float does not
+    keep (7f800001 to 7fbfffff, ff800001 to ffbfffff).
     """
     try:
         carried = float(struct.unpack("<f", struct.pack("<i", value))[0])
     except (struct.error, TypeError) as error:
-        raise LinkError(f"{shown(value)} is no int32", "PARAM_VALUE", "give -2^31 to 2^31 - 1") from error
+        raise LinkError(f"{shown(value)} is not an int32", "PARAM_VALUE", "give -2^31 to 2^31 - 1") from error
     if int_of_float(carried) != value:
         raise LinkError(f"{value} is not kept as a float", "PARAM_VALUE", "choose a smaller whole number")
     return carried
@@ -127,7 +127,9 @@ def channel_mask(columns: Sequence[str]) -> int:
 
 
 def batch(tick: int, mask: int, rows: NDArray[np.float32], every: int = 1) -> list[Any]:
-    """Samples (n, channels of `mask` by rising bit), the first at `tick`, `every` ticks apart, in as few TWODOF_BATCH.
+    """Samples (n, channels of `mask` by rising bit) in as few TWODOF_BATCH as hold them.
+
+    The first is at `tick`, the others are `every` ticks apart.
 
     Raises LinkError if the width of `rows` is not the number of channels.
     """

@@ -1,4 +1,4 @@
-"""Rates at which a client that has not said otherwise is sent messages: PX4's, and those of our own messages.
+"""Rates at which a client is sent messages unless it asks for others: PX4's, and those of our own messages.
 
 The flight controller streams at them, and the companion thins out to them for each client. Source of PX4's: v1.16,
 src/modules/mavlink/mavlink_main.cpp, MAVLINK_MODE_ONBOARD and MAVLINK_MODE_NORMAL, where it has one.
@@ -14,7 +14,7 @@ from typing import NamedTuple
 class Rates(NamedTuple):
     """Of one message, [1/s]: on a fast link and on a slow one, such as a telemetry radio.
 
-    0: with each news; None: on request only. `on_change`: whatever the rate, it comes at each change too.
+    0: with each news; None: on request only. `on_change`: beside the rate it comes at each change.
     """
 
     number: int

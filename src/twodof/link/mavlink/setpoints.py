@@ -95,7 +95,7 @@ def _along_rail(ignored: int, acceleration: float, **fields: Any) -> Any:
 
 
 def read_attitude(received: Any) -> SetpointTarget | None:
-    """What a SET_ATTITUDE_TARGET asks for; None if nothing that is flown here (rates of which the pitch's is ignored).
+    """What a SET_ATTITUDE_TARGET asks for; None if it is not flown here: rates without the pitch's.
 
     As PX4: an attitude goes before rates; `thrust_body` before `thrust`, of which its z counts.
     """
@@ -115,10 +115,10 @@ def read_attitude(received: Any) -> SetpointTarget | None:
 
 
 def read_position(received: Any) -> SetpointTarget | None:
-    """What a SET_POSITION_TARGET_LOCAL_NED asks for; None if nothing that is flown here.
+    """What a SET_POSITION_TARGET_LOCAL_NED asks for; None if it is not flown here.
 
-    As PX4: a position goes before a velocity, a NaN is as good as ignored, the frame is LOCAL_NED or, for a velocity,
-    BODY_NED, forces are refused. An acceleration alone is not flown here; with the others it is a feed-forward.
+    As PX4: a position goes before a velocity, and a NaN counts as ignored. The frame is LOCAL_NED, or BODY_NED for a
+    velocity. Forces are refused. An acceleration alone is not flown here; with the others it is a feed-forward.
     """
     mask, frame = received.type_mask, received.coordinate_frame
     acceleration = None if mask & NO_AX or math.isnan(received.afx) else received.afx

@@ -72,7 +72,7 @@ def read_key(path: str | Path) -> Key:
     with os.fdopen(descriptor, "rb") as file:
         found = os.fstat(descriptor)
         if not stat.S_ISREG(found.st_mode):
-            raise LinkError("the key is no file", str(path), "name a file")
+            raise LinkError("the key is not a file", str(path), "name a file")
         if found.st_uid != os.geteuid():
             raise LinkError("the key's file belongs to another user", str(path), "copy it to a file of your own")
         if found.st_mode & 0o077:

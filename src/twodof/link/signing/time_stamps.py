@@ -1,8 +1,8 @@
 """Time stamps of signed packets, kept across restarts: none of ours is used twice, none of theirs is taken twice.
 
-What is on the disk runs ahead of what was used by a margin, so that it is written once in seconds, not once a packet,
-and in the background; after a crash everything up to what is on the disk counts as used. A stamp is in units of 10 us
-since 2015-01-01 (https://mavlink.io/en/guide/message_signing.html).
+The stamps on the disk run ahead of the stamps that were used, by a margin. So they are written in the background every
+few seconds, not with each packet. After a crash everything up to the stamps on the disk counts as used. A stamp is in
+units of 10 us since 2015-01-01 (https://mavlink.io/en/guide/message_signing.html).
 """
 
 import fcntl
@@ -172,7 +172,7 @@ def _read(path: Path) -> dict[str, int]:
     with os.fdopen(descriptor, "rb") as file:
         found_at = os.fstat(descriptor)
         if not stat.S_ISREG(found_at.st_mode):
-            raise LinkError("the time stamps are no file", str(path), "name a file")
+            raise LinkError("the time stamps are not a file", str(path), "name a file")
         if found_at.st_uid != os.geteuid() or found_at.st_mode & 0o022:
             what = f"others may write the time stamps (mode {stat.S_IMODE(found_at.st_mode):04o})"
             raise LinkError(what, str(path), f"chmod 600 {path}, and change the key: old packets could come back")

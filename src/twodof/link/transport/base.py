@@ -1,9 +1,9 @@
 """What every transport is: packets of bytes out and in, bounded queues whose drops are counted, a clear end.
 
 Sending never waits: what the system does not take now is queued up to a bound and then dropped and counted. Receiving
-waits up to a deadline. A transport that is lost or closed gives what has arrived and then raises LinkLost; none
-reconnects by itself, as only its user knows what must be said again: open it anew (`open_transport` tries until its
-deadline). UDP is never lost: who is silent may come back, and silence is for the layer above to judge.
+waits up to a deadline. A transport that is lost or closed gives what has arrived and then raises LinkLost. It does not
+reconnect by itself, as only its user knows what must be said again; `open_transport` opens a new one. UDP is never
+lost: a silent peer may come back, and the layer above judges silence.
 """
 
 import asyncio
@@ -81,7 +81,7 @@ class Inbox:
         return self._bytes > MOST_BYTES // 2 or self._packets > MOST_PACKETS // 2
 
     def put(self, packet: Packet) -> None:
-        """Add a packet; where there is no room the oldest is dropped, of the peer of which most packets wait."""
+        """Add a packet. If the box is full, the peer with most packets loses its oldest."""
         data, peer, _ = packet
         self._counts.packets_in += 1
         self._counts.bytes_in += len(data)
@@ -152,7 +152,7 @@ class Inbox:
         return packet
 
     def put_from_anywhere(self, packet: Packet) -> None:
-        """Add a packet from whatever thread or loop; silently nothing once the loop is gone."""
+        """Add a packet from any thread or loop; nothing happens once the loop is gone."""
         if _running_loop() is self._loop:
             self.put(packet)
         elif not self._loop.is_closed():
@@ -167,7 +167,7 @@ class Inbox:
         self._wake()
 
     def end_from_anywhere(self, reason: LinkLost) -> None:
-        """`end` from whatever thread or loop."""
+        """`end` from any thread or loop."""
         if _running_loop() is self._loop:
             self.end(reason)
         elif not self._loop.is_closed():
@@ -264,7 +264,7 @@ class Transport(ABC):
 
     @property
     def backlog(self) -> int:
-        """Bytes that were sent and that the system has not taken yet; 0 where there is no queue of our own."""
+        """Bytes that were sent and still wait for the system; 0 where we keep no queue."""
         return 0
 
     def confirm(self, peer: Hashable) -> None:
@@ -280,7 +280,7 @@ class Transport(ABC):
         return False
 
     def send(self, data: bytes, to: Hashable | None = None) -> None:
-        """Send a packet to one peer, or to all of `peers`; a peer that is gone is no error, it gets nothing.
+        """Send a packet to one peer, or to all of `peers`; a peer that is gone gets nothing, without an error.
 
         Raises LinkLost once the transport is closed or lost.
         """
@@ -331,7 +331,7 @@ class Transport(ABC):
         await asyncio.sleep(0)
 
     def _lose(self, what: str, remedy: str = "open it again") -> None:
-        """The end, whoever brought it about."""
+        """The link has ended, by us or by the other side."""
         if not self._closed:
             self._closed = True
             self._release()

@@ -1,8 +1,9 @@
 """UDP sockets that somebody floods: noticed by never being read empty, ended in the kernel where it can be.
 
-What a flood leaves of a socket's buffer is a matter of luck, for a kill too. So whoever fills it is refused for a
-while: by a socket filter of Linux, which costs the sender and not us (classic BPF, SO_ATTACH_FILTER in socket(7); it
-needs no privilege), elsewhere as soon as a packet is read. What looks like a kill or a disarming passes, whoever sends.
+During a flood it is a matter of luck which packets find room in the socket's buffer, for a kill too. So a sender that
+floods is refused for a while. On Linux a socket filter drops its packets, at the sender's cost and not at ours (classic
+BPF, SO_ATTACH_FILTER in socket(7); it needs no privilege). Elsewhere they are dropped once they are read. What looks
+like a kill or a disarming passes from any sender. No library does this: those for BPF need privileges.
 """
 
 import asyncio
@@ -119,7 +120,7 @@ class FloodFilter:
 
 
 def looks_like_a_stop(data: bytes) -> bool:
-    """Whether a packet begins as a kill or a disarming does, in either MAVLink, whatever its checksum says."""
+    """Whether a packet begins as a kill or a disarming does, in either MAVLink, be its checksum right or wrong."""
     form = _FORMS.get(data[0]) if data else None
     if form is None or len(data) <= form.params + _COMMAND or data[form.number] not in _COMMANDS:
         return False
@@ -207,7 +208,7 @@ def _one(address: IPv4Address | IPv6Address, port: int, verdict: int) -> list[In
 
 
 def attach(opened: socket.socket, rules: list[Instruction]) -> None:
-    """Have the kernel ask these `rules` about each packet; none: take them off. Raises OSError where it has no such."""
+    """Have the kernel ask these `rules` about each packet; none: take them off. Raises OSError where it cannot."""
     if sys.platform != "linux":
         raise OSError("no socket filters on this system")
     if not rules:

@@ -44,4 +44,4 @@ async def _open(address: Address) -> Transport:
             return open_serial(address)
         case "mem" | "memin":
             return open_memory(address)
-    raise LinkError("is no kind of link", str(address), "use another")
+    raise LinkError("is not a kind of link", str(address), "use another")

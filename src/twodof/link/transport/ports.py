@@ -1,7 +1,7 @@
-"""The ports of drone 0, as PX4 in simulation has them; drone i has the i-th after each, but for GROUND_STATION.
+"""The ports of drone 0, as PX4 in simulation has them; drone i has the i-th after each, except GROUND_STATION.
 
-Source: the UDP ports are those of PX4 v1.16 (ROMFS/px4fmu_common/init.d-posix/px4-rc.mavlink); 5760 is where ground
-programs look for a simulated drone by TCP, as ArduPilot's listens there; the flight controller's is our own.
+The UDP ports are those of PX4 v1.16 (ROMFS/px4fmu_common/init.d-posix/px4-rc.mavlink). Ground programs look for a
+simulated drone at TCP 5760, where ArduPilot's listens. The flight controller's port is our own.
 """
 
 ONBOARD = 14540

@@ -34,7 +34,7 @@ class SerialTransport(Transport):
 
     @property
     def backlog(self) -> int:
-        """Bytes that the line's driver has not taken yet."""
+        """Bytes that still wait for the line's driver."""
         return len(self._out)
 
     def _resume(self) -> None:
@@ -110,5 +110,5 @@ def open_serial(address: Address) -> SerialTransport:
         fcntl.ioctl(descriptor, termios.TIOCEXCL)
     except (termios.error, OSError) as error:
         os.close(descriptor)
-        raise LinkError(f"is no serial line: {error}", str(address), "name a serial device") from error
+        raise LinkError(f"is not a serial line: {error}", str(address), "name a serial device") from error
     return SerialTransport(address, descriptor)

@@ -152,9 +152,9 @@ class TcpTransport(Transport):
     def _makes_room(self, address: str) -> bool:
         """Whether there is a place for one more from `address`, if need be that of another.
 
-        Who never said anything sound loses its place first, the one that came first before; then who has been silent
-        for SILENT_S; then, to another address, the last that came of one that has more than half of all. Never who is
-        kept.
+        The first to lose its place is the oldest that never said anything sound. The next is one that has been silent
+        for SILENT_S. Last, an address that has more than half of all loses its newest to another address. One that is
+        kept never loses its place.
         """
         if len(self._streams) < MOST_CLIENTS:
             return True

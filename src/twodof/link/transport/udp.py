@@ -1,7 +1,7 @@
 """UDP: to one address, or listening, where who sends sound packets is a peer until it has long been silent, or both.
 
-Bound to a port of its own it sends to its address always, and to whoever writes to that port, as PX4's links do. A
-broadcast is for those who have not answered yet: it ends while somebody is heard.
+Bound to a port of its own it always sends to its address, and also to each peer that writes to that port, as PX4's
+links do. It broadcasts only while no peer is heard.
 """
 
 import asyncio
@@ -73,7 +73,7 @@ class UdpTransport(Transport):
         self._heard[peer] = now
 
     def stranger(self, peer: Hashable) -> bool:
-        """Whether there was no room for a peer."""
+        """Whether a peer did not get a place."""
         return self._learns and peer not in self._heard and peer != self._server
 
     @property

@@ -63,7 +63,7 @@ def parse(url: str) -> Address:
     the second. Raises LinkError for anything else.
     """
     if not isinstance(url, str) or len(url) > LONGEST_URL or not url.isprintable():
-        raise LinkError(f"{shown(url)} is no URL", "", f"use {FORMS}")
+        raise LinkError(f"{shown(url)} is not a URL", "", f"use {FORMS}")
     if bare := _BARE.fullmatch(url):
         udp, tcp = (url if bare[2] else f"{url}:{port}" for port in (ports.COMPANION_ONBOARD, ports.COMPANION_TCP))
         raise LinkError("has no kind of link before its host", url, f"did you mean udp://{udp}, or tcp://{tcp}?")
@@ -93,7 +93,7 @@ def parse(url: str) -> Address:
             raise LinkError("has no name of letters, digits, '_', '.', '-'", url, "such as mem://drone-1")
         return Address(kind, parts.netloc)
     if kind not in _NETWORK:
-        raise LinkError(f"{shown(parts.scheme)} is no kind of link", url, f"use {FORMS}")
+        raise LinkError(f"{shown(parts.scheme)} is not a kind of link", url, f"use {FORMS}")
     host = parts.hostname or ""
     if kind in ("udp", "tcp") and not host:
         kind += "in"
@@ -104,7 +104,7 @@ def parse(url: str) -> Address:
         raise LinkError("has no port", url, f"write {kind}://{host or LOOPBACK}:{usual}")
     if kind in ("udp", "udpbcast", "tcp") and host in ANY:
         raise LinkError(
-            f"{host} is no host to send to", url, f"to listen on every interface write {kind}in://{host}:{port}"
+            f"{host} is not a host to send to", url, f"to listen on every interface write {kind}in://{host}:{port}"
         )
     return Address(kind, host or LOOPBACK, port, bind_name=bind_name, bind_port=bind_port)
 
@@ -132,7 +132,7 @@ def _bound(url: str, query: str, host: str) -> tuple[str, int]:
     except ValueError as error:
         raise LinkError(str(error), url, "write ?bind=PORT or ?bind=HOST:PORT") from error
     if port is None or parts.path or parts.query or parts.fragment or parts.username is not None:
-        raise LinkError(f"{shown(text)} is no place to listen at", url, "write ?bind=PORT or ?bind=HOST:PORT")
+        raise LinkError(f"{shown(text)} is not a place to listen at", url, "write ?bind=PORT or ?bind=HOST:PORT")
     if not parts.hostname and host not in HERE:
         raise LinkError(
             f"listens on this machine only and cannot send to {host}", url, f"write ?bind=0.0.0.0:{port} to be open"
@@ -148,8 +148,8 @@ def _serial(url: str, parts: SplitResult) -> Address:
         device, options["baud"] = path, tail
     text = options.pop("baud", str(DEFAULT_BAUD))
     if parts.netloc or parts.fragment or not device.startswith("/") or len(device) < 2 or options:
-        raise LinkError("is no serial line", url, "write serial:///dev/ttyACM0?baud=921600")
+        raise LinkError("is not a serial line", url, "write serial:///dev/ttyACM0?baud=921600")
     if not (text.isascii() and text.isdecimal() and len(text) <= 9 and int(text) in BAUDS):
         some = ", ".join(str(baud) for baud in sorted(BAUDS) if baud >= 9600)
-        raise LinkError(f"baud {shown(text)} is none that this machine sets", url, f"use one of {some}")
+        raise LinkError(f"baud {shown(text)} is not one that this machine sets", url, f"use one of {some}")
     return Address("serial", device, baud=int(text))
