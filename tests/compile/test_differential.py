@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -63,8 +64,15 @@ def pairs() -> Case:
 @pytest.fixture(scope="module")
 def judged() -> tuple[list[Case], list[Judgement]]:
     """A few large diagrams, and pairs of special values, with what the reference says of them."""
-    cases = [*random_cases(range(230, 242), 120), pairs()]
+    cases = [*random_cases(range(230, 234), 120), pairs()]
     return cases, [reference_run(c, "float64", "rk4") for c in cases]
+
+
+@pytest.fixture(scope="module")
+def sound(judged: tuple[list[Case], list[Judgement]]) -> Callable[[Target], bool]:
+    """Whether a target runs them as the reference, asked of each once."""
+    cases, expected = judged
+    return cache(lambda target: not differences(cases, expected, emitted(cases, "float64", "rk4"), target))
 
 
 def needs(target: Target) -> None:
@@ -127,12 +135,13 @@ def test_a_fault_in_the_emitter_is_caught(
     fault: Any,
     target: Target,
     judged: tuple[list[Case], list[Judgement]],
+    sound: Callable[[Target], bool],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     needs(target)
     cases, expected = judged
     right = emitted(cases, "float64", "rk4")
-    assert not differences(cases, expected, right, target)
+    assert sound(target)
     monkeypatch.setattr(where, name, fault)
     wrong = emitted(cases, "float64", "rk4")
     assert wrong[0].source != right[0].source
@@ -153,7 +162,9 @@ CONTRACTED = {
 
 
 @pytest.mark.parametrize("name", CONTRACTED)
-def test_contraction_is_caught(name: str, judged: tuple[list[Case], list[Judgement]]) -> None:
+def test_contraction_is_caught(
+    name: str, judged: tuple[list[Case], list[Judgement]], sound: Callable[[Target], bool]
+) -> None:
     """a * b + c in one rounding: what compilers do for processors with FMA unless they are told not to."""
     target, programs = CONTRACTED[name]
     need(*programs)
@@ -162,7 +173,7 @@ def test_contraction_is_caught(name: str, judged: tuple[list[Case], list[Judgeme
     cases, expected = judged
     program = emitted(cases, "float64", "rk4")
     assert differences(cases, expected, changed(program, _loose), target)
-    assert not differences(cases, expected, program, replace(target, flags=()))
+    assert sound(replace(target, flags=()))
 
 
 @pytest.fixture(scope="module")

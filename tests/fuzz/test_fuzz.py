@@ -11,8 +11,8 @@ import pytest
 from tests.fuzz.runner import NAMES, fuzz, is_guided, kept, load
 
 SOAK_S = float(os.environ.get("TWODOF_FUZZ_SECONDS", "1200"))
-# Of a second or two each.
-RUNS = {"framing": 1000, "mcap": 100, "mat": 300, "ulog": 60, "diagram": 200, "ftp": 50}
+# Of a second each at most.
+RUNS = {"framing": 400, "mcap": 50, "mat": 200, "ulog": 30, "diagram": 100, "ftp": 12}
 
 
 @pytest.mark.parametrize("name", NAMES)

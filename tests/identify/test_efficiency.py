@@ -14,7 +14,7 @@ from twodof.models import Structure, longitudinal, pitch_and_velocity, pitch_rat
 
 Array = NDArray[np.float64]
 
-REPETITIONS = 200
+EACH_DAY, LONG = 50, 200  # repetitions
 
 CASES: dict[str, tuple[Structure, Array, Mapping[str, float], Mapping[str, float]]] = {
     # structure, input, true values, noise of the outputs that are measured
@@ -56,16 +56,17 @@ CASES: dict[str, tuple[Structure, Array, Mapping[str, float], Mapping[str, float
 }
 
 
+@pytest.mark.parametrize("repetitions", [EACH_DAY, pytest.param(LONG, marks=pytest.mark.soak)])
 @pytest.mark.parametrize("case", CASES)
-def test_the_bound_is_attained_and_the_intervals_cover(case: str) -> None:
+def test_the_bound_is_attained_and_the_intervals_cover(case: str, repetitions: int) -> None:
     structure, u, truth, noise = CASES[case]
     inputs = {structure.inputs[0]: u}
     bound = predict(structure, inputs, DT, noise, values=truth, estimate=tuple(truth))
     clean = simulate_planned(structure, inputs, DT, truth)
     rng = np.random.default_rng(7)
     true = np.array([truth[label] for label in bound.labels])
-    found, covered = np.empty((REPETITIONS, true.size)), np.empty((REPETITIONS, true.size), dtype=bool)
-    for k in range(REPETITIONS):
+    found, covered = np.empty((repetitions, true.size)), np.empty((repetitions, true.size), dtype=bool)
+    for k in range(repetitions):
         measured = {name: clean[name] + sigma * rng.standard_normal(u.size) for name, sigma in noise.items()}
         record = Record.from_columns(DT * np.arange(u.size), inputs | measured, list(inputs), list(noise))
         one = fit(structure, record, estimate=tuple(truth))
@@ -74,10 +75,14 @@ def test_the_bound_is_attained_and_the_intervals_cover(case: str) -> None:
         covered[k] = [low <= t <= high for t, (low, high) in zip(true, map(one.interval, one.labels), strict=True)]
     ratio = found.std(axis=0, ddof=1) / bound.sigma
     share = covered.mean(axis=0)
-    bias = np.abs(found.mean(axis=0) - true) / (bound.sigma / np.sqrt(REPETITIONS))
-    # The promise: within 1.15 of the bound. Of 200 samples the ratio scatters by 5 %, so below 0.85 something is wrong.
-    assert (ratio <= 1.15).all(), dict(zip(bound.labels, ratio, strict=True))
-    assert (ratio >= 0.85).all(), dict(zip(bound.labels, ratio, strict=True))
-    assert ((share >= 0.90) & (share <= 0.99)).all(), dict(zip(bound.labels, share, strict=True))
-    # The mean of 200 is known to 1/14 of one estimate's deviation; 4 of its own is chance's limit.
+    bias = np.abs(found.mean(axis=0) - true) / (bound.sigma / np.sqrt(repetitions))
+    # The promise: within 1.15 of the bound, and 95 % are covered. Of 200 samples the ratio scatters by 5 %, so below
+    # 0.85 something is wrong; of fewer it scatters more.
+    more = np.sqrt(LONG / repetitions) - 1.0
+    assert (ratio <= 1.15 + 0.15 * more).all(), dict(zip(bound.labels, ratio, strict=True))
+    assert (ratio >= 0.85 - 0.15 * more).all(), dict(zip(bound.labels, ratio, strict=True))
+    assert ((share >= 0.90 - 0.05 * more) & (share <= 0.99 + 0.05 * more)).all(), dict(
+        zip(bound.labels, share, strict=True)
+    )
+    # The mean is known to so much of one estimate's deviation; 4 of its own is chance's limit.
     assert (bias < 4.0).all(), dict(zip(bound.labels, bias, strict=True))

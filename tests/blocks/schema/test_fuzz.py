@@ -27,8 +27,10 @@ def check(rows: list[dict[str, object]], names: list[str]) -> int:
     return sum(row["stage"] != "refused" for row in rows)
 
 
-def test_every_argument_of_every_block_is_bounded(tmp_path: Path) -> None:
-    names, texts = map(list, zip(*constructions(), strict=True))
+@pytest.mark.parametrize("every", [4, pytest.param(1, marks=pytest.mark.soak)])
+def test_every_argument_of_every_block_is_bounded(every: int, tmp_path: Path) -> None:
+    """Each day with every fourth value of each argument."""
+    names, texts = map(list, zip(*[*constructions()][::every], strict=True))
     loaded = check(judge_many(texts, tmp_path / "files", 300), names)
     assert len(texts) / 10 < loaded < len(texts)
 
@@ -40,9 +42,8 @@ def fuzz(count: int, seed: int, file: Path, seconds: float) -> None:
     assert count / 100 < loaded < count / 2
 
 
-@pytest.mark.parametrize("part", range(2))
-def test_thousands_of_mutated_files_load_or_are_refused(part: int, tmp_path: Path) -> None:
-    fuzz(3000, part, tmp_path / "files", 300)
+def test_two_thousand_mutated_files_load_or_are_refused(tmp_path: Path) -> None:
+    fuzz(2000, 0, tmp_path / "files", 300)
 
 
 @pytest.mark.soak
