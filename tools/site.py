@@ -78,7 +78,7 @@ def standing_alone(text: str, address: str) -> str:
         path = posixpath.normpath(posixpath.join("docs", posixpath.dirname(address), target.partition("#")[0]))
         if ":" in target or target.startswith("#") or path.startswith("docs/"):
             return match[0]
-        return f"`{path}`" if words.strip("`") in path else f"{words} (`{path}`)"
+        return f"`{path}`" if words.strip("`/") in path else f"{words} (`{path}`)"
 
     return re.sub(r"(?<!!)\[([^\]]*)\]\(([^)\s]+)\)", named, text)
 
