@@ -14,3 +14,9 @@ def test_a_flight_parameter_is_one_file(tmp_path: Path) -> None:
     after = (root / "docs" / "reference" / "parameters.md").read_text(encoding="utf-8")
     assert "ATT_Q_MAX" not in before
     assert "ATT_Q_MAX" in after
+
+
+def test_a_telemetry_signal_is_five_files(tmp_path: Path) -> None:
+    root = copied(tmp_path)
+    assert len(carry_out("add-a-signal.md", root)) == 5
+    assert "estimate.bias" in (root / "docs" / "reference" / "topics.md").read_text(encoding="utf-8")

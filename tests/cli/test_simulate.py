@@ -113,7 +113,7 @@ def test_a_users_controller_flies_with_its_parameters_listed_and_tuned(
     [
         (["--controller", "nothing"], "lqr-attitude"),
         (["--controller", "lqr-attitude", "--controller", "pid-attitude"], "are both of the template"),
-        (["--controller", "lqr-attitude", "--tune", "attitude_control.k_q=2"], "outside [0.0, 1.0]"),
+        (["--controller", "lqr-attitude", "--tune", "attitude_control.k_q=2"], "outside 0 to 1"),
         (["--controller", "lqr-attitude", "--tune", "k_q=0.1"], "attitude_control.k_q"),
         (["--controller", "lqr-attitude", "--tune", "attitude_control.k_q"], "PATH=VALUE"),
         (["--controller", "flashed"], "twodof flash FILE --to sim"),

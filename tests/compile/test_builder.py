@@ -334,7 +334,7 @@ def test_a_bound_parameter_keeps_the_bounds_of_what_it_sets(make: Callable[..., 
     m = make(diagram(1.0), 0.01).machine()
     assert m.step({"r": 3.0})["y"] == 3.0
     for value in (-1.0, 3.0):
-        with pytest.raises(ParameterError, match=r"outside \[0\.0, 2\.0\]"):
+        with pytest.raises(ParameterError, match=r"outside 0 to 2"):
             m.set("k", value)
     with pytest.raises(
         DiagramError, match=r"root\.k: it is bound to 'k', whose default -1\.0 is outside \[0\.0, 2\.0\]"

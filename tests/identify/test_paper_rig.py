@@ -10,7 +10,8 @@ from tests.identify.signals import DT
 from twodof.identify import Estimate, Record, SimplePitch, fit, identify_pitch
 from twodof.models import pitch_rate, rail
 from twodof.models.plant import thrust_curve
-from twodof.rig.parameters import Q_AGE, paper
+from twodof.rig.parameters import paper
+from twodof.signals import Q_AGE
 from twodof.sim.closed_loop import ClosedLoop, InitialState
 
 Flown = Mapping[str, NDArray[np.float64]]

@@ -13,7 +13,6 @@ from twodof.rig.parameters import (
     CALIBRATED,
     CONDITIONS,
     LAB_FILE,
-    Q_AGE,
     TABLE,
     lab,
     load_rig,
@@ -22,6 +21,7 @@ from twodof.rig.parameters import (
     save_rig,
 )
 from twodof.rig.rig import rig, rig_params
+from twodof.signals import Q_AGE
 
 
 def test_the_paper_rig_has_the_papers_numbers() -> None:

@@ -9,35 +9,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from twodof.flight.core import OUTPUTS
 from twodof.flightlog.log import Channel, FlightLog
 from twodof.flightlog.steps import TRUTH, safety_channel, step_channels, truth_channels
-from twodof.signals import MODES
+from twodof.rig.rig import MEASUREMENTS
+from twodof.signals import MODES, TOPICS
 
-COLUMNS = (
-    "imu.acc_x",
-    "imu.acc_z",
-    "imu.gyro_y",
-    "tof.distance",
-    "estimate.theta",
-    "estimate.q",
-    "estimate.x",
-    "estimate.v",
-    "setpoint.theta",
-    "setpoint.q",
-    "setpoint.x",
-    "setpoint.v",
-    "command.M",
-    "command.T",
-    "state.mode",
-    "battery.voltage",
-    "battery.charge",
-)
+_SIMULATED = {*MEASUREMENTS, *(name for name, _, _ in OUTPUTS), "mode", "voltage", "charge"}
+_LOGGED = [
+    (column, name)
+    for row in TOPICS
+    for column, name in zip(row.columns, row.source, strict=bool(row.source))
+    if name in _SIMULATED and row.rate_hz
+]
+
+COLUMNS = tuple(column for column, _ in _LOGGED)
 """Columns of `signals.TOPICS` that a flight's log is made of."""
 
-NAMES = (
-    *("acc_x", "acc_z", "gyro_y", "dist", "theta", "q", "x", "v", "theta0", "q0", "x0", "v0", "M", "T"),
-    *("mode", "voltage", "charge"),
-)
+NAMES = tuple(name for _, name in _LOGGED)
 """What the closed loop calls them, in the same order."""
 
 

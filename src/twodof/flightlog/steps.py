@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twodof.flightlog.log import Channel
-from twodof.signals import MODES, topic
+from twodof.signals import BY_MAT, MODES, TOPICS, topic
 
 PERIOD = 0.004
 """Of the flight code [s]; `flight.core.PERIOD`."""
@@ -17,17 +17,9 @@ PERIOD = 0.004
 BOOT = 10.0
 """Time stamp of tick 0 [s]: the drone's logs count from when the flight controller booted."""
 
-Q_AGE = 0.35e-3
-"""How old q is when the drone computes M [s]; `rig.parameters.Q_AGE`."""
-
 STEP_TOPIC = "twodof_step"
 """The ULog topic with every step of the flight code; what was asked for has names that begin with `ASKED`."""
 ASKED = "asked_"
-
-# Stamps against that of the moment M of the same step, as the real logs have them (docs/explanation/physics.md).
-_AGE = {"acc": 1.1e-3, "gyr": 1.1e-3, "dist": 1.0e-3, "q": Q_AGE, "lmnf": 1.5e-3}
-_LATER = {"theta": 0.33e-3, "x": 1.3e-3, "v": 1.3e-3, "q0": 3e-6, "theta0": 5e-6, "v0": 7e-6, "x0": 9e-6, "T": 11e-6}
-_LATER |= {"thrust0": 13e-6, "mode": 15e-6}
 
 TRUTH = ("theta", "q", "x", "v")
 """Names of a virtual rig's true state, [rad], [rad/s], [m], [m/s]; `rig.rig.TRUTH`."""
@@ -36,9 +28,18 @@ SAFETY = ("action", "reasons", "causes")
 """Fields of the channel `safety`: an index into flight.causes.ACTIONS, and masks of its CAUSES, of those that decided
 it and of those that hold."""
 
+_SLOWEST_HZ = 10.0
+"""Below this a signal is logged after the events and the truth."""
+
 MESSAGE_PERIOD = round(0.02 / PERIOD)
 """Steps between two open-loop messages."""
-_BATTERY_PERIOD = 125
+_WHEN = ("imu_new", "", "dist_new", "published")
+_COMPUTED = ("-|T|", "mode")
+_LOGGED = sorted(
+    (row for row in TOPICS if row.source and row.rate_hz),
+    key=lambda row: (row.rate_hz < _SLOWEST_HZ, _WHEN.index(row.when), row.source[0] in _COMPUTED),
+)
+"""The signals that a step tells, in the order of a log's channels; the open-loop messages are events."""
 
 
 def step_channels(
@@ -51,26 +52,27 @@ def step_channels(
     (true_theta, ...). Samples that are not finite, which a user's controller may give, are left out: a gap.
     """
     time = np.asarray(BOOT + PERIOD * tick, dtype=np.float64)
-    zero = np.zeros(len(tick))
-    columns: dict[str, NDArray[Any]] = {
-        "acc": np.column_stack([out["acc_x"], out.get("acc_y", zero), out["acc_z"]]),
-        "gyr": np.column_stack([out.get("gyro_x", zero), out["gyro_y"], out.get("gyro_z", zero)]),
-        **{name: out[name] for name in ("theta", "q", "theta0", "q0", "x0", "v0", "M", "T")},
-        "thrust0": -np.abs(out["T"]),
-        "mode": mode.astype(np.float64),
-    }
-    channels = {name: _channel(name, time, values) for name, values in columns.items()}
-    new = out["dist_new"].astype(bool)
-    channels["dist"] = _channel("dist", time[new], out["dist"][new])
+    out = {**out, "mode": mode.astype(np.float64), "-|T|": -np.abs(out["T"])}
     held, after = _published(tick)
-    for name in ("x", "v"):
-        channels[name] = _channel(name, time[held], out[name][after])
-    channels["lmnf"] = _messages(time, out, mode)
-    channels |= truth_channels(tick, {name: out[f"true_{name}"] for name in TRUTH if f"true_{name}" in out})
-    slow = tick % _BATTERY_PERIOD == 0
-    for name in ("voltage", "charge"):
-        channels[name] = _channel(name, time[slow], out[name][slow])
-    return channels
+    fast: dict[str, Channel] = {}
+    slow: dict[str, Channel] = {}
+    for row in _LOGGED:
+        if not any(name in out for name in row.source):
+            continue  # a log that was written before there was this signal
+        values = np.column_stack([out.get(name, np.zeros(len(tick))) for name in row.source])
+        values = values if row.fields else values[:, 0]
+        if row.when == "published":
+            fast[row.mat] = _channel(row.mat, time[held], values[after])
+        elif row.when == "dist_new":
+            new = out["dist_new"].astype(bool)
+            fast[row.mat] = _channel(row.mat, time[new], values[new])
+        elif row.rate_hz < _SLOWEST_HZ:
+            due = tick % round(1.0 / (row.rate_hz * PERIOD)) == 0
+            slow[row.mat] = _channel(row.mat, time[due], values[due])
+        else:
+            fast[row.mat] = _channel(row.mat, time, values)
+    truth = truth_channels(tick, {name: out[f"true_{name}"] for name in TRUTH if f"true_{name}" in out})
+    return {**fast, "lmnf": _messages(time, out, mode), **truth, **slow}
 
 
 def truth_channels(tick: NDArray[np.int64], state: Mapping[str, NDArray[Any]]) -> dict[str, Channel]:
@@ -92,7 +94,8 @@ def is_published(tick: NDArray[np.int64]) -> NDArray[np.bool_]:
 
 def shift(name: str) -> float:
     """How much later [s] than M of the same step a .mat channel is stamped; negative for what was measured before."""
-    return _LATER.get(name, 0.0) - _AGE.get(name, 0.0)
+    row = BY_MAT.get(name)
+    return row.later if row else 0.0
 
 
 def _published(tick: NDArray[np.int64]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -13,6 +13,7 @@ from twodof.models.plant import PAPER_PITCH_RATE, PAPER_VELOCITY_GREYBOX
 from twodof.parameters import Parameter, ParameterSet
 from twodof.rig.rig import rig_params
 from twodof.rig.rotors import HOVER, lift
+from twodof.signals import Q_AGE
 
 CONDITIONS = frozenset(
     {
@@ -36,13 +37,6 @@ CONDITIONS = frozenset(
 )
 """Parameters of the rig diagram that belong to one flight (how it starts, trims and biases), not to the machine."""
 
-Q_AGE = 0.35e-3
-"""How old q is when the drone computes M, by the logs' stamps [s].
-
-The rig samples q in the tick in which M is computed, so this age is part of its `delay`, and logs of simulated flights
-stamp q as the drone does.
-"""
-
 _MASS = 0.374 + 0.160
 _FULL = 1e9  # a battery that does not sag
 
@@ -61,6 +55,7 @@ def _paper() -> dict[str, tuple[float, str]]:
         "pair_thrust": (pair_thrust, "paper Table 1: k_v 4.748 at T = .4"),
         "curve": (curve, fit),
         "inertia": (inertia, fit),
+        # The rig samples q in the tick in which M is computed, so the age of q is part of its delay.
         "delay": (pitch.tau + Q_AGE, "paper section 4.1: tau 20 ms; with the age of q when M is computed"),
         "lag": (0.0, "the paper's model has a pure delay"),
         "offset": (0.0, "the paper's model has no coupling of pitch and cart"),

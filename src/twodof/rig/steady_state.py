@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from math import sin, sqrt
 
 from twodof.rig.dynamics import GRAVITY
-from twodof.rig.parameters import Q_AGE
 from twodof.rig.rotors import HOVER, lift
+from twodof.signals import Q_AGE
 
 
 def rotor_moment(rig: Mapping[str, float], moment: float, thrust: float = HOVER) -> float:

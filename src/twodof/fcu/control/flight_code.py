@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from types import MappingProxyType
 from typing import Any
 
@@ -32,16 +32,9 @@ INPUTS = (
 OWN = tuple(name for name, _, _, _ in OWN_INPUTS)
 """What it is given behind that, of a user's controllers outside."""
 
-OUTPUTS = (
-    *("fore", "aft", "M", "T", "theta", "q", "x", "v", "x0", "v0", "theta0", "q0", "M_trim"),
-    *("armed", "action", "state", "reason", "causes"),
-)
-"""What it gives: the fields of `ControlStep` behind `asked`."""
-
 PATHS: Mapping[str, str] = MappingProxyType({row.name: row.path for row in FLIGHT_PARAMETERS})
 """Where each of `parameters.FLIGHT_PARAMETERS` stands in the flight code, by its name on the wire."""
 
-_USED = slice(OUTPUTS.index("x0"), OUTPUTS.index("q0") + 1)
 _CASCADE, _RESERVE = "cascade.", "stock."
 _OWN = tuple(f"{'' if kind == MOTOR.name else _CASCADE}{kind}." for kind in TEMPLATES)
 """Where the controllers of a user stand."""
@@ -73,6 +66,12 @@ class ControlStep:
     state: int
     reason: int
     causes: int
+
+
+OUTPUTS = tuple(field.name for field in fields(ControlStep))[3:]
+"""What the flight code gives: the fields of `ControlStep` behind `asked`."""
+
+_USED = slice(OUTPUTS.index("x0"), OUTPUTS.index("q0") + 1)
 
 
 class FlightCode:

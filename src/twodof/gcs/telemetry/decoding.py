@@ -2,71 +2,78 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import lru_cache
-from math import asin, isfinite
+from math import asin, isfinite, nan
 from types import MappingProxyType
 from typing import Any
 
 from twodof.link.control_period import TICK_S
-from twodof.link.mavlink.messages import BATCH_VALUES, channel_bits
+from twodof.link.mavlink.messages import BATCH_VALUES, channel_bits, fields_of
 from twodof.signals import TOPICS
 
 Decoded = Iterator[tuple[str, float, float | tuple[float, ...]]]
 """Topic, the drone's time [s], value."""
 
 
-def _imu(got: Any) -> Decoded:
-    time = got.time_usec * 1e-6
-    yield "imu.acc", time, (got.xacc, got.yacc, got.zacc)
-    yield "imu.gyro", time, (got.xgyro, got.ygyro, got.zgyro)
+def _pitch(q: Sequence[float]) -> float:
+    """Pitch of a quaternion (w, x, y, z)."""
+    w, x, y, z = q
+    return asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x))))
 
 
-def _attitude(got: Any) -> Decoded:
-    time = got.time_boot_ms / 1000
-    yield "estimate.theta", time, got.pitch
-    yield "estimate.q", time, got.pitchspeed
+def _volts(cells: Sequence[int]) -> float:
+    """Voltage of a pack [V] of its cells' [mV]; NaN where none is known."""
+    known = [one for one in cells if one != 0xFFFF]
+    return sum(known) / 1000.0 if known else nan
 
 
-def _position(got: Any) -> Decoded:
-    time = got.time_boot_ms / 1000
-    yield "estimate.x", time, got.x
-    yield "estimate.v", time, got.vx
+def _share(percent: int) -> float:
+    """A percentage as a share of 1; NaN where it is unknown (-1)."""
+    return percent / 100.0 if percent >= 0 else nan
 
 
-def _attitude_target(got: Any) -> Decoded:
-    time = got.time_boot_ms / 1000
-    w, x, y, z = got.q
-    yield "setpoint.theta", time, asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x))))
-    yield "setpoint.q", time, got.body_pitch_rate
-    yield "setpoint.thrust", time, -got.thrust
+_FUNCTIONS: Mapping[str, Callable[[Any], float]] = {"pitch": _pitch, "volts": _volts, "share": _share}
+"""What `signals.TOPICS` calls a function of a message's field."""
+_STAMPS: Mapping[str, Callable[[Any], float]] = {
+    "time_usec": lambda got: got.time_usec * 1e-6,
+    "time_boot_ms": lambda got: got.time_boot_ms / 1000,
+    "tick": lambda got: got.tick * TICK_S,
+}
+_PLACE = re.compile(r"(-?)(?:(\w+)\()?(\w+)(?:\[(\d+)\])?\)?")
 
 
-def _position_target(got: Any) -> Decoded:
-    time = got.time_boot_ms / 1000
-    yield "setpoint.x", time, got.x
-    yield "setpoint.v", time, got.vx
+def _reader(place: str) -> Callable[[Any], float]:
+    """Reads a number of a message: `pitch`, `-thrust`, `controls[1]`, `pitch(q)`."""
+    match = _PLACE.fullmatch(place)
+    assert match is not None, place
+    sign, function, field, index = match.groups()
+    if function:
+        return lambda got: _FUNCTIONS[function](getattr(got, field))
+    if index:
+        return lambda got: float(getattr(got, field)[int(index)])
+    if sign:
+        return lambda got: float(-getattr(got, field))
+    return lambda got: float(getattr(got, field))
 
 
-def _actuators(got: Any) -> Decoded:
-    time = got.time_usec * 1e-6
-    yield "command.M", time, got.controls[1]
-    yield "command.T", time, got.controls[3]
+def _decoder(message: str) -> Callable[[Any], Decoded]:
+    """Reads the signals that the message carries; a number that is none is no sample."""
+    rows = [row for row in TOPICS if row.mavlink == message]
+    readers = [(row.name, [_reader(place) for place in row.places], bool(row.fields)) for row in rows]
+    stamp = next((read for field, read in _STAMPS.items() if field in fields_of(message)), lambda _got: nan)
 
+    def decode(got: Any) -> Decoded:
+        if not getattr(got, "valid", True):
+            return
+        time = stamp(got)
+        for name, reads, several in readers:
+            sample = [read(got) for read in reads]
+            if all(map(isfinite, sample)):
+                yield name, time, tuple(sample) if several else sample[0]
 
-def _tof(got: Any) -> Decoded:
-    if got.valid:
-        yield "tof.distance", got.time_usec * 1e-6, got.distance
-
-
-def _openloop(got: Any) -> Decoded:
-    yield "openloop", got.tick * TICK_S, (got.M, got.T, float(got.openloop), float(got.enableM), float(got.enableT))
-
-
-def _truth(got: Any) -> Decoded:
-    time = got.time_usec * 1e-6
-    for name in ("theta", "q", "x", "v"):
-        yield f"truth.{name}", time, getattr(got, name)
+    return decode
 
 
 def _batch(got: Any) -> Decoded:
@@ -102,36 +109,10 @@ def _layout(mask: int) -> tuple[tuple[str, tuple[int, ...], bool], ...]:
     )
 
 
-def _battery(got: Any) -> Decoded:
-    cells = [one for one in got.voltages if one != 0xFFFF]
-    if cells:
-        yield "battery.voltage", float("nan"), sum(cells) / 1000.0
-    if got.battery_remaining >= 0:
-        yield "battery.charge", float("nan"), got.battery_remaining / 100.0
-
-
-def _finite(decode: Callable[[Any], Decoded]) -> Callable[[Any], Decoded]:
-    def checked(got: Any) -> Decoded:
-        for name, time, value in decode(got):
-            if all(map(isfinite, value)) if isinstance(value, tuple) else isfinite(value):
-                yield name, time, value
-
-    return checked
-
-
 DECODERS: Mapping[str, Callable[[Any], Decoded]] = MappingProxyType(
     {
-        "HIGHRES_IMU": _finite(_imu),
-        "ATTITUDE": _finite(_attitude),
-        "LOCAL_POSITION_NED": _finite(_position),
-        "ATTITUDE_TARGET": _finite(_attitude_target),
-        "POSITION_TARGET_LOCAL_NED": _finite(_position_target),
-        "ACTUATOR_CONTROL_TARGET": _finite(_actuators),
-        "TWODOF_TOF": _finite(_tof),
-        "TWODOF_OPENLOOP": _finite(_openloop),
-        "TWODOF_TRUTH": _finite(_truth),
+        **{name: _decoder(name) for name in dict.fromkeys(row.mavlink for row in TOPICS if row.places)},
         "TWODOF_BATCH": _batch,
-        "BATTERY_STATUS": _finite(_battery),
     }
 )
-"""Message -> its samples; a number that is none is no sample."""
+"""Message -> its samples."""

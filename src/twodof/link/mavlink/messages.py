@@ -33,6 +33,11 @@ def _layout(name: str) -> tuple[Any, dict[str, tuple[str, int]]]:
     return kind, {field: (type_name, lengths[field]) for field, type_name in rows}
 
 
+def fields_of(name: str) -> tuple[str, ...]:
+    """The names of a message's fields. Raises LinkError for a name that is none."""
+    return tuple(_layout(name)[1])
+
+
 def message(name: str, /, **fields: Any) -> Any:
     """The message called `name` ("COMMAND_LONG") with these fields, the others 0.
 

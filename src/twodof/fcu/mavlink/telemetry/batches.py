@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Mapping
 from math import isfinite, nan
+from operator import attrgetter
+from types import MappingProxyType
+from typing import Any
 
 from twodof.fcu.command.result import ACCEPTED, DENIED, CommandResult
 from twodof.fcu.control.flight_code import ControlStep
+from twodof.fcu.control.hardware import SensorSample
 from twodof.fcu.mavlink.addressing import ConnectedClient, whole
 from twodof.fcu.mavlink.clients import Clients
 from twodof.fcu.mavlink.commands.command_service import ReceivedCommand
@@ -17,6 +21,7 @@ from twodof.link.connection import Received
 from twodof.link.control_period import TICK_US
 from twodof.link.mavlink.messages import BATCH_VALUES, channel_bits
 from twodof.link.mavlink.packing import Packer
+from twodof.signals import TOPICS, Topic
 
 BATCH = 54203
 LATEST_TICKS = 25
@@ -29,39 +34,36 @@ def published(tick: int) -> bool:
     return 2 * tick % 5 < 2
 
 
+_NEW: Mapping[str, Callable[[ControlStep], bool]] = MappingProxyType(
+    {
+        "imu_new": lambda s: s.sample.imu_new,
+        "dist_new": lambda s: s.sample.dist_new,
+        "published": lambda s: published(s.tick),
+    }
+)
+"""In which steps a signal is new, by `Topic.when`."""
+
+
 def channel_readers(commander: CommanderView) -> dict[str, Callable[[ControlStep], float]]:
     """Channel -> its value at a step, NaN where it has no new sample."""
 
-    def openloop(name: str) -> Callable[[ControlStep], float]:
-        return lambda _step: float(getattr(commander.openloop, name))
+    def value(row: Topic, name: str) -> Callable[[ControlStep], float]:
+        if row.name == "openloop":
+            return lambda _step: float(getattr(commander.openloop, name))
+        if name == "-|T|":
+            return lambda s: -abs(s.T)
+        if name == "mode":
+            return lambda s: float(s.asked.mode)
+        read: Callable[[Any], float] = attrgetter(f"sample.{name}" if name in SensorSample._fields else name)
+        if not row.when:
+            return read
+        new = _NEW[row.when]
+        return lambda s: read(s) if new(s) else nan
 
     return {
-        "IMU_ACC_X": lambda s: s.sample.acc_x if s.sample.imu_new else nan,
-        "IMU_ACC_Y": lambda s: s.sample.acc_y if s.sample.imu_new else nan,
-        "IMU_ACC_Z": lambda s: s.sample.acc_z if s.sample.imu_new else nan,
-        "IMU_GYRO_X": lambda s: s.sample.gyro_x if s.sample.imu_new else nan,
-        "IMU_GYRO_Y": lambda s: s.sample.gyro_y if s.sample.imu_new else nan,
-        "IMU_GYRO_Z": lambda s: s.sample.gyro_z if s.sample.imu_new else nan,
-        "TOF_DISTANCE": lambda s: s.sample.dist if s.sample.dist_new else nan,
-        "ESTIMATE_THETA": lambda s: s.theta,
-        "ESTIMATE_Q": lambda s: s.q,
-        "ESTIMATE_X": lambda s: s.x if published(s.tick) else nan,
-        "ESTIMATE_V": lambda s: s.v if published(s.tick) else nan,
-        "SETPOINT_THETA": lambda s: s.theta0,
-        "SETPOINT_Q": lambda s: s.q0,
-        "SETPOINT_X": lambda s: s.x0,
-        "SETPOINT_V": lambda s: s.v0,
-        "SETPOINT_THRUST": lambda s: -abs(s.T),
-        "COMMAND_M": lambda s: s.M,
-        "COMMAND_T": lambda s: s.T,
-        "OPENLOOP_M": openloop("M"),
-        "OPENLOOP_T": openloop("T"),
-        "OPENLOOP_OPENLOOP": openloop("openloop"),
-        "OPENLOOP_ENABLEM": openloop("enableM"),
-        "OPENLOOP_ENABLET": openloop("enableT"),
-        "STATE_MODE": lambda s: float(s.asked.mode),
-        "BATTERY_VOLTAGE": lambda s: s.sample.voltage,
-        "BATTERY_CHARGE": lambda s: s.sample.charge,
+        column.replace(".", "_").upper(): value(row, name)
+        for row in TOPICS
+        for column, name in zip(row.columns, row.source, strict=bool(row.source))
     }
 
 
