@@ -14,15 +14,15 @@ LEAD = 0.3
 
 HELD = [
     (ground.Impulse(0.1, 0.2, lead=LEAD), board.Pulse(amplitude=0.1, duration=0.2, start=LEAD)),
-    (ground.Doublet(0.03, 0.6, lead=LEAD), board.Doublet(amplitude=0.03, period=0.6, start=LEAD)),
-    (ground.ThreeTwoOneOne(0.05, 0.3, lead=LEAD), board.ThreeTwoOneOne(amplitude=0.05, step=0.3, start=LEAD)),
+    (ground.Doublet(0.03, 0.6, lead=LEAD), board.DoubletSource(amplitude=0.03, period=0.6, start=LEAD)),
+    (ground.ThreeTwoOneOne(0.05, 0.3, lead=LEAD), board.ThreeTwoOneOneSource(amplitude=0.05, step=0.3, start=LEAD)),
     *(
-        (ground.Prbs(0.07, 0.06, order, seed=3, lead=LEAD), board.Prbs(0.06, 0.07, order, seed=3, start=LEAD))
+        (ground.Prbs(0.07, 0.06, order, seed=3, lead=LEAD), board.PrbsSource(0.06, 0.07, order, seed=3, start=LEAD))
         for order in range(3, 16)
     ),
 ]
 SMOOTH = [
-    (ground.Sweep(0.2, 0.1, 5.0, 8.0, law=law, lead=LEAD), board.Sweep(0.1, 5.0, 8.0, 0.2, law, start=LEAD))
+    (ground.Sweep(0.2, 0.1, 5.0, 8.0, law=law, lead=LEAD), board.SweepSource(0.1, 5.0, 8.0, 0.2, law, start=LEAD))
     for law in ("linear", "logarithmic")
 ]
 LINES = {"harmonics": (1, 3, 7, 20), "amplitudes": (0.1, 0.05, 0.02, 0.2), "phases": (0.0, 1.0, 2.0, -3.0)}
@@ -55,4 +55,4 @@ def test_multisines_agree_to_rounding() -> None:
     on_ground = signal.at(np.arange(STEPS) * DT)
     inside = np.arange(STEPS) * DT < LEAD + 8.0 - DT / 2
     # Phases up to 2 pi 20 * 2 = 251 rad, of which one rounding is 2.8e-14; four lines of together 0.37.
-    assert np.abs(played(board.Multisine(**LINES, period=4.0, start=LEAD)) - on_ground)[inside].max() < 1e-13
+    assert np.abs(played(board.MultisineSource(**LINES, period=4.0, start=LEAD)) - on_ground)[inside].max() < 1e-13

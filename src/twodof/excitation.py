@@ -20,7 +20,16 @@ from typing import Any, ClassVar, Literal, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from twodof.blocks.library.waveforms import TAPS
+from twodof.blocks.library.waveform_laws import (
+    LAWS,
+    MAX_HARMONIC,
+    MAX_LINES,
+    PATTERNS,
+    TAPS,
+    shifted,
+    sweep_rate,
+    sweep_turns,
+)
 from twodof.errors import ExperimentError
 
 LIMITS: Mapping[str, float] = MappingProxyType({"-": 1.0, "rad": radians(50.0), "rad/s": 10.0, "m": 0.4, "m/s": 2.0})
@@ -31,7 +40,6 @@ SHORTEST_HOLD_S = 1e-3
 # Half the rate of control (250 Hz): nothing above it can be played.
 HIGHEST_HZ = 125.0
 MAX_PARTS = 10_000
-MAX_LINES = 500
 _VERSION = 1
 
 
@@ -215,8 +223,7 @@ class Doublet(_Held):
         self._number("period", 2 * SHORTEST_HOLD_S, MAX_DURATION_S)
 
     def _levels(self) -> tuple[list[int], list[float]]:
-        half = _us(self.period / 2.0)
-        return [half, half], [self.amplitude, -self.amplitude]
+        return _pattern(self.kind, _us(self.period / 2.0), self.amplitude)
 
 
 @dataclass(frozen=True)
@@ -232,8 +239,7 @@ class ThreeTwoOneOne(_Held):
         self._number("step", SHORTEST_HOLD_S, MAX_DURATION_S)
 
     def _levels(self) -> tuple[list[int], list[float]]:
-        step, a = _us(self.step), self.amplitude
-        return [3 * step, 2 * step, step, step], [a, -a, a, -a]
+        return _pattern(self.kind, _us(self.step), self.amplitude)
 
 
 @dataclass(frozen=True)
@@ -304,8 +310,8 @@ class Sweep(Excitation):
         self._number("start_hz", 0.0, HIGHEST_HZ)
         self._number("end_hz", 0.0, HIGHEST_HZ)
         self._number("length", SHORTEST_HOLD_S, MAX_DURATION_S)
-        if self.law not in ("linear", "logarithmic"):
-            raise self._mistake("law", f"unknown law {self.law!r}", "use 'linear' or 'logarithmic'")
+        if self.law not in LAWS:
+            raise self._mistake("law", f"unknown law {self.law!r}", f"use {' or '.join(map(repr, LAWS))}")
         if self.law == "logarithmic" and not min(self.start_hz, self.end_hz) > 0.0:
             raise self._mistake("law", "a logarithmic sweep cannot start or end at 0 Hz", "use 'linear'")
         if max(self.start_hz, self.end_hz) == 0.0:
@@ -327,12 +333,11 @@ class Sweep(Excitation):
         return self.start_hz * np.power(self.end_hz / self.start_hz, share)
 
     def _wave(self, us: NDArray[np.int64]) -> NDArray[np.float64]:
-        t = us / 1e6
-        octaves = log(self.end_hz / self.start_hz) if self.law == "logarithmic" else 0.0
-        if octaves:
-            turns = self.start_hz * self.length / octaves * np.expm1(octaves * t / self.length)
-        else:
-            turns = t * (self.start_hz + 0.5 * (self.end_hz - self.start_hz) * t / self.length)
+        s = us / 1e6
+        # Between equal frequencies both laws are a sine.
+        law = self.law if self.start_hz != self.end_hz else "linear"
+        rate = sweep_rate(law, self.start_hz, self.end_hz, self.length, log)
+        turns = sweep_turns(law, s, self.start_hz, rate, self.start_hz / rate if rate else 0.0, np.exp)
         return self.amplitude * np.sin(2.0 * pi * turns)
 
 
@@ -365,9 +370,12 @@ class Multisine(Excitation):
         Schroeder, IEEE Trans. Information Theory 16 (1970), 85-89.
         """
         lines = tuple(harmonics)[: MAX_PARTS + 1]
-        if not all(isinstance(line, Integral) and 1 <= line <= MAX_PARTS for line in lines) or len(lines) > MAX_LINES:
+        if (
+            not all(isinstance(line, Integral) and 1 <= line <= MAX_HARMONIC for line in lines)
+            or len(lines) > MAX_LINES
+        ):
             raise ExperimentError(
-                f"at most {MAX_LINES} whole numbers from 1 to {MAX_PARTS} are played", f"{cls.kind}.harmonics"
+                f"at most {MAX_LINES} whole numbers from 1 to {MAX_HARMONIC} are played", f"{cls.kind}.harmonics"
             )
         power = np.ones(len(lines)) if powers is None else np.asarray(tuple(powers), dtype=np.float64)
         if not lines or power.shape != (len(lines),) or not (np.all(power >= 0.0) and 0.0 < power.sum() < np.inf):
@@ -388,8 +396,8 @@ class Multisine(Excitation):
         lines = self._numbers("harmonics")
         if any(line != int(line) or line < 1 for line in lines) or len(set(lines)) != len(lines):
             raise self._mistake("harmonics", "must be whole numbers from 1 on, each once")
-        if len(lines) > MAX_LINES or max(lines) > MAX_PARTS:
-            raise self._mistake("harmonics", f"at most {MAX_LINES}, up to the {MAX_PARTS}th, are played")
+        if len(lines) > MAX_LINES or max(lines) > MAX_HARMONIC:
+            raise self._mistake("harmonics", f"at most {MAX_LINES}, up to the {MAX_HARMONIC}th, are played")
         if max(lines) / self.period > HIGHEST_HZ:
             raise self._mistake(
                 "harmonics", f"{max(lines) / self.period:g} Hz cannot be played", f"stay under {HIGHEST_HZ:g} Hz"
@@ -459,6 +467,12 @@ def _as_float(value: Real) -> float:
         return inf
 
 
+def _pattern(kind: str, unit_us: int, amplitude: float) -> tuple[list[int], list[float]]:
+    """How long each level of a row of `PATTERNS` is held [us], and the levels."""
+    times = PATTERNS[kind]
+    return [abs(n) * unit_us for n in times], [amplitude if n > 0 else -amplitude for n in times]
+
+
 def _us(seconds: float) -> int:
     return round(seconds * 1e6)
 
@@ -484,8 +498,5 @@ def _maximal_length(order: int, seed: int) -> tuple[bool, ...]:
     register, bits = seed, []
     for _ in range((1 << order) - 1):
         bits.append(bool(register & 1))
-        feedback = 0
-        for tap in TAPS[order]:
-            feedback ^= register >> (order - tap)
-        register = (register >> 1) | ((feedback & 1) << (order - 1))
+        register = shifted(register, order)
     return tuple(bits)

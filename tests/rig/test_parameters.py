@@ -84,7 +84,7 @@ def test_a_file_reads_back_to_the_same_bits(tmp_path: Path) -> None:
         ('{"version": 1, "parameters": {"wheels": 4}}', "no such parameter"),
         ('{"version": 1, "parameters": {"mass_drone": -1}}', "outside"),
         ('{"version": 1, "parameters": {"mass_drone": NaN}}', "outside"),
-        ('{"version": 1, "parameters": {"mass_drone": "heavy"}}', "is no number"),
+        ('{"version": 1, "parameters": {"mass_drone": "heavy"}}', "is not a number"),
     ],
 )
 def test_a_bad_file_is_refused_and_named(tmp_path: Path, text: str, complaint: str) -> None:

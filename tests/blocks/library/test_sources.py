@@ -12,16 +12,16 @@ from twodof.blocks.block import Block
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.library import (
     Constant,
-    Doublet,
-    Multisine,
+    DoubletSource,
+    MultisineSource,
     Noise,
-    Prbs,
+    PrbsSource,
     Pulse,
     Ramp,
     Sine,
     Step,
-    Sweep,
-    ThreeTwoOneOne,
+    SweepSource,
+    ThreeTwoOneOneSource,
     Time,
     UniformNoise,
 )
@@ -75,8 +75,8 @@ def test_a_time_falls_on_its_tick(precision: str, ticks: int, dt: float) -> None
     ("block", "definition"),
     [
         (Pulse(0.1, 0.2, 0.1), excitation.Impulse(0.1, 0.2, lead=0.1, settle=3.0)),
-        (Doublet(0.4, 0.6, 0.03), excitation.Doublet(0.03, 0.6, lead=0.4, settle=3.0)),
-        (ThreeTwoOneOne(0.2, 0.24, 0.05), excitation.ThreeTwoOneOne(0.05, 0.24, lead=0.2, settle=3.0)),
+        (DoubletSource(0.4, 0.6, 0.03), excitation.Doublet(0.03, 0.6, lead=0.4, settle=3.0)),
+        (ThreeTwoOneOneSource(0.2, 0.24, 0.05), excitation.ThreeTwoOneOne(0.05, 0.24, lead=0.2, settle=3.0)),
     ],
 )
 def test_pulses_are_what_the_ground_means_by_them(block: Block, definition: excitation.Excitation) -> None:
@@ -87,9 +87,9 @@ def test_waves_are_what_the_ground_means_by_them() -> None:
     t = DT * np.arange(600)
     for law in ("linear", "logarithmic"):
         sweep = excitation.Sweep(0.1, 0.2, 5.0, 2.0, law=law, lead=0.2, settle=1.0)
-        assert_close(y_of(Sweep(0.2, 5.0, 2.0, 0.1, law, start=0.2)), sweep.at(t))
+        assert_close(y_of(SweepSource(0.2, 5.0, 2.0, 0.1, law, start=0.2)), sweep.at(t))
     multisine = excitation.Multisine.schroeder(0.1, 0.8, [1, 2, 5], lead=0.2, repeat=2, settle=2.0)
-    block = Multisine(multisine.harmonics, multisine.amplitudes, multisine.phases, 0.8, start=0.2)
+    block = MultisineSource(multisine.harmonics, multisine.amplitudes, multisine.phases, 0.8, start=0.2)
     assert_close(y_of(block, 400), multisine.at(t[:400]))
 
 
@@ -98,14 +98,14 @@ def test_a_prbs_is_what_the_ground_means_by_it(order: int, seed: int, hold: int)
     seed = seed % (2**order - 1) + 1
     definition = excitation.Prbs(0.5, hold * DT, order, seed, lead=3 * DT, settle=9.0)
     steps = min(3 + hold * (2**order - 1), 250)
-    block = Prbs(hold * DT, 0.5, order, seed, start=3 * DT)
+    block = PrbsSource(hold * DT, 0.5, order, seed, start=3 * DT)
     assert y_of(block, steps).tolist() == definition.at(DT * np.arange(steps)).tolist()
 
 
 @pytest.mark.parametrize("order", [3, 5, 8])
 def test_a_prbs_is_a_maximal_length_sequence(order: int) -> None:
     length = 2**order - 1
-    y = y_of(Prbs(DT, 1.0, order), 2 * length)
+    y = y_of(PrbsSource(DT, 1.0, order), 2 * length)
     assert np.array_equal(y[:length], y[length:])
     circular = np.fft.ifft(np.abs(np.fft.fft(y[:length])) ** 2).real
     assert_close(circular, [length] + [-1.0] * (length - 1))
@@ -126,14 +126,14 @@ def test_the_taps_belong_to_primitive_polynomials(order: int) -> None:
 
 def test_a_prbs_at_a_slower_rate_counts_its_own_periods() -> None:
     d = Diagram("slow")
-    d.add("prbs", Prbs(8 * DT, 1.0, 4), rate=(4, 0))
+    d.add("prbs", PrbsSource(8 * DT, 1.0, 4), rate=(4, 0))
     d.output("y", "prbs")
     y = Reference(d, DT).machine().run(120)["y"]
-    assert np.array_equal(y.reshape(15, 8), np.repeat(y_of(Prbs(DT, 1.0, 4), 15)[:, None], 8, axis=1))
+    assert np.array_equal(y.reshape(15, 8), np.repeat(y_of(PrbsSource(DT, 1.0, 4), 15)[:, None], 8, axis=1))
 
 
 def test_seed_zero_is_taken_as_one() -> None:
-    assert y_of(Prbs(DT, order=4, seed=16), 15).tolist() == y_of(Prbs(DT, order=4, seed=1), 15).tolist()
+    assert y_of(PrbsSource(DT, order=4, seed=16), 15).tolist() == y_of(PrbsSource(DT, order=4, seed=1), 15).tolist()
 
 
 @given(st.floats(0.0, 120.0), st.floats(-3, 3))
@@ -161,13 +161,13 @@ def test_a_sine_does_not_drift(precision: str, bound: float) -> None:
 @pytest.mark.parametrize(("first", "last"), [(0.5, 10.0), (10.0, 0.5), (3.0, 3.0)])
 def test_a_sweep_is_scipys_chirp(law: str, method: str, first: float, last: float) -> None:
     t = DT * np.arange(600)
-    y = y_of(Sweep(first, last, 10.0, law=law, phase=np.radians(35.0)))
+    y = y_of(SweepSource(first, last, 10.0, law=law, phase=np.radians(35.0)))
     # 2.4 s at up to 10 Hz are 150 rad, and f0 L / log(f1/f0) = 33 turns are subtracted from each other.
     np.testing.assert_allclose(y, signal.chirp(t, first, 10.0, last, method=method, phi=-90 + 35), rtol=0, atol=1e-11)
 
 
 def test_a_sweep_ends() -> None:
-    y = y_of(Sweep(1.0, 5.0, 1.0, bias=0.3, start=0.2))
+    y = y_of(SweepSource(1.0, 5.0, 1.0, bias=0.3, start=0.2))
     assert np.all(y[:50] == 0.3)
     assert np.all(y[300:] == 0.3)
     assert np.any(y[50:300] != 0.3)
@@ -177,7 +177,7 @@ def test_a_sweep_ends() -> None:
 def test_a_multisine_is_its_sum_and_repeats_exactly(length: int, harmonics: list[int]) -> None:
     amplitudes = [1.0 / (k + 1) for k in range(len(harmonics))]
     phases = [0.7 * k for k in range(len(harmonics))]
-    block = Multisine(harmonics, amplitudes, phases, length * DT)
+    block = MultisineSource(harmonics, amplitudes, phases, length * DT)
     machine = Reference(alone(block), DT).machine()
     first = machine.run(20)["y_out"]
     turns = np.outer(np.arange(20), harmonics) % length / length
@@ -214,10 +214,10 @@ def test_noise_is_a_function_of_seed_stream_and_tick() -> None:
 
 def test_mistakes_in_arguments_are_refused() -> None:
     for make in (
-        lambda: Prbs(order=17),
-        lambda: Sweep(law="cubic"),
-        lambda: Multisine([1, 2], [1.0], [0.0]),
-        lambda: Multisine([0], [1.0], [0.0]),
+        lambda: PrbsSource(order=17),
+        lambda: SweepSource(law="cubic"),
+        lambda: MultisineSource([1, 2], [1.0], [0.0]),
+        lambda: MultisineSource([0], [1.0], [0.0]),
         lambda: Noise(width=5),
         lambda: Noise(seed=-1),
     ):

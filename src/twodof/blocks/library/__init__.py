@@ -80,8 +80,8 @@ from twodof.blocks.library.routing import (
     Selector,
     Switch,
 )
-from twodof.blocks.library.sources import Constant, Doublet, Pulse, Ramp, Step, ThreeTwoOneOne, Time
-from twodof.blocks.library.waveforms import Multisine, Prbs, Sine, Sweep
+from twodof.blocks.library.sources import Constant, DoubletSource, Pulse, Ramp, Step, ThreeTwoOneOneSource, Time
+from twodof.blocks.library.waveforms import MultisineSource, PrbsSource, Sine, SweepSource
 
 __all__ = [
     "Abs",
@@ -105,7 +105,7 @@ __all__ = [
     "DiscreteTransferFunction",
     "Divide",
     "DotProduct",
-    "Doublet",
+    "DoubletSource",
     "DynamicSaturation",
     "EdgeDetector",
     "Elementary",
@@ -128,7 +128,7 @@ __all__ = [
     "Minimum",
     "MovingAverage",
     "MultiportSwitch",
-    "Multisine",
+    "MultisineSource",
     "Mux",
     "Noise",
     "Notch",
@@ -136,7 +136,7 @@ __all__ = [
     "Playback",
     "Polynomial",
     "Power",
-    "Prbs",
+    "PrbsSource",
     "Product",
     "Pulse",
     "Quantiser",
@@ -155,10 +155,10 @@ __all__ = [
     "Step",
     "Sum",
     "SumOfElements",
-    "Sweep",
+    "SweepSource",
     "Switch",
     "Table",
-    "ThreeTwoOneOne",
+    "ThreeTwoOneOneSource",
     "Time",
     "Timer",
     "TransferFunction",

@@ -6,11 +6,12 @@ and equal times give equal numbers of ticks. An edge acts in its own tick: the n
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 from twodof.blocks.block import Block, Clock, library_block
 from twodof.blocks.declarations import Param, Port
 from twodof.blocks.expressions.expr import to_real, to_uint32, where
+from twodof.blocks.library.waveform_laws import PATTERNS
 
 
 def ticks(seconds: Any, t: Clock) -> Any:
@@ -110,12 +111,34 @@ class Pulse(Block):
         return where((p.first <= t.tick) & (since < p.length), p.bias + p.amplitude, p.bias)
 
 
+class _PatternSource(Block):
+    """y = bias plus or minus amplitude, as a row of `PATTERNS` says, from `start` on, then bias."""
+
+    pattern: ClassVar[tuple[int, ...]]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        since, end, up = t.tick - p.first, 0, None
+        for times in self.pattern:
+            begin, end = end, end + abs(times)
+            if times > 0:
+                held = (
+                    (p.unit_ticks * begin <= since) & (since < p.unit_ticks * end)
+                    if begin
+                    else since < p.unit_ticks * end
+                )
+                up = held if up is None else up | held
+        level = where(up, p.bias + p.amplitude, p.bias - p.amplitude)
+        return where((p.first <= t.tick) & (since < p.unit_ticks * end), level, p.bias)
+
+
 @library_block("doublet")
-class Doublet(Block):
+class DoubletSource(_PatternSource):
     """y = bias + amplitude for half a `period` from `start` on, bias - amplitude for the other half, then bias.
 
     Both halves are the whole number of ticks nearest to period / 2.
     """
+
+    pattern = PATTERNS["doublet"]
 
     def __init__(
         self,
@@ -126,29 +149,21 @@ class Doublet(Block):
         unit: str = "",
     ) -> None:
         self.outputs = [Port("y", unit=unit)]
-        self.params = [
-            start_param(start),
-            Param("period", period, unit="s", low=0.0),
-            Param("amplitude", amplitude, unit=unit),
-            Param("bias", bias, unit=unit),
-        ]
-        self.derived = [Port("first", "uint32"), Port("half", "uint32")]
+        self.params = _pattern_params(start, Param("period", period, unit="s", low=0.0), amplitude, bias, unit)
+        self.derived = [Port("first", "uint32"), Port("unit_ticks", "uint32")]
 
     def prepare(self, p: Any, t: Clock) -> Any:
-        return {"first": ticks(p.start, t), "half": ticks(0.5 * p.period, t)}
-
-    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        since = t.tick - p.first
-        level = where(since < p.half, p.bias + p.amplitude, p.bias - p.amplitude)
-        return where((p.first <= t.tick) & (since < p.half + p.half), level, p.bias)
+        return {"first": ticks(p.start, t), "unit_ticks": ticks(0.5 * p.period, t)}
 
 
 @library_block("three_two_one_one")
-class ThreeTwoOneOne(Block):
+class ThreeTwoOneOneSource(_PatternSource):
     """y - bias = +, -, +, - amplitude for 3, 2, 1 and 1 times `step` [s] from `start` on, then 0.
 
     Source: Jategaonkar, Flight Vehicle System Identification, chapter 2.
     """
+
+    pattern = PATTERNS["3-2-1-1"]
 
     def __init__(
         self,
@@ -159,20 +174,12 @@ class ThreeTwoOneOne(Block):
         unit: str = "",
     ) -> None:
         self.outputs = [Port("y", unit=unit)]
-        self.params = [
-            start_param(start),
-            Param("step", step, unit="s", low=0.0),
-            Param("amplitude", amplitude, unit=unit),
-            Param("bias", bias, unit=unit),
-        ]
+        self.params = _pattern_params(start, Param("step", step, unit="s", low=0.0), amplitude, bias, unit)
         self.derived = [Port("first", "uint32"), Port("unit_ticks", "uint32")]
 
     def prepare(self, p: Any, t: Clock) -> Any:
         return {"first": ticks(p.start, t), "unit_ticks": ticks(p.step, t)}
 
-    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        since = t.tick - p.first
-        one = p.unit_ticks
-        up = (since < one * 3) | ((one * 5 <= since) & (since < one * 6))
-        level = where(up, p.bias + p.amplitude, p.bias - p.amplitude)
-        return where((p.first <= t.tick) & (since < one * 7), level, p.bias)
+
+def _pattern_params(start: float, unit_time: Param, amplitude: float, bias: float, unit: str) -> list[Param]:
+    return [start_param(start), unit_time, Param("amplitude", amplitude, unit=unit), Param("bias", bias, unit=unit)]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from types import MappingProxyType
 from typing import Any
 
 from twodof.blocks.block import Block, Clock, library_block
@@ -14,30 +13,8 @@ from twodof.blocks.expressions.arrays import fold
 from twodof.blocks.expressions.expr import maximum, multiply_high, to_real, to_uint32, uint32, where
 from twodof.blocks.library.shape import count, one_of, reals
 from twodof.blocks.library.sources import start_param, ticks
+from twodof.blocks.library.waveform_laws import LAWS, MAX_HARMONIC, MAX_LINES, TAPS, shifted, sweep_rate, sweep_turns
 from twodof.errors import DiagramError
-
-LAWS = ("linear", "logarithmic")
-MAX_LINES = 500
-
-# Feedback taps of the primitive polynomials of lowest weight: the register runs through all 2^order - 1 states.
-TAPS = MappingProxyType(
-    {
-        3: (3, 2),
-        4: (4, 3),
-        5: (5, 3),
-        6: (6, 5),
-        7: (7, 6),
-        8: (8, 6, 5, 4),
-        9: (9, 5),
-        10: (10, 7),
-        11: (11, 9),
-        12: (12, 6, 4, 1),
-        13: (13, 4, 3, 1),
-        14: (14, 5, 3, 1),
-        15: (15, 14),
-        16: (16, 15, 13, 4),
-    }
-)
 
 
 def _fraction(value: Any) -> Any:
@@ -99,7 +76,7 @@ class Sine(Block):
 
 
 @library_block("multisine")
-class Multisine(Block):
+class MultisineSource(Block):
     """y = bias + sum over k of amplitudes[k] cos(2 pi h_k (t - start) / period + phases[k]) from `start` on.
 
     Before it, bias. `harmonics` h_k are whole numbers >= 1; `period` [s] is the nearest whole number of ticks, so that
@@ -117,7 +94,7 @@ class Multisine(Block):
         start: float = 0.0,
         unit: str = "",
     ) -> None:
-        lines = [count(h, 1, 10_000, "Multisine", "harmonics") for h in harmonics]
+        lines = [count(h, 1, MAX_HARMONIC, "Multisine", "harmonics") for h in harmonics]
         self.lines = count(len(lines), 1, MAX_LINES, "Multisine", "number of harmonics")
         if len(amplitudes) != self.lines or len(phases) != self.lines:
             raise DiagramError(
@@ -127,7 +104,7 @@ class Multisine(Block):
             )
         self.outputs = [Port("y", unit=unit)]
         self.params = [
-            Param("harmonics", lines, "uint32", self.lines, low=1, high=10_000),
+            Param("harmonics", lines, "uint32", self.lines, low=1, high=MAX_HARMONIC),
             Param("amplitudes", reals(amplitudes, "Multisine", "amplitudes"), width=self.lines, unit=unit),
             Param("phases", reals(phases, "Multisine", "phases"), width=self.lines, unit="rad"),
             Param("period", period, unit="s", low=0.0),
@@ -163,7 +140,7 @@ class Multisine(Block):
 
 
 @library_block("sweep")
-class Sweep(Block):
+class SweepSource(Block):
     """A sine whose frequency goes from start_hz to end_hz in `length` [s] from `start` on; bias before and after.
 
     y = bias + amplitude sin(2 pi n + phase), with s = t - start and L = length.
@@ -198,28 +175,23 @@ class Sweep(Block):
         self.derived = [Port("first", "uint32"), Port("last", "uint32"), Port("rate"), Port("turns")]
 
     def prepare(self, p: Any, t: Clock) -> Any:
-        if self.law == "linear":
-            rate = 0.5 * (p.end_hz - p.start_hz) / p.length
-            turns = 0.0
-        else:
-            octaves = log(p.end_hz / p.start_hz)
-            rate = octaves / p.length
-            turns = where(abs(octaves) < 1e-6, 0.0, p.start_hz / rate)
+        rate = sweep_rate(self.law, p.start_hz, p.end_hz, p.length, log)
+        octaves = 0.0 if self.law == "linear" else log(p.end_hz / p.start_hz)
+        turns = 0.0 if self.law == "linear" else where(abs(octaves) < 1e-6, 0.0, p.start_hz / rate)
         return {"first": ticks(p.start, t), "last": ticks(p.length, t), "rate": rate, "turns": turns}
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         since = t.tick - p.first
         s = to_real(since) * t.base_dt
-        if self.law == "linear":
-            n = s * (p.start_hz + p.rate * s)
-        else:
-            n = where(p.turns == 0.0, p.start_hz * s, p.turns * (exp(p.rate * s) - 1.0))
+        n = sweep_turns(self.law, s, p.start_hz, p.rate, p.turns, exp)
+        if self.law == "logarithmic":
+            n = where(p.turns == 0.0, p.start_hz * s, n)
         wave = p.amplitude * sin((2.0 * math.pi) * _fraction(n) + p.phase)
         return where((p.first <= t.tick) & (since < p.last), p.bias + wave, p.bias)
 
 
 @library_block("prbs")
-class Prbs(Block):
+class PrbsSource(Block):
     """Pseudo-random binary sequence: bias +- amplitude, a new bit every `clock` [s] from `start` on; bias before.
 
     A linear feedback shift register of `order` bits (3 .. 16) shifts towards its lowest bit, which is the output; it
@@ -262,13 +234,9 @@ class Prbs(Block):
         return where(p.first <= t.tick, wave, p.bias)
 
     def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        feedback = x.register & 0
-        for tap in TAPS[self.order]:
-            feedback = feedback ^ (x.register >> (self.order - tap))
-        shifted = (x.register >> 1) | ((feedback & 1) << (self.order - 1))
         running = p.first <= t.tick
         full = p.hold <= x.held + 1
         return {
-            "register": where(running & full, shifted, x.register),
+            "register": where(running & full, shifted(x.register, self.order), x.register),
             "held": where(running, where(full, 0, x.held + 1), x.held),
         }

@@ -1,0 +1,64 @@
+"""What each test signal is, stated once: for the blocks that play it and for `twodof.excitation`, which stores it.
+
+The functions take numbers of the block language as well as Python's and numpy's. Sources: Jategaonkar, Flight Vehicle
+System Identification, chapter 2; Golomb, Shift Register Sequences.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Any
+
+LAWS = ("linear", "logarithmic")
+"""How a sweep's frequency goes from its start to its end."""
+
+MAX_LINES = 500
+MAX_HARMONIC = 10_000
+"""Of a multisine."""
+
+PATTERNS: Mapping[str, tuple[int, ...]] = MappingProxyType({"doublet": (1, -1), "3-2-1-1": (3, -2, 1, -1)})
+"""Signals that are held at plus or minus their amplitude: for how many times the unit of time, with the sign."""
+
+# Feedback taps of the primitive polynomials of lowest weight: the register runs through all 2^order - 1 states.
+TAPS: Mapping[int, tuple[int, ...]] = MappingProxyType(
+    {
+        3: (3, 2),
+        4: (4, 3),
+        5: (5, 3),
+        6: (6, 5),
+        7: (7, 6),
+        8: (8, 6, 5, 4),
+        9: (9, 5),
+        10: (10, 7),
+        11: (11, 9),
+        12: (12, 6, 4, 1),
+        13: (13, 4, 3, 1),
+        14: (14, 5, 3, 1),
+        15: (15, 14),
+        16: (16, 15, 13, 4),
+    }
+)
+"""By the order of a pseudo-random binary sequence."""
+
+
+def shifted(register: Any, order: int) -> Any:
+    """A linear feedback shift register of `order` bits after one step; its lowest bit is the output."""
+    feedback = register & 0
+    for tap in TAPS[order]:
+        feedback = feedback ^ (register >> (order - tap))
+    return (register >> 1) | ((feedback & 1) << (order - 1))
+
+
+def sweep_rate(law: str, start_hz: Any, end_hz: Any, length: Any, log: Callable[[Any], Any]) -> Any:
+    """How fast a sweep's frequency grows: half of it [Hz/s] if linear, else its logarithm [1/s]."""
+    return 0.5 * (end_hz - start_hz) / length if law == "linear" else log(end_hz / start_hz) / length
+
+
+def sweep_turns(law: str, s: Any, start_hz: Any, rate: Any, scale: Any, exp: Callable[[Any], Any]) -> Any:
+    """Turns that a sweep has made after `s` [s]; `scale` is start_hz / rate.
+
+    linear: f = f0 + (f1 - f0) s/L, n = s (f0 + (f1 - f0) s / (2 L)).
+    logarithmic: f = f0 (f1/f0)^(s/L), n = f0 L/r (exp(r s/L) - 1), r = log(f1/f0).
+    """
+    return s * (start_hz + rate * s) if law == "linear" else scale * (exp(rate * s) - 1.0)
