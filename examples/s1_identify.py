@@ -10,7 +10,7 @@ from twodof.identify import KINDS, cut, fit, identify_pitch
 from twodof.models import pitch_rate, step_figures
 
 # A virtual drone of our own. With the real one, or with one of `twodof up`: `with Drone.connect() as drone:`
-with virtual_drone("paper", "--rings") as url, Drone.connect(url) as drone:
+with virtual_drone("paper", rings=True) as url, Drone.connect(url) as drone:
     print(f"{drone.version()}; {drone.state}")
 
     # The controller that is there: a step of the pitch by 10 degrees.

@@ -16,7 +16,7 @@ designs = {
 }
 doublets = Doublet(radians(30.0), 1.0, unit="rad/s", repeat=2, pause=0.5, settle=0.5)
 
-with virtual_drone("lab", "--rings") as url, Drone.connect(url) as drone:
+with virtual_drone("lab", rings=True) as url, Drone.connect(url) as drone:
     print("crossover  RMS of q0 - q  peak of q  RMS of M")
     for crossover, gains in designs.items():
         drone.parameters.update(gains)  # all of them at one tick, or none

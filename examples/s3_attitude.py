@@ -8,7 +8,7 @@ from twodof.models import step_figures
 
 STEP = radians(10.0)
 
-with virtual_drone("lab", "--rings") as url, Drone.connect(url) as drone:
+with virtual_drone("lab", rings=True) as url, Drone.connect(url) as drone:
     for gain in (5.0, 11.0):
         drone.parameters["ATT_KP"] = gain
         drone.run(0.5)

@@ -1,5 +1,5 @@
 """Drones on this computer: started, supervised, found, given controllers and ended."""
 
-from twodof.fleet.virtual_drone import virtual_drone
+from twodof.fleet.virtual_drone import virtual_drone, virtual_drones
 
-__all__ = ["virtual_drone"]
+__all__ = ["virtual_drone", "virtual_drones"]

@@ -1,4 +1,4 @@
-"""A virtual drone of a command's own: `twodof fcu` as a child process in lockstep, for as long as it is needed."""
+"""Virtual drones of a program's own: `twodof fcu` as child processes in lockstep, for as long as they are needed."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import IO
 
@@ -27,31 +28,50 @@ _MOST_SAID = 4000
 
 
 @contextmanager
-def virtual_drone(rig: str, *options: str) -> Iterator[str]:
-    """The URL of a drone on the virtual rig `rig` whose time a client grants; it ends with the block.
-
-    It listens on this machine only, on a port that the system chooses, and keeps nothing. `options` are further ones of
-    `twodof fcu`. Raises LinkError if it does not come up.
-    """
-    with TemporaryDirectory(prefix="twodof-") as folder, _started(rig, folder, options) as process:
-        yield _listening(process, rig)
+def virtual_drone(
+    rig: str = "lab", rings: bool = False, controllers: Iterable[str | Path] = (), options: Sequence[str] = ()
+) -> Iterator[str]:
+    """The URL of one drone, as `virtual_drones` starts them."""
+    with virtual_drones(1, rig, rings, controllers, options) as (url,):
+        yield url
 
 
 @contextmanager
-def _started(rig: str, folder: str, options: Sequence[str]) -> Iterator[subprocess.Popen[bytes]]:
-    command = [sys.executable, "-m", "twodof.fleet.child", "fcu", "--lockstep", "--rig", rig, "--state", folder]
-    process = subprocess.Popen(
-        [*command, "--listen", "tcpin://127.0.0.1:0", *options],
+def virtual_drones(
+    count: int,
+    rig: str = "lab",
+    rings: bool = False,
+    controllers: Iterable[str | Path] = (),
+    options: Sequence[str] = (),
+) -> Iterator[list[str]]:
+    """The URLs of `count` drones on virtual rigs, whose time a client grants; they end with the block.
+
+    They start side by side. Each listens on this machine only, on a port that the system chooses, and keeps nothing;
+    drone k has the noise of seed k + 1. `rig` is "lab", "paper" or a JSON file of rig parameters, `rings` lock the
+    cart. `controllers` fly in a sandbox: diagrams' JSON files or names of starters. `options` are further ones of
+    `twodof fcu`. Raises LinkError if one does not come up.
+    """
+    given = ["--rings", *options] if rings else [*options]
+    given += [option for name in controllers for option in ("--controller", str(name))]
+    with TemporaryDirectory(prefix="twodof-") as folder, ExitStack() as stack:
+        drones: list[subprocess.Popen[bytes]] = []
+        stack.callback(_end, drones)
+        for number in range(count):
+            own = ["--seed", str(number + 1), "--state", str(Path(folder) / str(number))]
+            drones.append(_started(["--lockstep", "--rig", str(rig), *own, *given]))
+        yield [_listening(drone, rig) for drone in drones]
+
+
+def _started(options: Sequence[str]) -> subprocess.Popen[bytes]:
+    command = [sys.executable, "-m", "twodof.fleet.child", "fcu", "--listen", "tcpin://127.0.0.1:0", *options]
+    return subprocess.Popen(
+        command,
         stdin=subprocess.PIPE,  # never written to: it ends with us
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         start_new_session=True,
         bufsize=0,
     )
-    try:
-        yield process
-    finally:
-        _end(process)
 
 
 def _listening(process: subprocess.Popen[bytes], rig: str) -> str:
@@ -77,12 +97,16 @@ def _drain(pipe: IO[bytes]) -> None:
             pass
 
 
-def _end(process: subprocess.Popen[bytes]) -> None:
-    process.terminate()
-    try:
-        process.wait(END_S)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
-    if process.stdin is not None:
-        process.stdin.close()
+def _end(processes: Sequence[subprocess.Popen[bytes]]) -> None:
+    """Asks all to end, and kills those that have not after `END_S`."""
+    for process in processes:
+        process.terminate()
+    end = time.monotonic() + END_S
+    for process in processes:
+        try:
+            process.wait(max(0.0, end - time.monotonic()))
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        if process.stdin is not None:
+            process.stdin.close()

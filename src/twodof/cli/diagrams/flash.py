@@ -2,77 +2,28 @@
 
 from __future__ import annotations
 
-import tempfile
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 from rich.console import Console
 
-from twodof.blocks import Diagram
-from twodof.blocks.difference import Difference, difference
+from twodof.blocks.difference import Difference
 from twodof.blocks.schema.json_form import to_json
 from twodof.cli.diagrams.argument import DIAGRAM_HELP, read_diagram
 from twodof.cli.drone.connect import lease_refusals
 from twodof.cli.output import Json, print_json, table_console
-from twodof.compile import CompiledProgram, build
-from twodof.compile.cortex_m7.report import measure
-from twodof.compile.program.check import check as check_diagram
-from twodof.compile.px4 import export
-from twodof.compile.px4.checkout import check
-from twodof.compile.px4.checkout.check import ERROR
-from twodof.errors import CompileError
-from twodof.fleet.flash_target import FCU, PX4, SIM, check_target, open_target
+from twodof.fleet.flash import ControllerCosts
+from twodof.fleet.flash import flash as flash_controller
+from twodof.fleet.flash_target import FCU, PX4, SIM
 from twodof.flight.controller_store import STOCK
 from twodof.flight.starters import starter
-from twodof.flight.templates import PERIOD, check_template
+from twodof.flight.templates import PERIOD
 from twodof.gcs.async_drone import DEFAULT_URL
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
 _LINES = 60  # of changes; a diagram that has little in common with the one before makes hundreds
-_STEPS = 250  # run on the emulated processor to count instructions: a second of flight
-
-
-@dataclass(frozen=True)
-class Costs:
-    """What a controller costs: bytes of its structs, alike on every target, and the Cortex-M7's figures or why none."""
-
-    parameters: int
-    states: int
-    inputs: int
-    outputs: int
-    m7: dict[str, Any] | None
-    m7_missing: str
-
-    def to_json(self) -> dict[str, Any]:
-        """The figures as a JSON object."""
-        return {
-            "parameter_bytes": self.parameters,
-            "state_bytes": self.states,
-            "input_bytes": self.inputs,
-            "output_bytes": self.outputs,
-            "cortex_m7": self.m7,
-            "cortex_m7_missing": self.m7_missing or None,
-        }
-
-
-def costs(diagram: Diagram, precision: str) -> Costs:
-    """What `diagram` costs at 250 Hz, compiled for this machine and for the Cortex-M7 where its tool chain is there.
-
-    Raises DiagramError and CompileError as `build` does, CompileError also without a C compiler.
-    """
-    program = build(diagram, PERIOD, precision)
-    if not isinstance(program, CompiledProgram):
-        raise CompileError("there is no C compiler", diagram.name, "install gcc, or the wheel ziglang")
-    p, s, u, y = (program.dtypes[struct].itemsize for struct in "PSUY")
-    try:
-        on_m7 = build(diagram, PERIOD, precision, target="cortex-m7")
-    except CompileError as reason:
-        return Costs(p, s, u, y, None, str(reason))
-    # Only the native target falls back to the interpreter.
-    return Costs(p, s, u, y, measure(on_m7, _STEPS).to_json() if isinstance(on_m7, CompiledProgram) else None, "")
 
 
 @app.command()
@@ -112,70 +63,49 @@ def flash(
         raise typer.BadParameter("--px4 goes with --to px4-dir")
     if key is not None and to in (SIM, PX4):
         raise typer.BadParameter("--key goes with a drone")
-    check_target(to)
     new = read_diagram(diagram)
-    kind = check_template(new).name
-    cost = costs(new, precision)
-    remarks = [f"{r.where}: {r.what} ({r.remedy})" for r in check_diagram(new, PERIOD).remarks]
-    warnings = [] if px4 is None else _checked(new, px4)
     url = DEFAULT_URL if to == FCU else to
-    with lease_refusals(url), open_target(to, out, key) as there:
-        before, origin = there.before(kind)
-        place = there.name(kind)
-        if not dry_run:
-            there.put(kind, new)
-    changes = difference(before, new)
+    with lease_refusals(url):
+        found = flash_controller(new, to, out, px4, precision, key, dry_run)
     if json:
         print_json(
             {
                 "diagram": new.name,
-                "template": kind,
+                "template": found.template,
                 "to": to,
                 "precision": precision,
-                "costs": cost.to_json(),
-                "against": origin,
-                "changes": changes.to_json(),
-                "remarks": remarks,
-                "warnings": warnings,
-                "place": place,
+                "costs": found.costs.to_json(),
+                "against": found.origin,
+                "changes": found.changes.to_json(),
+                "remarks": found.remarks,
+                "warnings": found.warnings,
+                "place": found.place,
                 "flashed": not dry_run,
             }
         )
         return
     console = table_console()
-    console.print(f"{new.name} fits {kind}; {precision}, {1.0 / PERIOD:g} Hz")
-    _print_costs(console, cost)
-    _print_changes(console, changes, origin)
-    for remark in remarks:
+    console.print(f"{new.name} fits {found.template}; {precision}, {1.0 / PERIOD:g} Hz")
+    _print_costs(console, found.costs)
+    _print_changes(console, found.changes, found.origin)
+    for remark in found.remarks:
         console.print(f"remark: {remark}")
-    for warning in warnings:
+    for warning in found.warnings:
         console.print(f"warning: {warning}")
     if dry_run:
         console.print("nothing was flashed (--dry-run)")
     elif to == SIM:
-        console.print(f"flashed: {place}")
+        console.print(f"flashed: {found.place}")
         console.print("fly it: twodof simulate EXPERIMENT --controller flashed")
     elif to != PX4:
-        console.print(f"flashed: {place}")
-        if to_json(new) != to_json(starter(STOCK[kind])):
-            console.print(f"tune it: twodof parameters --url {url} {kind}.NAME=VALUE")
+        console.print(f"flashed: {found.place}")
+        if to_json(new) != to_json(starter(STOCK[found.template])):
+            console.print(f"tune it: twodof parameters --url {url} {found.template}.NAME=VALUE")
     else:
-        console.print(f"written: {place}, whose README.md says how to build it into PX4")
+        console.print(f"written: {found.place}, whose README.md says how to build it into PX4")
 
 
-def _checked(diagram: Diagram, px4: Path) -> list[str]:
-    """What `twodof px4 check` warns of, of a module that nobody keeps. Raises CompileError where it does not fit."""
-    with tempfile.TemporaryDirectory(prefix="twodof-") as name:
-        folder = Path(name) / "module"
-        export(diagram, folder)
-        found = check(px4, folder)
-    if not found.fits:
-        errors = "; ".join(f"{row.where}: {row.what} ({row.remedy})" for row in found.rows if row.level == ERROR)
-        raise CompileError(f"{found.module} does not fit it: {errors}", str(px4), "nothing was written")
-    return [f"{row.where}: {row.what} ({row.remedy})" for row in found.rows]
-
-
-def _print_costs(console: Console, cost: Costs) -> None:
+def _print_costs(console: Console, cost: ControllerCosts) -> None:
     console.print(
         f"parameters {cost.parameters} bytes, states {cost.states} bytes, inputs {cost.inputs}, outputs {cost.outputs}"
     )

@@ -67,9 +67,10 @@ def fly(
         check_place(out)  # before anything moves: a flight is not flown for nothing
     if plot is not None:
         check_plot(plot)
-    own = [option for name in controller or [] for option in ("--controller", name)]
     with ExitStack() as stack:
-        where = url or DEFAULT_URL if rig is None else stack.enter_context(virtual_drone(rig, *own))
+        where = (
+            url or DEFAULT_URL if rig is None else stack.enter_context(virtual_drone(rig, controllers=controller or ()))
+        )
         report = stack.enter_context(progress())
         there = stack.enter_context(connected(where, key, drone))
         if withhold_tuning:

@@ -6,104 +6,28 @@ import asyncio
 import signal
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated
 
 import typer
 
 from twodof.cli.drone import options
+from twodof.cli.interrupts import INTERRUPTED
 from twodof.cli.output import Json, print_json_line, say_line
-from twodof.errors import LinkError
-from twodof.fleet.active_controller import STOCK, controller_in_words
+from twodof.fleet.active_controller import controller_in_words
 from twodof.fleet.free_ports import MOST_DRONES, check_ports_free
-from twodof.fleet.supervisor import MOST_RESTARTS, WITHIN_S, ChildProcess, ProcessSupervisor
+from twodof.fleet.local_drone import ControllerReport, LocalDrone
+from twodof.fleet.local_fleet import LocalFleet
+from twodof.fleet.supervisor import MOST_RESTARTS, WITHIN_S
 from twodof.flight.controller_store import data_folder
-from twodof.link.connection import Connection
-from twodof.link.mavlink.components import AUTOPILOT
-from twodof.link.mavlink.dialect import message_id
-from twodof.link.mavlink.messages import message
-from twodof.link.signing.frame_signing import Signing
-from twodof.link.signing.key import Key, read_key
-from twodof.link.signing.time_stamps import Stamps
-from twodof.link.transport import ports
-from twodof.link.transport.open_transport import open_transport
+from twodof.link.signing.key import read_key
 from twodof.sim.rig_host import SEEDS
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
-INTERRUPTED = 130
-
-ANSWER_S = 60.0
-"""How long a program may take until it is heard [s]: the first one compiles the flight code and the rig."""
-
-REQUEST_MESSAGE = 512
-
-_PROBE = 240  # system of who only listens whether a drone is there; none of those that clients use
-
-
-class ControllerReport(NamedTuple):
-    """What a drone flies: its controller, and how many parameters differ from their defaults."""
-
-    controller: str = STOCK
-    changed: int = 0
-
-
 NOTHING_KNOWN: Mapping[int, ControllerReport] = MappingProxyType({})
-
-
-@dataclass(frozen=True)
-class LocalDrone:
-    """The drone `index`: its ports on this machine (docs/reference/protocol.md), its seed, its folders and its key."""
-
-    index: int
-    seed: int = 1
-    state: Path = Path()
-    key: Path | None = None
-
-    @property
-    def options(self) -> list[str]:
-        """What both its programs are told."""
-        return ["--index", str(self.index), *(() if self.key is None else ("--key", str(self.key)))]
-
-    @property
-    def own(self) -> list[str]:
-        """What its flight controller is told besides, and no other drone's."""
-        return ["--seed", str(self.seed), "--state", str(self.state)]
-
-    @property
-    def system(self) -> int:
-        """Its MAVLink system."""
-        return self.index + 1
-
-    @property
-    def fcu(self) -> str:
-        """The flight controller itself."""
-        return f"tcp://127.0.0.1:{ports.FLIGHT_CONTROLLER + self.index}"
-
-    @property
-    def companion(self) -> str:
-        """The companion, for who opens a connection."""
-        return f"tcp://127.0.0.1:{ports.COMPANION_TCP + self.index}"
-
-    def described(self, lockstep: bool) -> dict[str, Any]:
-        """Where to connect with what."""
-        return {
-            "index": self.index,
-            "system": self.system,
-            "seed": self.seed,
-            "state": str(self.state.absolute()),
-            "key": None if self.key is None else str(self.key.absolute()),
-            "fcu": self.fcu,
-            "companion": self.companion,
-            # Time that is granted by one client: straight to the flight controller, as nobody else is to be there.
-            "drone": self.fcu if lockstep else f"udp://127.0.0.1:{ports.COMPANION_ONBOARD + self.index}",
-            "mavsdk": f"udpin://127.0.0.1:{ports.ONBOARD + self.index}",
-            "mavproxy": f"tcp:127.0.0.1:{ports.COMPANION_TCP + self.index}",
-            "qgroundcontrol": f"udp://127.0.0.1:{ports.GROUND_STATION}",
-        }
 
 
 @app.command()
@@ -159,88 +83,39 @@ def up(
         LocalDrone(first + number, (seed + number) % SEEDS, folder / f"drone-{first + number}", key)
         for number in range(drones)
     ]
-    raise typer.Exit(asyncio.run(_run(places, given, known, lockstep, json)))
+    fleet = LocalFleet(places, given, known, _tell)
+    raise typer.Exit(asyncio.run(_run(fleet, places, lockstep, json)))
 
 
-async def _run(places: list[LocalDrone], given: list[str], key: Key | None, lockstep: bool, json: bool) -> int:
-    stopped = asyncio.Event()
-    loop = asyncio.get_running_loop()
+async def _run(fleet: LocalFleet, places: list[LocalDrone], lockstep: bool, json: bool) -> int:
+    """The exit status, once all have ended."""
+    stopped, all_up = asyncio.Event(), asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, stopped.set)
-    urls: dict[str, tuple[str, LocalDrone]] = {}
-    flown: dict[int, ControllerReport] = {}
-    programs = []
-    for place in places:
-        for name, url, arguments in (
-            (f"flight controller {place.system}", place.fcu, ["fcu", *place.options, *place.own, *given]),
-            (f"companion {place.system}", place.companion, ["companion", *place.options]),
-        ):
-            urls[name] = (url, place)
-            programs.append(ChildProcess(name, arguments))
+        asyncio.get_running_loop().add_signal_handler(number, stopped.set)
 
-    async def answers(child: ChildProcess) -> None:
-        await child.listening.wait()  # else it might be another one at the same port that is heard
-        url, place = urls[child.name]
-        found = await wait_until_heard(url, place.system, ANSWER_S, key)
-        if url == place.fcu:
-            flown[place.index] = found
-            # Fresh once: one that is started again flies what was sent to it meanwhile.
-            child.arguments = [one for one in child.arguments if one != "--fresh"]
+    async def keep() -> None:
+        await fleet.start()
+        all_up.set()
+        say(places, lockstep, json, fleet.reports)
+        await fleet.run()
 
-    children = ProcessSupervisor(programs, _tell, answers)
-    ending = asyncio.ensure_future(stopped.wait())
-    up_all = asyncio.Event()
-    running = asyncio.ensure_future(_keep(children, places, flown, up_all, lockstep, json))
-    try:
-        await asyncio.wait((ending, running), return_when=asyncio.FIRST_COMPLETED)
-        if not running.done() and not json:
-            sys.stdout.write("ending all\n")
-            sys.stdout.flush()
-        return running.result() if running.done() else 0 if up_all.is_set() else INTERRUPTED
-    finally:
-        for task in (ending, running):
-            task.cancel()
-        await asyncio.gather(ending, running, return_exceptions=True)
-        await children.end()
-        if stopped.is_set() and not json:
-            sys.stdout.write("all have ended\n")
-
-
-async def _keep(
-    children: ProcessSupervisor,
-    places: list[LocalDrone],
-    flown: Mapping[int, ControllerReport],
-    up_all: asyncio.Event,
-    lockstep: bool,
-    json: bool,
-) -> int:
-    await children.start()
-    up_all.set()
-    say(places, lockstep, json, flown)
-    await children.run()
-    return 1
-
-
-async def wait_until_heard(url: str, system: int, timeout: float, key: Key | None = None) -> ControllerReport:
-    """What the flight controller `system` at `url` says that it flies, all signed with `key` if there is one.
-
-    Raises LinkError if none comes within `timeout` [s].
-    """
-    try:
-        async with asyncio.timeout(timeout):
-            signing = None if key is None else Signing(key, Stamps(None))
-            async with Connection(await open_transport(url, timeout), _PROBE, 1, signing) as connection:
-                while True:
-                    got = await connection.receive(1.0)
-                    if got is None or (got.frame.system, got.frame.component) != (system, AUTOPILOT):
-                        continue
-                    if got.message.get_type() == "HEARTBEAT":
-                        asked = {"command": REQUEST_MESSAGE, "param1": float(message_id("TWODOF_RIG"))}
-                        connection.send(message("COMMAND_LONG", target_system=system, target_component=1, **asked))
-                    elif got.message.get_type() == "TWODOF_RIG":
-                        return ControllerReport(got.message.controller, got.message.changed)
-    except TimeoutError:
-        raise LinkError(f"no heartbeat of system {system} within {timeout:g} s", url, "see what it says") from None
+    async with fleet:
+        ending, running = asyncio.ensure_future(stopped.wait()), asyncio.ensure_future(keep())
+        try:
+            await asyncio.wait((ending, running), return_when=asyncio.FIRST_COMPLETED)
+            if running.done():
+                running.result()
+                return 1
+            if not json:
+                sys.stdout.write("ending all\n")
+                sys.stdout.flush()
+        finally:
+            for task in (ending, running):
+                task.cancel()
+            await asyncio.gather(ending, running, return_exceptions=True)
+    if not json:
+        sys.stdout.write("all have ended\n")
+    return 0 if all_up.is_set() else INTERRUPTED
 
 
 def _tell(line: str) -> None:

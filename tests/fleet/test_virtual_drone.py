@@ -1,0 +1,53 @@
+"""Virtual drones of a program's own: several start side by side, fly and are recorded together, and end together."""
+
+from __future__ import annotations
+
+import asyncio
+from contextlib import AsyncExitStack
+from pathlib import Path
+
+import pytest
+
+from twodof.errors import LinkError
+from twodof.fleet import virtual_drone, virtual_drones
+from twodof.flightlog.files import read_log
+from twodof.gcs.async_drone import AsyncDrone
+
+
+SET_UP = 250
+"""Frames that a recording is set up with; the description of all parameters alone takes as many."""
+
+
+def received(drone: AsyncDrone) -> int:
+    """Frames that have come from the drone."""
+    return sum(sender.received for sender in drone.statistics.senders.values())
+
+
+def test_several_drones_are_recorded_in_one_script(tmp_path: Path) -> None:
+    """Each with noise of its own; with the block their programs are gone."""
+
+    async def record(urls: list[str]) -> list[int]:
+        async with AsyncExitStack() as stack:
+            drones = [await stack.enter_async_context(await AsyncDrone.connect(url)) for url in urls]
+            before = [received(drone) for drone in drones]
+            for number, drone in enumerate(drones):
+                await stack.enter_async_context(drone.record(tmp_path / f"{number}.mcap"))
+            asked = [received(drone) - count for drone, count in zip(drones, before, strict=True)]
+            await asyncio.gather(*(drone.run(0.2) for drone in drones))
+            return asked
+
+    with virtual_drones(2, "lab", rings=True) as urls:
+        asked = asyncio.run(record(urls))
+    assert len(set(urls)) == 2
+    logs = [read_log(tmp_path / f"{number}.mcap") for number in range(2)]
+    assert [len(log["q"]) for log in logs] == [50, 50]
+    assert (logs[0]["gyr"].value != logs[1]["gyr"].value).any()
+    assert max(asked) < SET_UP, "what a recording asks for beforehand"
+    for url in urls:
+        with pytest.raises(LinkError):
+            asyncio.run(AsyncDrone.connect(url, timeout=1.0))
+
+
+def test_what_keeps_a_drone_from_starting_is_told() -> None:
+    with pytest.raises(LinkError, match=r"nowhere\.json"), virtual_drone("nowhere.json"):
+        pytest.fail("it came up")
