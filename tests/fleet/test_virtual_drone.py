@@ -13,7 +13,6 @@ from twodof.fleet import virtual_drone, virtual_drones
 from twodof.flightlog.files import read_log
 from twodof.gcs.async_drone import AsyncDrone
 
-
 SET_UP = 250
 """Frames that a recording is set up with; the description of all parameters alone takes as many."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -147,7 +148,10 @@ class Laboratory:
             "parameters": self._tuned,
         }
         if self.controllers:
-            provenance["controllers"] = self.described_controllers()
+            provenance["controllers"] = {
+                kind: row | {"diagram": json.loads(to_json(self.controllers[kind]))}
+                for kind, row in self.described_controllers().items()
+            }
         log = flight_log(out, np.asarray(plan.setpoints["mode"], dtype=np.int32), provenance)
         checks = data_checks(experiment, plan, out, self.parameters)
         if self.controllers:

@@ -17,7 +17,7 @@ from twodof.experiment.received import COLUMNS, ReceivedSamples, safety_in
 from twodof.experiment.script import Script, on_wire, script
 from twodof.flight.core import PERIOD
 from twodof.flightlog.provenance import versions
-from twodof.gcs.control.active_controller import ActiveController
+from twodof.gcs.control.active_controller import ActiveController, ParameterChanges
 from twodof.gcs.drone import Drone
 from twodof.gcs.sync_parts import DroneRows
 from twodof.gcs.telemetry.recording import safety_row, seconds
@@ -106,7 +106,7 @@ def fly(
         drone.reset(seed=seed, x=x_start, noise=noise, rings=experiment.rings)
     flown_seed = seed if rig.virtual else 0
     what = _flies(drone)
-    with _listening(drone) as heard, drone.batch(COLUMNS) as rows, _truth(drone) as truth:
+    with _listening(drone, what) as heard, drone.batch(COLUMNS) as rows, _truth(drone) as truth:
         course = _Course(experiment, plan, x_start, drone, rows, model.parameters, progress or _silent)
 
         def flight(reason: str) -> Flight:
@@ -130,6 +130,7 @@ def fly(
                 "versions": versions(),
                 "flown": {"url": drone.url, "virtual": rig.virtual, "controller": rig.controller, "reason": reason},
                 "texts": [list(line) for line in heard.texts],
+                "changes": [list(row) for row in heard.changes],
                 **what.provenance(),
             }
             log = samples.log(provenance, safety_in(heard.safety, course.first, plan.steps))
@@ -163,15 +164,20 @@ def _flies(drone: Drone) -> ActiveController:
 
 
 class _Heard(NamedTuple):
-    """What the drone said meanwhile: TWODOF_SAFETY as (tick, row of the channel), and words as (s, severity, text)."""
+    """What the drone said meanwhile: TWODOF_SAFETY as (tick, row of the channel), words as (s, severity, text).
+
+    `changes` of parameters are (s, name, value).
+    """
 
     safety: list[tuple[int, tuple[int, int, int]]]
     texts: list[tuple[float, str, str]]
+    changes: list[tuple[float, str, float]]
 
 
 @contextmanager
-def _listening(drone: Drone) -> Iterator[_Heard]:
-    heard, there = _Heard([], []), drone.there
+def _listening(drone: Drone, what: ActiveController) -> Iterator[_Heard]:
+    changes, there = ParameterChanges(what), drone.there
+    heard = _Heard([], [], changes.rows)
 
     def said(line: StatusText) -> None:
         heard.texts.append((seconds(there.tick), line.severity, line.text))
@@ -179,7 +185,15 @@ def _listening(drone: Drone) -> Iterator[_Heard]:
     def safety(got: Any) -> None:
         heard.safety.append((got.tick, safety_row(got)))
 
-    with there.session.handling(safety, "TWODOF_SAFETY"), there.session.events.handling(StatusText, said):
+    def parameter(got: Any) -> None:
+        changes.told(seconds(there.tick), got)
+
+    session = there.session
+    with (
+        session.handling(safety, "TWODOF_SAFETY"),
+        session.handling(parameter, "PARAM_VALUE"),
+        session.events.handling(StatusText, said),
+    ):
         yield heard
 
 

@@ -55,6 +55,12 @@ class Gains:
         """Those that are not the default ones, by the names of the drone's parameters ("RATE_KP")."""
         return {name: value for name, value in self._named().items() if value != _DEFAULTS[name]}
 
+    def changed(self, name: str, value: float) -> Gains:
+        """With the drone's parameter `name` at a float32 `value`; unchanged where that is not a gain in its bounds."""
+        if name not in _ROWS or ParameterSet(table=(_ROWS[name],)).check({name: value})[1]:
+            return self
+        return self._of({**self._named(), name: float32_decimal(value)})
+
     @classmethod
     def flown(cls, provenance: Mapping[str, Any]) -> Gains | None:
         """The gains that a log's provenance says were flown, by the drone's parameters; None where it says nothing.

@@ -2,6 +2,7 @@
 
 This is the proof that what we compile is what flew. Each loop is entered at its own logged set-point and measurement,
 through the mode of the one compiled cascade; the integrals are seeded from the log where the log cannot tell them.
+Gains that were changed in flight are changed in the replay. A user's controller is run by `sim.replay_user`.
 """
 
 from __future__ import annotations
@@ -17,6 +18,8 @@ from twodof.compile import build
 from twodof.flight.control.cascade import ATTITUDE, RATE, VELOCITY, cascade
 from twodof.flight.gains import DEFAULT, Gains
 from twodof.flightlog.log import FlightLog
+from twodof.sim.flown_parameters import FlownParameters
+from twodof.sim.replay_user import replay_user
 from twodof.sim.time_alignment import PERIOD, AlignedLog, Flags, Floats, align_log, runs
 
 CHANNELS = ("M", "q0", "theta0", "T")
@@ -26,6 +29,8 @@ _FORGET = 45  # samples after which the derivative has forgotten a lost error: .
 # Samples that seed a loop: one alone would leave the rounding of a logged float32 in its integral for the whole flight.
 # With two unknowns, integral and derivative, twelve tell the integral as well as six tell it alone.
 _SEED = 12
+UNSURE_S = 0.1
+"""How far from a change [s] in a recording the drone may have made it: a message was on its way."""
 _LONE_RESET = 5  # length of a reset that does not end the stretch
 _FLOAT32 = float(np.finfo(np.float32).eps)
 
@@ -56,8 +61,12 @@ class Replay:
         }
 
 
-def replay(log: FlightLog, gains: Gains = DEFAULT, precision: str = "float64") -> Replay:
-    """Feeds the logged inputs to the cascade with `gains`, compiled in `precision`, and compares M, q0, theta0, T.
+def replay(log: FlightLog, gains: Gains | None = None, precision: str = "float64") -> Replay:
+    """Feeds the logged inputs to the cascade, compiled in `precision`, and compares M, q0, theta0, T.
+
+    `gains` None: those that the log says, with each change in flight, else the default ones; the user's controllers of
+    which it has the diagrams are run in place of the stock loops. With `gains` the stock cascade is compared, with
+    these all along.
 
     Where no compiler is found the reference runs instead, with a warning that says so. Raises LogError if the log lacks
     a channel, DiagramError for an unknown precision.
@@ -65,22 +74,32 @@ def replay(log: FlightLog, gains: Gains = DEFAULT, precision: str = "float64") -
     Left out are five samples where a loop starts, samples whose input is missing from the log, and the twelve after
     each of these from which the loop is seeded: its integral, and for M the derivative's memory of the missing error.
     The reset of the integrals is not logged; it shows where M is what the law gives with the integral in reset. Where
-    a missing sample hides whether there was one, nothing is compared.
+    a missing sample hides whether there was one, nothing is compared. Nor is it within `UNSURE_S` of a change, whose
+    step the log does not tell exactly.
     """
+    flown = FlownParameters.of(log.provenance) if gains is None else FlownParameters(gains)
     paired = align_log(log)
-    program = build(cascade(gains), dt=PERIOD, precision=precision, log=tuple(_TERMS))
-    stage = _Stages(program, paired)
+    unsure = np.zeros(len(paired.time), dtype=np.bool_)
+    for at, _, _ in flown.changes:
+        unsure |= np.abs(paired.time - at) <= UNSURE_S
+    if flown.controllers and not flown.unknown:
+        user = replay_user(log, paired, flown, precision, unsure)
+        return _result(paired, precision, user.replayed, user.compared)
+    start = flown.gains or DEFAULT
+    program = build(cascade(start), dt=PERIOD, precision=precision, log=tuple(_TERMS))
+    changes = flown.gains_in_flight(start)
+    stage = _Stages(program, paired, {int(np.searchsorted(paired.time, at, "right")): g for at, g in changes})
     replayed: dict[str, Floats] = {}
     compared: dict[str, Flags] = {}
     in_reset, doubt = stage.find_reset()
-    lost = paired.lost
+    lost, doubt = paired.lost, doubt | unsure
     if paired.active["M"].any():
         plan = _Plan(paired.active["M"], lost["M"] | lost["q"] | lost["q0"] | doubt, in_reset)
         replayed["M"] = stage.run(RATE, in_reset | ~paired.active["M"], plan, stage.seed_rate)["M"]
         compared["M"] = plan.compared
     if paired.active["q0"].any():
         replayed["q0"] = stage.run(ATTITUDE, in_reset)["q0"]
-        compared["q0"] = paired.active["q0"] & ~(lost["q0"] | lost["theta0"] | lost["theta"])
+        compared["q0"] = paired.active["q0"] & ~(lost["q0"] | lost["theta0"] | lost["theta"] | unsure)
     if paired.active["theta0"].any():
         plan = _Plan(paired.active["theta0"], lost["M"] | lost["theta0"] | lost["v0"] | lost["v"] | doubt, in_reset)
         out = stage.run(VELOCITY, in_reset | ~paired.active["theta0"], plan, stage.seed_velocity)
@@ -133,8 +152,9 @@ class _Plan:
 class _Stages:
     """The compiled cascade, run over the log in one mode after the other."""
 
-    def __init__(self, program: Any, paired: AlignedLog) -> None:
+    def __init__(self, program: Any, paired: AlignedLog, gains: Mapping[int, Gains]) -> None:
         self.program = program
+        self.gains = gains
         self.paired = paired
         self.n = len(paired.time)
         value = paired.value
@@ -145,7 +165,7 @@ class _Stages:
 
         There M is P + D + Ki Ts e, to the rounding of a logged float32: at the end of a stretch, or for five samples.
         """
-        out = self.program.machine().run(self.n, self.inputs | {"mode": RATE})
+        out = self.run(RATE)
         terms = [np.asarray(out[name], dtype=np.float64) for name in _TERMS[:3]]
         size = np.abs(self.paired.value["M"]) + sum(np.abs(term) for term in terms)
         fits = np.abs(self.paired.value["M"] - sum(terms)) <= 4.0 * _FLOAT32 * size
@@ -180,17 +200,20 @@ class _Stages:
     def run(
         self,
         mode: int,
-        in_reset: Flags,
+        in_reset: Flags | None = None,
         plan: _Plan | None = None,
         seed: Callable[[Any, Mapping[str, Any], int, int], None] | None = None,
     ) -> dict[str, Floats]:
         """The cascade's outputs (n,) in `mode`; `seed` sets the machine right after each of the plan's seeds."""
         machine = self.program.machine()
-        inputs = self.inputs | {"in_reset": in_reset}
+        inputs = self.inputs | ({} if in_reset is None else {"in_reset": in_reset})
         seeds = plan.seeds if plan else []
-        cuts = sorted({0, self.n, *seeds, *(s + _SEED for s in seeds)})
+        changes = [at for at in self.gains if at < self.n]
+        cuts = sorted({0, self.n, *changes, *seeds, *(s + _SEED for s in seeds)})
         pieces = []
         for a, b in itertools.pairwise(cuts):
+            if a in self.gains:
+                machine.set_many(self.gains[a].parameters())
             out = machine.run(b - a, {name: column[a:b] for name, column in inputs.items()} | {"mode": mode})
             pieces.append(out)
             if seed and a in seeds:

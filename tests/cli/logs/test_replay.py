@@ -85,4 +85,4 @@ def test_what_somebody_else_noted_does_not_end_it(
     out, err = capfd.readouterr()
     assert set(json.loads(out)["nrms"]) == {"M", "q0"}
     assert "\x1b" not in err
-    assert ("a controller of one's own flew" in err) is ("controllers" in noted)
+    assert ("a controller of the user's flew" in err) is ("controllers" in noted)

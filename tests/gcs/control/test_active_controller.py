@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from pathlib import Path
 
 from tests.gcs.virtual import on_board
@@ -31,9 +32,11 @@ def test_a_recording_keeps_the_tuned_parameters_and_the_diagram_that_flew(tmp_pa
     assert kept.data == flies.diagrams["attitude_control"] == mine
     drone_said = read_log(tmp_path / "flight.mcap").provenance["drone"]
     assert drone_said["parameters"] == dict(flies.parameters)
-    assert drone_said["controllers"] == {
-        "attitude_control": {"name": "pid_attitude", "sha256": hashlib.sha256(mine).hexdigest()}
-    }
+    (controller,) = drone_said["controllers"].values()
+    assert controller["name"] == "pid_attitude"
+    assert controller["sha256"] == hashlib.sha256(mine).hexdigest()
+    assert controller["diagram"] == json.loads(mine)
+    assert controller["parameters"]["M_low"] == -1.0
 
 
 def test_of_stock_controllers_at_their_defaults_there_is_nothing_to_keep(tmp_path: Path) -> None:

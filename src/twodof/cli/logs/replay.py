@@ -10,9 +10,10 @@ import typer
 from rich.table import Table
 
 from twodof.cli.output import Json, one_line, print_json, say_line, table_console
-from twodof.flight.gains import Gains, load_gains
+from twodof.flight.gains import load_gains
 from twodof.flightlog.files import read_log
 from twodof.report.plots.flight_view import failsafe_bands
+from twodof.sim.flown_parameters import FlownParameters
 from twodof.sim.replay import replay as replay_log
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
@@ -44,15 +45,13 @@ def replay(
     json: Json = False,
 ) -> None:
     """Feed a log's inputs to the compiled flight code and compare what it gives with what was logged."""
-    log = read_log(file)
-    said = Gains.flown(log.provenance) if gains is None else None
-    gains = gains or ("default" if said is None else "that the log says")
-    result = replay_log(log, load_gains(gains) if said is None else said, precision.value)
-    drone = log.provenance.get("drone")
-    own = log.provenance.get("controllers") or (drone.get("controllers") if isinstance(drone, dict) else None)
-    if own:
-        names = one_line(", ".join(map(str, own)) if isinstance(own, dict | list) else own)
-        say_line(f"note: a controller of one's own flew ({names}), and the stock cascade is compared")
+    log, gains_given = read_log(file), gains is not None
+    flown = FlownParameters.of(log.provenance)
+    result = replay_log(log, None if gains is None else load_gains(gains), precision.value)
+    gains = gains or ("default" if flown.gains is None else "that the log says")
+    if flown.unknown or (flown.controllers and gains_given):
+        names = one_line(", ".join(flown.unknown or flown.controllers))
+        say_line(f"note: a controller of the user's flew ({names}), and the stock cascade is compared")
     bands = failsafe_bands(log)
     if bands:
         what = ", ".join(f"{band.start:.2f} to {band.stop:.2f} s {band.label}" for band in bands[:_SHOWN])

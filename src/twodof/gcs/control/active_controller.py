@@ -1,4 +1,4 @@
-"""What flies on a drone: the parameters that were tuned, and the diagrams of the user's controllers."""
+"""What flies on a drone: its parameters, the diagrams of the user's controllers, and what is tuned meanwhile."""
 
 from __future__ import annotations
 
@@ -10,12 +10,15 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from twodof.errors import Rejected
+from twodof.gcs.control.parameter_entry import MOST, entry_of
 from twodof.gcs.control.parameters import AsyncParameters
 from twodof.gcs.mavlink.deadline import Deadline
 from twodof.gcs.mavlink.files import AsyncFiles
 from twodof.parameters import PARAMETERS
 
 FOLDER = "/etc/extras"
+MOST_CHANGES = 10_000
+"""Changes of parameters that are kept of a flight."""
 _DIAGRAM = "_control.json"
 _ALSO = frozenset(row.drone for row in PARAMETERS if row.drone)  # the same numbers under the real drone's names
 
@@ -24,20 +27,58 @@ _ALSO = frozenset(row.drone for row in PARAMETERS if row.drone)  # the same numb
 class ActiveController:
     """`parameters` that are not at their defaults, by name; `diagrams` of the user's controllers, JSON by template.
 
+    `values` are all parameters by name. `paths` says where those of the user's controllers are in the diagrams.
     `known` is False where the drone does not tell.
     """
 
     parameters: Mapping[str, float] = field(default_factory=dict)
     diagrams: Mapping[str, bytes] = field(default_factory=dict)
     known: bool = True
+    values: Mapping[str, float] = field(default_factory=dict)
+    paths: Mapping[str, str] = field(default_factory=dict)
 
     def provenance(self) -> dict[str, Any]:
-        """For a log: `parameters`, and `controllers` by template with name and SHA-256 of the JSON; {} if unknown."""
-        controllers = {
-            template: {"name": _name(content), "sha256": hashlib.sha256(content).hexdigest()}
-            for template, content in self.diagrams.items()
-        }
-        return {"parameters": dict(self.parameters), "controllers": controllers} if self.known else {}
+        """For a log, all that a replay needs: `parameters`, and `controllers` by template; {} if unknown.
+
+        A controller has its name, its diagram, the SHA-256 of the diagram's JSON, and all its parameters by path.
+        """
+        if not self.known:
+            return {}
+        controllers = {}
+        for template, content in self.diagrams.items():
+            inside = {name: path.removeprefix(f"{template}.") for name, path in self.paths.items()}
+            inside = {name: path for name, path in inside.items() if path != self.paths[name]}
+            diagram = _diagram(content)
+            controllers[template] = {
+                "name": diagram["diagram"]["name"] if diagram else "",
+                "sha256": hashlib.sha256(content).hexdigest(),
+                "parameters": {path: self.values[name] for name, path in inside.items() if name in self.values},
+                "diagram": diagram,
+            }
+        return {"parameters": dict(self.parameters), "controllers": controllers}
+
+
+class ParameterChanges:
+    """Keeps what is tuned while a flight is recorded, by whatever program: rows [time [s], name, value].
+
+    The time is that of the last step that may have had the old value. A parameter of a user's controller goes by its
+    path, such as `attitude_control.k_q`. Of parameters that were not known `before` the first value is no change.
+    """
+
+    def __init__(self, before: ActiveController) -> None:
+        self.rows: list[tuple[float, str, float]] = []
+        self._values = dict(before.values)
+        self._paths = before.paths
+
+    def told(self, time: float, got: Any) -> None:
+        """Takes a PARAM_VALUE that came at the drone's `time` [s]."""
+        name, value = str(got.param_id), entry_of(got).value
+        if name in _ALSO:
+            return
+        if self._values.get(name, value) != value and len(self.rows) < MOST_CHANGES:
+            self.rows.append((time, self._paths.get(name, name), value))
+        if name in self._values or len(self._values) < MOST:
+            self._values[name] = value
 
 
 async def read_active_controller(
@@ -53,20 +94,24 @@ async def read_active_controller(
         for name in names
         if name.endswith(_DIAGRAM)
     }
-    with suppress(Rejected):  # what it does not describe has the package's defaults
-        await parameters.describe(deadline.left)
+    if diagrams:  # what is not described has the package's defaults, and the description takes long to read
+        with suppress(Rejected):
+            await parameters.describe(deadline.left)
+    entries = await parameters.all(deadline.left)
     tuned = {
         name: entry.value
-        for name, entry in (await parameters.all(deadline.left)).items()
+        for name, entry in entries.items()
         if name not in _ALSO and entry.row is not None and entry.value != entry.row.default
     }
-    return ActiveController(tuned, diagrams)
+    values = {name: entry.value for name, entry in entries.items()}
+    paths = {name: entry.described.path for name, entry in entries.items() if entry.described and entry.described.path}
+    return ActiveController(tuned, diagrams, True, values, paths)
 
 
-def _name(content: bytes) -> str:
-    """The diagram's own name, "" if it says none."""
+def _diagram(content: bytes) -> dict[str, Any] | None:
+    """The JSON form of a diagram that has a name; None for anything else."""
     try:
-        name = json.loads(content)["diagram"]["name"]
+        found = json.loads(content)
+        return found if isinstance(found["diagram"]["name"], str) else None
     except (ValueError, LookupError, TypeError, RecursionError):
-        return ""
-    return name if isinstance(name, str) else ""
+        return None

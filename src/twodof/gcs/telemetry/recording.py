@@ -8,7 +8,6 @@ from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from functools import partial
 from math import isfinite
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -21,7 +20,7 @@ from twodof.flightlog.mcap.topic_stream import McapStream
 from twodof.flightlog.recorder import Recorder
 from twodof.flightlog.spool import Acknowledged
 from twodof.flightlog.steps import BOOT, MESSAGE_PERIOD, shift
-from twodof.gcs.control.active_controller import ActiveController
+from twodof.gcs.control.active_controller import ActiveController, ParameterChanges
 from twodof.gcs.mavlink.clock import OLDEST_TICKS, DroneClock
 from twodof.gcs.mavlink.session import DroneSession, Handler
 from twodof.gcs.telemetry.decoding import DECODERS, Decoded, columns_of
@@ -65,11 +64,13 @@ class Recording:
         topics: Iterable[Topic],
         provenance: Mapping[str, object],
         wait: bool,
-        diagrams: Mapping[str, bytes] = MappingProxyType({}),
+        flies: ActiveController | None = None,
     ) -> None:
         self.topics = tuple(topics)
         self.onboard = tuple(row for row in self.topics if row.onboard and row.name != _EVENTS)
-        attached = [Attachment(f"{name}.json", "application/json", content) for name, content in diagrams.items()]
+        flies = flies or ActiveController(known=False)
+        self._changes = ParameterChanges(flies)
+        attached = [Attachment(f"{name}.json", "application/json", data) for name, data in flies.diagrams.items()]
         self.recorder = Recorder(path, [*self.topics, SAFETY], provenance, attached, full="wait" if wait else "drop")
         self.path = self.recorder.path
         self.texts: list[tuple[float, str, str]] = []
@@ -80,6 +81,8 @@ class Recording:
         self._first = self._last = -1
         self._rows = 0
         self._truths: dict[int, None] = {}  # times [us] of the true states that came last
+        self._true: list[tuple[int, list[float]]] = []  # those that wait, and what they are of
+        self._true_fields = [row.name.split(".")[1] for row in self.topics if not row.onboard]
         self._open = _Open()
         self._names = frozenset(row.name for row in self.topics)
         self._time = 0.0  # the drone's, of the telemetry that came last [s]
@@ -141,6 +144,14 @@ class Recording:
             ticks = np.concatenate([part[0] for part in parts]).astype(np.int64)
             values = np.concatenate([part[1] for part in parts]).astype(np.float64)
             self._write(columns_of(mask), *self._new(ticks, values))
+        self._write_truth()
+
+    def _write_truth(self) -> None:
+        waiting, self._true = self._true, []
+        if waiting:
+            times = round(BOOT * 1e9) + 1000 * np.array([since for since, _ in waiting], dtype=np.int64)
+            for field, values in zip(self._true_fields, np.array([states for _, states in waiting]).T, strict=True):
+                self._put(f"truth.{field}", times, values)
 
     def _new(self, ticks: NDArray[np.int64], values: NDArray[np.float64]) -> tuple[Any, Any]:
         """Those that did not come before, by another message or a second copy of this one."""
@@ -185,10 +196,9 @@ class Recording:
         self._truths[since] = None
         if len(self._truths) > MOST_TRUTHS:
             del self._truths[next(iter(self._truths))]
-        time = np.array([round(BOOT * 1e9) + since * 1000], dtype=np.int64)
-        for row in self.topics:
-            if not row.onboard:
-                self._put(row.name, time, np.array([getattr(got, row.name.split(".")[1])]))
+        self._true.append((since, [getattr(got, field) for field in self._true_fields]))
+        if len(self._true) >= TOGETHER:
+            self._write_truth()
 
     def telemetry(self, decode: Callable[[Any], Decoded], got: Any) -> None:
         """A message of `common` with samples, from a drone without batches: as it comes, with its stamps."""
@@ -207,8 +217,15 @@ class Recording:
     def said(self, tick: int, line: StatusText) -> None:
         """A line in words."""
         if len(self.texts) < MOST_TEXTS:
-            # Where time is granted, the samples say sooner than the clock how far it has run.
-            self.texts.append((seconds(max(tick, self._newest) + self._shift), line.severity, line.text))
+            self.texts.append((self._seconds(tick), line.severity, line.text))
+
+    def parameter(self, tick: int, got: Any) -> None:
+        """A PARAM_VALUE, which the drone sends to everybody when one was changed."""
+        self._changes.told(self._seconds(tick), got)
+
+    def _seconds(self, tick: int) -> float:
+        """The stamp [s] of what came now. Where time is granted, the samples say it sooner than the clock."""
+        return seconds(max(tick, self._newest) + self._shift)
 
     def finish(self) -> None:
         """Write what waits, what was lost and what was said, and end the file. Raises RecordingError."""
@@ -217,6 +234,7 @@ class Recording:
             if self._rows:  # of telemetry that comes as it likes nobody knows what is missing
                 self.recorder.note("lost", self.lost)
             self.recorder.note("texts", [list(row) for row in self.texts])
+            self.recorder.note("changes", [list(row) for row in self._changes.rows])
         finally:
             self.recorder.close()
 
@@ -318,8 +336,12 @@ class Recordings:
                 flies = await flying()
         drone = provenance.get("drone")
         about = {**provenance, "drone": {**(drone if isinstance(drone, dict) else {}), **flies.provenance()}}
-        recording = Recording(path, rows, about, session.lockstep, flies.diagrams)
-        handlers: dict[str, Handler] = {"TWODOF_RIG": recording.rig, "TWODOF_SAFETY": recording.safety}
+        recording = Recording(path, rows, about, session.lockstep, flies)
+        handlers: dict[str, Handler] = {
+            "TWODOF_RIG": recording.rig,
+            "TWODOF_SAFETY": recording.safety,
+            "PARAM_VALUE": lambda got: recording.parameter(self._clock.tick, got),
+        }
         if not ours:
             handlers |= {name: partial(recording.telemetry, decode) for name, decode in DECODERS.items()}
         try:
