@@ -13,10 +13,10 @@ from functools import cache
 
 from twodof.blocks.elementary.functions import ARGUMENTS, DEFINITIONS
 from twodof.blocks.expressions.expr import leaf, tracing
-from twodof.compile.c.expressions import ATOM
 from twodof.compile.c.helpers import HELPERS
 from twodof.compile.c.integration import IntegrationEmitter
 from twodof.compile.c.names import CNames
+from twodof.compile.c.operators import ATOM
 from twodof.compile.c.style import SCALAR, CStyle
 from twodof.compile.c.tick import INTEGRATION, NEXT_TICK, RETURNED, Scope, TickEmitter, describe
 from twodof.compile.c.writer import CWriter

@@ -15,9 +15,9 @@ from twodof.blocks.expressions.graph import outside, walk
 from twodof.blocks.expressions.numbers import Integer
 from twodof.compile.c.helpers import HELPERS
 from twodof.compile.c.names import CNames
+from twodof.compile.c.operators import ATOM, C_TYPES, COMPARISONS, LOOSE, OPERATORS, SIGNED, Operator, row
 from twodof.compile.c.writer import CWriter
 
-C_TYPES = {"real": "real", "int32": "int32_t", "uint32": "uint32_t", "bool": "bool"}
 _CALL = re.compile(r"\w+\(.*\)")  # or what looks like it, which does no harm
 WIDEST_LINE = 150  # an expression that would be longer becomes two
 SMALL_ARRAY = 16  # up to here a copy is cheaper than a choice
@@ -25,8 +25,6 @@ MOST_CHOICES = 4  # stores in a row that are read by choices: more are copied, a
 
 NOBODY = 0  # no node's identity
 
-# How tightly an expression's text binds.
-ATOM, PRODUCT, SUM, SIGNED, COMPARISON, LOOSE = range(6)
 Text = tuple[str, int]
 
 
@@ -64,12 +62,6 @@ def _loop_key(item: Expr) -> tuple[Any, ...]:
     return (*map(id, item.args), *item.data[:2])
 
 
-def _arithmetic(op: str, args: Sequence[Text]) -> Text:
-    if op == "mul":
-        return f"{_paren(args[0], PRODUCT)} * {_paren(args[1], ATOM)}", PRODUCT
-    return f"{_paren(args[0], SUM)} {'+' if op == 'add' else '-'} {_paren(args[1], PRODUCT)}", SUM
-
-
 def _stores(array: Expr) -> int:
     """How many stores in a row made `array`, counted to one more than MOST_CHOICES."""
     found = 0
@@ -99,6 +91,7 @@ class Renderer:
     """
 
     types: Mapping[str, str] = C_TYPES
+    operators: Mapping[str, Operator] = OPERATORS
 
     def __init__(
         self,
@@ -286,91 +279,57 @@ class Renderer:
         return f"{self._use('clamp_index')}({text[0]}, {width - 1})"
 
     def _expression(self, item: Expr, args: Sequence[Text]) -> Text:
-        op, kind = item.op, item.kind
-        if op == "const":
-            return constant(item.data, kind, self.precision)
-        if op == "bound":
-            return self.bound[item.data]
-        if op in LEAVES:
-            return self.leaf(item)
-        if op == "select":
-            array = self._resolve(item.args[0])
-            if array.width is None:
-                raise ValueError("select on a scalar")
-            return f"{args[0][0]}[{self._index(self._resolve(item.args[1]), args[1], array.width)}]", ATOM
-        if op == "call":
+        if item.op in LEAVES:
+            return self._leaf(item)
+        if item.op == "select":
+            return self._element(item, args[0][0], args[1])
+        if item.op == "call":
             self.writer.functions.add(item.data)
             return f"td_{item.data}({', '.join(a for a, _ in args)})", ATOM
-        if op == "where":
-            return f"{_paren(args[0], COMPARISON)} ? {_paren(args[1], SIGNED)} : {_paren(args[2], SIGNED)}", LOOSE
-        if op in ("lt", "le", "eq", "ne"):
+        operand = self._resolve(item.args[0]).kind
+        return self._special(item, args, operand) or self._operation(row(item, operand), args)
+
+    def _leaf(self, item: Expr) -> Text:
+        if item.op == "const":
+            return constant(item.data, item.kind, self.precision)
+        return self.bound[item.data] if item.op == "bound" else self.leaf(item)
+
+    def _operation(self, name: str, args: Sequence[Text]) -> Text:
+        """What the operator of a row says."""
+        operator = self.operators[name]
+        if operator.helper:
+            self._use(operator.helper)
+        operands = [_paren(a, loosest) for a, loosest in zip(args, operator.operands, strict=False)]
+        return operator.text.format(*operands, f="f" if self.precision == "float32" else ""), operator.binding
+
+    def _element(self, item: Expr, name: str, index: Text) -> Text:
+        """An array's element."""
+        array = self._resolve(item.args[0])
+        if array.width is None:
+            raise ValueError("select on a scalar")
+        return f"{name}[{self._index(self._resolve(item.args[1]), index, array.width)}]", ATOM
+
+    def _special(self, item: Expr, args: Sequence[Text], operand: str) -> Text | None:
+        """What is written in a simpler way than the operator's row, or in one without warnings."""
+        op, lean = item.op, self.writer.lean
+        if op in COMPARISONS:
             same = self._resolve(item.args[0]) is self._resolve(item.args[1])
-            if same and item.args[0].kind != "real":  # compilers warn about these; a real may be NaN
+            if same and operand != "real":  # compilers warn about these; a real may be NaN
                 return ("true" if op in ("le", "eq") else "false"), ATOM
-            if self.writer.lean and op in ("eq", "ne") and item.args[0].kind == "real":
+            if lean and op in ("eq", "ne") and operand == "real":
                 equal = f"{self._use('real_equal')}({args[0][0]}, {args[1][0]})"
                 return (equal, ATOM) if op == "eq" else (f"!{equal}", SIGNED)
-            sign = {"lt": "<", "le": "<=", "eq": "==", "ne": "!="}[op]
-            return f"{_paren(args[0], SUM)} {sign} {_paren(args[1], SUM)}", COMPARISON
-        operand = self._resolve(item.args[0]).kind
-        if kind == "bool":
-            if op == "not":
-                return f"!{_paren(args[0], ATOM)}", SIGNED
-            sign = {"and": "&&", "or": "||", "xor": "!="}[op]
-            return f"{_paren(args[0], ATOM)} {sign} {_paren(args[1], ATOM)}", LOOSE
-        if op in ("and", "or", "xor"):
-            return f"{_paren(args[0], ATOM)} {'&|^'[('and', 'or', 'xor').index(op)]} {_paren(args[1], ATOM)}", LOOSE
-        if op == "not":
-            return f"~{_paren(args[0], ATOM)}", SIGNED
-        if op == "convert":
-            if operand == "real":
-                return f"{self._use(f'real_to_{kind}')}({args[0][0]})", ATOM
-            if self.writer.lean and _CALL.fullmatch(args[0][0]):
-                return f"{self._use(f'{operand}_to_{kind}')}({args[0][0]})", ATOM
-            return f"({C_TYPES[kind]}){_paren(args[0], ATOM)}", SIGNED
-        if kind != "int32" and op in ("add", "sub", "mul"):
-            return _arithmetic(op, args)
-        if kind == "real":
-            return self._real(item, args)
-        if kind == "uint32":
-            return self._unsigned(item, args)
-        return f"{self._use(f'int32_{op}')}({', '.join(a for a, _ in args)})", ATOM
-
-    def _real(self, item: Expr, args: Sequence[Text]) -> Text:
-        f = "f" if self.precision == "float32" else ""
-        if item.op == "div":
-            return f"{_paren(args[0], PRODUCT)} / {_paren(args[1], ATOM)}", PRODUCT
-        if item.op == "neg":
-            return f"-{_paren(args[0], ATOM)}", SIGNED
-        if item.op == "abs":
-            return f"__builtin_fabs{f}({args[0][0]})", ATOM
-        if item.op == "sqrt":
-            return f"__builtin_sqrt{f}({args[0][0]})", ATOM
-        if item.op == "from_bits":
-            helper = self._use("real_from_bits" if len(args) == 2 else "real_from_word")
-            return f"{helper}({', '.join(a for a, _ in args)})", ATOM
-        raise ValueError(f"no C for {item!r}")
-
-    def _unsigned(self, item: Expr, args: Sequence[Text]) -> Text:
-        op = item.op
-        if op in ("shl", "shr"):
-            count = self._resolve(item.args[1])
-            by = f"{count.data & 31}" if count.op == "const" else f"({_paren(args[1], ATOM)} & 31u)"
-            return f"{_paren(args[0], ATOM)} {'<<' if op == 'shl' else '>>'} {by}", LOOSE
-        if op == "neg":
-            return f"0u - {_paren(args[0], PRODUCT)}", SUM
-        if op == "abs":
+        elif op == "convert" and lean and operand != "real" and _CALL.fullmatch(args[0][0]):
+            return f"{self._use(f'{operand}_to_{item.kind}')}({args[0][0]})", ATOM
+        elif item.kind == "uint32" and op == "abs":
             return args[0]
-        if op == "mulhi":
-            return f"(uint32_t)(((uint64_t){_paren(args[0], ATOM)} * {_paren(args[1], ATOM)}) >> 32)", SIGNED
-        if op == "bits":
-            return f"{self._use('real_word_1' if item.data else 'real_word_0')}({args[0][0]})", ATOM
-        if op in ("quot", "rem"):
-            divisor = self._resolve(item.args[1])
-            if divisor.op == "const" and divisor.data:
+        elif item.kind == "uint32" and op in ("shl", "shr", "quot", "rem"):
+            second = self._resolve(item.args[1])
+            if second.op == "const" and op in ("shl", "shr"):
+                return f"{_paren(args[0], ATOM)} {'<<' if op == 'shl' else '>>'} {second.data & 31}", LOOSE
+            if second.op == "const" and second.data:
                 return f"{_paren(args[0], ATOM)} {'/' if op == 'quot' else '%'} {args[1][0]}", LOOSE
-            return f"{self._use(f'uint32_{op}')}({', '.join(a for a, _ in args)})", ATOM
-        raise ValueError(f"no C for {item!r}")
+        return None
 
     def _statement(self, item: Expr, args: Sequence[Text]) -> Text:
         """Write the lines that make an array or run a loop; the name of the result."""

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
-from twodof.compile.c.expressions import C_TYPES, Renderer, Text
+from twodof.compile.c.expressions import Renderer, Text
 from twodof.compile.c.names import CNames
+from twodof.compile.c.operators import C_TYPES
 from twodof.compile.c.writer import CWriter
 from twodof.compile.program.layout import Member
 

@@ -9,8 +9,9 @@ from contextlib import contextmanager
 from twodof.blocks.declarations import Param, Port, State
 from twodof.blocks.expressions.expr import LEAVES, Expr
 from twodof.blocks.expressions.graph import leaves
-from twodof.compile.c.expressions import ATOM, C_TYPES, Renderer, Text, constant
+from twodof.compile.c.expressions import Renderer, Text, constant
 from twodof.compile.c.names import CNames
+from twodof.compile.c.operators import ATOM, C_TYPES
 from twodof.compile.c.style import SCALAR, CStyle
 from twodof.compile.c.writer import CWriter
 from twodof.compile.program.flat_program import Action, FlatProgram, FlatSignal, Guard, Node

@@ -10,18 +10,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
-KINDS = ("real", "int32", "uint32", "bool")
+from twodof.compile.c.operators import BITWISE, C_TYPES, COMPARISONS, OPERATORS
+
+KINDS = tuple(C_TYPES)
 TYPES = {kind: f"lanes_{kind}" for kind in KINDS}
 VECTORS = {"real": "lanes_r", "int32": "lanes_i", "uint32": "lanes_u", "bool": "lanes_m"}
-_SCALAR = {"real": "real", "int32": "int32_t", "uint32": "uint32_t"}
-_TESTS = {
-    "lt": "<, LT_OQ",
-    "le": "<=, LE_OQ",
-    "eq": "==, EQ_OQ",
-    "ne": "!=, NEQ_UQ",
-    "gt": ">, GT_OQ",
-    "ge": ">=, GE_OQ",
-}
+_ORDERED = {"lt": "LT_OQ", "le": "LE_OQ", "eq": "EQ_OQ", "ne": "NEQ_UQ"}
+_TESTS = {name: f"{COMPARISONS[name]}, {test}" for name, test in _ORDERED.items()}
+_TESTS |= {"gt": ">, GT_OQ", "ge": ">=, GE_OQ"}
 """Comparisons: C's sign, and AVX-512's name of it, of NaNs as in C."""
 SCALARS = frozenset(
     ("int32_quot", "int32_rem", "uint32_quot", "uint32_rem", "real_from_bits", "real_from_word", "clamp_index")
@@ -143,6 +139,11 @@ def prelude(shape: LaneShape) -> str:
     return _types(shape) + "".join(_functions(shape))
 
 
+def _scalar(row: str, *operands: str) -> str:
+    """The C of a scalar operation with these operands, which vectors take as well."""
+    return OPERATORS[row].text.format(*operands)
+
+
 def _types(shape: LaneShape) -> str:
     single = shape.precision == "float32"
     narrow = shape.each * 4
@@ -172,7 +173,7 @@ def _types(shape: LaneShape) -> str:
     members = ", ".join(f"v{k}" for k in range(shape.vectors))
     text += [f"typedef struct {{ {VECTORS[kind]} {members}; }} {TYPES[kind]};\n" for kind in KINDS]
     text += ["typedef real lanes_one_real __attribute__((may_alias));\n"]
-    text += [f"typedef {_SCALAR[kind]} lanes_one_{kind} __attribute__((may_alias));\n" for kind in ("int32", "uint32")]
+    text += [f"typedef {C_TYPES[kind]} lanes_one_{kind} __attribute__((may_alias));\n" for kind in ("int32", "uint32")]
     text += [f"typedef {'lanes_m' if shape.bits else f'int{word}_t'} lanes_one_bool __attribute__((may_alias));\n\n"]
     double = {"ps": "pd", "epi": "epi64", "d": "d", "n": "256"}
     suffixes = {"ps": "ps", "epi": "epi32", "d": "", "n": "512"} if single else double
@@ -215,7 +216,7 @@ def _functions(shape: LaneShape) -> Iterator[str]:
 
     # the same in all lanes
     for kind in KINDS:
-        scalar = "bool" if kind == "bool" else _SCALAR[kind]
+        scalar = C_TYPES[kind]
         value = "-(lanes_one_bool)x" if kind == "bool" else "x"
         one = "{" + ", ".join(["w"] * shape.each) + "}"
         if kind == "bool" and shape.bits:
@@ -228,9 +229,9 @@ def _functions(shape: LaneShape) -> Iterator[str]:
             f"    return ({TYPES[kind]}){{{calls}}};\n}}\n\n"
         )
     # reals
-    for name, sign in (("add", "+"), ("sub", "-"), ("mul", "*"), ("div", "/")):
-        yield vectorwise("real", f"{name}_real", "a real, b real", f"$a {sign} $b")
-    yield vectorwise("real", "neg_real", "a real", "-$a")
+    for name in ("add", "sub", "mul", "div"):
+        yield vectorwise("real", f"{name}_real", "a real, b real", _scalar(f"{name}_real", "$a", "$b"))
+    yield vectorwise("real", "neg_real", "a real", _scalar("neg_real", "$a"))
     magnitude = "0x7fffffffu" if single else "UINT64_C(0x7fffffffffffffff)"
     yield vectorwise("real", "abs_real", "a real", f"(lanes_r)((lanes_w)$a & {magnitude})")
     yield (
@@ -273,13 +274,13 @@ def _functions(shape: LaneShape) -> Iterator[str]:
     # integers
     for kind in ("int32", "uint32"):
         v = VECTORS[kind]
-        for name, sign in (("add", "+"), ("sub", "-"), ("mul", "*")):
-            yield vectorwise(kind, f"{name}_{kind}", f"a {kind}, b {kind}", f"({v})((lanes_u)$a {sign} (lanes_u)$b)")
-        yield vectorwise(kind, f"neg_{kind}", f"a {kind}", f"({v})(0u - (lanes_u)$a)")
-        for name, sign in (("and", "&"), ("or", "|"), ("xor", "^")):
-            yield vectorwise(kind, f"{name}_{kind}", f"a {kind}, b {kind}", f"$a {sign} $b")
-        yield vectorwise(kind, f"not_{kind}", f"a {kind}", "~$a")
-        yield vectorwise(kind, f"shl_{kind}", f"a {kind}, b {kind}", f"({v})((lanes_u)$a << ((lanes_u)$b & 31u))")
+        for name in ("add", "sub", "mul", "shl"):  # what wraps around is done without a sign
+            wrapped = _scalar(f"{name}_uint32", "(lanes_u)$a", "(lanes_u)$b")
+            yield vectorwise(kind, f"{name}_{kind}", f"a {kind}, b {kind}", f"({v})({wrapped})")
+        yield vectorwise(kind, f"neg_{kind}", f"a {kind}", f"({v})({_scalar('neg_uint32', '(lanes_u)$a')})")
+        for name in BITWISE:
+            yield vectorwise(kind, f"{name}_{kind}", f"a {kind}, b {kind}", _scalar(f"{name}_{kind}", "$a", "$b"))
+        yield vectorwise(kind, f"not_{kind}", f"a {kind}", _scalar(f"not_{kind}", "$a"))
         yield vectorwise(kind, f"shr_{kind}", f"a {kind}, b {kind}", f"$a >> ({v})((lanes_u)$b & 31u)")
         for name in ("quot", "rem"):
             yield lanewise(kind, f"{name}_{kind}", (kind, kind), f"{kind}_{name}(a[l], b[l])")

@@ -13,8 +13,10 @@ from dataclasses import dataclass, field
 
 from twodof.blocks.expressions.expr import Expr
 from twodof.blocks.expressions.graph import outside
-from twodof.compile.c.expressions import ATOM, Renderer, Text, constant
+from twodof.compile.c.expressions import Renderer, Text, constant
 from twodof.compile.c.names import CNames
+from twodof.compile.c.operators import ATOM, Operator, called
+from twodof.compile.c.operators import OPERATORS as SCALAR
 from twodof.compile.c.style import CStyle
 from twodof.compile.c.writer import CWriter
 from twodof.compile.lanes.helpers import SCALARS, TYPES, VECTORS, LaneShape, prelude
@@ -97,12 +99,18 @@ def conjunction(texts: Sequence[str]) -> str:
 _VARIABLE = re.compile(r"[A-Za-z_][\w.\[\]]*(->[\w.\[\]]+)?\.v@")
 
 
+OPERATORS = {name: called(f"lanes_v_{name}", operator.arity) for name, operator in SCALAR.items()}
+OPERATORS |= {name: called(f"lanes_v_{name}", 2) for name in ("min_real", "max_real")}
+"""The rows of C's operators as functions of vectors; what a row does is said in `helpers`."""
+
+
 class LaneRenderer(Renderer):
     """Writes the expressions of one block, each value in all lanes: `@` stands for the number of a vector."""
 
     vectors: int
 
     types: Mapping[str, str] = TYPES
+    operators: Mapping[str, Operator] = OPERATORS
     writer: LaneWriter
 
     def _local(self, name: str) -> Text:
@@ -147,43 +155,22 @@ class LaneRenderer(Renderer):
             return self._stored(text[0], "int32")
         return self._stored(f"lanes_within({text[0]}, {width - 1})", "int32")
 
-    def _expression(self, item: Expr, args: Sequence[Text]) -> Text:
-        op, kind, texts = item.op, item.kind, [a for a, _ in args]
-        if op == "const":
-            return f"lanes_v_{kind}_all({constant(item.data, kind, self.precision)[0]})", ATOM
-        if op == "bound":
-            text = self.bound[item.data]
-            return (f"lanes_v_int32_all({text[0]})", ATOM) if item.data[1] == 0 else text
-        if op in ("input", "state", "param", "tick", "dt"):
-            text = self.leaf(item)
-            return text if item.width is not None else self._local(text[0])
-        if op == "select":
-            return self._element(item, texts[0], args[1])
-        if op == "call":
-            self.writer.functions.add(item.data)
-            return f"td_{item.data}({', '.join(texts)})", ATOM
-        operand = self._resolve(item.args[0]).kind
-        if op == "where":
-            name = f"pick_{kind}"
-            test = self._resolve(item.args[0])
-            if kind == "real" and test.op == "lt":
-                compared = [id(self._resolve(a)) for a in test.args]
-                chosen = [id(self._resolve(a)) for a in item.args[1:]]
-                if compared == chosen:
-                    return f"lanes_v_min_real({texts[1]}, {texts[2]})", ATOM
-                if compared == chosen[::-1]:
-                    return f"lanes_v_max_real({texts[1]}, {texts[2]})", ATOM
-        elif op in ("lt", "le", "eq", "ne"):
-            name = f"{op}_{operand}"
-        elif op == "convert":
-            name = f"{operand}_to_{kind}"
-        elif op == "from_bits":
-            name = "from_bits" if len(args) == 2 else "from_word"
-        elif op == "bits":
-            name = f"word_{1 if item.data else 0}"
-        else:
-            name = f"{op}_{kind}"
-        return f"lanes_v_{name}({', '.join(texts)})", ATOM
+    def _leaf(self, item: Expr) -> Text:
+        text = super()._leaf(item)
+        if item.op == "const" or (item.op == "bound" and item.data[1] == 0):  # a constant, or a loop's counter
+            return f"lanes_v_{item.kind}_all({text[0]})", ATOM
+        return text if item.op == "bound" or item.width is not None else self._local(text[0])
+
+    def _special(self, item: Expr, args: Sequence[Text], operand: str) -> Text | None:
+        """The smaller or the larger of two."""
+        if item.op != "where" or item.kind != "real":
+            return None
+        test = self._resolve(item.args[0])
+        if test.op != "lt":
+            return None
+        compared, chosen = ([id(self._resolve(a)) for a in some] for some in (test.args, item.args[1:]))
+        which = "min_real" if compared == chosen else "max_real" if compared == chosen[::-1] else ""
+        return self._operation(which, args[1:]) if which else None
 
     def _element(self, item: Expr, name: str, index: Text) -> Text:
         """An array's element; one at each lane's own index is fetched into a variable."""

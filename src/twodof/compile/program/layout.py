@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from twodof.blocks.declarations import State
-from twodof.compile.c.expressions import C_TYPES
 from twodof.compile.c.names import CNames
+from twodof.compile.c.operators import C_TYPES
 from twodof.compile.lanes.helpers import LaneShape
 from twodof.compile.program.flat_program import FlatParameter, FlatProgram, FlatSignal, Node
 

@@ -1,0 +1,97 @@
+"""The operations of the language as C99: one row each, which other styles of C override."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from twodof.blocks.expressions.expr import Expr
+
+C_TYPES = {"real": "real", "int32": "int32_t", "uint32": "uint32_t", "bool": "bool"}
+# How tightly an expression's text binds.
+ATOM, PRODUCT, SUM, SIGNED, COMPARISON, LOOSE = range(6)
+COMPARISONS = {"lt": "<", "le": "<=", "eq": "==", "ne": "!="}
+BITWISE = {"and": "&", "or": "|", "xor": "^"}
+
+
+@dataclass(frozen=True)
+class Operator:
+    """How an operation is written: C with `{0}`, `{1}` for its operands, or the call of a `helper`.
+
+    `operands` are the loosest that each operand may bind without brackets, `binding` is how the whole binds. `{f}` is
+    the suffix of float32's functions.
+    """
+
+    text: str
+    operands: tuple[int, ...] = (LOOSE, LOOSE, LOOSE)
+    binding: int = ATOM
+    helper: str = ""
+
+    @property
+    def arity(self) -> int:
+        """How many operands it has."""
+        return sum(f"{{{i}}}" in self.text for i in range(3))
+
+
+def called(name: str, operands: int, helper: str = "") -> Operator:
+    """The call of a function."""
+    return Operator(f"{name}({', '.join(f'{{{i}}}' for i in range(operands))})", helper=helper)
+
+
+def row(item: Expr, operand: str) -> str:
+    """The name of the row in OPERATORS for an operation whose first operand is of the type `operand`."""
+    if item.op == "where":
+        return f"pick_{item.kind}"
+    if item.op in COMPARISONS:
+        return f"{item.op}_{operand}"
+    if item.op == "convert":
+        return f"{operand}_to_{item.kind}"
+    if item.op == "bits":
+        return f"word_{1 if item.data else 0}"
+    if item.op == "from_bits":
+        return "from_bits" if len(item.args) == 2 else "from_word"
+    return f"{item.op}_{item.kind}"
+
+
+def _rows() -> Iterator[tuple[str, Operator]]:
+    for kind, ctype in C_TYPES.items():
+        yield f"pick_{kind}", Operator("{0} ? {1} : {2}", (COMPARISON, SIGNED, SIGNED), LOOSE)
+        for op, sign in COMPARISONS.items():
+            yield f"{op}_{kind}", Operator(f"{{0}} {sign} {{1}}", (SUM, SUM), COMPARISON)
+        for origin in ("bool", "int32", "uint32"):
+            yield f"{origin}_to_{kind}", Operator(f"({ctype}){{0}}", (ATOM,), SIGNED)
+    for kind in ("real", "uint32"):
+        yield f"add_{kind}", Operator("{0} + {1}", (SUM, PRODUCT), SUM)
+        yield f"sub_{kind}", Operator("{0} - {1}", (SUM, PRODUCT), SUM)
+        yield f"mul_{kind}", Operator("{0} * {1}", (PRODUCT, ATOM), PRODUCT)
+    yield "div_real", Operator("{0} / {1}", (PRODUCT, ATOM), PRODUCT)
+    yield "neg_real", Operator("-{0}", (ATOM,), SIGNED)
+    yield "abs_real", called("__builtin_fabs{f}", 1)
+    yield "sqrt_real", called("__builtin_sqrt{f}", 1)
+    yield "not_bool", Operator("!{0}", (ATOM,), SIGNED)
+    for op, sign in (("and", "&&"), ("or", "||"), ("xor", "!=")):
+        yield f"{op}_bool", Operator(f"{{0}} {sign} {{1}}", (ATOM, ATOM), LOOSE)
+    for kind in ("int32", "uint32"):
+        yield f"not_{kind}", Operator("~{0}", (ATOM,), SIGNED)
+        for op, sign in BITWISE.items():
+            yield f"{op}_{kind}", Operator(f"{{0}} {sign} {{1}}", (ATOM, ATOM), LOOSE)
+        yield f"real_to_{kind}", called(f"real_to_{kind}", 1, f"real_to_{kind}")
+        for op in ("quot", "rem"):
+            yield f"{op}_{kind}", called(f"{kind}_{op}", 2, f"{kind}_{op}")
+    for op in ("add", "sub", "mul", "shl", "shr"):
+        yield f"{op}_int32", called(f"int32_{op}", 2, f"int32_{op}")
+    for op in ("neg", "abs"):
+        yield f"{op}_int32", called(f"int32_{op}", 1, f"int32_{op}")
+    yield "shl_uint32", Operator("{0} << ({1} & 31u)", (ATOM, ATOM), LOOSE)
+    yield "shr_uint32", Operator("{0} >> ({1} & 31u)", (ATOM, ATOM), LOOSE)
+    yield "neg_uint32", Operator("0u - {0}", (PRODUCT,), SUM)
+    yield "abs_uint32", Operator("{0}", (LOOSE,), LOOSE)
+    yield "mulhi_uint32", Operator("(uint32_t)(((uint64_t){0} * {1}) >> 32)", (ATOM, ATOM), SIGNED)
+    for word in (0, 1):
+        yield f"word_{word}", called(f"real_word_{word}", 1, f"real_word_{word}")
+    yield "from_bits", called("real_from_bits", 2, "real_from_bits")
+    yield "from_word", called("real_from_word", 1, "real_from_word")
+
+
+OPERATORS = dict(_rows())
+"""By what `row` gives."""
