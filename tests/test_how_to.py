@@ -25,3 +25,11 @@ def test_a_telemetry_signal_is_five_files(tmp_path: Path) -> None:
 def test_an_excitation_is_two_files(tmp_path: Path) -> None:
     changed = carry_out("add-an-excitation.md", copied(tmp_path))
     assert changed == {"src/twodof/blocks/library/waveform_laws.py", "src/twodof/excitation.py"}
+
+
+def test_a_stick_mode_is_three_files(tmp_path: Path) -> None:
+    assert carry_out("add-a-stick-mode.md", copied(tmp_path)) == {
+        "src/twodof/link/mavlink/modes.py",
+        "src/twodof/fcu/command/manual_control.py",
+        "docs/reference/protocol.md",
+    }

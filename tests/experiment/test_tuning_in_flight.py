@@ -127,7 +127,7 @@ def replayed(flown: Flown, with_changes: bool) -> int:
     rig = VirtualRig(lab(), {}, flown.precision)
     rig.settle(code)
     store, rows = ParameterStore(), flown.rows
-    store.carry(code.own_parameters)
+    store.carry(code.user_parameters)
     store.update(
         {
             name: value
@@ -135,7 +135,7 @@ def replayed(flown: Flown, with_changes: bool) -> int:
             if not (store.row(name).fixed or store.row(name).of)
         }
     )
-    code.set_parameters(store.flying() | store.own())
+    code.set_parameters(store.flying() | store.user_values())
     code.reset(rig.reset(SEED, 0.0, 1.0, RINGS))
     changes = [change for change in flown.log.changes if with_changes]
     wrong = 0
@@ -143,7 +143,7 @@ def replayed(flown: Flown, with_changes: bool) -> int:
         due = {name: value for time, name, value in changes if time == (tick - 1) * TICK_US}
         if due:
             store.update(due)
-            code.set_parameters(store.flying() | store.own())
+            code.set_parameters(store.flying() | store.user_values())
         sample = SensorSample(*(rows[name][k].item() for name in SensorSample._fields))
         asked = ControlInput(*(rows[f"{ASKED}{name}"][k].item() for name in ControlInput._fields))
         step = code.step(tick, sample, asked, rings=RINGS)

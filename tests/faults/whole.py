@@ -101,7 +101,7 @@ class Whole:
         self.drone = VirtualDrone(
             **{"conditions": {"rings": True, "seed": seed}, "signing": signing, **options},
         )
-        self.drone.controller.listeners.append(self._seen)
+        self.drone.controller.bus.subscribe(ControlStep, self._seen)
         self.companion = Companion(self.fcu, [Serve(self.clients.replace("mem:", "memin:"))], 1, companion_signing)
         self.faulty: list[FaultyTransport] = []
         self._seeds = count(1000 * seed)

@@ -13,6 +13,7 @@ from tests.fcu.flights import FLY_AT, Script, controller, fly
 from tests.patience import PATIENCE_S
 from twodof.fcu.control.flight_code import ControlStep, FlightCode
 from twodof.fcu.control.loop import MOST_GRANTED
+from twodof.fcu.mavlink.service import Service
 from twodof.fcu.server import Peer, Server
 from twodof.link.connection import Connection, Received
 from twodof.link.mavlink.messages import message
@@ -25,7 +26,7 @@ from twodof.link.transport.open_transport import open_transport
 CLIENT = 250
 
 
-class Grants:
+class Grants(Service):
     """Lockstep without a lease: TWODOF_GRANT grants, PARAM_SET asks for a pitch, PING is answered by a TWODOF_TICK."""
 
     def __init__(self, server: Server, script: Script) -> None:
@@ -79,7 +80,7 @@ class World:
         self.script = Script()
         self.server = Server(controller(FlightCode(), self.script, lockstep), 1, signing)
         self.grants = Grants(self.server, self.script)
-        self.server.serve([self.grants])
+        self.server.services.append(self.grants)
 
     async def client(self, url: str, signing: Signing | None = None) -> Connection:
         """A client of it."""

@@ -22,7 +22,7 @@ class OnBoard:
         self.url = url
         self.steps: list[ControlStep] = []
         self.truth: list[tuple[float, float, float, float]] = []
-        drone.controller.listeners.append(self._seen)
+        drone.controller.bus.subscribe(ControlStep, self._seen)
 
     def _seen(self, step: ControlStep) -> None:
         self.steps.append(step)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import asyncio
 import gc
 import time
-from collections.abc import Callable, Hashable, Iterable
+from collections.abc import Callable, Hashable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, Self
 
 from twodof.errors import LinkError, LinkLost
-from twodof.fcu.control.loop import FlightController
+from twodof.fcu.control.loop import FlightController, TimeRestarted
 from twodof.fcu.control.pacing import Pacer
 from twodof.fcu.control.watchdog import Watchdog
 from twodof.fcu.mavlink.service import Service
@@ -53,12 +53,19 @@ class Peer:
 class Server:
     """Speaks for `controller` as MAVLink system `system`, component 1, over any number of links.
 
-    `services` get each message in their order, until one takes it, and each step. A fault in one ends `run` with it:
+    `services` get each message in their order, until one takes it, and each step. The place of the `pilot`, who
+    commands, on a link goes to nobody else. A fault in one ends `run` with it:
     motors off is the safe state, half a program is not. Use it as a context manager: leaving it stops the motors and
     closes the links.
     """
 
-    def __init__(self, controller: FlightController, system: int, signing: Signing | None = None) -> None:
+    def __init__(
+        self,
+        controller: FlightController,
+        system: int,
+        signing: Signing | None = None,
+        pilot: Callable[[], tuple[int, int] | None] = lambda: None,
+    ) -> None:
         self.controller = controller
         self.system = system
         self.signing = signing
@@ -66,31 +73,18 @@ class Server:
         self.connections: list[Connection] = []
         self.ignored = 0
         self._dropped = 0
-        self._gone: list[Callable[[Hashable], None]] = []
-        self._idle: list[Callable[[], None]] = []
         self._tasks: set[asyncio.Task[None]] = set()
         self._failed: asyncio.Event = asyncio.Event()
         self._peers: dict[Peer, tuple[int, int]] = {}  # as whom it spoke last
-        self.pilot: Callable[[], tuple[int, int] | None] = lambda: None
-        """Who commands: its place on a link goes to nobody else."""
+        self._pilot = pilot
         self._time = asyncio.Lock()
+        controller.bus.subscribe(TimeRestarted, self._restart_services)
 
     async def __aenter__(self) -> Self:
         return self
 
     async def __aexit__(self, *_: object) -> None:
         await self.close()
-
-    def serve(self, services: Iterable[Service]) -> None:
-        """Adds services behind those that are there."""
-        for service in services:
-            self.services.append(service)
-            if hasattr(service, "restart"):
-                self.controller.on_restart.append(service.restart)
-            if hasattr(service, "gone"):
-                self._gone.append(service.gone)
-            if hasattr(service, "idle"):
-                self._idle.append(service.idle)
 
     async def listen(self, url: str) -> str:
         """Opens a link and returns its URL, with the port that the system chose for port 0. Raises LinkError."""
@@ -181,8 +175,8 @@ class Server:
             await asyncio.sleep(IDLE_S)
             if self.controller.tick == tick:
                 self._look_for_gone()
-                for idle in self._idle:
-                    idle()
+                for service in self.services:
+                    service.idle()
 
     async def _run_granted(self) -> None:
         controller = self.controller
@@ -193,6 +187,10 @@ class Server:
                 if time.monotonic() > end:
                     await asyncio.sleep(0)
                     end = time.monotonic() + RESPONSIVE_S
+
+    def _restart_services(self, _: TimeRestarted) -> None:
+        for service in self.services:
+            service.restart()
 
     def _step(self) -> None:
         step = self.controller.step()
@@ -214,7 +212,7 @@ class Server:
         return connection
 
     def _is_pilots(self, peer: Peer) -> bool:
-        pilot = self.pilot()
+        pilot = self._pilot()
         return pilot is not None and self._peers.get(peer) == pilot
 
     async def _serve(self, connection: Connection, url: str) -> None:
@@ -260,5 +258,5 @@ class Server:
     def _look_for_gone(self) -> None:
         for peer in [peer for peer in self._peers if not self.alive(peer)]:
             del self._peers[peer]
-            for gone in self._gone:
-                gone(peer)
+            for service in self.services:
+                service.gone(peer)

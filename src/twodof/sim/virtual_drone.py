@@ -12,9 +12,8 @@ from twodof.blocks import Diagram
 from twodof.errors import ParameterError
 from twodof.fcu.assembly import Assembly
 from twodof.fcu.command.commander import Commander
-from twodof.fcu.control.controllers import Controllers
+from twodof.fcu.control.controllers import ControllerIdentity, Controllers
 from twodof.fcu.control.loop import FlightController
-from twodof.fcu.mavlink.telemetry.twodof_messages import ControllerIdentity
 from twodof.fcu.server import Server
 from twodof.link.mavlink.rates import PROFILES
 from twodof.link.signing.frame_signing import Signing
@@ -78,7 +77,7 @@ class VirtualDrone:
     @property
     def flown(self) -> ControllerIdentity:
         """Which controller flies, and how many parameters differ from their defaults."""
-        return self.assembly.controller_identity()
+        return self.assembly.configuration.identity
 
     @property
     def server(self) -> Server:

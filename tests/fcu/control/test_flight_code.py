@@ -63,17 +63,17 @@ def test_a_sandbox_that_runs_out_of_fuel_is_replaced_in_the_same_tick_and_begins
     assert (steps[FAIL_AT].action, steps[FAIL_AT].armed) == (NONE, True)
     assert math.isfinite(steps[FAIL_AT].M)
     assert all(step.action == LEVEL for step in steps[FAIL_AT + 1 :])
-    assert "fuel" in made.code.own_fault
+    assert "fuel" in made.code.user_fault
     assert any("fuel" in text for _, text in made.remarks)
     fly(made, 401)
     assert not script.steps[-1].armed
-    assert made.code.own_fault == "", "a fresh instance"
+    assert made.code.user_fault == "", "a fresh instance"
 
 
 def test_without_fuel_for_a_single_step_nothing_of_it_ever_flies() -> None:
     made = controller(FlightCode([exhausting(0)], fuel=15_000))
     steps = fly(made, 200)
-    assert made.code.own_fault
+    assert made.code.user_fault
     assert all(step.action == LEVEL for step in steps[ARM_AT + 1 :])
     assert steps[FLY_AT + 1].fore == 0.0, "and no action starts motors that stand"
 

@@ -14,7 +14,7 @@ from twodof.errors import ParameterError
 from twodof.fcu.control.control_input import ControlInput
 from twodof.fcu.control.flight_code import ControlStep, FlightCode
 from twodof.fcu.control.hardware import SensorSample
-from twodof.fcu.control.loop import MOST_GRANTED, REMEDY, FlightController
+from twodof.fcu.control.loop import MOST_GRANTED, REMEDY, FlightController, TimeRestarted
 from twodof.flight.failsafe.causes import BIT
 from twodof.flight.failsafe.state_machine import DISARMED
 from twodof.link.control_period import TICK_NS
@@ -103,7 +103,7 @@ def test_it_begins_again_with_the_same_bits_disarmed_only_and_on_a_virtual_rig_o
     made = controller(FlightCode())
     made.reset(seed=5, x=0.1, noise=1.0, rings=False)
     began = []
-    made.on_restart.append(lambda: began.append(made.tick))
+    made.bus.subscribe(TimeRestarted, lambda _: began.append(made.tick))
     first = list(fly(made, 200))
     with pytest.raises(ParameterError, match="armed"):
         made.reset()
@@ -204,7 +204,7 @@ def test_late_steps_on_the_ground_are_counted_and_not_told(monkeypatch: pytest.M
 def test_each_step_goes_to_who_listens_and_to_who_asked_for_it() -> None:
     made, _, _ = bare()
     heard: list[ControlStep] = []
-    made.listeners.append(heard.append)
+    made.bus.subscribe(ControlStep, heard.append)
     assert [made.step() for _ in range(3)] == heard
     assert made.latest is heard[-1]
     assert (made.tick, made.granted) == (3, 0)
@@ -214,7 +214,7 @@ def test_what_stopped_a_controller_is_said_once_each_time() -> None:
     made, _, code = bare()
     said = [(2, "controller stopped: out of fuel")]
     for fault, times in (("", 0), ("out of fuel", 1), ("out of fuel", 1), ("", 1), ("out of fuel", 2)):
-        code.own_fault = fault
+        code.user_fault = fault
         made.step()
         assert made.remarks == times * said
 

@@ -109,7 +109,7 @@ def test_on_the_ground_it_costs_the_loop_no_ticks(slow: Slow) -> None:
     made = flown(slow, 10_000, Script(change=lambda _tick, _asked: ControlInput()))
     assert made.timing.overruns <= 6, f"{made.timing.overruns} steps of 10000 took too long"
     assert made.timing.overruns == len(slow.stepped)
-    assert "lqr_attitude took 7.0 ms" in made.code.own_fault
+    assert "lqr_attitude took 7.0 ms" in made.code.user_fault
     assert len(made.remarks) == 1, "said once, however often it is tried"
 
 
@@ -117,9 +117,9 @@ def test_on_the_ground_it_costs_the_loop_no_ticks(slow: Slow) -> None:
 def test_one_that_was_slow_once_on_the_ground_is_tried_again_and_flies(slow: Slow, at: int) -> None:
     slow.during = range(at, at + 1)
     made = flown(slow, at + 100, Later())
-    assert made.code.own_fault
+    assert made.code.user_fault
     went_on(slow, made, LATER)
-    assert made.code.own_fault == ""
+    assert made.code.user_fault == ""
     went_on(slow, made, LATER + SLOW_AT)
     assert steps(made)[-1].state == FLYING
     assert slow.stepped[-1] == LATER + SLOW_AT - 1
@@ -133,7 +133,7 @@ def test_after_a_flight_it_is_tried_again_a_second_later(slow: Slow) -> None:
     made = flown(slow, SLOW_AT + 150, Script(disarm_at=SLOW_AT + 100))
     assert slow.stepped[-1] == SLOW_AT
     went_on(slow, made, SLOW_AT + 400)
-    assert made.code.own_fault == ""
+    assert made.code.user_fault == ""
     assert slow.stepped[-1] == SLOW_AT + 399
 
 
@@ -147,5 +147,5 @@ def test_a_change_of_its_parameters_does_not_step_it_at_once(slow: Slow) -> None
     assert len(slow.stepped) <= 2
     slow.during = range(0)
     went_on(slow, made, made.tick + 600)
-    assert made.code.own_fault == ""
+    assert made.code.user_fault == ""
     assert made.code.parameter("attitude_control.k_q") == 0.1 + 0.0001 * 199

@@ -19,6 +19,7 @@ from twodof.fcu.mavlink.parameters import (
     TYPE_MISMATCH,
 )
 from twodof.fcu.mavlink.transactions import BEGIN, COMMIT, LONGEST_TICKS, MOST_OPEN, ROLL_BACK, UNDO
+from twodof.fcu.parameters.store import ParametersChanged
 from twodof.fcu.parameters.user_parameters import user_parameters
 from twodof.link.mavlink.messages import message
 
@@ -196,7 +197,7 @@ def test_any_order_of_anything_leaves_a_whole_set(data: st.DataObject) -> None:
     """Whatever two senders do, what is in force is always what some prefix of whole changes gives."""
     world = World(profile={})
     wholes = [dict(world.store)]
-    world.store.listen(lambda _changes: wholes.append(dict(world.store)))
+    world.store.bus.subscribe(ParametersChanged, lambda _: wholes.append(dict(world.store)))
     names = [*GOOD]
     for _ in range(data.draw(st.integers(1, 12))):
         source = data.draw(st.sampled_from([CLIENT, OTHER]))

@@ -10,7 +10,7 @@ from twodof.fcu.command.result import ACCEPTED, CommandResult, Source
 from twodof.fcu.control.control_input import ControlInput
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.control.hardware import SensorSample
-from twodof.fcu.control.timing import LoopTiming
+from twodof.fcu.control.loop import LoopTiming
 from twodof.fcu.mavlink.services import MavlinkServices
 from twodof.fcu.parameters.store import ParameterStore
 from twodof.link.connection import Received

@@ -70,7 +70,7 @@ def test_a_log_of_a_flight_is_the_log_of_the_simulated_one(tmp_path: Path) -> No
     script = flights.Script(disarm_at=900)
     controller = flights.controller(FlightCode(), script)
     with OnboardLogger(tmp_path, ParameterStore(values=ALWAYS), lockstep=True) as log:
-        controller.listeners.append(log.step)
+        controller.bus.subscribe(ControlStep, log.step)
         for _ in range(1000):
             controller.step()
     found = read_log(log.logs()[0].path)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from twodof.errors import ParameterError, printable
 from twodof.fcu.parameters.row import VehicleParameter
-from twodof.fcu.parameters.store import ParameterStore
+from twodof.fcu.parameters.store import ParametersChanged, ParameterStore
 from twodof.fcu.parameters.table import own_rows, wire_rows
 from twodof.parameters import FLIGHT_PARAMETERS
 
@@ -44,7 +44,7 @@ BAD = st.one_of(
 @given(st.lists(st.tuples(st.lists(GOOD, max_size=4), st.lists(BAD, max_size=2)), max_size=6))
 def test_a_change_is_whole_or_nothing(rounds: list[tuple[list[tuple[str, float]], list[tuple[str, Any]]]]) -> None:
     store, heard = ParameterStore(), []
-    store.listen(heard.append)
+    store.bus.subscribe(ParametersChanged, lambda changed: heard.append(changed.values))
     states = [dict(store)]
     for good, bad in rounds:
         wanted = dict([*good, *bad])

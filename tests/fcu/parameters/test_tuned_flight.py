@@ -16,7 +16,7 @@ from twodof.errors import ControllerFault, ParameterError
 from twodof.fcu.control.flight_code import FlightCode
 from twodof.fcu.control.sandbox import BUDGET_NS
 from twodof.fcu.onboard_log.logger import OnboardLogger
-from twodof.fcu.parameters.store import MOST_TUNED, ParameterStore
+from twodof.fcu.parameters.store import MOST_TUNED, ParametersRelisted, ParameterStore
 from twodof.fcu.parameters.user_parameters import user_parameters
 from twodof.flight.failsafe.causes import ACTIONS, BIT
 from twodof.flight.starters import starter
@@ -72,11 +72,11 @@ def test_a_value_that_cannot_be_changes_nothing_of_what_comes_with_it(trusted: b
 def test_what_has_stopped_in_its_sandbox_takes_gains_and_begins_anew_with_its_own_once_disarmed() -> None:
     made = controller(FlightCode([_exhausting()], fuel=15_000), Script(disarm_at=AT + 50))
     fly(made, AT + 10)
-    assert "fuel" in made.code.own_fault
+    assert "fuel" in made.code.user_fault
     made.set_parameters({"ATT_KP": 3.0, f"{KIND}.gain": 0.5})
-    assert "fuel" in made.code.own_fault, "armed, it stays stopped"
+    assert "fuel" in made.code.user_fault, "armed, it stays stopped"
     fly(made, AT + 60)
-    assert made.code.own_fault == ""
+    assert made.code.user_fault == ""
     assert made.code.parameter(f"{KIND}.gain") == 0.5
     assert made.code.parameter("ATT_KP") == 3.0
     made.code.reset()
@@ -100,8 +100,8 @@ def test_values_are_there_after_a_restart_for_the_very_same_diagram_alone(tmp_pa
         assert "TMI_LAW_ABOVE" not in again
         (said,) = again.carry([own])
         assert "flies as it was tuned before" in said
-        assert again.own()[ABOVE] == 5.0
-        assert again.own()[f"{KIND}.law.weights"] == [1 / 3, 0.25]
+        assert again.user_values()[ABOVE] == 5.0
+        assert again.user_values()[f"{KIND}.law.weights"] == [1 / 3, 0.25]
         with pytest.raises(ParameterError, match="nothing to undo"):
             again.undo()
         assert again.changed().keys() == {"TMI_LAW_ABOVE", "TMI_LAW_WEIGHT_1", "TMI_LAW_INVERTED", "RATE_KP"}
@@ -140,7 +140,7 @@ def test_what_was_tuned_longest_ago_is_forgotten(tmp_path: Path) -> None:
 
 def test_the_list_changes_with_what_flies_and_nothing_else_does() -> None:
     store, (own,), relisted = ParameterStore(values={"RATE_KP": 0.07}), user_parameters([tuned()]), []
-    store.on_relist(lambda: relisted.append(len(store.rows)))
+    store.bus.subscribe(ParametersRelisted, lambda _: relisted.append(len(store.rows)))
     count, digest, revision = len(store.rows), store.hash_check(), store.revision
     store.carry([own])
     assert relisted == [count + len(own.rows)]
@@ -157,7 +157,7 @@ def test_the_list_changes_with_what_flies_and_nothing_else_does() -> None:
     assert len(relisted) == 1, "the same once more is no change"
     store.carry([])
     assert (len(store.rows), store.hash_check(), store["RATE_KP"]) == (count, digest, 0.07)
-    assert store.own() == {}
+    assert store.user_values() == {}
 
 
 def test_a_sandbox_that_stops_in_prepare_is_replaced_and_takes_the_value_once_it_begins_anew(
@@ -173,11 +173,11 @@ def test_a_sandbox_that_stops_in_prepare_is_replaced_and_takes_the_value_once_it
 
     monkeypatch.setattr(sandbox.machine.instance, "prepare", stops)
     made.set_parameters({ABOVE: 3.0, "ATT_KP": 3.0})
-    assert "fuel" in made.code.own_fault
+    assert "fuel" in made.code.user_fault
     steps = fly(made, AT + 40)
     assert all(step.action == LEVEL and step.armed and math.isfinite(step.M) for step in steps[AT + 1 :])
     fly(made, AT + 60)
-    assert made.code.own_fault == ""
+    assert made.code.user_fault == ""
     assert (made.code.parameter(ABOVE), made.code.parameter("ATT_KP")) == (3.0, 3.0)
 
 
@@ -258,5 +258,5 @@ def test_disarmed_a_sandbox_that_stopped_begins_anew_with_the_next_value(monkeyp
 
     monkeypatch.setattr(code.sandbox.machine.instance, "prepare", stops)
     code.set_parameters({ABOVE: 3.0})
-    assert code.own_fault == ""
+    assert code.user_fault == ""
     assert code.parameter(ABOVE) == 3.0

@@ -80,15 +80,15 @@ def test_at_its_default_a_value_flies_as_the_diagram_has_it_and_beside_it_as_it_
     (own,) = user_parameters([tuned()])
     store = ParameterStore()
     store.carry([own])
-    flying = store.own()
+    flying = store.user_values()
     assert flying[f"{KIND}.law.weights"] == [1 / 3, 2 / 3], "no float32 holds them"
     assert flying[f"{KIND}.law.inverted"] is False
     store.update({"TMI_LAW_WEIGHT_1": 0.25, "TMI_LAW_INVERTED": 1, "TMI_LAW_STEPS": -5.0})
-    flying = store.own()
+    flying = store.user_values()
     assert flying[f"{KIND}.law.weights"] == [1 / 3, 0.25]
     assert (flying[f"{KIND}.law.inverted"], flying[f"{KIND}.law.steps"]) == (True, -5)
     store.undo()
-    assert store.own()[f"{KIND}.law.weights"] == [1 / 3, 2 / 3]
+    assert store.user_values()[f"{KIND}.law.weights"] == [1 / 3, 2 / 3]
 
 
 def test_a_hostile_diagram_of_ten_thousand_parameters_is_bounded() -> None:
@@ -102,7 +102,7 @@ def test_a_hostile_diagram_of_ten_thousand_parameters_is_bounded() -> None:
     assert len(store.rows) == len(wire_rows(1)) + MOST
     assert len(metadata_files(store.rows)["parameters.json"]) < stock + 500 * MOST
     # All are enforced, those that are not shown too: they stay at their defaults.
-    assert len(store.own()) == MOST
+    assert len(store.user_values()) == MOST
 
 
 def test_texts_of_a_stranger_carry_nothing_into_a_terminal() -> None:
@@ -131,7 +131,7 @@ def test_a_bound_that_no_float32_holds_is_reached_and_not_passed() -> None:
     store.carry([own])
     for bound, reached in ((store.row("TMI_SHARE").low, 1 / 3), (store.row("TMI_SHARE").high, 2 / 3)):
         store.set("TMI_SHARE", float(np.float32(bound)))
-        code.set_parameters(store.own())
+        code.set_parameters(store.user_values())
         flying = code.parameter(f"{KIND}.share")
         assert flying == pytest.approx(reached, rel=1e-7)
         assert 1 / 3 <= flying <= 2 / 3

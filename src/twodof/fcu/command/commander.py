@@ -219,7 +219,7 @@ class Commander:
             return self._arming.answer
         if self._flies:
             return DONE
-        moves_cart, asks = self.custom_mode == modes.POSITION, self._helm.asks(self._now)
+        moves_cart, asks = modes.BY_NUMBER[self.custom_mode].moves_cart, self._helm.asks(self._now)
         missing = None if self.step is None else self._missing(self.step)
         against = against_arming(self._arming, self.rig, missing, moves_cart, asks) or self.unfit()
         if against:
@@ -260,8 +260,8 @@ class Commander:
             return verdict
         if custom_mode not in modes.BY_NUMBER:
             return CommandResult(UNSUPPORTED, f"there is no mode {modes.mode_name(custom_mode)}")
-        if custom_mode == modes.POSITION and self.rig.rings:
-            return CommandResult(DENIED, "mode position moves the cart, and the rings lock it")
+        if modes.BY_NUMBER[custom_mode].moves_cart and self.rig.rings:
+            return CommandResult(DENIED, f"mode {modes.mode_name(custom_mode)} moves the cart, and the rings lock it")
         if custom_mode == modes.OFFBOARD and not self._helm.streamed(self._now):
             return CommandResult(TEMPORARILY_REJECTED, "mode offboard wants set-points above 2 Hz first")
         self._helm.enter(custom_mode, self._level_thrust(), self._now, self._flies)

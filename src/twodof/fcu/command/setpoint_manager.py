@@ -24,12 +24,9 @@ from twodof.link.mavlink import modes
 FRESH = round(0.5 / PERIOD)
 """Set-points must come above 2 Hz, as PX4 asks: the last one at most so many ticks ago."""
 
-HEARD_IN = {
+HEARD_IN: dict[int, tuple[str, ...]] = {
+    **{mode.custom_mode: (STICKS,) if mode.sticks else () for mode in modes.MODES},
     modes.MANUAL: (OPENLOOP, STICKS),
-    modes.RATE: (STICKS,),
-    modes.ATTITUDE: (STICKS,),
-    modes.POSITION: (STICKS,),
-    modes.HOLD: (),
     modes.OFFBOARD: (TARGET, OPENLOOP),
 }
 """Which set-points act in which mode."""

@@ -5,25 +5,33 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 from twodof.blocks import Diagram
 from twodof.blocks.schema.json_form import to_json
 from twodof.errors import CompileError, ControllerFault, DiagramError
 from twodof.fcu.control.flight_code import FlightCode
-from twodof.fcu.mavlink.telemetry.twodof_messages import ControllerIdentity
 from twodof.flight.controller_store import STOCK, ControllerStore
 from twodof.flight.starters import load_diagram, starter
 from twodof.flight.templates import TEMPLATES, by_kind
 from twodof.flightlog.atomic import atomic_write
 
 
+class ControllerIdentity(NamedTuple):
+    """What flies: the controller's name, the first 64 bits of the SHA-256 of its diagram, parameters not at default."""
+
+    controller: str = "stock"
+    diagram: int = 0
+    changed: int = 0
+
+
 class Controllers:
     """Builds the flight code of the diagrams that are to fly.
 
-    `given` are diagrams, JSON files or names of starter diagrams. In the folder `uploads` clients put others, one a
-    template, which come in their place once they were built; those that fly are kept in the folder `kept`, where they
-    are found after a restart. The stock controller's own diagram means the stock controller. What was uploaded is never
-    `trusted`, and then nothing is. Raises DiagramError as `load_diagram` and `by_kind`.
+    `given` are diagrams, JSON files or names of starter diagrams. Clients put others into the folder `uploads`, one for
+    a template; these replace the given ones once they were built. The folder `kept` holds the uploads that fly, for the
+    next start. The stock controller's own diagram means the stock controller. Uploads are never `trusted`, and where
+    one flies nothing is. Raises DiagramError as `load_diagram` and `by_kind`.
     """
 
     def __init__(
@@ -60,7 +68,7 @@ class Controllers:
     def build_uploaded(self) -> tuple[FlightCode, dict[str, Diagram]]:
         """The flight code of what was given and what now is among the uploads, and the latter by kind; takes seconds.
 
-        In any thread; nothing is kept yet. Raises DiagramError for a file that is no controller, ControllerFault for
+        In any thread; nothing is kept yet. Raises DiagramError for a file that is not a controller, ControllerFault for
         one that needs too much for a single step, CompileError where a tool chain is missing.
         """
         if self.uploads is None or self._kept is None:

@@ -77,10 +77,10 @@ _USED = slice(OUTPUTS.index("x0"), OUTPUTS.index("q0") + 1)
 class FlightCode:
     """The flight code with the failsafe, compiled for this machine, with its states and parameters.
 
-    `controllers` are diagrams that fly in place of the stock ones of their templates. Where they are `trusted` they
-    are part of the native code; else they run in a sandbox of WebAssembly with bounded memory and a bounded number of
-    instructions a step, and their commands pass the same gate. Either way the gate replaces them by the stock ones as
-    docs/explanation/safety.md says. `fuel` is what a step in the sandbox may use, None what the program's size allows.
+    `controllers` are diagrams that fly in place of the stock ones of their templates. `trusted` ones are part of the
+    native code. Others run in a sandbox of WebAssembly: its memory and its instructions per step are bounded, and its
+    commands pass the same gate. In both cases the gate replaces them by the stock ones as docs/explanation/safety.md
+    says. `fuel` is what a step in the sandbox may use, None what the program's size allows.
 
     Raises DiagramError for a controller that fits no template, CompileError where the tool chain is not there.
     """
@@ -110,7 +110,7 @@ class FlightCode:
         self._stepper = Stepper(
             self.machine, (*INPUTS, *(OWN if outside else ())), (*OUTPUTS, *(("own",) if outside else ()))
         )
-        self.own_parameters: tuple[UserParameters, ...] = user_parameters(self.controllers)
+        self.user_parameters: tuple[UserParameters, ...] = user_parameters(self.controllers)
         self._own_values: dict[str, Any] = {}
         self._own = False
         self._armed = False
@@ -118,7 +118,7 @@ class FlightCode:
         self._read_limits()
 
     @property
-    def own_fault(self) -> str:
+    def user_fault(self) -> str:
         """What stopped a user's controllers in their sandbox, "" if nothing did; then nothing of theirs flies."""
         return self.sandbox.fault if self.sandbox is not None else ""
 
@@ -254,7 +254,7 @@ def _path(name: str) -> str:
 
 
 def _within(value: float, limit: float) -> float:
-    """`value` within +-`limit`, 0 for what is no number."""
+    """`value` within +-`limit`, 0 for NaN and infinity."""
     return max(-limit, min(limit, value)) if math.isfinite(value) else 0.0
 
 

@@ -57,7 +57,7 @@ class Hardware(Protocol):
         """Commands the rotor pairs, 0 to 1 each, for the period that begins; a virtual rig's time runs to its end."""
 
     def stop(self) -> None:
-        """Both pairs off, whatever is commanded, until `release`. From any thread, at once: the watchdog calls it."""
+        """Both pairs off until `release`, also against later commands. From any thread: the watchdog calls it."""
 
     def release(self) -> None:
         """Commands count again."""

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import secrets
 import time
-from collections.abc import Callable, Mapping
-from typing import Any, Protocol, cast
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Protocol, cast
 
 from twodof.errors import ParameterError
 from twodof.fcu.control.control_input import ControlInput
 from twodof.fcu.control.flight_code import ControlStep, FlightCode
 from twodof.fcu.control.hardware import Hardware, VirtualHardware
-from twodof.fcu.control.timing import LoopTiming
+from twodof.fcu.event_bus import EventBus
 from twodof.link.control_period import TICK_NS
 
 CRITICAL = 2
@@ -24,8 +25,49 @@ MOST_GRANTED = 25_000
 """Ticks that may be granted beyond those that have run: 100 s."""
 
 
+WINDOW = 250
+"""Steps that the figures are of: a second."""
+
+
+@dataclass(slots=True)
+class LoopTiming:
+    """Counts since the start, and figures [us] of the last whole second.
+
+    `overruns` are steps whose processor time was beyond the period, `missed` periods that were left out because the
+    loop came too late to make up for them. `step_mean` and `step_worst` are the processor time of a step, `late_worst`
+    is how long after it was due a step began. In lockstep nothing is late and nothing is measured.
+    """
+
+    overruns: int = 0
+    missed: int = 0
+    step_mean: float = 0.0
+    step_worst: float = 0.0
+    late_worst: float = 0.0
+    _steps: int = 0
+    _used: int = 0
+    _worst: int = 0
+    _late: int = 0
+
+    def stepped(self, used: int, budget: int) -> bool:
+        """A step used so much processor time [ns]; says whether that is beyond its budget."""
+        self._steps += 1
+        self._used += used
+        self._worst = max(self._worst, used)
+        over = used > budget
+        self.overruns += over
+        if self._steps == WINDOW:
+            self.step_mean, self.step_worst = self._used * 1e-3 / WINDOW, self._worst * 1e-3
+            self.late_worst = self._late * 1e-3
+            self._steps = self._used = self._worst = self._late = 0
+        return over
+
+    def began(self, late: int) -> None:
+        """A step began this long [ns] after it was due."""
+        self._late = max(self._late, late)
+
+
 class ControlInputSource(Protocol):
-    """Who says what is to be flown: the commander."""
+    """Says what the flight code must fly: the commander."""
 
     def asked(self, tick: int) -> ControlInput:
         """What is asked for in this tick."""
@@ -37,24 +79,34 @@ class ControlInputSource(Protocol):
         """Time begins again at tick 0."""
 
 
+class TimeRestarted(NamedTuple):
+    """Time has begun again at tick 0."""
+
+
 class FlightController:
     """What runs at each control period, and the tick that counts them.
 
-    `commander` says what is asked, `code` flies, `hardware` measures and drives; each of `listeners` gets the step,
-    each of `on_restart` is called when time begins again. In `lockstep` time stands still until ticks are granted, and
-    nothing is late; else the processor time of a step is held against its budget. `remarks` are (MAV_SEVERITY, text)
-    for the clients, for whoever drains it. All methods but `stop` are for one thread.
+    `commander` says what to fly, `code` flies it, `hardware` measures and drives. Each ControlStep is published on
+    `bus` (None: one of its own), and TimeRestarted when time begins again.
+
+    In `lockstep` time stands still until ticks are granted, and nothing is late. In real time the processor time of a
+    step is compared with the control period. `remarks` are (MAV_SEVERITY, text) pairs for the clients. All methods
+    except `stop` are for one thread.
     """
 
     def __init__(
-        self, hardware: Hardware, code: FlightCode, commander: ControlInputSource, lockstep: bool = False
+        self,
+        hardware: Hardware,
+        code: FlightCode,
+        commander: ControlInputSource,
+        lockstep: bool = False,
+        bus: EventBus | None = None,
     ) -> None:
         self.hardware = hardware
         self.code = code
         self.commander = commander
         self.lockstep = lockstep
-        self.listeners: list[Callable[[ControlStep], None]] = []
-        self.on_restart: list[Callable[[], None]] = []
+        self.bus = bus or EventBus()
         self.timing = LoopTiming()
         self.started_as = 1 + secrets.randbelow(0xFFFFFFFF)  # how clients tell a restart from a pause
         self.tick = 0
@@ -82,13 +134,12 @@ class FlightController:
         if self._stopped and not step.armed:
             self._stopped = False
             hardware.release()
-        if self.code.own_fault != self._fault:
-            self._fault = self.code.own_fault
+        if self.code.user_fault != self._fault:
+            self._fault = self.code.user_fault
             if self._fault:
                 self.remarks.append((CRITICAL, f"controller stopped: {self._fault}"))
         self.commander.seen(step)
-        for listener in self.listeners:
-            listener(step)
+        self.bus.publish(step)
         return step
 
     def _note_time(self, used: int, armed: bool) -> None:
@@ -131,8 +182,7 @@ class FlightController:
         self._late = self._stopped = False
         self.hardware.release()
         self.commander.restart()
-        for listener in self.on_restart:
-            listener()
+        self.bus.publish(TimeRestarted())
 
     def replace(self, code: FlightCode) -> None:
         """Another flight code flies from the next tick on, from the states in which the present one is.

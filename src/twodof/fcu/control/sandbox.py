@@ -51,10 +51,13 @@ _NOTHING = SandboxOutput(True, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 class Sandbox:
     """The flight core with `controllers`, without failsafe, in WebAssembly; its commands go through the native gate.
 
-    `fault` says what stopped it, "" while it runs; then every step is late until `restart`. A step in real time
-    (`timed`) that takes more than `BUDGET_NS` of the processor is late and stops it too, so that it makes no second
-    control period late; on the ground it may be tried again after a pause (`wakes`, `resume`). Raises DiagramError for
-    a controller that fits no template, CompileError where the compiler for WebAssembly or wasmtime is not there.
+    `fault` says what stopped it, "" while it runs; then every step is late until `restart`.
+
+    In real time (`timed`) a step that takes more than `BUDGET_NS` of the processor is late and stops it too. So it
+    makes no second control period late. On the ground it may be tried again after a pause (`wakes`, `resume`).
+
+    Raises DiagramError for a controller that fits no template, CompileError where the compiler for WebAssembly or
+    wasmtime is missing.
     """
 
     def __init__(
@@ -99,7 +102,7 @@ class Sandbox:
         return self._rest > 0
 
     def wakes(self) -> bool:
-        """A tick on the ground in which it rests has passed: whether it is to be tried again now, by `resume`."""
+        """Counts a tick of its pause on the ground. Returns whether `resume` may try it again now."""
         self._spent = 0
         self._rest -= 1
         return self._rest == 0

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import sys
 import threading
+import time
 from collections.abc import Callable
-
-from twodof.fcu.control.thread_time import ThreadTime
+from contextlib import suppress
+from pathlib import Path
 
 LOOK_S = 0.02
 LOOKS = 5
@@ -15,14 +17,50 @@ LOOKS = 5
 _HANGS = LOOKS - 0.5
 
 
+class ThreadTime:
+    """The thread that makes it, as seen from any other. On Linux; elsewhere nothing counts as lacking a processor."""
+
+    def __init__(self) -> None:
+        self._stat = Path(f"/proc/self/task/{threading.get_native_id()}/stat")
+        self._clock = time.pthread_getcpuclockid(threading.get_ident()) if sys.platform == "linux" else None
+        self._seen, self._ran = time.monotonic(), self._processor_time()
+
+    def own(self) -> float:
+        """The part, 0 to 1, of the time since the last call that was the thread's own.
+
+        All of it where the thread waits for something now, or has ended; where it would run, only what it ran.
+        """
+        now, ran = time.monotonic(), self._processor_time()
+        passed, used = now - self._seen, ran - self._ran
+        self._seen, self._ran = now, ran
+        if not self._would_run():
+            return 1.0
+        return min(1.0, used / passed) if passed > 0.0 else 1.0
+
+    def _processor_time(self) -> float:
+        """What it has used so far [s]; 0 once it has ended, or where that is not known."""
+        with suppress(OSError):
+            return 0.0 if self._clock is None else time.clock_gettime(self._clock)
+        return 0.0
+
+    def _would_run(self) -> bool:
+        """Whether it runs, or only lacks a processor; False where that is not known."""
+        with suppress(OSError):
+            # proc(5): the number, the name in parentheses, then the state.
+            return self._clock is not None and self._stat.read_bytes().rpartition(b")")[2].split()[0] == b"R"
+        return False
+
+
 class Watchdog:
     """A thread that calls `stop` when no `beat` came for `LOOKS` looks, `LOOK_S` apart: .1 s.
 
-    It counts looks and not time: where the whole machine stands still, its thread does as the loop does. With `patient`
-    a look counts by the part of its time in which the loop ran, or waited for something: a loop that others keep from
-    the processor does not hang, and a virtual rig, whose time is the loop's, is not harmed by it. `trips` counts. It
-    begins with the first beat. What keeps the interpreter itself from running (native code that does not let go of it)
-    it does not see: that is for the hardware.
+    It counts looks and not time: where the whole machine stands still, its thread stands still too. It begins with the
+    first beat. `trips` counts the stops.
+
+    With `patient` a look counts by the part of its time in which the loop ran or waited. A loop that lacks a processor
+    does not hang, and does a virtual rig no harm, since the rig's time is the loop's.
+
+    It does not see native code that never releases the interpreter: that is for the hardware.
     """
 
     def __init__(self, stop: Callable[[], None], look_s: float = LOOK_S, patient: bool = False) -> None:

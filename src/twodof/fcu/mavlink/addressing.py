@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
 from math import isfinite
 from typing import Any, NamedTuple
 
@@ -31,14 +30,3 @@ def source(received: Received) -> Source:
 def whole(value: float, default: int = 0) -> int:
     """The nearest whole number of a command's parameter; `default` for NaN, infinity and what exceeds 2^31."""
     return round(value) if isfinite(value) and abs(value) < 2**31 else default
-
-
-class ConnectedClient:
-    """A peer that has spoken, and the tick at which it did so last; `ours`: it knows twodof's own messages."""
-
-    __slots__ = ("heard", "ours", "peer")
-
-    def __init__(self, peer: Hashable, tick: int) -> None:
-        self.peer = peer
-        self.heard = tick
-        self.ours = False

@@ -39,10 +39,11 @@ class _Fault(NamedTuple):
 class BackgroundWorker:
     """Does work in order and hands each result to `done` in `poll`, in the thread that polls.
 
-    A result that is an OSError or a TwodofError is one that the work raised; any other exception is a fault of this
-    program: `done` is told OSError, so that its client is answered, and then `poll` (with `inline`, `submit`) raises
-    it, which ends the program with the motors off like a fault of any service. With `inline` the work is done at once:
-    in lockstep nobody waits for the clock, and ticks may stand still.
+    A result that is an OSError or a TwodofError is one that the work raised. Any other exception is a fault of this
+    program. Then `done` gets an OSError, so that the client is answered, and `poll` (with `inline`, `submit`) raises
+    the exception. That ends the program with the motors off, like a fault of any service.
+
+    With `inline` the work is done at once: in lockstep nobody waits for the clock, and ticks may stand still.
     """
 
     def __init__(self, inline: bool = False) -> None:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
+from collections.abc import Hashable
+from typing import NamedTuple
 
 from twodof.fcu.control.flight_code import ControlStep
-from twodof.fcu.mavlink.addressing import ConnectedClient
+from twodof.fcu.event_bus import EventBus
+from twodof.fcu.mavlink.service import Service
 from twodof.link.connection import Received
 from twodof.link.mavlink.dialect import FIRST_OWN_ID, LAST_OWN_ID
 
@@ -17,20 +19,46 @@ _COMMANDS = (75, 76)  # COMMAND_INT, COMMAND_LONG
 _ABOUT_MESSAGES = (510, 511, 512)
 
 
-class Clients:
+class ConnectedClient:
+    """A peer that has spoken, and the tick at which it did so last; `ours`: it knows twodof's own messages."""
+
+    __slots__ = ("heard", "ours", "peer")
+
+    def __init__(self, peer: Hashable, tick: int) -> None:
+        self.peer = peer
+        self.heard = tick
+        self.ours = False
+
+
+class ClientJoined(NamedTuple):
+    """A peer has spoken for the first time."""
+
+    client: ConnectedClient
+
+
+class ClientRecognised(NamedTuple):
+    """A client has sent a message of twodof's own, or asked for one. Others would count these messages as lost."""
+
+    client: ConnectedClient
+
+
+class ClientLeft(NamedTuple):
+    """A client's link has closed, or it was silent for too long."""
+
+    client: ConnectedClient
+
+
+class Clients(Service):
     """Who is there. First among the services: it sees every message and takes none.
 
-    `joined` and `left` are called with each client that comes and goes, `recognised` with one that has sent a message
-    of twodof's own or asked for one: others would count them as lost, as they cannot read them. In `lockstep`, where a
-    minute may pass between two heartbeats of a bystander, nobody is forgotten for silence.
+    It publishes ClientJoined, ClientRecognised and ClientLeft. In `lockstep` nobody is forgotten for silence, as a
+    minute may pass between two heartbeats of a bystander.
     """
 
-    def __init__(self, lockstep: bool = False) -> None:
+    def __init__(self, bus: EventBus, lockstep: bool = False) -> None:
+        self._bus = bus
         self._lockstep = lockstep
         self.known: dict[Hashable, ConnectedClient] = {}
-        self.joined: list[Callable[[ConnectedClient], None]] = []
-        self.recognised: list[Callable[[ConnectedClient], None]] = []
-        self.left: list[Callable[[ConnectedClient], None]] = []
         self._tick = 0
 
     def handle(self, received: Received) -> bool:
@@ -41,8 +69,7 @@ class Clients:
         client.heard = self._tick
         if not client.ours and _knows(received):
             client.ours = True
-            for recognise in self.recognised:
-                recognise(client)
+            self._bus.publish(ClientRecognised(client))
         return False
 
     def after(self, step: ControlStep) -> None:
@@ -57,8 +84,7 @@ class Clients:
         """Forgets a peer whose link has closed."""
         client = self.known.pop(peer, None)
         if client is not None:
-            for leave in self.left:
-                leave(client)
+            self._bus.publish(ClientLeft(client))
 
     def restart(self) -> None:
         """Time begins anew at tick 0."""
@@ -70,8 +96,7 @@ class Clients:
         if len(self.known) >= MOST_CLIENTS:
             self.gone(min(self.known.values(), key=lambda one: one.heard).peer)
         client = self.known[peer] = ConnectedClient(peer, self._tick)
-        for join in self.joined:
-            join(client)
+        self._bus.publish(ClientJoined(client))
         return client
 
 

@@ -1,10 +1,9 @@
 """Parameters: PARAM_REQUEST_LIST, PARAM_REQUEST_READ and PARAM_SET as PX4 answers them, and PARAM_ERROR.
 
 An int32 travels with its bits in the float field. A list begins with `_HASH_CHECK`, so that a client that has
-the values already can stop it by setting `_HASH_CHECK`. When other controllers fly, which brings other parameters,
-`_HASH_CHECK` goes to everybody: who keeps a list asks for it again, and one that is on its way begins anew. Bounds
-are enforced: a refused value is answered by PARAM_ERROR and by the value that stays, one of the wrong type by
-PARAM_ERROR alone.
+the values already can stop it by setting `_HASH_CHECK`. Other controllers bring other parameters: then `_HASH_CHECK`
+goes to everybody, so that a client that keeps a list asks again. A list that is being sent begins anew. Bounds are
+enforced: a refused value is answered by PARAM_ERROR and the value that stays, one of the wrong type by PARAM_ERROR.
 """
 
 from __future__ import annotations
@@ -15,15 +14,16 @@ from collections.abc import Hashable, Iterator, Mapping
 from typing import Any
 
 from twodof.errors import ParameterError
+from twodof.fcu.command.commander import Commander
 from twodof.fcu.command.result import Source
 from twodof.fcu.control.flight_code import ControlStep
-from twodof.fcu.mavlink.addressing import ConnectedClient, VehicleAddress, source
-from twodof.fcu.mavlink.clients import Clients
+from twodof.fcu.control.loop import FlightController
+from twodof.fcu.mavlink.addressing import VehicleAddress, source
+from twodof.fcu.mavlink.clients import ClientLeft
 from twodof.fcu.mavlink.commands.command_service import CommandService
-from twodof.fcu.mavlink.service import Link
-from twodof.fcu.mavlink.vehicle import CommanderView, ControllerView
+from twodof.fcu.mavlink.service import Link, Service
 from twodof.fcu.parameters.row import VehicleParameter
-from twodof.fcu.parameters.store import HASH_NAME, ParameterStore
+from twodof.fcu.parameters.store import HASH_NAME, ParametersChanged, ParametersRelisted, ParameterStore
 from twodof.link.connection import Received
 from twodof.link.mavlink.messages import message
 from twodof.link.mavlink.packing import Packed, Packer
@@ -39,17 +39,16 @@ A_TICK = 4
 MOST_LISTS = 64
 
 
-class ParameterService:
+class ParameterService(Service):
     """The parameter protocol in front of `store`; who holds the lease may withhold changes from all others."""
 
     def __init__(
         self,
         link: Link,
         us: VehicleAddress,
-        clients: Clients,
         commands: CommandService,
-        controller: ControllerView,
-        commander: CommanderView,
+        controller: FlightController,
+        commander: Commander,
         store: ParameterStore,
     ) -> None:
         self._link = link
@@ -65,9 +64,9 @@ class ParameterService:
             "PARAM_REQUEST_READ": self._read,
             "PARAM_SET": self._set,
         }
-        clients.left.append(self._forget)
-        store.listen(self._announce)
-        store.on_relist(self._relist)
+        store.bus.subscribe(ClientLeft, lambda left: self._lists.pop(left.client.peer, None))
+        store.bus.subscribe(ParametersChanged, self._announce)
+        store.bus.subscribe(ParametersRelisted, self._relist)
 
     def handle(self, received: Received) -> bool:
         """Takes a question or a new value."""
@@ -184,11 +183,11 @@ class ParameterService:
         if self._store.revision == before:
             self._link.send(self.value(self._store.row(name)), received.peer)
 
-    def _announce(self, changes: Mapping[str, float]) -> None:
-        for name in changes:
+    def _announce(self, changed: ParametersChanged) -> None:
+        for name in changed.values:
             self._link.send(self.value(self._store.row(name)))
 
-    def _relist(self) -> None:
+    def _relist(self, _: ParametersRelisted) -> None:
         for peer in self._lists:
             self._lists[peer] = self._listed(with_hash=True)
         self._link.send(self.hash())
@@ -211,9 +210,6 @@ class ParameterService:
         packed = self._pack(value, len(self._store.rows), index, name.encode(), kind)
         packed.payload = bits + packed.payload[4:]  # the very bits, those of a signalling NaN too
         return packed
-
-    def _forget(self, client: ConnectedClient) -> None:
-        self._lists.pop(client.peer, None)
 
 
 def text(name: str | bytes) -> str:

@@ -16,18 +16,27 @@ class Link(Protocol):
         """Sends a message, or drops and counts it where the peer takes no more; never waits, never raises."""
 
 
-class Service(Protocol):
+class Service:
     """Translates between MAVLink and the flight controller; called from one task only.
 
-    It may have three methods more: `restart()`, time begins again at tick 0; `gone(peer)`, a peer's link has closed;
-    `idle()`, in lockstep, about once a second of real time while no tick runs.
+    A service overrides what it needs of these methods; here each of them does nothing.
     """
 
     def handle(self, received: Received) -> bool:
-        """Takes a message in; False if it is none of this service's. `received.peer` tells where answers go.
+        """Takes a message in; False leaves it to the next service. `received.peer` tells where answers go.
 
-        Messages come as they come: any field may hold anything. Never raises on them.
+        Any field of a message may hold any value. Never raises on them.
         """
+        return False
 
     def after(self, step: ControlStep) -> None:
         """Called after each control period; does next to nothing when nothing is due."""
+
+    def restart(self) -> None:
+        """Time begins again at tick 0."""
+
+    def gone(self, peer: Hashable) -> None:
+        """A peer's link has closed."""
+
+    def idle(self) -> None:
+        """In lockstep, called about once a second of real time while no tick runs."""

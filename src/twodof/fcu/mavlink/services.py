@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
+from twodof.fcu.command.commander import Commander
+from twodof.fcu.control.controllers import ControllerIdentity
+from twodof.fcu.control.loop import FlightController
 from twodof.fcu.mavlink.addressing import VehicleAddress
 from twodof.fcu.mavlink.clients import Clients
 from twodof.fcu.mavlink.commands.arming import ArmingCommands
@@ -14,13 +17,10 @@ from twodof.fcu.mavlink.parameters import ParameterService
 from twodof.fcu.mavlink.service import Link, Service
 from twodof.fcu.mavlink.status_text import StatusTextService
 from twodof.fcu.mavlink.telemetry.batches import BATCH, BatchService
-from twodof.fcu.mavlink.telemetry.change_detector import ChangeDetector
 from twodof.fcu.mavlink.telemetry.encoders import TelemetryEncoders
 from twodof.fcu.mavlink.telemetry.heartbeat import Heartbeat
-from twodof.fcu.mavlink.telemetry.streams import StreamService
-from twodof.fcu.mavlink.telemetry.twodof_messages import ControllerIdentity
+from twodof.fcu.mavlink.telemetry.streams import ChangeDetector, StreamService
 from twodof.fcu.mavlink.transactions import TransactionService
-from twodof.fcu.mavlink.vehicle import CommanderView, ControllerView
 from twodof.fcu.mavlink.version import VersionService
 from twodof.fcu.parameters.store import ParameterStore
 from twodof.fcu.px4_compat.events import EventService
@@ -32,49 +32,46 @@ from twodof.link.mavlink.rates import ONBOARD
 class MavlinkServices:
     """The services of one vehicle, in the order in which they get messages; made once, then `services`.
 
-    `commands.on`, `requests.on` and `telemetry` are open to further services: log download, component metadata.
-    `restart` begins the flight controller anew (command 246), `flown` says which controller flies, `lost` counts what
-    clients did not take, `truth` is the virtual rig's state, `capabilities` are bits of MAV_PROTOCOL_CAPABILITY that
-    further services bring.
+    `commands.on`, `requests.on` and `telemetry` are open to further services, such as log download.
+
+    `restart` begins the flight controller anew (command 246). `identity` says which controller flies. `lost` counts
+    what clients did not take. `truth` is the virtual rig's state. `capabilities` are the bits of
+    MAV_PROTOCOL_CAPABILITY that further services bring.
     """
 
     def __init__(
         self,
         link: Link,
         system: int,
-        controller: ControllerView,
-        commander: CommanderView,
+        controller: FlightController,
+        commander: Commander,
         store: ParameterStore,
         restart: Callable[[], None] | None = None,
-        flown: Callable[[], ControllerIdentity] = ControllerIdentity,
+        identity: Callable[[], ControllerIdentity] = ControllerIdentity,
         lost: Callable[[], int] = lambda: 0,
         truth: Callable[[], tuple[float, float, float, float]] | None = None,
         profile: Mapping[int, float] = ONBOARD,
         capabilities: int = 0,
     ) -> None:
-        us = VehicleAddress(system)
-        self.clients = Clients(controller.lockstep)
-        self.commands = CommandService(link, us, controller.lockstep)
-        self.telemetry = TelemetryEncoders(controller, commander, flown, lost, truth)
+        us, bus = VehicleAddress(system), store.bus
+        self.clients = Clients(bus, controller.lockstep)
+        self.commands = CommandService(link, us, bus, controller.lockstep)
+        self.telemetry = TelemetryEncoders(controller, commander, identity, lost, truth)
         self.requests = MessageRequests(link, self.commands, self.telemetry)
         changes = ChangeDetector(controller, commander)
-        self.heartbeat = Heartbeat(link, self.clients, self.telemetry, commander)
-        self.commands.carried_out.append(self.heartbeat.check)
+        self.heartbeat = Heartbeat(link, bus, self.telemetry, commander)
         self.modes = ModeService(us, self.commands, self.requests, self.telemetry, commander)
-        self.streams = StreamService(link, self.clients, self.commands, self.telemetry, changes, profile)
-        self.parameters = ParameterService(link, us, self.clients, self.commands, controller, commander, store)
-        self.arming = ArmingCommands(self.commands, commander, restart)
+        self.streams = StreamService(link, bus, self.commands, self.telemetry, changes, profile)
+        self.parameters = ParameterService(link, us, self.commands, controller, commander, store)
+        self.arming = ArmingCommands(self.commands, commander, bus, restart)
         self.storage = StorageCommand(self.commands, commander, store, controller.lockstep)
         self.versions = VersionService(self.requests, system, controller.hardware.name, capabilities)
         self.transactions = TransactionService(link, us, self.commands, commander, self.parameters, store)
-        self.batches = BatchService(link, self.clients, commander)
+        self.batches = BatchService(link, bus, commander)
         self.streams.elsewhere[BATCH] = self.batches
-        self.events = EventService(link, us, self.telemetry, controller, commander, self.clients)
-        self.arming.denied.append(self.events.denied)
-        self.arming.killed.append(self.events.killed)
-        self.arming.asked.append(self.events.report)
+        self.events = EventService(link, us, self.telemetry, controller, commander, bus)
         self.missions = MissionService(link, us, self.commands, self.requests)
-        self.remarks = StatusTextService(link, commander.remarks)
+        self.remarks = StatusTextService(link, bus, commander.remarks)
 
     @property
     def services(self) -> list[Service]:

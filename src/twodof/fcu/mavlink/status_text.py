@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from typing import NamedTuple
 
 from twodof.fcu.control.flight_code import ControlStep
-from twodof.fcu.mavlink.service import Link
+from twodof.fcu.event_bus import EventBus
+from twodof.fcu.mavlink.service import Link, Service
 from twodof.fcu.px4_compat.event_table import marked
 from twodof.link.connection import Received
 from twodof.link.mavlink.messages import statustext
 
 
-class StatusTextService:
-    """Drains lists of (MAV_SEVERITY, text) that others fill; each of `listeners` gets what is told, too."""
+class TextSent(NamedTuple):
+    """The vehicle has said something in words: MAV_SEVERITY and text."""
 
-    def __init__(self, link: Link, *sources: list[tuple[int, str]]) -> None:
-        self.listeners: list[Callable[[int, str], None]] = []
+    severity: int
+    text: str
+
+
+class StatusTextService(Service):
+    """Sends the (MAV_SEVERITY, text) pairs that others put into `remarks`, and publishes TextSent for each."""
+
+    def __init__(self, link: Link, bus: EventBus, remarks: list[tuple[int, str]]) -> None:
         self._link = link
-        self._sources = sources
+        self._bus = bus
+        self._remarks = remarks
         self._number = 0
 
     def handle(self, received: Received) -> bool:
@@ -26,16 +34,12 @@ class StatusTextService:
 
     def after(self, step: ControlStep) -> None:
         """Tells what there is to tell."""
-        for source in self._sources:
-            if source:
-                self._tell(source)
-
-    def _tell(self, source: list[tuple[int, str]]) -> None:
-        told = source[:]
-        source.clear()
+        if not self._remarks:
+            return
+        told = self._remarks[:]
+        self._remarks.clear()
         for severity, text in told:
-            for listener in self.listeners:
-                listener(severity, text)
+            self._bus.publish(TextSent(severity, text))
             self._number = self._number % 0xFFFF + 1
             for piece in statustext(marked(text), severity, self._number):
                 self._link.send(piece)

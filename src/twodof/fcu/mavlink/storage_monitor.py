@@ -4,26 +4,22 @@ from __future__ import annotations
 
 from twodof.errors import TwodofError
 from twodof.fcu.control.flight_code import ControlStep
+from twodof.fcu.mavlink.service import Service
 from twodof.fcu.onboard_log.logger import OnboardLogger
 from twodof.fcu.parameters.store import ParameterStore
-from twodof.link.connection import Received
 
 LOOK_TICKS = 250
 ERROR, WARNING = 3, 4
 """MAV_SEVERITY."""
 
 
-class StorageMonitor:
+class StorageMonitor(Service):
     """Looks once a second and puts (MAV_SEVERITY, text) into `remarks`, each trouble once."""
 
     def __init__(self, store: ParameterStore, log: OnboardLogger | None, remarks: list[tuple[int, str]]) -> None:
         self._store, self._log, self._remarks = store, log, remarks
         self._said: dict[str, TwodofError | None] = {}
         self._dropped = 0
-
-    def handle(self, received: Received) -> bool:
-        """Takes nothing."""
-        return False
 
     def after(self, step: ControlStep) -> None:
         """Says what is new."""

@@ -6,13 +6,13 @@ from collections import OrderedDict
 from typing import NamedTuple
 
 from twodof.errors import ParameterError
+from twodof.fcu.command.commander import Commander
 from twodof.fcu.command.result import Source
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.mavlink.addressing import VehicleAddress, source
 from twodof.fcu.mavlink.commands.command_service import CommandService
 from twodof.fcu.mavlink.parameters import NO_ERROR, PERMISSION_DENIED, READ_FAIL, ParameterService, text
-from twodof.fcu.mavlink.service import Link
-from twodof.fcu.mavlink.vehicle import CommanderView
+from twodof.fcu.mavlink.service import Link, Service
 from twodof.fcu.parameters.store import HASH_NAME, ParameterStore
 from twodof.link.connection import Received
 from twodof.link.mavlink.packing import Packer
@@ -49,12 +49,12 @@ class Transaction:
         return len(self.values) + (self.fault is not None)
 
 
-class TransactionService:
+class TransactionService(Service):
     """Stands before `parameters` and keeps back what belongs to a transaction.
 
     Each sender has at most one open. A message that comes again, with the number of what was done already, gets the
     same answer and does nothing. A COMMIT that overtakes some of its PARAM_SETs leaves the transaction open for them,
-    and is to be said again.
+    and the client sends it again.
     """
 
     def __init__(
@@ -62,7 +62,7 @@ class TransactionService:
         link: Link,
         us: VehicleAddress,
         commands: CommandService,
-        commander: CommanderView,
+        commander: Commander,
         parameters: ParameterService,
         store: ParameterStore,
     ) -> None:

@@ -10,7 +10,7 @@ RUN_OVER_MS = RUN_OVER // TICK_MS
 
 
 def meant(value: int, now: int, run_over: int = RUN_OVER) -> int:
-    """The tick that a field of 32 bits names: the one of all that look like `value` that is nearest to `now`.
+    """The tick that a field of 32 bits names: of the ticks that look like `value`, the one nearest to `now`.
 
     None is before tick 0, so until the first half of the field's range has passed it is `value` itself.
     """

@@ -134,7 +134,7 @@ class LogWriter:
         self._tick = int(rows["tick"][-1])
 
     def _wanted(self, armed: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Which of the next steps are to be logged."""
+        """Which of the next steps will be logged."""
         index = np.arange(len(armed))
         last = np.maximum.accumulate(np.where(armed, index, -1))
         since = np.where(last >= 0, index - last, index + 1 + self._since_armed)

@@ -19,7 +19,7 @@ from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.onboard_log.log_folder import MAX_BYTES, LogFolder, StoredLog
 from twodof.fcu.onboard_log.log_writer import LogWriter
 from twodof.fcu.onboard_log.step_row import ROW, pack
-from twodof.fcu.parameters.store import ParameterStore
+from twodof.fcu.parameters.store import ParametersChanged, ParametersRelisted, ParameterStore
 from twodof.flightlog.spool import DEADLINE_S
 from twodof.link.control_period import TICK_US
 
@@ -42,8 +42,8 @@ class OnboardLogger:
 
     `step` never waits in real time: while the disk is too slow rows are dropped and counted in `dropped`, with a mark
     in the log. In `lockstep` it waits for the disk instead, so that nothing is missing. Whatever the disk does, the
-    flight goes on: `failure` says why a log ended or did not begin. `info` gives what stands in a log besides (rig,
-    seed, controller); it is asked when time begins and at each arming.
+    flight goes on: `failure` says why a log ended or did not begin. `info` gives the facts of the flight (rig, seed,
+    controller); it is asked when time begins and at each arming.
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class OnboardLogger:
         info: Callable[[], Mapping[str, str | int]] = dict,
         max_bytes: int = MAX_BYTES,
     ) -> None:
-        """Raises LogError where there can be no folder."""
+        """Raises LogError where the folder cannot be made."""
         self.folder = LogFolder(folder, max_bytes, int(store["SDLOG_DIRS_MAX"]))
         self.lockstep = lockstep
         self.dropped = 0
@@ -68,8 +68,10 @@ class OnboardLogger:
         self._closed = False
         self._thread = threading.Thread(target=self._serve, name="on-board log", daemon=True)
         self._thread.start()
-        store.listen(self._changed)
-        store.on_relist(lambda: self._put("list", "", {row.name: store[row.name] for row in store.rows}))
+        store.bus.subscribe(ParametersChanged, self._changed)
+        store.bus.subscribe(
+            ParametersRelisted, lambda _: self._put("list", "", {row.name: store[row.name] for row in store.rows})
+        )
 
     @property
     def failure(self) -> TwodofError | None:
@@ -129,7 +131,7 @@ class OnboardLogger:
         self._put("anew", "", None)
 
     def logs(self) -> list[StoredLog]:
-        """The logs on board by rising number, that being written included, with all that was handed over so far.
+        """The logs on board by rising number, also the one being written, with everything that was handed over so far.
 
         Raises LogError.
         """
@@ -143,7 +145,7 @@ class OnboardLogger:
         return self.folder.erase(self.path)
 
     def flush(self, deadline_s: float = 10.0) -> None:
-        """Waits until all that was handed over is on the disk. Raises LogError when it is not within the deadline."""
+        """Waits until everything handed over is on the disk. Raises LogError when it is not within the deadline."""
         self._ask("flush", deadline_s)
         if self.failure is not None:
             raise LogError(self.failure.what, self.failure.where, self.failure.remedy)
@@ -167,7 +169,8 @@ class OnboardLogger:
     ) -> None:
         self.close()
 
-    def _changed(self, changes: Mapping[str, float]) -> None:
+    def _changed(self, changed: ParametersChanged) -> None:
+        changes = changed.values
         if "SDLOG_MODE" in changes:
             self._put("mode", "", int(changes["SDLOG_MODE"]))
         if "SDLOG_DIRS_MAX" in changes:

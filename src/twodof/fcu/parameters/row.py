@@ -9,12 +9,12 @@ from twodof.parameters import Parameter
 
 @dataclass(frozen=True)
 class VehicleParameter(Parameter):
-    """A parameter with what a vehicle says of it besides.
+    """A parameter as a vehicle describes it.
 
     `group` is where a ground station shows it. `disarmed`: it is changed only while disarmed; `reboot`: a change acts
     after the next start. `acts` is False for one that clients of PX4 ask for and nothing on board reads. `of` names the
-    parameter that this one is another name of. `own` is where it stands in the diagram of a user's controller
-    (`attitude_control.k_q`, with an index for an array's element); without bounds in the diagram it is not `bounded`.
+    parameter that this one is another name of. `own` is its place in a user's diagram, such as `attitude_control.k_q`,
+    with an index for an array's element. A parameter without bounds in the diagram is not `bounded`.
     """
 
     group: str = "Flight"

@@ -8,9 +8,10 @@ import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 from twodof.errors import ParameterError, TwodofError, listed
+from twodof.fcu.event_bus import EventBus
 from twodof.fcu.parameters.row import VehicleParameter
 from twodof.fcu.parameters.store_file import StoredParameters, StoreFile, TunedController
 from twodof.fcu.parameters.table import own_rows, wire_rows
@@ -22,16 +23,27 @@ MOST_TUNED = 8
 """Controllers whose tuning is kept, those that fly now included."""
 SAVE_S = 5.0
 """A disk that has not answered for so long has not stored."""
-Listener = Callable[[Mapping[str, float]], None]
+
+
+class ParametersChanged(NamedTuple):
+    """Values have changed: the new ones, under every name that they have."""
+
+    values: Mapping[str, float]
+
+
+class ParametersRelisted(NamedTuple):
+    """Other parameters are in the list than before."""
 
 
 class ParameterStore(Mapping[str, float]):
     """The parameters of the vehicle `system`, those in the file `path` taken over; `for row in store.rows` lists them.
 
-    A value is read by any of its names, int for int32. Floats are those that the wire can carry, each kept as the
-    shortest decimal that float32 rounds to the same: 0.07 sent is 0.07 here, and flies as in a simulation with 0.07.
+    A value is read by any of its names, int for int32. A float is kept as the shortest decimal that float32 rounds to
+    the same. So 0.07 sent is 0.07 here, and flies as in a simulation with 0.07.
 
     With `carry` the parameters of a user's controllers are in the list too.
+
+    It publishes ParametersChanged and ParametersRelisted on `bus` (None: one of its own).
 
     Everything is called from one thread; reading values is safe from any. The file is written by a thread of its own
     after changes; a disk that fails shows in `failure` and stops nothing. `remarks` says what of the file could not be
@@ -39,7 +51,11 @@ class ParameterStore(Mapping[str, float]):
     """
 
     def __init__(
-        self, path: str | Path | None = None, system: int = 1, values: Mapping[str, float] | None = None
+        self,
+        path: str | Path | None = None,
+        system: int = 1,
+        values: Mapping[str, float] | None = None,
+        bus: EventBus | None = None,
     ) -> None:
         """Raises ParameterError for `values`, which go over those of the file, as `update` does."""
         self._system = system
@@ -47,8 +63,7 @@ class ParameterStore(Mapping[str, float]):
         self._tuned: dict[str, TunedController] = {}  # by identity, those that fly last
         self._list()
         self._set = ParameterSet(table=own_rows(system))
-        self._listeners: list[Listener] = []
-        self._relisted: list[Callable[[], None]] = []
+        self.bus = bus or EventBus()
         self._file = StoreFile(path) if path is not None else None
         self.remarks: tuple[str, ...] = ()
         if self._file is not None:
@@ -99,15 +114,20 @@ class ParameterStore(Mapping[str, float]):
             if row.path and not row.of
         }
 
-    def own(self) -> dict[str, Any]:
-        """What is to fly in the user's controllers, by path (`attitude_control.k_q`): numbers, lists for arrays."""
+    @property
+    def carried(self) -> tuple[UserParameters, ...]:
+        """The users' controllers that fly, with their parameters."""
+        return self._own
+
+    def user_values(self) -> dict[str, Any]:
+        """What flies in the users' controllers, by path (`attitude_control.k_q`): numbers, lists for arrays."""
         return {path: value for own in self._own for path, value in own.flying(self._set).items()}
 
     def carry(self, own: Sequence[UserParameters]) -> tuple[str, ...]:
         """Lists the parameters of these controllers, which fly from now on, in place of those of the ones before.
 
-        Each controller has the values that were stored of the very same diagram, else its defaults. Returns what is to
-        be said of that. The others keep their values; what was done before cannot be undone any more.
+        Each controller has the values that were stored of the very same diagram, else its defaults. Returns remarks on
+        that, for the clients. The others keep their values; what was done before cannot be undone any more.
         """
         if [one.identity for one in own] == [one.identity for one in self._own]:
             return ()
@@ -122,8 +142,7 @@ class ParameterStore(Mapping[str, float]):
         fresh.revision = self._set.revision + 1
         self._set = fresh
         self._list()
-        for listener in self._relisted:
-            listener()
+        self.bus.publish(ParametersRelisted())
         return tuple(remarks)
 
     def changed(self) -> dict[str, float]:
@@ -137,8 +156,8 @@ class ParameterStore(Mapping[str, float]):
     def update(self, changes: Mapping[str, float], armed: bool = False) -> None:
         """Changes several values together, as one step to undo, or none of them.
 
-        Raises ParameterError, naming every fault: an unknown name, one parameter twice, a value that is no number, no
-        whole number, or outside its bounds, and, if `armed`, a parameter that is changed only while disarmed.
+        Raises ParameterError, naming every fault: an unknown name, one parameter twice, a value of the wrong kind or
+        outside its bounds. While `armed`, a parameter that only changes disarmed is a fault too.
         """
         wanted = {name: float32_decimal(value) if self._is_float(name) else value for name, value in changes.items()}
         good, faults = self._set.check(wanted)
@@ -168,19 +187,11 @@ class ParameterStore(Mapping[str, float]):
             crc = zlib.crc32(raw, zlib.crc32(row.name.encode("ascii"), crc))
         return crc ^ 0xFFFFFFFF
 
-    def listen(self, listener: Listener) -> None:
-        """Calls `listener` after each change with the new values, under every name that they have."""
-        self._listeners.append(listener)
-
-    def on_relist(self, listener: Callable[[], None]) -> None:
-        """Calls `listener` after `carry` has changed which parameters there are."""
-        self._relisted.append(listener)
-
     def save(self) -> Callable[[], bool] | None:
-        """Has all values written now, without waiting; None where there is no file.
+        """Has all values written now, without waiting. Returns a question to the disk, None without a file.
 
-        What it returns tells, whenever it is called, whether they are on the disk; it raises ParameterError where the
-        disk has refused, or has not answered within `SAVE_S`.
+        The question tells whether the values are on the disk by now. It raises ParameterError where the disk has
+        refused, or was silent for `SAVE_S`.
         """
         if self._file is None:
             return None
@@ -245,8 +256,7 @@ class ParameterStore(Mapping[str, float]):
             return
         if self._file is not None:
             self._file.write(self._kept())
-        for listener in self._listeners:
-            listener(changes)
+        self.bus.publish(ParametersChanged(changes))
 
     def _list(self) -> None:
         """Sorts all rows as PX4 does, by name."""
@@ -273,7 +283,7 @@ class ParameterStore(Mapping[str, float]):
         return StoredParameters(changed, tuple(self._tuned.values()))
 
     def _restore(self, fresh: ParameterSet, own: UserParameters) -> list[str]:
-        """Gives a controller the values that were stored for it; what is to be said of that."""
+        """Gives a controller the values that were stored for it. Returns remarks on that."""
         tuned = self._tuned.get(own.identity)
         if tuned is None:
             other = [one for one in self._tuned.values() if one.kind == own.kind and one.name == own.name]

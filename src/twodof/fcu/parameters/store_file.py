@@ -110,7 +110,7 @@ class StoreFile:
                 raise self.silent(deadline_s)
 
     def silent(self, deadline_s: float) -> ParameterError:
-        """That the disk has not answered within the deadline."""
+        """The error of a disk that was silent for the deadline."""
         return ParameterError(
             f"the disk has not answered within {deadline_s:g} s", str(self.path), "store them on another disk"
         )
@@ -198,5 +198,5 @@ def _kept(content: object) -> StoredParameters:
         raise ValueError("its checksum is wrong")
     found = tuple(TunedController(**one) for one in tuned)
     if not all(isinstance(one.values, dict) for one in found):
-        raise ValueError("the values of a controller are no table")
+        raise ValueError("the values of a controller must be a table")
     return StoredParameters(values, found)

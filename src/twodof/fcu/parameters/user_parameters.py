@@ -1,4 +1,4 @@
-"""The parameters of a user's own controller that flies: its diagram's, as rows of the vehicle's list.
+"""The parameters of the users' controllers that fly, as rows of the vehicle's list.
 
 A name is the one that the parameter has in the diagram's PX4 module (docs/explanation/targets.md), so that a ground
 station's file fits both. A value at the default flies as the diagram has it, to the last bit, though float32 carries

@@ -9,18 +9,19 @@ from __future__ import annotations
 from types import MappingProxyType
 from typing import NamedTuple
 
+from twodof.fcu.command.commander import Commander
 from twodof.fcu.control.flight_code import ControlStep
+from twodof.fcu.control.loop import FlightController
 from twodof.fcu.mavlink.telemetry.system_messages import hindering
-from twodof.fcu.mavlink.vehicle import CommanderView, ControllerView
 from twodof.fcu.px4_compat.event_enumerations import ABOUT, COMPONENT_INDEX, OBSTACLE_BIT
 from twodof.fcu.px4_compat.event_table import ARMING_SUMMARY, CHECKS, HEALTH_SUMMARY, EventType
 from twodof.flight.failsafe import state_machine
 from twodof.flight.failsafe.causes import BIT
-from twodof.link.mavlink.modes import MODES, POSITION
+from twodof.link.mavlink.modes import MODES
 
 ALL_MODES = (1 << len(MODES)) - 1
 _MODE_BITS = MappingProxyType({mode.custom_mode: 1 << place for place, mode in enumerate(MODES)})
-MOVING_CART = _MODE_BITS[POSITION]
+MOVING_CART = sum(_MODE_BITS[mode.custom_mode] for mode in MODES if mode.moves_cart)
 """What the rings forbid."""
 
 PRESENT = sum(1 << place for name, place in COMPONENT_INDEX.items() if name != "none")
@@ -37,7 +38,7 @@ class ReportedEvent(NamedTuple):
 class ArmingReport:
     """Looks at what the commander looks at before it arms."""
 
-    def __init__(self, controller: ControllerView, commander: CommanderView) -> None:
+    def __init__(self, controller: FlightController, commander: Commander) -> None:
         self._controller = controller
         self._commander = commander
 
@@ -51,7 +52,7 @@ class ArmingReport:
             found |= hindering(step) | (OBSTACLE_BIT["stopped"] if step.state == state_machine.OFF else 0)
         if not self._controller.hardware.safety_off:
             found |= OBSTACLE_BIT["safety_switch"]
-        if self._controller.hardware.rings and commander.custom_mode == POSITION:
+        if self._controller.hardware.rings and _MODE_BITS[commander.custom_mode] & MOVING_CART:
             found |= BIT["rings_wrong"]
         if not commander.armed and commander.unfit():
             found |= OBSTACLE_BIT["controller"]

@@ -31,7 +31,7 @@ class Enumeration(NamedTuple):
 
 
 class Obstacle(NamedTuple):
-    """What keeps from arming and is no cause of the failsafe's: name, text, the place of the component it is about."""
+    """What keeps from arming beside the failsafe's causes: its name, its text, and the component that it is about."""
 
     name: str
     text: str

@@ -70,7 +70,9 @@ class EventType(NamedTuple):
         try:
             return struct.pack("<" + "".join(argument.format for argument in self.arguments), *values)
         except struct.error as reason:
-            raise LinkError(f"{values} are no arguments: {reason}", f"event {self.name}", "see event_table") from reason
+            raise LinkError(
+                f"{values} do not fit its arguments: {reason}", f"event {self.name}", "see event_table"
+            ) from reason
 
 
 _WHO = EventArgument("system", "uint8_t"), EventArgument("component", "uint8_t")

@@ -5,14 +5,16 @@ from __future__ import annotations
 from collections import deque
 from typing import Any
 
-from twodof.fcu.command.result import Source
+from twodof.fcu.command.commander import Commander
 from twodof.fcu.control.flight_code import ControlStep
-from twodof.fcu.mavlink.addressing import ConnectedClient, VehicleAddress, source
-from twodof.fcu.mavlink.clients import Clients
-from twodof.fcu.mavlink.service import Link
+from twodof.fcu.control.loop import FlightController
+from twodof.fcu.event_bus import EventBus
+from twodof.fcu.mavlink.addressing import VehicleAddress, source
+from twodof.fcu.mavlink.clients import ClientJoined
+from twodof.fcu.mavlink.commands.arming import ArmingDenied, ChecksRequested, MotorsKilled
+from twodof.fcu.mavlink.service import Link, Service
 from twodof.fcu.mavlink.telemetry.encoders import TelemetryEncoders
 from twodof.fcu.mavlink.telemetry.flight_messages import MASK_32
-from twodof.fcu.mavlink.vehicle import CommanderView, ControllerView
 from twodof.fcu.px4_compat import event_table
 from twodof.fcu.px4_compat.arming_report import ArmingReport, ReportedEvent
 from twodof.fcu.px4_compat.event_enumerations import COMMANDED, FAILED, KILLED, LEASE_BIT, OTHER_BIT
@@ -37,7 +39,7 @@ _RESET = 1  # MAV_EVENT_CURRENT_SEQUENCE_FLAGS_RESET: what was numbered before c
 _AT_REST = (state_machine.DISARMED, state_machine.REFUSED)
 
 
-class EventService:
+class EventService(Service):
     """What is in `event_table`, told when it happens, kept, and sent again on request."""
 
     def __init__(
@@ -45,9 +47,9 @@ class EventService:
         link: Link,
         us: VehicleAddress,
         telemetry: TelemetryEncoders,
-        controller: ControllerView,
-        commander: CommanderView,
-        clients: Clients,
+        controller: FlightController,
+        commander: Commander,
+        bus: EventBus,
     ) -> None:
         self._link = link
         self._us = us
@@ -65,7 +67,10 @@ class EventService:
         self._reported: list[ReportedEvent] = []
         self._reported_at = -REPORT_TICKS
         telemetry.add(CURRENT_EVENT_SEQUENCE, self._current)
-        clients.joined.append(self._welcome)
+        bus.subscribe(ClientJoined, self._welcome)
+        bus.subscribe(ArmingDenied, self._denied)
+        bus.subscribe(MotorsKilled, lambda killed: self._answer(event_table.KILL, *killed.source))
+        bus.subscribe(ChecksRequested, lambda _: self.report())
 
     def handle(self, received: Received) -> bool:
         """Takes REQUEST_EVENT."""
@@ -103,15 +108,11 @@ class EventService:
         """Time begins anew at tick 0; the numbers go on."""
         self._step, self._tick, self._armed, self._action = None, 0, False, 0
 
-    def denied(self, by_lease: bool) -> None:
+    def _denied(self, denied: ArmingDenied) -> None:
         """Somebody was not let arm: what keeps from it, then the refusal."""
         self.report(again=False)
-        against = LEASE_BIT if by_lease else self._report.obstacles(self._step)
+        against = LEASE_BIT if denied.by_lease else self._report.obstacles(self._step)
         self._answer(event_table.DENIED, against or OTHER_BIT)
-
-    def killed(self, source: Source) -> None:
-        """Somebody has stopped the motors."""
-        self._answer(event_table.KILL, *source)
 
     def report(self, again: bool = True) -> None:
         """Tells what keeps from arming; not `again`: only if it is not what was told last."""
@@ -159,9 +160,9 @@ class EventService:
         flags = 0 if self._kept else _RESET
         return message("CURRENT_EVENT_SEQUENCE", sequence=self._sequence, flags=flags)
 
-    def _welcome(self, client: ConnectedClient) -> None:
+    def _welcome(self, joined: ClientJoined) -> None:
         # To who comes anew the numbers begin here: it may remember those of a program that ran before.
-        self._link.send(message("CURRENT_EVENT_SEQUENCE", sequence=self._sequence, flags=_RESET), client.peer)
+        self._link.send(message("CURRENT_EVENT_SEQUENCE", sequence=self._sequence, flags=_RESET), joined.client.peer)
 
     def _again(self, received: Received) -> None:
         first, last = received.message.first_sequence, received.message.last_sequence

@@ -18,7 +18,7 @@ from twodof.fcu.mavlink.background import BackgroundWorker
 from twodof.fcu.mavlink.commands.command_service import CommandService, ReceivedCommand
 from twodof.fcu.mavlink.files.log_download import Take
 from twodof.fcu.mavlink.paced_sender import PacedSender
-from twodof.fcu.mavlink.service import Link
+from twodof.fcu.mavlink.service import Link, Service
 from twodof.fcu.onboard_log.logger import OnboardLogger
 from twodof.flightlog.ulog.fragments import MOST, ULogFragment, ULogFragments
 from twodof.link.connection import Received
@@ -52,7 +52,7 @@ class LogStreamClient:
         self.silent = 0  # portions since it was heard
 
 
-class LogStreamService:
+class LogStreamService(Service):
     """Streams the log of `log` to the client that asked for it; `take` says whether a source may command.
 
     To begin needs the lease: it ends the log that is being written, and a new one may push out the oldest.

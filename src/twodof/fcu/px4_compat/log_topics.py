@@ -31,7 +31,7 @@ _RANGE = (0.0, 1.3)
 
 @dataclass(frozen=True)
 class LoggedTopic:
-    """A topic of PX4: `text` says what it holds and when, `description` its fields but for the time stamp, as in ULog.
+    """A topic of PX4: `text` says what it holds and when, `description` its fields behind the time stamp, as in ULog.
 
     `when` chooses the steps in which it is written, `columns` gives its fields for those.
     """
@@ -57,7 +57,7 @@ def _every(ticks: int) -> Callable[[Rows], NDArray[np.bool_]]:
 
 
 def _changed(rows: Rows) -> NDArray[np.bool_]:
-    """Each change of mode, arming or action, twice a second, and the first of `rows`, whose past is not known here."""
+    """Each change of mode, arming or action, twice a second, and the first of `rows`, whose past is unknown."""
     found = rows["tick"] % STATUS_TICKS == 0
     for name in ("armed", "asked_mode", "action"):
         found[1:] |= rows[name][1:] != rows[name][:-1]

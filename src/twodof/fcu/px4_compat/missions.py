@@ -1,4 +1,4 @@
-"""Missions: there are none, nor fences nor rally points, and every question about them is answered so."""
+"""Missions, fences and rally points: the vehicle has none, and answers every question about them so."""
 
 from __future__ import annotations
 
@@ -6,11 +6,10 @@ from collections.abc import Callable
 from typing import Any
 
 from twodof.fcu.command.result import DENIED, CommandResult
-from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.mavlink.addressing import VehicleAddress, source
 from twodof.fcu.mavlink.commands.command_service import CommandService
 from twodof.fcu.mavlink.commands.message_requests import MessageRequests
-from twodof.fcu.mavlink.service import Link
+from twodof.fcu.mavlink.service import Link, Service
 from twodof.link.connection import Received
 from twodof.link.mavlink.messages import message
 
@@ -24,8 +23,8 @@ NO_MISSION = 1
 MISSION_START = 300
 
 
-class MissionService:
-    """An empty mission, fence and list of rally points; whoever wants to store one is told that there is no room."""
+class MissionService(Service):
+    """An empty mission, fence and list of rally points; a client that wants to store one is told of no space."""
 
     def __init__(self, link: Link, us: VehicleAddress, commands: CommandService, requests: MessageRequests) -> None:
         self._link = link
@@ -44,16 +43,13 @@ class MissionService:
         requests.on(42, lambda _command: [self._current()])
 
     def handle(self, received: Received) -> bool:
-        """Answers whatever is about missions."""
+        """Answers every message about missions."""
         answer = self._answers.get(received.message.get_type())
         if answer is None:
             return False
         if self._us.addressed(received.message):
             answer(received)
         return True
-
-    def after(self, step: ControlStep) -> None:
-        """Nothing is ever due."""
 
     def _nothing(self, received: Received) -> None:
         """The end of a transfer wants no answer."""

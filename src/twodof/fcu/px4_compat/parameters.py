@@ -1,8 +1,8 @@
 """The parameters of PX4 that its clients ask for, with PX4's names, types and bounds.
 
-QGroundControl cannot do without some, MAVSDK, MAVProxy and course scripts read or set others. A few act here, some are
-fixed because they tell what this vehicle is, the rest are kept for who sets them and act on nothing, which their text
-says. Source of names, types, bounds: PX4 v1.16, parameter reference.
+QGroundControl cannot do without some; MAVSDK, MAVProxy and course scripts read or set others. A few act here. Some
+are fixed, because they tell what this vehicle is. The rest are kept for the client that sets them and act on nothing,
+as their text says. Source of names, types, bounds: PX4 v1.16, parameter reference.
 """
 
 from __future__ import annotations

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable
 
 from twodof.errors import ParameterError
+from twodof.fcu.command.commander import Commander
 from twodof.fcu.command.result import (
     ACCEPTED,
     DENIED,
@@ -16,7 +17,6 @@ from twodof.fcu.command.result import (
 )
 from twodof.fcu.mavlink.addressing import whole
 from twodof.fcu.mavlink.commands.command_service import CommandService, ReceivedCommand
-from twodof.fcu.mavlink.vehicle import CommanderView
 from twodof.fcu.parameters.store import SAVE_S, ParameterStore
 
 STORAGE = 245
@@ -33,7 +33,7 @@ class StorageCommand:
     """
 
     def __init__(
-        self, commands: CommandService, commander: CommanderView, store: ParameterStore, lockstep: bool = False
+        self, commands: CommandService, commander: Commander, store: ParameterStore, lockstep: bool = False
     ) -> None:
         self._commander = commander
         self._store = store

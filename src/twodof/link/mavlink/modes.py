@@ -9,7 +9,11 @@ from twodof.errors import LinkError, listed, shown
 
 
 class FlightMode(NamedTuple):
-    """What a client may choose. `name` is ours, `main` and `sub` are PX4's; MAV_STANDARD_MODE, MAV_MODE_PROPERTY."""
+    """What a client may choose. `name` is ours, `main` and `sub` are PX4's; MAV_STANDARD_MODE, MAV_MODE_PROPERTY.
+
+    `sticks`: MANUAL_CONTROL steers it. `moves_cart`: it moves the cart, which the rings may lock. `levels`: a loop on
+    board keeps the pitch.
+    """
 
     name: str
     main: int
@@ -17,6 +21,9 @@ class FlightMode(NamedTuple):
     standard_mode: int
     properties: int
     text: str
+    sticks: bool = False
+    moves_cart: bool = False
+    levels: bool = True
 
     @property
     def custom_mode(self) -> int:
@@ -27,10 +34,28 @@ class FlightMode(NamedTuple):
 _AUTO_MODE = 4  # MAV_MODE_PROPERTY_AUTO_MODE: it flies by itself
 
 MODES: tuple[FlightMode, ...] = (
-    FlightMode("manual", 1, 0, 0, 0, "open loop: sticks or TWODOF_OPENLOOP give moment and thrust"),
-    FlightMode("rate", 5, 0, 0, 0, "sticks give the pitch rate and the thrust (PX4's acro)"),
-    FlightMode("attitude", 7, 0, 0, 0, "sticks give the pitch and the thrust (PX4's stabilised)"),
-    FlightMode("position", 3, 0, 1, 0, "the stick gives the velocity along the rail, centred it holds the position"),
+    FlightMode(
+        "manual",
+        1,
+        0,
+        0,
+        0,
+        "open loop: sticks or TWODOF_OPENLOOP give moment and thrust",
+        sticks=True,
+        levels=False,
+    ),
+    FlightMode("rate", 5, 0, 0, 0, "sticks give the pitch rate and the thrust (PX4's acro)", sticks=True, levels=False),
+    FlightMode("attitude", 7, 0, 0, 0, "sticks give the pitch and the thrust (PX4's stabilised)", sticks=True),
+    FlightMode(
+        "position",
+        3,
+        0,
+        1,
+        0,
+        "the stick gives the velocity along the rail, centred it holds the position",
+        sticks=True,
+        moves_cart=True,
+    ),
     FlightMode("hold", 4, 3, 0, _AUTO_MODE, "level hold on board: pitch 0 at the thrust THRUST_BAR"),
     FlightMode(
         "offboard",
@@ -46,7 +71,7 @@ MODES: tuple[FlightMode, ...] = (
 BY_NAME = MappingProxyType({mode.name: mode for mode in MODES})
 BY_NUMBER = MappingProxyType({mode.custom_mode: mode for mode in MODES})
 
-MANUAL, RATE, ATTITUDE, POSITION, HOLD, OFFBOARD = (mode.custom_mode for mode in MODES)
+MANUAL, RATE, ATTITUDE, POSITION, HOLD, OFFBOARD = (mode.custom_mode for mode in MODES[:6])
 """The modes as custom_mode."""
 
 
@@ -71,10 +96,8 @@ UNREADY, STANDBY, ACTIVE, CRITICAL, TERMINATED = 0, 3, 4, 5, 8
 
 
 def base_mode(number: int, armed: bool) -> int:
-    """HEARTBEAT.base_mode of a custom_mode, with the flags that PX4 sets."""
+    """HEARTBEAT.base_mode of a custom_mode of `MODES`, with the flags that PX4 sets."""
+    mode = BY_NUMBER[number]
     flags = _CUSTOM | (_ARMED if armed else 0)
-    if number in (MANUAL, RATE, ATTITUDE, POSITION):
-        flags |= _MANUAL
-    if number not in (MANUAL, RATE):
-        flags |= _STABILIZE
+    flags |= (_MANUAL if mode.sticks else 0) | (_STABILIZE if mode.levels else 0)
     return flags | (_AUTO | _GUIDED if number == HOLD else 0)

@@ -10,15 +10,16 @@ from twodof.errors import ParameterError
 from twodof.fcu.command.commander import Commander
 from twodof.fcu.command.result import Source
 from twodof.fcu.control.control_input import ControlInput
+from twodof.fcu.control.controllers import ControllerIdentity
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.control.hardware import SensorSample
-from twodof.fcu.control.loop import FlightController
+from twodof.fcu.control.loop import FlightController, TimeRestarted
 from twodof.fcu.mavlink.addressing import VehicleAddress
 from twodof.fcu.mavlink.commands.excitation import ExcitationService
 from twodof.fcu.mavlink.commands.lease import LeaseService
 from twodof.fcu.mavlink.commands.lockstep import LockstepService
 from twodof.fcu.mavlink.commands.setpoints import SetpointService
-from twodof.fcu.mavlink.telemetry.twodof_messages import ControllerIdentity, rig
+from twodof.fcu.mavlink.telemetry.twodof_messages import rig
 from twodof.link.connection import Received
 from twodof.link.mavlink.framing import Parser, decode, encode
 from twodof.link.mavlink.messages import message
@@ -31,7 +32,7 @@ class Code:
     """A flight code that arms and flies nothing."""
 
     sandbox = None
-    own_fault = ""
+    user_fault = ""
 
     def __init__(self) -> None:
         self.failsafe = Failsafe()
@@ -92,7 +93,7 @@ class Desk:
             self.excite,
             LockstepService(self, us, self.controller, self.commander, self._tell, answer),
         ]
-        self.controller.on_restart += [one.restart for one in self.services if hasattr(one, "restart")]
+        self.controller.bus.subscribe(TimeRestarted, lambda _: [one.restart() for one in self.services])
         self.sequence = 0
 
     def send(self, sent: Any, peer: Hashable | None = None) -> None:

@@ -38,7 +38,8 @@ class Server(World):
             for tick in range(50):
                 log.step(plain_step(tick, armed=True))
         self.controllers = folder / "state" / "controllers"
-        tree = FileTree(MADE, LogFolder(folder / "log"), self.controllers)
+        self.made = dict(MADE)
+        tree = FileTree(lambda: self.made, LogFolder(folder / "log"), self.controllers)
         self.now = 100.0
         given = self, VehicleAddress(1), tree, self.commander.take, self.px4.commands.explain, lockstep
         self.ftp = FileTransfer(*given, clock=lambda: self.now)
@@ -122,7 +123,7 @@ def test_the_whole_tree_is_seen(server: Server) -> None:
 
 
 def test_a_long_list_comes_in_parts(server: Server) -> None:
-    server.ftp.tree.made |= {f"{k:03d}{'n' * 40}": b"" for k in range(100)}
+    server.made |= {f"{k:03d}{'n' * 40}": b"" for k in range(100)}
     found, at = b"", 0
     while (answer := server.one(FtpOperation.LIST, b"/etc/extras", offset=at)).op == FtpOperation.ACK:
         found, at = found + answer.data[: answer.size], at + answer.data[: answer.size].count(b"\0")

@@ -28,8 +28,8 @@ def fetched(server: Server, uri: str) -> bytes:
 
 def metadata(tmp_path: Path) -> tuple[Server, Any]:
     server = Server(tmp_path)
-    made = Metadata(server.store.rows, lambda: 4 * server.controller.tick)
-    server.ftp.tree.made.update(made.files)
+    made = Metadata(server.store, lambda: 4 * server.controller.tick)
+    server.made.update(made.files)
     server.px4.requests.on(COMPONENT_METADATA, made.message)
     assert server.command(REQUEST_MESSAGE, COMPONENT_METADATA) == 0
     (told,) = server.taken("COMPONENT_METADATA")

@@ -138,8 +138,7 @@ def test_time_that_begins_anew_does_not_mix_two_times() -> None:
     subscribe(world, channel_mask(["estimate.q"]))
     world.run(7)
     for service in world.services:
-        if hasattr(service, "restart"):
-            service.restart()
+        service.restart()
     world.controller.tick = 0
     world.run(40)
     ticks = rows(world)[0].tolist()

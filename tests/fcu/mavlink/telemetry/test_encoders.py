@@ -9,8 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.fcu.mavlink.world import World, step
+from twodof.fcu.control.controllers import ControllerIdentity
 from twodof.fcu.mavlink.telemetry.system_messages import FENCE, PREARM, PRESENT
-from twodof.fcu.mavlink.telemetry.twodof_messages import ControllerIdentity, deciding
+from twodof.fcu.mavlink.telemetry.twodof_messages import deciding
 from twodof.flight.failsafe.causes import BIT, CAUSES
 from twodof.link.mavlink.framing import Parser, decode, encode
 from twodof.signals import MODES
@@ -244,7 +245,7 @@ def test_home_is_the_middle_of_the_rail() -> None:
 
 
 def test_the_rig_says_what_it_is() -> None:
-    world = World(lockstep=True, flown=lambda: ControllerIdentity("mine", 2**64 - 1))
+    world = World(lockstep=True, identity=lambda: ControllerIdentity("mine", 2**64 - 1))
     world.controller.hardware.name = "a name longer than sixteen characters"
     got = told(54206, world)
     assert (got.seed, got.diagram, got.tick_us, got.flags) == (7, 2**64 - 1, 4000, 2 | 4 | 8)

@@ -284,8 +284,7 @@ def test_time_that_begins_anew_keeps_the_streams() -> None:
     world.command(511, ATTITUDE, 20_000.0)
     world.run(1234)
     for service in world.services:
-        if hasattr(service, "restart"):
-            service.restart()
+        service.restart()
     world.controller.tick = 0
     world.sent.clear()
     world.run(500)
@@ -299,8 +298,7 @@ def test_after_a_restart_nothing_of_before_is_told() -> None:
     world.say(OURS)
     world.run(100, dist_new=True)
     for service in world.services:
-        if hasattr(service, "restart"):
-            service.restart()
+        service.restart()
     assert world.command(512, 30.0) == world.command(512, 132.0) == 1  # nothing was measured yet
 
 

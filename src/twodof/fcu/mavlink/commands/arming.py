@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
+from twodof.fcu.command.commander import Commander
 from twodof.fcu.command.result import (
     ACCEPTED,
     DENIED,
@@ -13,9 +15,9 @@ from twodof.fcu.command.result import (
     CommandResult,
     Source,
 )
+from twodof.fcu.event_bus import EventBus
 from twodof.fcu.mavlink.addressing import whole
 from twodof.fcu.mavlink.commands.command_service import CommandService, ReceivedCommand
-from twodof.fcu.mavlink.vehicle import CommanderView
 
 ARM_DISARM, TERMINATE, REBOOT, RUN_CHECKS = 400, 185, 246, 401
 FORCE = 21196
@@ -24,21 +26,34 @@ MOST_CODE, REBOOT_AUTOPILOT = 4, 1
 """REBOOT_SHUTDOWN_ACTION."""
 
 
-class ArmingCommands:
-    """Hands arming and stopping to the commander, and a restart to whoever can (`restart`, None: nobody).
+class ArmingDenied(NamedTuple):
+    """Somebody was not let arm; `by_lease`: since another client holds the lease."""
 
-    Each of `denied` is called when somebody was not let arm, and told whether that is for another's lease; of `killed`
-    with who stopped the motors; of `asked` when somebody wants to know what keeps from arming.
+    by_lease: bool
+
+
+class MotorsKilled(NamedTuple):
+    """`source` has stopped the motors."""
+
+    source: Source
+
+
+class ChecksRequested(NamedTuple):
+    """Somebody wants to know what keeps from arming."""
+
+
+class ArmingCommands:
+    """Hands arming and stopping to the commander, and a restart to `restart` (None: it cannot restart).
+
+    It publishes ArmingDenied, MotorsKilled and ChecksRequested.
     """
 
     def __init__(
-        self, commands: CommandService, commander: CommanderView, restart: Callable[[], None] | None = None
+        self, commands: CommandService, commander: Commander, bus: EventBus, restart: Callable[[], None] | None = None
     ) -> None:
         self._commander = commander
         self._restart = restart
-        self.denied: list[Callable[[bool], None]] = []
-        self.killed: list[Callable[[Source], None]] = []
-        self.asked: list[Callable[[], None]] = []
+        self._bus = bus
         commands.on(ARM_DISARM, self._arm_or_disarm, self._armed)
         commands.on(TERMINATE, self._terminate)
         commands.on(REBOOT, self._reboot)
@@ -61,19 +76,16 @@ class ArmingCommands:
 
     def _told(self, verdict: CommandResult, by_lease: bool) -> CommandResult:
         if verdict.result not in (ACCEPTED, IN_PROGRESS):
-            for call in self.denied:
-                call(by_lease)
+            self._bus.publish(ArmingDenied(by_lease))
         return verdict
 
     def _check(self, _command: ReceivedCommand) -> CommandResult:
         """The failsafe checks at every tick; events, SYS_STATUS and TWODOF_SAFETY tell what it finds."""
-        for call in self.asked:
-            call()
+        self._bus.publish(ChecksRequested())
         return CommandResult(ACCEPTED)
 
     def _told_of_kill(self, who: Source, verdict: CommandResult) -> CommandResult:
-        for call in self.killed:
-            call(who)
+        self._bus.publish(MotorsKilled(who))
         return verdict
 
     def _terminate(self, command: ReceivedCommand) -> CommandResult:

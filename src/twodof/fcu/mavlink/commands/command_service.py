@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from typing import Any, NamedTuple
 
 from twodof.fcu.command.result import ACCEPTED, IN_PROGRESS, UNSUPPORTED, CommandResult, Source
 from twodof.fcu.control.flight_code import ControlStep
+from twodof.fcu.event_bus import EventBus
 from twodof.fcu.mavlink.addressing import VehicleAddress, source
-from twodof.fcu.mavlink.commands.duplicate_filter import DuplicateFilter
-from twodof.fcu.mavlink.service import Link
+from twodof.fcu.mavlink.service import Link, Service
+from twodof.fcu.mavlink.status_text import TextSent
 from twodof.fcu.px4_compat.event_table import marked
 from twodof.link.connection import Received
 from twodof.link.mavlink.messages import message, statustext
@@ -36,20 +38,59 @@ class ReceivedCommand(NamedTuple):
         return self.peer, self.source, self.number, str(self.params)
 
 
+class CommandHandled(NamedTuple):
+    """A command was answered; what it changes, it has changed."""
+
+
 Handler = Callable[[ReceivedCommand], CommandResult]
 Poll = Callable[[ReceivedCommand], CommandResult]
 
 
-class CommandService:
-    """Dispatches commands to those that registered for them, and acknowledges every one.
+LATEST_TICKS = 125
+"""Half a second: what comes again later is another command."""
+MOST_REMEMBERED = 64
 
-    One that is repeated (`DuplicateFilter`) gets the answer of the first and is not carried out again, unless it stops
-    motors. Each of
-    `carried_out` is called after each command, `explained` with MAV_SEVERITY and text of each refusal in words.
+
+class DuplicateFilter:
+    """Remembers what was accepted.
+
+    A command is repeated if its sender says so (`confirmation` above 0), or if the network doubled its frame, which the
+    frame's sequence number tells. In lockstep, where time may stand still between two sessions of a client that are
+    equal to the frame, only the former counts.
     """
 
-    def __init__(self, link: Link, us: VehicleAddress, lockstep: bool = False) -> None:
+    def __init__(self, lockstep: bool) -> None:
+        self._lockstep = lockstep
+        self._accepted: OrderedDict[Hashable, int] = OrderedDict()  # what came -> tick
+
+    def known(self, what: Hashable, confirmation: int, sequence: int, tick: int) -> bool:
+        """Whether `what` was accepted a moment before `tick`, and this is it again."""
+        copies = (what, confirmation > 0), ((what, sequence), not self._lockstep)
+        return any(counts and 0 <= tick - self._accepted.get(key, tick + 1) <= LATEST_TICKS for key, counts in copies)
+
+    def accepted(self, what: Hashable, sequence: int, tick: int) -> None:
+        """Remembers that `what` was carried out."""
+        for key in (what, (what, sequence)):
+            self._accepted[key] = tick
+            self._accepted.move_to_end(key)
+        while len(self._accepted) > MOST_REMEMBERED:
+            self._accepted.popitem(last=False)
+
+    def clear(self) -> None:
+        """Forgets everything: time begins anew."""
+        self._accepted.clear()
+
+
+class CommandService(Service):
+    """Dispatches commands to those that registered for them, and acknowledges every one.
+
+    A command that is repeated (`DuplicateFilter`) gets the answer of the first and is not carried out again, unless it
+    stops motors. It publishes CommandHandled after each command, and TextSent for each refusal in words.
+    """
+
+    def __init__(self, link: Link, us: VehicleAddress, bus: EventBus, lockstep: bool = False) -> None:
         self._link = link
+        self._bus = bus
         self._us = us
         self._lockstep = lockstep
         self._handlers: dict[int, Handler] = {}
@@ -59,15 +100,13 @@ class CommandService:
         self._slow: set[int] = set()
         self._tick = 0
         self.refused = 0
-        self.carried_out: list[Callable[[], None]] = []
-        self.explained: list[Callable[[int, str], None]] = []
 
     def on(self, number: int, handler: Handler, poll: Poll | None = None, slow: bool = False) -> None:
         """Registers who carries out the command `number` (a MAV_CMD).
 
-        A handler may answer IN_PROGRESS; then `poll` tells what became of it, after each control period, until it
-        says something else. In lockstep the client is told IN_PROGRESS, so that it lets time run; of a `slow` command,
-        which may take seconds, it is told in real time too.
+        A handler may answer IN_PROGRESS. Then `poll` is asked after each control period, until it gives another
+        result. In lockstep the client is told IN_PROGRESS, so that it lets time run. For a `slow` command, which may
+        take seconds, it is told so in real time too.
         """
         if slow:
             self._slow.add(number)
@@ -94,8 +133,7 @@ class CommandService:
             params = (got.param1, got.param2, got.param3, got.param4, *last, final)
             command = ReceivedCommand(got.command, params, sender, received.peer)
             self._answer(command, self._verdict(command, received))
-            for call in self.carried_out:
-                call()
+            self._bus.publish(CommandHandled())
         return True
 
     def after(self, step: ControlStep) -> None:
@@ -121,15 +159,16 @@ class CommandService:
         self._pending.clear()
 
     def acknowledge(self, command: ReceivedCommand, verdict: CommandResult) -> None:
-        """Answers a command that was carried out already, whatever message brought it."""
+        """Answers a command that was carried out already, also one that came in another message."""
         self._answer(command, verdict)
 
     def explain(self, peer: Hashable, why: str) -> None:
         """Tells a peer in words why something was refused."""
         self.refused += 1
-        for call in self.explained if why else ():
-            call(WARNING, why)
-        for piece in statustext(marked(why), WARNING, self.refused % 0xFFFF + 1) if why else ():
+        if not why:
+            return
+        self._bus.publish(TextSent(WARNING, why))
+        for piece in statustext(marked(why), WARNING, self.refused % 0xFFFF + 1):
             self._link.send(piece, peer)
 
     def _verdict(self, command: ReceivedCommand, received: Received) -> CommandResult:

@@ -12,7 +12,7 @@ from twodof.fcu.command.result import ACCEPTED, DENIED, CommandResult, Source
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.mavlink.addressing import VehicleAddress, source
 from twodof.fcu.mavlink.background import BackgroundWorker
-from twodof.fcu.mavlink.service import Link
+from twodof.fcu.mavlink.service import Link, Service
 from twodof.fcu.mavlink.wire_tick import acts_at
 from twodof.link.connection import Received
 from twodof.link.mavlink.messages import ExcitationReceiver, message
@@ -34,7 +34,7 @@ class ExcitationDefinition(NamedTuple):
     total: int
 
 
-class ExcitationService:
+class ExcitationService(Service):
     """Puts definitions together, hands them to the commander, and tells everybody how the excitation stands.
 
     Writing a definition out may take a second: it is done beside the control loop, but in lockstep, where time waits.

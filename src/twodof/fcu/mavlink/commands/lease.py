@@ -7,9 +7,8 @@ from collections.abc import Callable, Hashable
 
 from twodof.fcu.command.commander import Commander
 from twodof.fcu.command.result import CommandResult, Source
-from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.mavlink.addressing import VehicleAddress, source
-from twodof.fcu.mavlink.service import Link
+from twodof.fcu.mavlink.service import Link, Service
 from twodof.link.connection import Received
 from twodof.link.control_period import TICK_MS
 from twodof.link.mavlink.components import NO_AUTOPILOT
@@ -24,7 +23,7 @@ IDLE_TICKS = 250
 """In lockstep `idle` is called when time has stood still for so long: a second (`server.IDLE_S`)."""
 
 
-class LeaseService:
+class LeaseService(Service):
     """Tells the commander of every frame, and answers TWODOF_LEASE to who asks; the state goes out as telemetry."""
 
     def __init__(
@@ -53,9 +52,6 @@ class LeaseService:
             elif got.action == GIVE_UP:
                 self._answer(received, self._commander.give_up_lease(sender))
         return True
-
-    def after(self, step: ControlStep) -> None:
-        """Nothing is ever due."""
 
     def idle(self) -> None:
         """Time stands still, and nobody grants any."""

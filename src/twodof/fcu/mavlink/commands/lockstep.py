@@ -11,7 +11,7 @@ from twodof.fcu.command.result import DENIED, UNSUPPORTED, CommandResult
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.control.loop import FlightController
 from twodof.fcu.mavlink.addressing import VehicleAddress, source
-from twodof.fcu.mavlink.service import Link
+from twodof.fcu.mavlink.service import Link, Service
 from twodof.fcu.mavlink.wire_tick import meant
 from twodof.link.connection import Received
 from twodof.link.mavlink.messages import message
@@ -32,7 +32,7 @@ class Grant(NamedTuple):
     peer: Hashable
 
 
-class LockstepService:
+class LockstepService(Service):
     """Grants ticks, and answers when they have run. Last among the services, so that its answer comes after all else.
 
     `rig` makes the TWODOF_RIG that answers a reset, with these flags added.

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
+from twodof.fcu.command.commander import Commander
 from twodof.fcu.command.result import DENIED, UNSUPPORTED, CommandResult
-from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.mavlink.addressing import VehicleAddress, source, whole
 from twodof.fcu.mavlink.commands.command_service import CommandService, ReceivedCommand
 from twodof.fcu.mavlink.commands.message_requests import MessageRequests
+from twodof.fcu.mavlink.service import Service
 from twodof.fcu.mavlink.telemetry.encoders import TelemetryEncoders
-from twodof.fcu.mavlink.vehicle import CommanderView
 from twodof.link.connection import Received
 from twodof.link.mavlink.messages import message
 
@@ -25,7 +25,7 @@ def custom_mode(main: int, sub: int) -> int:
     return (main & 0xFF) << 16 | (sub & 0xFF) << 24
 
 
-class ModeService:
+class ModeService(Service):
     """SET_MODE and the commands 176 and 262; AVAILABLE_MODES on request; two messages for the streams."""
 
     def __init__(
@@ -34,7 +34,7 @@ class ModeService:
         commands: CommandService,
         requests: MessageRequests,
         telemetry: TelemetryEncoders,
-        commander: CommanderView,
+        commander: Commander,
     ) -> None:
         self._us = us
         self._commands = commands
@@ -57,9 +57,6 @@ class ModeService:
             command = ReceivedCommand(DO_SET_MODE, params, source(received), received.peer)
             self._commands.acknowledge(command, self._commander.set_mode(command.source, number))
         return True
-
-    def after(self, step: ControlStep) -> None:
-        """Nothing is ever due."""
 
     def current(self) -> Any:
         """CURRENT_MODE."""

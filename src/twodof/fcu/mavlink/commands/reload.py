@@ -6,11 +6,11 @@ import asyncio
 import gc
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from typing import Protocol
 
 from twodof.blocks import Diagram
 from twodof.compile.wasm.ready import check_ready
 from twodof.errors import CompileError, TwodofError
+from twodof.fcu.command.commander import Commander
 from twodof.fcu.command.result import (
     ACCEPTED,
     FAILED,
@@ -18,7 +18,6 @@ from twodof.fcu.command.result import (
     TEMPORARILY_REJECTED,
     UNSUPPORTED,
     CommandResult,
-    Source,
 )
 from twodof.fcu.control.controllers import Controllers
 from twodof.fcu.control.loop import FlightController
@@ -33,37 +32,21 @@ With its first number `ASK` it only tells whether there is what that takes.
 ASK = 1.0
 
 
-class _Commander(Protocol):
-    """What this service asks of the commander."""
-
-    @property
-    def armed(self) -> bool:
-        """Whether motors may turn."""
-
-    @property
-    def arming(self) -> CommandResult:
-        """What became of the last request to arm."""
-
-    def take(self, source: Source, what: str = "") -> CommandResult:
-        """Whether `source` may command."""
-
-
 class ReloadCommand:
     """Carries out `RELOAD`, disarmed only; the answer comes when the controllers fly, or says why they do not.
 
     With `ASK` nothing is built and no lease taken: a client asks so before it uploads. What could not be built is not
     among the uploads any more: they are what flies, also for a later command.
 
-    What it compiles, for seconds, it compiles in a thread beside the control loop, which is why nobody may arm
-    meanwhile (`building`): both want the interpreter. `flies` is called in the tick in which they fly for the first
-    time, before it.
+    It compiles for seconds, in a thread beside the control loop. Nobody may arm during that time (`building`), since
+    both threads want the interpreter. `flies` is called before the first tick in which the new controllers fly.
     """
 
     def __init__(
         self,
         commands: CommandService,
         controller: FlightController,
-        commander: _Commander,
+        commander: Commander,
         controllers: Controllers,
         flies: Callable[[], None] = lambda: None,
     ) -> None:
@@ -116,7 +99,7 @@ class ReloadCommand:
             self._commands.poll()
 
     async def _kept(self, uploaded: Mapping[str, Diagram]) -> CommandResult:
-        """What is to be said of what flies now: that it is on the disk, or that it ends with the program."""
+        """The result for what flies now: it is on the disk, or it flies until the program ends."""
         try:
             await asyncio.to_thread(self._controllers.keep, uploaded)
         except TwodofError as refusal:

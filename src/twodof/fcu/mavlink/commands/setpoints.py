@@ -11,6 +11,7 @@ from twodof.fcu.command.result import DENIED, CommandResult, Source
 from twodof.fcu.command.setpoints import ATTITUDE, POSITION, RATE, VELOCITY, SetPoint
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.mavlink.addressing import VehicleAddress, source
+from twodof.fcu.mavlink.service import Service
 from twodof.fcu.mavlink.wire_tick import acts_at, acts_at_ms
 from twodof.link.connection import Received
 from twodof.link.mavlink.setpoints import SetpointTarget, read_attitude, read_position
@@ -26,7 +27,7 @@ FULL_STICK = 1000
 _NOTHING = CommandResult(DENIED, "set-point refused: it asks for nothing that is flown here")
 
 
-class SetpointService:
+class SetpointService(Service):
     """Hands set-points to the commander, and tells a client why one is refused.
 
     In lockstep `time_boot_ms` names the tick at which one acts; in real time it is a clock that nobody knows, and it
@@ -60,7 +61,7 @@ class SetpointService:
         return True
 
     def after(self, step: ControlStep) -> None:
-        """Nothing is ever due."""
+        """Notes the time."""
         self._tick = step.tick
 
     def restart(self) -> None:

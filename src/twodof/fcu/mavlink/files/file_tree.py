@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import re
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
@@ -72,12 +72,15 @@ class FolderEntry(NamedTuple):
 
 
 class FileTree:
-    """The tree. `made` are the files in /etc/extras by name; without `logs` or `controllers` that folder is missing."""
+    """The tree of files; without `logs` or `controllers` that folder is missing.
+
+    `made` gives the files in /etc/extras by name.
+    """
 
     def __init__(
-        self, made: Mapping[str, bytes], logs: LogFolder | None = None, controllers: Path | None = None
+        self, made: Callable[[], Mapping[str, bytes]], logs: LogFolder | None = None, controllers: Path | None = None
     ) -> None:
-        self.made = dict(made)
+        self._made = made
         self._logs = logs
         self._controllers = controllers
 
@@ -91,7 +94,7 @@ class FileTree:
         if place not in folders:
             raise FileFault(NOT_FOUND, "no such folder", place)
         if place == EXTRAS:
-            return [FolderEntry(name, len(content)) for name, content in sorted(self.made.items())]
+            return [FolderEntry(name, len(content)) for name, content in sorted(self._made().items())]
         if place == LOGS and self._logs is not None:
             return [FolderEntry(log.path.name, log.size) for log in self._logs.logs()]
         return [FolderEntry(path.name, path.lstat().st_size) for path in self._uploads()]
@@ -99,8 +102,9 @@ class FileTree:
     def open(self, path: str) -> OpenFile:
         """A file to be read. Raises FileFault."""
         folder, _, name = _normal(path).rpartition("/")
-        if folder == EXTRAS and name in self.made:
-            return OpenFile(self.made[name], len(self.made[name]))
+        content = self._made().get(name) if folder == EXTRAS else None
+        if content is not None:
+            return OpenFile(content, len(content))
         found = self._find(folder, name)
         try:
             descriptor = os.open(found, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK)
@@ -185,7 +189,7 @@ def _below(folder: str, place: str) -> bool:
 
 
 def _normal(path: str) -> str:
-    """A path from the root, without a slash at its end; `..` and empty names are no names here. Raises FileFault."""
+    """A path from the root, without a slash at its end; `..` is refused, empty names are left out. Raises FileFault."""
     names = [name for name in path.removeprefix(_CARD).split("/") if name not in ("", ".")]
     if ".." in names or "\0" in path:
         raise FileFault(NOT_FOUND, "no such file", path[:100])

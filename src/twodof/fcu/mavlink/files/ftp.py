@@ -21,7 +21,7 @@ from twodof.fcu.mavlink.background import BackgroundWorker
 from twodof.fcu.mavlink.files.file_tree import EXISTS, MAX_UPLOAD, FileFault, FileTree, OpenFile
 from twodof.fcu.mavlink.files.ftp_client import BURST_BYTES, MOST_WAITING, Burst, FtpClient, FtpSession
 from twodof.fcu.mavlink.paced_sender import PacedSender, shares
-from twodof.fcu.mavlink.service import Link
+from twodof.fcu.mavlink.service import Link, Service
 from twodof.link.connection import Received
 from twodof.link.mavlink.ftp import MOST_DATA, FtpError, FtpOperation, FtpPacket, packed, read_packet
 
@@ -51,7 +51,7 @@ Take = Callable[[Source, str], CommandResult]
 Explain = Callable[[Hashable, str], None]
 
 
-class FileTransfer:
+class FileTransfer(Service):
     """The server of MAVLink FTP over `tree`; `take` says whether a source may command, `explain` tells why not."""
 
     def __init__(

@@ -1,8 +1,8 @@
 """Log download: LOG_REQUEST_LIST, LOG_REQUEST_DATA, LOG_REQUEST_END and LOG_ERASE, for each client by itself.
 
-A client's list is numbered from 0 as in PX4 and stays as it was sent until it asks for another, so that a log that is
-written or deleted meanwhile moves no number. A log that is being written has the size that it had then. What got lost
-is asked for again by the client; the file is read by another thread and sent in portions.
+A client's list is numbered from 0 as in PX4. It stays as it was sent until the client asks for another, so that no
+number moves when a log is written or deleted. A log that is being written has the size that it had in the list. The
+client asks again for what got lost. Another thread reads the file, which is sent in portions.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.mavlink.addressing import VehicleAddress, source
 from twodof.fcu.mavlink.background import BackgroundWorker
 from twodof.fcu.mavlink.paced_sender import PacedSender, shares
-from twodof.fcu.mavlink.service import Link
+from twodof.fcu.mavlink.service import Link, Service
 from twodof.fcu.onboard_log.log_folder import StoredLog
 from twodof.fcu.onboard_log.logger import OnboardLogger
 from twodof.link.connection import Received
@@ -56,7 +56,7 @@ class DownloadClient:
         return bool(self.entries) or self.log is not None
 
 
-class LogDownload:
+class LogDownload(Service):
     """Sends the logs of `log`; `take` says whether a source may command (erasing), `explain` tells why not."""
 
     def __init__(

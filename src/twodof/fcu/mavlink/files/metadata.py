@@ -14,6 +14,7 @@ from typing import Any
 from twodof.fcu.mavlink.files.file_tree import EXTRAS, mavlink_crc32
 from twodof.fcu.mavlink.telemetry.flight_messages import MASK_32
 from twodof.fcu.parameters.row import VehicleParameter
+from twodof.fcu.parameters.store import ParametersRelisted, ParameterStore
 from twodof.fcu.px4_compat.event_definitions import EVENTS_FILE, EVENTS_TYPE, definitions
 from twodof.link.mavlink.messages import message
 
@@ -25,15 +26,24 @@ _KINDS = MappingProxyType({"int32": "Int32", "float": "Float"})
 
 
 class Metadata:
-    """The `files` by name, made of the parameters `rows`, and the answer to a request for COMPONENT_METADATA."""
+    """The files that describe the vehicle, and the answer to a request for COMPONENT_METADATA.
 
-    def __init__(self, rows: Sequence[VehicleParameter], time_boot_ms: Callable[[], int] = lambda: 0) -> None:
-        self.files = metadata_files(rows)
+    `files`, by name, describe the parameters and events, and hold the users' diagrams that fly. They are made from
+    `store`, and made anew when other parameters are listed there.
+    """
+
+    def __init__(self, store: ParameterStore, time_boot_ms: Callable[[], int] = lambda: 0) -> None:
+        self.files = self._made(store)
         self._time_boot_ms = time_boot_ms
+        store.bus.subscribe(ParametersRelisted, lambda _: self._renew(store))
 
-    def renew(self, rows: Sequence[VehicleParameter]) -> None:
-        """There are other parameters now."""
-        self.files = metadata_files(rows)
+    def _renew(self, store: ParameterStore) -> None:
+        self.files = self._made(store)
+
+    @staticmethod
+    def _made(store: ParameterStore) -> Mapping[str, bytes]:
+        diagrams = {f"{one.kind}.json": one.text.encode() for one in store.carried}
+        return MappingProxyType({**metadata_files(store.rows), **diagrams})
 
     def message(self, _command: object = None) -> Iterable[Any]:
         """COMPONENT_METADATA."""

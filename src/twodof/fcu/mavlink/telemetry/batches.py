@@ -8,16 +8,16 @@ from operator import attrgetter
 from types import MappingProxyType
 from typing import Any
 
+from twodof.fcu.command.commander import Commander
 from twodof.fcu.command.result import ACCEPTED, DENIED, CommandResult
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.control.hardware import SensorSample
-from twodof.fcu.mavlink.addressing import ConnectedClient, whole
-from twodof.fcu.mavlink.clients import Clients
+from twodof.fcu.event_bus import EventBus
+from twodof.fcu.mavlink.addressing import whole
+from twodof.fcu.mavlink.clients import ClientLeft
 from twodof.fcu.mavlink.commands.command_service import ReceivedCommand
-from twodof.fcu.mavlink.service import Link
+from twodof.fcu.mavlink.service import Link, Service
 from twodof.fcu.mavlink.telemetry.flight_messages import MASK_32
-from twodof.fcu.mavlink.vehicle import CommanderView
-from twodof.link.connection import Received
 from twodof.link.control_period import TICK_US
 from twodof.link.mavlink.messages import BATCH_VALUES, channel_bits
 from twodof.link.mavlink.packing import Packer
@@ -44,7 +44,7 @@ _NEW: Mapping[str, Callable[[ControlStep], bool]] = MappingProxyType(
 """In which steps a signal is new, by `Topic.when`."""
 
 
-def channel_readers(commander: CommanderView) -> dict[str, Callable[[ControlStep], float]]:
+def channel_readers(commander: Commander) -> dict[str, Callable[[ControlStep], float]]:
     """Channel -> its value at a step, NaN where it has no new sample."""
 
     def value(row: Topic, name: str) -> Callable[[ControlStep], float]:
@@ -85,25 +85,21 @@ class BatchSubscription:
         self.begun = 0
 
 
-class BatchService:
+class BatchService(Service):
     """Subscriptions to batches, one a client, made and ended by command 511 for TWODOF_BATCH.
 
     Its parameter 2 is the interval of the samples [us] (0: each tick, -1: end), 3 and 4 are the low and the high 16
     bits of the mask of channels. Nothing is lost on this side: what a link does not take is seen as a gap in `tick`.
     """
 
-    def __init__(self, link: Link, clients: Clients, commander: CommanderView) -> None:
+    def __init__(self, link: Link, bus: EventBus, commander: Commander) -> None:
         self._link = link
         self._pack = Packer("TWODOF_BATCH")
         read = channel_readers(commander)
         self._readers = sorted((bit, read[name]) for name, bit in channel_bits().items())
         self._all = sum(bit for bit, _ in self._readers)
         self._subscriptions: dict[Hashable, BatchSubscription] = {}
-        clients.left.append(self._leave)
-
-    def handle(self, received: Received) -> bool:
-        """Takes nothing; commands come by `subscribe`."""
-        return False
+        bus.subscribe(ClientLeft, self._leave)
 
     def after(self, step: ControlStep) -> None:
         """Adds a row to each subscription, and sends what is full."""
@@ -155,5 +151,5 @@ class BatchService:
         subscription.rows = 0
         self._link.send(sent, subscription.peer)
 
-    def _leave(self, client: ConnectedClient) -> None:
-        self._subscriptions.pop(client.peer, None)
+    def _leave(self, left: ClientLeft) -> None:
+        self._subscriptions.pop(left.client.peer, None)

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from twodof.fcu.command.commander import Commander
+from twodof.fcu.control.controllers import ControllerIdentity
 from twodof.fcu.control.flight_code import ControlStep
+from twodof.fcu.control.loop import FlightController
 from twodof.fcu.mavlink.telemetry import flight_messages, system_messages, twodof_messages
 from twodof.fcu.mavlink.telemetry.flight_messages import Encoder
 from twodof.fcu.mavlink.telemetry.sensor_messages import SensorMessages
-from twodof.fcu.mavlink.telemetry.twodof_messages import ControllerIdentity
-from twodof.fcu.mavlink.vehicle import CommanderView, ControllerView
 from twodof.link.control_period import TICK_US
 
 HEARTBEAT = 0
@@ -32,9 +33,9 @@ class TelemetryEncoders:
 
     def __init__(
         self,
-        controller: ControllerView,
-        commander: CommanderView,
-        flown: Callable[[], ControllerIdentity] = ControllerIdentity,
+        controller: FlightController,
+        commander: Commander,
+        identity: Callable[[], ControllerIdentity] = ControllerIdentity,
         lost: Callable[[], int] = _nobody,
         truth: Callable[[], tuple[float, float, float, float]] | None = None,
     ) -> None:
@@ -45,6 +46,7 @@ class TelemetryEncoders:
         self.since = 0
         self._action = -1
         system, own = system_messages, twodof_messages
+        self.rig = own.rig(controller, identity)
         self.flying: dict[int, Encoder] = {
             **{number: make() for number, make in flight_messages.ENCODERS.items()},
             1: system.sys_status(self.load),
@@ -58,7 +60,7 @@ class TelemetryEncoders:
             2: system.system_time(controller),
             242: system.home_position(),
             OPENLOOP: own.openloop(commander),
-            RIG: own.rig(controller, flown),
+            RIG: self.rig,
             LEASE: own.lease(commander),
             **self.sensors.messages,
             TIMING: own.timing(controller, lost),

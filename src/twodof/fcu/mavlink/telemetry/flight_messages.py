@@ -1,7 +1,7 @@
 """What flies, as messages: attitude, position, set-points and motors, from one step of the flight code.
 
-Axes forward-right-down, north along the rail, so that heading is 0 and x north; what the rig cannot do (roll, yaw,
-sideways, up) is 0. The rest of the fields is as https://mavlink.io/en/messages/common.html says.
+Axes are forward-right-down. North is along the rail: heading is 0 and x points north. What the rig cannot do (roll,
+yaw, sideways, up) is 0. The rest of the fields is as https://mavlink.io/en/messages/common.html says.
 """
 
 from __future__ import annotations

@@ -4,29 +4,31 @@ from __future__ import annotations
 
 from typing import Any
 
+from twodof.fcu.command.commander import Commander
 from twodof.fcu.control.flight_code import ControlStep
-from twodof.fcu.mavlink.addressing import ConnectedClient
-from twodof.fcu.mavlink.clients import Clients
-from twodof.fcu.mavlink.service import Link
+from twodof.fcu.event_bus import EventBus
+from twodof.fcu.mavlink.clients import ClientJoined
+from twodof.fcu.mavlink.commands.command_service import CommandHandled
+from twodof.fcu.mavlink.service import Link, Service
 from twodof.fcu.mavlink.telemetry.encoders import HEARTBEAT, TelemetryEncoders
-from twodof.fcu.mavlink.vehicle import CommanderView
 from twodof.link.connection import Received
 
 PERIOD_TICKS = 250
 
 
-class Heartbeat:
-    """Says that we are there, also to those who have not spoken yet: many clients wait for it first."""
+class Heartbeat(Service):
+    """Says that the vehicle is there, also to peers that were silent so far: many clients wait for it first."""
 
-    def __init__(self, link: Link, clients: Clients, telemetry: TelemetryEncoders, commander: CommanderView) -> None:
+    def __init__(self, link: Link, bus: EventBus, telemetry: TelemetryEncoders, commander: Commander) -> None:
         self._link = link
         self._telemetry = telemetry
         self._commander = commander
         self._said: tuple[int, int, int] | None = None
-        clients.joined.append(self._greet)
+        bus.subscribe(ClientJoined, lambda joined: self._link.send(self._beat(), joined.client.peer))
+        bus.subscribe(CommandHandled, lambda _: self.check())
 
     def handle(self, received: Received) -> bool:
-        """Other components' heartbeats need no answer."""
+        """Takes other components' heartbeats, which need no answer."""
         return bool(received.message.get_type() == "HEARTBEAT")
 
     def after(self, step: ControlStep) -> None:
@@ -46,9 +48,6 @@ class Heartbeat:
     def idle(self) -> None:
         """Called about once a second of real time while simulated time stands still."""
         self._link.send(self._beat())
-
-    def _greet(self, client: ConnectedClient) -> None:
-        self._link.send(self._beat(), client.peer)
 
     def _beat(self) -> Any:
         return self._telemetry.standing[HEARTBEAT]()

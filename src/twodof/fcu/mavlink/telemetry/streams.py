@@ -1,8 +1,8 @@
 """Streams: each client gets the messages it wants at the rates it wants, exactly, on ticks that depend on nothing else.
 
-A stream is due in the ticks in which the number of its whole intervals since tick 0 rises, each message with an offset
-of its own so that those of one rate do not come in one tick. So which tick carries what is the same in every run,
-whenever a client came. What several clients get in one tick is encoded once.
+A stream is due in each tick in which the number of its whole intervals since tick 0 rises. Each message has its own
+offset, so that messages of one rate do not come in one tick. Therefore a tick carries the same messages in every run,
+at whatever time a client came. What several clients get in one tick is encoded once.
 """
 
 from __future__ import annotations
@@ -11,14 +11,17 @@ from collections.abc import Hashable, Mapping
 from math import isfinite
 from typing import Any, Protocol
 
+from twodof.fcu.command.commander import Commander
 from twodof.fcu.command.result import ACCEPTED, DENIED, FAILED, UNSUPPORTED, CommandResult
 from twodof.fcu.control.flight_code import ControlStep
-from twodof.fcu.mavlink.addressing import ConnectedClient, whole
-from twodof.fcu.mavlink.clients import Clients
+from twodof.fcu.control.loop import FlightController
+from twodof.fcu.event_bus import EventBus
+from twodof.fcu.mavlink.addressing import whole
+from twodof.fcu.mavlink.clients import ClientJoined, ClientLeft, ClientRecognised
 from twodof.fcu.mavlink.commands.command_service import CommandService, ReceivedCommand
-from twodof.fcu.mavlink.service import Link
-from twodof.fcu.mavlink.telemetry.change_detector import ChangeDetector
-from twodof.fcu.mavlink.telemetry.encoders import HEARTBEAT, TelemetryEncoders
+from twodof.fcu.mavlink.service import Link, Service
+from twodof.fcu.mavlink.telemetry.encoders import HEARTBEAT, LEASE, OPENLOOP, RIG, SAFETY, TelemetryEncoders
+from twodof.fcu.mavlink.telemetry.sensor_messages import TOF
 from twodof.link.connection import Received
 from twodof.link.control_period import TICK_NS
 from twodof.link.mavlink.dialect import FIRST_OWN_ID
@@ -51,8 +54,44 @@ class MessageStream:
         self.sent = -1
 
 
+FLAG_TICKS = 25
+"""The failsafe's flags alone, which noise may flip, are told at most ten times a second."""
+
+
+class ChangeDetector:
+    """Compares each step with the one before."""
+
+    def __init__(self, controller: FlightController, commander: Commander) -> None:
+        self._controller = controller
+        self._commander = commander
+        self._safety: tuple[Any, ...] = ()
+        self._causes = 0
+        self._told = -FLAG_TICKS
+        self._slow: tuple[Any, ...] = ()
+
+    def seen(self, step: ControlStep) -> list[int]:
+        """Ids of the messages that have news in this step."""
+        found = [TOF] if step.sample.dist_new else []
+        safety = (step.action, step.state, step.armed, step.reason, self._commander.killed_by)
+        if safety != self._safety or (step.causes != self._causes and abs(step.tick - self._told) >= FLAG_TICKS):
+            self._safety, self._causes, self._told = safety, step.causes, step.tick
+            found.append(SAFETY)
+        hardware, commander = self._controller.hardware, self._commander
+        lease = commander.lease.holder, commander.tuning_withheld
+        slow = (hardware.rings, hardware.safety_off, hardware.seed, lease, commander.openloop.revision)
+        if slow != self._slow:
+            if slow[:3] != self._slow[:3]:
+                found.append(RIG)
+            if slow[3:4] != self._slow[3:4]:
+                found.append(LEASE)
+            if slow[4:] != self._slow[4:]:
+                found.append(OPENLOOP)
+            self._slow = slow
+        return found
+
+
 class OtherSender(Protocol):
-    """Who sends a message that is no stream of this kind."""
+    """The sender of a message that is not a stream of this kind."""
 
     def subscribe(self, command: ReceivedCommand) -> CommandResult:
         """Command 511 for it."""
@@ -61,7 +100,7 @@ class OtherSender(Protocol):
         """A client's interval of it [us], -1: none."""
 
 
-class StreamService:
+class StreamService(Service):
     """All streams of all clients, and the commands 510 and 511 that read and change a client's own.
 
     `profile` gives the rates of a client that says nothing (`link.mavlink.rates.PROFILES`); twodof's own messages
@@ -72,7 +111,7 @@ class StreamService:
     def __init__(
         self,
         link: Link,
-        clients: Clients,
+        bus: EventBus,
         commands: CommandService,
         telemetry: TelemetryEncoders,
         changes: ChangeDetector,
@@ -86,9 +125,9 @@ class StreamService:
         self.elsewhere: dict[int, OtherSender] = {}
         self._calendar: dict[int, list[MessageStream]] = {}
         self._tick = -1
-        clients.joined.append(self._join)
-        clients.recognised.append(self._recognise)
-        clients.left.append(self._leave)
+        bus.subscribe(ClientJoined, self._join)
+        bus.subscribe(ClientRecognised, self._recognise)
+        bus.subscribe(ClientLeft, self._leave)
         commands.on(SET_INTERVAL, self._set)
         commands.on(GET_INTERVAL, self._get)
 
@@ -134,7 +173,7 @@ class StreamService:
         self._plan_all(-1)
 
     def set(self, peer: Hashable, message_id: int, interval: int | None) -> bool:
-        """Sets a client's interval [ns] of a message, None: the profile's. False if there is no such stream."""
+        """Sets a client's interval [ns] of a message, None: the profile's. False if either is unknown."""
         streams = self._streams.get(peer)
         if streams is None or message_id == HEARTBEAT or message_id not in self._telemetry.messages:
             return False
@@ -158,22 +197,22 @@ class StreamService:
         rate = self._profile.get(message_id)
         return STOPPED if rate is None else round(1e9 / rate) if rate > 0.0 else WITH_NEWS
 
-    def _join(self, client: ConnectedClient) -> None:
-        self._streams[client.peer] = {}
-        self._begin(client, [number for number in self._profile if number < FIRST_OWN_ID])
+    def _join(self, joined: ClientJoined) -> None:
+        self._streams[joined.client.peer] = {}
+        self._begin(joined.client.peer, [number for number in self._profile if number < FIRST_OWN_ID])
 
-    def _recognise(self, client: ConnectedClient) -> None:
-        self._begin(client, [number for number in self._profile if number >= FIRST_OWN_ID])
+    def _recognise(self, recognised: ClientRecognised) -> None:
+        self._begin(recognised.client.peer, [number for number in self._profile if number >= FIRST_OWN_ID])
 
-    def _begin(self, client: ConnectedClient, numbers: list[int]) -> None:
-        streams = self._streams[client.peer]
+    def _begin(self, peer: Hashable, numbers: list[int]) -> None:
+        streams = self._streams[peer]
         for number in numbers:
             if number in self._telemetry.messages:
-                stream = streams[number] = MessageStream(client.peer, number, self._default(number))
+                stream = streams[number] = MessageStream(peer, number, self._default(number))
                 self._plan(stream, self._tick)
 
-    def _leave(self, client: ConnectedClient) -> None:
-        for stream in self._streams.pop(client.peer, {}).values():
+    def _leave(self, left: ClientLeft) -> None:
+        for stream in self._streams.pop(left.client.peer, {}).values():
             stream.due = -1
 
     def _plan(self, stream: MessageStream, tick: int) -> None:

@@ -6,9 +6,10 @@ import time
 from collections.abc import Callable
 from math import isfinite
 
+from twodof.fcu.command.commander import Commander
 from twodof.fcu.control.flight_code import ControlStep
+from twodof.fcu.control.loop import FlightController
 from twodof.fcu.mavlink.telemetry.flight_messages import MASK_32, Encoder, flying
-from twodof.fcu.mavlink.vehicle import CommanderView, ControllerView
 from twodof.flight.failsafe.causes import BIT
 from twodof.link.control_period import TICK_MS, TICK_US
 from twodof.link.mavlink.packing import Packed, Packer
@@ -66,7 +67,7 @@ def percent(charge: float) -> int:
     return round(min(max(charge, 0.0), 1.0) * 100.0) if isfinite(charge) else -1
 
 
-def heartbeat(commander: CommanderView) -> Callable[[], Packed]:
+def heartbeat(commander: Commander) -> Callable[[], Packed]:
     """HEARTBEAT."""
     pack = Packer("HEARTBEAT")
 
@@ -121,7 +122,7 @@ def home_position() -> Callable[[], Packed]:
     return lambda: home
 
 
-def system_time(controller: ControllerView) -> Callable[[], Packed]:
+def system_time(controller: FlightController) -> Callable[[], Packed]:
     """SYSTEM_TIME: the wall clock of the machine, and time since the start."""
     pack = Packer("SYSTEM_TIME")
     return lambda: pack(time.time_ns() // 1000, controller.tick * TICK_MS & MASK_32)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
 
+from twodof.fcu.command.commander import Commander
+from twodof.fcu.control.controllers import ControllerIdentity
 from twodof.fcu.control.flight_code import ControlStep
+from twodof.fcu.control.loop import FlightController
 from twodof.fcu.mavlink.telemetry.flight_messages import MASK_32, Encoder
-from twodof.fcu.mavlink.vehicle import CommanderView, ControllerView
 from twodof.flight.failsafe.causes import CAUSES
 from twodof.link.control_period import TICK_MS, TICK_US
 from twodof.link.mavlink.packing import Packed, Packer
@@ -18,21 +19,13 @@ SEED_MASK = 0xFFFFFFFFFFFFFFFF
 NOBODY = (0, 0)
 
 
-class ControllerIdentity(NamedTuple):
-    """What flies: the controller's name, the first 64 bits of the SHA-256 of its diagram, parameters not at default."""
-
-    controller: str = "stock"
-    diagram: int = 0
-    changed: int = 0
-
-
 def deciding(reason: int) -> int:
     """Which cause of a mask decides: the place of the one that asks for the strongest action, -1 if there is none."""
     places = [place for place in range(len(CAUSES)) if reason >> place & 1]
     return max(places, key=lambda place: (CAUSES[place].action, -place), default=-1)
 
 
-def safety(since: Callable[[], int], commander: CommanderView) -> Encoder:
+def safety(since: Callable[[], int], commander: Commander) -> Encoder:
     """TWODOF_SAFETY; `since` says from which tick on the action is taken."""
     pack = Packer("TWODOF_SAFETY")
 
@@ -45,7 +38,7 @@ def safety(since: Callable[[], int], commander: CommanderView) -> Encoder:
     return encode
 
 
-def rig(controller: ControllerView, flown: Callable[[], ControllerIdentity]) -> Callable[..., Packed]:
+def rig(controller: FlightController, flown: Callable[[], ControllerIdentity]) -> Callable[..., Packed]:
     """TWODOF_RIG; called with flags that come on top."""
     pack = Packer("TWODOF_RIG")
 
@@ -62,7 +55,7 @@ def rig(controller: ControllerView, flown: Callable[[], ControllerIdentity]) -> 
     return encode
 
 
-def timing(controller: ControllerView, lost: Callable[[], int]) -> Callable[[], Packed]:
+def timing(controller: FlightController, lost: Callable[[], int]) -> Callable[[], Packed]:
     """TWODOF_TIMING; `lost` counts messages that clients did not take."""
     pack = Packer("TWODOF_TIMING")
 
@@ -74,7 +67,7 @@ def timing(controller: ControllerView, lost: Callable[[], int]) -> Callable[[], 
     return encode
 
 
-def lease(commander: CommanderView) -> Callable[[], Packed]:
+def lease(commander: Commander) -> Callable[[], Packed]:
     """TWODOF_LEASE: who may command, and whether others may tune."""
     pack = Packer("TWODOF_LEASE")
 
@@ -86,7 +79,7 @@ def lease(commander: CommanderView) -> Callable[[], Packed]:
     return encode
 
 
-def openloop(commander: CommanderView) -> Callable[[], Packed]:
+def openloop(commander: Commander) -> Callable[[], Packed]:
     """TWODOF_OPENLOOP: what is in use."""
     pack = Packer("TWODOF_OPENLOOP")
 
@@ -98,7 +91,7 @@ def openloop(commander: CommanderView) -> Callable[[], Packed]:
     return encode
 
 
-def truth(state: Callable[[], tuple[float, float, float, float]], controller: ControllerView) -> Callable[[], Packed]:
+def truth(state: Callable[[], tuple[float, float, float, float]], controller: FlightController) -> Callable[[], Packed]:
     """TWODOF_TRUTH: theta, q, x, v of the virtual rig, from the rig itself."""
     pack = Packer("TWODOF_TRUTH")
     return lambda: pack(controller.tick * TICK_US, *state(), controller.tick & MASK_32)
