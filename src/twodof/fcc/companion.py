@@ -13,6 +13,7 @@ from twodof.fcc.computer import ComputerStatus, Traffic
 from twodof.fcc.rate_profiles import profile
 from twodof.fcc.router import Router
 from twodof.fcc.uplink_queue import BITS_A_BYTE, NETWORK_FRAME, NETWORK_RATE, UplinkQueue
+from twodof.link.connection import BROKEN_OFF_S, TELL_S
 from twodof.link.mavlink.framing import Frame, Parser
 from twodof.link.signing.frame_signing import Signing, SigningVerdict
 from twodof.link.transport import ports
@@ -26,16 +27,12 @@ from twodof.link.transport.url import parse
 MOST_CLIENTS = 32
 SWEEP_S = 0.1
 BEAT_S = 1.0
-# What has begun on a stream and does not go on for this long is no frame.
-BROKEN_OFF_S = 0.1
 # Its heartbeat comes each second.
 VEHICLE_SILENT_S = 3.0
 OPEN_S = 2.0
 # How often it is repeated that the flight controller is not there.
 REMIND_S = 60.0
 FIRST_BACK_OFF_S, LONGEST_BACK_OFF_S = 0.1, 2.0
-# Whose time stamps are of before is told our time, so often at most: a replayed packet looks the same.
-TELL_S = 0.1
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from fastcrc import crc16
 
 from twodof.link.mavlink import dialect
-from twodof.link.mavlink.framing import HEADER_1, HEADER_2, Frame
+from twodof.link.mavlink.framing import HEADER_1, HEADER_2, Frame, crc_extras
 
 HEARTBEAT = 0
 PARAM_REQUEST_READ, PARAM_REQUEST_LIST, PARAM_VALUE, PARAM_SET = 20, 21, 22, 23
@@ -75,11 +75,6 @@ def _places(kind: Any) -> FieldOffsets:
     )
 
 
-@cache
-def _extras() -> dict[int, bytes]:
-    return {number: bytes([kind.crc_extra]) for number, kind in dialect.load().mavlink_map.items()}
-
-
 def target(frame: Frame) -> tuple[int, int]:
     """System and component that a frame is for, 0 for all; (0, 0) of a message that has no target or is unknown."""
     where = places().get(frame.message_id)
@@ -137,8 +132,8 @@ def stop(asked: CommandFields) -> tuple[int, bool] | None:
 
 def renumbered(frame: Frame, sequence: int) -> bytes:
     """The frame's bytes under another sequence number, as they are if it is signed, unknown or of MAVLink 1."""
-    if frame.sequence == sequence or frame.signed or frame.version != 2 or frame.message_id not in _extras():
+    if frame.sequence == sequence or frame.signed or frame.version != 2 or not frame.known:
         return frame.raw
     body = bytearray(frame.raw[:-2])
     body[4] = sequence
-    return bytes(body) + crc16.mcrf4xx(bytes(body[1:]) + _extras()[frame.message_id]).to_bytes(2, "little")
+    return bytes(body) + crc16.mcrf4xx(bytes(body[1:]) + crc_extras()[frame.message_id]).to_bytes(2, "little")

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from contextlib import AbstractAsyncContextManager
+from contextlib import AbstractAsyncContextManager, suppress
 from pathlib import Path
 from typing import Any, Self
 
-from twodof.errors import ExperimentError, LogError, Rejected, shown
+from twodof.errors import ExperimentError, LinkLost, LogError, Rejected, Timeout, shown
 from twodof.excitation import Excitation
 from twodof.gcs.control.active_controller import ActiveController, read_active_controller
 from twodof.gcs.control.excitation_player import ExcitationPlayback
 from twodof.gcs.discovery import open_link
-from twodof.gcs.drone_base import TIMEOUT_S
+from twodof.gcs.drone_base import TIMEOUT_S, DroneBase
 from twodof.gcs.flying_drone import FlyingDrone
-from twodof.gcs.greeting import greet
 from twodof.gcs.mavlink.deadline import Deadline
-from twodof.gcs.mavlink.identity import identity
+from twodof.gcs.mavlink.identity import drawn, identity
 from twodof.gcs.mavlink.session import DroneSession
 from twodof.gcs.telemetry.full_rate import BatchRows
 from twodof.gcs.telemetry.recording import Recording
@@ -31,6 +30,8 @@ from twodof.link.transport.base import Transport
 
 DEFAULT_URL = f"udpin://127.0.0.1:{ports.ONBOARD}"
 _REFUSED = 16
+_GREETING_S, _GREETING_RETRY_S = 4.0, 0.3
+_WORTH_SAYING_S = 0.5
 
 
 class AsyncDrone(FlyingDrone):
@@ -89,7 +90,7 @@ class AsyncDrone(FlyingDrone):
             await session.find(drone, deadline.left)
             connection.system = number or session.system
             session.beat()
-            await greet(made, deadline, drawn_id=system is None and not on_board)
+            await _greet(made, deadline, drawn_id=system is None and not on_board)
         except BaseException:  # cancelled too: nothing is left open
             if made is not None:
                 made.lease.stop()
@@ -249,3 +250,43 @@ class AsyncDrone(FlyingDrone):
 def _reset_answer(got: Any) -> Any | None:
     """The answer to a reset: a refusal, or the rig at its tick 0."""
     return got if got.flags & _REFUSED or got.tick == 0 else None
+
+
+async def _greet(drone: DroneBase, deadline: Deadline, drawn_id: bool) -> None:
+    """Learn whether it is one of ours, and if so how its time passes; take the lease if it is to command.
+
+    `drawn_id`: our system id was drawn, so another one may be drawn. Raises LinkLost, Rejected, Timeout.
+    """
+    session = drone.session
+    try:
+        drone.ours = await _answers(drone, "TWODOF_RIG", "asking what it is", deadline)
+    except Timeout:  # it is somebody else's, which does not know the question, or does not let us in
+        signed = session.signed_frames
+        if signed and session.connection.signing is None:
+            what = f"drone {session.system} answers nothing: {signed} frames came signed, and we have no key"
+            raise LinkLost(what, session.url, "connect with its key: key=FILE") from None
+    drone.parameters.transactions = drone.commands.words_follow = drone.ours
+    if drone.ours and drawn_id:
+        await _differ(drone, deadline)
+    if drone.ours and drone.commanding:
+        waited = await drone.lease.take(deadline.left)
+        if waited > _WORTH_SAYING_S:
+            drone.texts.note("notice", f"waited {waited:.1f} s for the lease of somebody who is not heard any more")
+        if session.lockstep:
+            await drone.clock.begin_granting(deadline.left)
+
+
+async def _differ(drone: DroneBase, deadline: Deadline) -> None:
+    """Draw another id where somebody who has the lease drew the same: else we would have their lease."""
+    with suppress(Timeout):
+        await _answers(drone, "TWODOF_LEASE", "asking who has the lease", deadline)
+    connection, holder = drone.session.connection, drone.lease.holder
+    if holder is not None and holder[0] == connection.system:
+        connection.system = drawn(besides=(connection.system,))
+        drone.session.beat()
+
+
+async def _answers(drone: DroneBase, name: str, doing: str, deadline: Deadline) -> bool:
+    """Whether it sends this message when asked. Raises Timeout, LinkLost."""
+    asking = drone.session.deadline(min(_GREETING_S, deadline.left), doing)
+    return await drone.commands.request(name, asking, _GREETING_RETRY_S) is not None

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator, Callable, Iterable
 from contextlib import asynccontextmanager, suppress
+from functools import reduce
+from operator import or_
 from typing import Any
 
 import numpy as np
@@ -43,10 +45,8 @@ class FullRateSubscription:
 
     def __init__(self, session: DroneSession, commands: CommandSender) -> None:
         self._session, self._commands = session, commands
-        self._wanted: dict[object, int] = {}
-        self._takers: dict[object, Callable[[Any], None]] = {}
+        self._wanted: list[int] = []  # masks of channels
         self._mask = 0
-        session.on(self._take, MESSAGE)
 
     @asynccontextmanager
     async def to(self, columns: Iterable[str], taker: Callable[[Any], None]) -> AsyncIterator[None]:
@@ -54,19 +54,16 @@ class FullRateSubscription:
 
         Raises LinkError for a column that is none, Rejected, LinkLost, Timeout.
         """
-        key = object()
-        self._wanted[key] = channel_mask(list(columns))
-        self._takers[key] = taker
-        try:
-            await self._subscribe(TIMEOUT_S)
-            yield
-        finally:
-            del self._wanted[key]
+        mask = channel_mask(list(columns))
+        self._wanted.append(mask)
+        with self._session.handling(taker, MESSAGE):
             try:
+                await self._subscribe(TIMEOUT_S)
+                yield
+            finally:
+                self._wanted.remove(mask)
                 with suppress(LinkLost, Rejected, Timeout):  # what is not wanted any more harms nobody
                     await self._subscribe(LEAVING_S)
-            finally:
-                del self._takers[key]
 
     @asynccontextmanager
     async def rows(self, columns: Iterable[str]) -> AsyncIterator[BatchRows]:
@@ -76,9 +73,7 @@ class FullRateSubscription:
             yield rows
 
     async def _subscribe(self, timeout: float) -> None:
-        mask = 0
-        for one in self._wanted.values():
-            mask |= one
+        mask = reduce(or_, self._wanted, 0)
         if mask == self._mask:
             return
         period = round(TICK_S * 1e6) if mask else -1
@@ -86,7 +81,3 @@ class FullRateSubscription:
         self._mask = _IN_DOUBT  # until it is acknowledged: a call that is cancelled does not know
         await self._commands.run("SET_MESSAGE_INTERVAL", values, timeout, "subscribing to full-rate samples")
         self._mask = mask
-
-    def _take(self, got: Any) -> None:
-        for taker in [*self._takers.values()]:
-            taker(got)

@@ -51,8 +51,7 @@ class TruthSubscription:
 
     def __init__(self, session: DroneSession, commands: CommandSender) -> None:
         self._session, self._commands = session, commands
-        self._takers: list[Callable[[Any], None]] = []
-        session.on(self._take, MESSAGE)
+        self._wanted = 0  # by how many
 
     @asynccontextmanager
     async def to(self, taker: Callable[[Any], None]) -> AsyncIterator[None]:
@@ -62,17 +61,18 @@ class TruthSubscription:
         """
         deadline = self._session.deadline(TIMEOUT_S, "subscribing to the rig's true state")
         number = dialect.message_id(MESSAGE)
-        self._takers.append(taker)
-        try:
-            if self._session.lockstep:  # a stream begins with the tick after
-                await self._commands.run("REQUEST_MESSAGE", [number], deadline.left, deadline.doing)
-            await self._interval(TICK_US, deadline.left)
-            yield
-        finally:
-            self._takers.remove(taker)
-            if not self._takers:
-                with suppress(LinkLost, Rejected, Timeout):  # what is not wanted any more harms nobody
-                    await self._interval(-1, LEAVING_S)
+        self._wanted += 1
+        with self._session.handling(taker, MESSAGE):
+            try:
+                if self._session.lockstep:  # a stream begins with the tick after
+                    await self._commands.run("REQUEST_MESSAGE", [number], deadline.left, deadline.doing)
+                await self._interval(TICK_US, deadline.left)
+                yield
+            finally:
+                self._wanted -= 1
+                if not self._wanted:
+                    with suppress(LinkLost, Rejected, Timeout):  # what is not wanted any more harms nobody
+                        await self._interval(-1, LEAVING_S)
 
     @asynccontextmanager
     async def rows(self) -> AsyncIterator[TruthRows]:
@@ -84,7 +84,3 @@ class TruthSubscription:
     async def _interval(self, interval: int, timeout: float) -> None:
         values = [dialect.message_id(MESSAGE), interval]
         await self._commands.run("SET_MESSAGE_INTERVAL", values, timeout, "subscribing to the rig's true state")
-
-    def _take(self, got: Any) -> None:
-        for taker in [*self._takers]:
-            taker(got)

@@ -49,7 +49,7 @@ class Frame:
     @property
     def known(self) -> bool:
         """Whether the dialect has this message; the checksum of any other cannot be told from rubbish."""
-        return self.message_id in _crc_extras()
+        return self.message_id in crc_extras()
 
 
 @dataclass(slots=True)
@@ -64,7 +64,8 @@ class FramingCounts:
 
 
 @cache
-def _crc_extras() -> dict[int, bytes]:
+def crc_extras() -> dict[int, bytes]:
+    """CRC_EXTRA of each message of the dialect, by its id."""
     return {number: bytes([kind.crc_extra]) for number, kind in dialect.load().mavlink_map.items()}
 
 
@@ -78,7 +79,7 @@ class Parser:
         self.counts = FramingCounts()
         self._mavlink1 = mavlink1
         self._pending = b""
-        self._extras = _crc_extras()
+        self._extras = crc_extras()
 
     @property
     def waiting(self) -> int:
