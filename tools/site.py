@@ -113,8 +113,8 @@ def gather(folder: Path) -> None:
 def build(folder: Path) -> Path:
     """Gather and build in `folder`; returns the site's own folder. Raises SystemExit with Zensical's words."""
     gather(folder)
-    zensical = Path(sys.executable).with_name("zensical")
-    done = subprocess.run([zensical, "build", "--strict"], cwd=folder, capture_output=True, text=True, check=False)
+    command = [sys.executable, "-m", "zensical", "build", "--strict"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise SystemExit(f"error: the site was not built\n{done.stdout}{done.stderr}")
     return folder / "site"
