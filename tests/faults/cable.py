@@ -50,7 +50,7 @@ class Cable:
 
     @contextmanager
     def pulled(self) -> Iterator[None]:
-        """Both ends are out within the block, whatever happens in it."""
+        """Both ends are out within the block, also when it raises."""
         self.pull()
         try:
             yield

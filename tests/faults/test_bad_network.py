@@ -1,4 +1,4 @@
-"""A network that loses, delays, reorders and repeats, under the assembled thing: all is done, once, nothing is lost."""
+"""A bad network under the assembled thing: packets are lost, delayed or repeated, and still all is done once."""
 
 from __future__ import annotations
 

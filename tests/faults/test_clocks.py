@@ -99,7 +99,7 @@ def test_a_clients_clock_that_jumps_by_less_than_a_year_is_not_noticed() -> None
 
 
 def test_a_clients_clock_that_jumps_by_more_than_a_year_is_no_pilot_any_more_and_the_drone_makes_itself_safe() -> None:
-    """What it signs is no clock's time: refused, counted; level within 1 s, then down as without a link."""
+    """It signs times that cannot be: they are refused and counted; level within 1 s, then down as without a link."""
     key = Key.fresh()
 
     async def work() -> None:

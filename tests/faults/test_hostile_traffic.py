@@ -1,9 +1,9 @@
 """Hostile MAVLink against the assembled flight controller and its companion: crash, leak, arm and change nothing.
 
-What is stated is honest about what a frame may do. One that is right, from who may command, does what it says: arms,
-say. So either somebody holds the lease, and everything comes from others (then it makes no difference how right a frame
-is, and the safety switch is off); or nobody does, and the safety switch keeps the motors off, and the messages whose
-purpose it is to change a parameter are left out.
+A sound frame from a client that may command does what it says: it may arm. So there are two cases. In the first
+somebody holds the lease, everything comes from others, and the safety switch is off. Then a sound frame may do no more
+than a damaged one. In the second nobody holds the lease. Then the safety switch keeps the motors off, and the messages
+that change parameters by design are left out.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Held:
 
 @cache
 def recorded() -> list[bytes]:
-    """What a client sends in a flight with all that it can do."""
+    """What a client sends in a flight that uses every function."""
     sent: list[bytes] = []
 
     async def work() -> None:
@@ -109,7 +109,7 @@ def strangers(chance: random.Random) -> tuple[int, int]:
 
 
 def anybody(chance: random.Random) -> tuple[int, int]:
-    """Mostly clients that there are."""
+    """Mostly clients that take part."""
     return chance.choice([PILOT, (245, 190), (1, 191), (chance.randrange(256), chance.randrange(256))])
 
 
@@ -187,7 +187,7 @@ def under_a_pilot(count: int, seed: int, folder: Path) -> None:
 
 
 def in_flight(count: int, seed: int, folder: Path) -> None:
-    """Whatever others send while the pilot flies, but for commands, as a disarming or a kill is obeyed whoever asks."""
+    """Others send while the pilot flies; no commands, since a disarming or a kill is obeyed for everybody."""
     sound = recorded()
 
     async def work() -> None:

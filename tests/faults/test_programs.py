@@ -72,7 +72,7 @@ def tcp(url: str) -> str:
 
 @contextmanager
 def airborne(url: str) -> Iterator[Drone]:
-    """A client whose drone flies at a pitch of .1 rad, and that is left whatever has become of its link.
+    """A client whose drone flies at a pitch of .1 rad; leaving it works with a broken link too.
 
     Where a program stood still on the way there, so that the failsafe acted, it starts anew.
     """
@@ -166,7 +166,7 @@ def test_a_companion_that_is_killed_in_flight(stack: Stack) -> None:
 
 
 def test_a_users_program_that_is_killed_in_mid_experiment(stack: Stack) -> None:
-    """What plays on board plays on, and is no link: 3 s after the last word it descends. Both logs are whole."""
+    """What plays on board plays on, but is not a link: 3 s after the last word it descends. Both logs are whole."""
     recorded = stack.folder / "killed.mcap"
     with stack.companion() as companion:
         url = tcp(companion.urls[0])

@@ -1,4 +1,4 @@
-"""Where a key is set nothing that is not signed with it influences anything, but the counters of what was refused."""
+"""Where a key is set, a frame without its signature changes only the counters of what was refused."""
 
 from __future__ import annotations
 
@@ -151,7 +151,7 @@ def frames_of_every_kind() -> list[bytes]:
 
 
 async def flown(hostile: list[bytes]) -> tuple[list[object], dict[str, object]]:
-    """A flight in which these come from everywhere: the steps, and all that is known."""
+    """A flight in which these come from everywhere: its steps, and everything that is known of it."""
     with patch("tests.faults.whole._numbers", itertools.count()):
         whole = Whole(signing=signing(), companion_signing=signing(191))
     async with whole:

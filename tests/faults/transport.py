@@ -1,4 +1,4 @@
-"""A transport that loses, delays, reorders, repeats, damages and cuts, by a seed, on the loop's clock."""
+"""A transport with seeded faults on the loop's clock: loss, delay, disorder, repetition, damage and cuts."""
 
 import asyncio
 import random

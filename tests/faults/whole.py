@@ -1,7 +1,7 @@
 """The assembled thing on virtual time: rig, flight controller, companion, links that fail, and clients.
 
-The flight controller runs as in real time (nothing is granted), but its pace is the loop's clock, which jumps: minutes
-in seconds, and a loaded machine changes nothing.
+The flight controller runs as in real time: nothing is granted. But its pace is the event loop's clock, which jumps. So
+minutes pass in seconds, and a loaded machine changes nothing.
 """
 
 from __future__ import annotations
@@ -129,7 +129,7 @@ class Whole:
 
     @property
     def tick(self) -> int:
-        """The first control period that has not run."""
+        """The next control period."""
         return self.drone.controller.tick
 
     async def open(self, faults: Faults | None = None) -> FaultyTransport:
@@ -162,7 +162,7 @@ class Whole:
         return drone
 
     async def passes(self, seconds: float) -> None:
-        """Time passes, whatever the clients hear of it."""
+        """Time passes, also where the clients hear nothing of it."""
         await asyncio.sleep(seconds)
 
     def ms(self, first: int, true: Callable[[Seen], bool]) -> float:

@@ -1,4 +1,4 @@
-"""The whole program of a drone on its virtual rig, driven by hand: no loop, no link, no clock, but through bytes."""
+"""The whole program of a drone on its virtual rig, driven by hand through bytes: no loop, no link, no clock."""
 
 from __future__ import annotations
 

@@ -104,7 +104,7 @@ class Toil(Block):
 
 
 def failing(at: int, wrong: float = 0.0) -> Diagram:
-    """An attitude controller whose moment is no number from its step `at` on."""
+    """An attitude controller whose moment is NaN or infinite from its step `at` on."""
     d = _controller("failing", Law(at, wrong))
     d.output("M", "law.M")
     return d

@@ -1,4 +1,4 @@
-"""What a virtual drone keeps of a session over MAVLink: parameters for the next one, a log of all that was said."""
+"""What a virtual drone keeps of a session over MAVLink: parameters for the next one, a log of what was said."""
 
 from __future__ import annotations
 

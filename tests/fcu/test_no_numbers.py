@@ -1,7 +1,7 @@
-"""What is no number, in every numeric field of every message and every parameter of every command that there is.
+"""NaN and infinity in every numeric field of every message, and in every parameter of every command.
 
-From the pilot in flight: nothing raises, nothing that is no number is asked of the flight code or reaches a motor, and
-what flies, flies on. On the ground: nothing arms, and no parameter changes.
+From the pilot in flight: nothing raises, the flight code and the motors get finite numbers only, and the flight goes
+on. On the ground: nothing arms, and no parameter changes.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ SOUND: dict[str, tuple[dict[str, Any], ...]] = {
 
 
 def floats(name: str) -> Iterator[tuple[str, int]]:
-    """The fields of a message that can be no number: name, and place in it if it is an array, else -1."""
+    """The fields of a message that can hold NaN: name, and place in it if it is an array, else -1."""
     kind = dialect.load().mavlink_map[dialect.message_id(name)]
     lengths = dict(zip(kind.ordered_fieldnames, kind.array_lengths, strict=True))
     for field, type_name in zip(kind.fieldnames, kind.fieldtypes, strict=True):
@@ -84,7 +84,7 @@ def commands(drone: Assembled) -> Iterator[Any]:
 
 
 def stops(sent: Any) -> bool:
-    """Whether it stops motors, whatever else it says."""
+    """Whether it stops motors."""
     if sent.get_type() not in ("COMMAND_LONG", "COMMAND_INT"):
         return False
     return (sent.command == TERMINATE and sent.param1 > 0.5) or (sent.command, sent.param1) == DISARM

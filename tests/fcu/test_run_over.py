@@ -28,7 +28,7 @@ PHASE = 3_000_000  # a multiple of the ticks between two messages of each stream
 
 
 def flight(begin: int, state: Path | None) -> Assembled:
-    """Arms, flies a stream and an open loop sent ahead, an excitation that waits, and lands, all by their ticks."""
+    """Arms, flies a stream, an open loop sent ahead and an excitation that waits, and lands, all by their ticks."""
     drone = Assembled(begin, lockstep=True, state=state)
 
     def until(ticks: int) -> None:
@@ -68,7 +68,7 @@ def flight(begin: int, state: Path | None) -> Assembled:
 
 
 def told(drone: Assembled) -> list[list[str]]:
-    """Name and fields of all that was sent, but for its stamps, in an order of their own."""
+    """Names and fields of the messages that were sent, sorted, without their stamps."""
     fields = [sorted(f"{k} {v}" for k, v in one.to_dict().items() if k not in STAMPS) for one in drone.sent]
     return sorted([one.get_type(), *rest] for one, rest in zip(drone.sent, fields, strict=True))
 

@@ -256,7 +256,7 @@ def test_with_a_key_only_what_is_signed_by_it_is_heard_and_what_it_says_is_signe
 
 
 def test_a_flooded_link_leaves_the_control_loop_its_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each message of a flood costs a millisecond; the motors are driven meanwhile, not after it."""
+    """Each message of a flood costs a millisecond; the motors are driven during it, not after it."""
     flood = 400
 
     async def work(world: World) -> None:

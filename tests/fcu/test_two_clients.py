@@ -46,7 +46,7 @@ class Client:
         return results[-1], texts(heard)
 
     async def grant(self, until: int) -> list[Any]:
-        """Lets time run; all that came."""
+        """Lets time run; every message that came."""
         self.grants += 1
         return await self.say(message("TWODOF_GRANT", until=until, number=self.grants, **DRONE))
 

@@ -74,7 +74,7 @@ def test_nor_does_it_fly_when_another_arms_in_offboard() -> None:
 
 
 def test_a_lease_that_is_given_up_before_the_drone_has_armed_ends_the_arming() -> None:
-    """Else it would arm with no pilot, and whoever listens would keep its link alive."""
+    """Else it would arm with no pilot, and any listener would keep its link alive."""
     cockpit = Cockpit()
     cockpit.run(2)
     assert cockpit.commander.arm(ME).result == IN_PROGRESS

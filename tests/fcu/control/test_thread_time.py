@@ -51,7 +51,7 @@ def looks(seen: ThreadTime, times: int) -> list[float]:
 
 
 def computes(_: threading.Event) -> None:
-    """Long, and without the interpreter's lock: the test's own thread runs meanwhile."""
+    """Long, and without the interpreter's lock: the test's own thread runs at the same time."""
     hashlib.sha256(MUCH).digest()
 
 

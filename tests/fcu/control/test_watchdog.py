@@ -1,4 +1,4 @@
-"""The watchdog: it trips when the loop hangs, once, not before the loop has begun, and counts looks, not time."""
+"""The watchdog: it trips once when the loop hangs, never before the loop has begun. It counts looks, not time."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def test_its_own_thread_looks() -> None:
 def test_one_on_a_real_rig_has_no_patience(
     monkeypatch: pytest.MonkeyPatch, watchdog: Watchdog, stops: list[int]
 ) -> None:
-    """Its motors run on, whoever has the processor."""
+    """Its motors run on while others have the processor."""
     monkeypatch.setattr(ThreadTime, "own", lambda _: 0.0)
     watchdog.beat()
     look(watchdog, LOOKS + 1)

@@ -1,4 +1,4 @@
-"""The on-board log: every bit of every step, in words that PX4's tools read, whatever the disk and the crash do."""
+"""The on-board log: every bit of every step, in words that PX4's tools read, also after a crash or on a bad disk."""
 
 import os
 import subprocess

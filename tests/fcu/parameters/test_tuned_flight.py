@@ -1,4 +1,4 @@
-"""Own controllers that are tuned while they fly: at one tick, whatever `prepare` makes of it; what is kept of it."""
+"""User controllers that are tuned while they fly: at one tick, with what `prepare` derives; what is kept of it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Parameters of one's own controllers: named as in their PX4 module, of the wire's types, exact at their defaults."""
+"""Parameters of user controllers: named as in their PX4 module, of the wire's types, exact at their defaults."""
 
 from __future__ import annotations
 

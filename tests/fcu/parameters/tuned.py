@@ -1,4 +1,4 @@
-"""Controllers of one's own with parameters of all kinds, for tests of what can be tuned."""
+"""User controllers with parameters of all kinds, for tests of what can be tuned."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ def world_of(folder: Path) -> tuple[World, OnboardLogger]:
 
 
 async def received(world: World, log: OnboardLogger, steps: int, loss: float = 0.0) -> list[Any]:
-    """What a client gets while `steps` steps are flown; it answers what is to be answered, and some gets lost."""
+    """What a client gets while `steps` steps are flown; it acknowledges, and some gets lost."""
     rng, got = random.Random(4), []
     sequences: set[int] = set()
     for tick in range(steps):

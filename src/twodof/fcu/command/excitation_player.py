@@ -54,7 +54,8 @@ MOST_EFFORT = 1e8
 def prepare(definition: bytes) -> SampledExcitation:
     """An excitation's JSON written out at 250 Hz.
 
-    Raises ExperimentError for what is none, or would take longer than a second: only a sum of many cosines does.
+    Raises ExperimentError for text that is not an excitation, or that would take longer than a second: only a sum of
+    many cosines does.
     """
     try:
         values = json.loads(definition.decode())
@@ -133,7 +134,7 @@ class OnboardPlayer:
 
     @property
     def waiting(self) -> bool:
-        """Whether it was started for a tick that has not come."""
+        """Whether it was started for a later tick."""
         return self.begins < NEVER
 
     @property

@@ -29,11 +29,11 @@ class CommandLease:
     """Who holds the lease, and until when; time is a tick that only `moved` sets back.
 
     `orphaned`: the holder fell silent or gave it up while armed, and nobody took the lease since. Then no other
-    client keeps the link alive: the drone is without its pilot, whoever else may be there.
+    client keeps the link alive: the drone is without its pilot, also where others listen.
 
-    Where time stands still until its holder grants it (`stands`), one that died would hold it for ever: of one that was
-    not heard for `HEARD` ticks of standing time another may take it. Unless another does nothing changes, as nothing
-    that flies may depend on how long a client thinks.
+    Where time stands still until its holder grants it (`stands`), a dead holder would hold it for ever. So another may
+    take it after `HEARD` ticks of standing time without a word of the holder. Until another does, nothing changes: a
+    flight must not depend on how long a client thinks.
 
     `tuning_withheld`: nobody but the holder may change parameters.
     """

@@ -27,7 +27,7 @@ class SetpointValues(NamedTuple):
     M_open: float = 0.0
 
     def with_number(self, name: str, value: float) -> SetpointValues:
-        """These, but for the number `name`."""
+        """These, with another number `name`."""
         return SetpointValues._make(value if own == name else old for own, old in zip(self._fields, self, strict=True))
 
     @property

@@ -57,7 +57,7 @@ def _every(ticks: int) -> Callable[[Rows], NDArray[np.bool_]]:
 
 
 def _changed(rows: Rows) -> NDArray[np.bool_]:
-    """Each change of mode, arming or action, twice a second, and the first of `rows`, whose past is unknown."""
+    """Each change of mode, arming or action; twice a second; and the first of `rows`, whose past is unknown."""
     found = rows["tick"] % STATUS_TICKS == 0
     for name in ("armed", "asked_mode", "action"):
         found[1:] |= rows[name][1:] != rows[name][:-1]

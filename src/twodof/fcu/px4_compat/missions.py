@@ -1,4 +1,4 @@
-"""Missions, fences and rally points: the vehicle has none, and answers every question about them so."""
+"""Missions, fences and rally points: the vehicle does not have them, and answers every question so."""
 
 from __future__ import annotations
 

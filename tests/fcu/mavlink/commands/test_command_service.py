@@ -246,7 +246,7 @@ def test_termination_is_a_kill_and_0_releases_it() -> None:
 
 
 def test_a_release_is_for_one_drone_and_from_another() -> None:
-    """Unlike a kill, which is obeyed by all and under whatever number it comes."""
+    """Unlike a kill, which all obey, under any number."""
     world = World()
     world.say(message("COMMAND_LONG", command=185, param1=0.0, target_system=0, target_component=0))
     world.say(message("COMMAND_LONG", command=185, param1=0.0, **US), source=(1, 1))

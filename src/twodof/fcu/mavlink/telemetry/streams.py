@@ -2,7 +2,7 @@
 
 A stream is due in each tick in which the number of its whole intervals since tick 0 rises. Each message has its own
 offset, so that messages of one rate do not come in one tick. Therefore a tick carries the same messages in every run,
-at whatever time a client came. What several clients get in one tick is encoded once.
+also when clients come at other times. What several clients get in one tick is encoded once.
 """
 
 from __future__ import annotations
