@@ -2,6 +2,7 @@
 #
 #   make demo    fly, identify, compare with the paper, write out/demo/report.html
 #   make sandbox what drones need to fly controllers of one's own: wasmtime and ziglang, into .venv
+#   make quick   what is cheap of every room, under a minute: at each change
 #   make test    every test but the long versions          make soak   the long versions
 #   make check   format, lint, types, order of imports     make bench  figures against peers, in bench/results
 #   make docs    the documentation as a site with search, in out/docs
@@ -25,7 +26,7 @@ TEST_JOBS ?= 3
 PYTEST := $(BIN)/python -m pytest -n $(TEST_JOBS) --dist worksteal
 
 .DEFAULT_GOAL := help
-.PHONY: help demo sandbox test shake check bench soak docs tools lock sbom clean fuzz
+.PHONY: help demo sandbox quick test shake check bench soak docs tools lock sbom clean fuzz
 .DELETE_ON_ERROR:
 
 help:
@@ -35,6 +36,9 @@ demo: $(VENV)/ready-run
 	$(BIN)/twodof demo
 
 sandbox: $(VENV)/ready-sandbox
+
+quick: $(VENV)/ready-dev
+	$(BIN)/python -m pytest -q -n 2 --dist loadfile --quick
 
 test: $(VENV)/ready-dev tools
 	$(PYTEST)

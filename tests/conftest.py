@@ -1,7 +1,12 @@
-"""What every test may ask for: the real flight logs; hypothesis runs that give the same examples twice; their order."""
+"""What every test may ask for: the real flight logs; hypothesis runs that give the same examples twice; their order;
+and `--quick`, which leaves out the files of tests/slow.txt.
+"""
 
 import os
+import resource
 import signal
+from collections import Counter
+from collections.abc import Generator
 from pathlib import Path
 
 import pytest
@@ -10,6 +15,12 @@ from hypothesis.internal.conjecture.providers import HypothesisProvider
 from hypothesis.internal.constants_ast import Constants
 
 PROJECT = Path(__file__).resolve().parents[1]
+SLOW = Path(__file__).with_name("slow.txt")
+QUICK_S, FOR_NOISE = 1.0, 4.0
+"""A file takes at most so much processor time with `--quick`; on a loaded machine it takes more."""
+SLOW_FILES = pytest.StashKey[dict[Path, float]]()
+SPENT = pytest.StashKey[Counter[Path]]()
+BEGAN = pytest.StashKey[float]()
 
 # A shared, loaded machine must not turn a slow example into a failure; the same examples every run.
 settings.register_profile("twodof", deadline=None, derandomize=True, print_blob=True)
@@ -22,6 +33,57 @@ HypothesisProvider._local_constants = Constants()
 # that are to be ended by it too.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def processor_time() -> float:
+    """Of this process and of the children that it has waited for [s]."""
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(one.ru_utime + one.ru_stime for one in used)
+
+
+def slow_files() -> dict[Path, float]:
+    """The files that `--quick` leaves out, and the processor time [s] that each takes."""
+    rows = [line.split() for line in SLOW.read_text(encoding="utf-8").splitlines() if not line.startswith("#")]
+    return {PROJECT / file: float(seconds) for seconds, file in rows}
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """What `make quick` asks for."""
+    parser.addoption("--quick", action="store_true", help="leave out the files that tests/slow.txt names")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Reads the list once."""
+    config.stash[SLOW_FILES] = slow_files() if config.getoption("--quick") else {}
+    config.stash[SPENT] = Counter()
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """With `--quick` a slow file is not even imported."""
+    return True if collection_path in config.stash[SLOW_FILES] else None
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """From here on a test's processor time counts."""
+    item.stash[BEGAN] = processor_time()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(
+    item: pytest.Item, call: pytest.CallInfo[None]
+) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """With `--quick` the test with which a file has taken too long fails: so the list stays true."""
+    report = yield
+    if item.config.getoption("--quick") and report.when == "teardown" and report.passed:
+        spent = item.config.stash[SPENT]
+        spent[item.path] += processor_time() - item.stash[BEGAN]
+        if spent[item.path] > QUICK_S * FOR_NOISE:
+            report.outcome = "failed"
+            file = item.path.relative_to(PROJECT)
+            report.longrepr = f"{file} took {spent[item.path]:.1f} s: make it cheaper or name it in tests/slow.txt"
+            spent[item.path] = 0.0
+    return report
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

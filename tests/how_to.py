@@ -14,6 +14,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+from tests.patience import PATIENCE_S
+
 PROJECT = Path(__file__).resolve().parents[1]
 COPIED = ("src", "tools", "docs", "tests/fmea")
 
@@ -59,7 +61,7 @@ def _run(command: list[str], root: Path) -> None:
         env={**os.environ, "PYTHONPATH": str(root / "src"), "PYTHONDONTWRITEBYTECODE": "1"},
         capture_output=True,
         text=True,
-        timeout=300,
+        timeout=3 * PATIENCE_S,  # it compiles
         check=False,
     )
     assert done.returncode == 0, f"{command[-1]}\n{done.stdout}\n{done.stderr}"
