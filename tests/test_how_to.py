@@ -33,3 +33,11 @@ def test_a_stick_mode_is_three_files(tmp_path: Path) -> None:
         "src/twodof/fcu/command/manual_control.py",
         "docs/reference/protocol.md",
     }
+
+
+def test_a_block_is_its_file_and_its_test(tmp_path: Path) -> None:
+    root = copied(tmp_path)
+    (root / "tests" / "blocks" / "library").mkdir(parents=True)
+    files = {"src/twodof/blocks/library/math.py", "tests/blocks/library/test_signed_root.py"}
+    assert carry_out("add-a-block.md", root) == files
+    assert "### SignedRoot" in (root / "docs" / "reference" / "blocks.md").read_text(encoding="utf-8")

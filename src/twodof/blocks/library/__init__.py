@@ -1,170 +1,20 @@
-"""The library of blocks; docs/reference/blocks.md lists them with their ports and parameters."""
+"""The library of blocks; docs/reference/blocks.md lists them with their ports and parameters.
 
-from twodof.blocks.library.continuous import (
-    FirstOrder,
-    Integrator,
-    SecondOrder,
-    StateSpace,
-    TransferFunction,
-)
-from twodof.blocks.library.control import Pid
-from twodof.blocks.library.custom import FunctionBlock, function_block
-from twodof.blocks.library.delays import (
-    Delay,
-    FractionalDelay,
-    RateTransition,
-    UnitDelay,
-    ZeroOrderHold,
-)
-from twodof.blocks.library.discrete import (
-    DiscreteDerivative,
-    DiscreteFilter,
-    DiscreteIntegrator,
-    DiscreteStateSpace,
-    DiscreteTransferFunction,
-    MovingAverage,
-)
-from twodof.blocks.library.filters import HighPass, LeadLag, LowPass, LowPass2, Notch
-from twodof.blocks.library.functions import (
-    Atan2,
-    Convert,
-    Elementary,
-    Hypot,
-    Power,
-    Remainder,
-    Rounding,
-    Trigonometry,
-)
-from twodof.blocks.library.logic import (
-    Bitwise,
-    Compare,
-    CompareToConstant,
-    Counter,
-    EdgeDetector,
-    FlipFlop,
-    Logic,
-    Timer,
-)
-from twodof.blocks.library.math import (
-    Abs,
-    Bias,
-    Divide,
-    DotProduct,
-    Gain,
-    MatrixGain,
-    Maximum,
-    Minimum,
-    Polynomial,
-    Product,
-    Sign,
-    Sum,
-    SumOfElements,
-)
-from twodof.blocks.library.nonlinear import (
-    Backlash,
-    DeadZone,
-    DynamicSaturation,
-    Quantiser,
-    RateLimit,
-    Relay,
-    Saturation,
-)
-from twodof.blocks.library.playback import Lookup, Playback, Table
-from twodof.blocks.library.random import Noise, UniformNoise
-from twodof.blocks.library.routing import (
-    Concatenate,
-    Demux,
-    Index,
-    MultiportSwitch,
-    Mux,
-    Selector,
-    Switch,
-)
-from twodof.blocks.library.sources import Constant, DoubletSource, Pulse, Ramp, Step, ThreeTwoOneOneSource, Time
-from twodof.blocks.library.waveforms import MultisineSource, PrbsSource, Sine, SweepSource
+Each file names its own blocks in `__all__`; nothing else has to know of a new one.
+"""
 
-__all__ = [
-    "Abs",
-    "Atan2",
-    "Backlash",
-    "Bias",
-    "Bitwise",
-    "Compare",
-    "CompareToConstant",
-    "Concatenate",
-    "Constant",
-    "Convert",
-    "Counter",
-    "DeadZone",
-    "Delay",
-    "Demux",
-    "DiscreteDerivative",
-    "DiscreteFilter",
-    "DiscreteIntegrator",
-    "DiscreteStateSpace",
-    "DiscreteTransferFunction",
-    "Divide",
-    "DotProduct",
-    "DoubletSource",
-    "DynamicSaturation",
-    "EdgeDetector",
-    "Elementary",
-    "FirstOrder",
-    "FlipFlop",
-    "FractionalDelay",
-    "FunctionBlock",
-    "Gain",
-    "HighPass",
-    "Hypot",
-    "Index",
-    "Integrator",
-    "LeadLag",
-    "Logic",
-    "Lookup",
-    "LowPass",
-    "LowPass2",
-    "MatrixGain",
-    "Maximum",
-    "Minimum",
-    "MovingAverage",
-    "MultiportSwitch",
-    "MultisineSource",
-    "Mux",
-    "Noise",
-    "Notch",
-    "Pid",
-    "Playback",
-    "Polynomial",
-    "Power",
-    "PrbsSource",
-    "Product",
-    "Pulse",
-    "Quantiser",
-    "Ramp",
-    "RateLimit",
-    "RateTransition",
-    "Relay",
-    "Remainder",
-    "Rounding",
-    "Saturation",
-    "SecondOrder",
-    "Selector",
-    "Sign",
-    "Sine",
-    "StateSpace",
-    "Step",
-    "Sum",
-    "SumOfElements",
-    "SweepSource",
-    "Switch",
-    "Table",
-    "ThreeTwoOneOneSource",
-    "Time",
-    "Timer",
-    "TransferFunction",
-    "Trigonometry",
-    "UniformNoise",
-    "UnitDelay",
-    "ZeroOrderHold",
-    "function_block",
-]
+from twodof.blocks.library.continuous import *
+from twodof.blocks.library.control import *
+from twodof.blocks.library.custom import *
+from twodof.blocks.library.delays import *
+from twodof.blocks.library.discrete import *
+from twodof.blocks.library.filters import *
+from twodof.blocks.library.functions import *
+from twodof.blocks.library.logic import *
+from twodof.blocks.library.math import *
+from twodof.blocks.library.nonlinear import *
+from twodof.blocks.library.playback import *
+from twodof.blocks.library.random import *
+from twodof.blocks.library.routing import *
+from twodof.blocks.library.sources import *
+from twodof.blocks.library.waveforms import *

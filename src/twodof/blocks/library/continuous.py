@@ -7,6 +7,7 @@ from typing import Any
 
 from twodof.blocks.block import Block, Clock, library_block
 from twodof.blocks.declarations import Param, Port, State
+from twodof.blocks.elementwise import clamp, dot, elementwise, limits_of, reals
 from twodof.blocks.expressions.arrays import vector
 from twodof.blocks.library.discrete import (
     MAX_ORDER,
@@ -14,8 +15,9 @@ from twodof.blocks.library.discrete import (
     state_space_change,
     state_space_output,
 )
-from twodof.blocks.library.shape import clamp, dot, elementwise, limits_of, reals
 from twodof.errors import DiagramError
+
+__all__ = ["FirstOrder", "Integrator", "SecondOrder", "StateSpace", "TransferFunction"]
 
 
 @library_block("integrator")

@@ -7,10 +7,12 @@ from typing import Any
 
 from twodof.blocks.block import Block, Clock, library_block
 from twodof.blocks.declarations import Param, Port, State
+from twodof.blocks.elementwise import clamp, limits_of, one_of
 from twodof.blocks.expressions.expr import where
 from twodof.blocks.library.discrete import METHODS
-from twodof.blocks.library.shape import clamp, limits_of, one_of
 from twodof.errors import DiagramError
+
+__all__ = ["Pid"]
 
 ANTI_WINDUP = ("none", "clamping", "back-calculation")
 RESETS = ("none", "integral", "all")

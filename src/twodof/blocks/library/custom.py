@@ -11,6 +11,8 @@ from twodof.blocks.declarations import NAME, Param, Port
 from twodof.blocks.expressions.numbers import Integer, kind_of
 from twodof.errors import DiagramError
 
+__all__ = ["FunctionBlock", "function_block"]
+
 
 class FunctionBlock(Block):
     """A block without states whose outputs are what a function returns; made by `function_block`."""

@@ -7,9 +7,11 @@ from typing import Any
 
 from twodof.blocks.block import Block, Clock, library_block
 from twodof.blocks.declarations import Param, Port, State
+from twodof.blocks.elementwise import count
 from twodof.blocks.expressions.arrays import build, store
 from twodof.blocks.expressions.expr import int32, to_int32, to_real, where
-from twodof.blocks.library.shape import count
+
+__all__ = ["Delay", "FractionalDelay", "RateTransition", "UnitDelay", "ZeroOrderHold"]
 
 MAX_SAMPLES = 100_000
 

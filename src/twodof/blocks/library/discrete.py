@@ -7,10 +7,19 @@ from typing import Any
 
 from twodof.blocks.block import Block, Clock, library_block
 from twodof.blocks.declarations import Param, Port, State
+from twodof.blocks.elementwise import clamp, count, dot, elementwise, limits_of, matrix, one_of, reals
 from twodof.blocks.expressions.arrays import build, fold, store, vector
 from twodof.blocks.expressions.expr import int32, where
-from twodof.blocks.library.shape import clamp, count, dot, elementwise, limits_of, matrix, one_of, reals
 from twodof.errors import DiagramError
+
+__all__ = [
+    "DiscreteDerivative",
+    "DiscreteFilter",
+    "DiscreteIntegrator",
+    "DiscreteStateSpace",
+    "DiscreteTransferFunction",
+    "MovingAverage",
+]
 
 METHODS = ("forward", "backward", "trapezoidal")
 MAX_ORDER = 64

@@ -13,8 +13,10 @@ from typing import Any
 from twodof.blocks.block import Block, Clock, library_block
 from twodof.blocks.declarations import Param, Port, State
 from twodof.blocks.elementary.functions import exp, tan
+from twodof.blocks.elementwise import one_of
 from twodof.blocks.expressions.expr import minimum
-from twodof.blocks.library.shape import one_of
+
+__all__ = ["HighPass", "LeadLag", "LowPass", "LowPass2", "Notch"]
 
 LOW_PASS_METHODS = ("forward", "backward", "trapezoidal", "zoh")
 

@@ -9,8 +9,10 @@ from typing import Any
 from twodof.blocks.block import Block, Clock, library_block
 from twodof.blocks.declarations import Port
 from twodof.blocks.elementary import functions
+from twodof.blocks.elementwise import elementwise, one_of
 from twodof.blocks.expressions.expr import KINDS, sqrt, to_int32, to_real, to_uint32, where
-from twodof.blocks.library.shape import elementwise, one_of
+
+__all__ = ["Atan2", "Convert", "Elementary", "Hypot", "Power", "Remainder", "Rounding", "Trigonometry"]
 
 Function = Callable[[Any], Any]
 

@@ -10,8 +10,10 @@ from typing import Any
 
 from twodof.blocks.block import Block, Clock, library_block
 from twodof.blocks.declarations import Param, Port, State
+from twodof.blocks.elementwise import NUMERIC, elementwise, letters, one_of
 from twodof.blocks.expressions.expr import to_real, to_uint32, where
-from twodof.blocks.library.shape import NUMERIC, elementwise, letters, one_of
+
+__all__ = ["Bitwise", "Compare", "CompareToConstant", "Counter", "EdgeDetector", "FlipFlop", "Logic", "Timer"]
 
 COMPARISONS: Mapping[str, Callable[[Any, Any], Any]] = MappingProxyType(
     {

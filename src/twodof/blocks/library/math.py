@@ -8,10 +8,26 @@ from typing import Any
 
 from twodof.blocks.block import Block, Clock, library_block
 from twodof.blocks.declarations import MAX_WIDTH, Param, Port
+from twodof.blocks.elementwise import NUMERIC, count, dot, elementwise, letters, matrix, one_of, reals
 from twodof.blocks.expressions.arrays import build, fold
 from twodof.blocks.expressions.expr import maximum, minimum, where
-from twodof.blocks.library.shape import NUMERIC, count, dot, elementwise, letters, matrix, one_of, reals
 from twodof.errors import DiagramError
+
+__all__ = [
+    "Abs",
+    "Bias",
+    "Divide",
+    "DotProduct",
+    "Gain",
+    "MatrixGain",
+    "Maximum",
+    "Minimum",
+    "Polynomial",
+    "Product",
+    "Sign",
+    "Sum",
+    "SumOfElements",
+]
 
 
 @library_block("sum")

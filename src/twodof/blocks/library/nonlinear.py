@@ -7,8 +7,10 @@ from typing import Any
 from twodof.blocks.block import Block, Clock, library_block
 from twodof.blocks.declarations import Param, Port, State
 from twodof.blocks.elementary.functions import floor
+from twodof.blocks.elementwise import NUMERIC, clamp, elementwise, one_of
 from twodof.blocks.expressions.expr import maximum, minimum, where
-from twodof.blocks.library.shape import NUMERIC, clamp, elementwise, one_of
+
+__all__ = ["Backlash", "DeadZone", "DynamicSaturation", "Quantiser", "RateLimit", "Relay", "Saturation"]
 
 
 @library_block("saturation")

@@ -7,11 +7,13 @@ from typing import Any
 
 from twodof.blocks.block import Block, Clock, library_block
 from twodof.blocks.declarations import Param, Port
+from twodof.blocks.elementwise import clamp, one_of, reals, search
 from twodof.blocks.expressions.arrays import build
 from twodof.blocks.expressions.expr import to_real, uint32, where
-from twodof.blocks.library.shape import clamp, one_of, reals, search
 from twodof.blocks.library.sources import start_param, ticks
 from twodof.errors import DiagramError
+
+__all__ = ["Lookup", "Playback", "Table"]
 
 MAX_POINTS = 1_000_000
 METHODS = ("hold", "linear")

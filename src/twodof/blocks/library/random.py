@@ -6,9 +6,11 @@ from typing import Any
 
 from twodof.blocks.block import Block, Clock, library_block
 from twodof.blocks.declarations import Param, Port
+from twodof.blocks.elementwise import count
 from twodof.blocks.expressions.arrays import vector
-from twodof.blocks.library.shape import count
 from twodof.blocks.noise import normal, normal4, uniform, uniform4
+
+__all__ = ["Noise", "UniformNoise"]
 
 
 def _random_params(seed: int, stream: int, block: str) -> list[Param]:

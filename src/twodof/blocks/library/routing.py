@@ -7,9 +7,11 @@ from typing import Any
 
 from twodof.blocks.block import Block, Clock, library_block
 from twodof.blocks.declarations import MAX_WIDTH, Port
+from twodof.blocks.elementwise import count, elementwise, letters
 from twodof.blocks.expressions.arrays import vector
 from twodof.blocks.expressions.expr import where
-from twodof.blocks.library.shape import count, elementwise, letters
+
+__all__ = ["Concatenate", "Demux", "Index", "MultiportSwitch", "Mux", "Selector", "Switch"]
 
 
 @library_block("switch")

@@ -13,6 +13,8 @@ from twodof.blocks.declarations import Param, Port
 from twodof.blocks.expressions.expr import to_real, to_uint32, where
 from twodof.blocks.library.waveform_laws import PATTERNS
 
+__all__ = ["Constant", "DoubletSource", "Pulse", "Ramp", "Step", "ThreeTwoOneOneSource", "Time"]
+
 
 def ticks(seconds: Any, t: Clock) -> Any:
     """The nearest whole number of base ticks, as uint32 (0 for a negative time)."""

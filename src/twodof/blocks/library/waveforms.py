@@ -9,12 +9,14 @@ from typing import Any
 from twodof.blocks.block import Block, Clock, library_block
 from twodof.blocks.declarations import Param, Port, State
 from twodof.blocks.elementary.functions import exp, log, sin
+from twodof.blocks.elementwise import count, one_of, reals
 from twodof.blocks.expressions.arrays import fold
 from twodof.blocks.expressions.expr import maximum, multiply_high, to_real, to_uint32, uint32, where
-from twodof.blocks.library.shape import count, one_of, reals
 from twodof.blocks.library.sources import start_param, ticks
 from twodof.blocks.library.waveform_laws import LAWS, MAX_HARMONIC, MAX_LINES, TAPS, shifted, sweep_rate, sweep_turns
 from twodof.errors import DiagramError
+
+__all__ = ["MultisineSource", "PrbsSource", "Sine", "SweepSource"]
 
 
 def _fraction(value: Any) -> Any:

@@ -274,13 +274,17 @@ def _functions(shape: LaneShape) -> Iterator[str]:
     # integers
     for kind in ("int32", "uint32"):
         v = VECTORS[kind]
-        for name in ("add", "sub", "mul", "shl"):  # what wraps around is done without a sign
-            wrapped = _scalar(f"{name}_uint32", "(lanes_u)$a", "(lanes_u)$b")
-            yield vectorwise(kind, f"{name}_{kind}", f"a {kind}, b {kind}", f"({v})({wrapped})")
+        # What wraps around is done without a sign.
+        wrapped = {
+            op: f"({v})({_scalar(f'{op}_uint32', '(lanes_u)$a', '(lanes_u)$b')})" for op in ("add", "sub", "mul", "shl")
+        }
+        for name in ("add", "sub", "mul"):
+            yield vectorwise(kind, f"{name}_{kind}", f"a {kind}, b {kind}", wrapped[name])
         yield vectorwise(kind, f"neg_{kind}", f"a {kind}", f"({v})({_scalar('neg_uint32', '(lanes_u)$a')})")
         for name in BITWISE:
             yield vectorwise(kind, f"{name}_{kind}", f"a {kind}, b {kind}", _scalar(f"{name}_{kind}", "$a", "$b"))
         yield vectorwise(kind, f"not_{kind}", f"a {kind}", _scalar(f"not_{kind}", "$a"))
+        yield vectorwise(kind, f"shl_{kind}", f"a {kind}, b {kind}", wrapped["shl"])
         yield vectorwise(kind, f"shr_{kind}", f"a {kind}, b {kind}", f"$a >> ({v})((lanes_u)$b & 31u)")
         for name in ("quot", "rem"):
             yield lanewise(kind, f"{name}_{kind}", (kind, kind), f"{kind}_{name}(a[l], b[l])")
