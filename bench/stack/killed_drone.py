@@ -47,8 +47,8 @@ class Kills:
             holder = commander.lease.holder
             if holder not in (None, pilot):
                 commander.give_up_lease(holder)
-            commander.release(pilot)
-            commander.arm(pilot)
+            commander.arming.release(pilot)
+            commander.arming.arm(pilot)
 
 
 async def serve(key: str) -> None:

@@ -97,12 +97,12 @@ def test_a_controller_that_cannot_fly_is_not_armed_with() -> None:
     drone = VirtualDrone(lockstep=True, controllers=[exhausting(0)], fuel=15_000)
     for _ in range(100):
         drone.controller.step()
-    verdict = drone.commander.arm((250, 1))
+    verdict = drone.commander.arming.arm((250, 1))
     assert not verdict.accepted
     assert "fuel" in verdict.text
     drone.controller.replace(FlightCode())
     drone.controller.step()
-    assert drone.commander.arm((250, 1)).result == IN_PROGRESS
+    assert drone.commander.arming.arm((250, 1)).result == IN_PROGRESS
     asyncio.run(drone.close())
 
 

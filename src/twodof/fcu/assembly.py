@@ -129,7 +129,7 @@ class Assembly:
         self._say(self.configuration.fly_replaced())
 
     def _say(self, remarks: Iterable[str]) -> None:
-        self.commander.remarks += [(WARNING, text) for text in remarks]
+        self.commander.remarks.extend((WARNING, text) for text in remarks)
 
     def _about(self) -> dict[str, str | int]:
         """What a log says of the flight."""

@@ -98,12 +98,12 @@ class Cockpit:
 
     def arm(self, source: Source = ME) -> CommandResult:
         """Arms, and waits for the answer."""
-        verdict = self.commander.arm(source)
+        verdict = self.commander.arming.arm(source)
         for _ in range(30):
             if verdict.result != 5:
                 break
             self.run()
-            verdict = self.commander.arming
+            verdict = self.commander.arming.answer
         return verdict
 
 

@@ -3,10 +3,12 @@
 import pytest
 
 from tests.fcu.command.cockpit import COMPANION, LEVEL_FLIGHT, ME, OTHER, Cockpit, armed, offboard
-from twodof.fcu.command.arming import ArmingState
+from twodof.fcu.command.arming import ArmingControl
+from twodof.fcu.command.authority import DONE, CommandAuthority
 from twodof.fcu.command.result import FAILED, IN_PROGRESS, TEMPORARILY_REJECTED, CommandResult
-from twodof.fcu.command.setpoint_manager import FRESH
+from twodof.fcu.command.setpoint_manager import FRESH, SetpointManager
 from twodof.fcu.command.setpoints import ATTITUDE, OFF, OPEN_LOOP, OPENLOOP, STICKS, SetPoint
+from twodof.fcu.command.vehicle_state import VehicleState
 from twodof.fcu.control.control_input import ControlInput
 from twodof.flight.failsafe.causes import BIT
 from twodof.flight.failsafe.state_machine import DISARMED, FLYING, LEVEL
@@ -20,12 +22,12 @@ from twodof.link.mavlink import modes
 def test_arming_is_an_edge_that_the_failsafe_answers_in_its_tick() -> None:
     cockpit = Cockpit()
     cockpit.run(3)
-    assert cockpit.commander.arm(ME).result == IN_PROGRESS
+    assert cockpit.commander.arming.arm(ME).result == IN_PROGRESS
     assert not cockpit.commander.armed
     assert cockpit.run().arm
-    assert cockpit.commander.arming.accepted
+    assert cockpit.commander.arming.answer.accepted
     assert cockpit.commander.armed
-    assert cockpit.commander.arm(ME).accepted
+    assert cockpit.commander.arming.arm(ME).accepted
 
 
 def test_armed_and_nothing_asked_the_motors_are_off() -> None:
@@ -40,30 +42,30 @@ def test_every_cause_that_the_failsafe_has_refuses_arming_by_its_name(cause: str
     cockpit.run(3)
     cured = cause == "link_lost"  # the command itself is heard over the link
     if not cured:
-        verdict = cockpit.commander.arm(ME)
+        verdict = cockpit.commander.arming.arm(ME)
         assert verdict.result == TEMPORARILY_REJECTED
         assert cause in verdict.text
     cockpit.failsafe.causes = 0
     cockpit.run()
-    assert cockpit.commander.arm(ME).result == IN_PROGRESS
+    assert cockpit.commander.arming.arm(ME).result == IN_PROGRESS
     cockpit.failsafe.causes = BIT[cause]  # it comes in the very tick
     cockpit.run()
-    assert cockpit.commander.arming.result == TEMPORARILY_REJECTED
-    assert cause in cockpit.commander.arming.text
+    assert cockpit.commander.arming.answer.result == TEMPORARILY_REJECTED
+    assert cause in cockpit.commander.arming.answer.text
     assert not cockpit.run().arm
     assert cockpit.failsafe.state == DISARMED
 
 
 def test_arming_is_refused_by_safety_switch_rings_and_before_any_sensor_was_heard() -> None:
     cockpit = Cockpit()
-    assert "no sensor" in cockpit.commander.arm(ME).text
+    assert "no sensor" in cockpit.commander.arming.arm(ME).text
     cockpit.run(2)
     cockpit.rig.safety_off = False
-    assert "safety switch" in cockpit.commander.arm(ME).text
+    assert "safety switch" in cockpit.commander.arming.arm(ME).text
     cockpit.rig.safety_off = True
     cockpit.commander.set_mode(ME, modes.POSITION)
     cockpit.rig.rings = True
-    assert "rings_wrong" in cockpit.commander.arm(ME).text
+    assert "rings_wrong" in cockpit.commander.arming.arm(ME).text
     cockpit.rig.rings = False
     assert cockpit.arm().accepted
 
@@ -72,7 +74,7 @@ def test_a_forced_arming_skips_nothing() -> None:
     cockpit = Cockpit()
     cockpit.failsafe.causes = BIT["tilted"]
     cockpit.run(2)
-    verdict = cockpit.commander.arm(ME, force=True)
+    verdict = cockpit.commander.arming.arm(ME, force=True)
     assert verdict.result == TEMPORARILY_REJECTED
     assert "tilted" in verdict.text
 
@@ -84,7 +86,7 @@ def test_arming_is_refused_while_sticks_ask_for_something(mode: int) -> None:
     commander = cockpit.commander
     commander.set_mode(ME, mode)
     commander.sticks(ME, 0.1, 0.4)
-    assert "not_idle" in commander.arm(ME).text
+    assert "not_idle" in commander.arming.arm(ME).text
     commander.sticks(ME, 0.0, 0.0)
     assert cockpit.arm().accepted == (mode != modes.POSITION)  # which holds it even with the stick centred
 
@@ -126,9 +128,9 @@ def test_in_offboard_what_is_streamed_flies_from_the_tick_after_it_has_armed() -
     cockpit.run(2)
     cockpit.commander.setpoint(ME, LEVEL_FLIGHT)
     assert cockpit.commander.set_mode(ME, modes.OFFBOARD).accepted
-    assert cockpit.commander.arm(ME).result == IN_PROGRESS
+    assert cockpit.commander.arming.arm(ME).result == IN_PROGRESS
     assert cockpit.run().mode == OFF
-    assert cockpit.commander.arming.accepted
+    assert cockpit.commander.arming.answer.accepted
     asked = cockpit.run()
     assert (asked.mode, asked.thrust, asked.setpoint_new) == (ATTITUDE, 0.4, True)
 
@@ -161,10 +163,10 @@ def test_an_arming_that_was_refused_leaves_nothing_that_keeps_from_the_next() ->
     cockpit.run(2)
     cockpit.commander.setpoint(ME, LEVEL_FLIGHT)
     cockpit.commander.set_mode(ME, modes.OFFBOARD)
-    assert cockpit.commander.arm(ME).result == IN_PROGRESS
+    assert cockpit.commander.arming.arm(ME).result == IN_PROGRESS
     cockpit.failsafe.causes = BIT["tilted"]
     cockpit.run(2)
-    assert "tilted" in cockpit.commander.arming.text
+    assert "tilted" in cockpit.commander.arming.answer.text
     cockpit.failsafe.causes = 0
     cockpit.run()
     assert cockpit.arm().accepted
@@ -173,7 +175,7 @@ def test_an_arming_that_was_refused_leaves_nothing_that_keeps_from_the_next() ->
 def test_a_failsafe_that_does_not_answer_ends_the_arming() -> None:
     cockpit = Cockpit()
     cockpit.run(2)
-    assert cockpit.commander.arm(ME).result == IN_PROGRESS
+    assert cockpit.commander.arming.arm(ME).result == IN_PROGRESS
     for tick in range(2, 60):
         asked = cockpit.commander.asked(tick)
         step = cockpit.failsafe.step(tick, ControlInput())  # deaf
@@ -181,17 +183,17 @@ def test_a_failsafe_that_does_not_answer_ends_the_arming() -> None:
         if not asked.arm:
             break
     assert tick < 30
-    assert cockpit.commander.arming.result == FAILED
+    assert cockpit.commander.arming.answer.result == FAILED
 
 
 def test_asking_again_and_again_does_not_wait_for_longer() -> None:
     cockpit = Cockpit()
     cockpit.run(2)
     for tick in range(2, 60):
-        if cockpit.commander.arm(ME).result == IN_PROGRESS:
+        if cockpit.commander.arming.arm(ME).result == IN_PROGRESS:
             cockpit.commander.asked(tick)
             cockpit.commander.seen(cockpit.failsafe.step(tick, ControlInput()))  # deaf
-        if cockpit.commander.arming.result == FAILED:
+        if cockpit.commander.arming.answer.result == FAILED:
             break
     assert tick < 30
 
@@ -202,7 +204,7 @@ def test_thrust_alone_keeps_from_arming(mode: int) -> None:
     cockpit.run(2)
     cockpit.commander.set_mode(ME, mode)
     cockpit.commander.sticks(ME, 0.0, 0.1)
-    assert "not_idle" in cockpit.commander.arm(ME).text
+    assert "not_idle" in cockpit.commander.arming.arm(ME).text
 
 
 def test_what_is_streamed_in_another_mode_than_offboard_does_not_fly_when_it_arms() -> None:
@@ -220,12 +222,18 @@ def test_a_set_point_for_the_very_tick_in_which_it_arms_flies_from_the_next_on()
     cockpit.commander.set_mode(ME, modes.OFFBOARD)
     cockpit.commander.setpoint(ME, LEVEL_FLIGHT._replace(theta0=0.1), cockpit.tick + 1)
     cockpit.run()
-    assert cockpit.commander.arm(ME).result == IN_PROGRESS
+    assert cockpit.commander.arming.arm(ME).result == IN_PROGRESS
     cockpit.commander.setpoint(ME, LEVEL_FLIGHT._replace(theta0=0.2), cockpit.tick)
     cockpit.commander.setpoint(ME, LEVEL_FLIGHT._replace(theta0=0.3), cockpit.tick + 1)
     assert cockpit.run().mode == OFF
-    assert cockpit.commander.arming.accepted
+    assert cockpit.commander.arming.answer.accepted
     assert cockpit.run().theta0 == 0.3
+
+
+def alone() -> ArmingControl:
+    """Before a flight code that the test speaks for."""
+    setpoints, authority = SetpointManager(), CommandAuthority(granted=True)
+    return ArmingControl(VehicleState(Cockpit().rig), setpoints, authority, lambda *_: DONE, str)
 
 
 class Said:
@@ -236,7 +244,7 @@ class Said:
 
 
 def test_what_the_failsafe_says_before_it_was_asked_is_no_answer() -> None:
-    arming = ArmingState()
+    arming = alone()
     assert arming.pull(10).result == IN_PROGRESS
     for state in (FLYING, LEVEL, REFUSED_BY_FAILSAFE):
         arming.speak(9)
@@ -259,7 +267,7 @@ def test_what_the_failsafe_says_before_it_was_asked_is_no_answer() -> None:
     ],
 )
 def test_its_refusal_is_told_in_its_words(reason: int, causes: int, words: str) -> None:
-    arming = ArmingState()
+    arming = alone()
     arming.pull(0)
     arming.speak(0)
     arming.seen(Said(0, REFUSED_BY_FAILSAFE, reason, causes))
@@ -267,7 +275,7 @@ def test_its_refusal_is_told_in_its_words(reason: int, causes: int, words: str) 
 
 
 def test_it_is_waited_for_a_tenth_of_a_second() -> None:
-    arming = ArmingState()
+    arming = alone()
     arming.pull(100)
     for tick in range(100, 125):
         arming.speak(tick)
@@ -283,7 +291,7 @@ def test_it_is_waited_for_a_tenth_of_a_second() -> None:
 @pytest.mark.parametrize("source", [ME, OTHER, COMPANION])
 def test_disarming_is_obeyed_whoever_asks_in_the_next_tick(source: tuple[int, int]) -> None:
     cockpit = offboard()
-    assert cockpit.commander.disarm(source).accepted
+    assert cockpit.commander.arming.disarm(source).accepted
     assert cockpit.run() == ControlInput(link_new=True)
     assert not cockpit.commander.armed
 
@@ -291,20 +299,20 @@ def test_disarming_is_obeyed_whoever_asks_in_the_next_tick(source: tuple[int, in
 @pytest.mark.parametrize("source", [ME, OTHER, COMPANION])
 def test_a_kill_is_obeyed_whoever_asks_and_holds_until_it_is_released(source: tuple[int, int]) -> None:
     cockpit = offboard()
-    assert cockpit.commander.kill(source).accepted
+    assert cockpit.commander.arming.kill(source).accepted
     assert cockpit.run() == ControlInput(link_new=True)
-    assert "killed" in cockpit.commander.arm(ME).text
+    assert "killed" in cockpit.commander.arming.arm(ME).text
     assert not cockpit.run(5).arm
     assert cockpit.commander.system_status == modes.TERMINATED
     assert (2, f"killed by system {source[0]}, component {source[1]}") in cockpit.commander.remarks
-    assert cockpit.commander.disarm(COMPANION, force=True).accepted  # a kill again
-    assert cockpit.commander.killed_by == COMPANION
-    assert "killed by system 1, component 191" in cockpit.commander.arm(ME).text
-    assert cockpit.commander.disarm(ME).accepted
-    assert "killed" in cockpit.commander.arm(ME).text
-    assert cockpit.commander.release(ME).accepted
+    assert cockpit.commander.arming.disarm(COMPANION, force=True).accepted  # a kill again
+    assert cockpit.commander.arming.killed_by == COMPANION
+    assert "killed by system 1, component 191" in cockpit.commander.arming.arm(ME).text
+    assert cockpit.commander.arming.disarm(ME).accepted
+    assert "killed" in cockpit.commander.arming.arm(ME).text
+    assert cockpit.commander.arming.release(ME).accepted
     assert cockpit.commander.remarks[-1] == (4, "released by system 250, component 190")
-    assert (cockpit.commander.killed, cockpit.commander.killed_by) == (False, None)
+    assert (cockpit.commander.arming.killed, cockpit.commander.arming.killed_by) == (False, None)
     assert not cockpit.run(5).arm, "nothing arms by it"
     assert cockpit.arm().accepted
     assert cockpit.run(5).mode == OFF
@@ -314,45 +322,45 @@ def test_a_kill_is_obeyed_whoever_asks_and_holds_until_it_is_released(source: tu
 def test_a_program_that_cleans_up_behind_itself_does_not_undo_the_kill_that_ended_it(killer: tuple[int, int]) -> None:
     """Its block ends by a disarming; then it is started again, disarms, resets and arms."""
     cockpit = offboard()
-    cockpit.commander.kill(killer)
+    cockpit.commander.arming.kill(killer)
     cockpit.run()
     for _ in range(2):
-        assert cockpit.commander.disarm(ME).accepted
+        assert cockpit.commander.arming.disarm(ME).accepted
         cockpit.commander.restart()
         cockpit.failsafe.state, cockpit.tick = DISARMED, 0
         cockpit.run(2)
-        assert "killed by" in cockpit.commander.arm(ME).text
+        assert "killed by" in cockpit.commander.arming.arm(ME).text
         assert not cockpit.run(5).arm
 
 
 def test_who_may_not_command_may_not_release_and_what_was_not_killed_needs_none() -> None:
     cockpit = armed()
     said = len(cockpit.commander.remarks)
-    assert cockpit.commander.release(ME).accepted
+    assert cockpit.commander.arming.release(ME).accepted
     assert cockpit.run().arm, "a release stops nothing"
-    cockpit.commander.kill(OTHER)
-    verdict = cockpit.commander.release(OTHER)
+    cockpit.commander.arming.kill(OTHER)
+    verdict = cockpit.commander.arming.release(OTHER)
     assert verdict == CommandResult(TEMPORARILY_REJECTED, "release refused: system 250, component 190 holds the lease")
-    assert cockpit.commander.killed
+    assert cockpit.commander.arming.killed
     assert len(cockpit.commander.remarks) == said + 1
 
 
 def test_a_kill_holds_over_a_reset() -> None:
     cockpit = offboard()
-    assert cockpit.commander.kill(OTHER).accepted
+    assert cockpit.commander.arming.kill(OTHER).accepted
     cockpit.run()
     cockpit.commander.restart()
     cockpit.failsafe.state = DISARMED
-    assert cockpit.commander.killed
+    assert cockpit.commander.arming.killed
     cockpit.tick = 0
     cockpit.run()
-    assert "killed" in cockpit.commander.arm(ME).text
+    assert "killed" in cockpit.commander.arming.arm(ME).text
     assert cockpit.commander.system_status == modes.TERMINATED
-    assert cockpit.commander.release(ME).accepted
+    assert cockpit.commander.arming.release(ME).accepted
     assert cockpit.arm().accepted
-    cockpit.commander.disarm(ME)
+    cockpit.commander.arming.disarm(ME)
     cockpit.commander.restart()
-    assert not cockpit.commander.killed, "nor does a reset kill"
+    assert not cockpit.commander.arming.killed, "nor does a reset kill"
 
 
 def test_after_the_failsafe_has_stopped_the_motors_it_wants_to_be_disarmed() -> None:
@@ -360,9 +368,9 @@ def test_after_the_failsafe_has_stopped_the_motors_it_wants_to_be_disarmed() -> 
     cockpit.failsafe.acts = STOPPED_BY_FAILSAFE
     cockpit.run(2)
     assert not cockpit.commander.armed
-    assert "disarm first" in cockpit.commander.arm(ME).text
+    assert "disarm first" in cockpit.commander.arming.arm(ME).text
     cockpit.failsafe.acts = None
-    assert cockpit.commander.disarm(ME).accepted
+    assert cockpit.commander.arming.disarm(ME).accepted
     assert cockpit.arm().accepted
     assert cockpit.run().mode == OFF
 
@@ -370,20 +378,20 @@ def test_after_the_failsafe_has_stopped_the_motors_it_wants_to_be_disarmed() -> 
 @pytest.mark.parametrize("lockstep", [False, True])
 def test_disarmed_and_armed_again_between_two_ticks_the_failsafe_sees_both(lockstep: bool) -> None:
     cockpit = offboard(lockstep=lockstep)
-    assert cockpit.commander.disarm(ME).accepted
-    assert cockpit.commander.arm(ME).result == IN_PROGRESS
+    assert cockpit.commander.arming.disarm(ME).accepted
+    assert cockpit.commander.arming.arm(ME).result == IN_PROGRESS
     asked = [cockpit.run() for _ in range(2)]
     assert [one.arm for one in asked] == [False, True]
-    assert cockpit.commander.arming.accepted
+    assert cockpit.commander.arming.answer.accepted
     assert cockpit.run(5).mode == OFF  # nothing of before flies
 
 
 def test_disarming_before_it_was_armed_answers_the_arming() -> None:
     cockpit = Cockpit()
     cockpit.run(2)
-    cockpit.commander.arm(ME)
-    cockpit.commander.disarm(OTHER)
-    assert cockpit.commander.arming.result == FAILED
+    cockpit.commander.arming.arm(ME)
+    cockpit.commander.arming.disarm(OTHER)
+    assert cockpit.commander.arming.answer.result == FAILED
     assert not cockpit.run(3).arm
 
 
@@ -392,7 +400,7 @@ def test_an_open_loop_set_point_at_rest_does_not_keep_from_arming() -> None:
     cockpit.run(2)
     cockpit.commander.setpoint(ME, SetPoint(OPEN_LOOP, M_open=0.0, thrust=0.0), kind=OPENLOOP)
     assert cockpit.arm().accepted
-    cockpit.commander.disarm(ME)
+    cockpit.commander.arming.disarm(ME)
     cockpit.run(2)
     cockpit.commander.setpoint(ME, SetPoint(OPEN_LOOP, M_open=0.1, thrust=0.0), kind=OPENLOOP)
-    assert "not_idle" in cockpit.commander.arm(ME).text
+    assert "not_idle" in cockpit.commander.arming.arm(ME).text

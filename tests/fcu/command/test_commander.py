@@ -7,12 +7,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.fcu.command.cockpit import LEVEL_FLIGHT, ME, OTHER, Cockpit, Rig, armed, offboard
-from twodof.fcu.command.commander import MOST_REMARKS
 from twodof.fcu.command.manual_control import PITCH_AT_FULL, RATE_AT_FULL, VELOCITY_AT_FULL
 from twodof.fcu.command.result import DENIED, IN_PROGRESS, TEMPORARILY_REJECTED, UNSUPPORTED
 from twodof.fcu.command.setpoint_manager import FRESH
 from twodof.fcu.command.setpoint_queue import CAPACITY, HORIZON
 from twodof.fcu.command.setpoints import ATTITUDE, OFF, OPEN_LOOP, POSITION, RATE, VELOCITY, SetPoint
+from twodof.fcu.command.vehicle_state import MOST_REMARKS
 from twodof.fcu.control.control_input import ControlInput
 from twodof.flight.failsafe.causes import BIT
 from twodof.flight.failsafe.state_machine import BRAKE, DESCEND, FLYING, LEVEL
@@ -133,7 +133,7 @@ def test_what_waits_is_bounded_in_number_and_time() -> None:
     cockpit.run(10)
     assert not cockpit.commander.setpoint(ME, LEVEL_FLIGHT, cockpit.tick + HORIZON + 1).accepted
     assert cockpit.commander.refused["queue"] == 2
-    cockpit.commander.disarm(ME)
+    cockpit.commander.arming.disarm(ME)
     cockpit.run(CAPACITY)
     assert cockpit.arm().accepted
     assert cockpit.run(CAPACITY).mode == OFF
@@ -321,7 +321,7 @@ def test_the_open_loop_message_in_use_is_told_until_something_else_flies() -> No
             lambda: commander.sticks(ME, 0.0, 0.1),
             lambda: commander.open_loop(ME, 0.1, 0.4, False, True, True),
             lambda: commander.set_mode(ME, modes.HOLD),
-            lambda: commander.disarm(ME),
+            lambda: commander.arming.disarm(ME),
         )
     ):
         commander.set_mode(ME, modes.MANUAL)
@@ -336,16 +336,14 @@ def test_the_open_loop_message_in_use_is_told_until_something_else_flies() -> No
 # What it says of itself.
 
 
-def test_it_knows_all_modes_and_says_which_it_starts_in() -> None:
-    commander = Cockpit().commander
-    assert commander.modes == modes.MODES
-    assert commander.custom_mode == modes.MANUAL
+def test_it_starts_in_manual_mode() -> None:
+    assert Cockpit().commander.custom_mode == modes.MANUAL
 
 
 def test_what_nobody_drains_is_bounded() -> None:
     cockpit = Cockpit()
     for _ in range(2 * MOST_REMARKS):
-        cockpit.commander.kill(ME)
+        cockpit.commander.arming.kill(ME)
     assert len(cockpit.commander.remarks) == MOST_REMARKS == 64
 
 
@@ -374,13 +372,14 @@ def test_a_restart_forgets_all_but_the_lease() -> None:
     cockpit = offboard(talking=())
     commander = cockpit.commander
     commander.ask_lease(ME, 20_000)
-    commander.disarm(ME)
+    commander.arming.disarm(ME)
     cockpit.run()
     left = commander.lease.left
     commander.restart()
     assert commander.lease.holder == ME
     assert commander.lease.left == left
-    assert (commander.custom_mode, commander.armed, commander.step) == (modes.MANUAL, False, None)
+    assert (commander.custom_mode, commander.armed) == (modes.MANUAL, False)
+    assert commander.system_status == modes.UNREADY
     assert commander.asked(0) == ControlInput()
     assert commander.open_loop(OTHER, 0.1, 0.1, True, True, True).result == TEMPORARILY_REJECTED
 
@@ -424,7 +423,7 @@ def test_arming_and_disarming_are_no_words_of_the_failsafe(state: int) -> None:
     cockpit.failsafe.acts = state
     cockpit.run(2)
     cockpit.commander.remarks.clear()
-    cockpit.commander.disarm(ME)
+    cockpit.commander.arming.disarm(ME)
     cockpit.run(3)
     assert cockpit.commander.remarks == []
 
@@ -455,12 +454,12 @@ def test_a_link_that_is_lost_speaks_against_arming_until_somebody_is_heard() -> 
     cockpit.commander.heard(ME, True)
     assert cockpit.commander.system_status == modes.STANDBY
     cockpit.run()
-    assert cockpit.commander.arm(ME).result == IN_PROGRESS
+    assert cockpit.commander.arming.arm(ME).result == IN_PROGRESS
 
 
 def test_a_flight_that_was_asked_to_end_says_nothing_of_the_failsafe() -> None:
     cockpit = offboard()
     cockpit.commander.remarks.clear()
-    cockpit.commander.disarm(ME)
+    cockpit.commander.arming.disarm(ME)
     cockpit.run(3)
     assert not cockpit.commander.remarks

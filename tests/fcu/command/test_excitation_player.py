@@ -49,7 +49,7 @@ ONE_OF_EACH = (
 
 def ready(excitation: Excitation = PULSE, cockpit: Cockpit | None = None, transfer: int = 7) -> Cockpit:
     cockpit = cockpit or armed()
-    assert cockpit.commander.define_excitation(ME, transfer, written_out(excitation)).accepted
+    assert cockpit.commander.excitation.define(ME, transfer, written_out(excitation)).accepted
     return cockpit
 
 
@@ -84,9 +84,9 @@ def test_what_is_asked_is_what_the_script_of_the_experiment_says(name: str) -> N
     thrust, loop = float(np.float32(experiment.thrust)), (OPEN_LOOP, RATE, ATTITUDE, VELOCITY, POSITION).index
     hold = SetPoint(ATTITUDE, theta0=0.0, thrust=thrust) if experiment.rings else SetPoint(POSITION, x0=-0.0625)
     commander_of.run(plan.armed)
-    assert commander.arm(ME).result == 5
+    assert commander.arming.arm(ME).result == 5
     commander_of.run()
-    assert commander.arming.accepted
+    assert commander.arming.answer.accepted
     if thrust:
         commander.setpoint(ME, SetPoint(ATTITUDE, theta0=0.0, thrust=0.0))
         assert commander.set_mode(ME, modes.OFFBOARD).accepted
@@ -96,9 +96,9 @@ def test_what_is_asked_is_what_the_script_of_the_experiment_says(name: str) -> N
     commander_of.run(max(0, plan.begin - 300 - commander_of.tick))
     ready(experiment.excitation, commander_of)
     where = loop(("off", "open-loop", "rate", "attitude", "velocity", "position").index(experiment.mode))
-    assert commander.start_excitation(ME, 7, where, thrust, plan.begin).accepted
+    assert commander.excitation.start(ME, 7, where, thrust, plan.begin).accepted
     commander_of.run(plan.end - commander_of.tick)
-    assert commander.disarm(ME).accepted
+    assert commander.arming.disarm(ME).accepted
     commander_of.run(plan.steps - plan.end)
     asked = [step.asked for step in commander_of.steps]
     mode = np.array([one.mode for one in asked])
@@ -122,12 +122,12 @@ def test_what_is_asked_is_what_the_script_of_the_experiment_says(name: str) -> N
 def test_it_begins_at_its_tick_and_its_base_is_held_after_its_end(ahead: int) -> None:
     cockpit = ready()
     start = cockpit.tick + ahead
-    assert cockpit.commander.start_excitation(ME, 7, M, 0.4, start if ahead else 0).accepted
+    assert cockpit.commander.excitation.start(ME, 7, M, 0.4, start if ahead else 0).accepted
     asked = [cockpit.run() for _ in range(ahead + 30)]
     assert [one.mode for one in asked] == [0] * ahead + [OPEN_LOOP] * 30
     assert [one.M_open for one in asked[ahead:]] == [*VALUES, *[0.0] * 18]
     assert all(one.setpoint_new and one.use_trim and one.thrust == 0.4 for one in asked[ahead:])
-    player = cockpit.commander.player
+    player = cockpit.commander.excitation.player
     assert (player.state, player.start, player.end) == (DONE, start, start + 12)
     assert cockpit.commander.custom_mode == modes.OFFBOARD
 
@@ -137,26 +137,26 @@ def test_it_is_added_to_the_set_point_in_use_of_its_loop_and_else_to_nothing() -
     cockpit.commander.setpoint(ME, SetPoint(ATTITUDE, theta0=0.25, thrust=0.5))
     cockpit.commander.set_mode(ME, modes.OFFBOARD)
     cockpit.run()
-    assert cockpit.commander.start_excitation(ME, 7, THETA).accepted
+    assert cockpit.commander.excitation.start(ME, 7, THETA).accepted
     asked = cockpit.run()
     assert (asked.theta0, asked.thrust) == (0.25 + 0.1, 0.5)  # the thrust in use
     cockpit.run(20)
     cockpit.commander.setpoint(ME, SetPoint(RATE, q0=0.1))
     cockpit.run()
     ready(Impulse(0.1, 0.02, unit="rad"), cockpit, transfer=8)
-    assert cockpit.commander.start_excitation(ME, 8, THETA).accepted
+    assert cockpit.commander.excitation.start(ME, 8, THETA).accepted
     assert cockpit.run().theta0 == 0.1
 
 
 def test_without_any_thrust_in_use_it_flies_with_that_of_a_level_hold() -> None:
     cockpit = ready()
-    assert cockpit.commander.start_excitation(ME, 7, M).accepted
+    assert cockpit.commander.excitation.start(ME, 7, M).accepted
     assert cockpit.run().thrust == 0.375
 
 
 def test_an_impulse_at_no_thrust_is_flown_without_the_trim() -> None:
     cockpit = ready(Impulse(0.1, 0.02))
-    assert cockpit.commander.start_excitation(ME, 7, M, 0.0).accepted
+    assert cockpit.commander.excitation.start(ME, 7, M, 0.0).accepted
     asked = cockpit.run()
     assert (asked.mode, asked.thrust, asked.M_open, asked.use_trim) == (OPEN_LOOP, 0.0, 0.1, False)
 
@@ -165,7 +165,7 @@ def test_set_points_do_not_act_while_it_plays_and_take_over_after_it() -> None:
     cockpit = ready()
     cockpit.commander.setpoint(ME, SetPoint(RATE, q0=0.0, thrust=0.4))
     cockpit.commander.set_mode(ME, modes.OFFBOARD)
-    cockpit.commander.start_excitation(ME, 7, M, 0.4)
+    cockpit.commander.excitation.start(ME, 7, M, 0.4)
     for value in VALUES:
         assert cockpit.commander.setpoint(ME, SetPoint(RATE, q0=1.0)).accepted
         assert (cockpit.run().mode, cockpit.steps[-1].asked.M_open) == (OPEN_LOOP, value)
@@ -177,22 +177,22 @@ def test_set_points_do_not_act_while_it_plays_and_take_over_after_it() -> None:
 def test_a_start_that_comes_twice_is_done_once() -> None:
     cockpit = ready()
     for _ in range(2):
-        assert cockpit.commander.start_excitation(ME, 7, M, 0.4).accepted
+        assert cockpit.commander.excitation.start(ME, 7, M, 0.4).accepted
     asked = []
     for _ in range(20):
         asked.append(cockpit.run().M_open)
-        cockpit.commander.start_excitation(ME, 7, M, 0.4)
+        cockpit.commander.excitation.start(ME, 7, M, 0.4)
     assert asked == [*VALUES, *[0.0] * 8]
 
 
 REFUSALS = {
-    "no definition": lambda c: c.commander.start_excitation(ME, 8, M, 0.4),
-    "no loop": lambda c: c.commander.start_excitation(ME, 7, 9, 0.4),
-    "it is in": lambda c: c.commander.start_excitation(ME, 7, Q, 0.4),
-    "within 0 to 1": lambda c: c.commander.start_excitation(ME, 7, M, 1.5),
-    "past": lambda c: c.commander.start_excitation(ME, 7, M, 0.4, 1),
-    "a minute ahead": lambda c: c.commander.start_excitation(ME, 7, M, 0.4, 2**32 - 1),
-    "holds the lease": lambda c: c.commander.start_excitation(OTHER, 7, M, 0.4),
+    "no definition": lambda c: c.commander.excitation.start(ME, 8, M, 0.4),
+    "no loop": lambda c: c.commander.excitation.start(ME, 7, 9, 0.4),
+    "it is in": lambda c: c.commander.excitation.start(ME, 7, Q, 0.4),
+    "within 0 to 1": lambda c: c.commander.excitation.start(ME, 7, M, 1.5),
+    "past": lambda c: c.commander.excitation.start(ME, 7, M, 0.4, 1),
+    "a minute ahead": lambda c: c.commander.excitation.start(ME, 7, M, 0.4, 2**32 - 1),
+    "holds the lease": lambda c: c.commander.excitation.start(OTHER, 7, M, 0.4),
 }
 
 
@@ -203,33 +203,33 @@ def test_it_is_refused_with_the_reason(text: str) -> None:
     assert not verdict.accepted
     assert text in verdict.text
     assert cockpit.run(3).mode == 0
-    assert cockpit.commander.player.state in (READY, REFUSED)
+    assert cockpit.commander.excitation.player.state in (READY, REFUSED)
 
 
 @pytest.mark.parametrize(("unit", "loop"), [("m/s", V), ("m", X)])
 def test_the_rings_refuse_what_moves_the_cart(unit: str, loop: int) -> None:
     cockpit = ready(Impulse(0.1, 0.02, unit=unit), armed(rig=Rig(rings=True)))
-    verdict = cockpit.commander.start_excitation(ME, 7, loop, 0.4)
+    verdict = cockpit.commander.excitation.start(ME, 7, loop, 0.4)
     assert "rings" in verdict.text
-    assert cockpit.commander.player.state == REFUSED
-    assert "rings" in cockpit.commander.player.reason
+    assert cockpit.commander.excitation.player.state == REFUSED
+    assert "rings" in cockpit.commander.excitation.player.reason
 
 
 def test_a_closed_loop_without_thrust_is_refused() -> None:
     cockpit = ready(Impulse(0.1, 0.02, unit="rad"))
-    assert "without thrust" in cockpit.commander.start_excitation(ME, 7, THETA, 0.0).text
+    assert "without thrust" in cockpit.commander.excitation.start(ME, 7, THETA, 0.0).text
 
 
 def test_not_armed_nothing_plays() -> None:
     cockpit = Cockpit()
     cockpit.run(2)
     ready(cockpit=cockpit)
-    assert "not armed" in cockpit.commander.start_excitation(ME, 7, M, 0.4).text
+    assert "not armed" in cockpit.commander.excitation.start(ME, 7, M, 0.4).text
     start = cockpit.tick + 5
-    assert cockpit.commander.start_excitation(ME, 7, M, 0.4, start).accepted  # armed by then, perhaps
+    assert cockpit.commander.excitation.start(ME, 7, M, 0.4, start).accepted  # armed by then, perhaps
     assert cockpit.run(20).mode == 0
-    assert cockpit.commander.player.state == REFUSED
-    assert cockpit.commander.player.reason == "not armed"
+    assert cockpit.commander.excitation.player.state == REFUSED
+    assert cockpit.commander.excitation.player.reason == "not armed"
 
 
 def stopped_by_mode(cockpit: Cockpit) -> None:
@@ -237,15 +237,15 @@ def stopped_by_mode(cockpit: Cockpit) -> None:
 
 
 def stopped_by_command(cockpit: Cockpit) -> None:
-    assert cockpit.commander.stop_excitation(ME).accepted
+    assert cockpit.commander.excitation.stop(ME).accepted
 
 
 def stopped_by_disarming(cockpit: Cockpit) -> None:
-    assert cockpit.commander.disarm(OTHER).accepted
+    assert cockpit.commander.arming.disarm(OTHER).accepted
 
 
 def stopped_by_kill(cockpit: Cockpit) -> None:
-    assert cockpit.commander.kill(OTHER).accepted
+    assert cockpit.commander.arming.kill(OTHER).accepted
 
 
 def stopped_by_failsafe(cockpit: Cockpit) -> None:
@@ -271,21 +271,21 @@ def stopped_by_motors_off(cockpit: Cockpit) -> None:
 )
 def test_it_is_stopped_with_the_reason_and_does_not_come_back(stop: object, reason: str) -> None:
     cockpit = ready()
-    cockpit.commander.start_excitation(ME, 7, M, 0.4)
+    cockpit.commander.excitation.start(ME, 7, M, 0.4)
     cockpit.run(5)
-    assert cockpit.commander.player.state == PLAYING
+    assert cockpit.commander.excitation.player.state == PLAYING
     stop(cockpit)
-    player = cockpit.commander.player
+    player = cockpit.commander.excitation.player
     assert player.state == STOPPED
     assert reason in player.reason
     assert cockpit.run().M_open == 0.0
-    assert not cockpit.commander.start_excitation(ME, 7, M, 0.4).accepted
+    assert not cockpit.commander.excitation.start(ME, 7, M, 0.4).accepted
 
 
 def test_one_that_waits_is_forgotten_with_the_disarming() -> None:
     cockpit = ready()
-    cockpit.commander.start_excitation(ME, 7, M, 0.4, cockpit.tick + 20)
-    cockpit.commander.disarm(ME)
+    cockpit.commander.excitation.start(ME, 7, M, 0.4, cockpit.tick + 20)
+    cockpit.commander.arming.disarm(ME)
     cockpit.arm()
     assert cockpit.run(40).mode == 0
 
@@ -294,20 +294,20 @@ def test_one_that_waits_does_not_begin_in_the_flight_of_another() -> None:
     cockpit = Cockpit(talking=(ME, OTHER))
     cockpit.run(3)
     ready(cockpit=cockpit)
-    assert cockpit.commander.start_excitation(ME, 7, M, 0.4, cockpit.tick + 100).accepted
+    assert cockpit.commander.excitation.start(ME, 7, M, 0.4, cockpit.tick + 100).accepted
     assert cockpit.commander.give_up_lease(ME).accepted
     assert cockpit.arm(OTHER).accepted
     asked = [cockpit.run() for _ in range(200)]
     assert {(one.mode, one.thrust, one.M_open) for one in asked} == {(0, 0.0, 0.0)}
-    assert (cockpit.commander.player.state, cockpit.commander.custom_mode) == (REFUSED, modes.MANUAL)
-    assert "lost the lease" in cockpit.commander.player.reason
+    assert (cockpit.commander.excitation.player.state, cockpit.commander.custom_mode) == (REFUSED, modes.MANUAL)
+    assert "lost the lease" in cockpit.commander.excitation.player.reason
 
 
 def test_no_other_is_taken_while_one_plays() -> None:
     cockpit = ready(Impulse(0.1, 2.0))
-    cockpit.commander.start_excitation(ME, 7, M, 0.4)
+    cockpit.commander.excitation.start(ME, 7, M, 0.4)
     cockpit.run()
-    verdict = cockpit.commander.define_excitation(ME, 8, written_out(PULSE))
+    verdict = cockpit.commander.excitation.define(ME, 8, written_out(PULSE))
     assert "another plays" in verdict.text
     assert cockpit.run().M_open == 0.1
 
@@ -383,15 +383,15 @@ def test_numbers_beyond_all_bounds_are_refused_and_no_fault(name: str, number: f
 
 def test_a_new_definition_has_neither_start_nor_end_yet() -> None:
     cockpit = ready()
-    assert cockpit.commander.start_excitation(ME, 7, M, 0.4).accepted
+    assert cockpit.commander.excitation.start(ME, 7, M, 0.4).accepted
     cockpit.run(20)
-    assert cockpit.commander.player.end > cockpit.commander.player.start > 0
+    assert cockpit.commander.excitation.player.end > cockpit.commander.excitation.player.start > 0
     ready(cockpit=cockpit, transfer=8)
-    assert (cockpit.commander.player.start, cockpit.commander.player.end) == (0, 0)
+    assert (cockpit.commander.excitation.player.start, cockpit.commander.excitation.player.end) == (0, 0)
 
 
 def test_before_any_definition_there_is_none() -> None:
-    player = Cockpit().commander.player
+    player = Cockpit().commander.excitation.player
     assert (player.state, player.transfer, player.reason, player.start, player.end) == (0, 0, "", 0, 0)
     assert (player.playing, player.waiting, player.unit, player.revision) == (False, False, "", 0)
 
@@ -412,25 +412,28 @@ def test_whatever_fails_in_writing_one_out_is_a_refusal(
 
 def test_a_disarming_leaves_a_definition_that_has_not_begun() -> None:
     cockpit = ready()
-    revision = cockpit.commander.player.revision
-    cockpit.commander.disarm(ME)
+    revision = cockpit.commander.excitation.player.revision
+    cockpit.commander.arming.disarm(ME)
     cockpit.run(2)
-    assert (cockpit.commander.player.state, cockpit.commander.player.revision) == (READY, revision)
+    assert (cockpit.commander.excitation.player.state, cockpit.commander.excitation.player.revision) == (
+        READY,
+        revision,
+    )
     assert cockpit.arm().accepted
-    assert cockpit.commander.start_excitation(ME, 7, M, 0.4).accepted
+    assert cockpit.commander.excitation.start(ME, 7, M, 0.4).accepted
     assert [cockpit.run().M_open for _ in VALUES] == [*VALUES]
 
 
 def test_none_begins_between_a_disarming_and_its_tick_nor_in_the_tick_that_arms() -> None:
     cockpit = ready()
-    cockpit.commander.disarm(ME)
-    assert cockpit.commander.start_excitation(ME, 7, M, 0.4).text == "excitation refused: not armed"
+    cockpit.commander.arming.disarm(ME)
+    assert cockpit.commander.excitation.start(ME, 7, M, 0.4).text == "excitation refused: not armed"
     cockpit.run(2)
-    assert cockpit.commander.arm(ME).result == 5
-    assert cockpit.commander.define_excitation(ME, 8, written_out(PULSE)).accepted
-    assert cockpit.commander.start_excitation(ME, 8, M, 0.4, cockpit.tick).accepted
+    assert cockpit.commander.arming.arm(ME).result == 5
+    assert cockpit.commander.excitation.define(ME, 8, written_out(PULSE)).accepted
+    assert cockpit.commander.excitation.start(ME, 8, M, 0.4, cockpit.tick).accepted
     assert cockpit.run().mode == 0
-    assert (cockpit.commander.armed, cockpit.commander.player.reason) == (True, "not armed")
+    assert (cockpit.commander.armed, cockpit.commander.excitation.player.reason) == (True, "not armed")
 
 
 LINES = list(range(1, 501))

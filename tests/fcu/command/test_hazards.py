@@ -44,10 +44,13 @@ def test_what_waits_is_forgotten_with_the_lease_and_does_not_act_when_its_sender
 def test_an_excitation_that_waits_is_refused_when_its_starter_loses_the_lease_even_if_it_comes_back() -> None:
     cockpit = offboard()
     commander = cockpit.commander
-    assert commander.define_excitation(ME, 7, PULSE).accepted
-    assert commander.start_excitation(ME, 7, 0, 0.4, cockpit.tick + 10).accepted
+    assert commander.excitation.define(ME, 7, PULSE).accepted
+    assert commander.excitation.start(ME, 7, 0, 0.4, cockpit.tick + 10).accepted
     assert commander.give_up_lease(ME).accepted
-    assert (commander.player.state, commander.player.reason) == (REFUSED, "who started it has lost the lease")
+    assert (commander.excitation.player.state, commander.excitation.player.reason) == (
+        REFUSED,
+        "who started it has lost the lease",
+    )
     assert commander.ask_lease(ME).accepted
     assert all(cockpit.run().M_open == 0.0 for _ in range(20))
 
@@ -77,9 +80,9 @@ def test_a_lease_that_is_given_up_before_the_drone_has_armed_ends_the_arming() -
     """Else it would arm with no pilot, and any listener would keep its link alive."""
     cockpit = Cockpit()
     cockpit.run(2)
-    assert cockpit.commander.arm(ME).result == IN_PROGRESS
+    assert cockpit.commander.arming.arm(ME).result == IN_PROGRESS
     assert cockpit.commander.give_up_lease(ME).accepted
-    assert cockpit.commander.arming.result == FAILED
+    assert cockpit.commander.arming.answer.result == FAILED
     assert not any(cockpit.run().arm for _ in range(5))
 
 
@@ -96,7 +99,7 @@ def test_a_stick_that_is_held_keeps_from_arming_in_whatever_mode_is_chosen_with_
     commander.set_mode(ME, before)
     commander.sticks(ME, 0.1, 0.4)
     commander.set_mode(ME, after)
-    assert "not_idle" in commander.arm(ME).text
+    assert "not_idle" in commander.arming.arm(ME).text
     cockpit.run(FRESH + 1)  # let go of: no stick is heard any more
     assert cockpit.arm().accepted
 
@@ -108,9 +111,9 @@ def test_a_stick_that_is_held_over_a_disarming_keeps_from_the_next_arming(mode: 
     commander.set_mode(ME, mode)
     commander.sticks(ME, 0.1, 0.4)
     assert cockpit.run().mode != OFF
-    commander.disarm(ME)
+    commander.arming.disarm(ME)
     cockpit.run(2)
-    assert "not_idle" in commander.arm(ME).text
+    assert "not_idle" in commander.arming.arm(ME).text
     commander.sticks(ME, 0.0, 0.0)
     assert cockpit.arm().accepted
     assert cockpit.run(3).mode in (OFF, OPEN_LOOP)
@@ -124,7 +127,7 @@ def test_a_stick_at_rest_in_one_mode_keeps_from_arming_in_one_in_which_it_is_not
     cockpit.commander.set_mode(ME, modes.ATTITUDE)
     cockpit.commander.sticks(ME, 0.1, 0.0)
     cockpit.commander.set_mode(ME, modes.MANUAL)
-    assert "not_idle" in cockpit.commander.arm(ME).text
+    assert "not_idle" in cockpit.commander.arming.arm(ME).text
     cockpit.commander.set_mode(ME, modes.ATTITUDE)
     assert cockpit.arm().accepted
 
@@ -146,8 +149,8 @@ def test_a_feed_forward_of_before_does_not_push_the_cart_that_is_flown_by_sticks
 @pytest.mark.parametrize(("loop", "name", "ax0"), [(3, "m/s", 0.0), (4, "m", 2.0)])
 def test_nor_in_an_excitation_but_about_the_very_set_point_that_it_belongs_to(loop: int, name: str, ax0: float) -> None:
     cockpit = offboard(SetPoint(POSITION, x0=0.1, ax0=2.0))
-    assert cockpit.commander.define_excitation(ME, 7, written_out(Impulse(0.1, 0.02, unit=name))).accepted
-    assert cockpit.commander.start_excitation(ME, 7, loop).accepted
+    assert cockpit.commander.excitation.define(ME, 7, written_out(Impulse(0.1, 0.02, unit=name))).accepted
+    assert cockpit.commander.excitation.start(ME, 7, loop).accepted
     assert cockpit.run().ax0 == ax0
 
 
@@ -156,10 +159,10 @@ def test_no_excitation_begins_while_the_failsafe_acts(acts: int) -> None:
     """It would go on, in its middle, when the failsafe lets go."""
     cockpit = offboard()
     commander = cockpit.commander
-    assert commander.define_excitation(ME, 7, PULSE).accepted
+    assert commander.excitation.define(ME, 7, PULSE).accepted
     cockpit.failsafe.acts, cockpit.failsafe.causes = acts, BIT["setpoint_lost"]
     cockpit.run(2)
-    verdict = commander.start_excitation(ME, 7, 0, 0.4)
+    verdict = commander.excitation.start(ME, 7, 0, 0.4)
     assert verdict.result == TEMPORARILY_REJECTED
     assert "the failsafe acts" in verdict.text
     cockpit.failsafe.acts, cockpit.failsafe.causes = None, 0
@@ -169,12 +172,12 @@ def test_no_excitation_begins_while_the_failsafe_acts(acts: int) -> None:
 def test_one_whose_tick_comes_while_the_failsafe_acts_is_refused_then() -> None:
     cockpit = offboard()
     commander = cockpit.commander
-    assert commander.define_excitation(ME, 7, PULSE).accepted
-    assert commander.start_excitation(ME, 7, 0, 0.4, cockpit.tick + 5).accepted
+    assert commander.excitation.define(ME, 7, PULSE).accepted
+    assert commander.excitation.start(ME, 7, 0, 0.4, cockpit.tick + 5).accepted
     cockpit.failsafe.acts = LEVEL
     cockpit.run(8)
-    assert commander.player.state == REFUSED
-    assert "the failsafe acts" in commander.player.reason
+    assert commander.excitation.player.state == REFUSED
+    assert "the failsafe acts" in commander.excitation.player.reason
     cockpit.failsafe.acts = None
     assert all(cockpit.run().mode == ATTITUDE for _ in range(5))
 
@@ -186,13 +189,13 @@ def test_the_safety_switch_set_in_flight_stops_the_motors_in_the_next_tick() -> 
     """Somebody stands at the rig: motors may turn only while the switch says so."""
     rig = Rig()
     cockpit = offboard(rig=rig)
-    assert cockpit.commander.define_excitation(ME, 7, PULSE).accepted
-    assert cockpit.commander.start_excitation(ME, 7, 0, 0.4).accepted
+    assert cockpit.commander.excitation.define(ME, 7, PULSE).accepted
+    assert cockpit.commander.excitation.start(ME, 7, 0, 0.4).accepted
     cockpit.run()
     rig.safety_off = False
     asked = cockpit.run()
     assert (asked.arm, asked.mode) == (False, OFF)
-    assert cockpit.commander.player.state == STOPPED
+    assert cockpit.commander.excitation.player.state == STOPPED
     assert (2, "safety switch: motors off") in cockpit.commander.remarks
     rig.safety_off = True
     assert not any(cockpit.run().arm for _ in range(5)), "nothing starts by itself"
@@ -204,20 +207,20 @@ def test_nor_does_it_arm_where_the_switch_is_set_in_the_very_tick() -> None:
     rig = Rig()
     cockpit = Cockpit(rig)
     cockpit.run(2)
-    assert cockpit.commander.arm(ME).result == IN_PROGRESS
+    assert cockpit.commander.arming.arm(ME).result == IN_PROGRESS
     rig.safety_off = False
     assert not any(cockpit.run().arm for _ in range(5))
-    assert cockpit.commander.arming.result == FAILED
+    assert cockpit.commander.arming.answer.result == FAILED
 
 
 def test_a_switch_that_is_set_on_the_ground_is_no_event() -> None:
     rig = Rig(safety_off=False)
     cockpit = Cockpit(rig)
-    assert cockpit.commander.define_excitation(ME, 7, PULSE).accepted
-    assert cockpit.commander.start_excitation(ME, 7, 0, 0.4, 10).accepted
+    assert cockpit.commander.excitation.define(ME, 7, PULSE).accepted
+    assert cockpit.commander.excitation.start(ME, 7, 0, 0.4, 10).accepted
     cockpit.run(5)
     assert cockpit.commander.remarks == []
-    assert cockpit.commander.player.waiting
+    assert cockpit.commander.excitation.player.waiting
 
 
 def test_a_stick_that_another_held_keeps_nobody_from_arming() -> None:

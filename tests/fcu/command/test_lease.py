@@ -44,7 +44,7 @@ def test_one_without_a_lease_gets_a_free_one_by_commanding() -> None:
     cockpit.run(2)
     assert cockpit.commander.set_mode(OTHER, modes.RATE).accepted
     assert cockpit.commander.lease.holder == OTHER
-    assert cockpit.commander.arm(ME).result == TEMPORARILY_REJECTED
+    assert cockpit.commander.arming.arm(ME).result == TEMPORARILY_REJECTED
 
 
 def test_disarmed_it_ends_two_seconds_after_the_last_command_however_much_its_holder_says() -> None:
@@ -168,7 +168,7 @@ def test_a_script_without_a_component_commands_like_another() -> None:
     cockpit.run(3)
     assert cockpit.arm(script).accepted
     assert cockpit.commander.lease.holder == script
-    assert cockpit.commander.arm(ME).text == "arming refused: system 250, component 0 holds the lease"
+    assert cockpit.commander.arming.arm(ME).text == "arming refused: system 250, component 0 holds the lease"
     cockpit.run(2 * HEARD)
     assert cockpit.commander.lease.holder == script
 
@@ -217,12 +217,12 @@ def test_the_holders_disarming_is_a_command_that_renews_it_and_anothers_is_not()
     cockpit.run(2)
     cockpit.commander.set_mode(ME, modes.RATE)
     cockpit.run(100)
-    cockpit.commander.disarm(OTHER)
+    cockpit.commander.arming.disarm(OTHER)
     assert cockpit.commander.lease.left == COMMANDING - 100
-    cockpit.commander.disarm(ME)
+    cockpit.commander.arming.disarm(ME)
     assert cockpit.commander.lease.left == COMMANDING
     cockpit.run(COMMANDING)
-    cockpit.commander.disarm(ME)
+    cockpit.commander.arming.disarm(ME)
     assert cockpit.commander.lease.holder is None, "nor does it take one"
 
 
@@ -261,10 +261,10 @@ def test_where_time_stands_who_died_gives_way_with_all_that_it_has_sent_ahead() 
 def test_an_arming_of_who_died_while_time_stood_ends_with_its_lease() -> None:
     cockpit = Cockpit(talking=(), lockstep=True)
     cockpit.run(2)
-    assert cockpit.commander.arm(ME).result == IN_PROGRESS
+    assert cockpit.commander.arming.arm(ME).result == IN_PROGRESS
     cockpit.commander.stands(HEARD)
     assert cockpit.commander.ask_lease(OTHER).accepted
-    assert cockpit.commander.arming.result == FAILED
+    assert cockpit.commander.arming.answer.result == FAILED
     assert not any(cockpit.run().arm for _ in range(5))
 
 
@@ -279,7 +279,7 @@ def test_every_loss_is_counted() -> None:
 def test_disarmed_any_client_keeps_the_link_again() -> None:
     cockpit = armed(talking=(ME,))
     cockpit.commander.give_up_lease(ME)
-    cockpit.commander.disarm(OTHER)
+    cockpit.commander.arming.disarm(OTHER)
     cockpit.run(2)
     cockpit.talking = ()
     cockpit.run()
@@ -337,7 +337,7 @@ class TwoClients(RuleBasedStateMachine):
     @rule(source=st.sampled_from(CLIENTS))
     def arm(self, source: Source) -> None:
         may = self._may(source)
-        verdict = self.commander.arm(source)
+        verdict = self.commander.arming.arm(source)
         self._checked(source, may, verdict.result in (0, 5))
 
     @rule(source=st.sampled_from(CLIENTS), theta0=st.sampled_from([-0.1, 0.1]), ahead=st.sampled_from([0, 0, 3, 300]))
@@ -356,32 +356,32 @@ class TwoClients(RuleBasedStateMachine):
 
     @rule(source=st.sampled_from(CLIENTS), start=st.booleans())
     def excite(self, source: Source, start: bool) -> None:
-        may, before = self._may(source), self.commander.player.state
+        may, before = self._may(source), self.commander.excitation.player.state
         if start:
-            verdict = self.commander.start_excitation(source, self.transfer, 0, 0.4)
+            verdict = self.commander.excitation.start(source, self.transfer, 0, 0.4)
         else:
             self.transfer += 1
-            verdict = self.commander.define_excitation(source, self.transfer, IMPULSE)
+            verdict = self.commander.excitation.define(source, self.transfer, IMPULSE)
         self._checked(source, may, verdict.accepted)
-        assert may or self.commander.player.state == before
+        assert may or self.commander.excitation.player.state == before
 
     @rule(source=st.sampled_from(CLIENTS), kill=st.booleans())
     def stop(self, source: Source, kill: bool) -> None:
-        verdict = self.commander.kill(source) if kill else self.commander.disarm(source)
+        verdict = self.commander.arming.kill(source) if kill else self.commander.arming.disarm(source)
         assert verdict.accepted
         asked = self.cockpit.run()
         assert (asked.arm, asked.mode) == (False, 0)
         self.killed = self.killed or kill
-        assert self.commander.killed == self.killed
-        assert self.commander.player.state != PLAYING
+        assert self.commander.arming.killed == self.killed
+        assert self.commander.excitation.player.state != PLAYING
 
     @rule(source=st.sampled_from(CLIENTS))
     def release(self, source: Source) -> None:
         may = self._may(source)
-        verdict = self.commander.release(source)
+        verdict = self.commander.arming.release(source)
         self._checked(source, may, verdict.accepted)
         self.killed = self.killed and not may
-        assert self.commander.killed == self.killed
+        assert self.commander.arming.killed == self.killed
 
     @rule(sources=st.sets(st.sampled_from(CLIENTS)), ticks=st.sampled_from([1, 5, 300, 800]))
     def pass_time(self, sources: set[Source], ticks: int) -> None:
@@ -403,7 +403,7 @@ class TwoClients(RuleBasedStateMachine):
 
     @invariant()
     def never_armed_while_killed(self) -> None:
-        assert not (self.commander.killed and self.cockpit.run().arm)
+        assert not (self.commander.arming.killed and self.cockpit.run().arm)
 
 
 TestTwoClients = TwoClients.TestCase

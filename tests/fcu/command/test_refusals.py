@@ -26,13 +26,13 @@ def started(
     cockpit: Cockpit, transfer: int = 7, loop: int = 0, thrust: float | None = 0.4, ahead: int = 0
 ) -> CommandResult:
     tick = cockpit.tick + ahead if ahead else 0
-    return cockpit.commander.start_excitation(ME, transfer, loop, thrust, tick)
+    return cockpit.commander.excitation.start(ME, transfer, loop, thrust, tick)
 
 
 def playing() -> Cockpit:
     """One whose excitation 7 plays."""
     cockpit = armed()
-    cockpit.commander.define_excitation(ME, 7, PULSE)
+    cockpit.commander.excitation.define(ME, 7, PULSE)
     assert started(cockpit).accepted
     cockpit.run(3)
     return cockpit
@@ -41,7 +41,7 @@ def playing() -> Cockpit:
 def ready(prepared: object = PULSE, **options: object) -> Cockpit:
     """One that has the excitation 7."""
     cockpit = armed(**options)
-    cockpit.commander.define_excitation(ME, 7, prepared)
+    cockpit.commander.excitation.define(ME, 7, prepared)
     return cockpit
 
 
@@ -63,19 +63,19 @@ def on_the_ground(causes: int = 0) -> Cockpit:
 def unfit() -> CommandResult:
     cockpit = on_the_ground()
     cockpit.commander.unfit = lambda: "a controller is being built"
-    return cockpit.commander.arm(ME)
+    return cockpit.commander.arming.arm(ME)
 
 
 def killed() -> CommandResult:
     cockpit = offboard()
-    cockpit.commander.kill(OTHER)
-    return cockpit.commander.arm(ME)
+    cockpit.commander.arming.kill(OTHER)
+    return cockpit.commander.arming.arm(ME)
 
 
 def switched() -> CommandResult:
     cockpit = on_the_ground()
     cockpit.rig.safety_off = False
-    return cockpit.commander.arm(ME)
+    return cockpit.commander.arming.arm(ME)
 
 
 def too_far() -> CommandResult:
@@ -85,22 +85,22 @@ def too_far() -> CommandResult:
 
 SITUATIONS: dict[str, tuple[Callable[[], CommandResult], int]] = {
     # Whoever does not hold the lease.
-    f"arming refused: {WHO} the lease": (lambda: armed().commander.arm(OTHER), TEMPORARILY_REJECTED),
+    f"arming refused: {WHO} the lease": (lambda: armed().commander.arming.arm(OTHER), TEMPORARILY_REJECTED),
     f"mode refused: {WHO} the lease": (lambda: armed().commander.set_mode(OTHER, modes.HOLD), TEMPORARILY_REJECTED),
     f"set-point refused: {WHO} the lease": (
         lambda: armed().commander.setpoint(OTHER, LEVEL_FLIGHT),
         TEMPORARILY_REJECTED,
     ),
     f"excitation refused: {WHO} the lease": (
-        lambda: playing().commander.define_excitation(OTHER, 8, PULSE),
+        lambda: playing().commander.excitation.define(OTHER, 8, PULSE),
         TEMPORARILY_REJECTED,
     ),
     f"excitation refused: {WHO} the lease ": (
-        lambda: ready().commander.start_excitation(OTHER, 7, 0),
+        lambda: ready().commander.excitation.start(OTHER, 7, 0),
         TEMPORARILY_REJECTED,
     ),
     f"excitation refused: {WHO} the lease  ": (
-        lambda: ready().commander.stop_excitation(OTHER),
+        lambda: ready().commander.excitation.stop(OTHER),
         TEMPORARILY_REJECTED,
     ),
     f"command refused: {WHO} the lease": (lambda: armed().commander.take(OTHER), TEMPORARILY_REJECTED),
@@ -110,12 +110,12 @@ SITUATIONS: dict[str, tuple[Callable[[], CommandResult], int]] = {
     "command refused: it has no sender": (lambda: on_the_ground().commander.take((0, 190)), DENIED),
     "lease refused: it has no sender": (lambda: on_the_ground().commander.ask_lease((0, 0)), DENIED),
     # Arming.
-    "not armed: tilted": (lambda: on_the_ground(BIT["tilted"]).commander.arm(ME), TEMPORARILY_REJECTED),
+    "not armed: tilted": (lambda: on_the_ground(BIT["tilted"]).commander.arming.arm(ME), TEMPORARILY_REJECTED),
     "not armed: imu_lost, tilted": (
-        lambda: on_the_ground(BIT["tilted"] | BIT["imu_lost"]).commander.arm(ME),
+        lambda: on_the_ground(BIT["tilted"] | BIT["imu_lost"]).commander.arming.arm(ME),
         TEMPORARILY_REJECTED,
     ),
-    "not armed: no sensor was heard yet": (lambda: Cockpit().commander.arm(ME), TEMPORARILY_REJECTED),
+    "not armed: no sensor was heard yet": (lambda: Cockpit().commander.arming.arm(ME), TEMPORARILY_REJECTED),
     "not armed: a controller is being built": (unfit, TEMPORARILY_REJECTED),
     "not armed: killed by system 245, component 190: release it first (twodof kill --release)": (
         killed,
@@ -146,7 +146,7 @@ SITUATIONS: dict[str, tuple[Callable[[], CommandResult], int]] = {
     # Excitations.
     "excitation refused: another plays": (lambda: started(playing(), transfer=8), TEMPORARILY_REJECTED),
     "excitation refused: another plays ": (
-        lambda: playing().commander.define_excitation(ME, 8, PULSE),
+        lambda: playing().commander.excitation.define(ME, 8, PULSE),
         TEMPORARILY_REJECTED,
     ),
     "excitation refused: there is no definition 8, whole and not yet played": (
@@ -194,7 +194,7 @@ def test_it_is_refused_in_these_words(words: str) -> None:
 def test_bounds_belong_to_what_is_accepted() -> None:
     cockpit = ready()
     assert started(cockpit, ahead=HORIZON).accepted
-    assert cockpit.commander.start_excitation(ME, 7, 0, 1.0, cockpit.tick).accepted
+    assert cockpit.commander.excitation.start(ME, 7, 0, 1.0, cockpit.tick).accepted
     assert cockpit.run().M_open == PULSE.values[0]
     cockpit = ready()
     assert started(cockpit, thrust=0.0).accepted
@@ -224,22 +224,32 @@ def test_a_loop_that_is_none_is_no_set_point() -> None:
 
 def test_a_start_that_is_refused_marks_the_excitation_that_it_names_and_no_other() -> None:
     cockpit = ready()
-    revision = cockpit.commander.player.revision
+    revision = cockpit.commander.excitation.player.revision
     assert not started(cockpit, transfer=8).accepted
-    assert (cockpit.commander.player.state, cockpit.commander.player.revision) == (READY, revision)
+    assert (cockpit.commander.excitation.player.state, cockpit.commander.excitation.player.revision) == (
+        READY,
+        revision,
+    )
     assert not started(cockpit, loop=9).accepted
-    assert (cockpit.commander.player.state, cockpit.commander.player.reason) == (REFUSED, "there is no loop 9")
+    assert (cockpit.commander.excitation.player.state, cockpit.commander.excitation.player.reason) == (
+        REFUSED,
+        "there is no loop 9",
+    )
     cockpit = played()
-    revision = cockpit.commander.player.revision
+    revision = cockpit.commander.excitation.player.revision
     assert not started(cockpit, loop=2).accepted
-    assert cockpit.commander.player.revision == revision
+    assert cockpit.commander.excitation.player.revision == revision
 
 
 def test_a_start_of_another_while_one_plays_leaves_that_alone() -> None:
     cockpit = playing()
-    before = cockpit.commander.player.state, cockpit.commander.player.transfer, cockpit.commander.player.revision
+    before = (
+        cockpit.commander.excitation.player.state,
+        cockpit.commander.excitation.player.transfer,
+        cockpit.commander.excitation.player.revision,
+    )
     assert not started(cockpit, transfer=8).accepted
-    player = cockpit.commander.player
+    player = cockpit.commander.excitation.player
     assert (player.state, player.transfer, player.revision) == before
     assert started(cockpit).accepted, "its own start, repeated"
 
@@ -255,26 +265,26 @@ def test_a_stick_that_is_refused_keeps_nobody_from_arming() -> None:
 
 def test_the_answer_to_an_arming_stays_until_the_next() -> None:
     cockpit = on_the_ground()
-    assert cockpit.commander.arm(ME).result == 5
+    assert cockpit.commander.arming.arm(ME).result == 5
     cockpit.failsafe.causes = BIT["tilted"] | BIT["imu_lost"]
     cockpit.run()
-    refused = cockpit.commander.arming
+    refused = cockpit.commander.arming.answer
     assert refused == CommandResult(TEMPORARILY_REJECTED, "not armed: imu_lost, tilted")
     cockpit.run(60)
-    assert cockpit.commander.arming == refused
+    assert cockpit.commander.arming.answer == refused
     cockpit.failsafe.causes = 0
     cockpit.run()
     assert cockpit.arm().accepted
-    cockpit.commander.disarm(ME)
+    cockpit.commander.arming.disarm(ME)
     cockpit.run(60)
-    assert cockpit.commander.arming.accepted, "a disarming does not undo that it was armed"
+    assert cockpit.commander.arming.answer.accepted, "a disarming does not undo that it was armed"
 
 
 def test_an_arming_that_was_ended_says_so() -> None:
     cockpit = on_the_ground()
-    cockpit.commander.arm(ME)
-    cockpit.commander.disarm(OTHER)
-    assert cockpit.commander.arming == CommandResult(FAILED, "disarmed before it had armed")
+    cockpit.commander.arming.arm(ME)
+    cockpit.commander.arming.disarm(OTHER)
+    assert cockpit.commander.arming.answer == CommandResult(FAILED, "disarmed before it had armed")
 
 
 def test_what_is_asked_before_the_first_tick_is_asked_at_once() -> None:

@@ -81,11 +81,15 @@ class Commander:
     lease: Standing = NOBODY
     tuning_withheld: bool = False
     openloop: Loop = CLOSED
-    arming: CommandResult = DONE
+    answer: CommandResult = DONE
     verdict: CommandResult = DONE
-    modes: Any = modes.MODES
     remarks: list[tuple[int, str]] = field(default_factory=list)
     asked: list[tuple[Any, ...]] = field(default_factory=list)
+
+    @property
+    def arming(self) -> Commander:
+        """It decides over arming too."""
+        return self
 
     def _note(self, *what: Any) -> CommandResult:
         self.asked.append(what)

@@ -1,32 +1,122 @@
-"""Arming: the commander's word to the failsafe, its answer, and the latch of a kill."""
+"""Arming, disarming and the kill: what the failsafe is told, and its answer."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
+from twodof.fcu.command.authority import DONE, CommandAuthority
 from twodof.fcu.command.result import ACCEPTED, FAILED, IN_PROGRESS, TEMPORARILY_REJECTED, CommandResult, Source
+from twodof.fcu.command.setpoint_manager import SetpointManager
+from twodof.fcu.command.vehicle_state import VehicleState
 from twodof.fcu.control.flight_code import ControlStep
-from twodof.flight.failsafe.causes import named_causes
-from twodof.flight.failsafe.state_machine import MAY_TURN, REFUSED
+from twodof.flight.failsafe.causes import BIT, named_causes
+from twodof.flight.failsafe.state_machine import DISARMED, MAY_TURN, REFUSED
+from twodof.link.mavlink import modes
 
 PATIENCE = 25
 """Ticks within which the failsafe has answered; it does in the tick in which it is asked."""
 
+Take = Callable[[Source, str], CommandResult]
 
-class ArmingState:
-    """`word` is what the flight code is told, `answer` what became of the last request to arm.
 
-    `killed_by` is who killed it, which holds it disarmed, over disarmings and resets, until it is None again.
+class ArmingControl:
+    """Decides whether the drone arms, and stops it for everybody who asks.
+
+    `word` is what the flight code is told, `answer` the result of the last request to arm. `killed_by` is who killed
+    the drone, None: nobody. A kill holds it disarmed, over disarmings and resets, until it is released. `take` says
+    whether a source may command. `unfit` says what else speaks against arming, "" if nothing.
     """
 
-    def __init__(self, killed_by: Source | None = None) -> None:
+    def __init__(
+        self,
+        vehicle: VehicleState,
+        setpoints: SetpointManager,
+        authority: CommandAuthority,
+        take: Take,
+        unfit: Callable[[], str],
+        killed_by: Source | None = None,
+    ) -> None:
         self.word = False
         self.killed_by = killed_by
         self.answer = CommandResult(ACCEPTED)
+        self._vehicle = vehicle
+        self._setpoints = setpoints
+        self._authority = authority
+        self._take = take
+        self._unfit = unfit
         self._from = 0
 
     @property
+    def killed(self) -> bool:
+        """Whether a kill holds it disarmed."""
+        return self.killed_by is not None
+
+    @property
     def pending(self) -> bool:
-        """Whether the failsafe has not answered yet."""
+        """Whether the failsafe still owes an answer."""
         return self.answer.result == IN_PROGRESS
+
+    @property
+    def flies(self) -> bool:
+        """Armed, and not asked to disarm: only then what is commanded acts."""
+        return self._vehicle.armed and self.word
+
+    @property
+    def missing(self) -> int | None:
+        """The failsafe's causes against arming, None before its first step. Hearing a command cures a lost link."""
+        step = self._vehicle.step
+        if step is None:
+            return None
+        return step.causes & ~BIT["link_lost"] if self._authority.heard else step.causes
+
+    def arm(self, source: Source, force: bool = False) -> CommandResult:
+        """Arms; IN_PROGRESS if nothing speaks against it: then `answer` tells what the failsafe said in the next tick.
+
+        `force` is understood and changes nothing: no check is skipped.
+        """
+        verdict = self._take(source, "arming")
+        if not verdict.accepted:
+            return verdict
+        if self.pending:
+            return self.answer
+        if self.flies:
+            return DONE
+        if against := self._against_arming() or self._unfit():
+            return CommandResult(TEMPORARILY_REJECTED, f"not armed: {against}")
+        # The failsafe arms on an edge: where it has not seen the last disarming yet, a tick later.
+        return self.pull(self._vehicle.now + (self._vehicle.failsafe != DISARMED))
+
+    def disarm(self, source: Source, force: bool = False) -> CommandResult:
+        """Stops the motors in the next tick for every source: on this rig that is the safe state. `force` is a kill."""
+        if force:
+            return self.kill(source)
+        if self._authority.holder == source:
+            self._take(source, "command")  # which renews it
+        self.withdraw()
+        self._setpoints.rest("disarmed", self._vehicle.now)
+        return DONE
+
+    def kill(self, source: Source) -> CommandResult:
+        """Stops the motors in the next tick for every source, and holds the drone disarmed until `release`."""
+        self.withdraw()
+        self.killed_by = source
+        self._setpoints.rest("killed", self._vehicle.now)
+        self._vehicle.remark(2, f"killed by system {source[0]}, component {source[1]}")
+        return DONE
+
+    def release(self, source: Source) -> CommandResult:
+        """Takes a kill back, which a disarming does not: it is what a program does that ends. Nothing arms by it."""
+        verdict = self._take(source, "release")
+        if verdict.accepted and self.killed:
+            self.killed_by = None
+            self._vehicle.remark(4, f"released by system {source[0]}, component {source[1]}")
+        return verdict
+
+    def stand(self, why: str, tick: int) -> None:
+        """Stops the motors without a command."""
+        self.withdraw()
+        self._setpoints.rest(why, tick)
+        self._vehicle.remark(2, why)
 
     def pull(self, tick: int) -> CommandResult:
         """Asks the failsafe to arm at `tick`. It acts on an edge: until then the word is not given."""
@@ -38,8 +128,8 @@ class ArmingState:
         """Called before each tick while it is pending: gives the word when its tick has come."""
         self.word = tick >= self._from
 
-    def release(self) -> None:
-        """The word is taken back; one who waits for an answer to an arming has it."""
+    def withdraw(self) -> None:
+        """Takes the word back; a client that waits for an answer to an arming gets it."""
         self.word = False
         if self.pending:
             self.answer = CommandResult(FAILED, "disarmed before it had armed")
@@ -58,3 +148,23 @@ class ArmingState:
         elif step.tick >= self._from + PATIENCE:
             self.word = False
             self.answer = CommandResult(FAILED, "not armed: the flight code did not answer")
+
+    def _against_arming(self) -> str:
+        """What speaks against arming a drone that is not armed, "" if nothing does."""
+        rig, mode = self._vehicle.rig, self._setpoints.custom_mode
+        if self.killed_by is not None:
+            system, component = self.killed_by
+            return f"killed by system {system}, component {component}: release it first (twodof kill --release)"
+        if self.word:  # it is asked to be armed, and is not
+            return "the failsafe has stopped the motors, disarm first"
+        causes = self.missing
+        if causes is None:
+            return "no sensor was heard yet"
+        if not rig.safety_off:
+            return "safety switch, press it"
+        names = dict.fromkeys(named_causes(causes))
+        if rig.rings and modes.BY_NUMBER[mode].moves_cart:
+            names["rings_wrong"] = None
+        if self._setpoints.asks(self._vehicle.now):
+            names["not_idle"] = None
+        return ", ".join(names)

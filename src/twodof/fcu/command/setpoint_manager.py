@@ -1,4 +1,4 @@
-"""The helm: the mode, and the set-points that are flown in each tick. Who may turn it is not its affair."""
+"""The mode, and the set-points that are flown in each tick. Others decide who may change them."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ class SetpointManager:
     `level_thrust` is that of a level hold. `changed` says that `asked` may give something else than the last time.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, openloop_revision: int = 0) -> None:
         self.custom_mode = modes.MANUAL
         self.player = OnboardPlayer()
         self.schedule = SetpointQueue()
         self.values = SetpointValues()  # none but while armed: nothing of before flies
-        self.openloop = OpenLoopState()
+        self.openloop = OpenLoopState(revision=openloop_revision)
         self.changed = True
         self._on_board = False  # level hold or an excitation gives set-points, at every tick
         self._fresh = False  # one came for the next tick

@@ -45,7 +45,7 @@ class ArmingReport:
     def obstacles(self, step: ControlStep | None) -> int:
         """Mask of what keeps from arming now (`obstacle_t`), in any mode; `step` is the last, None: none was yet."""
         commander = self._commander
-        found = OBSTACLE_BIT["killed"] if commander.killed else 0
+        found = OBSTACLE_BIT["killed"] if commander.arming.killed else 0
         if step is None:
             found |= OBSTACLE_BIT["unheard"]
         else:

@@ -62,7 +62,7 @@ class EventService(Service):
         self._armed = False
         self._action = 0
         self._mode = commander.custom_mode
-        self._killed = commander.killed
+        self._killed = commander.arming.killed
         self._answered: tuple[EventType | None, tuple[int, ...], int] = None, (), 0
         self._reported: list[ReportedEvent] = []
         self._reported_at = -REPORT_TICKS
@@ -92,7 +92,7 @@ class EventService(Service):
                 self._tell(event_table.ARMED, *(self._commander.lease.holder or (0, 0)))
             else:
                 self._tell(event_table.DISARMED, self._disarmed_by(step))
-        killed = self._commander.killed
+        killed = self._commander.arming.killed
         if killed != self._killed:
             self._killed = killed
             if not killed:
@@ -139,7 +139,7 @@ class EventService(Service):
             self._tell(event_table.OVER)
 
     def _disarmed_by(self, step: ControlStep) -> int:
-        if self._commander.killed:
+        if self._commander.arming.killed:
             return KILLED
         return FAILED if step.state == state_machine.OFF else COMMANDED
 

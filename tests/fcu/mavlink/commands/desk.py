@@ -129,7 +129,7 @@ class Desk:
         """Armed, its link heard."""
         self.say(message("HEARTBEAT", type=6, autopilot=8))
         self.run(3)
-        assert self.commander.arm(ME).result == 5
+        assert self.commander.arming.arm(ME).result == 5
         self.run()
         assert self.commander.armed
 

@@ -125,11 +125,11 @@ def test_a_refusal_says_why_to_who_asked() -> None:
 
 def test_arming_in_progress_is_answered_when_it_is_decided() -> None:
     world = World()
-    world.commander.verdict = world.commander.arming = CommandResult(IN_PROGRESS)
+    world.commander.verdict = world.commander.answer = CommandResult(IN_PROGRESS)
     assert world.command(400, 1.0) == -1  # a tick later, in real time: nothing before
     world.run(2)
     assert world.taken("COMMAND_ACK") == []
-    world.commander.arming = CommandResult(TEMPORARILY_REJECTED, "tilted")
+    world.commander.answer = CommandResult(TEMPORARILY_REJECTED, "tilted")
     world.run()
     assert [ack.result for ack in world.taken("COMMAND_ACK", "client")] == [TEMPORARILY_REJECTED]
     assert world.texts() == "tilted"
@@ -139,10 +139,10 @@ def test_arming_in_progress_is_answered_when_it_is_decided() -> None:
 
 def test_what_was_refused_in_the_end_is_not_accepted_when_it_is_repeated() -> None:
     world = World()
-    world.commander.verdict = world.commander.arming = CommandResult(IN_PROGRESS)
+    world.commander.verdict = world.commander.answer = CommandResult(IN_PROGRESS)
     world.command(400, 1.0)
     assert world.command(400, 1.0, confirmation=1) == -1  # the same is in progress still
-    world.commander.arming = CommandResult(TEMPORARILY_REJECTED, "tilted")
+    world.commander.answer = CommandResult(TEMPORARILY_REJECTED, "tilted")
     world.run()
     assert [ack.result for ack in world.taken("COMMAND_ACK")] == [TEMPORARILY_REJECTED]
     world.commander.verdict = CommandResult(DENIED)
@@ -153,7 +153,7 @@ def test_what_was_refused_in_the_end_is_not_accepted_when_it_is_repeated() -> No
 @pytest.mark.parametrize("lockstep", [False, True])
 def test_disarming_does_not_wait_for_an_arming_in_progress(lockstep: bool) -> None:
     world = World(lockstep=lockstep)
-    world.commander.verdict = world.commander.arming = CommandResult(IN_PROGRESS)
+    world.commander.verdict = world.commander.answer = CommandResult(IN_PROGRESS)
     world.command(400, 1.0)
     world.commander.verdict = CommandResult(ACCEPTED)
     assert world.command(400, 0.0) == ACCEPTED
@@ -162,9 +162,9 @@ def test_disarming_does_not_wait_for_an_arming_in_progress(lockstep: bool) -> No
 
 def test_in_lockstep_the_client_is_told_that_time_must_run() -> None:
     world = World(lockstep=True)
-    world.commander.verdict = world.commander.arming = CommandResult(IN_PROGRESS)
+    world.commander.verdict = world.commander.answer = CommandResult(IN_PROGRESS)
     assert world.command(400, 1.0) == IN_PROGRESS
-    world.commander.arming = CommandResult(ACCEPTED)
+    world.commander.answer = CommandResult(ACCEPTED)
     world.run()
     assert [ack.result for ack in world.taken("COMMAND_ACK")] == [ACCEPTED]
 

@@ -137,8 +137,8 @@ def test_one_without_the_lease_does_nothing() -> None:
     for sent in (*pieces(transfer=8), start(), message("TWODOF_EXCITE", action=2, **TARGET)):
         desk.say(sent, OTHER, "other")
     desk.run(5)
-    assert desk.commander.player.state == READY
-    assert desk.commander.player.transfer == 7
+    assert desk.commander.excitation.player.state == READY
+    assert desk.commander.excitation.player.transfer == 7
     assert all("system 250" in text for text in desk.told)
 
 
@@ -163,7 +163,7 @@ def test_a_definition_that_is_none_is_refused_with_the_reason(text: str) -> None
 
 def test_a_restart_forgets_the_definition() -> None:
     desk = ready()
-    desk.commander.disarm(ME)
+    desk.commander.arming.disarm(ME)
     desk.run()
     desk.controller.reset(1, 0.0, 1.0, False)
     desk.arm()
@@ -200,7 +200,7 @@ def test_nothing_that_is_sent_plays_what_was_not_defined_or_arms(sent: list[Any]
     for one in sent:
         assert desk.say(one)
         assert desk.run().arm is False
-    assert desk.commander.player.state in (0, REFUSED)
+    assert desk.commander.excitation.player.state in (0, REFUSED)
     desk = ready()
     for one in sent:
         desk.say(one)

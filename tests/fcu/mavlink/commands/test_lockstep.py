@@ -220,7 +220,7 @@ def test_no_reset_while_armed_on_a_real_rig_or_by_one_without_the_lease() -> Non
     desk.say(reset())
     assert desk.taken("TWODOF_RIG")[0].flags & 16
     assert "armed" in desk.told[-1]
-    desk.commander.disarm(ME)
+    desk.commander.arming.disarm(ME)
     desk.run()
     desk.say(reset(), OTHER, "other")
     assert desk.taken("TWODOF_RIG")[0].flags & 16

@@ -93,7 +93,7 @@ def test_the_reason_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     async def session() -> None:
         gate = Gate(monkeypatch)
         async with being_built(tmp_path, gate) as (drone, client):
-            assert drone.commander.arm((250, 1)).text == "not armed: a controller is being built"
+            assert drone.commander.arming.arm((250, 1)).text == "not armed: a controller is being built"
             gate.open.set()
             assert await answer(client) == ACCEPTED
 

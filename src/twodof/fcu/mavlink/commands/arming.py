@@ -63,16 +63,16 @@ class ArmingCommands:
         wanted, force = command.params[0], whole(command.params[1]) == FORCE
         if wanted == 1.0:
             holder = self._commander.lease.holder
-            verdict = self._commander.arm(command.source, force)
+            verdict = self._commander.arming.arm(command.source, force)
             return self._told(verdict, holder not in (None, command.source))
         if wanted == 0.0:
-            verdict = self._commander.disarm(command.source, force)
+            verdict = self._commander.arming.disarm(command.source, force)
             return self._told_of_kill(command.source, verdict) if force else verdict
         return CommandResult(DENIED, "arm is 1, disarm is 0")
 
     def _armed(self, _command: ReceivedCommand) -> CommandResult:
         """What became of it, once that is known."""
-        return self._told(self._commander.arming, by_lease=False)
+        return self._told(self._commander.arming.answer, by_lease=False)
 
     def _told(self, verdict: CommandResult, by_lease: bool) -> CommandResult:
         if verdict.result not in (ACCEPTED, IN_PROGRESS):
@@ -90,10 +90,10 @@ class ArmingCommands:
 
     def _terminate(self, command: ReceivedCommand) -> CommandResult:
         if command.params[0] == 0.0:
-            return self._commander.release(command.source)
+            return self._commander.arming.release(command.source)
         if not command.params[0] > 0.5:
             return CommandResult(DENIED, "a kill is 1, its release 0")
-        return self._told_of_kill(command.source, self._commander.kill(command.source))
+        return self._told_of_kill(command.source, self._commander.arming.kill(command.source))
 
     def _reboot(self, command: ReceivedCommand) -> CommandResult:
         action = whole(command.params[0], -1)
@@ -107,6 +107,6 @@ class ArmingCommands:
             return CommandResult(TEMPORARILY_REJECTED, "no restart while armed: disarm first")
         verdict = self._commander.take(command.source, "restart")
         if verdict.accepted:
-            self._commander.release(command.source)  # it begins as after being switched on
+            self._commander.arming.release(command.source)  # it begins as after being switched on
             self._restart()
         return verdict

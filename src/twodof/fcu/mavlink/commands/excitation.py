@@ -70,7 +70,7 @@ class ExcitationService(Service):
         """Tells of each change, and how far it has come while it plays."""
         self._tick = step.tick
         self._background.poll()
-        player = self._commander.player
+        player = self._commander.excitation.player
         if player.revision != self._revision:
             self._tell_changes()
         elif player.playing and (step.tick - player.start) % STATUS_TICKS == 0:
@@ -79,22 +79,22 @@ class ExcitationService(Service):
     def restart(self) -> None:
         """Time begins anew at tick 0: no definition is there any more."""
         self._receiver, self._coming, self._whole, self._refused = ExcitationReceiver(), None, False, ""
-        self._tick, self._revision = 0, self._commander.player.revision
+        self._tick, self._revision = 0, self._commander.excitation.player.revision
 
     def _act(self, got: Any, sender: Source, peer: Hashable) -> CommandResult:
         if got.action == PIECE:
             return self._piece(got, sender, peer)
         if got.action == START:
-            player = self._commander.player
+            player = self._commander.excitation.player
             if player.transfer == got.transfer and player.state == DONE:
                 # A start that comes once more, since its answer was lost: it was played, and is not played twice.
                 self._tell_player(peer)
                 return CommandResult(ACCEPTED)
             thrust = None if isnan(got.thrust) else got.thrust
             at_tick = acts_at(got.tick, self._tick)
-            return self._commander.start_excitation(sender, got.transfer, got.loop, thrust, at_tick)
+            return self._commander.excitation.start(sender, got.transfer, got.loop, thrust, at_tick)
         if got.action == STOP:
-            return self._commander.stop_excitation(sender)
+            return self._commander.excitation.stop(sender)
         return CommandResult(DENIED, f"excitation refused: there is no action {got.action}")
 
     def _piece(self, got: Any, sender: Source, peer: Hashable) -> CommandResult:
@@ -126,7 +126,7 @@ class ExcitationService(Service):
         if not isinstance(made, SampledExcitation):
             self._refuse(definition, str(made))
             return
-        verdict = self._commander.define_excitation(definition.sender, definition.transfer, made)
+        verdict = self._commander.excitation.define(definition.sender, definition.transfer, made)
         if not verdict.accepted:
             self._refuse(definition, verdict.text)
 
@@ -136,12 +136,12 @@ class ExcitationService(Service):
         self._send(None, definition.transfer, REFUSED, reason)
 
     def _tell_changes(self) -> None:
-        if self._commander.player.revision != self._revision:
-            self._revision = self._commander.player.revision
+        if self._commander.excitation.player.revision != self._revision:
+            self._revision = self._commander.excitation.player.revision
             self._tell_player(None)
 
     def _tell_player(self, peer: Hashable | None) -> None:
-        player = self._commander.player
+        player = self._commander.excitation.player
         self._send(peer, player.transfer, player.state, player.reason, player.start, player.end)
 
     def _send(

@@ -14,6 +14,7 @@ from twodof.fcu.mavlink.service import Service
 from twodof.fcu.mavlink.telemetry.encoders import TelemetryEncoders
 from twodof.link.connection import Received
 from twodof.link.mavlink.messages import message
+from twodof.link.mavlink.modes import MODES
 
 DO_SET_MODE, DO_SET_STANDARD_MODE = 176, 262
 AVAILABLE_MODES, CURRENT_MODE, AVAILABLE_MODES_MONITOR = 435, 436, 437
@@ -61,7 +62,7 @@ class ModeService(Service):
     def current(self) -> Any:
         """CURRENT_MODE."""
         number = self._commander.custom_mode
-        standard = next((row.standard_mode for row in self._commander.modes if row.custom_mode == number), 0)
+        standard = next((row.standard_mode for row in MODES if row.custom_mode == number), 0)
         return message("CURRENT_MODE", standard_mode=standard, custom_mode=number, intended_custom_mode=number)
 
     def _set(self, command: ReceivedCommand) -> CommandResult:
@@ -72,14 +73,14 @@ class ModeService(Service):
 
     def _set_standard(self, command: ReceivedCommand) -> CommandResult:
         wanted = whole(command.params[0])
-        for row in self._commander.modes:
+        for row in MODES:
             if wanted > 0 and row.standard_mode == wanted:
                 return self._commander.set_mode(command.source, row.custom_mode)
         return CommandResult(UNSUPPORTED)
 
     def _available(self, command: ReceivedCommand) -> Iterable[Any] | None:
         """All modes, or the one whose number from 1 is the second parameter."""
-        rows = [*enumerate(self._commander.modes, start=1)]
+        rows = [*enumerate(MODES, start=1)]
         wanted = whole(command.params[1])
         if not 0 <= wanted <= len(rows):
             return None

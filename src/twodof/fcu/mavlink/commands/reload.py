@@ -67,7 +67,7 @@ class ReloadCommand:
     def _reload(self, command: ReceivedCommand) -> CommandResult:
         if self._controllers.uploads is None:
             return CommandResult(UNSUPPORTED, "it keeps no uploads: start it with a folder for its state")
-        if self._commander.armed or self._commander.arming.result == IN_PROGRESS:
+        if self._commander.armed or self._commander.arming.answer.result == IN_PROGRESS:
             return CommandResult(TEMPORARILY_REJECTED, "no other controller while armed: disarm first")
         if command.params[0] == ASK:
             return _equipped()

@@ -72,7 +72,7 @@ class ChangeDetector:
     def seen(self, step: ControlStep) -> list[int]:
         """Ids of the messages that have news in this step."""
         found = [TOF] if step.sample.dist_new else []
-        safety = (step.action, step.state, step.armed, step.reason, self._commander.killed_by)
+        safety = (step.action, step.state, step.armed, step.reason, self._commander.arming.killed_by)
         if safety != self._safety or (step.causes != self._causes and abs(step.tick - self._told) >= FLAG_TICKS):
             self._safety, self._causes, self._told = safety, step.causes, step.tick
             found.append(SAFETY)

@@ -30,7 +30,7 @@ def safety(since: Callable[[], int], commander: Commander) -> Encoder:
     pack = Packer("TWODOF_SAFETY")
 
     def encode(s: ControlStep) -> Packed:
-        killed_by = commander.killed_by
+        killed_by = commander.arming.killed_by
         killed = (0, 0, 0) if killed_by is None else (1, *killed_by)
         sees = s.causes & MASK_32
         return pack(s.tick & MASK_32, since() & MASK_32, sees, s.action, deciding(s.reason), *killed)

@@ -1,0 +1,115 @@
+"""Which excitation is played on board, and when: its definition, its start and its stop."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from twodof.fcu.command.arming import ArmingControl, Take
+from twodof.fcu.command.authority import DONE
+from twodof.fcu.command.excitation_player import LOOPS, REFUSED, STOPPED, OnboardPlayer, SampledExcitation
+from twodof.fcu.command.result import TEMPORARILY_REJECTED, CommandResult, Source
+from twodof.fcu.command.setpoint_manager import SetpointManager
+from twodof.fcu.command.setpoint_queue import HORIZON
+from twodof.fcu.command.setpoints import OPEN_LOOP, VELOCITY
+from twodof.fcu.command.vehicle_state import VehicleState
+from twodof.flight.failsafe.state_machine import STATES
+
+
+class ExcitationControl:
+    """Decides over the excitation of `setpoints.player`. `take` says whether a source may command.
+
+    `level_thrust` gives the thrust of a level hold, with which an excitation flies where none is in use.
+    """
+
+    def __init__(
+        self,
+        vehicle: VehicleState,
+        setpoints: SetpointManager,
+        arming: ArmingControl,
+        take: Take,
+        level_thrust: Callable[[], float],
+    ) -> None:
+        self._vehicle = vehicle
+        self._setpoints = setpoints
+        self._arming = arming
+        self._take = take
+        self._level_thrust = level_thrust
+
+    @property
+    def player(self) -> OnboardPlayer:
+        """The excitation, to be read only: state, transfer, start, end, reason, revision."""
+        return self._setpoints.player
+
+    def define(self, source: Source, transfer: int, prepared: SampledExcitation) -> CommandResult:
+        """Takes a definition, whole and written out; refused while another plays. Nothing is played yet."""
+        verdict = self._take(source, "excitation")
+        if verdict.accepted and self.player.playing:
+            return CommandResult(TEMPORARILY_REJECTED, "excitation refused: another plays")
+        if verdict.accepted:
+            self.player.define(transfer, prepared)
+        return verdict
+
+    def start(
+        self, source: Source, transfer: int, loop: int, thrust: float | None = None, at_tick: int = 0
+    ) -> CommandResult:
+        """Plays the definition `transfer` in the loop TWODOF_LOOP from `at_tick` on (0: from the next tick).
+
+        `thrust` flies with it; None: that in use, or that of a level hold if there is none.
+        """
+        verdict = self._take(source, "excitation")
+        player = self.player
+        if not verdict.accepted or (player.playing and player.transfer == transfer):
+            return verdict  # a start that comes twice is done once
+        why = self._against_playing(transfer, loop, thrust, at_tick)
+        if not why and not at_tick:
+            why = self._against_beginning()
+        if not why:
+            player.wait(max(at_tick, self._vehicle.now), LOOPS[loop], thrust)
+            return DONE
+        if player.unit and player.transfer == transfer:
+            player.finish(REFUSED, why)
+        return CommandResult(TEMPORARILY_REJECTED, f"excitation refused: {why}")
+
+    def stop(self, source: Source) -> CommandResult:
+        """Stops it, playing or not, and forgets it; its base is held."""
+        verdict = self._take(source, "excitation")
+        if verdict.accepted and self.player.unit:
+            self.player.finish(STOPPED, "by command")
+        return verdict
+
+    def begin(self, tick: int) -> None:
+        """The tick of the excitation that waits has come."""
+        why = self._against_beginning()
+        if why:
+            self.player.finish(REFUSED, why)
+        else:
+            self._setpoints.begin_play(self._level_thrust(), tick)
+
+    def _against_beginning(self) -> str:
+        """What speaks against an excitation that begins in this tick, "" if nothing does."""
+        if not self._arming.flies:
+            return "not armed"
+        # It would go on in its middle when the failsafe lets go.
+        return f"the failsafe acts: {STATES[self._vehicle.failsafe]}" if self._vehicle.failsafe_acts else ""
+
+    def _against_playing(self, transfer: int, loop: int, thrust: float | None, at_tick: int) -> str:
+        """What speaks against the definition `transfer` in the loop TWODOF_LOOP from `at_tick` on (0: now)."""
+        player, now = self.player, self._vehicle.now
+        if player.playing:
+            return "another plays"
+        if not player.unit or player.transfer != transfer:
+            return f"there is no definition {transfer}, whole and not yet played"
+        if not 0 <= loop < len(LOOPS):
+            return f"there is no loop {loop}"
+        where = LOOPS[loop]
+        if player.unit != where.unit:
+            return f"it is in {player.unit!r}, the loop in {where.unit!r}"
+        if where.loop >= VELOCITY and self._vehicle.rig.rings:
+            return "the loop moves the cart, and the rings lock it"
+        if thrust is not None and not 0.0 <= thrust <= 1.0:
+            return "thrust is not within 0 to 1"
+        if thrust == 0.0 and where.loop != OPEN_LOOP:
+            return "a closed loop without thrust"
+        if at_tick and not now <= at_tick <= now + HORIZON:
+            return f"tick {at_tick} is past or more than a minute ahead, the next is {now}"
+        return ""

@@ -1,0 +1,57 @@
+"""VehicleState: what the commander knows of the drone in this tick."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from twodof.fcu.control.flight_code import ControlStep
+from twodof.flight.failsafe.state_machine import BRAKE, DESCEND, DISARMED, LEVEL
+
+ACTING = (LEVEL, BRAKE, DESCEND)
+"""States in which the failsafe flies."""
+
+MOST_REMARKS = 64
+"""Remarks that are kept if nobody takes them."""
+
+
+class RigSwitches(Protocol):
+    """What is asked of the hardware."""
+
+    @property
+    def rings(self) -> bool:
+        """Whether the rings lock the cart."""
+
+    @property
+    def safety_off(self) -> bool:
+        """Whether the safety switch was pressed."""
+
+
+@dataclass
+class VehicleState:
+    """Switches of the `rig`, the last `step` (None: none yet), and what the failsafe said in it.
+
+    `now` is the first tick that was not asked for yet: a command acts there. `failsafe` is the failsafe's state.
+    `remarks` are (MAV_SEVERITY, text) pairs for the clients.
+    """
+
+    rig: RigSwitches
+    remarks: list[tuple[int, str]] = field(default_factory=list)
+    now: int = 0
+    armed: bool = False
+    failsafe: int = DISARMED
+    step: ControlStep | None = None
+
+    @property
+    def failsafe_acts(self) -> bool:
+        """Whether the failsafe flies instead of what is asked."""
+        return self.failsafe in ACTING
+
+    def remark(self, severity: int, text: str) -> None:
+        """Has the clients told `text`, with a MAV_SEVERITY."""
+        if len(self.remarks) < MOST_REMARKS:
+            self.remarks.append((severity, text))
+
+    def restart(self) -> None:
+        """Time begins again at tick 0: disarmed, and no step was seen."""
+        self.now, self.armed, self.failsafe, self.step = 0, False, DISARMED, None
