@@ -1,8 +1,8 @@
 """Calibrate: the `lab` rig from the logs of real flights, and how it fares on flights that were left out.
 
-One set of parameters for all flights: least squares of the difference between logged and simulated estimates, each
-channel over its own spread, in closed loop and noise-free, by the windows of the logs' registry. What one flight alone
-cannot tell is held by a weak prior.
+One set of parameters fits all flights in the least-squares sense: logged against simulated estimates, each channel over
+its own spread. The simulation is in closed loop and noise-free, over the windows of the logs' registry. What one flight
+alone cannot tell is held by a weak prior.
 
 The figures of flights that were left out are not wholly blind. The estimator's tuning (`sim.resimulation.DRONE`) and
 the priors in `UNKNOWNS` were chosen on all seven logs, and each of them starts from the optimum with that flight.

@@ -1,4 +1,4 @@
-"""Any file below 64 MB: less than 2 GiB of memory and 10 s, or a typed refusal, whatever is done with it."""
+"""Any file below 64 MB: less than 2 GiB of memory and 10 s, or a typed refusal, for each command."""
 
 import os
 import shutil

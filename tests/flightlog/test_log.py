@@ -1,4 +1,4 @@
-"""A channel refuses what is no signal; pairing, slicing and gaps agree with their definitions."""
+"""A channel refuses what is not a signal; pairing, slicing and gaps agree with their definitions."""
 
 from itertools import pairwise
 

@@ -1,4 +1,4 @@
-"""Recovery: whatever a power cut, a damaged disk or a vandal leaves, what was acknowledged is there, and only that."""
+"""Recovery: after a power cut, on a damaged disk or after a vandal, what was acknowledged is there, and only that."""
 
 from pathlib import Path
 

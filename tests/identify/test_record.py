@@ -96,5 +96,5 @@ def test_a_table_may_have_smooth_inputs_too() -> None:
     halfway = np.interp(T + 0.002, T, T**2)
     np.testing.assert_allclose(record.inputs["theta"], halfway, atol=1e-12)
     assert (record.inputs["u"] == T).all()
-    with pytest.raises(IdentificationError, match="'v' is to be smooth, but it is not an input"):
+    with pytest.raises(IdentificationError, match="'v' is named in `smooth`, but it is not an input"):
         Record.from_columns(T, {"u": T, "y": T}, ["u"], ["y"], smooth=["v"])

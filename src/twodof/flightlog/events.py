@@ -113,10 +113,10 @@ def openloop_edges(log: FlightLog) -> list[Event]:
 def modes(log: FlightLog) -> list[Stretch]:
     """Which loop was closed when, in order and without holes, on the set-points' time stamps.
 
-    Taken from the channel `mode` where there is one. Else: open loop is where M is what the latest open-loop
-    message says (or, without such messages, where M stands still); off is where thrust is off; and of the loops,
-    the one whose set-point is held, while those below it compute theirs at every sample. A stretch under 0.1 s
-    counts to the one before. Raises LogError if `T`, `q0` or `theta0` is not there.
+    The channel `mode` says it where there is one. Else it is found from what was flown. The loop is open where M is
+    what the latest open-loop message says or, without such messages, where M stands still. It is off where thrust is
+    off. Of the loops, the closed one is that whose set-point is held, since a loop computes the set-points below it at
+    every sample. A stretch under 0.1 s counts to the one before. Raises LogError if `T`, `q0` or `theta0` is not there.
     """
     if "mode" in log:
         time, code = log["mode"].time, log["mode"].value.astype(np.intp)

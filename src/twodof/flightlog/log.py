@@ -108,8 +108,8 @@ class Channel:
     def index(self, t: ArrayLike, how: How = "hold") -> NDArray[np.intp]:
         """Which sample stands for each time of `t` (m,) [s]; -1 where none does. Raises LogError.
 
-        "hold": the latest sample at or before t. "next": the first at or after t. "nearest": the closer of
-        the two, the earlier one of two that are equally close.
+        "hold" is the latest sample at or before t, "next" the first at or after t. "nearest" is the closer of the two,
+        and the earlier one if both are equally close.
         """
         at = _floats(t, "t")
         _check_finite(at, "t", at, "time")
@@ -138,8 +138,8 @@ class Channel:
 class FlightLog:
     """Channels by the drone's .mat names (`theta`, `q`, `M`, ...) and where they came from.
 
-    `provenance` holds JSON values only: `file` (name, sha256, format), `history` (files it was made from),
-    `seed`, `versions`, and whatever the maker of the log added. Raises LogError if there is no channel.
+    `provenance` holds JSON values only: `file` (name, sha256, format), `history` (files it was made from), `seed`,
+    `versions`, and what the maker of the log added. Raises LogError without a channel.
     """
 
     channels: dict[str, Channel]
@@ -191,7 +191,7 @@ class FlightLog:
     def slice(self, t0: float, t1: float) -> "FlightLog":
         """The samples with t0 <= time <= t1 [s] of every channel; one without any stays, empty.
 
-        Raises LogError for a window that is not one or in which there is no sample at all.
+        Raises LogError for an empty window and for one without a sample.
         """
         start, end = self.span
         if not t0 < t1:
@@ -279,8 +279,8 @@ class FlightLog:
     def armed(self) -> list[tuple[float, float]]:
         """Stretches with thrust: stamps [s] of the first and last sample with T > 0. Raises LogError without `T`.
 
-        An experiment flown with the rotors off (the free response) has none. Raises LogError for more than
-        MAX_STRETCHES: such a log is of something else.
+        The list is empty for an experiment flown with the rotors off, such as the free response. Raises LogError for
+        more than MAX_STRETCHES: such a log is of something else.
         """
         return list(self._armed)
 

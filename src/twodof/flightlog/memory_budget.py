@@ -32,7 +32,7 @@ class MemoryBudget:
 
     @property
     def spent(self) -> bool:
-        """Whether more was asked for than there is: no further part of the file is to be tried."""
+        """Whether more was asked for than there is: no further part of the file may be tried."""
         return self._left < 0
 
     def take(self, size: int) -> None:

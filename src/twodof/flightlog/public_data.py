@@ -1,8 +1,8 @@
 """The public flight logs of a real drone: where they are, and how to get at them.
 
 Seven logs of an ANT-X 2DoF Drone, published under the MIT licence in two repositories of M. Di Mauro. They
-are not part of this package: a log is looked for in the folder that TWODOF_FLIGHT_DATA names, then in the
-cache, then downloaded; its checksum is verified each time.
+are not part of this package. A log is looked for in the folder that TWODOF_FLIGHT_DATA names, then in the cache, and
+else downloaded; its checksum is verified each time.
 """
 
 import hashlib
@@ -141,8 +141,8 @@ PUBLIC_LOGS: Mapping[str, PublicLog] = MappingProxyType({row.name: row for row i
 def find(name: str, deadline_s: float = 60.0) -> Path:
     """The file of a public log, downloaded into the cache if it is not at hand.
 
-    `name` is one of PUBLIC_LOGS, with or without ".mat". Raises LogError for an unknown name, for a file
-    whose checksum is wrong, and where neither folder nor network has it within `deadline_s` seconds.
+    `name` is one of PUBLIC_LOGS, with or without ".mat". Raises LogError for an unknown name, for a wrong
+    checksum, and for a log that is not found and not downloaded within `deadline_s` seconds.
     """
     row = PUBLIC_LOGS.get(name.removesuffix(".mat"))
     if row is None:

@@ -1,8 +1,8 @@
 """Recorder: every topic at full rate into an MCAP file that is readable up to the last acknowledged sample.
 
-The file is written in chunks with checksums, one each quarter of a second by default, each followed by its index and
-an fsync; schemas, channels, provenance and attachments stand before the first. So whatever ends the process or the
-machine, `recovery.recover` finds every acknowledged sample, and nothing else can be taken for one.
+Schemas, channels, provenance and attachments come first. Then come chunks with checksums, one each quarter of a second
+by default, each followed by its index and an fsync. So `recovery.recover` finds every acknowledged sample, however the
+process or the machine ends, and takes nothing else for one.
 """
 
 import json
@@ -44,12 +44,13 @@ class _Slot:
 class Recorder(Spool):
     """Records samples of topics into a new MCAP file, for `with`.
 
-    `topics`: names of TOPICS (`imu.gyro`), rows of TOPICS or streams of one's own. `provenance` holds JSON values
+    `topics`: names of TOPICS (`imu.gyro`), rows of TOPICS, or streams that you describe. `provenance` holds JSON values
     (seed, parameters, versions, ...), `attachments` files such as the diagram; both are on the disk before the first
     sample. Values are recorded as they come, NaN included; read_mcap says what it leaves out.
 
-    `full="drop"` (the default, for what must not wait) drops samples that do not fit into `capacity_bytes`, counts
-    them by topic in `dropped` and keeps the counts in the file; "wait" (for lockstep) waits for the disk. Raises
+    `full="drop"`, the default, is for a caller that must not wait. It drops samples that do not fit into
+    `capacity_bytes`, counts them by topic in `dropped` and keeps the counts in the file. "wait" waits for the disk, as
+    lockstep needs it. Raises
     LogError if the file exists or cannot be made, RecordingError when the disk refuses or is silent.
     """
 

@@ -42,11 +42,11 @@ class Recovered:
 def recover(path: str | Path) -> Recovered:
     """Reads an .mcap or .ulg file as far as it is sound; of an MCAP file, what has a checksum only if that holds.
 
-    Everything that a Recorder or ULogWriter has acknowledged is in the result, whatever was cut off or written
-    over behind it. What had to be taken unverified is named in `unverified` and in the provenance (`recovered`): topics
-    whose description is damaged, files of earlier versions, which had no checksums of tables and descriptions, and logs
-    of PX4, which have none at all. A table whose checksum is wrong is kept apart, in provenance["unverified"]. Raises
-    LogError for a file in which no sample can be read: that is never a success.
+    Everything that a Recorder or ULogWriter has acknowledged is in the result, even if later bytes were cut off or
+    written over. What had to be taken unverified is named in `unverified` and in the provenance (`recovered`). Those
+    are topics whose description is damaged, tables and descriptions of earlier versions, which lack checksums, and all
+    logs of PX4, whose format lacks them. A table whose checksum is wrong is kept apart, in provenance["unverified"].
+    Raises LogError for a file in which no sample can be read: that is never a success.
     """
     data = provenance.read_bytes(path)
     where = str(path)

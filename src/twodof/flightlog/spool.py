@@ -1,4 +1,4 @@
-"""A file that only grows and survives whatever ends its writer: one thread writes it, in parts that it acknowledges.
+"""A file that only grows and survives the end of its writer: one thread writes it, in parts that it acknowledges.
 
 A part is acknowledged when fsync has returned: from then on it is on the disk, and no later part can take it back.
 The producer never waits for the disk unless it asks to; its buffer is bounded, and what does not fit is counted.
@@ -81,7 +81,7 @@ class Spool(ABC):
 
     @property
     def acknowledged(self) -> Acknowledged:
-        """What is on the disk now, and stays readable whatever happens next."""
+        """What is on the disk now, and stays readable from now on."""
         return self._acknowledged
 
     @property

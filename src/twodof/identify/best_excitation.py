@@ -21,9 +21,9 @@ Array = NDArray[np.float64]
 class Limits:
     """What an experiment may do to the rig.
 
-    `within`: largest magnitude of outputs, `travel`: largest peak-to-peak (an experiment picks a start that fits the
-    rail), `least` and `most`: the excitation's amplitude; below `least` the machine sticks, and no excitation exceeds
-    what `twodof.excitation.LIMITS` allows for its unit.
+    `within` is the largest magnitude of outputs, `travel` the largest peak-to-peak, since an experiment picks a start
+    that fits the rail. `least` and `most` bound the excitation's amplitude: below `least` the machine sticks.
+    `twodof.excitation.LIMITS` bounds it too, by its unit.
     """
 
     within: Mapping[str, float] = field(default_factory=dict)

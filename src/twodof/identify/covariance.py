@@ -30,8 +30,8 @@ class Conditioning:
 def check_identifiable(jacobian: Array, scale: Array, labels: Sequence[str], where: str) -> Conditioning:
     """The conditioning of `jacobian` (rows, unknowns), or IdentificationError naming what the data cannot tell.
 
-    Columns are scaled to unit length, so units do not matter; an unknown whose change by its whole `scale` moves
-    the outputs less than 1e-9 times as much as the most effective one has no effect at all.
+    Columns are scaled to unit length, so units do not matter. An unknown has no effect if its change by its whole
+    `scale` moves the outputs less than 1e-9 times as much as that of the most effective one.
     """
     effect = np.linalg.norm(jacobian, axis=0) * scale
     if not np.isfinite(effect).all():
@@ -74,10 +74,10 @@ class ResidualRows:
 def robust_covariance(jacobian: Array, residual: Array, blocks: Sequence[ResidualRows], spectral: bool) -> Array:
     """(J'J)^-1 J' R J (J'J)^-1 with R the covariance that the residuals themselves show, supposing it stationary.
 
-    In the time domain R is Toeplitz: the residuals' auto- and cross-covariances within a record (Morelli and Klein,
-    Accuracy of aerodynamic model parameters estimated from flight test data, 1997), tapered by Bartlett's window over
-    2 sqrt(n) lags, which keeps it positive. For Fourier coefficients (`spectral`) it is the diagonal of their power,
-    smoothed over neighbours. White residuals give `covariance` back but for the scatter of R.
+    In the time domain R is Toeplitz. It holds the residuals' auto- and cross-covariances within a record, tapered by
+    Bartlett's window over 2 sqrt(n) lags, which keeps it positive (Morelli and Klein, Accuracy of aerodynamic model
+    parameters estimated from flight test data, 1997). For Fourier coefficients (`spectral`) it is the diagonal of their
+    power, smoothed over neighbours. White residuals give `covariance` back, except for the scatter of R.
     """
     bread = covariance(jacobian)
     meat = np.zeros_like(bread)
@@ -127,8 +127,8 @@ def _smoothed(residual: Array) -> Array:
 def _unit_svd(jacobian: Array) -> tuple[Array, Array, Array]:
     """Lengths of the columns; singular values (falling) and right vectors of the Jacobian with columns of unit length.
 
-    From the small matrix J' J, which costs a hundredth of a decomposition of the tall one: a singular value is then
-    known to 1e-8 of the largest, well below RANK_TOLERANCE.
+    They come from the small matrix J' J, which costs a hundredth of a decomposition of the tall one. A singular value
+    is then known to 1e-8 of the largest, well below RANK_TOLERANCE.
     """
     length = np.linalg.norm(jacobian, axis=0)
     unit = jacobian / length

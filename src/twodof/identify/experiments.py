@@ -129,7 +129,7 @@ def around(log: FlightLog, record: Record, before: float = 1.0, after: float = 2
 
 
 def only(record: Record, *outputs: str) -> Record:
-    """The same record with these of its outputs: a fit uses all that it finds."""
+    """The same record with these of its outputs: a fit uses every output that it finds."""
     return replace(record, outputs={name: record.outputs[name] for name in outputs})
 
 

@@ -44,18 +44,18 @@ def fit(
     `estimate`: the unknowns to find, or the one (default: the structure's choice); all others keep their values.
     `values`: first guesses and fixed values by unknown, or by "unknown[record]" for one record. `bounds`: (lower,
     upper) by unknown. `separate`: unknowns that get one value for each record although they are not local. `noise`:
-    standard deviation of outputs (or "output[record]") whose weight is to be fixed. `band`: fit in the frequency
+    standard deviation of outputs (or "output[record]") whose weight stays fixed. `band`: fit in the frequency
     domain, from and to these frequencies [Hz].
-    `validation`: records that the model must reproduce without having seen them; only their local unknowns are fitted,
-    the separate ones are those of the record `like` (default: the last).
+    `validation`: records that the model must reproduce without having seen them. Only their local unknowns are fitted.
+    The separate ones are those of the record `like` (default: the last).
 
-    Raises IdentificationError for what is no structure or record, unknown or repeated names, a record without the
-    structure's channels, a model that is not finite at the first guess, and unknowns that the data cannot tell (apart),
-    naming them.
+    Raises IdentificationError for a wrong type, for unknown or repeated names, and for a record without the structure's
+    channels. It is also raised for a model that is not finite at the first guess, and for unknowns that the data cannot
+    tell (apart), naming them.
     """
     if not isinstance(structure, Structure):
         raise IdentificationError(
-            f"a {type(structure).__name__} is no structure",
+            f"a {type(structure).__name__} is not a structure",
             f"{getattr(structure, '__name__', structure)!s:.80}",
             "give a twodof.models.Structure; the ready-made ones are functions, to be called: pitch_rate()",
         )
@@ -63,10 +63,10 @@ def fit(
     twice = [name for i, name in enumerate(wanted) if name in wanted[:i]]
     if twice:
         raise IdentificationError(
-            f"'{twice[0]}' is to be estimated twice", f"structure '{structure.name}'", "name each unknown once"
+            f"'{twice[0]}' is named twice in `estimate`", f"structure '{structure.name}'", "name each unknown once"
         )
     if not wanted:
-        raise IdentificationError("nothing is to be estimated", f"structure '{structure.name}'", "name an unknown")
+        raise IdentificationError("`estimate` names no unknown", f"structure '{structure.name}'", "name an unknown")
     given = dict(values or {})
     problem = Problem(structure, _several(records), wanted, given, dict(bounds or {}), _names(separate), band)
     minimum = _solve(problem, noise or {})
@@ -102,7 +102,7 @@ def fit(
 
 
 def _names(names: Collection[str]) -> tuple[str, ...]:
-    """The names in the order asked for; a set has none."""
+    """The names in the order asked for; those of a set, which lacks an order, sorted."""
     if isinstance(names, str):
         return (names,)
     return tuple(names) if isinstance(names, Sequence) else tuple(sorted(names))
@@ -117,7 +117,7 @@ def _several(records: Record | Sequence[Record]) -> tuple[Record, ...]:
     if not many or not all(isinstance(one, Record) for one in several):
         odd = next((one for one in several if not isinstance(one, Record)), records)
         raise IdentificationError(
-            f"a {type(odd).__name__} is no record", "records", "cut one from a log: cut(log, 'doublet')"
+            f"a {type(odd).__name__} is not a record", "records", "cut one from a log: cut(log, 'doublet')"
         )
     return several
 
@@ -181,10 +181,10 @@ def _comparisons(problem: Problem, x: Array) -> tuple[Comparison, ...]:
 def _validation(
     structure: Structure, problem: Problem, x: Array, records: Sequence[Record], like: str
 ) -> tuple[Comparison, ...]:
-    """Simulate records that the fit has not seen, with the values of record `like`; local unknowns are fitted."""
+    """Simulate records that the fit did not use, with the values of record `like`; local unknowns are fitted."""
     names = [record.name for record in problem.records]
     if like and like not in names:
-        raise IdentificationError(f"there is no record '{like}'", "validation", f"there are: {', '.join(names)}")
+        raise IdentificationError(f"no record is called '{like}'", "validation", f"there are: {', '.join(names)}")
     found: list[Comparison] = []
     unknowns = structure.unknowns
     values = problem.values(x, names.index(like) if like else len(names) - 1)

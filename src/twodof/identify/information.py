@@ -1,7 +1,7 @@
 """Before flying: how accurately an excitation will tell the unknowns; after flying: predicted beside achieved.
 
-The Fisher information of an experiment is J' J with J the sensitivities of the outputs over their noise; the inverse is
-the Cramer-Rao bound, which the grey-box fit attains (Jategaonkar, Flight Vehicle System Identification, chapter 2).
+The Fisher information of an experiment is J' J, with J the sensitivities of the outputs over their noise. Its inverse
+is the Cramer-Rao bound, which the grey-box fit attains (Jategaonkar, Flight Vehicle System Identification, chapter 2).
 """
 
 from __future__ import annotations

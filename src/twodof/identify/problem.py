@@ -41,11 +41,11 @@ class OutputRows(ResidualRows):
 class Problem:
     """Weighted residuals (measured - simulated) / sigma of all outputs of all records as a function of x.
 
-    `sigma` holds the standard deviation of each output of each record, by (index of the record, output): a record flown
-    with the rotors at rest has a tenth of the noise.
-    `values` are first guesses or fixed values by unknown, or by "unknown[record]" for one record. `band` (low, high)
-    [Hz] keeps only the discrete Fourier coefficients of the residuals inside it, scaled so that white noise of
-    standard deviation sigma still gives rows of standard deviation 1.
+    `sigma` holds the standard deviation of each output of each record, by (index of the record, output). Records
+    differ: one flown with the rotors at rest has a tenth of the noise. `values` are first guesses or fixed values by
+    unknown, or by "unknown[record]" for one record. `band` (low, high) [Hz] keeps only the discrete Fourier
+    coefficients of the residuals inside it. They are scaled so that white noise of standard deviation sigma still gives
+    rows of standard deviation 1.
     """
 
     def __init__(
@@ -231,7 +231,7 @@ class Problem:
         for name in (*estimate, *keyed, *bounds, *separate):
             if name not in known:
                 raise IdentificationError(
-                    f"there is no unknown '{name}'",
+                    f"no unknown is called '{name}'",
                     f"structure '{self.structure.name}'",
                     f"there are: {', '.join(known)}",
                 )

@@ -98,8 +98,8 @@ class Record:
 
         The grid is that of the first input: its step is the mean of its regular intervals unless `dt` is given, its
         phase fits all its stamps. Inputs are held: step k takes the latest sample at or before it, half a step of
-        jitter forgiven. Inputs named in `smooth` are samples of a signal that moves on between them (a measured pitch,
-        not a command): step k takes their value half-way to the next step, interpolated linearly. Outputs keep their
+        jitter forgiven. Inputs named in `smooth` are samples of a signal that moves on between them, such as a measured
+        pitch. Of those, step k takes the value half-way to the next step, interpolated linearly. Outputs keep their
         stamps. A channel may have gaps; the inputs hold across them.
         Raises IdentificationError for a missing channel, NaN, time that does not increase, an empty window.
         """
@@ -111,7 +111,7 @@ class Record:
         for channel in smooth:
             if channel not in inputs:
                 raise IdentificationError(
-                    f"'{channel}' is to be smooth, but it is not an input",
+                    f"'{channel}' is named in `smooth`, but it is not an input",
                     f"record '{name}'",
                     "name it in `inputs` too",
                 )

@@ -34,9 +34,9 @@ _POOR_FIT = 50.0
 class FreeResponse:
     """What one reads off the response to the impulse; times on the log's axis [s].
 
-    `peaks` are (time, rate) of every half swing, `crossings` the times of zero rate, `period` [s] their mean spacing
-    times two, `settling_time` [s] from the first peak until the envelope is below 1 % of it; `extrapolated` says that
-    the record ended before.
+    Every half swing has a peak (`peak_times`, `peaks`). `crossings` are the times of zero rate, and `period` [s] is
+    their mean spacing times two. `settling_time` [s] lasts from the first peak until the envelope is below 1 % of it;
+    `extrapolated` says that the record ended before.
     """
 
     crossings: Array
@@ -56,7 +56,7 @@ class DoubletResponse:
     `edge` [s] and `amplitude` of the input's first edge; `peak` is the first peak of q [rad/s] above its rest,
     `unit_peak` that simulated with mu = 1, `peak_time` [s] when; `shift` counts the samples by which the simulated
     response must be delayed to lie on the measured one; `first_motion` counts the samples from the edge until q leaves
-    three standard deviations of its noise: later than the delay, by the time in which q climbs out of the noise.
+    three standard deviations of its noise. That is later than the delay, as q first has to climb out of the noise.
     """
 
     edge: float
@@ -205,9 +205,9 @@ def read_doublet(
 ) -> DoubletResponse:
     """Gain and delay from the response to a doublet, given the poles.
 
-    Measured and simulated peak are read from signals averaged over the same five samples, so that noise does not
-    lift the peak and the average's own rounding of the corner cancels.
-    Raises IdentificationError without an edge, without rest before it, or for a response within the noise.
+    Both peaks, measured and simulated, are read from signals averaged over the same five samples. So noise does not
+    lift the peak, and the average rounds both corners alike. Raises IdentificationError without an edge, without rest
+    before it, or for a response within the noise.
     """
     time, q, u = signals_of(record, input, output)
     edges = edges_of(record, u, input)

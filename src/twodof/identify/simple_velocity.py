@@ -28,8 +28,8 @@ class StepResponse:
     """What one reads off the first half of the doublet; times on the log's axis [s].
 
     `theta_bar` [rad] is the pitch that is held, and its set-point strays by `strayed` [rad] until the doublet turns.
-    `slope` [m/s2] is that of the straight line through v between 10 and 40 % of its peak (`line_start` to `line_stop`),
-    `start` is where that line meets the rest, and `peak` [m/s] is the peak above the rest at `peak_time`.
+    `slope` [m/s2] is that of the straight line through v between 10 and 40 % of its peak (`line_start` to `line_stop`).
+    That line meets the rest at `start`. The peak above the rest is `peak` [m/s], at `peak_time`.
     """
 
     edge: float
@@ -135,9 +135,10 @@ def simulated_pair(
 def read_step(record: Record, set_point: str = "theta0", output: str = "v") -> StepResponse:
     """Gain and pole from the first half of a doublet, as if the pitch followed its set-point at once.
 
-    v = -(k_v theta_bar / p_v) (1 - exp(-p_v t)): the line's slope is that of the start, the peak at the time T after it
-    gives p_v from (1 - exp(-p_v T)) / (p_v T) = peak / (slope T), 0 where v grows as fast as the line or faster.
-    The slope of a line through the first 40 % is lower than that of the start, so both come out low, as in the paper.
+    The model is v = -(k_v theta_bar / p_v) (1 - exp(-p_v t)), and the line's slope is taken for that of the start. The
+    peak, at the time T after the start, gives p_v from (1 - exp(-p_v T)) / (p_v T) = peak / (slope T). It is 0 where v
+    grows as fast as the line or faster. The slope of a line through the first 40 % is lower than that of the start, so
+    both come out low, as in the paper.
     Raises IdentificationError as `identify_velocity` does.
     """
     time, v, theta0 = signals_of(record, set_point, output)

@@ -130,10 +130,9 @@ class Comparison:
     def wanders(self) -> bool:
         """Whether the residual wanders: correlated by more than .15 over each of ten lags, and by more than chance.
 
-        The robust covariance is too small then (docs/explanation/identification.md, section 4): what is slower than its
-        window is not in it, and the fit has absorbed a part. Ten lags, so that white noise of the sensor on top does
-        not hide it; .15, so that a colour of some samples (e[i] = .8 e[i-1] + white), which that covariance knows, is
-        not meant.
+        The robust covariance is too small then: what is slower than its window is not in it, and the fit has absorbed a
+        part (docs/explanation/identification.md, section 4). Ten lags keep white noise of the sensor from hiding it.
+        The limit .15 leaves out a colour of some samples (e[i] = .8 e[i-1] + white), which that covariance knows.
         """
         if self.whiteness is None:
             return False

@@ -1,4 +1,4 @@
-"""What a report shows, as plain data: whoever flew and identified fills it in, `page` lays it out."""
+"""What a report shows, as plain data: `characterisation` fills it in, `pages` lays it out."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ class Figure:
 
 @dataclass(frozen=True, eq=False)
 class FitCheck:
-    """What a grey-box fit leaves unexplained: one output of the data it was fitted to, and of data it has not seen.
+    """What a grey-box fit leaves unexplained: one output of the data it was fitted to, and of data it did not use.
 
     `unit` is the output's; `note` says what the residual tests mean for the standard deviations that are given.
     """

@@ -18,8 +18,9 @@ def test_unit_peak_is_that_of_the_step_response_at_the_doublets_turn() -> None:
 
 
 def test_the_impulse_would_hit_the_stop() -> None:
-    """Undamped and instantaneous, theta peaks at mu M width / w_n = 119.5 deg; damping takes exp(-xi pi/2) of it,
-    the finite width sin(w/2)/(w/2) with w = w_n 0.2 s: 103 deg, here within 1 %."""
+    """Undamped and instantaneous, theta peaks at mu M width / w_n = 119.5 deg. Damping takes exp(-xi
+    pi/2) of it, the finite width sin(w/2)/(w/2) with w = w_n 0.2 s: 103 deg, here within 1 %.
+    """
     w_n, xi = PAPER_PITCH_RATE.w_n, PAPER_PITCH_RATE.xi
     half = w_n * 0.1
     rough = math.degrees(358.5 * 0.1 * 0.2 / w_n) * math.exp(-xi * math.pi / 2.0) * math.sin(half) / half

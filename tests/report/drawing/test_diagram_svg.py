@@ -225,7 +225,7 @@ def test_a_sum_of_many_shows_its_signs() -> None:
 
 def test_a_sub_diagram_is_found_by_its_path() -> None:
     assert find(closed_loop(), "flight.cascade").name == "cascade"
-    with pytest.raises(DiagramError, match="no sub-diagram"):
+    with pytest.raises(DiagramError, match="not a sub-diagram"):
         find(closed_loop(), "flight.mixer")
 
 

@@ -62,7 +62,7 @@ def test_topics_and_a_window_are_what_is_drawn(log: FlightLog) -> None:
 
 
 def test_what_is_not_there_is_refused_with_what_there_is(log: FlightLog) -> None:
-    with pytest.raises(LogError, match="no such signal") as refused:
+    with pytest.raises(LogError, match="does not have this signal") as refused:
         flight_view(log, ["gyro"])
     assert "gyr, theta" in refused.value.remedy
     with pytest.raises(LogError, match="nothing was logged from 100 to 101 s"):

@@ -33,7 +33,7 @@ def read_mat(path: str | Path) -> FlightLog:
     """Reads a .mat log. Channels that TOPICS does not know are kept, without a unit.
 
     Raises LogError for a file that is missing, truncated, foreign or damaged and for channels that Channel
-    refuses. Variables that are no channel are named in provenance["ignored"].
+    refuses. Variables that are not channels are named in provenance["ignored"].
     """
     data = provenance.read_bytes(path)
     where = str(path)
@@ -90,7 +90,7 @@ def _is_channel(variable: Variable, where: str) -> bool:
         return True
     if variable.name in BY_MAT:
         raise LogError(
-            f"channel {variable.name!r} is no struct {{timestamp, value}} of real numbers",
+            f"channel {variable.name!r} is not a struct {{timestamp, value}} of real numbers",
             where,
             "export the log again",
         )

@@ -1,7 +1,10 @@
-"""The structure of a MATLAB v5 file, walked and bounded before anything in it is trusted.
+"""The structure of a MATLAB v5 file, walked and bounded before scipy.io reads it.
 
-Source: MathWorks, "MAT-File Format", level 5. Every element's promised length is held against what is there,
-so that a truncated, foreign or hostile file is named as such and cannot ask for absurd amounts of memory.
+scipy.io alone is not safe: one of our hostile files ends the process by a segmentation fault, another takes 10 s. It
+could run in a process of its own, but to start that takes .5 s of CPU time, where a flight of 83 s is read in .05 s.
+
+Source: MathWorks, "MAT-File Format", level 5. Every element's promised length is compared with what is
+there. So a truncated, foreign or hostile file is named as such and cannot ask for absurd amounts of memory.
 """
 
 import zlib
@@ -144,7 +147,7 @@ def _variable(body: memoryview, order: str, where: str, budget: MemoryBudget) ->
     for k, (kind, start, end) in enumerate(members):
         field = names[k * width : (k + 1) * width].split(b"\0", 1)[0].decode("latin-1")
         if kind != _MATRIX:
-            raise LogError(f"field {field!r} is no array", where, "export it again")
+            raise LogError(f"field {field!r} is not an array", where, "export it again")
         if start == end:
             return Variable(name, text=False, fields=None)
         field_flags, field_dims, _, parts = _array(body[start:end], order, f"{where}.{field}", budget)

@@ -32,7 +32,7 @@ def read_mcap(path: str | Path) -> FlightLog:
     """Reads a recording or a log. Raises LogError for what is no MCAP, damaged, cut off, too large or not ours.
 
     Topics of others are counted in provenance["ignored"]. Samples that are not finite or repeat a stamp are left
-    out and counted in provenance["left_out"]; those that the recorder could not take are in provenance["dropped"].
+    out and counted in provenance["left_out"]. Those that the recorder could not take are in provenance["dropped"].
     """
     data = provenance.read_bytes(path)
     budget = MemoryBudget(len(data), str(path))

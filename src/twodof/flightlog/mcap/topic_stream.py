@@ -1,12 +1,13 @@
 """One topic of a recording: its name in MCAP, its schema, and the layout of its messages.
 
-Messages are ROS 2's (schema `ros2msg`, encoding `cdr`), because Foxglove Studio and rosbags read them as they are:
-a CDR head of four bytes, then float64 values, all aligned, so that a run of messages is one table of fixed rows.
+Messages are ROS 2's (schema `ros2msg`, encoding `cdr`), because Foxglove Studio and rosbags read them as they are. A
+message is a CDR head of four bytes and then float64 values. All are aligned, so a run of messages is one table of fixed
+rows.
 What ROS cannot say (units, the names of the drone's channels) travels as JSON in the channel's metadata.
 
 Time is a whole number of nanoseconds; in a FlightLog it is that number / 1e9, rounded once, exact to the bit up to
-104 days. A log with a stamp that this rule does not give back (the drone's own are microseconds * 1e-6, often one
-bit beside) is `stamped`: each of its messages also carries the stamp itself, as a field `time` [s].
+104 days. Some stamps are not given back by this rule: the drone's own are microseconds * 1e-6, often one bit beside.
+A channel with such a stamp is `stamped`: each of its messages also carries the stamp itself, as a field `time` [s].
 """
 
 import json
@@ -80,7 +81,7 @@ class McapStream:
 
     @property
     def metadata(self) -> dict[str, str]:
-        """What the channel's record keeps besides."""
+        """What else the channel's record keeps."""
         kept = {"name": self.mat, "unit": self.unit, "fields": self.fields, "width": self.width}
         return {KEY: json.dumps({**kept, "stamped": self.stamped, "about": self.about, "schema": self.schema})}
 

@@ -33,5 +33,5 @@ def numbers(table: pa.Table, column: str, where: str, nulls: bool = False) -> ND
 
 
 def first_line(reason: BaseException) -> str:
-    """The first line of an error's text; its type if it has none."""
+    """The first line of an error's text, or its type if the text is empty."""
     return str(reason).splitlines()[0][:200] if str(reason) else type(reason).__name__

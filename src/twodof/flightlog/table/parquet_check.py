@@ -1,5 +1,8 @@
 """The pages of a Parquet file, walked before they are decoded: what a footer says of their size may be untrue.
 
+pyarrow alone takes 3.3 GiB for a hostile file of 30 kB. It could run in a process of its own, but to start that takes
+.24 s of CPU time, where a flight of 83 s is read in .03 s.
+
 Source: Apache Parquet format, `parquet.thrift` (PageHeader), in Thrift's compact protocol. Every page says how large
 it becomes; what of a text is repeated without being stored (DELTA_BYTE_ARRAY) is refused.
 """

@@ -115,7 +115,7 @@ def read_csv(path: str | Path) -> FlightLog:
         )
     except (pa.ArrowException, UnicodeDecodeError) as reason:
         raise LogError(
-            f"is no table of numbers: {first_line(reason)}", where, "give a header line and numbers below it"
+            f"is not a table of numbers: {first_line(reason)}", where, "give a header line and numbers below it"
         ) from reason
     return _log(table, meta, provenance.of_file(path, data, "csv"), where, budget)
 

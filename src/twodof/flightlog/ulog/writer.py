@@ -58,11 +58,11 @@ def topic_format(topic: Topic) -> tuple[str, str]:
 class ULogWriter(Spool):
     """Writes records into a new ULog file, for `with`.
 
-    `formats`: description of each topic's records by name, such as `uint64_t timestamp;float[3] xyz;`, of basic types
-    and with `timestamp` [us] first; by default one for each signal of TOPICS that the flight controller knows.
-    `info`: texts and whole numbers; `parameters`: int for PX4's int32, float for its float, which it rounds to.
-    `full`, `capacity_bytes` and `flush_s` are Spool's; the time over which records were dropped is logged as such.
-    Raises LogError for what ULog cannot hold or a file that exists, RecordingError when the disk refuses.
+    `formats` describes each topic's records by name, such as `uint64_t timestamp;float[3] xyz;`: basic types,
+    `timestamp` [us] first. By default there is one for each signal of TOPICS that the flight controller knows. `info`:
+    texts and whole numbers; `parameters`: int for PX4's int32, float for its float, which it rounds to. `full`,
+    `capacity_bytes` and `flush_s` are Spool's; the time over which records were dropped is logged as such. Raises
+    LogError for what ULog cannot hold or a file that exists, RecordingError when the disk refuses.
     """
 
     def __init__(
@@ -229,11 +229,11 @@ def _keyed(letter: str, key: str, value: bytes) -> bytes:
 
 def _whole(value: int, bits: int, where: str) -> int:
     if not isinstance(value, int) or not 0 <= value < 1 << bits:
-        raise LogError(f"{shown(value)} is no whole number of {bits} bits", where, "give whole microseconds from 0")
+        raise LogError(f"{shown(value)} is not a whole number of {bits} bits", where, "give whole microseconds from 0")
     return value
 
 
 def _signed(value: int, bits: int, where: str) -> int:
     if not isinstance(value, int) or not -(1 << (bits - 1)) <= value < 1 << (bits - 1):
-        raise LogError(f"{shown(value)} is no whole number of {bits} bits", where, "give a smaller one")
+        raise LogError(f"{shown(value)} is not a whole number of {bits} bits", where, "give a smaller one")
     return value

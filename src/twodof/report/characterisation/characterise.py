@@ -33,8 +33,8 @@ class ExperimentRecords:
     velocity the first three identify).
 
     All repetitions together give the spread of the readings by hand. An experiment that was not flown is empty.
-    `by_hand` names what the simple method may be read from: a drone that moves along the rail without having been
-    given a doublet of pitch has no step response to read. `trim` is the moment that holds the drone level (default:
+    `by_hand` names what the simple method may be read from. Without a doublet of pitch, for example, a motion along the
+    rail does not show a step response. `trim` is the moment that holds the drone level (default:
     the moment before the doublet). With `gyro_bias` the gyro's bias is estimated too, as a real gyro needs it.
     `surroundings` hold, by a record's name, a longer stretch of the same flight, for pictures.
     """
@@ -74,8 +74,8 @@ class Characterisation:
 def characterise(flights: ExperimentRecords, dry_friction: bool) -> Characterisation:
     """Identify one machine by both methods.
 
-    `dry_friction`: whether w_n and xi of the grey-box column come from the model with dry friction and a hardening
-    spring (real bearings) or from the paper's linear one. What the data refuse is noted and left out, not raised.
+    `dry_friction`: take w_n and xi of the grey-box column from the model with dry friction and a hardening spring (real
+    bearings), not from the paper's linear one. What the data refuse is noted and left out, not raised.
     """
     refusals: list[str] = []
     pitch = _pitch_by_hand(flights, refusals)

@@ -42,7 +42,7 @@ text { font-family: Helvetica, Arial, "Liberation Sans", sans-serif; fill: #1620
 
 
 def escape(text: str) -> str:
-    """User's text for XML, which has no place for control characters, nor for what turns the direction of reading."""
+    """User's text for XML, which cannot hold control characters or marks that turn the direction of reading."""
     return escape_html("".join(c if c.isprintable() else " " for c in text))
 
 
@@ -73,7 +73,7 @@ def find(diagram: Diagram, path: str) -> Diagram:
         part = at.parts.get(name)
         if part is None or isinstance(part.item, Block):
             known = ", ".join(n for n, p in at.parts.items() if isinstance(p.item, Diagram)) or "none"
-            raise DiagramError(f"there is no sub-diagram {path!r:.120}", at.name, f"sub-diagrams: {known}")
+            raise DiagramError(f"there is not a sub-diagram {path!r:.120}", at.name, f"sub-diagrams: {known}")
         at = part.item
     return at
 

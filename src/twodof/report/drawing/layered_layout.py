@@ -1,8 +1,11 @@
 """Layered layout of a block diagram: columns, their order, coordinates, wires of horizontal and vertical pieces.
 
-Sugiyama's method (Sugiyama, Tagawa, Toda, IEEE Trans. SMC 11-2, 1981) for boxes with pins: feedback is set aside,
-columns are longest paths, crossings are reduced by barycentres, heights are chosen so that wires run straight.
-Feedback runs below everything it passes. `twodof.report.drawing.wire_channels` draws the wires between two columns.
+Sugiyama's method (Sugiyama, Tagawa, Toda, IEEE Trans. SMC 11-2, 1981) for boxes with pins. Feedback is set aside,
+columns are longest paths, crossings are reduced by barycentres, and heights are chosen so that wires run straight.
+Feedback runs below everything it passes. `wire_channels` draws the wires between two columns.
+
+It is our own code because the library `grandalf` knows neither pins nor right angles: it runs 19 of 42 wires of the
+flight core through boxes, in two to four times the time. `dot` of Graphviz ignores pins where it draws right angles.
 """
 
 from __future__ import annotations
@@ -220,7 +223,7 @@ class _Layered:
         self.columns = best
 
     def _order_by_wish(self) -> None:
-        """The author's heights; what has none stands by its neighbours."""
+        """The author's heights; a box without one stands by its neighbours."""
         wish = {self.item_of[i]: b.wish[1] for i, b in enumerate(self.boxes) if b.wish is not None}
         links = [link for c in range(len(self.columns)) for link in self._links(c)]
         for _ in range(len(self.columns) + 1):

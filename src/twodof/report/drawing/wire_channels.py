@@ -87,7 +87,7 @@ class WireChannel:
         waiting += [_Trunk(trunk.net, trunk.left, [via]), _Trunk(trunk.net, [via], trunk.right)]
 
     def width(self, outer: bool) -> float:
-        """The channel's width; one at the rim that nothing passes has none."""
+        """The channel's width, 0 for one at the rim that nothing passes."""
         if outer and not self.tracks and not self.straight:
             return 0.0
         return 2.0 * EDGE + TRACK * max(self.tracks - 1, 0)

@@ -103,9 +103,9 @@ def flight_view(
 ) -> FlightView:
     """The view of a log, in `window` [s] if one is given.
 
-    `topics` are names of signals, of their .mat channels or of channels that only this log has; none: pitch, rate,
-    position, velocity and what the motors are told, each against its set-point and, where it is known, the truth.
-    Raises LogError for a topic that the log lacks, and for a window in which nothing was logged.
+    `topics` are names of signals, of their .mat channels or of channels that only this log has. Without any, pitch,
+    rate, position, velocity and what the motors are told are shown, each with its set-point and, where known, the
+    truth. Raises LogError for a topic that the log lacks, and for a window in which nothing was logged.
     """
     span = _span(log, window)
     notes: list[str] = []
@@ -159,7 +159,7 @@ def _own(log: FlightLog, name: str, flown: Sequence[Span], span: tuple[float, fl
     row = BY_NAME.get(name) or BY_MAT.get(name)
     channel = row.mat if row else name
     if channel not in log:
-        raise LogError("the log has no such signal", f"{log.source}: {name}", f"there are: {', '.join(log)}")
+        raise LogError("the log does not have this signal", f"{log.source}: {name}", f"there are: {', '.join(log)}")
     for panel, (_, _, channels) in _PANELS.items():
         if channel in (one for one, _ in channels):
             return _panel(log, panel, flown, span)
