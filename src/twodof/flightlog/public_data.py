@@ -15,7 +15,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from urllib.parse import quote
 
 from twodof.errors import DownloadError, LogError
 from twodof.flightlog.atomic import atomic_write
@@ -50,84 +49,64 @@ class PublicLog:
     compared: tuple[str, ...] = ()
 
 
-def _row(
-    name: str,
-    folder: str,
-    path: str,
-    sha256: str,
-    text: str,
-    gains: str,
-    window: tuple[float, float],
-    compared: tuple[str, ...],
-) -> PublicLog:
-    return PublicLog(name, f"{folder}/{quote(path)}", sha256, text, gains, window, compared)
-
-
 _ROWS = (
-    _row(
+    PublicLog(
         "free-response-impulse",
-        _COURSE,
-        "Lab01_part2/part2/log_0_2024-5-22-17-22-44_2dd.mat",
+        f"{_COURSE}/Lab01_part2/part2/log_0_2024-5-22-17-22-44_2dd.mat",
         "a7237be432402776f2ea7fe59f930c5ad2ede2ab818aeeceec19c25c5c78ebcc",
         "1DoF, open loop, rotors off: M = 0.1 for 0.196 s, then the free response",
         "default",
         (188.30, 197.50),
         ("q",),
     ),
-    _row(
+    PublicLog(
         "doublet-0.03",
-        _COURSE,
-        "Lab01_part2/part2/log_1_2024-5-22-17-23-18_2dd.mat",
+        f"{_COURSE}/Lab01_part2/part2/log_1_2024-5-22-17-23-18_2dd.mat",
         "fbe156ac02db31d96af38ceecd415446b59d4831805f25484ffd00b0d4364af6",
         "1DoF, open loop, T = 0.4: doublet of M, +-0.03 about the trim",
         "default",
         (244.70, 245.75),
         ("q",),
     ),
-    _row(
+    PublicLog(
         "attitude-steps-10deg-default",
-        _COURSE,
-        "Lab01_part1/part1/log_0_2024-5-22-17-21-28_2dd.mat",
+        f"{_COURSE}/Lab01_part1/part1/log_0_2024-5-22-17-21-28_2dd.mat",
         "82844fcca31dcf21ad67afa730e18007cc31327f62d5fa7af21080d4bbea1986",
         "1DoF, attitude loop, default gains: steps of 10 deg",
         "default",
         (127.50, 135.80),
         ("theta", "q"),
     ),
-    _row(
+    PublicLog(
         "attitude-steps-10deg-student",
-        _COURSE,
-        "Lab03/Data/log_5_2024-5-22-17-26-58_2dd.mat",
+        f"{_COURSE}/Lab03/Data/log_5_2024-5-22-17-26-58_2dd.mat",
         "9689c4ab9b915b17c87061544f5a12fb614373b93894fa88aae09e5506734710",
         "1DoF, attitude loop, student gains: steps of 10 deg",
         "student",
         (6.70, 15.00),
         ("theta", "q"),
     ),
-    _row(
+    PublicLog(
         "rate-doublets-30dps-student",
-        _COURSE,
-        "Lab02/Data/log_4_2024-5-22-17-25-08_2dd.mat",
+        f"{_COURSE}/Lab02/Data/log_4_2024-5-22-17-25-08_2dd.mat",
         "fcdf079a5b4f4425bb82aa9d20e9d62fbed1c2f6755c6b350b5bb5f226d9ba41",
         "1DoF, pitch-rate loop, student gains: three doublets of 30 deg/s",
         "student",
         (346.60, 355.60),
         ("q",),
     ),
-    _row(
+    PublicLog(
         "velocity-doublets-0.25",
-        _COURSE,
-        "Lab04/log_1_2024-5-22-17-21-22_2dd.mat",
+        f"{_COURSE}/Lab04/log_1_2024-5-22-17-21-22_2dd.mat",
         "801ebe060f67aa2dbc88323c82fdc89f388646e89451393fbb832861ce2d52e4",
         "2DoF, velocity loop, student gains: doublets of 0.25 m/s",
         "student",
         (150.80, 160.50),
         ("theta", "v"),
     ),
-    _row(
+    PublicLog(
         "position-sweep-default",
-        _ESTIMATION,
-        "log_2_2024-5-22-17-28-50_2dd (1).mat",
+        f"{_ESTIMATION}/log_2_2024-5-22-17-28-50_2dd%20%281%29.mat",
         "e40bc492c1cd3ac314eefe1220dd3866315f2aa0f873cf9c0a5f6c91a32e1244",
         "2DoF, position loop, default gains: sweep of 0.2 m, 0.1 to 1 Hz",
         "default",

@@ -212,13 +212,7 @@ def read_doublet(
     time, q, u = signals_of(record, input, output)
     edges = edges_of(record, u, input)
     edge = record.start + edges[0] * record.dt
-    before = time < edge
-    if np.count_nonzero(before) < 5:
-        raise IdentificationError(
-            f"{np.count_nonzero(before)} samples precede the first edge at {edge:g} s",
-            f"record '{record.name}', channel '{output}'",
-            "start the window at least 0.05 s earlier",
-        )
+    before = rest_before(record, time, edge, output)
     rest, noise = float(q[before].mean()), float(q[before].std())
     grid = np.interp(record.time, time, q - rest)
     level = u[0] if trim is None else trim
@@ -270,6 +264,19 @@ def signals_of(record: Record, input: str, output: str) -> tuple[Array, Array, A
             f"inputs: {', '.join(record.inputs)}; outputs: {', '.join(record.outputs)}",
         )
     return record.output_time(output), record.outputs[output].value, record.inputs[input]
+
+
+def rest_before(record: Record, time: Array, edge: float, output: str) -> NDArray[np.bool_]:
+    """Which samples precede the first edge [s]. Raises IdentificationError for fewer than five."""
+    before = time < edge
+    count = np.count_nonzero(before)
+    if count < 5:
+        raise IdentificationError(
+            f"{count} samples precede the first edge at {edge:g} s",
+            f"record '{record.name}', channel '{output}'",
+            "start the window at least 0.05 s earlier",
+        )
+    return before
 
 
 def edges_of(record: Record, u: Array, input: str) -> list[int]:

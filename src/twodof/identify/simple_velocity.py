@@ -13,7 +13,7 @@ from scipy.optimize import brentq
 
 from twodof.errors import IdentificationError
 from twodof.identify.record import Record
-from twodof.identify.simple_pitch import edges_of, poor_fits, signals_of
+from twodof.identify.simple_pitch import edges_of, poor_fits, rest_before, signals_of
 from twodof.identify.validate import fit_percent
 from twodof.models.plant import Velocity
 
@@ -127,7 +127,7 @@ def simulated_pair(
     time, v, theta0 = signals_of(record, set_point, output)
     _, _, theta = signals_of(record, pitch, output)
     first = edges_of(record, theta0, set_point)[0]
-    rest = _rest(record, time, v, record.start + first * record.dt, output)
+    rest = float(v[rest_before(record, time, record.start + first * record.dt, output)].mean())
     simulated = model.state_space().zero_order_hold(record.dt).simulate(theta - theta[:first].mean())[:, 1]
     return v - rest, np.interp(time, record.time, simulated)
 
@@ -145,8 +145,8 @@ def read_step(record: Record, set_point: str = "theta0", output: str = "v") -> S
     edges = edges_of(record, theta0, set_point)
     edge = record.start + edges[0] * record.dt
     theta_bar = float(theta0[edges[0]] - theta0[edges[0] - 1])
-    rest = _rest(record, time, v, edge, output)
-    noise = float(v[time < edge].std())
+    before = rest_before(record, time, edge, output)
+    rest, noise = float(v[before].mean()), float(v[before].std())
     until = record.start + (edges[1] if len(edges) > 1 else record.steps) * record.dt
     # The pitch turns back some time after its set-point, and v with it.
     half = (time >= edge) & (time <= until + 0.5 * (until - edge))
@@ -182,14 +182,3 @@ def read_step(record: Record, set_point: str = "theta0", output: str = "v") -> S
         k_v=slope / abs(theta_bar),
         p_v=float(p_v),
     )
-
-
-def _rest(record: Record, time: Array, v: Array, edge: float, output: str) -> float:
-    before = v[time < edge]
-    if before.size < 5:
-        raise IdentificationError(
-            f"{before.size} samples precede the first edge at {edge:g} s",
-            f"record '{record.name}', channel '{output}'",
-            "start the window earlier",
-        )
-    return float(before.mean())

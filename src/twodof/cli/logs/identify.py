@@ -30,7 +30,7 @@ from twodof.report.characterisation.characterise import TRAVEL
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
 
-class ExperimentKind(StrEnum):
+class ExperimentChoice(StrEnum):
     """The paper's experiments."""
 
     impulse = "impulse"
@@ -39,8 +39,8 @@ class ExperimentKind(StrEnum):
 
 
 # What the ready-made experiments of those kinds are called when they are flown.
-_FLOWN_AS = {"velocity-doublet": ExperimentKind.velocity}
-_KNOWN = (*(one.value for one in ExperimentKind), *_FLOWN_AS)
+_FLOWN_AS = {"velocity-doublet": ExperimentChoice.velocity}
+_KNOWN = (*(one.value for one in ExperimentChoice), *_FLOWN_AS)
 
 # What a free response tells and a doublet hardly does: it is over before the poles show.
 _SWING = ("w_n", "xi", "coulomb", "hardening")
@@ -135,7 +135,7 @@ def identify(
         raise typer.Exit(1)
 
 
-def _experiment(name: str | None, log: FlightLog) -> ExperimentKind:
+def _experiment(name: str | None, log: FlightLog) -> ExperimentChoice:
     """The experiment that is asked for, else the one that the log names, else the one that is found in it.
 
     Raises ParameterError for an experiment that is not ours, LogError for a log in which none is found.
@@ -149,12 +149,12 @@ def _experiment(name: str | None, log: FlightLog) -> ExperimentKind:
             log.source if name is None else "--experiment",
             f"{'say what it is' if name is None else 'there are'}: --experiment {'|'.join(_KNOWN)}",
         )
-    return _FLOWN_AS.get(said) or ExperimentKind(said)
+    return _FLOWN_AS.get(said) or ExperimentChoice(said)
 
 
 def _check_options(
     method: Method,
-    experiment: ExperimentKind,
+    experiment: ExperimentChoice,
     model: Model,
     estimate: Sequence[str] | None,
     value: Sequence[str] | None,
@@ -169,7 +169,7 @@ def _check_options(
                 " ".join(idle),
                 "leave it out, or take --method grey-box",
             )
-    if impulse is not None and experiment is not ExperimentKind.doublet:
+    if impulse is not None and experiment is not ExperimentChoice.doublet:
         raise ParameterError(
             "the impulse's log is of use to a doublet only",
             f"--impulse, --experiment {experiment.value}",
@@ -178,7 +178,7 @@ def _check_options(
 
 
 def _check_several(
-    method: Method, kinds: Sequence[ExperimentKind], files: Sequence[Path], validate: Sequence[Path] | None
+    method: Method, kinds: Sequence[ExperimentChoice], files: Sequence[Path], validate: Sequence[Path] | None
 ) -> None:
     """Raises ParameterError for several logs that are not repetitions of one experiment, or cannot be treated so."""
     if len(kinds) == 1:
@@ -208,11 +208,11 @@ def _check_window(log: FlightLog, window: tuple[float, float]) -> None:
 
 
 def _by_hand(
-    experiment: ExperimentKind, record: Record, others: Sequence[Record], free: Record | None
+    experiment: ExperimentChoice, record: Record, others: Sequence[Record], free: Record | None
 ) -> SimplePitch | SimpleVelocity:
-    if experiment is ExperimentKind.velocity:
+    if experiment is ExperimentChoice.velocity:
         return identify_velocity([record, *others])
-    if experiment is ExperimentKind.impulse:
+    if experiment is ExperimentChoice.impulse:
         raise ParameterError(
             "by hand, the impulse gives only the poles",
             "--method simple",
@@ -224,7 +224,7 @@ def _by_hand(
 
 
 def _by_output_error(
-    experiment: ExperimentKind,
+    experiment: ExperimentChoice,
     model: Model,
     records: Sequence[Record],
     others: Sequence[Record],
@@ -240,7 +240,7 @@ def _by_output_error(
         held = {name: swing[name] for name in _SWING if name in swing.labels and name not in (estimate or ())}
         values = {**held, **values}
         wanted = wanted or tuple(name for name in structure.estimate if name not in held)
-    if experiment is ExperimentKind.velocity:
+    if experiment is ExperimentChoice.velocity:
         # From the on-board pitch to the on-board velocity, as in the paper, or from the gyro to the range sensor.
         output = "v" if model is Model.velocity else "x"
         records, others = [only(one, output) for one in records], [only(other, output) for other in others]
@@ -251,7 +251,7 @@ def _by_output_error(
 
 
 def _check_request(
-    structure: Structure, experiment: ExperimentKind, model: Model, estimate: Sequence[str], values: dict[str, float]
+    structure: Structure, experiment: ExperimentChoice, model: Model, estimate: Sequence[str], values: dict[str, float]
 ) -> None:
     """Raises ParameterError for a model of another experiment, an unknown it has not, a value out of its bounds."""
     kind = KINDS[experiment.value]
@@ -272,7 +272,7 @@ def _check_request(
             raise ParameterError(f"{number:g} is out of bounds", f"--value {name}", f"{low:g} to {high:g} is possible")
 
 
-def _structure(experiment: ExperimentKind, model: Model) -> Structure:
+def _structure(experiment: ExperimentChoice, model: Model) -> Structure:
     made = {
         Model.pitch_rate: pitch_rate,
         Model.pitch_rate_lag: lambda: pitch_rate(lag=True),
@@ -281,7 +281,7 @@ def _structure(experiment: ExperimentKind, model: Model) -> Structure:
         Model.rail: rail,
     }
     if model is Model.auto:
-        return rail(thrust=True) if experiment is ExperimentKind.velocity else pitch_rate()
+        return rail(thrust=True) if experiment is ExperimentChoice.velocity else pitch_rate()
     return made[model]()
 
 

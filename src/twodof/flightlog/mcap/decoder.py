@@ -13,6 +13,7 @@ from twodof.flightlog.mcap.records import (
     CODECS,
     MAGIC,
     RECORD_HEAD,
+    SUMMARY_ONLY,
     McapOpcode,
     RecordCursor,
     check_size,
@@ -29,28 +30,9 @@ UNVERIFIED_NOTE = "twodof.unverified"
 """The table in which a table whose checksum is wrong goes on, so that nobody takes it for true."""
 CHUNK_BYTES = 3 * RUN_BYTES
 """What a chunk costs, beside its messages."""
-_IN_DATA = frozenset(
-    {
-        McapOpcode.HEADER,
-        McapOpcode.SCHEMA,
-        McapOpcode.CHANNEL,
-        McapOpcode.MESSAGE,
-        McapOpcode.CHUNK,
-        McapOpcode.MESSAGE_INDEX,
-        McapOpcode.ATTACHMENT,
-        McapOpcode.METADATA,
-        McapOpcode.DATA_END,
-    }
-)
-_IN_SUMMARY = frozenset(McapOpcode) - {
-    McapOpcode.HEADER,
-    McapOpcode.MESSAGE,
-    McapOpcode.CHUNK,
-    McapOpcode.MESSAGE_INDEX,
-    McapOpcode.ATTACHMENT,
-    McapOpcode.METADATA,
-    McapOpcode.DATA_END,
-}
+_IN_BOTH = frozenset({McapOpcode.SCHEMA, McapOpcode.CHANNEL})
+_IN_SUMMARY = _IN_BOTH | SUMMARY_ONLY
+_IN_DATA = frozenset(McapOpcode) - SUMMARY_ONLY
 # Where a chunk's codec stands in its record: after the head, its times, size and checksum.
 _BEFORE_CODEC = RECORD_HEAD.size + CHUNK_HEAD.size
 _STATED_MESSAGES = 8

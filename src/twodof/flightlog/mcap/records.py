@@ -49,6 +49,19 @@ class McapOpcode(IntEnum):
     DATA_END = 0x0F
 
 
+SUMMARY_ONLY = frozenset(
+    {
+        McapOpcode.FOOTER,
+        McapOpcode.CHUNK_INDEX,
+        McapOpcode.ATTACHMENT_INDEX,
+        McapOpcode.STATISTICS,
+        McapOpcode.METADATA_INDEX,
+        McapOpcode.SUMMARY_OFFSET,
+    }
+)
+"""What stands behind the end of the data, and nowhere else."""
+
+
 def record(op: McapOpcode, content: bytes) -> bytes:
     """One record."""
     return RECORD_HEAD.pack(op, len(content)) + content
