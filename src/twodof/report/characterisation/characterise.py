@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 import numpy as np
 
@@ -70,6 +71,12 @@ class Characterisation:
     spreads: Mapping[str, Spread]
     refusals: Sequence[str]
 
+    @property
+    def fits(self) -> dict[str, Estimate]:
+        """The grey-box fits that Table 1 takes its values from, by experiment."""
+        found = {"free response": self.dry or self.free, "doublet": self.forced, "velocity": self.travel}
+        return {name: estimate for name, estimate in found.items() if estimate is not None}
+
 
 def characterise(flights: ExperimentRecords, dry_friction: bool) -> Characterisation:
     """Identify one machine by both methods.
@@ -78,8 +85,12 @@ def characterise(flights: ExperimentRecords, dry_friction: bool) -> Characterisa
     bearings), not from the paper's linear one. What the data refuse is noted and left out, not raised.
     """
     refusals: list[str] = []
-    pitch = _pitch_by_hand(flights, refusals)
-    along = _velocity_by_hand(flights, refusals)
+    pitch, along = None, None
+    if flights.impulses and flights.doublets and "pitch" in flights.by_hand:
+        doublets = flights.doublets[:3]
+        pitch = _tried(lambda: identify_pitch(flights.impulses[0], doublets, trim=flights.trim), refusals)
+    if flights.velocities and "velocity" in flights.by_hand:
+        along = _tried(lambda: identify_velocity(flights.velocities[:3]), refusals)
     guess = {} if pitch is None else {"w_n": pitch.model.w_n, "xi": pitch.model.xi}
     gain = {} if pitch is None else {"mu": pitch.model.mu}
     seen = [only(record, "x") for record in flights.velocities]
@@ -105,12 +116,8 @@ def characterise(flights: ExperimentRecords, dry_friction: bool) -> Characterisa
 
     def identify(work: _Fit, records: Sequence[Record], keys: Sequence[str], count: int = 1) -> Estimate | None:
         """The fit of the first `count` records; into the table the values of `keys` and their spread."""
-        if not records:
-            return None
-        try:
-            found = work(records[:count], records[count : count + 2])
-        except IdentificationError as error:
-            refusals.append(str(error))
+        found = _tried(lambda: work(records[:count], records[count : count + 2]), refusals) if records else None
+        if found is None:
             return None
         greybox.update({key: Uncertain(found[key], found.sigma(key)) for key in keys})
         spreads.update(_repeated(work, records, keys, count))
@@ -139,6 +146,7 @@ def _curve(idle: Estimate | None, run: Estimate | None, refusals: list[str]) -> 
 
 # What a doublet can tell; the poles show only after it is over.
 FORCED = ("mu", "tau", "M_trim", "q_0")
+_Found = TypeVar("_Found")
 _Fit = Callable[[Sequence[Record], Sequence[Record]], Estimate]
 
 
@@ -150,21 +158,10 @@ def _repeated(work: _Fit, records: Sequence[Record], keys: Sequence[str], count:
     return {key: Spread(_spread([one[key] for one in found]), len(found)) for key in keys}
 
 
-def _pitch_by_hand(flights: ExperimentRecords, refusals: list[str]) -> SimplePitch | None:
-    if not (flights.impulses and flights.doublets and "pitch" in flights.by_hand):
-        return None
+def _tried(work: Callable[[], _Found], refusals: list[str]) -> _Found | None:
+    """What `work` finds, or None and why the data refuse it."""
     try:
-        return identify_pitch(flights.impulses[0], flights.doublets[:3], trim=flights.trim)
-    except IdentificationError as error:
-        refusals.append(str(error))
-        return None
-
-
-def _velocity_by_hand(flights: ExperimentRecords, refusals: list[str]) -> SimpleVelocity | None:
-    if not (flights.velocities and "velocity" in flights.by_hand):
-        return None
-    try:
-        return identify_velocity(flights.velocities[:3])
+        return work()
     except IdentificationError as error:
         refusals.append(str(error))
         return None

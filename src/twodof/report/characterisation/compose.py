@@ -86,14 +86,10 @@ def subject(machine: CharacterisedMachine) -> Subject:
 
 
 def _checks(found: Characterisation) -> list[FitCheck]:
+    units = {"velocity": "m"}
     return [
-        FitCheck(name, unit, estimate.identification[0], estimate.validation, _note(estimate))
-        for name, unit, estimate in (
-            ("free response", "rad/s", found.dry or found.free),
-            ("doublet", "rad/s", found.forced),
-            ("velocity", "m", found.travel),
-        )
-        if estimate is not None
+        FitCheck(name, units.get(name, "rad/s"), estimate.identification[0], estimate.validation, _note(estimate))
+        for name, estimate in found.fits.items()
     ]
 
 
@@ -120,13 +116,8 @@ def _doubts(found: Characterisation) -> list[str]:
             "Velocity: dry friction on the bars. In one doublet it acts much as viscous friction does, so only "
             "p<sub>v</sub> is estimated and takes on both."
         )
-    for name, estimate in (
-        ("Free response", found.dry or found.free),
-        ("Doublet", found.forced),
-        ("Velocity", found.travel),
-    ):
-        if estimate is not None:
-            said.extend(f"{name}: {text}" for text in _unsure(estimate))
+    for name, estimate in found.fits.items():
+        said.extend(f"{name.capitalize()}: {text}" for text in _unsure(estimate))
     for row in _PAPER:
         claimed, spread = found.greybox.get(row.key), found.spreads.get(row.key)
         if claimed is not None and spread is not None and spread.exceeds(claimed.sigma):

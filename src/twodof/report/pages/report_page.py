@@ -82,8 +82,14 @@ def _parameter_table(rows: Sequence[ParameterRow]) -> str:
             f'<tr><th scope="row"><i>{row.symbol}</i> <small>{escape(row.text)}</small></th>'
             f"<td>{escape(row.unit) or '–'}</td>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>"
         )
+    return _table(heads, "".join(lines))
+
+
+def _table(heads: Sequence[str], body: str, style: str = "") -> str:
+    """A table with these heads, as wide as it needs to be; `style` is its class."""
     head = "".join(f'<th scope="col">{name}</th>' for name in heads)
-    return f'<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{"".join(lines)}</tbody></table></div>'
+    named = f' class="{style}"' if style else ""
+    return f'<div class="scroll"><table{named}><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
 
 
 def _found(estimate: Uncertain | None, truth: float | None, sigma: float = math.nan) -> str:
@@ -95,15 +101,11 @@ def _found(estimate: Uncertain | None, truth: float | None, sigma: float = math.
 
 
 def _free_table(table: ReportTable) -> str:
-    head = "".join(f'<th scope="col">{escape(name)}</th>' for name in table.heads)
     body = "".join(
         f'<tr><th scope="row">{escape(row[0])}</th>' + "".join(f"<td>{escape(cell)}</td>" for cell in row[1:]) + "</tr>"
         for row in table.rows
     )
-    return (
-        f'<p class="text">{table.text}</p><div class="scroll"><table><thead><tr>{head}</tr></thead>'
-        f"<tbody>{body}</tbody></table></div>"
-    )
+    return f'<p class="text">{table.text}</p>{_table([escape(name) for name in table.heads], body)}'
 
 
 def _value(value: float | None) -> str:
@@ -162,9 +164,7 @@ def _residual_section(subjects: Sequence[Subject]) -> Iterator[str]:
             f"<td>{plain(fit.rmse, 3)} {escape(check.unit)}</td><td>{validation}</td>"
             f"<td>{_verdict(fit.whiteness)}</td><td>{_verdict(*fit.inputs.values())}</td></tr>"
         )
-    head = "".join(f'<th scope="col">{name}</th>' for name in heads)
-    yield '<div class="scroll"><table class="break">'
-    yield f"<thead><tr>{head}</tr></thead><tbody>{_tied(''.join(lines))}</tbody></table></div>"
+    yield _table(heads, _tied("".join(lines)), "break")
     yield _grid(len(subjects))
     for subject, check in checks:
         yield _residual_card(subject, check)
@@ -205,9 +205,7 @@ def _errata_section(errata: Sequence[Erratum]) -> Iterator[str]:
             f'<tr><th scope="row">{e.place}</th><td class="left">{e.printed}</td><td class="left">{e.shown}</td></tr>'
             for e in errata
         )
-        heads = '<th scope="col">Where</th><th scope="col">Printed</th><th scope="col">What this work shows</th>'
-        yield f'<div class="scroll"><table class="prose"><thead><tr>{heads}</tr></thead>'
-        yield f"<tbody>{lines}</tbody></table></div>"
+        yield _table(("Where", "Printed", "What this work shows"), lines, "prose")
 
 
 def _provenance_table(content: Content) -> str:
