@@ -108,8 +108,8 @@ class Channel:
     def index(self, t: ArrayLike, how: How = "hold") -> NDArray[np.intp]:
         """Which sample stands for each time of `t` (m,) [s]; -1 where none does. Raises LogError.
 
-        "hold" is the latest sample at or before t, "next" the first at or after t. "nearest" is the closer of the two,
-        and the earlier one if both are equally close.
+        "hold" is the latest sample at or before t, "next" the first at or after t. "nearest" is the
+        closer of the two; if both are equally close, the earlier one.
         """
         at = _floats(t, "t")
         _check_finite(at, "t", at, "time")

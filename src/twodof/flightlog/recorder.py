@@ -49,9 +49,9 @@ class Recorder(Spool):
     sample. Values are recorded as they come, NaN included; read_mcap says what it leaves out.
 
     `full="drop"`, the default, is for a caller that must not wait. It drops samples that do not fit into
-    `capacity_bytes`, counts them by topic in `dropped` and keeps the counts in the file. "wait" waits for the disk, as
-    lockstep needs it. Raises
-    LogError if the file exists or cannot be made, RecordingError when the disk refuses or is silent.
+    `capacity_bytes`, counts them by topic in `dropped` and keeps the counts in the file. `full="wait"` waits for the
+    disk, as lockstep needs it. Raises LogError if the file exists or cannot be made, RecordingError when the disk
+    refuses or is silent.
     """
 
     def __init__(

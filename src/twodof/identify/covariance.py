@@ -74,9 +74,9 @@ class ResidualRows:
 def robust_covariance(jacobian: Array, residual: Array, blocks: Sequence[ResidualRows], spectral: bool) -> Array:
     """(J'J)^-1 J' R J (J'J)^-1 with R the covariance that the residuals themselves show, supposing it stationary.
 
-    In the time domain R is Toeplitz. It holds the residuals' auto- and cross-covariances within a record, tapered by
-    Bartlett's window over 2 sqrt(n) lags, which keeps it positive (Morelli and Klein, Accuracy of aerodynamic model
-    parameters estimated from flight test data, 1997). For Fourier coefficients (`spectral`) it is the diagonal of their
+    In the time domain R is Toeplitz. It holds the residuals' auto- and cross-covariances within a record (Morelli and
+    Klein, Accuracy of aerodynamic model parameters estimated from flight test data, 1997). Bartlett's window over 2
+    sqrt(n) lags tapers it, which keeps it positive. For Fourier coefficients (`spectral`) it is the diagonal of their
     power, smoothed over neighbours. White residuals give `covariance` back, except for the scatter of R.
     """
     bread = covariance(jacobian)

@@ -1,7 +1,7 @@
 """Nonlinear least squares within bounds by Levenberg-Marquardt.
 
-It is not scipy's `least_squares`, which takes 3 times as long on the real free response and 7 times with dry friction:
-it decomposes the tall Jacobian at each step, where a simulation costs less than that. On the five fits of the real
+It is not scipy's `least_squares`, which takes 3 times as long on the real free response, and 7 times with dry friction.
+That decomposes the tall Jacobian at each step, where a simulation costs less. On the five fits of the real
 flights both find the same estimates to 5 digits, except with dry friction, whose cost has several minima.
 """
 

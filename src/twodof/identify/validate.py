@@ -130,7 +130,7 @@ class Comparison:
     def wanders(self) -> bool:
         """Whether the residual wanders: correlated by more than .15 over each of ten lags, and by more than chance.
 
-        The robust covariance is too small then: what is slower than its window is not in it, and the fit has absorbed a
+        The robust covariance is too small then. What is slower than its window is not in it, and the fit has absorbed a
         part (docs/explanation/identification.md, section 4). Ten lags keep white noise of the sensor from hiding it.
         The limit .15 leaves out a colour of some samples (e[i] = .8 e[i-1] + white), which that covariance knows.
         """

@@ -228,3 +228,15 @@ def test_several_flights_are_compared_with_each_other_only(
     again = pitch_logs[1].parent / ".." / pitch_logs[1].parent.name / pitch_logs[1].name
     assert run(["identify", str(pitch_logs[1]), str(again), "--experiment", "doublet"]) == 2
     assert "named twice" in capfd.readouterr().err
+
+
+def test_the_experiment_is_found_in_a_log_that_does_not_name_it(
+    flight_data: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    log = str(flight_data / "doublet-0.03.mat")
+    assert run(["identify", log, "--json"]) == 0
+    found, said = capfd.readouterr()
+    assert json.loads(found)["experiment"] == "doublet"
+    assert "looks like the experiment 'doublet'" in said
+    named = answer(["identify", log, "--experiment", "doublet"], capfd)
+    assert json.loads(found) == named

@@ -107,6 +107,8 @@ def identify(
     logs = [read_log(path) for path in files]
     kinds = [_experiment(experiment, log) for log in logs]
     asked = kinds[0]
+    if experiment is None and "experiment" not in logs[0].provenance:
+        say_line(f"note: the log looks like the experiment '{asked.value}'; --experiment names another")
     _check_options(method, asked, model, estimate, value, impulse)
     _check_several(method, kinds, files, validate)
     kind = KINDS[asked.value]

@@ -86,11 +86,11 @@ def read_ulog(path: str | Path) -> FlightLog:
     """Reads a log of PX4 or of the virtual flight controller. Raises LogError for what is none or damaged.
 
     The time of a sample is its `timestamp_sample` where the topic has one, else its `timestamp`. A module that `twodof
-    px4 export` made gives a channel for each of its signals, such as `twodof_mine_out_m`. The provenance counts what is
-    left out: in "left_out" samples that are not finite or repeat a stamp, in "ignored" the names of topics that do not
-    become a channel, in "lost_bytes" a last message that was cut off. A log of the virtual flight controller has the
-    channels, stamps and bits of the log of a simulated flight, without the ground truth. It also has `safety`: what the
-    failsafe did and why.
+    px4 export` made gives a channel for each of its signals, such as `twodof_mine_out_m`. The provenance says what is
+    left out. Its "left_out" counts samples that are not finite or repeat a stamp. Its "ignored" names topics that do
+    not become a channel, and "lost_bytes" is the size of a last message that was cut off. A log of the virtual flight
+    controller has the channels, stamps and bits of the log of a simulated flight, without the ground truth. It also has
+    `safety`: what the failsafe did and why.
     """
     data = provenance.read_bytes(path)
     where = str(path)

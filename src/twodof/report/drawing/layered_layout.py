@@ -4,7 +4,7 @@ Sugiyama's method (Sugiyama, Tagawa, Toda, IEEE Trans. SMC 11-2, 1981) for boxes
 columns are longest paths, crossings are reduced by barycentres, and heights are chosen so that wires run straight.
 Feedback runs below everything it passes. `wire_channels` draws the wires between two columns.
 
-It is our own code because the library `grandalf` knows neither pins nor right angles: it runs 19 of 42 wires of the
+It is our own code because the library `grandalf` does not know pins and right angles. It runs 19 of 42 wires of the
 flight core through boxes, in two to four times the time. `dot` of Graphviz ignores pins where it draws right angles.
 """
 
