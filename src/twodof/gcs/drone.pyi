@@ -16,12 +16,12 @@ from twodof.gcs.control.excitation_player import ExcitationPlayback
 from twodof.gcs.loop_thread import LoopThread
 from twodof.gcs.mavlink.files import FileEntry
 from twodof.gcs.mavlink.log_download import LogEntry
-from twodof.gcs.mavlink.version import DroneVersion
 from twodof.gcs.sync_drone import SyncDrone
 from twodof.gcs.sync_face import SyncFace
 from twodof.gcs.sync_parts import DroneRows
 from twodof.gcs.telemetry.drone_state import BatteryState
 from twodof.gcs.telemetry.drone_state import DroneState
+from twodof.gcs.telemetry.drone_state import DroneVersion
 from twodof.gcs.telemetry.recording import Recording
 from twodof.gcs.telemetry.status_texts import StatusText
 from twodof.link.statistics import LinkStatistics

@@ -16,8 +16,7 @@ from twodof.gcs.mavlink.files import AsyncFiles
 from twodof.gcs.mavlink.lease import LeaseClient
 from twodof.gcs.mavlink.log_download import AsyncLogs
 from twodof.gcs.mavlink.session import DroneSession
-from twodof.gcs.mavlink.version import DroneVersion, version_of
-from twodof.gcs.telemetry.drone_state import BatteryState, DroneState, StateTracker
+from twodof.gcs.telemetry.drone_state import BatteryState, DroneState, DroneVersion, StateTracker, version_of
 from twodof.gcs.telemetry.full_rate import FullRateSubscription
 from twodof.gcs.telemetry.recording import Recordings
 from twodof.gcs.telemetry.signals import Telemetry
