@@ -111,6 +111,10 @@ def test_an_example_is_short_and_runs(example: Path, tmp_path: Path) -> None:
     run(example, tmp_path)
 
 
+def test_readme_stays_a_screen_and_a_half() -> None:
+    assert len((PROJECT / "README.md").read_text().splitlines()) <= 80
+
+
 def test_readme_code_runs(tmp_path: Path) -> None:
     blocks = re.findall(r"```python\n(.*?)```", (PROJECT / "README.md").read_text(), flags=re.DOTALL)
     assert blocks, "README shows no example of the API"
