@@ -189,8 +189,7 @@ def numeric(value: Any, kind: str, width: int | None, where: str) -> Any:
 def check_value(declared: Param, value: Any, path: str) -> Any:
     """`value` as plain numbers, if a parameter may have it; else ParameterError.
 
-    The numbers are compared as they were given, neither rounded nor wrapped around, with the bounds and the type's
-    range.
+    The bounds and the type's range hold for the numbers as they were given, before they are rounded.
     """
     try:
         with numbers.precision("float64"):

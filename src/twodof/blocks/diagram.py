@@ -60,8 +60,8 @@ class Part:
 class Diagram:
     """Blocks and sub-diagrams by name, and connections between ports.
 
-    A source is written "part.port" (or "part" if it has one output) or the name of a diagram input; a destination is
-    "part.port" (or "part" if it has one input) or the name of a diagram output.
+    A source is written "part.port" (or "part" if it has one output), or it is the name of a diagram input. A
+    destination is "part.port" (or "part" if it has one input), or the name of a diagram output.
     """
 
     def __init__(self, name: str, text: str = "") -> None:

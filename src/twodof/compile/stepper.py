@@ -16,7 +16,7 @@ _LETTERS = {"float64": "d", "float32": "f", "int32": "i", "uint32": "I", "bool":
 
 
 class Stepper:
-    """Steps `machine`, whose memory it shares, with `inputs`, all that it has, and `outputs`, those that are wanted.
+    """Steps `machine`, whose memory it shares: `inputs` names all its inputs, `outputs` those that are wanted.
 
     Both are names of scalars, and values come and go as tuples in their order. A machine's `step`, by name, costs
     some twenty times as much. Values are not checked: a real is a float, an int32 or uint32 an int within its range, a

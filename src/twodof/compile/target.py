@@ -42,7 +42,7 @@ class EmittedProgram:
 class TargetInstance(Protocol):
     """One running program: its structs, and calls that work on them.
 
-    A target whose memory is elsewhere (an emulator) carries the structs there and back in each call: what a caller
+    A target whose memory is elsewhere (an emulator) carries the structs there and back in each call. So what a caller
     writes into the arrays between two calls counts, and after a call they hold its results. A call that goes wrong
     raises ControllerFault.
     """

@@ -33,7 +33,7 @@ class ExpressionCost:
 class CostMeter:
     """Measures graphs; those of one meter may share loops, which are then measured once.
 
-    A body that two loops share is compiled and computed in each of them, so a few hundred nested loops can stand for
+    A body that two loops share is compiled and computed in each of them. So a few hundred nested loops can stand for
     more operations than there are atoms. The numbers grow so fast only for nested loops, whose depth is bounded.
     """
 

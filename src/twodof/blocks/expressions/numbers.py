@@ -239,8 +239,8 @@ def clamp_index(index: Any, length: int) -> int:
 def cast(value: Any, kind: str) -> Any:
     """`value` as a number of `kind` under the current precision; Python literals and numpy scalars are accepted.
 
-    Raises DiagramError where a conversion would have to be explicit in the language (real to integer and so on),
-    which also catches a float64 that leaked into a float32 run.
+    Raises DiagramError where a conversion must be explicit in the language, such as real to integer. That also catches
+    a float64 that leaked into a float32 run.
     """
     real = real_type()
     if kind == "real":

@@ -35,8 +35,8 @@ def to_json(diagram: Diagram) -> str:
 def from_json(text: str | bytes) -> Diagram:
     """The diagram in `text`. Raises DiagramError, naming the place, for what is no diagram of this version.
 
-    Nothing of the file is executed, and what it makes is bounded in memory, in what is to be compiled and in what a
-    step computes (docs/explanation/language.md, section 5). Connections are checked when the diagram is compiled or
+    Nothing of the file is executed. What it makes is bounded in memory, in code and in the work of a step: see
+    docs/explanation/language.md, section 5. Connections are checked when the diagram is compiled or
     interpreted.
     """
     if len(text) > MAX_BYTES:

@@ -52,8 +52,8 @@ def only(data: Mapping[str, Any], known: set[str], where: str) -> None:
 def text(value: str, most: int, where: str, lines: bool = False) -> str:
     """`value` if it has at most `most` characters, all visible ones (with `lines`, also line ends); else DiagramError.
 
-    Control characters, halves of surrogate pairs, characters of no width and those that reorder a line could make a
-    text look like another one or end what it stands in.
+    Control characters, halves of surrogate pairs, characters of no width and those that reorder a line are refused.
+    They could make a text look like another one, or end what it stands in.
     """
     if len(value) > most:
         raise DiagramError(f"a text of {len(value)} characters", where, f"at most {most}")

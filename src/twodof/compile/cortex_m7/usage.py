@@ -63,8 +63,8 @@ class Usage:
 
     def stack(self, function: str) -> int | None:
         """The deepest that a call of `function` can make the stack grow [bytes]: the largest sum of frames along a path
-        of the call graph. None where it has no bound: recursion, frames of variable size, functions of a library that
-        say nothing. (A static function that calls itself leaves no relocation and is not noticed; emitted C has none.)
+        of the call graph. None where it has no bound: recursion, frames of variable size, library functions that say
+        nothing. A static function that calls itself leaves no relocation and is not noticed; emitted C has none.
         Interrupts come on top.
         """
         depths: dict[Place, int | None] = {}

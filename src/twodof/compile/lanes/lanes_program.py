@@ -194,8 +194,8 @@ class LanesMachine(Machine):
             self.program.c_init(p.ctypes.data, s.ctypes.data)
 
     def run(self, steps: int, inputs: Mapping[str, Any] | None = None) -> dict[str, NDArray[Any]]:
-        """`steps` steps. An input is one value, or has the step as its first axis: (steps,), the same in all lanes, or
-        (steps, lanes), or (1, lanes) for values that stay; an array's last axis is its width.
+        """`steps` steps. An input is one value, or an array of the shape (steps,), the same in all lanes, or
+        (steps, lanes). With (1, lanes) the values stay. An array's last axis is its width.
 
         Returns each signal, (steps, lanes) or (steps, lanes, width). Raises DiagramError for an input that does not
         fit, or more than MOST_RESULTS results.

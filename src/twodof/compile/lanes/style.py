@@ -1,7 +1,7 @@
-"""The emitter's style for lanes: several instances in the vectors of one struct; see `lane_helpers` for the C below.
+"""The emitter's style for lanes: several instances in the vectors of one struct; see `helpers.py` for the C below.
 
-What is the same in all lanes (rates that are due, loops with their counters) stays ordinary C; a condition of a lane's
-own becomes a mask, under which both sides are computed and only stores are chosen.
+What is the same in all lanes (rates that are due, loops with their counters) stays ordinary C. A condition of a lane's
+own becomes a mask: both sides are computed, and only stores are chosen.
 """
 
 from __future__ import annotations

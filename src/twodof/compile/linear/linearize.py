@@ -48,16 +48,16 @@ def linearize(
 ) -> LinearModel:
     """The linear model of `diagram`, with the base tick `dt` [s], at a point.
 
-    `at` gives values at the point by name or path, of inputs, states and parameters, and of "tick" (default 0); what is
-    not named has its initial value, default, or 0. With `trim` the states are moved to an equilibrium near it, or, with
-    inputs in `free`, these inputs and the states that `at` does not name. `inputs` and `outputs` are the model's:
-    inputs of the diagram, or signals by path (default: its real inputs and outputs); a signal that is an input is
-    *cut*: what reads it reads the input instead. `time`: "continuous" (dx/dt), "discrete" (the step map) or, for
-    "auto", continuous where all states are. `keep_all` keeps the states that have no influence or always come back to
-    the point's value.
+    `at` gives values at the point, by name or path, of inputs, states and parameters, and of "tick" (default 0). What
+    is not named has its initial value, its default or 0. With `trim` the states are moved to an equilibrium near it,
+    or, with inputs in `free`, these inputs and the states that `at` does not name. `inputs` and `outputs` are the
+    model's: inputs of the diagram, or signals by path. The default is its real inputs and outputs. A signal that is an
+    input is *cut*: what reads it reads the input instead. `time`: "continuous" (dx/dt), "discrete" (the step map) or,
+    for "auto", continuous where all states are. `keep_all` keeps the states that have no influence or always come back
+    to the point's value.
 
-    Raises DiagramError for a diagram that does not compile, for several rates, at a kink, where nothing is
-    differentiable, for a whole-number state that moves the model, or without an equilibrium.
+    Raises DiagramError for a diagram that does not compile or has several rates, and at a kink, where nothing is
+    differentiable. It also does so for a whole-number state that moves the model, or without an equilibrium.
     """
     if time not in TIME:
         raise DiagramError(f"time={time!r}", diagram.name, f"use one of {', '.join(TIME)}")

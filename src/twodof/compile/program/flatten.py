@@ -78,8 +78,8 @@ class _Level:
 class FlatDiagram:
     """The nodes and parameters of a diagram, connected and checked. `report` is told of each problem.
 
-    Where a report returns, something harmless stands in for what is missing, so that the checks can go on: an input
-    that nothing feeds is fed by a signal in `unknown`, a block that cannot be traced is left out.
+    Where a report returns, something harmless stands in for what is missing, so that the checks can go on. An input
+    that nothing feeds is fed by a signal in `unknown`. A block that cannot be traced is left out.
     """
 
     def __init__(self, diagram: Diagram, report: Report = refuse) -> None:

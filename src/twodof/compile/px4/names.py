@@ -53,8 +53,8 @@ def module_names(diagram: str, prefix: str = "") -> ModuleNames:
 
     The stem is the diagram's name in small letters, at most LONGEST_STEM long; a longer one ends with a digest. A word
     of one letter joins the one before it, since PX4 makes a topic's name from the capitals of the message's. Without
-    `prefix` it is T, the first letters of the words, or the first two letters of the only one, and the number at the
-    end, so that variants of a diagram differ: five characters at most. Raises DiagramError for a prefix that is not 1
+    `prefix` it is T, the first letters of the words (or two letters of the only one), and the number at the end. So
+    variants of a diagram differ. It has five characters at most. Raises DiagramError for a prefix that is not 1
     to 5 capitals and digits.
     """
     words: list[str] = []
@@ -91,9 +91,9 @@ def parameter_names(
     """The names, of at most 16 characters, of the parameters at `paths` (with the index of an array's element).
 
     A name is PREFIX_PART_NAME(_INDEX). One that is too long loses letters from the end of its longest word, again and
-    again. Where two would be alike, or like one of `taken`, they are cut and end with a digest of their paths. One that
-    is then like one of `elsewhere`, where the diagram is the `part` of a vehicle that has other parameters too, ends
-    with a digest of the part's name and its path. Raises DiagramError if two are alike even so.
+    again. Where two would be alike, or like one of `taken`, they are cut and end with a digest of their paths. Where
+    the diagram is the `part` of a vehicle, `elsewhere` names the vehicle's other parameters: a name that is like one of
+    them ends with a digest of the part's name and its path. Raises DiagramError if two are alike even so.
     """
     reserved, others = set(taken), set(elsewhere)
     made = [_shortened(prefix, path, index) for path, index in paths]

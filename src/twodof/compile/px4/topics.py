@@ -182,8 +182,8 @@ class ModuleRole:
 def role(program: FlatProgram) -> ModuleRole:
     """The role of a program by the names of its ports.
 
-    Raises DiagramError, with the names there are, for an input that PX4 has nothing for, a port of another type, width
-    or unit, and for outputs that command nothing or too much.
+    Raises DiagramError, with the names there are, for an input that PX4 has nothing for, and for a port of another
+    type, width or unit. It also does so for outputs that command nothing or too much.
     """
     for name, signal in program.inputs.items():
         reading = INPUTS.get(name)

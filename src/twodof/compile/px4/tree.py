@@ -25,7 +25,7 @@ def manifest(files: Mapping[str, str], facts: Mapping[str, object]) -> str:
 
 
 def read_manifest(folder: Path) -> dict[str, object] | None:
-    """The manifest of a folder, or None if it has none that is one."""
+    """The manifest of a folder, or None if it does not have a valid one."""
     place = folder / MANIFEST
     try:
         if not place.is_file():
@@ -68,9 +68,9 @@ def strangers(folder: Path) -> list[str]:
 def write_tree(folder: Path, files: Mapping[str, str], force: bool = False) -> None:
     """Writes `files`, whose manifest is among them, as `folder`: wholly or not at all.
 
-    An empty folder and one that an export left unchanged are replaced. One with other or changed files is so only with
-    `force`, and even then only if an export is what it is; raises CompileError otherwise, and where the file system
-    refuses. The new tree is made beside its place and renamed into it.
+    An empty folder and an unchanged export are replaced. An export with other or changed files is replaced only with
+    `force`. Raises CompileError for any other folder, and where the file system refuses. The new tree is made beside
+    its place and renamed into it.
     """
     target = folder.resolve()
     _check_place(target, folder, force)

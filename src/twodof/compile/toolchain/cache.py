@@ -132,9 +132,9 @@ def _ours(found: os.stat_result) -> bool:
 def _own(folder: Path) -> Path | None:
     """`folder`, made if it is not there, if nobody else can put a file into it or another folder into its place.
 
-    That is so where it and all above it belong to this user or to root, and others can write in none of them; above it
-    they can where its sticky bit keeps them from renaming what is not theirs (/tmp). Links are followed before. Warns
-    of a folder that is there and is not so.
+    That is so where it and all above it belong to this user or to root, and others can write in none of them. Above it
+    others may write where a sticky bit keeps them from renaming what is not theirs (/tmp). Links are followed before.
+    Warns of a folder that exists and that others can change.
     """
     try:
         folder = folder.resolve()

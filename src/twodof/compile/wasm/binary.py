@@ -15,8 +15,9 @@ _KINDS = ("function", "table", "memory", "global")
 def closed(module: bytes, functions: Sequence[str], name: str, reserved: tuple[int, int] = (0, 0)) -> tuple[bytes, int]:
     """The module with a memory that cannot grow and contains `reserved`, and the pages it has.
 
-    Raises CompileError, with `name` as its place, if the module is malformed, imports or starts anything, does not
-    export exactly "memory" and `functions`, or has its stack or its constants in the `reserved` (from, to) addresses.
+    Raises CompileError, with `name` as its place, if the module is malformed, or imports or starts anything. It must
+    export exactly "memory" and `functions`, and keep its stack and constants out of the `reserved` (from, to)
+    addresses.
     """
     try:
         return _closed(module, functions, name, *reserved)

@@ -82,7 +82,7 @@ class WasmBackend:
 class WasmInstance:
     """Structs in the linear memory of one instance.
 
-    Fuel is looked at where a function begins and at each turn of a loop, so what a call uses beyond its fuel is at most
+    Fuel is checked where a function begins and at each turn of a loop. So what a call uses beyond its fuel is at most
     its code once. After a fault (a trap, or no fuel left) it computes no more: each call raises the same
     ControllerFault. The structs can still be read; they are as the fault left them.
     """

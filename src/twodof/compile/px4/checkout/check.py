@@ -78,7 +78,7 @@ class _Facts:
 def check(px4: str | Path, folder: str | Path) -> CheckoutFindings:
     """Whether the export in `folder` fits the checkout `px4`. Nothing is written, built or run but `git describe`.
 
-    Raises CompileError if `folder` holds no export; all that is wrong with `px4` is a finding.
+    Raises CompileError if `folder` holds no export; everything wrong with `px4` is a finding.
     """
     export, tree = Path(folder), SourceTree(Path(px4).resolve())
     facts = _facts(export)
