@@ -14,7 +14,7 @@ SOURCE = Path(__file__).resolve().parents[1] / "src" / PACKAGE
 # Rooms of one row do not import each other.
 ROWS = [
     {"errors"},
-    {"signals", "parameters"},
+    {"constants", "signals", "parameters"},
     {"flightlog", "blocks"},
     {"excitation", "models"},
     {"compile", "slx"},

@@ -49,12 +49,12 @@ from twodof.blocks.reference.interpreter import Reference
 from twodof.compile import build
 from twodof.compile.lanes.lanes_program import SIMD, best_simd, build_lanes
 from twodof.compile.px4.export import make_module
+from twodof.constants import PERIOD
 from twodof.errors import CompileError, TwodofError
 from twodof.excitation import Doublet
 from twodof.flight.core import core
 from twodof.flight.estimator.diagram import POSITION_FILTERS
 from twodof.flight.starters import STARTERS, starter
-from twodof.flight.templates import PERIOD
 from twodof.flightlog.files import read_log, write_log
 from twodof.flightlog.log import FlightLog
 from twodof.gcs.async_drone import AsyncDrone

@@ -12,6 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from xml.etree import ElementTree
 
+from twodof.constants import HOVER
 from twodof.fcu.onboard_log.step_row import COLUMNS
 from twodof.fcu.parameters.row import VehicleParameter
 from twodof.fcu.parameters.table import own_rows
@@ -30,7 +31,6 @@ from twodof.link.mavlink.rates import GROUND, ONBOARD
 from twodof.parameters import TUNABLES
 from twodof.rig.parameters import CONDITIONS, NAMES, TABLE, load_rig, origins
 from twodof.rig.rig import PARTS, rig_params
-from twodof.rig.rotors import HOVER
 from twodof.rig.steady_state import model_parameters, rotor_moment
 from twodof.signals import TOPICS
 

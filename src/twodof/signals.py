@@ -17,6 +17,9 @@ from twodof.errors import LogError
 MODES = ("off", "open-loop", "rate", "attitude", "velocity", "position")
 """What the flight controller closes; the topic `state.mode` carries the index into this tuple."""
 
+OFF, OPEN_LOOP, RATE, ATTITUDE, VELOCITY, POSITION = range(len(MODES))
+"""The modes by number; from `VELOCITY` on the cart moves along the rail."""
+
 
 @dataclass(frozen=True)
 class Topic:

@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from twodof.constants import PERIOD
 from twodof.errors import ExperimentError, ParameterError
 from twodof.excitation import Doublet
 from twodof.experiment.flight import Laboratory
 from twodof.experiment.protocol import EXPERIMENTS, IDENTIFICATION, Experiment, experiment
 from twodof.experiment.record import BOOT
 from twodof.experiment.script import script
-from twodof.flight.core import PERIOD
 from twodof.flight.gains import DEFAULT, STUDENT
 from twodof.flightlog.contents import describe
 from twodof.flightlog.files import read_log, write_log

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from tests.experiment.drones import drone_process, drone_thread
 from tests.patience import PATIENCE_S
+from twodof.constants import PERIOD
 from twodof.errors import ExperimentError, LinkLost, Rejected, Timeout
 from twodof.experiment.checks import data_checks, received
 from twodof.experiment.flight import Flight, Laboratory
@@ -25,7 +26,6 @@ from twodof.experiment.fly import fly
 from twodof.experiment.protocol import EXPERIMENTS, Experiment, experiment
 from twodof.experiment.received import COLUMNS, NAMES, ReceivedSamples
 from twodof.experiment.script import Script, script
-from twodof.flight.core import PERIOD
 from twodof.flight.failsafe.causes import ACTIONS, named_causes
 from twodof.flightlog.log import FlightLog
 from twodof.flightlog.steps import BOOT

@@ -11,9 +11,9 @@ import pytest
 
 from twodof.blocks import Diagram
 from twodof.blocks.library import Gain, Step
+from twodof.constants import PERIOD
 from twodof.errors import DiagramError, ParameterError
 from twodof.experiment.flight import Flight, Laboratory
-from twodof.flight.core import PERIOD
 from twodof.flight.starters import new_diagram, starter
 from twodof.flight.starters.build import with_ports
 from twodof.flight.templates import ATTITUDE, MOTOR, POSITION, Template

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from twodof.blocks.reference.interpreter import Reference
+from twodof.constants import PERIOD
 from twodof.errors import ParameterError
-from twodof.flight.core import PERIOD, core
+from twodof.flight.core import core
 from twodof.flight.gains import DEFAULT, STUDENT, Gains, load_gains
 from twodof.parameters import PARAMETERS, ParameterSet
 

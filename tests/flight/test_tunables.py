@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from twodof.compile.program.lower import lower
-from twodof.flight.core import PERIOD, core
+from twodof.constants import PERIOD
+from twodof.flight.core import core
 from twodof.flight.estimator.diagram import POSITION_FILTERS
 from twodof.parameters import TUNABLES
 

@@ -10,9 +10,10 @@ import pytest
 from twodof.blocks import Diagram
 from twodof.blocks.library.delays import ZeroOrderHold
 from twodof.compile import CompiledMachine, CompiledProgram, build
+from twodof.constants import HOVER
 from twodof.rig.battery import BatteryPack
 from twodof.rig.parameters import lab, paper
-from twodof.rig.rotors import HOVER, Rotors
+from twodof.rig.rotors import Rotors
 from twodof.rig.steady_state import moment_gain, rotor_moment, velocity_gain
 
 DT = 1e-3

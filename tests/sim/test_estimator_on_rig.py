@@ -5,7 +5,7 @@ import math
 import numpy as np
 from scipy import stats
 
-from twodof.flight.core import PERIOD
+from twodof.constants import PERIOD
 from twodof.flight.estimator.longitudinal_filter import COVARIANCE, PAIRS, STATES
 from twodof.rig.parameters import lab
 from twodof.sim.closed_loop import ClosedLoop, InitialState

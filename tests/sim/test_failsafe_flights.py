@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from tests.flight.failsafe.expr_arrays import tell
 from tests.sim.faulty_loop import PERIOD_MS, FaultyLoop, first
 from twodof.compile import build
+from twodof.constants import PERIOD
 from twodof.experiment.flight import Laboratory
 from twodof.experiment.protocol import EXPERIMENTS
 from twodof.experiment.script import script
-from twodof.flight.core import PERIOD
 from twodof.flight.failsafe.causes import ACTIONS, BIT, named_causes
 from twodof.flight.failsafe.diagram import failsafe
 from twodof.flight.starters import load_diagram

@@ -9,10 +9,11 @@ import pytest
 from numpy.typing import NDArray
 
 from twodof.blocks.reference.interpreter import Reference
-from twodof.flight.control.cascade import ATTITUDE, OFF, POSITION, cascade
+from twodof.flight.control.cascade import cascade
 from twodof.flight.gains import DEFAULT, STUDENT, Gains
 from twodof.flightlog.files import read_log
 from twodof.flightlog.log import Channel, FlightLog
+from twodof.signals import ATTITUDE, OFF, POSITION
 from twodof.sim.replay import replay
 
 # log -> gains flown, channels whose loop was active

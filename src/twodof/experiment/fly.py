@@ -9,13 +9,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from twodof.constants import PERIOD
 from twodof.errors import ExperimentError, LinkLost, Rejected, Timeout
 from twodof.experiment.checks import FlightCheck, data_checks, not_judged, received
 from twodof.experiment.flight import MARGIN, PITCH_MARGIN, Flight, Laboratory, ready
 from twodof.experiment.protocol import Experiment
 from twodof.experiment.received import COLUMNS, ReceivedSamples, safety_in
 from twodof.experiment.script import Script, on_wire, script
-from twodof.flight.core import PERIOD
 from twodof.flightlog.provenance import versions
 from twodof.gcs.control.active_controller import ActiveController, ParameterChanges
 from twodof.gcs.drone import Drone

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from twodof.constants import PERIOD
 from twodof.experiment.protocol import SETPOINT, Experiment
-from twodof.flight.core import PERIOD
-from twodof.signals import MODES
+from twodof.signals import MODES, OFF, OPEN_LOOP
 from twodof.sim.closed_loop import ARMING
 
 
@@ -51,7 +51,7 @@ def script(experiment: Experiment, x_start: float = 0.0) -> Script:
     begin = round(experiment.lead / PERIOD)
     still = round(experiment.still / PERIOD)
     excited = slice(begin, steps - still)
-    mode = np.full(steps, MODES.index("off"), dtype=np.int32)
+    mode = np.full(steps, OFF, dtype=np.int32)
     thrust, place = np.zeros(steps), np.zeros(steps)
     if experiment.thrust > 0.0:
         mode[still:begin] = MODES.index("attitude" if experiment.rings else "position")
@@ -63,7 +63,7 @@ def script(experiment: Experiment, x_start: float = 0.0) -> Script:
     setpoints: dict[str, NDArray[np.generic]] = {
         "mode": mode,
         "thrust": thrust,
-        "use_trim": (mode == MODES.index("open-loop")) & (thrust > 0.0),
+        "use_trim": (mode == OPEN_LOOP) & (thrust > 0.0),
         "x0": place,
     }
     name = SETPOINT[experiment.mode]

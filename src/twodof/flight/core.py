@@ -18,9 +18,7 @@ from twodof.flight.failsafe.diagram import OWN_INPUTS
 from twodof.flight.failsafe.diagram import failsafe as failsafe_diagram
 from twodof.flight.failsafe.output_selector import COMMANDS, StandbyReset
 from twodof.flight.gains import DEFAULT, Gains
-from twodof.flight.templates import ATTITUDE, MOTOR, PERIOD, POSITION, by_kind
-
-__all__ = ["INPUTS", "OUTPUTS", "PERIOD", "PreviousPitch", "core"]
+from twodof.flight.templates import ATTITUDE, MOTOR, POSITION, by_kind
 
 INPUTS: tuple[tuple[str, str, str, str], ...] = (
     ("acc_x", "real", "m/s2", "specific force along the body's x axis"),

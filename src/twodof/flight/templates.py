@@ -11,10 +11,8 @@ from twodof.blocks.diagram import Diagram
 from twodof.blocks.library.delays import ZeroOrderHold
 from twodof.compile.program.flat_program import FlatProgram
 from twodof.compile.program.lower import lower
+from twodof.constants import PERIOD
 from twodof.errors import DiagramError
-
-PERIOD = 0.004
-"""Period of whatever controls the drone [s]: a diagram of a template is stepped at 250 Hz."""
 
 
 class TemplatePort(NamedTuple):

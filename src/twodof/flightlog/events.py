@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from twodof.errors import LogError
 from twodof.flightlog.log import MAX_STRETCHES, FlightLog
-from twodof.signals import MODES
+from twodof.signals import MODES, OFF, OPEN_LOOP, POSITION
 
 # A set-point that comes from outside is sent at 50 Hz and held for 20 ms or more; one that a loop computes
 # changes with its measurement, at 250 Hz or, from x and v, at 100 Hz (intervals up to 13.5 ms).
@@ -149,7 +149,7 @@ def mode_at(log: FlightLog, time: NDArray[np.float64]) -> NDArray[np.int32]:
 
     A step's set-points are stamped some microseconds after its M: ask half a period after M's stamp. Raises as `modes`.
     """
-    found = np.full(time.shape, MODES.index("off"), dtype=np.int32)
+    found = np.full(time.shape, OFF, dtype=np.int32)
     for stretch in modes(log):
         found[(time >= stretch.t0) & (time < stretch.t1)] = MODES.index(stretch.mode)
     return found
@@ -183,9 +183,9 @@ def _mode_codes(log: FlightLog) -> NDArray[np.intp]:
     code = np.select(
         [~on, held["rate"], held["attitude"], held["velocity"]],
         [MODES.index(mode) for mode in ("off", "rate", "attitude", "velocity")],
-        MODES.index("position"),
+        POSITION,
     )
-    return np.where(_open(log, time, on), MODES.index("open-loop"), code)
+    return np.where(_open(log, time, on), OPEN_LOOP, code)
 
 
 def _held(log: FlightLog, name: str, time: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -8,11 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twodof.constants import PERIOD
 from twodof.flightlog.log import Channel
-from twodof.signals import BY_MAT, MODES, TOPICS, topic
-
-PERIOD = 0.004
-"""Of the flight code [s]; `flight.core.PERIOD`."""
+from twodof.signals import BY_MAT, OPEN_LOOP, TOPICS, topic
 
 BOOT = 10.0
 """Time stamp of tick 0 [s]: the drone's logs count from when the flight controller booted."""
@@ -116,7 +114,7 @@ def _finite(time: NDArray[np.float64], values: NDArray[np.float64], name: str) -
 
 def _messages(time: NDArray[np.float64], out: Mapping[str, NDArray[Any]], mode: NDArray[np.int32]) -> Channel:
     """The open-loop messages: at 50 Hz while the loop is open, and one that closes it."""
-    opened = mode == MODES.index("open-loop")
+    opened = mode == OPEN_LOOP
     changed = np.flatnonzero(np.diff(opened.astype(np.int8), prepend=0) != 0)
     stepped = np.flatnonzero(opened & (out["M"] != np.append(0.0, out["M"][:-1])))
     steps = np.union1d(np.union1d(changed, stepped), np.flatnonzero(opened)[::MESSAGE_PERIOD]).astype(np.intp)

@@ -9,6 +9,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
+from twodof.constants import RAIL_CENTRE
 from twodof.errors import IdentificationError, LogError
 from twodof.flightlog.contents import DetectedExcitation, excitations
 from twodof.flightlog.events import modes
@@ -18,7 +19,6 @@ from twodof.identify.record import Record
 Array = NDArray[np.float64]
 
 # The range sensor's reading at mid rail.
-_RAIL_CENTRE_M = 0.50
 # Beyond this the drone is at its end stop (0.87 rad) and no model of the free motion holds.
 _NEAR_STOP_RAD = 0.84
 # A free response is over when q has stayed below this share of its peak for this long; what follows in a log is
@@ -135,7 +135,7 @@ def only(record: Record, *outputs: str) -> Record:
 
 def _channel(log: FlightLog, name: str, measured: bool) -> tuple[Array, Array]:
     if name == "x" and measured:
-        return log["dist"].time, log["dist"].value - _RAIL_CENTRE_M
+        return log["dist"].time, log["dist"].value - RAIL_CENTRE
     return log[name].time, log[name].value
 
 

@@ -1,9 +1,11 @@
 """The control period: the drone's ticks as they stand on the wire, in stamps and intervals.
 
-It is `flight.core.PERIOD`, in whole numbers. Who knows the drone by the wire alone takes it from here.
+It is `constants.PERIOD`, in whole numbers.
 """
 
-TICK_US = 4000
+from twodof.constants import PERIOD
+
+TICK_US = round(PERIOD * 1e6)
 """Microseconds of a tick; what `time_usec` and the intervals of command 511 count in."""
 TICK_MS = TICK_US // 1000
 """Milliseconds; what `time_boot_ms` counts in."""

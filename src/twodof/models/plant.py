@@ -5,11 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from twodof.constants import GRAVITY
 from twodof.errors import ParameterError
 from twodof.models.lti import DelayedStateSpace
-
-GRAVITY = 9.81
-"""Standard gravity as the course rounds it [m/s2]."""
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from types import MappingProxyType
 from twodof.blocks.block import Block
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.library import Constant
+from twodof.constants import PERIOD
 from twodof.models.input_delay import InputDelay
 from twodof.models.offset import Offset
 from twodof.models.pendulum import PitchPendulum
@@ -108,13 +109,13 @@ def rail(thrust: bool = False, ring: int = 64) -> Structure:
     diagram.input("q", unit="rad/s")
     _offer(diagram, "q_trim", 0.0, "rad/s", "bias of the gyro")
     diagram.add("trim", Offset("rad/s", -1.0), params={"offset": "q_trim"}, u="q")
-    _offer(diagram, "tau", 0.0, "s", "age of the measured position", (0.0, (ring - 2) * 0.004))
+    _offer(diagram, "tau", 0.0, "s", "age of the measured position", (0.0, (ring - 2) * PERIOD))
     diagram.add("delay", InputDelay(ring), params={"tau": "tau"}, u="trim")
     if thrust:
         diagram.input("M")
         diagram.input("T")
         _offer(diagram, "curve", 0.3, "", "quadratic share of the thrust curve", (0.0, 1.0))
-        _offer(diagram, "rotor_delay", 0.02, "s", "from command to thrust", (0.0, (ring - 2) * 0.004))
+        _offer(diagram, "rotor_delay", 0.02, "s", "from command to thrust", (0.0, (ring - 2) * PERIOD))
         diagram.add("lift", Lift(), params={"curve": "curve"}, M="M", T="T")
         diagram.add("rotors", InputDelay(ring), params={"tau": "rotor_delay"}, u="lift")
     else:
@@ -186,7 +187,7 @@ def _about_trim(
     trim = _offer(diagram, f"{input}_trim", 0.0, unit, f"constant part of {input} that moves nothing")
     source = diagram.add("trim", Offset(unit, -1.0), params={"offset": trim}, u=input)
     # The ring holds this many steps of the control period; at a smaller step `tau` reaches less far.
-    reach = (0.0, tau_high * 0.004)
+    reach = (0.0, tau_high * PERIOD)
     _offer(diagram, "tau", values.get("tau", 0.0), "s", "delay of the input", reach)
     if delay is not None:
         source = diagram.add("delay", delay, params={"tau": "tau"}, u=source)

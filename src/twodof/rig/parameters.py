@@ -6,13 +6,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
 
+from twodof.constants import HOVER
 from twodof.errors import LogError, ParameterError
 from twodof.flightlog.atomic import atomic_write
 from twodof.flightlog.provenance import read_bytes
 from twodof.models.plant import PAPER_PITCH_RATE, PAPER_VELOCITY_GREYBOX
 from twodof.parameters import Parameter, ParameterSet
 from twodof.rig.rig import rig_params
-from twodof.rig.rotors import HOVER, lift
+from twodof.rig.rotors import lift
 from twodof.signals import Q_AGE
 
 CONDITIONS = frozenset(

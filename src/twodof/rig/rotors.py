@@ -6,9 +6,7 @@ from typing import Any
 
 from twodof.blocks import Block, Param, Port, State, int32, maximum, minimum, store, to_int32, to_real, where
 from twodof.blocks.block import Clock
-
-HOVER = 0.4
-"""The thrust command at which the drone is flown and its trim and friction are stated."""
+from twodof.constants import HOVER
 
 RING = 64
 """Ticks that the command ring keeps; the longest pure delay is two less."""

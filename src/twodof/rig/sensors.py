@@ -8,7 +8,8 @@ from twodof.blocks import Block, Param, Port, State, int32, sqrt, store, to_int3
 from twodof.blocks.block import Clock
 from twodof.blocks.elementary.functions import cos, floor
 from twodof.blocks.noise import normal4
-from twodof.rig.dynamics import GRAVITY, sine_cosine
+from twodof.constants import GRAVITY, RAIL_CENTRE
+from twodof.rig.dynamics import sine_cosine
 
 STREAM = 1
 """Stream of the noise generator."""
@@ -18,9 +19,6 @@ RING = 32
 
 TURN = 2.0**32
 """A full turn of the range sensor's phase accumulator."""
-
-RAIL_CENTRE = 0.50
-"""Range at mid rail [m]."""
 
 
 def rounded(value: Any, step: Any) -> Any:

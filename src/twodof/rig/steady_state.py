@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from math import sin, sqrt
 
-from twodof.rig.dynamics import GRAVITY
-from twodof.rig.rotors import HOVER, lift
+from twodof.constants import GRAVITY, HOVER
+from twodof.rig.rotors import lift
 from twodof.signals import Q_AGE
 
 

@@ -8,16 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from twodof.constants import PERIOD
 from twodof.errors import LogError
 from twodof.flight.gains import Gains
 from twodof.flightlog.events import SETPOINTS, Stretch, mode_at, modes
 from twodof.flightlog.log import FlightLog
-from twodof.signals import MODES
+from twodof.signals import MODES, VELOCITY
 
 Floats = NDArray[np.float64]
-
-PERIOD = 0.004
-"""Nominal control period [s]; the drone's own clock makes it 4.002 to 4.006 ms."""
 
 BEFORE, AFTER = 0.3, 2.0
 """Default window [s]: from before the first set-point step to after the last."""
@@ -65,7 +63,7 @@ class FlightSegment:
     @property
     def rails(self) -> bool:
         """Whether the cart was free (velocity or position mode somewhere in the window)."""
-        return bool(np.any(self.mode >= MODES.index("velocity")))
+        return bool(np.any(self.mode >= VELOCITY))
 
 
 def default_window(log: FlightLog) -> tuple[float, float]:
@@ -120,7 +118,7 @@ def read_segment(log: FlightLog, gains: Gains, window: tuple[float, float] | Non
     grid = _grid(log, t0, t1)
     mode = _mode_at(log, grid)
     ahead = grid + 0.5 * PERIOD
-    rails = bool(np.any(mode >= MODES.index("velocity")))
+    rails = bool(np.any(mode >= VELOCITY))
     setpoint = {name: _held(log, name, ahead) for name in ("x0", "v0") if rails or logged(log, name)}
     setpoint = dict.fromkeys(("x0", "v0"), np.zeros(len(grid))) | setpoint
     setpoint |= {name: _held(log, name, ahead) for name in ("theta0", "q0")}

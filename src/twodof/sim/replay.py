@@ -15,12 +15,14 @@ from typing import Any
 import numpy as np
 
 from twodof.compile import build
-from twodof.flight.control.cascade import ATTITUDE, RATE, VELOCITY, cascade
+from twodof.constants import PERIOD
+from twodof.flight.control.cascade import cascade
 from twodof.flight.gains import DEFAULT, Gains
 from twodof.flightlog.log import FlightLog
+from twodof.signals import ATTITUDE, RATE, VELOCITY
 from twodof.sim.flown_parameters import FlownParameters
 from twodof.sim.replay_user import replay_user
-from twodof.sim.time_alignment import PERIOD, AlignedLog, Flags, Floats, align_log, runs
+from twodof.sim.time_alignment import AlignedLog, Flags, Floats, align_log, runs
 
 CHANNELS = ("M", "q0", "theta0", "T")
 

@@ -8,14 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from twodof.constants import PERIOD
 from twodof.errors import LogError
 from twodof.flightlog.log import Channel, FlightLog
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
-
-PERIOD = 0.004
-"""Period of the flight controller [s]."""
 
 SETPOINTS = ("q0", "theta0", "v0", "T")
 MEASURED = ("q", "theta", "v")

@@ -21,7 +21,8 @@ from twodof.compile.native.target import Native
 from twodof.compile.program.lower import lower
 from twodof.compile.target import EmittedProgram, Target
 from twodof.compile.wasm.target import Wasm
-from twodof.flight.core import PERIOD, core
+from twodof.constants import PERIOD
+from twodof.flight.core import core
 from twodof.rig.rig import BASE_DT
 from twodof.sim.closed_loop import closed_loop
 

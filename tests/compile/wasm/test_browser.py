@@ -19,7 +19,8 @@ from tests.patience import PATIENCE_S
 from tests.toolchains import need
 from twodof.blocks import Diagram
 from twodof.compile import CompiledProgram, build
-from twodof.flight.core import PERIOD, core
+from twodof.constants import PERIOD
+from twodof.flight.core import core
 
 HOST = Path(__file__).with_name("host.mjs")
 STEPS = 3000

@@ -7,7 +7,7 @@ from twodof.fcu.command.arming import ArmingControl
 from twodof.fcu.command.authority import DONE, CommandAuthority
 from twodof.fcu.command.result import FAILED, IN_PROGRESS, TEMPORARILY_REJECTED, CommandResult
 from twodof.fcu.command.setpoint_manager import FRESH, SetpointManager
-from twodof.fcu.command.setpoints import ATTITUDE, OFF, OPEN_LOOP, OPENLOOP, STICKS, SetPoint
+from twodof.fcu.command.setpoints import OPENLOOP, STICKS, SetPoint
 from twodof.fcu.command.vehicle_state import VehicleState
 from twodof.fcu.control.control_input import ControlInput
 from twodof.flight.failsafe.causes import BIT
@@ -15,6 +15,7 @@ from twodof.flight.failsafe.state_machine import DISARMED, FLYING, LEVEL
 from twodof.flight.failsafe.state_machine import OFF as STOPPED_BY_FAILSAFE
 from twodof.flight.failsafe.state_machine import REFUSED as REFUSED_BY_FAILSAFE
 from twodof.link.mavlink import modes
+from twodof.signals import ATTITUDE, OFF, OPEN_LOOP
 
 # Arming.
 

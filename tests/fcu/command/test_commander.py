@@ -11,13 +11,14 @@ from twodof.fcu.command.manual_control import PITCH_AT_FULL, RATE_AT_FULL, VELOC
 from twodof.fcu.command.result import DENIED, IN_PROGRESS, TEMPORARILY_REJECTED, UNSUPPORTED
 from twodof.fcu.command.setpoint_manager import FRESH
 from twodof.fcu.command.setpoint_queue import CAPACITY, HORIZON
-from twodof.fcu.command.setpoints import ATTITUDE, OFF, OPEN_LOOP, POSITION, RATE, VELOCITY, SetPoint
+from twodof.fcu.command.setpoints import SetPoint
 from twodof.fcu.command.vehicle_state import MOST_REMARKS
 from twodof.fcu.control.control_input import ControlInput
 from twodof.flight.failsafe.causes import BIT
 from twodof.flight.failsafe.state_machine import BRAKE, DESCEND, FLYING, LEVEL
 from twodof.flight.failsafe.state_machine import OFF as STOPPED_BY_FAILSAFE
 from twodof.link.mavlink import modes
+from twodof.signals import ATTITUDE, OFF, OPEN_LOOP, POSITION, RATE, VELOCITY
 
 # Set-points and offboard.
 

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.fcu.command.cockpit import ME, OTHER, Cockpit, Rig, armed
+from twodof.constants import PERIOD
 from twodof.errors import ExperimentError
 from twodof.excitation import KINDS, Doublet, Excitation, Impulse, Multisine, Prbs, Steps, Sweep, ThreeTwoOneOne
 from twodof.experiment.protocol import EXPERIMENTS
@@ -26,12 +27,12 @@ from twodof.fcu.command.excitation_player import (
     prepare,
     written_out,
 )
-from twodof.fcu.command.setpoints import ATTITUDE, OPEN_LOOP, POSITION, RATE, VELOCITY, SetPoint
-from twodof.flight.core import PERIOD
+from twodof.fcu.command.setpoints import SetPoint
 from twodof.flight.failsafe.causes import BIT
 from twodof.flight.failsafe.state_machine import BRAKE
 from twodof.flight.failsafe.state_machine import OFF as STOPPED_BY_FAILSAFE
 from twodof.link.mavlink import modes
+from twodof.signals import ATTITUDE, OPEN_LOOP, POSITION, RATE, VELOCITY
 
 M, Q, THETA, V, X = range(5)
 PULSE = Impulse(0.1, 0.02, lead=0.008, settle=0.02)  # 12 ticks

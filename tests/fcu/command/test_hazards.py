@@ -14,7 +14,7 @@ from twodof.excitation import Impulse
 from twodof.fcu.command.excitation_player import REFUSED, STOPPED, written_out
 from twodof.fcu.command.result import FAILED, IN_PROGRESS, TEMPORARILY_REJECTED
 from twodof.fcu.command.setpoint_manager import FRESH
-from twodof.fcu.command.setpoints import ATTITUDE, OFF, OPEN_LOOP, POSITION, VELOCITY, SetPoint
+from twodof.fcu.command.setpoints import SetPoint
 from twodof.fcu.mavlink.parameters import INT32, REAL32
 from twodof.fcu.mavlink.transactions import BEGIN, COMMIT, UNDO
 from twodof.fcu.parameters.row import VehicleParameter
@@ -24,6 +24,7 @@ from twodof.flight.failsafe.state_machine import BRAKE, DESCEND, LEVEL
 from twodof.link.mavlink import modes
 from twodof.link.mavlink.messages import float_of_int, message
 from twodof.parameters import FLIGHT_PARAMETERS
+from twodof.signals import ATTITUDE, OFF, OPEN_LOOP, POSITION, VELOCITY
 
 PULSE = written_out(Impulse(0.1, 0.02, settle=0.4))
 PITCHED = SetPoint(ATTITUDE, theta0=0.3, thrust=0.5)

@@ -14,10 +14,11 @@ from twodof.fcu.command.lease import COMMANDING, HEARD, LONGEST, CommandLease
 from twodof.fcu.command.result import DENIED, FAILED, IN_PROGRESS, TEMPORARILY_REJECTED, Source
 from twodof.fcu.command.setpoint_manager import FRESH
 from twodof.fcu.command.setpoint_queue import CAPACITY, HORIZON
-from twodof.fcu.command.setpoints import ATTITUDE, SetPoint
+from twodof.fcu.command.setpoints import SetPoint
 from twodof.fcu.control.loop import MOST_GRANTED
 from twodof.flight.failsafe.state_machine import OFF
 from twodof.link.mavlink import modes
+from twodof.signals import ATTITUDE
 
 CLIENTS = (ME, OTHER, COMPANION)
 MANY = 400  # one example is some milliseconds

@@ -12,9 +12,10 @@ from twodof.excitation import Impulse
 from twodof.fcu.command.excitation_player import READY, REFUSED, written_out
 from twodof.fcu.command.result import DENIED, FAILED, TEMPORARILY_REJECTED, UNSUPPORTED, CommandResult
 from twodof.fcu.command.setpoint_queue import HORIZON
-from twodof.fcu.command.setpoints import ATTITUDE, POSITION, SetPoint
+from twodof.fcu.command.setpoints import SetPoint
 from twodof.flight.failsafe.causes import BIT
 from twodof.link.mavlink import modes
+from twodof.signals import ATTITUDE, POSITION
 
 WHO = "system 250, component 190 holds"
 PULSE = written_out(Impulse(0.1, 0.02, settle=0.4))

@@ -3,8 +3,8 @@
 import struct
 
 from twodof.compile.program.lower import lower
+from twodof.constants import PERIOD
 from twodof.fcu.parameters.table import own_rows, wire_rows
-from twodof.flight.core import PERIOD
 from twodof.flight.failsafe.diagram import failsafe
 from twodof.parameters import NAME_LENGTH, PARAMETERS
 

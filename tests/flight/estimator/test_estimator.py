@@ -10,11 +10,11 @@ from scipy import stats
 
 from twodof.blocks.reference.interpreter import Reference
 from twodof.compile import build
+from twodof.constants import GRAVITY
 from twodof.errors import ParameterError
 from twodof.flight.estimator.diagram import estimator
 from twodof.flight.estimator.longitudinal_filter import COVARIANCE
 from twodof.flight.estimator.longitudinal_filter import PAIRS as PAIRS_JOINT
-from twodof.flight.estimator.pitch_filter import GRAVITY
 from twodof.flightlog.files import read_log
 
 TS = 0.004

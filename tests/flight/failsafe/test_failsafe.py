@@ -14,8 +14,9 @@ from twodof.blocks.schema.json_form import from_json, to_json
 from twodof.compile import build
 from twodof.compile.cortex_m7.report import measure
 from twodof.compile.lanes.lanes_program import build_lanes
+from twodof.constants import PERIOD
 from twodof.errors import DiagramError
-from twodof.flight.core import INPUTS, OUTPUTS, PERIOD, core
+from twodof.flight.core import INPUTS, OUTPUTS, core
 from twodof.flight.failsafe.causes import BIT, BRAKE, CAUSES, DESCEND, LEVEL, NONE, OFF, named_causes
 from twodof.flight.failsafe.diagram import INPUTS as SAFETY_INPUTS
 from twodof.flight.failsafe.diagram import OUTPUTS as SAFETY_OUTPUTS

@@ -7,7 +7,7 @@ from typing import Any
 
 from twodof.blocks import Block, Diagram, Port
 from twodof.compile import build
-from twodof.flight.core import PERIOD
+from twodof.constants import PERIOD
 
 
 class Unrolled(Block):

@@ -18,22 +18,14 @@ from twodof.fcu.command.manual_control import manual_setpoint
 from twodof.fcu.command.result import DENIED, TEMPORARILY_REJECTED, UNSUPPORTED, CommandResult, Source
 from twodof.fcu.command.setpoint_manager import SetpointManager
 from twodof.fcu.command.setpoint_queue import HORIZON
-from twodof.fcu.command.setpoints import (
-    ATTITUDE,
-    OPEN_LOOP,
-    OPENLOOP,
-    STICKS,
-    TARGET,
-    VELOCITY,
-    OpenLoopState,
-    SetPoint,
-)
+from twodof.fcu.command.setpoints import OPENLOOP, STICKS, TARGET, OpenLoopState, SetPoint
 from twodof.fcu.command.vehicle_state import ACTING, RigSwitches, VehicleState
 from twodof.fcu.control.control_input import ControlInput
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.flight.failsafe.causes import named_causes
 from twodof.flight.failsafe.state_machine import FLYING, STATES
 from twodof.link.mavlink import modes
+from twodof.signals import ATTITUDE, OPEN_LOOP, VELOCITY
 
 
 class Commander:

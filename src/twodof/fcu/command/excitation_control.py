@@ -10,9 +10,9 @@ from twodof.fcu.command.excitation_player import LOOPS, REFUSED, STOPPED, Onboar
 from twodof.fcu.command.result import TEMPORARILY_REJECTED, CommandResult, Source
 from twodof.fcu.command.setpoint_manager import SetpointManager
 from twodof.fcu.command.setpoint_queue import HORIZON
-from twodof.fcu.command.setpoints import OPEN_LOOP, VELOCITY
 from twodof.fcu.command.vehicle_state import VehicleState
 from twodof.flight.failsafe.state_machine import STATES
+from twodof.signals import OPEN_LOOP, VELOCITY
 
 
 class ExcitationControl:

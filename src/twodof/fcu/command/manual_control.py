@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from twodof.fcu.command.setpoints import ATTITUDE, OPEN_LOOP, POSITION, RATE, VELOCITY, SetPoint, SetpointValues
+from twodof.fcu.command.setpoints import SetPoint, SetpointValues
 from twodof.link.mavlink import modes
+from twodof.signals import ATTITUDE, OPEN_LOOP, POSITION, RATE, VELOCITY
 
 RATE_AT_FULL = 1.75
 """Pitch rate at full stick [rad/s] (100 deg/s)."""

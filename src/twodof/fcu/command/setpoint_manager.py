@@ -2,24 +2,14 @@
 
 from __future__ import annotations
 
+from twodof.constants import PERIOD
 from twodof.fcu.command.excitation_player import REFUSED, STOPPED, OnboardPlayer
 from twodof.fcu.command.manual_control import manual_setpoint
 from twodof.fcu.command.setpoint_queue import SetpointQueue
-from twodof.fcu.command.setpoints import (
-    ATTITUDE,
-    NOTHING,
-    OFF,
-    OPEN_LOOP,
-    OPENLOOP,
-    STICKS,
-    TARGET,
-    OpenLoopState,
-    SetPoint,
-    SetpointValues,
-)
+from twodof.fcu.command.setpoints import NOTHING, OPENLOOP, STICKS, TARGET, OpenLoopState, SetPoint, SetpointValues
 from twodof.fcu.control.control_input import ControlInput
-from twodof.flight.core import PERIOD
 from twodof.link.mavlink import modes
+from twodof.signals import ATTITUDE, OFF, OPEN_LOOP
 
 FRESH = round(0.5 / PERIOD)
 """Set-points must come above 2 Hz, as PX4 asks: the last one at most so many ticks ago."""

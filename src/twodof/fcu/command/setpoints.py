@@ -5,10 +5,7 @@ from __future__ import annotations
 from math import isfinite
 from typing import NamedTuple
 
-from twodof.signals import MODES
-
-OFF, OPEN_LOOP, RATE, ATTITUDE, VELOCITY, POSITION = range(len(MODES))
-"""The loops by number, the index into `signals.MODES`."""
+from twodof.signals import ATTITUDE, OFF, OPEN_LOOP, POSITION, RATE
 
 TARGET, OPENLOOP, STICKS = "target", "open loop", "sticks"
 """Where a set-point comes from: SET_ATTITUDE_TARGET and the like, TWODOF_OPENLOOP, MANUAL_CONTROL."""

@@ -12,12 +12,13 @@ from twodof.blocks import Diagram
 from twodof.compile import CompiledProgram, build
 from twodof.compile.machine import CompiledMachine
 from twodof.compile.stepper import Stepper
+from twodof.constants import PERIOD
 from twodof.errors import CompileError, ParameterError
 from twodof.fcu.control.control_input import ControlInput
 from twodof.fcu.control.hardware import SensorSample
 from twodof.fcu.control.sandbox import Sandbox
 from twodof.fcu.parameters.user_parameters import UserParameters, user_parameters
-from twodof.flight.core import PERIOD, core
+from twodof.flight.core import core
 from twodof.flight.failsafe.diagram import OWN_INPUTS
 from twodof.flight.templates import MOTOR, TEMPLATES
 from twodof.parameters import FLIGHT_PARAMETERS

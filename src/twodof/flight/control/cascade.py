@@ -7,10 +7,7 @@ from typing import Any
 from twodof.blocks import Block, Diagram, Port, int32, where
 from twodof.flight.control.loops import AttitudeLoop, PositionLoop, Projection, RateLoop, VelocityLoop
 from twodof.flight.gains import DEFAULT, Gains
-from twodof.signals import MODES
-
-OFF, OPEN_LOOP, RATE, ATTITUDE, VELOCITY, POSITION = range(len(MODES))
-"""The modes by number: the index into `signals.MODES`, the value of the input `mode`."""
+from twodof.signals import ATTITUDE, OFF, OPEN_LOOP, POSITION, RATE, VELOCITY
 
 
 class ModeLogic(Block):

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from twodof.blocks import Block, Port, State, int32, maximum, minimum, to_int32, to_real, where
-from twodof.flight.control.cascade import ATTITUDE, RATE, VELOCITY
 from twodof.flight.tunables import tunables
+from twodof.signals import ATTITUDE, RATE, VELOCITY
 
 
 class LevelHold(Block):

@@ -6,7 +6,7 @@ from typing import Any
 
 from twodof.blocks import Block, Port, State, where
 from twodof.blocks.elementary.functions import atan2, cos, sin
-from twodof.flight.estimator.position_filter import RAIL_CENTRE
+from twodof.constants import RAIL_CENTRE
 from twodof.flight.finite import restarted
 from twodof.flight.tunables import tunables
 

@@ -6,10 +6,9 @@ from typing import Any
 
 from twodof.blocks import Block, Port, State, where
 from twodof.blocks.elementary.functions import atan2, cos, sin
+from twodof.constants import GRAVITY
 from twodof.flight.finite import restarted
 from twodof.flight.tunables import tunables
-
-GRAVITY = 9.81  # [m/s2]
 
 
 class PitchFilter(Block):

@@ -9,10 +9,9 @@ from typing import Any
 
 from twodof.blocks import Block, Port, State, where
 from twodof.blocks.elementary.functions import cos, sin
+from twodof.constants import RAIL_CENTRE
 from twodof.flight.finite import restarted
 from twodof.flight.tunables import tunables
-
-RAIL_CENTRE = 0.50  # range of the time-of-flight sensor at x = 0 [m]
 
 _INPUTS = (
     Port("acceleration", unit="m/s2"),

@@ -7,7 +7,7 @@ from operator import or_
 from typing import Any
 
 from twodof.blocks import Block, Port, State, minimum, where
-from twodof.flight.estimator.pitch_filter import GRAVITY
+from twodof.constants import GRAVITY
 from twodof.flight.tunables import tunables
 
 FORCE_SUMS = ("forth", "back", "up", "down")

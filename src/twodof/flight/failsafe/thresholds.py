@@ -7,10 +7,10 @@ from operator import and_, or_
 from typing import Any
 
 from twodof.blocks import Block, Port, State, int32, where
-from twodof.flight.control.cascade import OFF, POSITION, RATE, VELOCITY
-from twodof.flight.estimator.position_filter import RAIL_CENTRE
+from twodof.constants import RAIL_CENTRE
 from twodof.flight.finite import finite
 from twodof.flight.tunables import tunables
+from twodof.signals import OFF, POSITION, RATE, VELOCITY
 
 SET_POINTS = (("x0", "m"), ("v0", "m/s"), ("theta0", "rad"), ("q0", "rad/s"), ("thrust", ""), ("M_open", ""))
 """The set-points that are numbers, with their units."""

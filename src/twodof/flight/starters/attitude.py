@@ -19,9 +19,9 @@ from twodof.blocks.library import (
 )
 from twodof.flight.control.loops import AttitudeLoop, RateLoop
 from twodof.flight.gains import DEFAULT, Gains
-from twodof.flight.lqr import LqrGains, attitude_lqr, rate_lqr
 from twodof.flight.starters.build import pitch_loop, tuned, with_ports
 from twodof.flight.templates import ATTITUDE
+from twodof.models.lqr import LqrGains, attitude_lqr, rate_lqr
 
 HOVER_MOMENT = 0.4
 """In hover, at T = .4, a larger moment stops one pair of rotors and changes the thrust."""
@@ -101,7 +101,7 @@ def empty_attitude() -> Diagram:
 def lqr_attitude(attitude: LqrGains | None = None, rate: LqrGains | None = None) -> Diagram:
     """LQR with integral action and the moments under way as states; in rate mode a second one follows q_0.
 
-    `attitude` and `rate` are gains of as many past moments each; None: those of `twodof.flight.lqr` for the paper's
+    `attitude` and `rate` are gains of as many past moments each; None: those of `twodof.models.lqr` for the paper's
     drone (w_n 3.437 rad/s, xi .0836, mu 358.5, tau 20 ms: five steps). M is kept within +-1, and the past moments are
     those after that limit, so what the actuator cannot do is not counted on; the integrals are bounded.
     """

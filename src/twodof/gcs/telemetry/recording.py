@@ -30,7 +30,7 @@ from twodof.gcs.telemetry.status_texts import StatusText
 from twodof.gcs.telemetry.truth import TruthSubscription
 from twodof.link.control_period import TICK_S, TICK_US
 from twodof.link.mavlink.messages import batch_rows
-from twodof.signals import MODES, TOPICS, Topic, topic
+from twodof.signals import OPEN_LOOP, TOPICS, Topic, topic
 
 SAFETY = McapStream(
     "/safety",
@@ -255,7 +255,7 @@ class _Open:
         self, ticks: NDArray[np.int64], mode: NDArray[np.float64], M: NDArray[np.float64], T: NDArray[np.float64]
     ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """Ticks (m,) and messages (m, 5) of rows (n,) that follow those before."""
-        opened = mode == MODES.index("open-loop")
+        opened = mode == OPEN_LOOP
         changed = np.diff(opened.astype(np.int8), prepend=self._was) != 0
         stepped = opened & (np.append(self._before, M[:-1]) != M)
         number = self._count + np.cumsum(opened)

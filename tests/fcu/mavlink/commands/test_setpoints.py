@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 
 from tests.fcu.command.cockpit import ME, OTHER
 from tests.fcu.mavlink.commands.desk import SYSTEM, TARGET, Desk
-from twodof.fcu.command.setpoints import ATTITUDE, OPEN_LOOP, POSITION, RATE, VELOCITY
 from twodof.fcu.mavlink.commands.setpoints import MOST_TOLD
 from twodof.link.mavlink import modes, setpoints
 from twodof.link.mavlink.messages import message
+from twodof.signals import ATTITUDE, OPEN_LOOP, POSITION, RATE, VELOCITY
 
 LEVEL = setpoints.attitude_target(0.0, 0.4, **TARGET)
 

@@ -8,13 +8,14 @@ from typing import Any
 
 from twodof.fcu.command.commander import Commander
 from twodof.fcu.command.result import DENIED, CommandResult, Source
-from twodof.fcu.command.setpoints import ATTITUDE, POSITION, RATE, VELOCITY, SetPoint
+from twodof.fcu.command.setpoints import SetPoint
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.mavlink.addressing import VehicleAddress, source
 from twodof.fcu.mavlink.service import Service
 from twodof.fcu.mavlink.wire_tick import acts_at, acts_at_ms
 from twodof.link.connection import Received
 from twodof.link.mavlink.setpoints import SetpointTarget, read_attitude, read_position
+from twodof.signals import ATTITUDE, POSITION, RATE, VELOCITY
 
 TOLD_TICKS = 250
 """A refusal is told in words once a second at most to each source; all are counted."""

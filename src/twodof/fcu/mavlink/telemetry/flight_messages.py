@@ -12,12 +12,11 @@ from math import cos, isfinite, nan, sin
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.link.control_period import TICK_MS, TICK_US
 from twodof.link.mavlink.packing import Packed, Packer
-from twodof.signals import MODES
+from twodof.signals import OPEN_LOOP, POSITION, RATE, VELOCITY
 
 MASK_32 = 0xFFFFFFFF
 LOCAL_NED, BODY_FRD, ESTIMATOR_AUTOPILOT = 1, 12, 8
 PWM_OFF, PWM_LOW, PWM_SPAN = 900, 1000, 1000
-_OPEN, _RATE, _VELOCITY, _POSITION = (MODES.index(name) for name in ("open-loop", "rate", "velocity", "position"))
 # Of POSITION_TARGET_TYPEMASK: only x, vx and afx of the rig are ever flown.
 _X, _VX, _AX, _ALWAYS = 1, 8, 64, 2 | 4 | 16 | 32 | 128 | 256 | 1024 | 2048
 _NO_ATTITUDE, _NO_PITCH_RATE = 128, 2
@@ -86,7 +85,7 @@ def attitude_target() -> Encoder:
 
     def encode(s: ControlStep) -> Packed:
         mode = s.asked.mode
-        mask = _NO_ATTITUDE | _NO_PITCH_RATE if mode <= _OPEN else _NO_ATTITUDE if mode == _RATE else 0
+        mask = _NO_ATTITUDE | _NO_PITCH_RATE if mode <= OPEN_LOOP else _NO_ATTITUDE if mode == RATE else 0
         return pack(s.tick * TICK_MS & MASK_32, *quaternion(s.theta0), 0.0, s.q0, 0.0, abs(s.T), mask)
 
     return encode
@@ -99,7 +98,7 @@ def position_target() -> Encoder:
 
     def encode(s: ControlStep) -> Packed:
         mode = s.asked.mode
-        mask = _ALWAYS | (0 if mode == _POSITION else _X | _AX) | (0 if mode in (_VELOCITY, _POSITION) else _VX)
+        mask = _ALWAYS | (0 if mode == POSITION else _X | _AX) | (0 if mode in (VELOCITY, POSITION) else _VX)
         stamp = s.tick * TICK_MS & MASK_32
         return pack(stamp, s.x0, *zeros, s.v0, *zeros, s.asked.ax0, *zeros, 0.0, 0.0, mask, LOCAL_NED)
 

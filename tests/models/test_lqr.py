@@ -6,9 +6,9 @@ import control
 import numpy as np
 import pytest
 
+from twodof.constants import PERIOD
 from twodof.errors import ParameterError
-from twodof.flight.lqr import LqrGains, attitude_lqr, lqr, rate_lqr
-from twodof.flight.templates import PERIOD
+from twodof.models.lqr import LqrGains, attitude_lqr, lqr, rate_lqr
 from twodof.models.lti import DelayedStateSpace
 from twodof.models.plant import PAPER_PITCH_RATE
 
