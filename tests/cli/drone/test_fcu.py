@@ -79,7 +79,7 @@ def test_what_cannot_be_is_said_and_nothing_is_started(
     for wrong, said in (
         (["--rig", "nowhere.json"], "nowhere.json"),
         (["--controller", "nothing"], "nothing"),
-        (["--listen", "http://x"], "no kind of link"),
+        (["--listen", "http://x"], "not a kind of link"),
         (["--key", str(tmp_path / "none")], "the key cannot be read"),
         (["--index", "199"], "198"),
         (["--precision", "float16"], "float16"),
