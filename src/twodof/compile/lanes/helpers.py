@@ -8,9 +8,9 @@ and clang's; what they lack is done lane by lane.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 
 from twodof.compile.c.operators import BITWISE, C_TYPES, COMPARISONS, OPERATORS
+from twodof.compile.program.layout import LaneShape
 
 KINDS = tuple(C_TYPES)
 TYPES = {kind: f"lanes_{kind}" for kind in KINDS}
@@ -108,30 +108,6 @@ _BLEND = """/* a where c, else b; `only`: else 0 */
 #endif
 #define lanes_blend_m(c, a, b) ((lanes_m)(((c) & (a)) | (~(c) & (b))))
 """
-
-
-@dataclass(frozen=True)
-class LaneShape:
-    """How many lanes a struct holds: `vectors` vectors of `size` bytes (16, 32 or 64) of reals."""
-
-    precision: str
-    size: int
-    vectors: int
-
-    @property
-    def each(self) -> int:
-        """Lanes in a vector."""
-        return self.size // (4 if self.precision == "float32" else 8)
-
-    @property
-    def lanes(self) -> int:
-        """Lanes in a struct."""
-        return self.each * self.vectors
-
-    @property
-    def bits(self) -> bool:
-        """Whether a mask is one bit a lane, the lowest first, and no vector."""
-        return self.size == 64
 
 
 def prelude(shape: LaneShape) -> str:

@@ -17,11 +17,10 @@ from twodof.blocks.diagram import Diagram
 from twodof.blocks.expressions import numbers
 from twodof.blocks.machine import Machine, fitting
 from twodof.compile.c.emitter import emit
-from twodof.compile.lanes.helpers import LaneShape
 from twodof.compile.lanes.style import LaneStyle as Style
 from twodof.compile.native.target import load
 from twodof.compile.program import flat_program
-from twodof.compile.program.layout import MemoryLayout
+from twodof.compile.program.layout import LaneShape, MemoryLayout
 from twodof.compile.program.lower import lower
 from twodof.compile.toolchain import compilers
 from twodof.errors import CompileError, DiagramError, ParameterError

@@ -19,8 +19,8 @@ from twodof.compile.c.operators import ATOM, Operator, called
 from twodof.compile.c.operators import OPERATORS as SCALAR
 from twodof.compile.c.style import CStyle
 from twodof.compile.c.writer import CWriter
-from twodof.compile.lanes.helpers import SCALARS, TYPES, VECTORS, LaneShape, prelude
-from twodof.compile.program.layout import Member
+from twodof.compile.lanes.helpers import SCALARS, TYPES, VECTORS, prelude
+from twodof.compile.program.layout import LaneShape, Member
 
 MASKS = 1000  # names kept for masks
 DEEPEST_INDEX = 20  # operations in an index that is the same in all lanes

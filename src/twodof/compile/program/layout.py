@@ -11,10 +11,33 @@ import numpy as np
 from twodof.blocks.declarations import State
 from twodof.compile.c.names import CNames
 from twodof.compile.c.operators import C_TYPES
-from twodof.compile.lanes.helpers import LaneShape
 from twodof.compile.program.flat_program import FlatParameter, FlatProgram, FlatSignal, Node
 
 WIDEST_LOCAL = 256  # a wider array that is computed at a tick stands in S, not on the stack
+
+
+@dataclass(frozen=True)
+class LaneShape:
+    """How many lanes a struct holds: `vectors` vectors of `size` bytes (16, 32 or 64) of reals."""
+
+    precision: str
+    size: int
+    vectors: int
+
+    @property
+    def each(self) -> int:
+        """Lanes in a vector."""
+        return self.size // (4 if self.precision == "float32" else 8)
+
+    @property
+    def lanes(self) -> int:
+        """Lanes in a struct."""
+        return self.each * self.vectors
+
+    @property
+    def bits(self) -> bool:
+        """Whether a mask is one bit a lane, the lowest first, and no vector."""
+        return self.size == 64
 
 
 @dataclass(frozen=True)
