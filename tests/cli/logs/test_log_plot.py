@@ -45,7 +45,7 @@ def test_topics_come_between_commas_or_repeated(log: Path, tmp_path: Path) -> No
     [
         (["--out", "picture.jpg"], "no picture has the suffix '.jpg'"),
         (["--out", "/nowhere/a.png"], "its folder is not there"),
-        (["--topics", "gyro"], "the log has no such signal"),
+        (["--topics", "gyro"], "the log does not have this signal"),
         (["--window", "90", "99"], "nothing was logged from 90 to 99 s"),
     ],
 )
