@@ -46,7 +46,7 @@ def test_forms(url: str, address: Address) -> None:
         ("tcp://127.0.0.1:1?bind=2", "does not take"),
         ("udpbcast://:14550", "has no host"),
         ("udpbcast://10.0.0.255", "has no port"),
-        ("udpbcast://0.0.0.0:1", "no host to send to"),
+        ("udpbcast://0.0.0.0:1", "not a host to send to"),
     ],
 )
 def test_the_rest_is_refused_with_a_remedy(url: str, complaint: str) -> None:
