@@ -13,7 +13,7 @@ from twodof.fcu.control.controllers import Controllers
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.control.hardware import Hardware, VirtualHardware
 from twodof.fcu.control.loop import FlightController
-from twodof.fcu.event_bus import EventBus
+from twodof.fcu.event_bus import OnboardEventBus
 from twodof.fcu.mavlink.addressing import VehicleAddress
 from twodof.fcu.mavlink.commands.excitation import ExcitationService
 from twodof.fcu.mavlink.commands.lease import LeaseService
@@ -60,7 +60,7 @@ class Assembly:
         rates: Mapping[int, float] = ONBOARD,
         fresh: bool = False,
     ) -> None:
-        bus = EventBus()
+        bus = OnboardEventBus()
         self.store = store = ParameterStore(None if state is None else state / "parameters.json", system, bus=bus)
         self.configuration = ActiveConfiguration(controllers, store, fresh)
         self.commander = commander = Commander(hardware, lambda: store["THRUST_BAR"], lockstep)

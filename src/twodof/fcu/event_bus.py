@@ -1,4 +1,4 @@
-"""EventBus: tells those that asked for it when something has happened on board."""
+"""OnboardEventBus: tells those that asked for it when something has happened on board."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 Event = TypeVar("Event")
 
 
-class EventBus:
+class OnboardEventBus:
     """Calls each listener of an event's class, in the order in which they subscribed, before `publish` returns."""
 
     def __init__(self) -> None:

@@ -12,7 +12,7 @@ from twodof.errors import ParameterError
 from twodof.fcu.control.control_input import ControlInput
 from twodof.fcu.control.flight_code import ControlStep, FlightCode
 from twodof.fcu.control.hardware import Hardware, VirtualHardware
-from twodof.fcu.event_bus import EventBus
+from twodof.fcu.event_bus import OnboardEventBus
 from twodof.link.control_period import TICK_NS
 
 CRITICAL = 2
@@ -100,13 +100,13 @@ class FlightController:
         code: FlightCode,
         commander: ControlInputSource,
         lockstep: bool = False,
-        bus: EventBus | None = None,
+        bus: OnboardEventBus | None = None,
     ) -> None:
         self.hardware = hardware
         self.code = code
         self.commander = commander
         self.lockstep = lockstep
-        self.bus = bus or EventBus()
+        self.bus = bus or OnboardEventBus()
         self.timing = LoopTiming()
         self.started_as = 1 + secrets.randbelow(0xFFFFFFFF)  # how clients tell a restart from a pause
         self.tick = 0

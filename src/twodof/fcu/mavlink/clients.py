@@ -6,7 +6,7 @@ from collections.abc import Hashable
 from typing import NamedTuple
 
 from twodof.fcu.control.flight_code import ControlStep
-from twodof.fcu.event_bus import EventBus
+from twodof.fcu.event_bus import OnboardEventBus
 from twodof.fcu.mavlink.service import Service
 from twodof.link.connection import Received
 from twodof.link.mavlink.dialect import FIRST_OWN_ID, LAST_OWN_ID
@@ -55,7 +55,7 @@ class Clients(Service):
     minute may pass between two heartbeats of a bystander.
     """
 
-    def __init__(self, bus: EventBus, lockstep: bool = False) -> None:
+    def __init__(self, bus: OnboardEventBus, lockstep: bool = False) -> None:
         self._bus = bus
         self._lockstep = lockstep
         self.known: dict[Hashable, ConnectedClient] = {}

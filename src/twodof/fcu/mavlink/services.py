@@ -1,4 +1,4 @@
-"""All of PX4's microservices put together in front of one vehicle."""
+"""The services in front of one vehicle, put together."""
 
 from __future__ import annotations
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from twodof.fcu.control.flight_code import ControlStep
-from twodof.fcu.event_bus import EventBus
+from twodof.fcu.event_bus import OnboardEventBus
 from twodof.fcu.mavlink.service import Link, Service
 from twodof.fcu.px4_compat.event_table import marked
 from twodof.link.connection import Received
@@ -22,7 +22,7 @@ class TextSent(NamedTuple):
 class StatusTextService(Service):
     """Sends the (MAV_SEVERITY, text) pairs that others put into `remarks`, and publishes TextSent for each."""
 
-    def __init__(self, link: Link, bus: EventBus, remarks: list[tuple[int, str]]) -> None:
+    def __init__(self, link: Link, bus: OnboardEventBus, remarks: list[tuple[int, str]]) -> None:
         self._link = link
         self._bus = bus
         self._remarks = remarks

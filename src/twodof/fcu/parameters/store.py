@@ -11,7 +11,7 @@ from types import TracebackType
 from typing import Any, NamedTuple, Self
 
 from twodof.errors import ParameterError, TwodofError, listed
-from twodof.fcu.event_bus import EventBus
+from twodof.fcu.event_bus import OnboardEventBus
 from twodof.fcu.parameters.row import VehicleParameter
 from twodof.fcu.parameters.store_file import StoredParameters, StoreFile, TunedController
 from twodof.fcu.parameters.table import own_rows, wire_rows
@@ -55,7 +55,7 @@ class ParameterStore(Mapping[str, float]):
         path: str | Path | None = None,
         system: int = 1,
         values: Mapping[str, float] | None = None,
-        bus: EventBus | None = None,
+        bus: OnboardEventBus | None = None,
     ) -> None:
         """Raises ParameterError for `values`, which go over those of the file, as `update` does."""
         self._system = system
@@ -63,7 +63,7 @@ class ParameterStore(Mapping[str, float]):
         self._tuned: dict[str, TunedController] = {}  # by identity, those that fly last
         self._list()
         self._set = ParameterSet(table=own_rows(system))
-        self.bus = bus or EventBus()
+        self.bus = bus or OnboardEventBus()
         self._file = StoreFile(path) if path is not None else None
         self.remarks: tuple[str, ...] = ()
         if self._file is not None:

@@ -8,7 +8,7 @@ from typing import Any
 from twodof.fcu.command.commander import Commander
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.control.loop import FlightController
-from twodof.fcu.event_bus import EventBus
+from twodof.fcu.event_bus import OnboardEventBus
 from twodof.fcu.mavlink.addressing import VehicleAddress, source
 from twodof.fcu.mavlink.clients import ClientJoined
 from twodof.fcu.mavlink.commands.arming import ArmingDenied, ChecksRequested, MotorsKilled
@@ -49,7 +49,7 @@ class EventService(Service):
         telemetry: TelemetryEncoders,
         controller: FlightController,
         commander: Commander,
-        bus: EventBus,
+        bus: OnboardEventBus,
     ) -> None:
         self._link = link
         self._us = us

@@ -15,7 +15,7 @@ from twodof.fcu.command.result import (
     CommandResult,
     Source,
 )
-from twodof.fcu.event_bus import EventBus
+from twodof.fcu.event_bus import OnboardEventBus
 from twodof.fcu.mavlink.addressing import whole
 from twodof.fcu.mavlink.commands.command_service import CommandService, ReceivedCommand
 
@@ -49,7 +49,11 @@ class ArmingCommands:
     """
 
     def __init__(
-        self, commands: CommandService, commander: Commander, bus: EventBus, restart: Callable[[], None] | None = None
+        self,
+        commands: CommandService,
+        commander: Commander,
+        bus: OnboardEventBus,
+        restart: Callable[[], None] | None = None,
     ) -> None:
         self._commander = commander
         self._restart = restart

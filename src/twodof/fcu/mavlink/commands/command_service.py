@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from twodof.fcu.command.result import ACCEPTED, IN_PROGRESS, UNSUPPORTED, CommandResult, Source
 from twodof.fcu.control.flight_code import ControlStep
-from twodof.fcu.event_bus import EventBus
+from twodof.fcu.event_bus import OnboardEventBus
 from twodof.fcu.mavlink.addressing import VehicleAddress, source
 from twodof.fcu.mavlink.service import Link, Service
 from twodof.fcu.mavlink.status_text import TextSent
@@ -88,7 +88,7 @@ class CommandService(Service):
     stops motors. It publishes CommandHandled after each command, and TextSent for each refusal in words.
     """
 
-    def __init__(self, link: Link, us: VehicleAddress, bus: EventBus, lockstep: bool = False) -> None:
+    def __init__(self, link: Link, us: VehicleAddress, bus: OnboardEventBus, lockstep: bool = False) -> None:
         self._link = link
         self._bus = bus
         self._us = us

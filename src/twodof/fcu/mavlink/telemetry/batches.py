@@ -12,7 +12,7 @@ from twodof.fcu.command.commander import Commander
 from twodof.fcu.command.result import ACCEPTED, DENIED, CommandResult
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.control.hardware import SensorSample
-from twodof.fcu.event_bus import EventBus
+from twodof.fcu.event_bus import OnboardEventBus
 from twodof.fcu.mavlink.addressing import whole
 from twodof.fcu.mavlink.clients import ClientLeft
 from twodof.fcu.mavlink.commands.command_service import ReceivedCommand
@@ -92,7 +92,7 @@ class BatchService(Service):
     bits of the mask of channels. Nothing is lost on this side: what a link does not take is seen as a gap in `tick`.
     """
 
-    def __init__(self, link: Link, bus: EventBus, commander: Commander) -> None:
+    def __init__(self, link: Link, bus: OnboardEventBus, commander: Commander) -> None:
         self._link = link
         self._pack = Packer("TWODOF_BATCH")
         read = channel_readers(commander)

@@ -6,7 +6,7 @@ from typing import Any
 
 from twodof.fcu.command.commander import Commander
 from twodof.fcu.control.flight_code import ControlStep
-from twodof.fcu.event_bus import EventBus
+from twodof.fcu.event_bus import OnboardEventBus
 from twodof.fcu.mavlink.clients import ClientJoined
 from twodof.fcu.mavlink.commands.command_service import CommandHandled
 from twodof.fcu.mavlink.service import Link, Service
@@ -19,7 +19,7 @@ PERIOD_TICKS = 250
 class Heartbeat(Service):
     """Says that the vehicle is there, also to peers that were silent so far: many clients wait for it first."""
 
-    def __init__(self, link: Link, bus: EventBus, telemetry: TelemetryEncoders, commander: Commander) -> None:
+    def __init__(self, link: Link, bus: OnboardEventBus, telemetry: TelemetryEncoders, commander: Commander) -> None:
         self._link = link
         self._telemetry = telemetry
         self._commander = commander

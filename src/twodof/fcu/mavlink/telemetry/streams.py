@@ -15,7 +15,7 @@ from twodof.fcu.command.commander import Commander
 from twodof.fcu.command.result import ACCEPTED, DENIED, FAILED, UNSUPPORTED, CommandResult
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.control.loop import FlightController
-from twodof.fcu.event_bus import EventBus
+from twodof.fcu.event_bus import OnboardEventBus
 from twodof.fcu.mavlink.addressing import whole
 from twodof.fcu.mavlink.clients import ClientJoined, ClientLeft, ClientRecognised
 from twodof.fcu.mavlink.commands.command_service import CommandService, ReceivedCommand
@@ -111,7 +111,7 @@ class StreamService(Service):
     def __init__(
         self,
         link: Link,
-        bus: EventBus,
+        bus: OnboardEventBus,
         commands: CommandService,
         telemetry: TelemetryEncoders,
         changes: ChangeDetector,
