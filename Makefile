@@ -33,7 +33,7 @@ help:
 	@sed -n '/^#   /s/^#   //p' Makefile
 
 demo: $(VENV)/ready-run
-	$(BIN)/twodof demo
+	$(BIN)/twodof demo --force
 
 sandbox: $(VENV)/ready-sandbox
 

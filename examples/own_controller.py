@@ -39,5 +39,5 @@ for k_theta in (0.5, 1.0, 2.0):
     largest = abs(log["M"].slice(first, second).value).max()
     print(f"{k_theta:8.2f} {seen.rise_time:8.3f} {100.0 * seen.overshoot:13.1f} {left:18.2f} {largest:10.3f}")
 
-save_diagram(d, "state_feedback.json")
+save_diagram(d, "state_feedback.json", overwrite=True)
 print("kept: state_feedback.json; fly it with: twodof simulate attitude-steps --controller state_feedback.json")

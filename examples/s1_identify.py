@@ -4,10 +4,13 @@ from math import radians
 
 from twodof.excitation import Doublet, Impulse
 from twodof.fleet import virtual_drone
-from twodof.flightlog import read_log
+from twodof.flightlog import numbered, read_log
 from twodof.gcs import Drone
 from twodof.identify import KINDS, cut, fit, identify_pitch
 from twodof.models import pitch_rate, step_figures
+
+# Where the recordings go: impulse.mcap, or impulse-2.mcap where the session is held again.
+files = {name: numbered(f"{name}.mcap") for name in ("impulse", "doublet-a", "doublet-b")}
 
 # A virtual drone of our own. With the real one, or with one of `twodof up`: `with Drone.connect() as drone:`
 with virtual_drone("paper", rings=True) as url, Drone.connect(url) as drone:
@@ -28,7 +31,7 @@ with virtual_drone("paper", rings=True) as url, Drone.connect(url) as drone:
 
     # Experiment 1: at rest, with the rotors standing, M = 0.1 for 0.2 s, then the free response.
     drone.wait_until(lambda: abs(drone.theta) < 0.005 and abs(drone.q) < 0.01, timeout=60.0)
-    with drone.record("impulse.mcap"):
+    with drone.record(files["impulse"]):
         drone.run(0.5)
         drone.arm()
         drone.excite(Impulse(0.1, 0.2, lead=0.5, settle=24.0), thrust=0.0)
@@ -36,10 +39,10 @@ with virtual_drone("paper", rings=True) as url, Drone.connect(url) as drone:
 
     # Experiment 2: hold level until the trim moment is found, then a doublet of M about it, played on board. Longer
     # than half a second it would go so near to the stop that the failsafe levels the drone.
-    for name in ("doublet-1", "doublet-2"):
+    for name in ("doublet-a", "doublet-b"):
         drone.run(1.0)
         drone.wait_until(lambda: abs(drone.theta) < 0.05 and abs(drone.q) < 0.1, timeout=60.0)
-        with drone.record(f"{name}.mcap") as recording:
+        with drone.record(files[name]) as recording:
             drone.arm()
             drone.level_hold()
             drone.run(12.0)
@@ -47,8 +50,8 @@ with virtual_drone("paper", rings=True) as url, Drone.connect(url) as drone:
             drone.disarm()
         print(f"{name}: {played.state}, {recording.samples} samples, {recording.lost} lost")
 
-impulse = cut(read_log("impulse.mcap"), KINDS["impulse"], name="impulse")
-doublet, other = (cut(read_log(f"doublet-{k}.mcap"), KINDS["doublet"], name=f"doublet {k}") for k in (1, 2))
+kinds = (KINDS["impulse"], KINDS["doublet"], KINDS["doublet"])
+impulse, doublet, other = (cut(read_log(files[name]), kind, name=name) for name, kind in zip(files, kinds, strict=True))
 
 # By hand as in the paper, then by output error; the second doublet, which neither has seen, is the judge.
 print(identify_pitch(impulse, [doublet]).table())

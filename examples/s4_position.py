@@ -1,13 +1,15 @@
 """Session 4: the cart is free: velocity and position along the rail with two position gains, recorded; the failsafe."""
 
 from twodof.fleet import virtual_drone
-from twodof.flightlog import read_log, write_log
+from twodof.flightlog import numbered, read_log, write_log
 from twodof.gcs import Drone
 from twodof.models import step_figures
 
 STEP = 0.15
 
-with virtual_drone("lab") as url, Drone.connect(url) as drone, drone.record("position.mcap") as recording:
+file = numbered("position.mcap")  # or position-2.mcap where the session is held again
+
+with virtual_drone("lab") as url, Drone.connect(url) as drone, drone.record(file) as recording:
     drone.parameters.update({"VEL_KP": 2.4, "VEL_KI": 2.81})  # the paper's design; crossover 4.2 rad/s
     drone.run(0.5)
     drone.arm()
@@ -38,8 +40,8 @@ with virtual_drone("lab") as url, Drone.connect(url) as drone, drone.record("pos
     drone.disarm()
 
 print(f"{recording.samples} samples recorded, {recording.lost} lost")
-log = read_log("position.mcap")
-write_log(log, "position.mat")  # the layout of the drone's own logs, for MATLAB
+log = read_log(file)
+write_log(log, file.with_suffix(".mat"))  # the layout of the drone's own logs, for MATLAB
 print(", ".join(log.channels))
 for time, severity, text in log.provenance["texts"]:
     print(f"{time:8.3f} s  {severity}: {text}")

@@ -23,6 +23,9 @@ and `twodof COMMAND --help` explains one.
 Most commands take `--json`: then standard output holds one JSON document, and all words go to standard error. The exit
 status is 0 if all is well, 1 if a flight, a fit or a tool went wrong, 2 for a mistake in the command line, and 130
 after Ctrl-C. An error says what is wrong, where, and what to do.
+
+A file that is there is kept: a command refuses to replace it without `--force`, a function of Python without
+`overwrite=True`. A key is never replaced. `px4 export` replaces an export that nobody changed without being asked.
 """
 
 

@@ -14,6 +14,7 @@ from typer.core import TyperGroup
 
 from twodof.cli import interrupts
 from twodof.cli.output import print_error, print_json, reader_has_left, say_line
+from twodof.cli.remedies import remedy_in_shell
 from twodof.errors import CompileError, DownloadError, IdentificationError, TwodofError
 
 FINE, WENT_WRONG, CALLERS_MISTAKE = 0, 1, 2
@@ -126,7 +127,16 @@ def run(arguments: Sequence[str]) -> int:
         print_error(error)
         if "--json" in arguments:
             kind = type(error).__name__
-            print_json({"error": {"kind": kind, "what": error.what, "where": error.where, "remedy": error.remedy}})
+            print_json(
+                {
+                    "error": {
+                        "kind": kind,
+                        "what": error.what,
+                        "where": error.where,
+                        "remedy": remedy_in_shell(error.remedy),
+                    }
+                }
+            )
         return status_of(error)
     except SystemExit as end:
         return end.code if isinstance(end.code, int) else FINE if end.code is None else WENT_WRONG

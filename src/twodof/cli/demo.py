@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from twodof.cli.output import Json, print_json, progress, table_console
+from twodof.cli.output import Force, Json, print_json, progress, table_console
 from twodof.errors import LogError
 from twodof.experiment.flight import Flight, Laboratory
 from twodof.experiment.flight_series import fly_series
@@ -40,6 +40,7 @@ def demo(
     repetitions: Annotated[
         int, typer.Option(min=3, max=100, help="Flights of each experiment on each rig; their spread is a result.")
     ] = REPETITIONS,
+    force: Force = False,
     json: Json = False,
 ) -> None:
     """Fly the paper's experiments over MAVLink on virtual drones, identify, compare with its Table 1, write the report.
@@ -49,7 +50,7 @@ def demo(
     """
     began = time.monotonic()
     _make_folder(out)
-    check_folder(out)
+    check_folder(out, force)
     with progress() as report:
         steps = count()
         expected = _OTHER_STEPS + len(_RIGS) * len(IDENTIFICATION) * repetitions

@@ -15,8 +15,10 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
+from twodof.cli.remedies import remedy_in_shell
 from twodof.errors import TwodofError, printable
 
+Force = Annotated[bool, typer.Option("--force", help="Replace a file that is there.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else on stdout.")]
 
 
@@ -94,7 +96,7 @@ def print_error(error: TwodofError) -> None:
     if error.where:
         console.print(f"  where: {error.where}")
     if error.remedy:
-        console.print(f"  remedy: {error.remedy}")
+        console.print(f"  remedy: {remedy_in_shell(error.remedy)}")
 
 
 def table_console() -> Console:

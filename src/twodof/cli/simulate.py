@@ -12,7 +12,7 @@ from rich.table import Table
 from twodof.blocks import Diagram
 from twodof.cli.diagrams.argument import DIAGRAM_HELP, read_diagram
 from twodof.cli.logs.plot import Plot, draw
-from twodof.cli.output import Json, print_json, say_line, table_console
+from twodof.cli.output import Force, Json, print_json, say_line, table_console
 from twodof.errors import ParameterError
 from twodof.experiment.flight import Laboratory
 from twodof.experiment.protocol import EXPERIMENTS
@@ -62,6 +62,7 @@ def simulate(
     ] = 1,
     out: Annotated[Path | None, typer.Option(help="Write the flight's log (.mat, .mcap, .parquet, .csv).")] = None,
     plot: Plot = None,
+    force: Force = False,
     json: Json = False,
 ) -> None:
     """Fly an experiment on a virtual rig, or, with --like, a log's set-points without noise and compare.
@@ -80,14 +81,14 @@ def simulate(
         raise typer.BadParameter("--window goes with --like")
     elif experiment is not None:
         if out is not None:
-            check_place(out)
+            check_place(out, force)
         if plot is not None:
-            check_plot(plot)
+            check_plot(plot, force)
         diagrams = _controllers(controller or [])
         laboratory = Laboratory(
             rig, load_gains(gains or "default"), controllers=diagrams, tuning=_tuning(tune or []), precision=precision
         )
-        _fly(laboratory, experiment, seed, out, plot, json)
+        _fly(laboratory, experiment, seed, out, plot, force, json)
 
 
 def _registered(log: FlightLog) -> PublicLog | None:
@@ -161,12 +162,14 @@ def _number(text: str) -> int | float:
     return int(text) if text.strip().lstrip("+-").isdigit() else float(text)
 
 
-def _fly(laboratory: Laboratory, experiment: str, seed: int, out: Path | None, plot: Path | None, json: bool) -> None:
+def _fly(
+    laboratory: Laboratory, experiment: str, seed: int, out: Path | None, plot: Path | None, force: bool, json: bool
+) -> None:
     flight = laboratory.fly(named_experiment(experiment), seed)
     if out is not None:
-        write_log(flight.log, out)
+        write_log(flight.log, out, overwrite=force)
     if plot is not None:
-        draw(flight.log, plot, title=f"{experiment} on {laboratory.rig_name}")
+        draw(flight.log, plot, title=f"{experiment} on {laboratory.rig_name}", force=force)
     rig, controllers = laboratory.rig_name, laboratory.described_controllers()
     if json:
         print_json(

@@ -84,7 +84,7 @@ class ControllerStore:
             raise DiagramError(
                 f"cannot be made: {reason.strerror}", str(self.folder), "set TWODOF_DATA to a folder that is writable"
             ) from reason
-        save_diagram(diagram, path)
+        save_diagram(diagram, path, overwrite=True)
         return path
 
     def remove(self, kind: str) -> bool:

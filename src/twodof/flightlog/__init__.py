@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from twodof.flightlog.atomic import atomic_write as atomic_write
+    from twodof.flightlog.atomic import numbered as numbered
     from twodof.flightlog.contents import DetectedExcitation as DetectedExcitation
     from twodof.flightlog.contents import describe as describe
     from twodof.flightlog.contents import excitations as excitations
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
     from twodof.flightlog.ulog.writer import ULogWriter as ULogWriter
 
 _HOMES = {
-    "atomic": ("atomic_write",),
+    "atomic": ("atomic_write", "numbered"),
     "contents": ("DetectedExcitation", "describe", "excitations", "find_excitation"),
     "events": ("Event", "Stretch", "modes", "openloop_edges", "setpoint_steps", "thrust_edges", "window"),
     "files": ("convert", "read_log", "write_log"),

@@ -1,14 +1,35 @@
-"""Files that are either there whole or not there: written beside their place, then renamed into it."""
+"""Files that are either there whole or not there: written beside their place, then renamed into it.
+
+One rule for every command and every function that writes a file which the user names: a file that is there is kept,
+unless `--force` or `overwrite=True` says that it may be lost. `numbered` gives a session that repeats new names. What
+twodof keeps for itself (its caches, a drone's state) is replaced without a question.
+"""
 
 import errno
 import os
 import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import chain, count
 from pathlib import Path
 from typing import IO, Any, Literal
 
 from twodof.errors import LogError
+
+REPLACE = "name another file, or replace it with --force (in Python overwrite=True)"
+
+
+def check_free(path: str | Path, overwrite: bool = False) -> None:
+    """That no file is at `path`, or that it may be lost. Raises LogError."""
+    if not overwrite and Path(path).exists():
+        raise LogError("is there already", str(path), REPLACE)
+
+
+def numbered(path: str | Path) -> Path:
+    """The first of `name.ext`, `name-2.ext`, `name-3.ext`, ... that is not there yet, for a session that repeats."""
+    first = Path(path)
+    names = chain((first,), (first.with_name(f"{first.stem}-{number}{first.suffix}") for number in count(2)))
+    return next(name for name in names if not name.exists())
 
 
 @contextmanager

@@ -6,6 +6,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from twodof.errors import LogError
+from twodof.flightlog.atomic import check_free
 from twodof.flightlog.log import FlightLog
 from twodof.flightlog.mat.mat_file import read_mat, write_mat
 from twodof.flightlog.mcap.mcap_file import read_mcap, write_mcap
@@ -28,29 +29,30 @@ def read_log(path: str | Path) -> FlightLog:
     return _READERS[Path(path).suffix.lower()](path)
 
 
-def write_log(log: FlightLog, path: str | Path, wide: bool = False) -> None:
-    """Writes a log to a .mat, .mcap, .parquet or .csv file, atomically. Raises LogError.
+def write_log(log: FlightLog, path: str | Path, wide: bool = False, overwrite: bool = False) -> None:
+    """Writes a log to a .mat, .mcap, .parquet or .csv file, atomically. Raises LogError, also if it is there.
 
     `wide` writes a table (.parquet, .csv) with one row for each time stamp and a column for each signal, in place of
     one row for each number.
     """
     _check(path, _TABLES if wide else _WRITERS)
+    check_free(path, overwrite)
     if wide:
         _TABLES[Path(path).suffix.lower()](log, path, wide=True)
     else:
         _WRITERS[Path(path).suffix.lower()](log, path)
 
 
-def check_place(path: str | Path) -> None:
+def check_place(path: str | Path, overwrite: bool = False) -> None:
     """Whether `write_log` can write there, before what it is to hold is made: a known suffix, a folder that lets us in.
 
     Raises LogError.
     """
     _check(path, _WRITERS)
-    check_folder(path)
+    check_folder(path, overwrite)
 
 
-def check_folder(path: str | Path) -> None:
+def check_folder(path: str | Path, overwrite: bool = False) -> None:
     """Whether a file of any kind can be written there, before what it is to hold is made. Raises LogError."""
     target = Path(path).resolve()
     if target.is_dir():
@@ -59,9 +61,10 @@ def check_folder(path: str | Path) -> None:
         raise LogError("its folder is not there", str(path), f"make it: mkdir -p {target.parent}")
     if not os.access(target.parent, os.W_OK | os.X_OK):
         raise LogError("its folder may not be written", str(path), "choose another one")
+    check_free(path, overwrite)
 
 
-def convert(src: str | Path, dst: str | Path, wide: bool = False) -> FlightLog:
+def convert(src: str | Path, dst: str | Path, wide: bool = False, overwrite: bool = False) -> FlightLog:
     """Reads `src` and writes it as `dst` (see `write_log`); returns the log.
 
     Raises LogError before anything is written.
@@ -69,8 +72,9 @@ def convert(src: str | Path, dst: str | Path, wide: bool = False) -> FlightLog:
     _check(dst, _TABLES if wide else _WRITERS)
     if Path(dst).exists() and Path(src).exists() and Path(dst).samefile(src):
         raise LogError("would be written over itself", str(src), "name another file to write")
+    check_free(dst, overwrite)
     log = read_log(src)
-    write_log(log, dst, wide)
+    write_log(log, dst, wide, overwrite)
     return log
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from twodof.errors import LogError
 from twodof.flightlog import provenance
-from twodof.flightlog.atomic import atomic_write
+from twodof.flightlog.atomic import atomic_write, check_free
 from twodof.flightlog.log import FlightLog
 from twodof.flightlog.mcap.decoder import McapContents, scan
 from twodof.flightlog.mcap.mcap_file import RECOVERED_NOTE, to_log, write_contents, write_mcap
@@ -30,8 +30,9 @@ class Recovered:
     unverified: tuple[str, ...] = ()
     contents: McapContents | None = None
 
-    def write(self, path: str | Path) -> None:
-        """Writes a complete MCAP file, atomically. Raises LogError."""
+    def write(self, path: str | Path, overwrite: bool = False) -> None:
+        """Writes a complete MCAP file, atomically. Raises LogError, also if it is there."""
+        check_free(path, overwrite)
         if self.contents is None:
             write_mcap(self.log, path)
         else:

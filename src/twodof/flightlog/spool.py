@@ -14,6 +14,7 @@ from types import TracebackType
 from typing import Literal, Self
 
 from twodof.errors import LogError, RecordingError
+from twodof.flightlog.atomic import REPLACE
 
 Full = Literal["drop", "wait"]
 MAX_CAPACITY_BYTES = 1 << 24
@@ -172,9 +173,7 @@ class Spool(ABC):
             # A recording never takes the place of another one.
             return os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
         except FileExistsError as there:
-            raise LogError(
-                "is there already", str(self.path), "name a new file: recordings are not replaced"
-            ) from there
+            raise LogError("is there already", str(self.path), REPLACE) from there
         except OSError as refusal:
             raise LogError(
                 f"cannot be written: {refusal.strerror}", str(self.path), "choose a folder that exists and is writable"

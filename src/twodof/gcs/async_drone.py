@@ -164,8 +164,12 @@ class AsyncDrone(FlyingDrone):
         path: str | Path,
         topics: Iterable[str] | None = None,
         provenance: Mapping[str, object] | None = None,
+        overwrite: bool = False,
     ) -> AbstractAsyncContextManager[Recording]:
         """Record topics (None: all) at the full rate into a new MCAP file, for `async with`. See gcs.recording.
+
+        Raises LogError for a file that is there, unless `overwrite` says that it may be lost. A session that repeats
+        takes new names from `flightlog.numbered`.
 
         The file also holds what flies: tuned parameters and, as attachments, the diagrams of the user's controllers.
 
@@ -173,6 +177,8 @@ class AsyncDrone(FlyingDrone):
         """
         if Path(path).suffix.lower() != ".mcap":
             raise LogError("a recording is an MCAP file", str(path), "call it .mcap; write_log makes others of it")
+        if overwrite:
+            Path(path).unlink(missing_ok=True)
         rig = self.state.rig
         about = {
             "autopilot": self.state.autopilot,

@@ -8,7 +8,7 @@ from types import MappingProxyType
 
 from twodof.constants import HOVER
 from twodof.errors import LogError, ParameterError
-from twodof.flightlog.atomic import atomic_write
+from twodof.flightlog.atomic import atomic_write, check_free
 from twodof.flightlog.provenance import read_bytes
 from twodof.models.plant import PAPER_PITCH_RATE, PAPER_VELOCITY_GREYBOX
 from twodof.parameters import Parameter, ParameterSet
@@ -193,7 +193,11 @@ def load_rig(source: str | Path) -> ParameterSet:
     return values
 
 
-def save_rig(values: ParameterSet, path: str | Path) -> None:
-    """Writes a set that `load_rig` reads back to the same bits; an interrupted write leaves the old file."""
+def save_rig(values: ParameterSet, path: str | Path, overwrite: bool = False) -> None:
+    """Writes a set that `load_rig` reads back to the same bits; an interrupted write leaves the old file.
+
+    Raises LogError for a file that is there and where the disk refuses.
+    """
+    check_free(path, overwrite)
     with atomic_write(path, "w") as file:
         file.write(values.to_json() + "\n")

@@ -15,7 +15,7 @@ from tests.patience import PATIENCE_S
 from twodof.blocks.schema.json_form import from_json
 from twodof.compile.px4 import export, make_module, tree
 from twodof.compile.px4.tree import MANIFEST, strangers, write_tree
-from twodof.errors import CompileError, TwodofError
+from twodof.errors import CompileError, LogError, TwodofError
 
 
 def on_disk(folder: Path) -> dict[str, str]:
@@ -77,7 +77,7 @@ def test_an_empty_folder_is_taken(tmp_path: Path) -> None:
 def test_another_folder_is_never_replaced(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("years of work")
     for force in (False, True):
-        with pytest.raises(CompileError, match="something else in it"):
+        with pytest.raises(LogError, match="something else in it"):
             export(rail(), tmp_path, force=force)
     assert on_disk(tmp_path) == {"thesis.tex": "years of work"}
 
@@ -87,7 +87,7 @@ def test_another_folder_is_never_replaced(tmp_path: Path) -> None:
 )
 def test_a_manifest_that_is_none_protects_the_folder(tmp_path: Path, manifest: str) -> None:
     (tmp_path / MANIFEST).write_text(manifest)
-    with pytest.raises(CompileError, match="something else in it"):
+    with pytest.raises(LogError, match="something else in it"):
         export(rail(), tmp_path, force=True)
 
 
@@ -97,7 +97,7 @@ def test_changed_and_added_files_are_lost_only_by_force(tmp_path: Path) -> None:
     (tmp_path / "README.md").write_text("mine")
     assert strangers(tmp_path) == ["README.md", "msg/Mine.msg"]
     before = on_disk(tmp_path)
-    with pytest.raises(CompileError, match=r"README\.md, msg/Mine\.msg"):
+    with pytest.raises(LogError, match=r"README\.md, msg/Mine\.msg"):
         export(rail(), tmp_path)
     assert on_disk(tmp_path) == before
     export(rail(), tmp_path, force=True)
@@ -106,7 +106,7 @@ def test_changed_and_added_files_are_lost_only_by_force(tmp_path: Path) -> None:
 
 def test_a_file_is_no_folder(tmp_path: Path) -> None:
     (tmp_path / "out").write_text("mine")
-    with pytest.raises(CompileError, match="is a file"):
+    with pytest.raises(LogError, match="is a file"):
         export(rail(), tmp_path / "out", force=True)
 
 

@@ -32,8 +32,8 @@ def test_real_logs_pass_through_mcap_channel_for_channel(flight_data: Path, tmp_
     paths = sorted(flight_data.glob("*.mat"))
     assert len(paths) == 7
     for path in paths:
-        convert(path, tmp_path / "a.mcap")
-        convert(tmp_path / "a.mcap", tmp_path / "b.mat")
+        convert(path, tmp_path / "a.mcap", overwrite=True)
+        convert(tmp_path / "a.mcap", tmp_path / "b.mat", overwrite=True)
         same_bits(read_log(path), read_log(tmp_path / "b.mat"))
         theirs, ours = loadmat(path, mat_dtype=True), loadmat(tmp_path / "b.mat", mat_dtype=True)
         for name in [name for name in theirs if not name.startswith("__")]:
@@ -47,7 +47,7 @@ def test_a_log_survives_a_tour_of_all_formats(tmp_path: Path) -> None:
     log = attitude_steps()
     write_mcap(log, tmp_path / "a.mcap")
     for source, target in [("a.mcap", "b.parquet"), ("b.parquet", "c.mcap"), ("c.mcap", "d.csv"), ("d.csv", "e.mcap")]:
-        convert(tmp_path / source, tmp_path / target)
+        convert(tmp_path / source, tmp_path / target, overwrite=True)
     back = read_mcap(tmp_path / "e.mcap")
     same_bits(log, back)
     assert [one["name"] for one in back.provenance["history"]] == ["a.mcap", "b.parquet", "c.mcap", "d.csv"]

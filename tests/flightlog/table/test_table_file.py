@@ -35,9 +35,9 @@ def test_a_log_round_trips_to_the_bit(tmp_path: Path, suffix: str) -> None:
 def test_real_logs_survive_a_tour_of_all_formats(flight_data: Path, tmp_path: Path) -> None:
     for name in ("doublet-0.03", "attitude-steps-10deg-student"):
         first = read_log(flight_data / f"{name}.mat")
-        convert(flight_data / f"{name}.mat", tmp_path / "b.parquet")
-        convert(tmp_path / "b.parquet", tmp_path / "c.csv")
-        convert(tmp_path / "c.csv", tmp_path / "d.mat")
+        convert(flight_data / f"{name}.mat", tmp_path / "b.parquet", overwrite=True)
+        convert(tmp_path / "b.parquet", tmp_path / "c.csv", overwrite=True)
+        convert(tmp_path / "c.csv", tmp_path / "d.mat", overwrite=True)
         last = read_log(tmp_path / "d.mat")
         same_bits(first, last)
         history = last.provenance["history"]
@@ -135,7 +135,9 @@ def test_a_cut_file_says_so_wherever_it_is_cut(tmp_path: Path, suffix: str) -> N
 @given(data=st.data())
 def test_damage_is_a_log_error_or_a_valid_log(tmp_path_factory: pytest.TempPathFactory, suffix: str, data: Any) -> None:
     base = tmp_path_factory.getbasetemp()
-    write_log(FlightLog({"q": Channel([0.0, 1.0], [2.0, 3.0]), "lmnf": Channel([], [])}), base / f"f{suffix}")
+    write_log(
+        FlightLog({"q": Channel([0.0, 1.0], [2.0, 3.0]), "lmnf": Channel([], [])}), base / f"f{suffix}", overwrite=True
+    )
     content = bytearray((base / f"f{suffix}").read_bytes())
     for _ in range(data.draw(st.integers(1, 3))):
         content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))

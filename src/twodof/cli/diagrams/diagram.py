@@ -14,7 +14,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from twodof.cli.diagrams.argument import DIAGRAM_HELP, read_diagram
-from twodof.cli.output import Json, print_json, table_console
+from twodof.cli.output import Force, Json, print_json, table_console
 from twodof.compile.builder import emit_program
 from twodof.compile.c.source_map import SourceLine, SourceMap, source_map
 from twodof.compile.linear.linear_model import Array, LinearModel
@@ -60,10 +60,10 @@ class TimeDomain(StrEnum):
 def new(
     starter: Annotated[str, typer.Argument(metavar="STARTER", help=DIAGRAM_HELP.partition(", or ")[2])],
     file: Annotated[Path, typer.Argument(metavar="FILE", help="Where to write it, as JSON.")],
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a file that is there.")] = False,
+    force: Annotated[bool, typer.Option("--force", "--overwrite", help="Replace a file that is there.")] = False,
 ) -> None:
     """Write a starter diagram to a file, to be changed."""
-    made = new_diagram(starter, file, overwrite)
+    made = new_diagram(starter, file, force)
     table_console().print(f"{file}: {made.name}, {made.text}")
 
 
@@ -130,11 +130,12 @@ def code(
     block: Annotated[str | None, typer.Option(metavar="PATH", help="Only what this block became.")] = None,
     html: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a page that shows both sides.")] = None,
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the C itself.")] = None,
+    force: Force = False,
     json: Json = False,
 ) -> None:
     """Show the generated C beside the paths of the blocks that it came from."""
     for path in filter(None, (out, html)):
-        check_folder(path)
+        check_folder(path, force)
     shown = read_diagram(diagram)
     emitted = emit_program(shown, dt, precision.value)
     found = source_map(emitted.flat, emitted.source, emitted.layout)
@@ -190,12 +191,13 @@ def render(
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="The SVG file; default: standard output.")] = None,
     depth: Annotated[int, typer.Option(min=0, max=64, help="Open sub-diagrams down to this level.")] = 0,
     path: Annotated[str, typer.Option(metavar="SUB", help="Draw only this sub-diagram.")] = "",
+    force: Force = False,
 ) -> None:
     """Draw a diagram as SVG."""
     if out is not None:
         if out.suffix.lower() != ".svg":
             raise LogError(f"an SVG is drawn, and {out.name} is no name for one", "--out", f"name it {out.stem}.svg")
-        check_folder(out)
+        check_folder(out, force)
     picture = to_svg(find(read_diagram(diagram), path), depth)
     if out is None:
         typer.echo(picture, nl=False)

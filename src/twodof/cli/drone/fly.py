@@ -12,7 +12,7 @@ import typer
 
 from twodof.cli.drone.connect import connect
 from twodof.cli.logs.plot import Plot, draw
-from twodof.cli.output import Json, print_json, progress, say_line, table_console
+from twodof.cli.output import Force, Json, print_json, progress, say_line, table_console
 from twodof.errors import LinkLost
 from twodof.experiment.flight import Flight, Laboratory
 from twodof.experiment.fly import fly as fly_experiment
@@ -50,6 +50,7 @@ def fly(
     ] = False,
     out: Annotated[Path | None, typer.Option(help="Write the flight's log (.mat, .mcap, .parquet, .csv).")] = None,
     plot: Plot = None,
+    force: Force = False,
     json: Json = False,
 ) -> None:
     """Arm, hold, excite on board, disarm, and check that the data are good enough.
@@ -64,9 +65,9 @@ def fly(
     if controller and rig is None:
         raise typer.BadParameter("--controller goes with --rig: another drone flies what it was given")
     if out is not None:
-        check_place(out)  # before anything moves: a flight is not flown for nothing
+        check_place(out, force)  # before anything moves: a flight is not flown for nothing
     if plot is not None:
-        check_plot(plot)
+        check_plot(plot, force)
     with ExitStack() as stack:
         where = (
             url or DEFAULT_URL if rig is None else stack.enter_context(virtual_drone(rig, controllers=controller or ()))
@@ -84,7 +85,7 @@ def fly(
 
         def interrupted(flight: Flight) -> None:
             if out is not None:
-                write_log(flight.log, out)
+                write_log(flight.log, out, overwrite=force)
                 say_line(f"written: {out}, up to the interruption")
 
         flight = fly_experiment(
@@ -98,9 +99,9 @@ def fly(
         )
         machine = there.state.rig
         if out is not None:
-            write_log(flight.log, out)
+            write_log(flight.log, out, overwrite=force)
         if plot is not None:
-            draw(flight.log, plot, title=f"{experiment} on {machine.name}")
+            draw(flight.log, plot, title=f"{experiment} on {machine.name}", force=force)
     if json:
         print_json(
             {

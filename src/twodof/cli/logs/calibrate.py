@@ -10,7 +10,7 @@ from rich.table import Table
 
 from twodof.calibrate import FLIGHTS, UNKNOWNS, Calibration
 from twodof.calibrate import calibrate as calibrate_rig
-from twodof.cli.output import Json, print_json, progress, table_console
+from twodof.cli.output import Force, Json, print_json, progress, table_console
 from twodof.errors import LogError
 from twodof.flightlog.files import check_folder
 from twodof.flightlog.public_data import find
@@ -26,16 +26,17 @@ def calibrate(
         bool, typer.Option("--leave-one-out", help="Also predict each flight from all others.")
     ] = False,
     out: Annotated[Path | None, typer.Option(help="Write the rig as JSON, for `--rig FILE`.")] = None,
+    force: Force = False,
     json: Json = False,
 ) -> None:
     """Calibrate the virtual rig on the logs of the real drone; exit status 1 if the search did not converge."""
     if out is not None:
-        check_folder(out)  # before minutes of search
+        check_folder(out, force)  # before minutes of search
     folder = _folder() if data is None else data
     with progress() as report:
         found = calibrate_rig(folder, leave_one_out, report)
     if out is not None:
-        save_rig(found.rig, out)
+        save_rig(found.rig, out, force)
     if json:
         print_json(
             {

@@ -11,8 +11,9 @@ import typer
 from rich.table import Table
 
 from twodof.cli.logs.plot import draw
-from twodof.cli.output import Json, one_line, print_json, table_console
+from twodof.cli.output import Force, Json, one_line, print_json, table_console
 from twodof.errors import LogError
+from twodof.flightlog.atomic import check_free
 from twodof.flightlog.contents import describe
 from twodof.flightlog.files import convert as convert_log
 from twodof.flightlog.files import read_log
@@ -114,13 +115,14 @@ def plot(
     window: Annotated[
         tuple[float, float] | None, typer.Option(metavar="T0 T1", help="Draw this stretch only, in seconds of the log.")
     ] = None,
+    force: Force = False,
     json: Json = False,
 ) -> None:
     """Draw a flight: pitch, rate, position, velocity and motors, set-points, modes, failsafe and excitation."""
     target = out if out is not None else file.with_suffix(".png")
-    check_place(target)
+    check_place(target, force)
     names = [name for text in topics or () for name in text.split(",") if name]
-    notes = draw(read_log(file), target, names, window, file.name)
+    notes = draw(read_log(file), target, names, window, file.name, force)
     if json:
         print_json({"file": str(target), "notes": list(notes)})
         return
@@ -138,10 +140,11 @@ def convert(
         bool,
         typer.Option("--wide", help="A table (.csv, .parquet) with a row a time stamp and a column a signal."),
     ] = False,
+    force: Force = False,
     json: Json = False,
 ) -> None:
     """Write a log in another format (.mat, .mcap, .parquet, .csv); the target is there whole or not at all."""
-    log = convert_log(source, target, wide)
+    log = convert_log(source, target, wide, force)
     if json:
         print_json({"file": str(target), "channels": list(log.channels)})
     else:
@@ -154,6 +157,7 @@ def recover(
     out: Annotated[
         Path | None, typer.Argument(help="The .mcap file to write; FILE with .recovered.mcap if it is left out.")
     ] = None,
+    force: Force = False,
     json: Json = False,
 ) -> None:
     """Write what is sound of a recording as a complete .mcap file; FILE stays as it is.
@@ -163,10 +167,9 @@ def recover(
     target = out if out is not None else file.with_name(f"{file.stem}.recovered.mcap")
     if target.suffix.lower() != ".mcap":
         raise LogError(f"{target.suffix!r} is not what is written", str(target), "name an .mcap file")
-    if target.exists():
-        raise LogError("is there already", str(target), "name a new file: nothing is replaced")
+    check_free(target, force)
     found = recover_log(file)
-    found.write(target)
+    found.write(target, force)
     # What was written is what is reported: it has to read back whole.
     samples = sum(len(channel) for channel in read_log(target).channels.values())
     start, end = found.log.span

@@ -24,8 +24,9 @@ def draw(
     topics: Iterable[str] = (),
     window: tuple[float, float] | None = None,
     title: str = "",
+    force: bool = False,
 ) -> tuple[str, ...]:
     """Draws a log, and returns what the picture leaves out. Raises LogError, as `flight_view` and `write_plot`."""
     view = flight_view(log, topics, window, title)
-    importlib.import_module("twodof.report.plots.flight_plot").write_plot(view, path)
+    importlib.import_module("twodof.report.plots.flight_plot").write_plot(view, path, force)
     return view.notes

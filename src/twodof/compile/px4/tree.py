@@ -10,7 +10,7 @@ import shutil
 from collections.abc import Mapping
 from pathlib import Path
 
-from twodof.errors import CompileError
+from twodof.errors import CompileError, LogError
 from twodof.flightlog.atomic import atomic_write
 
 MANIFEST = "twodof-px4.json"
@@ -69,8 +69,8 @@ def write_tree(folder: Path, files: Mapping[str, str], force: bool = False) -> N
     """Writes `files`, whose manifest is among them, as `folder`: wholly or not at all.
 
     An empty folder and an unchanged export are replaced. An export with other or changed files is replaced only with
-    `force`. Raises CompileError for any other folder, and where the file system refuses. The new tree is made beside
-    its place and renamed into it.
+    `force`. Raises LogError for any other folder, CompileError where the file system refuses. The new tree is made
+    beside its place and renamed into it.
     """
     target = folder.resolve()
     _check_place(target, folder, force)
@@ -107,17 +107,17 @@ def _check_place(target: Path, folder: Path, force: bool) -> None:
     if not target.exists():
         return
     if not target.is_dir():
-        raise CompileError("is a file", str(folder), "name a folder")
+        raise LogError("is a file", str(folder), "name a folder")
     if not any(target.iterdir()):
         return
     if read_manifest(target) is None:
-        raise CompileError(
+        raise LogError(
             "is a folder with something else in it", str(folder), "name a new or an empty folder, or an earlier export"
         )
     other = strangers(target)
     if other and not force:
         listed = ", ".join(other[:5]) + (f" and {len(other) - 5} more" if len(other) > 5 else "")
-        raise CompileError(
+        raise LogError(
             f"has files that were added or changed since the export: {listed}",
             str(folder),
             "save them elsewhere, or give --force to lose them",

@@ -10,7 +10,7 @@ from twodof.blocks import Diagram
 from twodof.blocks.schema.json_form import MAX_BYTES, from_json, to_json
 from twodof.errors import DiagramError
 from twodof.flight.starters import attitude, motor, position
-from twodof.flightlog.atomic import atomic_write
+from twodof.flightlog.atomic import atomic_write, check_free
 
 STARTERS: Mapping[str, Callable[[], Diagram]] = MappingProxyType(
     {
@@ -62,12 +62,13 @@ def load_diagram(source: str | Path) -> Diagram:
         raise DiagramError(error.what, f"{path}: {error.where}".rstrip(": "), error.remedy) from error
 
 
-def save_diagram(diagram: Diagram, path: str | Path) -> None:
+def save_diagram(diagram: Diagram, path: str | Path, overwrite: bool = False) -> None:
     """Writes `diagram` as JSON that `load_diagram` reads back; an interrupted write leaves the old file.
 
-    Raises DiagramError for a block without a JSON form, LogError where the file system refuses.
+    Raises DiagramError for a block without a JSON form, LogError for a file that is there and where the disk refuses.
     """
     text = to_json(diagram)
+    check_free(path, overwrite)
     with atomic_write(path, "w") as file:
         file.write(text)
 
@@ -75,10 +76,8 @@ def save_diagram(diagram: Diagram, path: str | Path) -> None:
 def new_diagram(name: str, path: str | Path, overwrite: bool = False) -> Diagram:
     """Writes the starter diagram called `name` to the file `path` and returns it.
 
-    Raises DiagramError for another name, and where the file is there already, unless `overwrite` says so.
+    Raises DiagramError for another name, LogError where the file is there already, unless `overwrite` says so.
     """
     diagram = starter(name)
-    if not overwrite and Path(path).exists():
-        raise DiagramError("the file is there already", str(path), "choose another name, or remove the file")
-    save_diagram(diagram, path)
+    save_diagram(diagram, path, overwrite)
     return diagram

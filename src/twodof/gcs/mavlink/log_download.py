@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from twodof.errors import LogError
-from twodof.flightlog.atomic import atomic_write
+from twodof.flightlog.atomic import atomic_write, check_free
 from twodof.gcs.mavlink.deadline import Deadline
 from twodof.gcs.mavlink.session import DroneSession
 from twodof.link.mavlink.messages import message
@@ -60,11 +60,14 @@ class AsyncLogs:
         path: str | Path,
         timeout: float = 600.0,
         progress: Callable[[int, int], None] | None = None,
+        overwrite: bool = False,
     ) -> Path:
         """Bring a log down into `path`, whole or not at all; `progress(bytes, of)` is told on the way.
 
-        Raises LogError for one that is empty or too large, Timeout when nothing more comes for 5 s, LinkLost.
+        Raises LogError for a file that is there, a log that is empty or too large, Timeout when nothing more comes for
+        5 s, LinkLost.
         """
+        check_free(path, overwrite)
         where = f"drone {self._session.system}, log {entry.number}"
         if not 0 < entry.size <= LARGEST:
             raise LogError(f"{entry.size} bytes", where, f"1 to {LARGEST} bytes are brought down")

@@ -60,9 +60,9 @@ _TINT = MappingProxyType(
 )
 
 
-def write_plot(view: FlightView, path: str | Path) -> None:
-    """Draws the view into a .png, .svg, .pdf or .html file, whole or not at all. Raises LogError."""
-    check_place(path)
+def write_plot(view: FlightView, path: str | Path, overwrite: bool = False) -> None:
+    """Draws the view into a .png, .svg, .pdf or .html file, whole or not at all. Raises LogError as `check_place`."""
+    check_place(path, overwrite)
     suffix = Path(path).suffix.lower()
     content = to_html(view).encode() if suffix == ".html" else _alone(view, suffix)
     with atomic_write(path, "wb") as file:

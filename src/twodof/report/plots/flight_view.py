@@ -91,11 +91,11 @@ class FlightView:
     notes: tuple[str, ...]
 
 
-def check_place(path: str | Path) -> None:
+def check_place(path: str | Path, overwrite: bool = False) -> None:
     """Whether a plot can be written there, before what it is to show is made. Raises LogError."""
     if Path(path).suffix.lower() not in SUFFIXES:
         raise LogError(f"no picture has the suffix {Path(path).suffix!r}", str(path), f"use {', '.join(SUFFIXES)}")
-    check_folder(path)
+    check_folder(path, overwrite)
 
 
 def flight_view(
