@@ -1,8 +1,8 @@
 """Test signals: impulse, doublet, 3-2-1-1, steps, sweep, PRBS, multisine; one definition, on board and on the ground.
 
 An excitation is what is *added* to the value held before it (the trim moment, a level set-point). Time is
-counted in whole microseconds from its start, so that 75 control periods of 4 ms and an edge at 0.3 s are the
-same instant wherever it is played; at an edge the new value holds. Before it starts and once it has ended it
+counted in whole microseconds from its start. So 75 control periods of 4 ms and an edge at 0.3 s are the same
+instant wherever it is played. At an edge the new value holds. Before it starts and once it has ended it
 is 0. Sources: Jategaonkar, "Flight Vehicle System Identification", ch. 2; Pintelon and Schoukens, "System
 Identification: A Frequency Domain Approach", ch. 5.
 """

@@ -345,8 +345,8 @@ class ParameterSet(Mapping[str, float]):
     def update(self, changes: Mapping[str, float]) -> None:
         """Changes several values together, as one step to undo.
 
-        Raises ParameterError, and then changes nothing, if a name is unknown or given twice, or a value is no
-        number, not finite or outside its bounds; the message lists every fault.
+        Raises ParameterError, and then changes nothing, if a name is unknown or given twice, or if a value is not a
+        finite number within its bounds. The message lists every fault.
         """
         checked = self._checked(changes)
         changed = {name: value for name, value in checked.items() if value != self._values[name]}

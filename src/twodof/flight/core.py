@@ -88,8 +88,8 @@ def core(
     Parameter paths: `estimator.filter...` (of the joint filter; else `estimator.pitch...`, `estimator.position...`),
     `cascade.rate.kp` and so on (see `cascade`), `hold.settle`, `hold.window`, `arming.samples`.
 
-    `controllers` are diagrams of the templates (`flight.templates`), one of a kind at most, which take the place of the
-    stock loops and of the mixer: their parameters are `cascade.attitude_control...`, `cascade.position_control...` and
+    `controllers` are diagrams of the templates (`flight.templates`), one of a kind at most. They take the place of the
+    stock loops and of the mixer. Their parameters are `cascade.attitude_control...`, `cascade.position_control...` and
     `motor_control...`. Where a moment or thrust that one of them asks for is infinite or NaN the motors stop (a single
     motor's stops that motor), and M or T shows it. With a motor controller M and T are what the motors are given.
 

@@ -163,8 +163,8 @@ def check_template(diagram: Diagram, kind: str | None = None) -> Template:
     """The template that `diagram` fills in, by name or (None) as `kind_of` says.
 
     It has exactly the template's ports, each a scalar of the template's type, in its unit or in none; an input may be
-    left unused inside. Raises DiagramError that names every port that is missing, too many or of another type or unit,
-    and all that keeps the diagram from being compiled; also for continuous states, which no controller can have.
+    left unused inside. Raises a DiagramError that names every port that is missing, too many or of another type or
+    unit, and all that keeps the diagram from being compiled. It refuses continuous states: no controller can have any.
     """
     name = kind_of(diagram) if kind is None else kind
     if name not in TEMPLATES:

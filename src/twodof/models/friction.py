@@ -1,8 +1,8 @@
 """Dry (Coulomb) friction on a speed, with true sticking, as a smooth function of the parameters.
 
 A step integrates everything but the friction, which then acts as an impulse that knows when in the step the motion
-stops. So the machine sticks exactly, and what is simulated has no jumps when a parameter moves the moment of a stop
-across a step: an estimation needs its derivatives.
+stops. So the machine sticks exactly. What is simulated does not jump when a parameter moves the moment of a stop across
+a step: an estimation needs derivatives.
 """
 
 from __future__ import annotations

@@ -18,8 +18,8 @@ from twodof.models.plant import PAPER_PITCH_RATE, PitchRate
 class LqrGains:
     """M = -state . x - integral * (sum of T y) - history . (M of the steps before, the latest first).
 
-    `state` (n,) are the gains on the plant's states, `history` those on the moments that are still under way (as many
-    as the delay has steps), `integral` that on the backward-Euler integral of the output y that is brought to 0.
+    `state` (n,) are the gains on the plant's states. `history` are those on the moments that are still under way, as
+    many as the delay has steps. `integral` is that on the backward-Euler integral of the output y, which goes to 0.
     """
 
     state: tuple[float, ...]
@@ -68,8 +68,8 @@ def attitude_lqr(plant: PitchRate = PAPER_PITCH_RATE) -> LqrGains:
 def rate_lqr(plant: PitchRate = PAPER_PITCH_RATE) -> LqrGains:
     """Gains on q and its integral, for errors of 1 rad/s and .2 rad at a moment of .06.
 
-    The spring is left out: it makes the integral of q, which is theta, return by itself, so that no constant moment
-    holds a rate and the feedback of both would not exist.
+    The spring is left out. It makes the integral of q, which is theta, return by itself, so that no constant moment
+    holds a rate. Then there would be no feedback of both.
     """
     rigid = DelayedStateSpace.of([[0.0]], [plant.mu], [[1.0]], [[0.0]], plant.tau)
     return lqr(rigid, 0, (1.0,), 0.2, 0.06)

@@ -15,8 +15,8 @@ from twodof.models.friction import after_friction, sticks
 class PitchPendulum(Block):
     """q' = mu M - 2 xi w_n q - w_n^2 sin(theta) - hardening theta^3 - friction, theta' = q.
 
-    Friction is Coulomb's: it opposes q with `coulomb` (1 + `asymmetry`) for q > 0, `coulomb` (1 - `asymmetry`) for
-    q < 0 [rad/s2], and holds the drone at rest while the rest of the right-hand side is smaller (see `friction`).
+    Friction is Coulomb's. It opposes q with `coulomb` (1 + `asymmetry`) for q > 0 and `coulomb` (1 - `asymmetry`) for
+    q < 0 [rad/s2]. It holds the drone at rest while the rest of the right-hand side is smaller (see `friction`).
     """
 
     inputs = (Port("M"),)

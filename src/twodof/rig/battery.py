@@ -11,10 +11,9 @@ from twodof.blocks.block import Clock
 class BatteryPack(Block):
     """A pack with an open-circuit voltage that falls linearly with the charge, and an inner resistance.
 
-    The current is that of hover times load^(3/2), the power that momentum theory gives for the thrust (the load of the
-    sample before: the thrust itself depends on the supply). `supply` is the
-    square of the terminal voltage over that of a full pack in hover: the factor on all thrusts, 1 for a full pack in
-    hover, so rig parameters that were found with a fresh pack hold as they are.
+    The current is that of hover times load^(3/2), the power that momentum theory gives for the thrust. The load is that
+    of the sample before, as the thrust depends on the supply. `supply`, the factor on all thrusts, is the square of the
+    terminal voltage over that of a full pack in hover. So rig parameters that were found with a fresh pack hold.
     """
 
     crossing = True  # reads the load at each of its own, slower ticks

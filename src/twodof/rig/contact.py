@@ -1,9 +1,9 @@
 """Contact: friction with true sticking, and stops that give back a share of the speed, as impulses and locks.
 
-Sliding friction acts as an impulse at the end of the step, clamped so that it stops the motion and never reverses
-it: speed that it takes away within the step also takes away half of the way (the force was there all along). What
-is at rest is held in `derivative`: its acceleration is exactly 0 as long as the load stays within the friction, or
-presses against a stop, so a body at rest stays there to the bit.
+Sliding friction acts as an impulse at the end of the step, clamped so that it stops the motion and never reverses it.
+The speed that it takes away within the step also takes away half of the way, as the force was there all along. What is
+at rest is held in `derivative`: its acceleration is exactly 0 as long as the load stays within the friction or presses
+against a stop. So a body at rest stays there to the bit.
 """
 
 from __future__ import annotations

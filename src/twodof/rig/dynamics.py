@@ -32,9 +32,9 @@ class Dynamics(Block):
     `running` in [0, 1] leads from the friction of the bearing with the rotors at rest to that with them running (they
     shake it). The rings of 1DoF are stops around `ring_place` that leave the cart `ring_play` either way and give
     nothing back. The sine and cosine of theta are integrated beside it (s' = c q, c' = -s q) and set to theta's own
-    at the end of each step, so no stage needs a trigonometric function. Friction acts on each coordinate by itself:
-    that a torque which stops the pitch also moves the cart is kept, that this changes the inertia it meets by
-    (m_d d)^2 / (J m), .3 % here, is not.
+    at the end of each step, so no stage needs a trigonometric function. Friction acts on each coordinate by itself. A
+    torque that stops the pitch also moves the cart; that this changes the inertia it meets by (m_d d)^2 / (J m), .3 %
+    here, is left out.
     """
 
     inputs = (Port("thrust", unit="N"), Port("moment", unit="N*m"), Port("gust", unit="N*m"), Port("running"))

@@ -40,9 +40,9 @@ class Imu(Block):
     """Accelerometer and gyro, body axes forward-right-down, `imu_below` m under the bearing.
 
     The accelerometer gives the mean specific force since its last sample (it integrates, as flight controllers' IMUs
-    do), so it sees impacts. Noise is white at rest; running rotors add vibration: white noise through a band-pass
-    about `vibration_hz`, in proportion to the thrust, which is what the logged spectra show (white noise of that
-    size would make the velocity estimate walk ten times too far).
+    do), so it sees impacts. Noise is white at rest. Running rotors add vibration in proportion to the thrust: white
+    noise through a band-pass about `vibration_hz`, as the logged spectra show. White noise of that size would make the
+    velocity estimate walk ten times too far.
     """
 
     crossing = True
@@ -133,8 +133,8 @@ class Imu(Block):
 class RangeSensor(Block):
     """Time-of-flight range with its own clock: a 32-bit phase accumulator that turns `tof_rate` times a second.
 
-    `dist` holds the last sample, `dist_new` is true in the one tick that hands it over, `dist_age` is how old the
-    stamp says that it is (the measured x is older). Before the first sample `dist` is the range at the start.
+    `dist` holds the last sample, and `dist_new` is true in the one tick that hands it over. `dist_age` is how old it is
+    by its stamp; the measured x is older. Before the first sample `dist` is the range at the start.
     """
 
     crossing = True

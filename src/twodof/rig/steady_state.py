@@ -49,9 +49,9 @@ def velocity_damping(rig: Mapping[str, float]) -> float:
 def model_parameters(rig: Mapping[str, float]) -> dict[str, float]:
     """What the paper's models call the rig's parameters, for small angles: docs/explanation/physics.md section 8, SI.
 
-    w_n, xi and mu, tau of the pitch (rotors at rest: xi, coulomb; running: xi_run, coulomb_run; mu at the hover's
-    thrust), k_v and p_v of the velocity, dry friction (coulomb, coulomb_run, rail_coulomb) and hardening over the moved
-    inertia or mass.
+    The pitch has w_n, mu at the hover's thrust, tau, and xi (`xi` with the rotors at rest, `xi_run` with them running).
+    The velocity has k_v and p_v. Dry friction (`coulomb`, `coulomb_run`, `rail_coulomb`) and `hardening` are over the
+    moved inertia or mass.
     """
     inertia, mass = rig["inertia"], rig["mass_drone"] + rig["mass_cart"]
     w_n = sqrt((rig["spring"] + GRAVITY * rig["mass_drone"] * rig["offset"]) / inertia)

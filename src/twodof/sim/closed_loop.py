@@ -106,8 +106,8 @@ class ClosedLoop:
     runs on the reference interpreter, with its warning. With `failsafe` its inputs `SAFETY` are those of a flight on
     which nothing fails, unless `fly` is given others: it arms after `ARMING` steps (at once in hover).
 
-    A controller whose moment or thrust is not finite stops the motors; the flight goes on to its end, and its `M` and
-    `T` show where it was not. Raises DiagramError for a diagram that fits no template or two that fit one.
+    A controller whose moment or thrust is not finite stops the motors. The flight goes on to its end, and its `M` and
+    `T` show where that was. Raises DiagramError for a diagram that fits no template or two that fit one.
     """
 
     def __init__(

@@ -197,8 +197,8 @@ def _mode_at(log: FlightLog, grid: Floats) -> NDArray[np.int32]:
 def _hold(log: FlightLog, begin: float) -> tuple[float | None, tuple[float, float] | None]:
     """(when the rotors started, the hold) before `begin`.
 
-    What is held is a pitch or a place: what was flown in open loop, or with the rate or velocity loop alone, does not
-    count, and where nothing else was flown since the rotors started, the hold is that of the flight before.
+    What is held is a pitch or a place. What was flown in open loop, or with the rate or velocity loop alone, does not
+    count. Where nothing else was flown since the rotors started, the hold is that of the flight before.
     """
     armed_at, found = None, None
     for a, b in log.armed():
@@ -237,8 +237,8 @@ def _loop_opened(log: FlightLog, begin: float) -> float:
 def _trim(log: FlightLog, hold: tuple[float, float] | None) -> tuple[float | None, float]:
     """(mean M, mean theta) of the hold.
 
-    A rail bias is not taken: the mean pitch of a hold is mostly what stiction leaves (used as a bias it costs 5 to 15
-    points of FIT on theta in both flights on the rail).
+    A rail bias is not taken. The mean pitch of a hold is mostly what stiction leaves: used as a bias it costs 5 to 15
+    points of FIT on theta in both flights on the rail.
     """
     if hold is None:
         return None, 0.0

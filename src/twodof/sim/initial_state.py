@@ -36,8 +36,8 @@ _ARMED = 1000  # more than any count of samples that the flight code waits for a
 class InitialState:
     """Where a simulated flight starts: the rig's state, the estimates (None: as the truth) and what flew before.
 
-    `commands` are (M, T) of the control steps before the start, the latest last; the rotors and the delay line are
-    filled with them (none: the rotors stand, or with `hover` they run at T = .4 and the integrals are out of reset).
+    `commands` are (M, T) of the control steps before the start, the latest last. The rotors and the delay line are
+    filled with them. Without any the rotors stand, or with `hover` they run at T = .4 and no integral is in reset.
     `states` overwrites single states by path, such as "flight.cascade.rate.sum".
     """
 

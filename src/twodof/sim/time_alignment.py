@@ -43,9 +43,9 @@ class AlignedLog:
 def align_log(log: FlightLog) -> AlignedLog:
     """Pairs the channels of a log. Raises LogError if one of M, T, q0, theta0, v0, q, theta, v is missing or too short.
 
-    The rules, which the drone's logs show: the grid is M's. A set-point's sample is the first one at or after M's
-    stamp (it comes some microseconds later), a measurement's the latest one at or before it: q is .3 to .7 ms old,
-    theta 3.7 ms (the nearest, just after M, is the wrong one); v, at 100 Hz, is held.
+    The drone's logs show these rules. The grid is M's. A set-point's sample is the first one at or after M's stamp, as
+    it comes some microseconds later. A measurement's sample is the latest one at or before M's stamp: q is .3 to .7 ms
+    old, theta 3.7 ms (the nearest one, just after M, is wrong), and v, at 100 Hz, is held.
     """
     time = _filled(log, "M").time
     value = {"M": log["M"].value}

@@ -40,8 +40,8 @@ class Publisher(Block):
 def estimator(position_filter: str = "joint") -> Diagram:
     """The estimator, made for 250 Hz.
 
-    `position_filter` is "joint" (one extended Kalman filter for pitch and position, which comes closest to the drone's
-    own estimates), or one of two that are fed with the pitch of a filter of its own: "fixed-gain" and "kalman".
+    `position_filter` is "joint": one extended Kalman filter for pitch and position, which comes closest to the drone's
+    own estimates. The others, "fixed-gain" and "kalman", are fed with the pitch of a filter of its own.
     Inputs: `acc_x`, `acc_z` [m/s2] (specific force, body axes forward-right-down), `gyro_y` [rad/s], `dist` [m] with
     `dist_new` (bool, true for one tick a sample) and `dist_age` [s] at that tick. Outputs: `theta` [rad], `q` [rad/s],
     `x` [m], `v` [m/s] of this sample and `x_published`, `v_published`, held at 100 Hz. Raises ParameterError for

@@ -29,8 +29,8 @@ class LongitudinalFilter(Block):
 
     After a sample that cannot be, such as NaN, it starts anew with the next one (`finite.restarted`).
 
-    The defaults are those with which theta, x and v come closest to the drone's own estimates on its logs: it weighs
-    the range as if its noise were four times its 4 mm.
+    With the defaults theta, x and v come closest to the drone's own estimates on its logs. The range then weighs as if
+    its noise were four times its 4 mm.
     """
 
     inputs = (

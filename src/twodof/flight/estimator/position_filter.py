@@ -35,8 +35,8 @@ class FixedGainPosition(Block):
     """x and v as on board: a filter of fixed gains, and an output that follows its position with a lag.
 
     The filter integrates the acceleration; at each range sample, with e = range - x, x += k_x e and v += k_v e. Its v
-    is the output's; the output's x integrates the same and is drawn to the filter's with the time constant `lag`, so
-    corrections do not make it jump (the logged x has no steps, and the logged v is not its derivative). The first
+    is the output's. The output's x integrates the same and is drawn to the filter's with the time constant `lag`, so
+    that corrections do not make it jump: the logged x has no steps, and the logged v is not its derivative. The first
     sample sets x, with v = 0. The age of a sample is not used, as the drone does not use it. Defaults: on each of the
     drone's logs x is within 5 mm and v within 20 mm/s RMS of its own estimate. An error b of the acceleration gives v
     the lasting error b k_x / k_v, which is the velocity bias that the logs show; `bias` gives it to a simulated flight.
@@ -83,8 +83,8 @@ _PAIRS = ("xx", "xv", "xb", "vv", "vb", "bb")
 class KalmanPosition(Block):
     """x, v and the accelerometer's bias b by a Kalman filter: x' = v, v' = a - b + noise, b' = noise.
 
-    A range sample that is `dist_age` = s seconds old measures x - v s + (a - b) s^2 / 2, where the cart was then, to
-    second order in s; a late sample so needs no history of states. `P_xx` ... `P_bb` are the covariance's upper
+    A range sample that is `dist_age` = s seconds old measures where the cart was then, to second order in s:
+    x - v s + (a - b) s^2 / 2. So a late sample needs no history of states. `P_xx` ... `P_bb` are the covariance's upper
     triangle.
     """
 

@@ -42,9 +42,9 @@ class ForceConsistency(Block):
 
     Turned by the estimated pitch (`sine`, `cosine`), the specific force has two parts that are known without it.
     Vertical it is -g, as the rail holds the drone up. Along the rail it is the cart's acceleration: 0 with the cart
-    locked, else that of the thrust tilted by theta, -`pull` T sin(theta), and -`drag` v. What is left is not explained:
-    a gyro that does not turn with the drone (the pitch is wrong by d: g d is left, or g d less the thrust's share), an
-    accelerometer that is off, a cart that stands against an end of the rail though the thrust pulls, the impact there.
+    locked, else that of the thrust tilted by theta, -`pull` T sin(theta), and -`drag` v. What is left has another
+    cause. The gyro does not turn with the drone: a pitch that is wrong by d leaves g d, or g d less the thrust's share.
+    An accelerometer is off. The cart stands against an end of the rail though the thrust pulls, or has just hit it.
 
     The sums are unexplained speeds. The slack along the rail is `along_slack` and the share `pull_share` of the
     thrust's part, as a battery that sags pulls less. With the cart locked the same error of the pitch leaves twice as
@@ -89,12 +89,12 @@ class RateConsistency(Block):
     """Whether the gyro shows the turning that the commands ask for.
 
     The commands that flew turn the drone by `turn` (lift(fore) - lift(aft)), lift(u) = (1 - `curve`) u + `curve` u^2,
-    after the delay and lag of the rotors, here one lag `answer`; gravity turns it back by `swing` times the `sine` of
-    the pitch. What the gyro's rate changes beyond that is not explained: a gyro that stands still while the moment
-    grows, a rotor that does not do what it is told, the impact on an end stop.
+    after the delay and lag of the rotors, here one lag `answer`. Gravity turns it back by `swing` times the `sine` of
+    the pitch. Any other change of the gyro's rate has another cause: the gyro stands still while the moment grows, a
+    rotor does not do what it is told, or the drone has hit an end stop.
 
-    The sums are unexplained rates. The slack is `turn_slack`, the share `turn_share` of what is expected, and all of
-    what is still under way through the lag, since when it arrives is known to a few milliseconds only.
+    The sums are unexplained rates. The slack is `turn_slack`, the share `turn_share` of what is expected, and all that
+    is still under way through the lag: when it arrives is known to a few milliseconds only.
     """
 
     inputs = (Port("gyro_y", unit="rad/s"), Port("sine"), Port("fore"), Port("aft"))

@@ -24,9 +24,9 @@ def ticks(seconds: Any, dt: Any) -> Any:
 class WatchdogTimer(Block):
     """Whether `alive` was false for `timeout` s, this tick included.
 
-    With N = timeout / dt, `expired` comes in the Nth tick in a row without a sign of life (the first is tick 1), stays
-    while there is none, and goes in the tick of the next one. The count saturates at N, where it starts: what was
-    never alive is not waited for.
+    With N = timeout / dt, `expired` comes in the Nth tick in a row without a sign of life (the first is tick 1). It
+    goes in the tick of the next sign. The count saturates at N, where it starts, so that what was never alive is not
+    waited for.
     """
 
     inputs = (Port("alive", "bool"),)
