@@ -25,6 +25,7 @@ def copied(folder: Path) -> Path:
     for name in COPIED:
         ignored = shutil.ignore_patterns("__pycache__", "node_modules")
         shutil.copytree(PROJECT / name, folder / name, ignore=ignored)
+    shutil.copy(PROJECT / "tests" / "test_layers.py", folder / "tests")  # a page has a table of its rows
     return folder
 
 
