@@ -12,7 +12,7 @@ TARGET, OPENLOOP, STICKS = "target", "open loop", "sticks"
 
 
 class SetpointValues(NamedTuple):
-    """The set-points in use, as `Asked` has them; `loop` is an index into `signals.MODES`."""
+    """The set-points in use, as `ControlInput` has them; `loop` is an index into `signals.MODES`."""
 
     loop: int = OFF
     x0: float = 0.0
