@@ -214,7 +214,7 @@ def _trace(block: Block) -> Trace:
         for port, (fraction, after) in dict(block.edges(u, x, p, t)).items():
             if port not in outputs or outputs[port].width is not None:
                 raise DiagramError(
-                    f"edges names {port!r}, which is no scalar output", name, "name an output of the block"
+                    f"edges names {port!r}, which is not a scalar output", name, "name an output of the block"
                 )
             edges[port] = (as_expr(fraction, "real"), as_expr(after, outputs[port].kind))
     needs = {o: [e, *edges.get(o, ())] for o, e in outputs.items()}
@@ -253,7 +253,7 @@ def check_declarations(block: Block, name: str) -> None:
             source = by_name.get(s.initial)
             if source is None or (source.kind, source.width) != (s.kind, s.width):
                 raise DiagramError(
-                    f"state {s.name!r} starts from {shown(s.initial)}, which is no such parameter",
+                    f"state {s.name!r} starts from {shown(s.initial)}, which is not a parameter of this type",
                     name,
                     "name a parameter of the same type and width",
                 )

@@ -26,7 +26,7 @@ def check_name(name: object, where: str) -> str:
     """`name` if it is a legal name (a letter, then letters, digits and _, 63 at most); else DiagramError."""
     if not isinstance(name, str) or not NAME.fullmatch(name):
         raise DiagramError(
-            f"{shown(name)} is no name", where, "use a letter, then up to 62 letters, digits or _ (ASCII)"
+            f"{shown(name)} is not a name", where, "use a letter, then up to 62 letters, digits or _ (ASCII)"
         )
     return name
 
@@ -41,7 +41,7 @@ def check_steps(steps: object, where: str) -> int:
 def _check_shape(kind: str, width: int | None, name: str, unit: str) -> None:
     check_name(name, "block")
     if not isinstance(unit, str):
-        raise DiagramError(f"the unit {shown(unit)} is no text", name, 'write it as "m/s", or "" for none')
+        raise DiagramError(f"the unit {shown(unit)} is not text", name, 'write it as "m/s", or "" for none')
     if kind not in KINDS:
         raise DiagramError(f"unknown type {shown(kind)}", name, f"use one of {', '.join(KINDS)}")
     if width is not None and not (type(width) is int and 1 <= width <= MAX_WIDTH):
@@ -116,7 +116,7 @@ def _declared(value: Any, kind: str, width: int | None, name: str) -> list[Any]:
     try:
         numeric(value, kind, width, name)
     except OverflowError:
-        raise DiagramError(f"{shown(value)} is no real number", name, "make it smaller") from None
+        raise DiagramError(f"{shown(value)} is not a real number", name, "make it smaller") from None
     given = value.tolist() if isinstance(value, np.ndarray) else value
     scalars = [*given] if isinstance(given, (list, tuple)) else [given]
     plain = [one.value if isinstance(one, Integer) else one for one in scalars]
@@ -139,7 +139,7 @@ def _check_limits(declared: Param) -> None:
     for bound in (declared.low, declared.high):
         if isinstance(bound, (bool, np.bool_)) or not isinstance(bound, (int, float, np.number)) or math.isnan(bound):
             raise DiagramError(
-                f"the bound {shown(bound)} is no number", declared.name, "leave it out, or give a number"
+                f"the bound {shown(bound)} is not a number", declared.name, "leave it out, or give a number"
             )
         if declared.kind in _RANGES and math.isfinite(bound) and bound != int(bound):
             raise DiagramError(f"the bound {bound} of whole numbers is not whole", declared.name, "round it")

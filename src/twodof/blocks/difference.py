@@ -40,7 +40,7 @@ class Change:
 
 @dataclass(frozen=True)
 class Difference:
-    """The changes from one diagram to another: ports, then parameters, blocks, connections, each in order of paths."""
+    """The changes from one diagram to another: ports first, then parameters, blocks and connections, sorted by path."""
 
     changes: tuple[Change, ...]
 
@@ -56,7 +56,7 @@ class Difference:
 
 
 def difference(before: Diagram, after: Diagram) -> Difference:
-    """What changed from `before` to `after` in what a step computes: neither names of diagrams, texts nor layout count.
+    """What changed from `before` to `after` in what a step computes. Names of diagrams, texts and layout do not count.
 
     A sub-diagram is compared part by part, at paths such as "pid.gain"; one that came or went is one change. A block
     that was renamed is one removed and one added. Custom blocks are compared by their traced expressions. Raises
@@ -135,7 +135,7 @@ def _settings(part: Part, prefix: str) -> str:
 
 
 def _block(block: Block) -> str:
-    """The type of a block and what its constructor was told besides values of parameters."""
+    """The type of a block and the arguments of its constructor, without the values of parameters."""
     if not type(block).type_name:
         label = block.label if isinstance(block, TracedBlock) else type(block).__name__
         # The expressions themselves are no reading; that they changed is.

@@ -1,4 +1,4 @@
-"""Machine: one running program, on whichever target, with the rules and words that all targets share."""
+"""Machine: one running program, with the rules and error texts that are the same on every target."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ def build(
     """`diagram` as a program of base tick `dt` [s] that also returns the signals whose paths are in `log`.
 
     `target` is "native", "wasm" (the sandbox), "cortex-m7" (on an emulated processor), or a Target with options of its
-    own. For a named one, `compiler` is "cc", "gcc", "clang", "zig" or a path, `optimise` a compiler option, and
+    own. For a named one, `compiler` is "cc", "gcc", "clang", "zig" or a path. `optimise` is a compiler option, and
     `native_cpu` tunes for this processor. With `compiler=None` the first compiler that is there is taken; if none is,
     "native" gives the reference interpreter (same results, thousands of times slower) with a warning. Raises
     DiagramError for a faulty diagram, CompileError for a compiler or an engine that is missing or fails, or an unknown

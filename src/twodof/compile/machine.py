@@ -1,4 +1,4 @@
-"""CompiledProgram: a compiled diagram. CompiledMachine: one running instance of it, on whichever target."""
+"""CompiledProgram: a compiled diagram. CompiledMachine: one running instance of it, on any target."""
 
 from __future__ import annotations
 

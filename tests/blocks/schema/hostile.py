@@ -202,7 +202,7 @@ def too_large() -> dict[str, tuple[bytes, str]]:
             raw('{"name": "d", ' + ", ".join(f'"{k:x}":0' for k in range(700_000)) + "}"),
             "unknown key",
         ),
-        "a name of 8 MB": (file(name="a" * 8_000_000), "is no name"),
+        "a name of 8 MB": (file(name="a" * 8_000_000), "is not a name"),
         "a text of 8 MB": (file(text="a" * 8_000_000), "a text of 8000000 characters"),
         "a unit of 1 MB": (file(inputs=[{"name": "u", "unit": "m" * 10**6}]), "a text of 1000000 characters"),
         "an argument of 1 MB": (library("sum", signs="+" * 10**6), "a text of 1000000 characters"),
@@ -212,7 +212,7 @@ def too_large() -> dict[str, tuple[bytes, str]]:
             "no JSON",
         ),
         "arrays 900 deep": (library("lookup", values=json.loads("[" * 900 + "]" * 900)), "lists within more than"),
-        "arrays 900 deep for a part": (file(parts=json.loads("[" * 900 + "]" * 900)), "is no part"),
+        "arrays 900 deep for a part": (file(parts=json.loads("[" * 900 + "]" * 900)), "is not a part"),
         "arrays 10^6 deep": (raw("[" * 10**6 + "]" * 10**6), "no JSON"),
         "rates that multiply without end": (endless_rate(40, 2**31 - 1), "is impossible"),
     }

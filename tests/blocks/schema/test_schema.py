@@ -96,14 +96,14 @@ def custom(**changes: Any) -> dict[str, Any]:
 
 HOSTILE = {
     "no JSON": (b"{", "no JSON"),
-    "another schema": ({"schema": "x"}, "no diagram"),
+    "another schema": ({"schema": "x"}, "not a diagram"),
     "a future version": ({"schema": "twodof/diagram", "version": 2, "diagram": {}}, "version 2 is unknown"),
     "NaN in the file": (b'{"schema": NaN}', "NaN is no JSON number"),
     "deep JSON": (b"[" * 200_000, "no JSON"),
     "deep nesting": ({"schema": "twodof/diagram", "version": 1, "diagram": nested(MAX_DEPTH + 2)}, "nested more than"),
-    "a name of C code": (form(name="x; system(1)"), "is no name"),
-    "a look-alike name": (form(inputs=[{"name": "а"}]), "is no name"),
-    "a newline in a name": (form(inputs=[{"name": "a\n"}]), "is no name"),
+    "a name of C code": (form(name="x; system(1)"), "is not a name"),
+    "a look-alike name": (form(inputs=[{"name": "а"}]), "is not a name"),
+    "a newline in a name": (form(inputs=[{"name": "a\n"}]), "is not a name"),
     "an array of a gigabyte": (form(inputs=[{"name": "a", "width": 10**9}]), "more than 1000000 values"),
     "many wide arrays": (
         form(inputs=[{"name": f"a{i}", "width": 10**6} for i in range(11)]),

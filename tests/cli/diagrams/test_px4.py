@@ -38,7 +38,7 @@ def test_a_file_with_logged_signals_gives_the_golden_tree(tmp_path: Path, capsys
     ("arguments", "what"),
     [
         (["pid-attitude", "--log", "nothing.there"], "nothing"),
-        (["pid-attitude", "--prefix", "lower"], "no prefix"),
+        (["pid-attitude", "--prefix", "lower"], "not a prefix"),
         (["no-such-diagram"], "no-such-diagram"),
     ],
 )

@@ -128,7 +128,7 @@ def test_a_disabled_sub_diagram_is_frozen() -> None:
         ({"outputs": ["nothing"]}, "there is no signal"),
         ({"time": "sometimes"}, "use one of"),
         ({"free": ["M"]}, "without trim"),
-        ({"trim": True, "free": ["theta"]}, "no input"),
+        ({"trim": True, "free": ["theta"]}, "is not an input to free"),
         ({"at": {"p.omega": -1.0}}, "outside"),
     ],
 )

@@ -63,7 +63,7 @@ def test_every_problem_is_named_with_its_whole_path() -> None:
         ("sub.wrong.u", "it takes real"),
         ("sub.loose.u", "not connected"),
         ("sub.w", "not connected"),
-        ("sub", "no bool"),
+        ("sub", "not a bool"),
         ("outer", "algebraic loop a.y <- b.y <- a.y"),
         ("outer", "algebraic loop c.y <- d.y <- c.y"),
         ("slow.u", "runs at (4, 0)"),

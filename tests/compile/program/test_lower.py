@@ -106,7 +106,7 @@ def without_source(d: Diagram) -> None:
         (without_crossing, "sub.gain.u", "runs at"),
         (continuous_and_slow, "sub.slow", "continuous states"),
         (edged_and_slow, "sub.slow", "edge"),
-        (enabled_by_a_real, "sub.part", "no bool"),
+        (enabled_by_a_real, "sub.part", "not a bool"),
         (bound_to_nothing, "sub.gain", "no parameter 'nobody'"),
         (bound_to_another_type, "sub.moment.k", "another type"),
         (without_source, "sub.z", "not connected"),

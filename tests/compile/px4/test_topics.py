@@ -93,7 +93,7 @@ def test_an_output_of_another_type_is_refused() -> None:
     d.input("theta")
     d.add("no", lib.Constant(False, "bool"))
     d.output("M", "no")
-    with pytest.raises(DiagramError, match="'M' is no real scalar"):
+    with pytest.raises(DiagramError, match="'M' is not a real scalar"):
         make_module(d)
 
 

@@ -2,7 +2,7 @@
 
 They are made of + - * / sqrt, `where` and bit operations of the block language only. The methods are the textbook ones
 (J.-M. Muller, Elementary Functions, 3rd ed., 2016): reduce the argument, evaluate a polynomial
-(`coefficients.py`), undo the reduction; sums and products with their rounding errors by Dekker and Knuth.
+(`coefficients.py`), undo the reduction. Sums and products with their rounding errors are Dekker's and Knuth's.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ def _halves(f: Format, a: Any) -> tuple[Any, Any]:
 
 
 def _product(f: Format, a: Any, b: Any) -> tuple[Any, Any]:
-    """a * b and its rounding error, for products that neither overflow nor lose bits below."""
+    """a * b and its rounding error, for products that do not overflow and do not lose bits below."""
     high = a * b
     a1, a2 = _halves(f, a)
     b1, b2 = _halves(f, b)
@@ -167,7 +167,7 @@ def tan(f: Format, x: Any) -> Any:
 
 
 def _angle(f: Format, n: Any, d: Any) -> Any:
-    """atan(n / d) for 0 <= n <= d, d > 0, by one division: the angle from that of 0, 1/2 or 1, whichever is near."""
+    """atan(n / d) for 0 <= n <= d, d > 0, by one division: the angle from that of the nearest of 0, 1/2 and 1."""
     c = f.coefficients
     near_0, near_half = 4.0 * n < d, 4.0 * n < 3.0 * d
     above = where(near_0, n, where(near_half, (n + n) - d, n - d))

@@ -3,10 +3,10 @@
 On a number a function computes, on an Expr it records a call by name; a compiler makes one function of each definition
 in `DEFINITIONS`. No platform's libm is ever called.
 
-Errors against mpmath are at most 2.5 ulp in float64 and 4 ulp in float32 over the whole range of each function, for
-sin, cos and tan while |x| <= 1e5 (float64) or 6400 (float32); `tests/blocks/elementary` measures them.
-Infinities, NaN and signed zeros are those of C99, Annex F. Numbers are to be computed under `numbers.precision`, which
-silences the IEEE exceptions of the branches that `where` discards.
+Errors against mpmath are at most 2.5 ulp in float64 and 4 ulp in float32 over the whole range of each function. For
+sin, cos and tan this holds while |x| <= 1e5 (float64) or 6400 (float32). `tests/blocks/elementary` measures them.
+Infinities, NaN and signed zeros are those of C99, Annex F. Compute numbers under `numbers.precision`, which silences
+the IEEE exceptions of the branches that `where` discards.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ def log(x: Any) -> Any:
 
 
 def pow(x: Any, y: Any) -> Any:
-    """x to the power y; NaN for a negative x and a y that is no integer. An exact result is returned exactly."""
+    """x to the power y; NaN for a negative x and a y that is not an integer. An exact result is returned exactly."""
     return _apply("pow", x, y)
 
 

@@ -1,8 +1,8 @@
 """Exact derivatives of recorded expressions: forward-mode differentiation of the graph at a point.
 
 Each value carries its slope, the vector of its derivatives by the seeds. Source: Griewank, Walther, Evaluating
-Derivatives (2nd ed., 2008), chapter 3; at a tie, where a branch changes, the branch is the one that a direction of
-motion leads into (Griewank, On stable piecewise linearization, Optimization Methods and Software 28-6, 2013).
+Derivatives (2nd ed., 2008), chapter 3. At a tie, where a branch changes, the branch is the one that a direction of
+motion leads into. Source: Griewank, On stable piecewise linearization, Optimization Methods and Software 28-6, 2013.
 """
 
 from __future__ import annotations

@@ -338,7 +338,7 @@ def _unary(op: str, a: Expr) -> Expr:
 
 
 def traced(*values: Any) -> bool:
-    """Whether an operation on `values` is to be recorded: one of them is an Expr, or a block is being traced."""
+    """Whether an operation on `values` must be recorded: one of them is an Expr, or a block is being traced."""
     # While a block is traced even literals are recorded: folded here, they would round in this run's precision.
     if _tracing.get():
         return True

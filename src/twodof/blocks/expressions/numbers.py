@@ -225,7 +225,7 @@ class Vector(tuple[Any, ...]):
 def clamp_index(index: Any, length: int) -> int:
     """The position that `index` addresses in an array of `length` elements.
 
-    Raises DiagramError for a literal outside [0, length) and for an index that is no integer.
+    Raises DiagramError for a literal outside [0, length) and for an index that is not an integer.
     """
     if isinstance(index, Integer):
         return min(max(index.value, 0), length - 1)
@@ -287,7 +287,7 @@ def kind_of(value: Any) -> str:
         return "bool"
     if isinstance(value, (int, float, np.floating)):
         return "real"
-    raise DiagramError(f"{type(value).__name__} is no number of the language", "", "use real, int32, uint32 or bool")
+    raise DiagramError(f"{type(value).__name__} is not a number of the language", "", "use real, int32, uint32 or bool")
 
 
 def same_bits(a: Any, b: Any) -> bool:

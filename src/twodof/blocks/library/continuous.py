@@ -80,7 +80,7 @@ class FirstOrder(Block):
 class SecondOrder(Block):
     """Second-order lag G(s) = gain w^2 / (s^2 + 2 damping w s + w^2), w = natural_frequency.
 
-    States: position x, velocity v; x' = v, v' = w^2 (u - x) - 2 damping w v, y = gain x, rate = gain v.
+    States: position x and velocity v with x' = v and v' = w^2 (u - x) - 2 damping w v. y = gain x and rate = gain v.
     """
 
     def __init__(
@@ -115,9 +115,9 @@ class SecondOrder(Block):
 class TransferFunction(Block):
     """G(s) = numerator / denominator in descending powers of s; proper. Strictly proper: no feed-through.
 
-    Controllable canonical form with coefficients divided by the denominator's first, s^n + a1 s^(n-1) + ... + an:
-    x_i' = x_(i+1), x_n' = u - an x_1 - ... - a1 x_n, y = c_1 x_1 + ... + c_n x_n + d u; `initial` is x_1 .. x_n
-    (one number fills all). Order 64 at most.
+    All coefficients are divided by the denominator's first, which leaves s^n + a1 s^(n-1) + ... + an. The states have
+    the controllable canonical form: x_i' = x_(i+1), x_n' = u - an x_1 - ... - a1 x_n.
+    Output: y = c_1 x_1 + ... + c_n x_n + d u. `initial` is x_1 .. x_n (one number fills all). Order 64 at most.
     """
 
     def __init__(
@@ -178,7 +178,7 @@ class TransferFunction(Block):
 class StateSpace(Block):
     """x' = A x + B u, y = C x + D u, from `initial`.
 
-    A, B, C, D are lists of rows (D None: no feed-through); one input or output is a scalar port, several an array.
+    A, B, C and D are lists of rows (D None: no feed-through). One input or output is a scalar port, more are an array.
     Their elements are parameters of the same names, row after row.
     """
 

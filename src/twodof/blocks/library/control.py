@@ -23,16 +23,16 @@ class Pid(Block):
     """M = P + I + D of the error e, each part discretised by a named rule; T is the block's period.
 
     P = Kp e.
-    I: the state i; forward I = i, i' = i + Ki T e; backward I = i + Ki T e, i' = I; trapezoidal I = i + Ki T/2 e,
-    i' = I + Ki T/2 e.
-    D: Kd N s / (s + N), N [rad/s], the state f follows Kd e: D = N (Kd e - f) / d, f' = f + T D, with d = 1 (forward),
-    1 + N T (backward), 1 + N T/2 (trapezoidal).
+    I: has the state i. Forward: I = i, i' = i + Ki T e. Backward: I = i + Ki T e, i' = I.
+    Trapezoidal: I = i + Ki T/2 e, i' = I + Ki T/2 e.
+    D: is Kd N s / (s + N), N [rad/s], whose state f follows Kd e. D = N (Kd e - f) / d and f' = f + T D.
+    Here d is 1 (forward), 1 + N T (backward) or 1 + N T/2 (trapezoidal).
 
     Both backward gives M = (Kp + Ki T z/(z-1) + Kd (z-1) / ((1/N + T) z - 1/N)) e, the 2DoF Drone's rate controller.
 
-    `limits` [low, high] bound M; with them anti-windup, v = P + I + D being M before the bounds: "none";
-    "clamping": i' = i where v is beyond a bound and Ki e points further beyond it;
-    "back-calculation": i' = (i' above) + Kb T (M - v).
+    `limits` [low, high] bound M, and v = P + I + D is M before the bounds. The anti-windup "none" changes nothing.
+    With "clamping", i' = i where v is beyond a bound and Ki e points further beyond it.
+    With "back-calculation", i' = (i' above) + Kb T (M - v).
 
     `reset` "integral" or "all" adds a bool input `clear`: while it is true, i (with "all" f too) reads as its initial
     value.

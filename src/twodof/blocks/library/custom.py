@@ -48,12 +48,12 @@ def function_block(
 ) -> FunctionBlock:
     """A block that computes `function`, which is written with the functions of twodof.blocks (`where`, `sin`, ...).
 
-    Its positional arguments are the inputs (scalar reals, unless `inputs` declares a port of that name), its
+    Its positional arguments are the inputs: scalar reals, unless `inputs` declares a port of that name. Its
     keyword-only arguments are parameters with the given defaults (or as `params` declares them). It returns a bare
     value for one output, a tuple in the order of `outputs`, or a dict by name. In JSON its traced expressions travel.
 
-    Raises DiagramError for a function with *args, **kwargs, a parameter without a default, an input with one, or a
-    declared name that it does not take.
+    Raises DiagramError for a function with *args or **kwargs, a parameter without a default or an input with one. It
+    also does so for a declared name that the function does not take.
     """
     label = getattr(function, "__name__", "")
     label = label if NAME.fullmatch(label) else "Function"
@@ -78,7 +78,7 @@ def function_block(
         else:
             found_inputs.append(ports.pop(name, Port(name)))
     for name in [*ports, *tunables]:
-        raise DiagramError(f"{name!r} is declared", label, "the function has no such argument")
+        raise DiagramError(f"{name!r} is declared", label, "give the function an argument of this name")
     declared = [Port(port) if isinstance(port, str) else port for port in outputs]
     made: type[FunctionBlock] = type(label, (FunctionBlock,), {"__doc__": function.__doc__})
     return made(function, found_inputs, declared, found_params)

@@ -93,10 +93,10 @@ class Delay(Block):
 
 @library_block("fractional_delay")
 class FractionalDelay(Block):
-    """Delay of a held signal by `delay` seconds, which need be no multiple of the tick: y(t) = u(t - delay).
+    """Delay of a held signal by `delay` seconds, which need not be a multiple of the tick: y(t) = u(t - delay).
 
-    With delay / dt = n + f, 0 <= f < 1, the step from tick k on has y = u[k-n-1] before the fraction f of it and
-    y = u[k-n] after it; continuous blocks see the change where it happens (an edge: the integration is split), so a
+    Let delay / dt = n + f with 0 <= f < 1. In the step from tick k on, y is u[k-n-1] before the fraction f of the step
+    and u[k-n] after it. Continuous blocks see the change where it happens (an edge: the integration is split). So a
     linear plant is integrated as exactly as without the delay. At the tick itself y reads u[k-n-1], or u[k-n] if f = 0.
     Inputs before the start are `initial`. For the base rate.
 

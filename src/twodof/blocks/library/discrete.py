@@ -211,7 +211,7 @@ class DiscreteTransferFunction(_Rational):
 class DiscreteStateSpace(Block):
     """x' = A x + B u, y = C x + D u at the block's rate; x[0] = initial.
 
-    A, B, C, D are lists of rows (D None: no feed-through); one input or output is a scalar port, several an array.
+    A, B, C and D are lists of rows (D None: no feed-through). One input or output is a scalar port, more are an array.
     Their elements are parameters of the same names, row after row.
     """
 

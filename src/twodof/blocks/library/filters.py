@@ -1,7 +1,7 @@
 """Discrete filters set by physical parameters; their coefficients are computed when a parameter changes.
 
-k = tan(pi f T) is the frequency f pre-warped for the trapezoidal rule, s = (1/k) (z - 1) / (z + 1) in units of 2 pi f,
-T the block's period. f is at most 0.499 / T: a higher one, which the sampling cannot carry, is taken as that.
+k = tan(pi f T) is the frequency f pre-warped for the trapezoidal rule s = (1/k) (z - 1) / (z + 1). Here T is the
+block's period, and s is in units of 2 pi f. An f above 0.499 / T, which the sampling cannot carry, is cut to it.
 Source: Oppenheim, Schafer, Discrete-Time Signal Processing, section 7.2 (bilinear transformation).
 """
 
@@ -74,10 +74,11 @@ class _SecondOrder(Block):
 class LowPass(_FirstOrder):
     """First-order low-pass w / (s + w), w = 2 pi cutoff, by the named rule, T the block's period.
 
-    forward: y[k] = y[k-1] + w T (u[k-1] - y[k-1]), stable for w T < 2.
-    backward: y[k] = (y[k-1] + w T u[k]) / (1 + w T).
-    zoh: y[k] = a y[k-1] + (1 - a) u[k-1], a = exp(-w T), exact for a held input.
-    trapezoidal, exact at the cut-off: y[k] = (k (u[k] + u[k-1]) + (1 - k) y[k-1]) / (1 + k), k = tan(pi cutoff T).
+    "forward": y[k] = y[k-1] + w T (u[k-1] - y[k-1]). It is stable for w T < 2.
+    "backward": y[k] = (y[k-1] + w T u[k]) / (1 + w T).
+    "zoh": With a = exp(-w T), y[k] = a y[k-1] + (1 - a) u[k-1]. It is exact for a held input.
+    "trapezoidal": With k = tan(pi cutoff T), y[k] = (k (u[k] + u[k-1]) + (1 - k) y[k-1]) / (1 + k). It is exact at the
+    cut-off.
 
     At the start the filter rests at u = y = initial. forward and zoh have no feed-through.
     """
@@ -149,9 +150,9 @@ class LeadLag(_FirstOrder):
 class LowPass2(_SecondOrder):
     """Second-order low-pass w^2 / (s^2 + 2 damping w s + w^2), w = 2 pi cutoff, by the trapezoidal rule, exact at w.
 
-    With k = tan(pi cutoff T) and d = 1 + 2 damping k + k^2: b0 = b2 = k^2/d, b1 = 2 k^2/d, a1 = 2 (k^2 - 1)/d,
-    a2 = (1 - 2 damping k + k^2)/d. damping = sqrt(1/2), the default, makes it a Butterworth filter.
-    At the start it rests at u = y = initial.
+    Let k = tan(pi cutoff T) and d = 1 + 2 damping k + k^2. Then b0 = b2 = k^2/d and b1 = 2 k^2/d.
+    The others: a1 = 2 (k^2 - 1)/d and a2 = (1 - 2 damping k + k^2)/d. The default `damping`, sqrt(1/2), makes it a
+    Butterworth filter. At the start it rests at u = y = initial.
     """
 
     def __init__(
@@ -172,8 +173,8 @@ class Notch(_SecondOrder):
     """Notch (s^2 + 2 depth width w s + w^2) / (s^2 + 2 width w s + w^2), w = 2 pi frequency, trapezoidal, exact at w.
 
     `width` is the denominator's damping: the notch is 2 width w wide (-3 dB); `depth` is the gain at w.
-    With k = tan(pi frequency T), d = 1 + 2 width k + k^2: b0, b2 = (1 +- 2 depth width k + k^2)/d,
-    b1 = a1 = 2 (k^2 - 1)/d, a2 = (1 - 2 width k + k^2)/d. At the start it rests at u = y = initial.
+    Let k = tan(pi frequency T) and d = 1 + 2 width k + k^2. Then b0, b2 = (1 +- 2 depth width k + k^2)/d.
+    The others: b1 = a1 = 2 (k^2 - 1)/d and a2 = (1 - 2 width k + k^2)/d. At the start it rests at u = y = initial.
     """
 
     def __init__(

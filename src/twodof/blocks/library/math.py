@@ -233,7 +233,7 @@ class _Extreme(Block):
 
 @library_block("minimum")
 class Minimum(_Extreme):
-    """y = the smallest of a, b, ...: minimum(minimum(a, b), c) with minimum(a, b) = a if a < b else b."""
+    """y is the smallest of its inputs: minimum(minimum(a, b), c) with minimum(a, b) = a if a < b else b."""
 
     def __init__(self, inputs: int = 2, kind: str = "real", width: int | None = None, unit: str = "") -> None:
         self._declare(inputs, kind, width, unit)
@@ -244,7 +244,7 @@ class Minimum(_Extreme):
 
 @library_block("maximum")
 class Maximum(_Extreme):
-    """y = the largest of a, b, ...: maximum(maximum(a, b), c) with maximum(a, b) = a if b < a else b."""
+    """y is the largest of its inputs: maximum(maximum(a, b), c) with maximum(a, b) = a if b < a else b."""
 
     def __init__(self, inputs: int = 2, kind: str = "real", width: int | None = None, unit: str = "") -> None:
         self._declare(inputs, kind, width, unit)

@@ -29,7 +29,7 @@ class Switch(Block):
 
 @library_block("multiport_switch")
 class MultiportSwitch(Block):
-    """y = a, b, c, ... for the int32 `index` 0, 1, 2, ...; an index beyond the ends takes the first or last."""
+    """y is the input that the int32 `index` selects, from 0 on. An index beyond the ends takes the first or last."""
 
     def __init__(self, inputs: int = 2, kind: str = "real", width: int | None = None, unit: str = "") -> None:
         self.width = width

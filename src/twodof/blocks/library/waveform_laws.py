@@ -58,7 +58,7 @@ def sweep_rate(law: str, start_hz: Any, end_hz: Any, length: Any, log: Callable[
 def sweep_turns(law: str, s: Any, start_hz: Any, rate: Any, scale: Any, exp: Callable[[Any], Any]) -> Any:
     """Turns that a sweep has made after `s` [s]; `scale` is start_hz / rate.
 
-    linear: f = f0 + (f1 - f0) s/L, n = s (f0 + (f1 - f0) s / (2 L)).
-    logarithmic: f = f0 (f1/f0)^(s/L), n = f0 L/r (exp(r s/L) - 1), r = log(f1/f0).
+    "linear": The frequency is f = f0 + (f1 - f0) s/L, and n = s (f0 + (f1 - f0) s / (2 L)).
+    "logarithmic": The frequency is f = f0 (f1/f0)^(s/L), and n = f0 L/r (exp(r s/L) - 1) with r = log(f1/f0).
     """
     return s * (start_hz + rate * s) if law == "linear" else scale * (exp(rate * s) - 1.0)

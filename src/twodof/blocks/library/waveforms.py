@@ -45,7 +45,7 @@ def _angle(upper: Any, lower: Any) -> Any:
 class Sine(Block):
     """y = bias + amplitude sin(2 pi frequency (t - start) + phase) from `start` on, bias before.
 
-    The phase is counted in whole ticks with 64 bits of a turn, so that it drifts neither in float32 nor after days.
+    The phase is counted in whole ticks with 64 bits of a turn, so that it does not drift, in float32 or after days.
     """
 
     def __init__(
@@ -146,8 +146,9 @@ class SweepSource(Block):
     """A sine whose frequency goes from start_hz to end_hz in `length` [s] from `start` on; bias before and after.
 
     y = bias + amplitude sin(2 pi n + phase), with s = t - start and L = length.
-    linear: f = f0 + (f1 - f0) s/L, n = s (f0 + (f1 - f0) s / (2 L)).
-    logarithmic: f = f0 (f1/f0)^(s/L), n = f0 L/r (exp(r s/L) - 1), r = log(f1/f0), and n = f0 s where |r| < 1e-6.
+    "linear": The frequency is f = f0 + (f1 - f0) s/L, and n = s (f0 + (f1 - f0) s / (2 L)).
+    "logarithmic": The frequency is f = f0 (f1/f0)^(s/L), and n = f0 L/r (exp(r s/L) - 1) with r = log(f1/f0).
+    Where |r| < 1e-6, n = f0 s.
     """
 
     def __init__(
@@ -196,9 +197,9 @@ class SweepSource(Block):
 class PrbsSource(Block):
     """Pseudo-random binary sequence: bias +- amplitude, a new bit every `clock` [s] from `start` on; bias before.
 
-    A linear feedback shift register of `order` bits (3 .. 16) shifts towards its lowest bit, which is the output; it
-    runs through all 2^order - 1 states, starting from `seed` (its lower `order` bits; 1 if they are 0). `clock` is the
-    nearest number, at least one, of the block's own periods. Source: Golomb, Shift Register Sequences.
+    A linear feedback shift register of `order` bits (3 .. 16) shifts towards its lowest bit, which is the output. It
+    runs through all 2^order - 1 states. It starts from the lower `order` bits of `seed`, or from 1 if they are 0.
+    `clock` is rounded to a whole number (at least one) of block periods. Source: Golomb, Shift Register Sequences.
     """
 
     def __init__(

@@ -195,7 +195,7 @@ class Hierarchy:
         driver = level.resolve(source)
         port = self.root.diagram.inputs[driver] if isinstance(driver, str) else driver.declared
         if port.kind != "bool" or port.width is not None:
-            raise DiagramError(f"its {what} signal {source!r} is no bool", path, "compare the signal with something")
+            raise DiagramError(f"its {what} signal {source!r} is not a bool", path, "compare the signal with something")
         return driver
 
     def _checked_driver(self, level: DiagramLevel, part: str, port: Port, path: str) -> PortOf | str:

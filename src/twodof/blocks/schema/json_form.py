@@ -33,7 +33,7 @@ def to_json(diagram: Diagram) -> str:
 
 
 def from_json(text: str | bytes) -> Diagram:
-    """The diagram in `text`. Raises DiagramError, naming the place, for what is no diagram of this version.
+    """The diagram in `text`. Raises DiagramError, naming the place, for text that is not a diagram of this version.
 
     Nothing of the file is executed. What it makes is bounded in memory, in code and in the work of a step: see
     docs/explanation/language.md, section 5. Connections are checked when the diagram is compiled or
@@ -53,7 +53,7 @@ def from_json(text: str | bytes) -> Diagram:
         raise DiagramError(f"this is no JSON: {error!s:.200}", "file", "save the diagram again") from error
     if not isinstance(data, dict) or data.get("schema") != SCHEMA:
         raise DiagramError(
-            "this is no diagram",
+            "this is not a diagram",
             "file",
             f'give a file that `twodof diagram new` or to_json wrote; one has "schema": "{SCHEMA}"',
         )
@@ -184,7 +184,7 @@ def _encode(value: Any, where: str) -> Any:
 
 
 def _text(value: Any, indent: int = 0) -> str:
-    """JSON in which whatever is short stands on one line and everything else has a line for each of its items."""
+    """JSON in which a short value stands on one line and a long one has a line for each of its items."""
     flat = json.dumps(value, ensure_ascii=False)
     if not isinstance(value, (dict, list)) or len(flat) <= 80:
         return flat

@@ -95,12 +95,12 @@ class Loader:
             self._part(d, form, path, depth)
         for pair in member(data, "connections", list, path, []):
             if not (isinstance(pair, list) and len(pair) == 2 and all(isinstance(s, str) for s in pair)):
-                raise DiagramError(f"{shown(pair)} is no connection", path, 'write ["source", "part.port"]')
+                raise DiagramError(f"{shown(pair)} is not a connection", path, 'write ["source", "part.port"]')
             self._connect(d, pair[0], pair[1])
         for pair in member(data, "outputs", list, path, []):
             named = isinstance(pair, list) and len(pair) == 2 and isinstance(pair[0], str)
             if not named or not isinstance(pair[1], (str, type(None))):
-                raise DiagramError(f"{shown(pair)} is no output", path, 'write ["name", "source"]')
+                raise DiagramError(f"{shown(pair)} is not an output", path, 'write ["name", "source"]')
             self._count(1, 0, path)
             d.output(pair[0], pair[1])
         return d
@@ -115,7 +115,7 @@ class Loader:
 
     def _part(self, d: Diagram, form: Any, path: str, depth: int) -> None:
         if not isinstance(form, dict):
-            raise DiagramError(f"{shown(form)} is no part", path, "a part is an object with a name")
+            raise DiagramError(f"{shown(form)} is not a part", path, "a part is an object with a name")
         name = member(form, "name", str, path)
         where = f"{path}.{name:.80}"
         only(form, _PART, where)
@@ -129,7 +129,7 @@ class Loader:
             raise DiagramError(f"rate {shown(rate)}", where, "write [divider, offset]")
         bound = member(form, "params", dict, where, {})
         if not all(isinstance(v, str) for v in bound.values()):
-            raise DiagramError("params binds something that is no name", where, 'write {"inner": "outer"}')
+            raise DiagramError("params binds something that is not a name", where, 'write {"inner": "outer"}')
         position = form.get("position")
         if position is not None:
             good = isinstance(position, list) and len(position) == 2 and all(type(c) in (int, float) for c in position)
@@ -192,7 +192,7 @@ class Loader:
         return block
 
     def _measure(self, block: Block) -> None:
-        """Count what a block adds to what is compiled and to what a step computes, whatever the rates are."""
+        """Count what a block adds to what is compiled and to what a step computes, at any rates."""
         t = block.trace
         # Port by port, since each may be computed on its own.
         outputs = [self.meter.measure([e]) for e in t.outputs.values()]

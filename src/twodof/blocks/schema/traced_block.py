@@ -68,7 +68,7 @@ class TracedBlock(Block):
 
 
 def graph_to_json(trace: Trace) -> dict[str, Any]:
-    """A trace as a list of nodes [op, arguments, ...] and, by section, the node of each name."""
+    """A trace as a list of nodes [op, arguments, ...], and the node of each name by section."""
     sections: dict[str, dict[str, Any]] = {
         "prepare": trace.prepare,
         "output": trace.outputs,
@@ -133,7 +133,7 @@ def graph_from_json(block: TracedBlock, form: Mapping[str, Any], where: str) -> 
     def section(name: str) -> dict[str, Any]:
         found = form.get(name, {})
         if not isinstance(found, dict):
-            raise DiagramError(f"{name!r} is no object", where, "save the diagram again")
+            raise DiagramError(f"{name!r} is not an object", where, "save the diagram again")
         return found
 
     def pick(index: Any, name: str) -> Expr:
@@ -145,7 +145,7 @@ def graph_from_json(block: TracedBlock, form: Mapping[str, Any], where: str) -> 
         block.sections[name] = {key: pick(index, f"{name}.{key}") for key, index in section(name).items()}
     for key, pair in section("edges").items():
         if not (isinstance(pair, list) and len(pair) == 2):
-            raise DiagramError(f"edges.{key} is no pair of nodes", where, "save the diagram again")
+            raise DiagramError(f"edges.{key} is not a pair of nodes", where, "save the diagram again")
         block.edge_pairs[key] = (pick(pair[0], f"edges.{key}"), pick(pair[1], f"edges.{key}"))
     roots = [e for exprs in block.sections.values() for e in exprs.values()] + [
         e for p in block.edge_pairs.values() for e in p

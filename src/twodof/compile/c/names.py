@@ -1,4 +1,4 @@
-"""Identifiers for emitted C: none twice in a scope, no keyword, nothing that headers or helpers define."""
+"""Identifiers for emitted C: unique in their scope, and different from keywords and names of headers and helpers."""
 
 from __future__ import annotations
 

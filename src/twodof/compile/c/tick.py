@@ -39,7 +39,7 @@ class Scope:
         self.style = style
 
     def names(self, *arguments: str) -> CNames:
-        """Identifiers of a function: its locals may hide neither its `arguments` nor what the program defines."""
+        """Identifiers of a function: its locals must not hide its `arguments` or what the program defines."""
         return CNames({*arguments, *(f"{self.program.name}_{own}" for own in OWN), *self.style.reserved})
 
     def constant(self, value: object, kind: str) -> str:
@@ -152,7 +152,7 @@ class TickEmitter:
         return prefix + self.layout.states[node, state.name].name
 
     def renderer(self, node: Node) -> Renderer:
-        """A node has one renderer in each C block, so that its temporaries serve all that is computed there."""
+        """A node has one renderer in each C block, so that its temporaries serve everything that is computed there."""
         if node in self.renderers:
             return self.renderers[node]
         states = {s.name: self.state(node, s) for s in node.block.states}

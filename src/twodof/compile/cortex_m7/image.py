@@ -49,7 +49,7 @@ def find_cross_compiler(name: str | None = None) -> Compiler:
             if path:
                 return Compiler("zig", (path, "cc"), ZIG)
         else:
-            raise CompileError(f"{candidate!r:.80} is no cross compiler for the Cortex-M7", "", "name gcc or zig")
+            raise CompileError(f"{candidate!r:.80} is not a cross compiler for the Cortex-M7", "", "name gcc or zig")
     raise CompileError(
         "there is no C compiler for the Cortex-M7" + (f" called {name!r}" if name else ""),
         "",
@@ -81,7 +81,7 @@ def build_image(
     flags: Sequence[str] = (),
     libraries: Sequence[str] = (),
 ) -> Image:
-    """The image of the C `source`, which has the `programs`: prefix of the names, sizes of real, P, S, U and Y [bytes].
+    """The image of the C `source`. Each of `programs` has the prefix of its names and the bytes of real, P, S, U and Y.
 
     `flags` are added for the source, `libraries` to the link. Raises CompileError if the compiler refuses or hangs, or
     if the code and constants do not fit into 4 MB.

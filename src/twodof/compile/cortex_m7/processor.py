@@ -24,8 +24,8 @@ class Processor:
     """One emulated processor with `image` in its memory; it starts at the first call and stays until `close`.
 
     The programs' structs stay here: each call carries them to the processor and back. With `counting` its clock counts
-    instructions (about half as fast). Calls of several threads wait for each other. Raises CompileError if there is no
-    emulator.
+    instructions (about half as fast). Calls of several threads wait for each other. Raises CompileError if the
+    emulator is missing.
     """
 
     def __init__(self, image: Image, counting: bool = False) -> None:
@@ -93,7 +93,7 @@ class Processor:
     def count(
         self, program: int, p: NDArray[np.void], s: NDArray[np.void], u: NDArray[np.void], steps: int
     ) -> tuple[NDArray[np.int64], int]:
-        """`steps` steps, the instructions that each took, call and return left out, shape (steps,), and the stack that
+        """Runs `steps` steps. Returns the instructions of each (steps,), without call and return, and the stack that
         they used [bytes].
 
         It must be a processor that is `counting`. Errors as `run`'s.

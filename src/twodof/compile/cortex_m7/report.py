@@ -23,7 +23,7 @@ FUNCTIONS = ("defaults", "prepare", "init", "step")
 class CortexM7Report:
     """A program's bytes, stack and instructions.
 
-    `code` is what its four functions (defaults, prepare, init, step) need with all they call, `step` what the step
+    `code` is what its four functions (defaults, prepare, init, step) need, with all they call. `step` is what the step
     alone needs, `image` the whole image with start-up and server. `structs` has the bytes of P, S, U and Y. `stack` is
     the bound of a step by the call graph (None: unknown) and `stack_seen` what steps that were run used, both without
     interrupts. `instructions` are those of each step that was run, (steps,), call and return left out.

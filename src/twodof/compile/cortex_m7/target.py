@@ -70,7 +70,7 @@ class CortexM7Instance:
         self._fault: ControllerFault | None = None
 
     def defaults(self) -> None:
-        """Writes the given parameters' defaults into P; for the errors of this and all that follow see `run`."""
+        """Writes the given parameters' defaults into P. The errors of this and the next methods are those of `run`."""
         self._call(DEFAULTS)
 
     def prepare(self) -> None:

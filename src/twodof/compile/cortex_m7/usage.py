@@ -88,7 +88,7 @@ class Usage:
 
     def _place(self, name: str) -> Place:
         if name not in self._defined:
-            raise CompileError(f"there is no function {name!r:.80} in the image", "", "name one that the C exports")
+            raise CompileError(f"the image does not have the function {name!r:.80}", "", "name one that the C exports")
         return self._defined[name]
 
     def _referred(self, place: Place) -> list[Place]:

@@ -1,8 +1,8 @@
 """The C types and functions of lanes: a value is a struct of SIMD vectors, an operation one inline function.
 
 A lane's bits are those of the scalar operation: nothing is contracted, reassociated or approximated. Masks are vectors
-as wide as reals, all ones where true, or, with vectors of 64 bytes, one bit a lane, as AVX-512's own. Vectors are GCC's
-and clang's; what they lack is done lane by lane.
+as wide as reals, all ones where true. With vectors of 64 bytes they have one bit a lane, as AVX-512's own masks do.
+Vectors are GCC's and clang's; what they lack is done lane by lane.
 """
 
 from __future__ import annotations

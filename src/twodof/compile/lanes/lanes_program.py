@@ -162,10 +162,10 @@ class LanesProgram:
 class LanesMachine(Machine):
     """Running instances side by side, each with parameters, states and inputs of its own; they share the tick.
 
-    A value is one for all lanes, of the shape () or (width,), or has the lane as its first axis: (lanes,) or
-    (lanes, width). A sequence for an array of one dimension is the same array in all lanes. Parameters and states come
-    back as (lanes,) or (lanes, width). A parameter that is refused in one lane changes in none; the error names the
-    lane.
+    A value of the shape () or (width,) is the same for all lanes. One of the shape (lanes,) or (lanes, width) has the
+    lane as its first axis. A sequence for an array of one dimension is the same array in all lanes. Parameters and
+    states come back as (lanes,) or (lanes, width). A parameter that is refused in one lane changes in none; the error
+    names the lane.
     """
 
     def __init__(self, program: LanesProgram) -> None:
@@ -193,8 +193,8 @@ class LanesMachine(Machine):
             self.program.c_init(p.ctypes.data, s.ctypes.data)
 
     def run(self, steps: int, inputs: Mapping[str, Any] | None = None) -> dict[str, NDArray[Any]]:
-        """`steps` steps. An input is one value, or an array of the shape (steps,), the same in all lanes, or
-        (steps, lanes). With (1, lanes) the values stay. An array's last axis is its width.
+        """`steps` steps. An input that is one value, or has the shape (steps,), is the same in all lanes. It may also
+        have the shape (steps, lanes). With (1, lanes) the values stay. An array's last axis is its width.
 
         Returns each signal, (steps, lanes) or (steps, lanes, width). Raises DiagramError for an input that does not
         fit, or more than MOST_RESULTS results.

@@ -81,7 +81,7 @@ class IntegerStates:
             values.append(now)
             states |= {(node, name): v for name, v in zip(names, step.values(node, roots, states), strict=True)}
         raise DiagramError(
-            f"its integer or bool states {', '.join(names)} neither stay nor come round within {MAX_STEPS} steps",
+            f"its integer or bool states {', '.join(names)} do not stay or come round within {MAX_STEPS} steps",
             node.path,
             "hold them with `at`, or linearize around this block",
         )
@@ -133,9 +133,9 @@ class IntegerStates:
         return [f"{path}[k-{age + 1}]{t}" for age in range(length) for t in tail]
 
     def phases(self) -> list[int]:
-        """By how many steps what goes round is to be turned, to see that the model stays the same.
+        """By how many steps what goes round must be turned, to see that the model stays the same.
 
-        A ring's places are alike but for its end: some of them will do. Anything else is turned through all its
+        A ring's places are alike except for its end: some of them will do. Anything else is turned through all its
         values. Raises DiagramError where these are too many.
         """
         found: set[int] = set()
@@ -179,7 +179,7 @@ class IntegerStates:
             self.point.states |= before
 
     def guilty(self) -> str:
-        """The states that go round and are no write index of a ring buffer, else all that go round."""
+        """The states that go round without being the write index of a ring buffer, else every state that goes round."""
         others = [n for n, c in self.cycles.items() if not c.ring] or list(self.cycles)
         return ", ".join(f"{n.path}.{name}" for n in others for name in self.cycles[n].names)
 

@@ -20,10 +20,10 @@ Complex = NDArray[np.complex128]
 class LinearModel:
     """x' = A x + B u, y = C x + D u, in deviations from a point; x' is x[k + 1], or dx/dt where `dt` is None.
 
-    Shapes: `a` (n, n), `b` (n, m), `c` (p, n), `d` (p, m). `states`, `inputs` and `outputs` name the rows and columns:
-    paths, with `[i]` for an element of an array and `[k-i]` for the sample of i steps ago in a delay. `point` has the
-    values of states and inputs at the point, `output_values` those of the outputs; `left_out` says of each state of the
-    diagram that is none of the model why.
+    Shapes: `a` (n, n), `b` (n, m), `c` (p, n), `d` (p, m). `states`, `inputs` and `outputs` name the rows and columns
+    by paths, with `[i]` for an element of an array and `[k-i]` for the sample of i steps ago in a delay. `point` has
+    the values of states and inputs at the point, `output_values` those of the outputs. `left_out` says of each state
+    of the diagram that the model does not have why.
     """
 
     a: Array
@@ -76,7 +76,7 @@ class LinearModel:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data: the matrices as lists of rows, the names, the point, the poles as [real, imaginary]."""
+        """Plain data: the names, the point, the matrices as lists of rows and the poles as [real, imaginary]."""
         return {
             "name": self.name,
             "dt": self.dt,

@@ -1,4 +1,4 @@
-"""linearize: the exact A, B, C, D of a diagram at a point, by differentiating its expression graph.
+"""linearize: the exact linear model of a diagram at a point, by differentiating its expression graph.
 
 docs/how-to/check-a-diagram.md says what is assumed: which model it is, and what happens to delays, counters, noise
 and kinks.
@@ -48,7 +48,7 @@ def linearize(
 ) -> LinearModel:
     """The linear model of `diagram`, with the base tick `dt` [s], at a point.
 
-    `at` gives values at the point, by name or path, of inputs, states and parameters, and of "tick" (default 0). What
+    `at` gives the values of inputs, states, parameters and "tick" (default 0) at the point, by name or path. What
     is not named has its initial value, its default or 0. With `trim` the states are moved to an equilibrium near it,
     or, with inputs in `free`, these inputs and the states that `at` does not name. `inputs` and `outputs` are the
     model's: inputs of the diagram, or signals by path. The default is its real inputs and outputs. A signal that is an
@@ -292,8 +292,8 @@ class _Linearization:
     def _manifold(self) -> tuple[list[int], Array] | None:
         """The states that projections keep, and all states by these; None if projections do more than that.
 
-        A projection may set states from others (the sine of an angle that is integrated beside it): those are no
-        states of their own.
+        A projection may set states from others (the sine of an angle that is integrated beside it). Those are not
+        states in their own right.
         """
         p = self.matrices("projection").change[:, : self.size]
         kept = [j for j in range(self.size) if p[:, j].any()]
@@ -379,7 +379,7 @@ class _Linearization:
         """Move the states, and the inputs in `free`, to an equilibrium; DiagramError if none is found."""
         for name in free:
             if name not in self.inputs or self.inputs[name].node is not None:
-                raise DiagramError(f"{name!r} is no input of the model to be freed", self.name, "name a real input")
+                raise DiagramError(f"{name!r} is not an input to free", self.name, "name a real input")
         continuous = self.is_continuous("auto") and self._manifold() is not None
         what = "slope" if continuous else "next"
         moving: list[int] = []  # the states' columns; those that are named stay, if an input can hold them

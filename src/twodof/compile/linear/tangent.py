@@ -53,7 +53,7 @@ def initial_states(program: FlatProgram, parameters: Mapping[Key, Any]) -> dict[
 class TangentStep:
     """One step from given states and inputs; to be used under `numbers.precision("float64")`.
 
-    `cut` replaces signals for all that read them: signal -> the slope that its readers see. `direction` is that of
+    `cut` replaces signals for all their readers: signal -> the slope that its readers see. `direction` is that of
     `Tangent`.
     """
 

@@ -237,7 +237,7 @@ class FlatDiagram:
             signal = level.resolve(source)
             if signal.kind != "bool" or signal.width is not None:
                 remedy = "compare the signal with something"
-                raise DiagramError(f"its {what} signal {source!r} is no bool", path, remedy)
+                raise DiagramError(f"its {what} signal {source!r} is not a bool", path, remedy)
         except DiagramError as error:
             self.report(error)
             return None
@@ -364,7 +364,7 @@ def constants(ordered: Iterable[FlatSignal]) -> set[FlatSignal]:
 def _check_rates(
     nodes: Sequence[Node], ordered: Sequence[FlatSignal], unknown: set[FlatSignal], report: Report
 ) -> None:
-    """Report where a block reads a signal of another rate and is no crossing."""
+    """Report where a block reads a signal of another rate without being a crossing."""
     rateless = constants(ordered) | unknown
     for node in nodes:
         for name, signal in node.drivers.items():

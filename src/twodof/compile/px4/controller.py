@@ -1,4 +1,4 @@
-"""The module's C: the emitted program in float32, and a small interface that C++ can include, whatever it is named."""
+"""The module's C: the emitted program in float32, and a small interface that C++ can include under any name."""
 
 from __future__ import annotations
 

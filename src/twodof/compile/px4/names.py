@@ -71,7 +71,9 @@ def module_names(diagram: str, prefix: str = "") -> ModuleNames:
     if not prefix:
         prefix = _prefix(words)
     if not PREFIX.fullmatch(prefix):
-        raise DiagramError(f"{prefix!r:.40} is no prefix", "prefix", "give 1 to 5 capitals or digits, a capital first")
+        raise DiagramError(
+            f"{prefix!r:.40} is not a prefix", "prefix", "use 1 to 5 capitals or digits, a capital first"
+        )
     return ModuleNames(stem, prefix)
 
 
@@ -92,7 +94,7 @@ def parameter_names(
 
     A name is PREFIX_PART_NAME(_INDEX). One that is too long loses letters from the end of its longest word, again and
     again. Where two would be alike, or like one of `taken`, they are cut and end with a digest of their paths. Where
-    the diagram is the `part` of a vehicle, `elsewhere` names the vehicle's other parameters: a name that is like one of
+    the diagram is the `part` of a vehicle, `elsewhere` names the vehicle's other parameters. A name that is like one of
     them ends with a digest of the part's name and its path. Raises DiagramError if two are alike even so.
     """
     reserved, others = set(taken), set(elsewhere)

@@ -182,8 +182,8 @@ class ModuleRole:
 def role(program: FlatProgram) -> ModuleRole:
     """The role of a program by the names of its ports.
 
-    Raises DiagramError, with the names there are, for an input that PX4 has nothing for, and for a port of another
-    type, width or unit. It also does so for outputs that command nothing or too much.
+    Raises DiagramError, with the known names, for an input that PX4 has nothing for. It does so for a port of another
+    type, width or unit, and for outputs that command nothing or too much.
     """
     for name, signal in program.inputs.items():
         reading = INPUTS.get(name)
@@ -204,7 +204,7 @@ def role(program: FlatProgram) -> ModuleRole:
     for name in found:
         signal = program.outputs[name]
         if (signal.kind, signal.width) != ("real", None):
-            raise DiagramError(f"its output {name!r} is no real scalar", program.name, "make it one")
+            raise DiagramError(f"its output {name!r} is not a real scalar", program.name, "make it one")
     moved = [name for name in MOTORS if name in found]
     inputs = tuple(program.inputs)
     if moved and (len(moved) < len(MOTORS) or "M" in found):

@@ -90,7 +90,7 @@ def cached_bytes(key: Sequence[str], suffix: str, make: Callable[[Path], None], 
 def contents(file: Path) -> bytes | None:
     """What is in the entry `file`; None where it is not there, not whole, not of this name, or not ours alone.
 
-    Owner and mode are those of the file that is read. A seal is no signature: who could write it could seal it. That
+    Owner and mode are those of the file that is read. A seal is not a signature: who could write it could seal it. That
     the same file is loaded afterwards is sure since nobody else can change the folder (`_own`).
     """
     try:

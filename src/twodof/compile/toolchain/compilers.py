@@ -52,7 +52,7 @@ class Compiler:
 
 
 def find_compiler(name: str | None = None) -> Compiler:
-    """The compiler called `name` ("cc", "gcc", "clang", "zig" or a path), or else the first there is.
+    """The compiler called `name` ("cc", "gcc", "clang", "zig" or a path); the first there is for None.
 
     Raises CompileError if it is not there.
     """

@@ -68,7 +68,7 @@ def _sections(module: bytes) -> Iterator[tuple[int, bytes]]:
 def _pages(body: bytes, name: str) -> int:
     count, at = _decoded(body, 0)
     if count != 1 or body[at] not in (0, 1):  # 32-bit, not shared
-        raise _refused("it has not one plain memory", name)
+        raise _refused("it does not have exactly one plain memory", name)
     return _decoded(body, at + 1)[0]
 
 

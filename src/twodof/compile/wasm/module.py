@@ -170,7 +170,7 @@ def compile_module(
 ) -> WasmModule:
     """`programs`, which stand in one source, as one module; needs no engine.
 
-    What cannot be optimised in seconds (`optimisation_cost`) is compiled with -O0, whatever `optimise` says.
+    What cannot be optimised in seconds (`optimisation_cost`) is compiled with -O0, also where `optimise` asks for more.
     Raises CompileError if the compiler is not there or refuses, or if a program needs too much memory.
     """
     found = find_wasm_compiler(compiler)

@@ -1,4 +1,4 @@
-"""Whether WebAssembly can be made and run here: said at once, with all that is missing and the one remedy."""
+"""Whether WebAssembly can be made and run here: said at once, with everything that is missing and the one remedy."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def check_ready(compiler: str | None = None) -> None:
     if missing:
         lack = "are" if len(missing) > 1 else "is"
         raise CompileError(
-            f"the sandbox in which controllers of one's own fly cannot be set up: {' and '.join(missing)} {lack} "
+            f"the sandbox in which your own controllers fly cannot be set up: {' and '.join(missing)} {lack} "
             "not installed",
             "target wasm",
             REMEDY,
