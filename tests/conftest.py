@@ -1,5 +1,5 @@
-"""What every test may ask for: the real flight logs; hypothesis runs that give the same examples twice; their order;
-and `--quick`, which leaves out the files of tests/slow.txt.
+"""What every test may ask for: the real flight logs, and hypothesis runs that give the same examples twice. It sets the
+tests' order, and `--quick`, which leaves out the files of tests/slow.txt.
 """
 
 import os

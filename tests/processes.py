@@ -8,7 +8,7 @@ from typing import Any
 
 
 def alive(process: int) -> bool:
-    """Whether a process runs; one that ended and was not waited for (by whoever inherited it) does not."""
+    """Whether a process runs; one that ended and was not waited for (by its parent or heir) does not."""
     try:
         return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:
@@ -17,7 +17,7 @@ def alive(process: int) -> bool:
 
 @contextmanager
 def started(command: list[str], **options: Any) -> Iterator[subprocess.Popen[Any]]:
-    """Runs a program as Popen does; what goes wrong meanwhile ends it, so that nobody waits for it."""
+    """Runs a program as Popen does; an error in the block ends it, so that nobody waits for it."""
     with subprocess.Popen(command, **options) as process:
         try:
             yield process

@@ -1,4 +1,4 @@
-"""What the package imports is declared in pyproject.toml: whoever installs the package gets what it needs."""
+"""What the package imports is declared in pyproject.toml: an installed package has what it needs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The how-to pages that change the source say all that is needed: their steps work on a copy of it."""
+"""The how-to pages that change the source leave out nothing: their steps work on a copy of it."""
 
 from __future__ import annotations
 

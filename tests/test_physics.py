@@ -173,7 +173,7 @@ def test_the_paper_rig_at_a_constant_pitch_is_the_papers_velocity(whole: Compile
 
 
 def k_v_rest(k_v: float, theta: float) -> float:
-    """What a delay that is no whole number of ticks leaves: part of one tick of acceleration."""
+    """What a delay of part of a tick leaves: part of one tick of acceleration."""
     return k_v * theta * TICK
 
 

@@ -1,4 +1,4 @@
-"""hypothesis gives a test the same examples, whatever ran before it in the same process: a failure is met again."""
+"""hypothesis gives a test the same examples, after any other test in the same process: a failure is met again."""
 
 import importlib.util
 import sys

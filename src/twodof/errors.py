@@ -14,7 +14,7 @@ def shown(value: object) -> str:
 
 
 def listed(names: Iterable[str], most: int = 20) -> str:
-    """The first of `names`, separated by commas, "none" if there are none, and that there are more."""
+    """The first of `names`, separated by commas, and "and more" where some are left out. "none" if there are none."""
     rows = list(islice(names, most + 1))
     return ", ".join(rows[:most]) + (" and more" if len(rows) > most else "") if rows else "none"
 
@@ -33,8 +33,7 @@ def printable(text: object) -> str:
 class TwodofError(Exception):
     """Base of every error that a caller of twodof can meet.
 
-    `what` is the fact, `where` the place (file, channel, block path, parameter), `remedy` what to do about
-    it.
+    `what` is the fact, `where` the place: a file, channel, block path or parameter. `remedy` says what to do about it.
     """
 
     def __init__(self, what: str, where: str = "", remedy: str = "") -> None:

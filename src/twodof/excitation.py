@@ -184,7 +184,7 @@ class _Held(Excitation):
         return np.asarray(levels)[np.searchsorted(np.cumsum(holds)[:-1], us, side="right")]
 
     def edges(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Times [s] at which the value changes, and the value from then on: all that a player needs to know."""
+        """Times [s] at which the value changes, and the value from then on: a player needs to know no more."""
         holds = self._levels()[0]
         starts = np.concatenate(([0], np.cumsum(holds)))
         turns = np.arange(self.repeat)[:, None] * (int(starts[-1]) + _us(self.pause))

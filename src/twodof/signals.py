@@ -188,7 +188,7 @@ BY_MAT = MappingProxyType({row.mat: row for row in TOPICS})
 def topic(name: str) -> Topic:
     """The row of a signal, by its name (`imu.gyro`) or its .mat channel (`gyr`).
 
-    Raises LogError if there is no such signal.
+    Raises LogError for an unknown name.
     """
     row = BY_NAME.get(name) or BY_MAT.get(name)
     if row is None:

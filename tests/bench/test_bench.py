@@ -52,8 +52,8 @@ def test_a_coefficient_wrong_in_its_sixth_digit_would_be_seen(path: str) -> None
 
 
 def test_both_loops_hover_alike_with_noise() -> None:
-    """Other random numbers, the same amount: the pitch rate wanders alike. 60 s are some 300 correlation times of q,
-    so two standard deviations differ by less than 25 %, over four sigma."""
+    """Other random numbers, the same amount: the pitch rate wanders alike. 60 s are some 300 correlation times of q.
+    So two standard deviations differ by less than 25 %, which is over four sigma."""
     ours = CompiledLoop("float64")
     hand = HandLoop(ours.machine, "float64")
     hover = numbered(closed_loop.HOVER)

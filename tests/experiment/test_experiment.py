@@ -127,7 +127,7 @@ def test_an_experiment_and_gains_are_named(laboratory: Laboratory) -> None:
         assert machine.get(f"flight.cascade.{path}") == value
     with pytest.raises(ExperimentError, match="no experiment called 'doublt'"):
         laboratory.fly("doublt")
-    with pytest.raises(ExperimentError, match="a NoneType is no experiment"):
+    with pytest.raises(ExperimentError, match="a NoneType is not an experiment"):
         laboratory.fly(None)
 
 

@@ -108,7 +108,7 @@ def flown(request: pytest.FixtureRequest, lab: Lab) -> Both:
 
 
 def differing(on_board: Signals, plan: Script, simulated: Signals) -> dict[str, int]:
-    """Steps in which a signal, or what was asked for, has not the very bits of the simulation; by name."""
+    """Steps in which a signal or a command does not have the very bits of the simulation; by name."""
     wanted = {name: values for name, values in simulated.items() if name not in NOT_ON_BOARD}
     asked = {**plan.setpoints, "arm": plan.arm}
     wanted |= {f"asked_{name}": asked.get(name, np.zeros(plan.steps)) for name in ASKED}
@@ -149,7 +149,7 @@ def test_the_ground_hears_what_the_failsafe_does(flown: Both) -> None:
 def assert_rounded(ground: FlightLog, simulated: FlightLog) -> None:
     """Every channel, stamps and all: no sample more, none less, each the simulator's in the wire's type.
 
-    That is float32, and float64 for the truth, which comes past what flies. What the failsafe does is told besides.
+    That is float32, and float64 for the truth, which comes past what flies. What the failsafe does is told too.
     """
     assert sorted(ground) == sorted([*simulated, "safety"])
     assert set(TRUE) <= set(ground)
@@ -219,7 +219,7 @@ def test_every_experiment_on_both_rigs_in_both_precisions(tmp_path: Path, rig: s
 @pytest.mark.parametrize("starters", [("lqr-attitude",), ("pid-attitude", "pid-position"), ("direct-motor",)])
 @pytest.mark.parametrize("trusted", [True, False])
 def test_so_do_controllers_of_ones_own(tmp_path: Path, starters: tuple[str, ...], trusted: bool) -> None:
-    """In a sandbox too, but for the rate set-point that is shown before and after the flight: it is the stock one's."""
+    """In a sandbox too, except the rate set-point that is shown before and after the flight: it is the stock loop's."""
     options = [option for name in starters for option in ("--controller", name)] + (["--trust"] if trusted else [])
     for lab in make_lab(tmp_path, "lab", "float64", starters, options):
         for name in ("velocity-doublet", "attitude-steps"):

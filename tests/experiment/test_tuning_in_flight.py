@@ -1,5 +1,5 @@
-"""A controller of one's own is tuned in flight: over MAVLink and in the simulator with the same bits, and its on-board
-log, with the change in it, flies again to the same bits.
+"""The user's own controller is tuned in flight: over MAVLink and in the simulator with the same bits. Its on-board log
+holds the change, and flies again to the same bits.
 """
 
 from __future__ import annotations

@@ -269,7 +269,7 @@ def test_a_peer_that_is_gone_without_a_word_is_noticed() -> None:
 
 @pytest.mark.parametrize("garbage", [b"", b"\xfd", b"\xfe", b"\xfd\xff\x00\x00", random.Random(3).randbytes(300)])
 def test_a_line_that_is_joined_in_the_middle_of_a_frame_costs_that_frame_only(garbage: bytes) -> None:
-    """Whichever byte it is joined at, with whatever a wrong baud rate made of those before, and broken off again."""
+    """At each byte, with the garbage that a wrong baud rate made of those before, and broken off again."""
     raw = encode(message("STATUSTEXT", severity=6, text="sound"), 1, 1, 0)
 
     async def work() -> None:

@@ -38,7 +38,7 @@ def fly(ends: Ends, seconds: float, every_ms: int = 4, name: str = "ATTITUDE") -
 
 @pytest.mark.parametrize("name", ["onboard", "ground"])
 def test_who_asks_for_nothing_gets_what_the_flight_controller_would_send(name: str) -> None:
-    """Of each message but for those that come at each change too, which thinning would hold back."""
+    """Of each message except those that come at each change too, which thinning would hold back."""
     theirs, ours = vehicle_profiles[name], profile(name)
     known = dialect.load().mavlink_map
     passed = {known[number].msgname for number in theirs.keys() - ours.keys()}

@@ -67,10 +67,10 @@ class Mirrored(Block):
 class Fault(Block):
     """A number u with a fault of the kind `kind` and the size s, from `onset` ms on.
 
-    frozen: the last one before. frozen with noise: that + s n. step: u + s. drift: u + s for each second. stuck: s.
-    clipped: within +-s. late: that of s ms ago (to .25 s). swapped: its partner. scaled: s u. noise: u + s n.
-    spikes: u + s in one sample of `period`. dropouts: 0 in one of `period`. NaN. infinite: with the sign of s.
-    square: u + s and u - s in turn, each for `period` samples.
+    `frozen`: the last one before. `frozen with noise`: that + s n. `step`: u + s. `drift`: u + s for each second.
+    `stuck`: s. `clipped`: within +-s. `late`: that of s ms ago (to .25 s). `swapped`: its partner. `scaled`: s u.
+    `noise`: u + s n. `spikes`: u + s in one sample of `period`. `dropouts`: 0 in one of `period`. `NaN`.
+    `infinite`: with the sign of s. `square`: u + s and u - s in turn, each for `period` samples.
     """
 
     inputs = (Port("u"), Port("partner"), Port("n"))
@@ -124,8 +124,8 @@ class Fault(Block):
 class FlagFault(Block):
     """A flag with a fault of the kind `kind`, from `onset` ms on.
 
-    never: false. always: true. rarely: what it is in one sample of `period`, else false. missed: false in one of
-    `period`. once: true in the first sample. late: that of `period` samples ago.
+    `never`: false. `always`: true. `rarely`: what it is in one sample of `period`, else false. `missed`: false in one
+    of `period`. `once`: true in the first sample. `late`: that of `period` samples ago.
     """
 
     inputs = (Port("u", "bool"),)

@@ -1,4 +1,4 @@
-"""MAVLink FTP: whatever is asked, each request is answered or passed over, and no file outside the tree is touched."""
+"""MAVLink FTP: every request, however odd, is answered or passed over, and no file outside the tree is touched."""
 
 import struct
 import tempfile

@@ -1,4 +1,4 @@
-"""A user's program beside the drone: it flies, it ends, it is told to end; what is no program is said."""
+"""A user's program beside the drone: it flies, it ends, it is told to end; a file that is not a program is refused."""
 
 import signal
 import subprocess

@@ -56,7 +56,7 @@ def test_leaving_by_an_exception_disarms_too() -> None:
 
 
 def test_a_refusal_is_not_explained_by_what_was_said_of_another() -> None:
-    """Words that come late, of something before, are no reason; those that follow the answer are."""
+    """Late words about something before are not the reason; those that follow the answer are."""
 
     class Slow(Peer):
         def _command_long(self, got: Any, frame: Any) -> None:
@@ -114,7 +114,7 @@ def test_a_refusal_without_words_is_one_at_once() -> None:
 
 
 def test_another_on_the_same_link_is_not_taken_for_the_one_that_is_sought() -> None:
-    """Whatever it says, before ours is heard or right behind: not its state, nor its time, which would be a restart."""
+    """Its words are ignored, before ours is heard or right behind. Its time would look like a restart."""
 
     class Two(Peer):
         def send(self, name: str, /, **fields: Any) -> None:
@@ -304,7 +304,7 @@ def test_waiting_for_a_condition_ends_with_it_or_at_the_timeout() -> None:
 
 
 def test_leaving_disarms_what_was_armed_unseen() -> None:
-    """A script that is interrupted while it arms: the drone is armed, and its heartbeat has not come."""
+    """A script that is interrupted while it arms: the drone is armed, but its heartbeat is still to come."""
 
     async def flight(peer: Peer, drone: AsyncDrone) -> None:
         peer.spoil = lambda _, sent: [] if sent.get_type() in ("HEARTBEAT", "COMMAND_ACK") else [sent]

@@ -1,4 +1,4 @@
-"""Drone, the synchronous face, with a virtual drone over TCP: verbs, recordings, leaving, whatever ends a script."""
+"""Drone, the synchronous face, with a virtual drone over TCP: verbs, recordings, and every way to end a script."""
 
 import errno
 import os

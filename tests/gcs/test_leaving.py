@@ -45,7 +45,7 @@ async def one() -> int:
 
 
 def ends_s(finish: bool) -> float:
-    """How long work takes that is to finish though it is interrupted; what is to be broken off does not end before."""
+    """How long work takes that must finish though it is interrupted; work that must be broken off takes far longer."""
     return 0.05 if finish else PATIENCE_S
 
 
@@ -126,7 +126,7 @@ def test_and_when_it_comes_while_the_work_is_handed_over(
 
 
 def test_leaving_that_is_broken_off_says_once_more_what_stops_the_motors() -> None:
-    """A task that is cancelled a second time has no time to see anything. Nothing is held afterwards: it is no kill."""
+    """A task cancelled a second time has no time to see anything. Nothing is held afterwards: it is not a kill."""
 
     async def work() -> None:
         async with Peer() as peer:

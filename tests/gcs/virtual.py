@@ -39,7 +39,7 @@ class OnBoard:
 
 @contextmanager
 def on_board(listen: str = "tcpin://127.0.0.1:0", state: Path | None = None, **options: Any) -> Iterator[OnBoard]:
-    """A virtual drone that listens, meanwhile."""
+    """A virtual drone that listens while the block runs."""
     runner = LoopThread("virtual drone")
     try:
 

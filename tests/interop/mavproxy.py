@@ -56,7 +56,7 @@ class MavProxy:
         self._process.stdin.flush()
 
     def expect(self, pattern: str, seconds: float = PATIENCE_S) -> re.Match[str]:
-        """Wait for `pattern` in what it says after the last match; AssertionError with all that it said otherwise."""
+        """Wait for `pattern` in what it says after the last match; else AssertionError with everything it said."""
         end = time.monotonic() + seconds
         while (found := re.search(pattern, self.text[self._read :])) is None:
             left = end - time.monotonic()

@@ -1,7 +1,7 @@
 """A client made with MAVSDK alone: `python mavsdk_client.py URL PARAMETER VALUE LOG FIRST`; prints what it saw.
 
-It goes through what MAVSDK's own examples do: discover, version, parameters, telemetry, arm, offboard set-points of
-attitude, disarm, fetch the log; FIRST is `arm` as in these examples, or `offboard` to arm while set-points come. Each
+It goes through what MAVSDK's own examples do: look around (discover, version, parameters, telemetry), fly (arm, send
+attitude set-points, disarm), fetch the log. FIRST is `arm` as in them, or `offboard` to arm while set-points come. Each
 step is a line of JSON. It runs in a process of its own, as a native library that hangs must not take the tests with it.
 """
 
@@ -50,7 +50,7 @@ async def until(stream: AsyncIterator[T], holds: Callable[[T], bool]) -> T:
 
 
 async def look_around(system: System, name: str, value: float) -> None:
-    """What needs no right to command but for the parameter."""
+    """What needs no right to command. Only setting the parameter needs it."""
     info = InfoAsync(system)
     version, product = await told(info.get_version), await told(info.get_product)
     uid = (await told(info.get_identification)).hardware_uid
@@ -98,7 +98,7 @@ async def reached(seen: TelemetryAsync, wanted: float) -> list[float]:
 
 
 async def entered(offboard: OffboardAsync) -> None:
-    """Offboard is on; asked again where it is refused, as MAVSDK stood still and streamed no set-points meanwhile."""
+    """Offboard is on. It is asked again if refused, as MAVSDK may have stood still and streamed no set-points."""
     end = time.monotonic() + DEADLINE_S
     while True:
         try:

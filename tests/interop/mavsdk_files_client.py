@@ -79,7 +79,7 @@ async def events(system: System) -> None:
     line = asyncio.create_task(within(anext(lines)))
 
     async def report(able: bool) -> HealthAndArmingCheckMode:
-        """The first that says so: there may be several meanwhile."""
+        """The first report that says so, of possibly several."""
         async for one in reports:
             if one.current_mode_intention.can_arm_or_run == able:
                 return one.current_mode_intention
@@ -107,8 +107,8 @@ async def events(system: System) -> None:
 async def stream(system: System, target: Path) -> None:
     """The beginning of a log while it is written.
 
-    MAVSDK forgets a stream when it has heard no heartbeat for 3 s, as where the drone's machine stood still: then it is
-    asked for again, which begins another log.
+    MAVSDK forgets a stream when it has heard no heartbeat for 3 s, for example if the drone's machine stood still. Then
+    it is asked for again, which begins another log.
     """
     plugin = LogStreamingAsync(system)
     data = b""

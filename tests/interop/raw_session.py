@@ -1,4 +1,4 @@
-"""A session as bytes: a bare socket, pymavlink's stock dialect to send with, and all that the drone sent, untouched."""
+"""A session as bytes: a bare socket, pymavlink's stock dialect to send with, and the drone's bytes, untouched."""
 
 from __future__ import annotations
 

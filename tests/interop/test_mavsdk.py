@@ -23,7 +23,7 @@ REACHED = 0.03  # rad; the set-point is 0.1
 
 
 def flight(url: str, log: Path, first: str) -> dict[str, list[dict[str, Any]]]:
-    """What the client saw, by step; AssertionError with all that it said if it does not come to its end."""
+    """What the client saw, by step; AssertionError with everything it said if it does not come to its end."""
     command = [sys.executable, "-W", "error", str(CLIENT), url, "RATE_KP", str(SET_TO), str(log), first]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)

@@ -1,7 +1,7 @@
 """QGroundControl's connection sequence, replayed against the program: every request is answered at once.
 
-QGroundControl itself needs a screen; what it asks, in which order, and what it cannot do without, are in its sources
-(InitialConnectStateMachine, StandardModes, ParameterManager, PlanManager) and in PX4's mavlink_parameters.cpp.
+QGroundControl itself needs a screen. Its sources show what it asks, in which order, and what it cannot do without:
+InitialConnectStateMachine, StandardModes, ParameterManager and PlanManager, and PX4's mavlink_parameters.cpp.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""An event loop for a test, and all that comes to one end of a transport."""
+"""An event loop for a test, and everything that comes to one end of a transport."""
 
 import asyncio
 from collections.abc import Coroutine

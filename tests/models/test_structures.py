@@ -227,7 +227,7 @@ def test_a_name_that_is_no_parameter_is_refused() -> None:
     diagram = pitch_rate().diagram
     with pytest.raises(IdentificationError, match="there is no parameter 'muu'"):
         Structure(diagram, ("muu",))
-    with pytest.raises(IdentificationError, match="nothing is to be estimated"):
+    with pytest.raises(IdentificationError, match="there is nothing to estimate"):
         Structure(diagram, ())
 
 

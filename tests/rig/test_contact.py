@@ -156,7 +156,7 @@ def test_the_pitch_stop_pushes_a_cart_that_sticks(program: CompiledProgram) -> N
 
 
 def test_what_is_stuck_twice_stays_to_the_bit(program: CompiledProgram) -> None:
-    """Pitch and cart both within their friction: neither may be loosened by an acceleration that the other has not."""
+    """Pitch and cart both within their friction: neither may be loosened by an acceleration that the other lacks."""
     for turn in (-0.99, 0.99):
         for push in (-0.999, 0.999):
             m = machine(program, **{**STICKY, "rail_force": push * 0.03})

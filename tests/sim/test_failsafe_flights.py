@@ -106,7 +106,7 @@ def test_on_the_real_flights_it_is_silent_but_at_a_stop_and_where_the_motors_sta
     """The failsafe beside each log: what the drone measured and estimated goes in, its commands pass with their bits.
 
     The first quarter second, in which the sensors are first heard, is disarmed. A step without a fresh sample of the
-    IMU is left out, since the drone had one and only the recording lacks it (WiFi): 13 in a row in one log.
+    IMU is left out. The drone had one, and only the recording lacks it (WiFi): 13 in a row in one log.
     """
     log = read_log(flight_data / f"{name}.mat")
     paired = align_log(log)

@@ -110,7 +110,7 @@ def _provenance(logs: list[str], repetitions: int) -> dict[str, str]:
 
 
 def _make_folder(path: Path) -> None:
-    """Before anything is flown: half a minute later is too late to learn that there is no place for the report."""
+    """Before anything is flown: half a minute later is too late to learn that the report cannot be written."""
     if path != _REPORT:  # a folder that somebody names is there, as everywhere
         return
     try:

@@ -41,7 +41,7 @@ def print_json_line(document: Any) -> None:
 
 
 def say_line(text: object) -> None:
-    """A line on stderr, whoever's words are in it."""
+    """A line on stderr; its words may come from a drone or a file."""
     sys.stderr.write(f"{printable(text)}\n")
     sys.stderr.flush()
 

@@ -41,7 +41,7 @@ def data_checks(experiment: Experiment, plan: Script, out: Signals, stops: Mappi
     """No stop was touched, and the response stands out of what the signal did before (five standard deviations).
 
     `stops` are `pitch_stop` [rad] and `rail_stop` [m]. Pitch and place are the true ones in the steps in which `out`
-    has them, and `seen` says so; the response is looked for in the estimates, from which models are identified.
+    has them, and `seen` says so. The response is looked for in the estimates, since models are identified from them.
     """
     flown = slice(plan.begin, plan.end)
     steepest, by = _farthest(out, "theta", flown)

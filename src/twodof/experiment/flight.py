@@ -69,8 +69,8 @@ class Laboratory:
 
     `rig` is "paper", "lab", a file or a set of parameters; `gains` are "default", "student", a file or a set of gains;
     `conditions` are further rig parameters such as `trim` or `rail_force`; `noise` scales all noise (0: none).
-    `controllers` fly in place of the stock loops and mixer, one of a template (`flight.templates`) at most: diagrams,
-    their JSON files, or names of starter diagrams such as "lqr-attitude"; `tuning` sets parameters of theirs by path,
+    `controllers` fly in place of the stock loops and mixer, at most one of each template (`flight.templates`). They are
+    diagrams, JSON files, or names of starter diagrams such as "lqr-attitude"; `tuning` sets their parameters by path,
     such as "attitude_control.k_theta". `precision` is "float64" or "float32", that of a flight controller. With
     `failsafe` the flight code has its last gate, as on board: it is armed and disarmed as `script` says, and what it
     does shows in `signals`. Where nothing fails the flight has the same bits as without.
@@ -124,11 +124,11 @@ class Laboratory:
     def fly(self, experiment: str | Experiment, seed: int = 1) -> Flight:
         """Flies `experiment` (or the ready-made one of that name) with the noise of `seed`, from a start that fits.
 
-        Raises ExperimentError if no start on the rail does, if the pitch would reach a stop, for a name that is not
-        there and for a seed that is no integer from 0 to 2^32 - 1.
+        Raises ExperimentError if no start on the rail will do, or if the pitch would reach a stop. It also does so for
+        an unknown name, and for a seed that is not an integer from 0 to 2^32 - 1.
 
-        A controller of one's own may fly badly: then it starts from the middle of the rail, and the checks say what
-        went wrong, a moment or thrust that is not finite included: the motors stop there, and the log leaves it out.
+        Your own controller may fly badly: then it starts from the middle of the rail, and the checks say what went
+        wrong. If a moment or thrust is not finite, the motors stop there, and the log leaves the value out.
         """
         experiment, seed = ready(experiment), _checked_seed(seed)
         try:
@@ -198,7 +198,7 @@ class Laboratory:
         return -0.5 * (low + high)
 
     def described_controllers(self) -> dict[str, dict[str, Any]]:
-        """The controllers of one's own by template: name, SHA-256 of the JSON form, and the values of parameters."""
+        """The user's controllers by template: name, SHA-256 of the JSON form, and the values of parameters."""
         values = {path: value for path, (_, value) in self.loop.controller_parameters().items()}
         return {
             kind: {
@@ -236,7 +236,7 @@ def ready(experiment: str | Experiment) -> Experiment:
         return named_experiment(experiment)
     if not isinstance(experiment, Experiment):
         raise ExperimentError(
-            f"a {type(experiment).__name__} is no experiment", "", f"name one: {', '.join(EXPERIMENTS)}"
+            f"a {type(experiment).__name__} is not an experiment", "", f"name one: {', '.join(EXPERIMENTS)}"
         )
     return experiment
 

@@ -64,9 +64,9 @@ def fly_series(rigs: Iterable[str], names: Sequence[str], seeds: Iterable[int]) 
 
 @contextmanager
 def _no_interrupt_for_children() -> Iterator[None]:
-    """What is started meanwhile never gets Ctrl-C, from its first moment on; it is the parent's, who ends them.
+    """What the block starts never gets Ctrl-C, from its first moment on; only the parent gets it, and ends them.
 
-    One that comes meanwhile waits for the end of the block.
+    A Ctrl-C that comes inside the block waits for its end.
     """
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:

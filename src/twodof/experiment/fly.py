@@ -64,18 +64,18 @@ def fly(
 ) -> Flight:
     """Flies `experiment` (or the ready-made one of that name) with `drone`: arm, hold, excite on board, disarm.
 
-    A virtual drone is put to its start first, with the noise of `seed` times `noise`; in lockstep the flight then has
-    the bits of `Laboratory.fly` (`experiment.script` is followed to the tick), in real time it begins whenever the
+    A virtual drone is put to its start first, with the noise of `seed` times `noise`. In lockstep the flight then has
+    the bits of `Laboratory.fly`, as `experiment.script` is followed to the tick. In real time it begins as soon as the
     drone is there. A real drone must have its rings set as the experiment wants them; with the cart free it flies to
     its start during the hold.
 
     `x_start` [m] is where a flight with the cart free begins; None: where `laboratory` says it fits the rail, which is
     by default the virtual rig of the drone's name, else "lab".
 
-    From the ground pitch and place are watched ten times a second. A flight that met a limit, on which the failsafe
-    acted, that was refused or whose link was lost is broken off (level, then disarmed) and returned with its `reason`,
-    its samples so far and failed checks. Ctrl-C disarms, hands what there is to `interrupted`, and goes on as what it
-    is. Raises ExperimentError for what cannot be flown at all, before anything moves, and what `Drone` raises while the
+    From the ground pitch and place are watched ten times a second. A flight is broken off (level, then disarmed) at a
+    limit, at an act of the failsafe, at a refusal and at a lost link. It is then returned with its `reason`, its
+    samples so far and failed checks. Ctrl-C disarms, hands the samples so far to `interrupted`, and is raised again.
+    Raises ExperimentError for what cannot be flown at all, before anything moves, and what `Drone` raises while the
     drone is put to its start.
     """
     experiment = ready(experiment)
@@ -97,7 +97,7 @@ def fly(
     room = model.parameters["rail_stop"] - MARGIN
     if not abs(x_start) <= room:
         raise ExperimentError(
-            f"x = {x_start:g} m is no place to start at",
+            f"x = {x_start:g} m is not a place to start at",
             experiment.name,
             f"start within {room:.2f} m of the rail's middle",
         )
@@ -147,7 +147,7 @@ def fly(
 
 @contextmanager
 def _truth(drone: Drone) -> Iterator[DroneRows[np.float64] | None]:
-    """The true state of its rig, of which nothing on board knows; None where it has none to tell."""
+    """The true state of its rig, which nothing on board knows; None where the drone does not tell it."""
     with ExitStack() as stack:
         rows = None
         if drone.state.rig.virtual:
@@ -157,14 +157,14 @@ def _truth(drone: Drone) -> Iterator[DroneRows[np.float64] | None]:
 
 
 def _flies(drone: Drone) -> ActiveController:
-    """What flies on it; it is flown all the same where it does not tell."""
+    """What flies on it. A drone that does not tell is flown too."""
     with suppress(Rejected, Timeout):
         return drone.active_controller()
     return ActiveController(known=False)
 
 
 class _Heard(NamedTuple):
-    """What the drone said meanwhile: TWODOF_SAFETY as (tick, row of the channel), words as (s, severity, text).
+    """What the drone said in flight: TWODOF_SAFETY as (tick, row of the channel), words as (s, severity, text).
 
     `changes` of parameters are (s, name, value).
     """

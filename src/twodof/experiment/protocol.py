@@ -24,10 +24,10 @@ UNIT = MappingProxyType({"open-loop": "-", "rate": "rad/s", "attitude": "rad", "
 class Experiment:
     """One flight: `still` s with the motors off, `hold` s with `thrust`, the excitation, `rest` s, motors off.
 
-    `mode` names the loop that `excitation` enters, a key of `SETPOINT`. With `rings` the cart is locked (1DoF) and the
-    hold is a level hold, which finds the trim moment that an open-loop excitation is flown about; without, it holds
-    the start's position. At `thrust` 0 nothing is held: the motors stand but for the moment. Raises ExperimentError
-    for an excitation in another unit than the loop's, or a time below 0.
+    `mode` names the loop that `excitation` enters, a key of `SETPOINT`. With `rings` the cart is locked (1DoF), and the
+    hold is level: it finds the trim moment that an open-loop excitation is flown about. Without, it holds the start's
+    position. At `thrust` 0 nothing is held: only the moment turns the motors. Raises ExperimentError for an excitation
+    in another unit than the loop's, or a time below 0.
     """
 
     name: str

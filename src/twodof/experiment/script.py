@@ -23,8 +23,8 @@ def on_wire(value: float) -> float:
 class Script:
     """`setpoints` (steps,) by name, as the closed loop takes them.
 
-    The drone is armed at step `armed`, the thrust comes up at step `hold`, the excitation plays from step `begin` on;
-    at step `end` the drone is disarmed and the motors go off.
+    The drone is armed at step `armed`, and the thrust comes up at step `hold`. The excitation plays from step `begin`
+    on. At step `end` the drone is disarmed and the motors go off.
     """
 
     setpoints: Mapping[str, NDArray[np.generic]]

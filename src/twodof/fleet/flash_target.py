@@ -111,7 +111,7 @@ def check_target(to: str) -> None:
     """That `to` names a place or looks like a URL, asked before a controller is compiled. Raises LinkError."""
     if to not in (SIM, FCU, PX4) and "/" not in to and ":" not in to:
         raise LinkError(
-            f"{shown(to)} is neither {SIM}, {PX4}, {FCU} nor a URL", "--to", f"a drone's URL is such as {DEFAULT_URL}"
+            f"{shown(to)} is not {SIM}, {PX4}, {FCU} or a URL", "--to", f"a drone's URL is such as {DEFAULT_URL}"
         )
 
 

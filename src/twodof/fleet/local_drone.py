@@ -47,7 +47,7 @@ class LocalDrone:
 
     @property
     def own(self) -> list[str]:
-        """What its flight controller is told besides, and no other drone's."""
+        """The arguments that only its own flight controller gets."""
         return ["--seed", str(self.seed), "--state", str(self.state)]
 
     @property

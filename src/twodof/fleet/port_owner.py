@@ -1,4 +1,4 @@
-"""Who has a port of this machine: the process to end, or whose owner is to be asked. Linux alone tells (/proc)."""
+"""Who has a port of this machine: the process to end, or whose owner to ask. Only Linux tells (/proc)."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def _sockets(kind: str, port: int) -> Iterator[tuple[str, int]]:
 
 
 def _process(socket: str) -> str:
-    """The process that holds a socket, "" if none that we may see does."""
+    """The process that holds a socket, "" if it is not one that we may see."""
     wanted = Path(socket)
     for folder in _PROC.glob("[0-9]*"):
         with suppress(OSError):
@@ -68,7 +68,7 @@ def _process(socket: str) -> str:
 
 
 def _link(descriptor: Path) -> Path | None:
-    """What a descriptor is of; None for one that was closed meanwhile, as that is with which they are listed."""
+    """The file of a descriptor; None if it is closed by now, as the one is with which they are listed."""
     with suppress(OSError):
         return descriptor.readlink()
     return None

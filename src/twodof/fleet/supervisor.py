@@ -62,7 +62,7 @@ class ChildProcess:
         )
 
     async def wait(self) -> int:
-        """Its exit status, once it has ended; meanwhile takes in what it says."""
+        """Its exit status, once it has ended. Until then it takes in what the process says."""
         if self.process is None or self.process.stdout is None:
             return 0
         while line := await self.process.stdout.readline():
@@ -75,7 +75,7 @@ class ChildProcess:
         return await self.process.wait()
 
     async def end(self) -> None:
-        """Asks it to end, and kills it if it has not after `END_S`."""
+        """Asks it to end, and kills it if it still runs after `END_S`."""
         process = self.process
         if process is None or process.returncode is not None:
             return

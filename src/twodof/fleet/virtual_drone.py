@@ -98,7 +98,7 @@ def _drain(pipe: IO[bytes]) -> None:
 
 
 def _end(processes: Sequence[subprocess.Popen[bytes]]) -> None:
-    """Asks all to end, and kills those that have not after `END_S`."""
+    """Asks all to end, and kills those that still run after `END_S`."""
     for process in processes:
         process.terminate()
     end = time.monotonic() + END_S

@@ -18,7 +18,7 @@ STOCK = {"attitude_control": "stock-attitude", "position_control": "stock-positi
 def data_folder() -> Path:
     """The user's folder of what is kept: TWODOF_DATA, or XDG_DATA_HOME/twodof, or ~/.local/share/twodof.
 
-    Raises DiagramError where there is no home folder.
+    Raises DiagramError where the user has no home folder.
     """
     named = os.environ.get("TWODOF_DATA")
     if named:
@@ -47,7 +47,7 @@ class ControllerStore:
     def flashed(self) -> dict[str, Diagram]:
         """The diagrams that were flashed, by template; a template of which none was is left out.
 
-        Raises DiagramError for a file that is no diagram any more, or not of its template.
+        Raises DiagramError for a file that is not a diagram any more, or not of its template.
         """
         found = {}
         for kind in TEMPLATES:

@@ -12,7 +12,7 @@ from twodof.blocks import where
 
 
 def finite(value: Any) -> Any:
-    """Whether a real is neither infinite nor NaN: those leave a difference to themselves that is no 0."""
+    """Whether a real is finite: for an infinite one and for NaN, value - value is not 0."""
     return value - value == 0.0
 
 
@@ -21,7 +21,7 @@ PLAUSIBLE = MappingProxyType({"theta": 1.5, "bias": 100.0, "x": 1e6, "x_filter":
 
 
 def restarted(new: Mapping[str, Any], first: Mapping[str, Any]) -> dict[str, Any]:
-    """The states `new` of a filter, or, if one of them is no number or not `PLAUSIBLE`, those that it begins with.
+    """The states `new` of a filter, or, if one of them is NaN or not `PLAUSIBLE`, those that it begins with.
 
     These are `first`, by name, 0 if unnamed. A filter that has once taken a sample that cannot be would else give no
     number for ever.

@@ -164,7 +164,7 @@ def check_template(diagram: Diagram, kind: str | None = None) -> Template:
 
     It has exactly the template's ports, each a scalar of the template's type, in its unit or in none; an input may be
     left unused inside. Raises a DiagramError that names every port that is missing, too many or of another type or
-    unit, and all that keeps the diagram from being compiled. It refuses continuous states: no controller can have any.
+    unit, and everything that keeps the diagram from being compiled. A controller cannot have continuous states.
     """
     name = kind_of(diagram) if kind is None else kind
     if name not in TEMPLATES:

@@ -1,6 +1,6 @@
 """Files that are either there whole or not there: written beside their place, then renamed into it.
 
-One rule for every command and every function that writes a file which the user names: a file that is there is kept,
+Every command and every function that writes a file that the user names has one rule. A file that is there is kept,
 unless `--force` or `overwrite=True` says that it may be lost. `numbered` gives a session that repeats new names. What
 twodof keeps for itself (its caches, a drone's state) is replaced without a question.
 """

@@ -109,7 +109,7 @@ class Channel:
         """Which sample stands for each time of `t` (m,) [s]; -1 where none does. Raises LogError.
 
         "hold" is the latest sample at or before t, "next" the first at or after t. "nearest" is the
-        closer of the two; if both are equally close, the earlier one.
+        closer of the two, or the earlier one of two that are equally close.
         """
         at = _floats(t, "t")
         _check_finite(at, "t", at, "time")

@@ -45,8 +45,8 @@ def step_channels(
 ) -> dict[str, Channel]:
     """The channels of the steps at `tick` (n,), rising, whose signals (n,) are `out`; ticks may be missing.
 
-    `out` holds the measurements: acc_x, acc_z, gyro_y, dist, dist_new, voltage, charge, and acc_y, gyro_x and gyro_z if
-    there are any. It holds the flight code's outputs: theta, q, x, v, theta0, q0, x0, v0, M, T. Of a simulation it also
+    `out` holds the measurements: acc_x, acc_z, gyro_y, dist, dist_new, voltage, charge. It may hold acc_y, gyro_x and
+    gyro_z too. It holds the flight code's outputs: theta, q, x, v, theta0, q0, x0, v0, M, T. Of a simulation it also
     holds the truth (true_theta, ...). Samples that are not finite, which a user's controller may give, are left out: a
     gap.
     """

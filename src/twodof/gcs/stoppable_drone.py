@@ -74,7 +74,7 @@ class StoppableDrone(DroneBase):
         await self._see(lambda: not self.state.killed, deadline)
 
     async def _stand(self, timeout: float) -> None:
-        """Disarm it. Insist where that is not seen, and say it also where there is no time to look.
+        """Disarm it. Insist where that is not seen, and say it even without the time to look.
 
         What is silent may still hear. One of ours is always disarmed by the ordinary command, which holds nothing
         afterwards; another's PX4 in flight by a kill only.

@@ -1,4 +1,4 @@
-"""A delay of the input that is no multiple of the sample time, for structures integrated in continuous time."""
+"""A delay of the input, not a multiple of the sample time, for structures integrated in continuous time."""
 
 from __future__ import annotations
 

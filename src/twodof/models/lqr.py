@@ -33,8 +33,8 @@ def lqr(
     """The gains that minimise the sum of (x_i / largest_i)^2 + (integral / largest_integral)^2 +
     (M / largest_moment)^2.
 
-    `plant` has one input and its states as outputs; sampled every 4 ms, its delayed inputs become states, so that the
-    feedback predicts over the delay (Astrom and Wittenmark, Computer-Controlled Systems, sections 2.3 and 11.4). The
+    `plant` has one input and its states as outputs. It is sampled every 4 ms, and its delayed inputs become states, so
+    that the feedback predicts over the delay (Astrom and Wittenmark, Computer-Controlled Systems, 2.3 and 11.4). The
     weights are one over the square of what is acceptable (Bryson's rule); a state whose `largest` is infinite does not
     count. Raises ParameterError where no feedback stabilises the plant and the integral.
     """
@@ -69,7 +69,7 @@ def rate_lqr(plant: PitchRate = PAPER_PITCH_RATE) -> LqrGains:
     """Gains on q and its integral, for errors of 1 rad/s and .2 rad at a moment of .06.
 
     The spring is left out. It makes the integral of q, which is theta, return by itself, so that no constant moment
-    holds a rate. Then there would be no feedback of both.
+    holds a rate. No feedback of both would exist then.
     """
     rigid = DelayedStateSpace.of([[0.0]], [plant.mu], [[1.0]], [[0.0]], plant.tau)
     return lqr(rigid, 0, (1.0,), 0.2, 0.06)

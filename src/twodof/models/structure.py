@@ -31,13 +31,13 @@ class UnknownParameter:
 
 @dataclass(frozen=True, eq=False)
 class Structure:
-    """Any diagram, linear or not, whose parameters are to be found from data.
+    """Any diagram, linear or not, whose parameters are identified from data.
 
     The diagram's own parameters (`Diagram.param`) are the unknowns; its inputs and outputs are the columns a record
     must have. `estimate` names the unknowns that a fit finds unless told otherwise, the others keep their values;
     `local` those that each record has for itself; `scale` the size of a change that matters, for unknowns whose first
     guess is 0 (default: the guess, or 1). `substeps`: how many base ticks one step of the data is divided into.
-    Raises IdentificationError for a name that is no parameter of the diagram.
+    Raises IdentificationError for a name that is not a parameter of the diagram.
     """
 
     diagram: Diagram
@@ -50,7 +50,7 @@ class Structure:
         for name in (*self.estimate, *self.local, *self.scale):
             self._param(name)
         if not self.estimate:
-            raise IdentificationError("nothing is to be estimated", f"structure '{self.name}'", "name an unknown")
+            raise IdentificationError("there is nothing to estimate", f"structure '{self.name}'", "name an unknown")
 
     @property
     def name(self) -> str:

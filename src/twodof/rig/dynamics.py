@@ -27,13 +27,14 @@ class Dynamics(Block):
     """theta, q, x, v of the drone on its cart; docs/explanation/physics.md, equations (1) to (4).
 
         J q' + m_d d cos(theta) v' = moment + gust - m_d g d sin(theta) - k_1 theta - k_3 theta^3 - c q - friction
+
         m v' + m_d d cos(theta) q' = m_d d sin(theta) q^2 - thrust sin(theta) + f - c_x v - friction
 
     `running` in [0, 1] leads from the friction of the bearing with the rotors at rest to that with them running (they
     shake it). The rings of 1DoF are stops around `ring_place` that leave the cart `ring_play` either way and give
-    nothing back. The sine and cosine of theta are integrated beside it (s' = c q, c' = -s q) and set to theta's own
-    at the end of each step, so no stage needs a trigonometric function. Friction acts on each coordinate by itself. A
-    torque that stops the pitch also moves the cart; that this changes the inertia it meets by (m_d d)^2 / (J m), .3 %
+    nothing back. The sine and cosine of theta are integrated beside it: s' = c q, c' = -s q. At the end of each step
+    they are set to theta's own. So no stage needs a trigonometric function. Friction acts on each coordinate by itself.
+    A torque that stops the pitch also moves the cart; that this changes the inertia it meets by (m_d d)^2 / (J m), .3 %
     here, is left out.
     """
 

@@ -175,7 +175,7 @@ def origins(name: str) -> Mapping[str, str]:
 def load_rig(source: str | Path) -> ParameterSet:
     """The set called `source` ("paper", "lab"), or that of a JSON file; what the file does not name stays as built.
 
-    Raises ParameterError for a file that cannot be read, is no set, or holds a value out of bounds.
+    Raises ParameterError for a file that cannot be read, is not a set, or holds a value out of bounds.
     """
     if source == "paper":
         return paper()

@@ -27,8 +27,8 @@ class Rotors(Block):
     command, so the impulse of an edge is exact. With a `lag` below half a tick the rotors follow at once.
 
     The trim moment is `trim` at hover once the wake stands and `trim_start` before. The wake follows the thrust with
-    `wake_lag`: on the drone the mean M of the first second after a start differs from that of the hover after it, and a
-    doublet flown 0.14 s after a restart meets hardly any trim.
+    `wake_lag`. The drone shows it: the mean M of the first second after a start differs from that of the hover after
+    it, and a doublet flown 0.14 s after a restart meets hardly any trim.
     """
 
     inputs = (Port("fore"), Port("aft"), Port("supply"))

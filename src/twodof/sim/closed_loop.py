@@ -99,8 +99,8 @@ def closed_loop(
 class ClosedLoop:
     """A compiled closed loop with one rig and one set of gains, to be flown again and again.
 
-    `rig` is a set from `twodof.rig.parameters` (None: `lab`), `conditions` are further parameters of the rig (`noise`,
-    `seed`, `rings`, `trim`, ...), `tuning` those of the flight code besides the gains, by path. `controllers` are
+    `rig` is a set from `twodof.rig.parameters` (None: `lab`). `conditions` are further parameters of the rig, such as
+    `noise` and `seed`. `tuning` sets those of the flight code that are not gains, by path. `controllers` are
     diagrams that fly in place of the stock loops and mixer (`flight.templates`); the gains are those of the stock loops
     that are left. `precision`, "float64" or "float32", is that of everything, the rig included. Without a C compiler it
     runs on the reference interpreter, with its warning. With `failsafe` its inputs `SAFETY` are those of a flight on

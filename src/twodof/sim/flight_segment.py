@@ -38,10 +38,10 @@ class FlightSegment:
     """A window of a log on the control grid of n steps, and the start of its simulation.
 
     `time` (n,) [s] are the steps by the drone's clock; `mode` (n,) indices into `signals.MODES`; `setpoint[name]` (n,)
-    for x0, v0, theta0, q0, M_open, thrust; x0 and v0, and x and v of `start`, are zeros where the log lacks them and no
-    mode of the window needs them (1DoF). `hold` [s] is the time before the window from which the trim moment
-    (`trim_moment`, the mean M, at the mean pitch `trim_theta`) is taken, None if there was none; `velocity_bias` [m/s]
-    is from before the window too.
+    for x0, v0, theta0, q0, M_open, thrust. For 1DoF, where no mode of the window needs the cart, the log may lack x0,
+    v0, x and v: x0, v0 and the start's x and v are then zeros. `hold` [s] is the time before the window that gives the
+    trim, None if there was none. The trim is `trim_moment`, the mean M, at the mean pitch `trim_theta`.
+    `velocity_bias` [m/s] is from before the window too.
     `states` are controller states at the first step; `spun_up` [s] is how long the rotors have run,
     `tof_elapsed` [s] how long ago the last range sample was.
     """
@@ -111,8 +111,8 @@ def _steps(log: FlightLog, stretch: Stretch) -> Floats:
 def read_segment(log: FlightLog, gains: Gains, window: tuple[float, float] | None = None) -> FlightSegment:
     """Reads a window (None: the default one) of `log`, flown with `gains`.
 
-    Raises LogError for a window without 10 control steps, and as `FlightLog` does for missing channels: x, v, x0 and v0
-    only where a mode of the window needs the cart.
+    Raises LogError for a window without 10 control steps, and as `FlightLog` does for missing channels. x, v, x0 and v0
+    are missed only where a mode of the window needs the cart.
     """
     t0, t1 = window if window is not None else default_window(log)
     grid = _grid(log, t0, t1)
@@ -227,7 +227,7 @@ def _last_step(log: FlightLog, a: float, b: float) -> float:
 
 
 def _loop_opened(log: FlightLog, begin: float) -> float:
-    """When the mode that is flown at `begin` was entered if it holds neither pitch nor place, else `begin`."""
+    """When the mode that is flown at `begin` was entered, or `begin` if that mode holds the pitch or the place."""
     for stretch in modes(log):
         if stretch.t0 <= begin < stretch.t1 and stretch.mode in ("open-loop", "rate", "velocity"):
             return stretch.t0
@@ -237,7 +237,7 @@ def _loop_opened(log: FlightLog, begin: float) -> float:
 def _trim(log: FlightLog, hold: tuple[float, float] | None) -> tuple[float | None, float]:
     """(mean M, mean theta) of the hold.
 
-    A rail bias is not taken. The mean pitch of a hold is mostly what stiction leaves: used as a bias it costs 5 to 15
+    A rail bias is not taken. The mean pitch of a hold is mostly what stiction leaves. As a bias it would cost 5 to 15
     points of FIT on theta in both flights on the rail.
     """
     if hold is None:

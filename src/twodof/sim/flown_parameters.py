@@ -23,7 +23,7 @@ class FlownParameters:
     """The gains at the start of a log, None where it does not say, and the `changes` in flight, by time.
 
     `controllers` are diagrams by template, `tuning` their parameters at the start by path. `unknown` names the user's
-    controllers whose diagram the log has not.
+    controllers whose diagram the log lacks.
     """
 
     gains: Gains | None = None
@@ -67,7 +67,7 @@ class FlownParameters:
 
 
 def _diagram(template: str, row: object) -> Diagram | None:
-    """The diagram that a log has of a user's controller; None where it has none that fits its template."""
+    """The diagram that a log has of a user's controller; None if it lacks one, or if its template does not fit."""
     if not isinstance(row, Mapping) or not isinstance(row.get("diagram"), Mapping) or template not in TEMPLATES:
         return None
     try:

@@ -76,8 +76,8 @@ class InitialState:
         }
 
     def rig_states(self, delay: float, lag: float) -> dict[str, Any]:
-        """States of the rig, to be set once it was reset: its delay lines [s] are filled with what was commanded, and
-        the rotors' lag [s] is run over it.
+        """States of the rig, to set after its reset: the delay lines [s] hold what was commanded, and
+        the rotors' lag [s] has run over it.
         """
         states: dict[str, Any] = {"battery.load": float(self.running)}
         commands = self.commands or (((0.0, HOVER),) if self.hover else ())

@@ -1,7 +1,7 @@
 """Replay: the compiled flight code is fed with a log's inputs and must give the log's outputs back.
 
 This is the proof that what we compile is what flew. Each loop is entered at its own logged set-point and measurement,
-through the mode of the one compiled cascade; the integrals are seeded from the log where the log cannot tell them.
+through the mode of the one compiled cascade. Where the log does not tell an integral, it is seeded from the log.
 Gains that were changed in flight are changed in the replay. A user's controller is run by `sim.replay_user`.
 """
 
@@ -66,18 +66,18 @@ class Replay:
 def replay(log: FlightLog, gains: Gains | None = None, precision: str = "float64") -> Replay:
     """Feeds the logged inputs to the cascade, compiled in `precision`, and compares M, q0, theta0, T.
 
-    `gains` None: those that the log says, with each change in flight, else the default ones; the user's controllers of
-    which it has the diagrams are run in place of the stock loops. With `gains` the stock cascade is compared, with
+    `gains` None: those that the log says, with each change in flight, else the default ones. A user's controller whose
+    diagram the log has then runs in place of the stock loops. With `gains` the stock cascade is compared, with
     these all along.
 
     Where no compiler is found the reference runs instead, with a warning that says so. Raises LogError if the log lacks
     a channel, DiagramError for an unknown precision.
 
     Left out are five samples where a loop starts, samples whose input is missing from the log, and the twelve after
-    each of these from which the loop is seeded: its integral, and for M the derivative's memory of the missing error.
+    each of these. The twelve seed the loop: its integral, and for M the derivative's memory of the missing error.
     The reset of the integrals is not logged; it shows where M is what the law gives with the integral in reset. Where
-    a missing sample hides whether there was one, nothing is compared. Nor is it within `UNSURE_S` of a change, whose
-    step the log does not tell exactly.
+    a missing sample hides whether there was one, nothing is compared. The same holds within `UNSURE_S` of a change,
+    as the log does not tell its step exactly.
     """
     flown = FlownParameters.of(log.provenance) if gains is None else FlownParameters(gains)
     paired = align_log(log)

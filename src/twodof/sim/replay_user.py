@@ -36,7 +36,7 @@ def replay_user(
     """Runs the cascade with the user's controllers over the whole log, at its modes and set-points.
 
     What a user's controller remembers is known where it is reset: with no thrust, and just after. So it is compared
-    from there up to the first missing sample, but for the `unsure` steps (n,). M is not compared where a user's motor
+    from there up to the first missing sample, except the `unsure` steps (n,). M is not compared where a user's motor
     controller flew, and nothing is where the log lacks the channel `mode`. Raises LogError if it lacks another one.
     """
     if "mode" not in log.channels:
@@ -89,7 +89,7 @@ def _inputs(log: FlightLog, paired: AlignedLog) -> tuple[dict[str, Any], Flags]:
 
 
 def _tune(machine: Any, values: Mapping[str, Any]) -> None:
-    """Sets parameters of the cascade by path, an array's element by its index; what it has not is left out."""
+    """Sets parameters of the cascade by path, an array's element by its index; unknown paths are left out."""
     for path, value in values.items():
         element = _ELEMENT.fullmatch(path)
         full = f"cascade.{element[1] if element else path}"

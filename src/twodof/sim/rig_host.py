@@ -131,7 +131,7 @@ class VirtualRig:
         values: dict[str, Any] = {}
         if seed is not None:
             if isinstance(seed, bool) or not 0 <= operator.index(seed) < SEEDS:
-                raise ParameterError(f"{seed!r:.40} is no seed", "seed", f"give an integer 0 to {SEEDS - 1}")
+                raise ParameterError(f"{seed!r:.40} is not a seed", "seed", f"give an integer 0 to {SEEDS - 1}")
             values["seed"] = operator.index(seed)
         if noise is not None:
             if not (math.isfinite(noise) and noise >= 0.0):
@@ -163,7 +163,7 @@ class VirtualRig:
         self._look()
 
     def stop(self) -> None:
-        """Both pairs off, whatever is commanded, until `release`; from any thread."""
+        """Both pairs off until `release`, against every command; from any thread."""
         self._stopped = True
 
     def release(self) -> None:

@@ -41,11 +41,11 @@ class AlignedLog:
 
 
 def align_log(log: FlightLog) -> AlignedLog:
-    """Pairs the channels of a log. Raises LogError if one of M, T, q0, theta0, v0, q, theta, v is missing or too short.
+    """Pairs the channels of a log: M, T, q0, theta0, v0, q, theta, v. Raises LogError for one missing or too short.
 
     The drone's logs show these rules. The grid is M's. A set-point's sample is the first one at or after M's stamp, as
-    it comes some microseconds later. A measurement's sample is the latest one at or before M's stamp: q is .3 to .7 ms
-    old, theta 3.7 ms (the nearest one, just after M, is wrong), and v, at 100 Hz, is held.
+    it comes some microseconds later. A measurement's sample is the latest one at or before M's stamp. q is .3 to .7 ms
+    old and theta 3.7 ms; the nearest theta, just after M, is wrong. v comes at 100 Hz and is held.
     """
     time = _filled(log, "M").time
     value = {"M": log["M"].value}
@@ -108,5 +108,5 @@ def _stale(channel: Channel, index: NDArray[np.intp], age: Floats) -> Flags:
 def _filled(log: FlightLog, name: str) -> Channel:
     channel = log[name]
     if len(channel) < 2 or channel.value.ndim != 1:
-        raise LogError("the channel is no scalar, or holds no two samples", f"{log.source}: {name}", "give a flight")
+        raise LogError("the channel is not a scalar or lacks two samples", f"{log.source}: {name}", "give a flight")
     return channel

@@ -28,8 +28,8 @@ class VirtualDrone:
     `rig` is "paper", "lab", a file or a set of parameters; `conditions` further parameters of it (`seed`, `noise`,
     `rings`, ...). `controllers` are diagrams, their JSON files, or names of starter diagrams, which fly in a sandbox
     unless `trusted`. `precision` is that of everything. `state` is the folder of what it keeps, None for nothing.
-    `rate` names the streams that every client gets, "onboard" or "ground". `fresh` forgets what is kept in `state` but
-    for its logs.
+    `rate` names the streams that every client gets, "onboard" or "ground". `fresh` forgets what is kept in `state`,
+    except its logs.
 
     Use it as an asynchronous context manager: within, it runs; `listen` opens links. Raises ParameterError,
     DiagramError, CompileError and LinkError for what cannot be.

@@ -202,7 +202,7 @@ def test_what_is_wrong_changes_nothing(folder: Path, capfd: pytest.CaptureFixtur
     found = answer(capfd, "flash", "lqr", "--to", "sim", status=2)
     assert "lqr-attitude" in found["error"]["remedy"]
     found = answer(capfd, "flash", "pid-attitude", "--to", "fc", status=2)
-    assert found["error"]["what"] == "'fc' is neither sim, px4-dir, fcu nor a URL"
+    assert found["error"]["what"] == "'fc' is not sim, px4-dir, fcu or a URL"
     for arguments in (["--to", "px4-dir"], ["--to", "sim", "--out", "x"], ["--to", "sim", "--px4", "x"], ["--to", "x"]):
         assert run(["flash", "pid-attitude", *arguments]) == 2
     assert (folder / "data/flashed/sim/attitude_control.json").read_bytes() == before

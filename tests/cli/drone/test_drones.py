@@ -1,4 +1,4 @@
-"""`twodof drones`: what is heard is listed, for people and for machines; that nobody is there is no error."""
+"""`twodof drones`: what is heard is listed, for people and for machines; an empty list is not an error."""
 
 import json
 

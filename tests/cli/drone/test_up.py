@@ -31,7 +31,7 @@ from twodof.link.signing.key import Key, write_key
 
 @pytest.fixture
 def first() -> Iterator[int]:
-    """The first of two numbers that no other test has meanwhile."""
+    """The first of two numbers that no other test has at the time."""
     with free_numbers(2) as found:
         yield found
 
@@ -77,7 +77,7 @@ class Up:
         return {int(one): Path(f"/proc/{one}/cmdline").read_text().replace("\0", " ") for one in ids}
 
     def ended(self) -> int:
-        """Its exit status, once it has ended and all that it said is in `out` and `said`."""
+        """Its exit status, once it has ended and all its words are in `out` and `said`."""
         status = self.process.wait(PATIENCE_S)
         for thread in self._threads:
             thread.join(PATIENCE_S)

@@ -1,4 +1,4 @@
-"""Around a user's controllers: what is no number stops the motors, motors make pairs, flags follow the mode."""
+"""Around a user's controllers: a NaN or infinity stops the motors, motors make pairs, flags follow the mode."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ BOOLS = (False, True)
 
 
 def edge(*thresholds: float) -> tuple[float, ...]:
-    """Values at, just below and just above each threshold and its negative, and those that are no numbers."""
+    """Values at, just below and just above each threshold and its negative, and NaN and infinities."""
     near = [f(s * t) for t in thresholds for s in (1, -1) for f in (float, below, above)]
     return (0.0, *near, NAN, INF, -INF)
 

@@ -89,8 +89,8 @@ def flags(*names: str) -> dict[str, Sequence[Any]]:
 def mutants(graph: Graph) -> Iterator[tuple[str, Graph]]:
     """Every graph with one small fault in it, and what the fault is.
 
-    Operations are exchanged for their relatives (< for <=, and for or, + for -, ...), a choice for one of its branches,
-    each use of a constant or an integer parameter is off by one, each use of a flag is negated, true or false.
+    Operations are exchanged for their relatives (< for <=, and for or, + for -, ...), a choice for one of its branches.
+    Each use of a constant or an integer parameter is off by one; each use of a flag is negated, true or false.
     """
     items = walk(graph.values())
     place = {id(item): number for number, item in enumerate(items)}

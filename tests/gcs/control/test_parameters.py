@@ -44,7 +44,7 @@ def fly(flight: Flight, *rows: dict[str, Any], peer: Peer | None = None) -> None
 
 
 def foreign() -> Peer:
-    """Another's PX4: no TWODOF message, and no word about a parameter that it has not."""
+    """Another's PX4: no TWODOF message, and no word about a parameter that it lacks."""
     silent = ("TWODOF_", "PARAM_ERROR")
     return Peer(spoil=lambda _, sent: [] if sent.get_type().startswith(silent) else [sent])
 
@@ -79,7 +79,7 @@ def test_a_parameter_is_found_by_its_path_with_bounds_and_unit() -> None:
 
 @pytest.mark.parametrize("told", ["hash", "count", "rig"])
 def test_what_was_known_is_forgotten_when_the_list_is_another(told: str) -> None:
-    """Told by the hash, by the number of parameters, or by which diagram flies: whatever was not lost on the way."""
+    """Told by the hash, by the number of parameters, or by which diagram flies: any one that arrives is enough."""
 
     async def flight(peer: Peer, drone: AsyncDrone) -> None:
         assert await drone.parameters.read("attitude_control.k_q") == 0.1

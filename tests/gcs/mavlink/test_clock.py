@@ -1,4 +1,4 @@
-"""The drone's time: where its numbers on the wire begin anew, and that this is no restart."""
+"""The drone's time: where its numbers on the wire begin anew, and that this is not a restart."""
 
 import asyncio
 from typing import Any
@@ -130,7 +130,7 @@ class Standing(Peer):
     stands = False
 
     def send(self, name: str, /, **fields: Any) -> None:
-        """As Peer's, but for what would tell of time."""
+        """As Peer's, without what would tell the time."""
         if not (self.stands and name == "TWODOF_TICK"):
             super().send(name, **fields)
 

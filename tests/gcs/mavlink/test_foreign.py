@@ -17,7 +17,7 @@ from twodof.gcs.async_drone import AsyncDrone
 
 
 class Foreign(Peer):
-    """Answers to nothing that is ours, as PX4 does."""
+    """Answers none of our own messages, as PX4 does."""
 
     def _answer(self, received: Any) -> None:
         got = received.message

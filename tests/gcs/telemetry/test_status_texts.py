@@ -47,7 +47,7 @@ def test_pieces_that_overtake_each_other_are_put_in_order() -> None:
 
 
 def test_px4_counts_its_lines_from_zero() -> None:
-    """Its first line in pieces has the id 0, which by MAVLink says that there is one piece only."""
+    """Its first line in pieces has the id 0, which by MAVLink says that it has one piece only."""
     raw = LONG.encode()
     assert heard((0, [raw[:50], raw[50:]]), (1, [b"Armed"])) == [LONG, "Armed"]
 

@@ -1,4 +1,4 @@
-"""The dialect: the same numbers as MAVLink's own, generated once, loaded fast, whatever the cache does."""
+"""The dialect: the same numbers as MAVLink's own, generated once, loaded fast, in every state of the cache."""
 
 import os
 import subprocess

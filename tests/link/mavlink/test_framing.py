@@ -139,7 +139,7 @@ def test_the_end_of_a_datagram_is_the_end() -> None:
 
 
 def unknown_frame() -> bytes:
-    """A frame of a message that the dialect has not."""
+    """A frame of a message that the dialect lacks."""
     return b"\xfd\x03\x00\x00\x05\x01\x01" + (300_000).to_bytes(3, "little") + b"abc" + b"\x12\x34"
 
 

@@ -1,4 +1,4 @@
-"""The rates are those of messages that there are, under their names."""
+"""The rates are those of messages in the dialect, under their names."""
 
 from twodof.link.mavlink import dialect
 from twodof.link.mavlink.rates import GROUND, ONBOARD, RATES

@@ -1,4 +1,4 @@
-"""UDP sockets that are flooded: others are heard, a kill passes whoever sends, and nobody is refused for ever."""
+"""UDP sockets that are flooded: others are heard, a kill from any sender passes, and nobody is refused for ever."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ async def pour(there: UdpTransport, sockets: list[socket.socket], data: bytes = 
 
 
 async def drain(there: UdpTransport, until: bytes = b"") -> list[bytes]:
-    """All that comes, up to the first `until`; without, until the system has nothing more, so that there is room."""
+    """Everything that comes, up to the first `until`; without, until the system holds nothing more and has room."""
     found: list[bytes] = []
     while not until or until not in found[-1:]:
         packet = await there.receive(SOON if until else 0.02)
@@ -92,7 +92,7 @@ async def drain(there: UdpTransport, until: bytes = b"") -> list[bytes]:
 
 @pytest.fixture(params=["kernel", "here"])
 def filtered(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
-    """With the kernel's filter, and on a system that has none; for longer than any test takes."""
+    """With the kernel's filter, and on a system without one; for longer than any test takes."""
     monkeypatch.setattr(flood_filter, "REFUSED_S", 600.0)
     if request.param == "kernel" and sys.platform != "linux":
         pytest.skip("socket filters are Linux's")

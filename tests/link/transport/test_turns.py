@@ -31,7 +31,7 @@ TICK = message("TWODOF_TICK", tick=7)
 
 
 def unknown(number: int) -> bytes:
-    """A frame of a message that the dialect has not."""
+    """A frame of a message that the dialect lacks."""
     return b"\xfd\x01\x00\x00" + bytes([number & 0xFF]) + b"\x09\x01\xaa\xaa\x00\x07\x12\x34"
 
 

@@ -9,7 +9,7 @@ from twodof.report.characterisation.errata import doublet_travel, errata, impuls
 
 
 def test_unit_peak_is_that_of_the_step_response_at_the_doublets_turn() -> None:
-    """q of a step of M is A/w_d exp(-xi w_n t) sin(w_d t), still rising at 0.3 s: the peak is at the turn."""
+    """A step of M gives q = A/w_d exp(-xi w_n t) sin(w_d t). It still rises at 0.3 s, so the peak is at the turn."""
     w_n, xi = PAPER_PITCH_RATE.w_n, PAPER_PITCH_RATE.xi
     w_d = w_n * math.sqrt(1.0 - xi**2)
     exact = 0.03 / w_d * math.exp(-xi * w_n * 0.3) * math.sin(w_d * 0.3)

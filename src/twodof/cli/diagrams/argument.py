@@ -11,6 +11,6 @@ DIAGRAM_HELP = f"A diagram's JSON file, or a starter diagram: {', '.join(STARTER
 def read_diagram(text: str) -> Diagram:
     """The diagram that an argument names: a starter's name, or a JSON file, of which nothing is executed.
 
-    Raises DiagramError, with the names of the starters, for what is neither, and for a file that is no diagram.
+    Raises DiagramError, with the names of the starters, for what is neither, and for a file that is not a diagram.
     """
     return load_diagram(text)

@@ -196,7 +196,7 @@ def render(
     """Draw a diagram as SVG."""
     if out is not None:
         if out.suffix.lower() != ".svg":
-            raise LogError(f"an SVG is drawn, and {out.name} is no name for one", "--out", f"name it {out.stem}.svg")
+            raise LogError(f"the drawing is an SVG; {out.name} does not say so", "--out", f"name it {out.stem}.svg")
         check_folder(out, force)
     picture = to_svg(find(read_diagram(diagram), path), depth)
     if out is None:

@@ -114,7 +114,7 @@ def run(
 ) -> None:
     """Route, and run a program of your own on board: started again if it crashes, ended with the companion.
 
-    Exit status: 0 it ended by itself, 1 it crashed too often, 2 it is no app.
+    Exit status: 0 it ended by itself, 1 it crashed too often, 2 it is not an app.
     """
     supervised = (program, RestartPolicy(most=restarts), AppLimits(memory=memory * MIB))
     raise typer.Exit(asyncio.run(_until_told(_fly(context.obj, *supervised))))

@@ -69,8 +69,8 @@ def fcu(
 ) -> None:
     """Fly a virtual drone: its rig, and the flight controller's program, which clients reach over MAVLink.
 
-    It prints a line `listening on URL` for each link once clients may come (with --json one line of JSON), and ends by
-    Ctrl-C or SIGTERM: motors off, log closed, exit status 0.
+    It prints a line `listening on URL` for each link once clients may come (with --json one line of JSON). Ctrl-C or
+    SIGTERM ends it: motors off, log closed, exit status 0.
     """
     folder = data_folder() / f"drone-{index}" if state is None else state
     signing = None

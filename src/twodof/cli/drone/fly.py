@@ -55,9 +55,9 @@ def fly(
 ) -> None:
     """Arm, hold, excite on board, disarm, and check that the data are good enough.
 
-    A virtual drone is put to its start first. What went wrong in flight breaks it off: the drone is levelled and
-    disarmed, and the log holds what there is; so does Ctrl-C, which disarms at once, with exit status 130. Exit status
-    1: it was broken off, or its data are not good.
+    A virtual drone is put to its start first. If something goes wrong, the flight is broken off: the drone is levelled
+    and disarmed, and the log holds what was flown. Ctrl-C breaks it off too, but disarms at once, with exit status 130.
+    Exit status 1: it was broken off, or its data are not good.
     """
     asked = named_experiment(experiment)
     if url is not None and rig is not None:

@@ -1,4 +1,4 @@
-"""`twodof kill`: the motors of a drone off, from the shell, whoever has its lease; and letting it go again."""
+"""`twodof kill`: the motors of a drone off, from the shell, though another has its lease; and letting it go again."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ def kill(
     release: Annotated[bool, typer.Option("--release", help="Let a drone that was killed be armed again.")] = False,
     json: Json = False,
 ) -> None:
-    """Motors off, now: in flight too, whatever it does and whoever commands it. It needs no lease and takes none.
+    """Motors off, now: in flight too, and though another program commands it. It needs no lease and takes none.
 
-    The kill is said again until the drone is seen to be disarmed, and holds it so, whatever programs do, until it is
-    released by --release, which takes the lease. Exit status 2: no drone was heard, or it was not seen to obey.
+    The kill is repeated until the drone is seen to be disarmed. No program can arm it until --release, which takes the
+    lease. Exit status 2: no drone was heard, or it was not seen to obey.
     """
     if release:
         _release(url, drone, key, json)

@@ -1,4 +1,4 @@
-"""`twodof parameters`: see and set what can be tuned on a drone, the parameters of a controller of one's own too."""
+"""`twodof parameters`: see and set what can be tuned on a drone, the parameters of your own controller too."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ def parameters(
     ] = False,
     json: Json = False,
 ) -> None:
-    """Show a drone's parameters, or set some: all that are given act together at one tick, or none does.
+    """Show a drone's parameters, or set some: those that you give act together at one tick, or none does.
 
-    Those of a controller of one's own that flies there have the paths in its diagram as names too. It takes no lease:
-    a drone that another program flies is tuned in flight, unless that program withholds it. A value that the drone
-    refuses, and a name that it has not: exit status 2, and nothing was changed.
+    If your own controller flies there, the paths in its diagram name its parameters too. It takes no lease:
+    a drone that another program flies is tuned in flight, unless that program withholds it. If the drone refuses a
+    value or does not know a name: exit status 2, and nothing was changed.
     """
     names, changes = _asked(wanted or ())
     with Drone.connect(url, key=key, drone=drone, take_lease=False) as there:
@@ -67,7 +67,7 @@ def parameters(
 
 
 def _asked(wanted: Iterable[str]) -> tuple[list[str], dict[str, float]]:
-    """The names to show and what is to be set. Raises ParameterError for a value that is no number."""
+    """The names to show and what to set. Raises ParameterError for a value that is not a number."""
     names: list[str] = []
     changes: dict[str, float] = {}
     for one in wanted:
@@ -76,7 +76,7 @@ def _asked(wanted: Iterable[str]) -> tuple[list[str], dict[str, float]]:
             try:
                 changes[name] = float(text)
             except ValueError:
-                raise ParameterError(f"{shown(text)} is no number", name, "nothing was changed") from None
+                raise ParameterError(f"{shown(text)} is not a number", name, "nothing was changed") from None
         names.append(name)
     return [*dict.fromkeys(names)], changes
 
@@ -84,7 +84,7 @@ def _asked(wanted: Iterable[str]) -> tuple[list[str], dict[str, float]]:
 def _rows(
     drone: Drone, names: Iterable[str], changes: Mapping[str, float], described: Mapping[str, ParameterDescription]
 ) -> list[dict[str, Any]]:
-    """Sets what is to be set, and says how those of `names`, or all, stand then."""
+    """Sets the `changes`, and says how those of `names`, or all, stand then."""
     if changes:
         drone.parameters.change(changes)
     if not names:

@@ -167,7 +167,7 @@ def _check_options(
         given = {"--model": model is not Model.auto, "--estimate": estimate, "--value": value}
         if idle := [name for name, there in given.items() if there]:
             raise ParameterError(
-                "by hand everything is read off: there is no structure to choose and nothing to guess or hold",
+                "by hand everything is read off: it takes no structure, no guess and no value to hold",
                 " ".join(idle),
                 "leave it out, or take --method grey-box",
             )
@@ -255,7 +255,7 @@ def _by_output_error(
 def _check_request(
     structure: Structure, experiment: ExperimentChoice, model: Model, estimate: Sequence[str], values: dict[str, float]
 ) -> None:
-    """Raises ParameterError for a model of another experiment, an unknown it has not, a value out of its bounds."""
+    """Raises ParameterError for a model of another experiment, a wrong unknown, or a value out of its bounds."""
     kind = KINDS[experiment.value]
     if not set(structure.inputs) <= set(kind.inputs):
         raise ParameterError(

@@ -35,7 +35,7 @@ def info(
     file: Annotated[Path, typer.Argument(help="A .mat, .mcap, .parquet, .csv or .ulg log.")],
     json: Json = False,
 ) -> None:
-    """Channels, rates, gaps, events, the experiment that a log looks like, what the failsafe did and the drone said."""
+    """What a log holds: channels and rates, gaps, events, the likely experiment, and what failsafe and drone said."""
     log = read_log(file)
     found = describe(log)
     found["failsafe"] = [asdict(band) for band in failsafe_bands(log)]

@@ -89,15 +89,15 @@ class MomentAndThrust(Block):
 def cascade(gains: Gains = DEFAULT, attitude: Diagram | None = None, position: Diagram | None = None) -> Diagram:
     """The cascade with `gains`, made for 250 Hz.
 
-    Inputs: `mode` (int32, index into `signals.MODES`), `in_reset` (bool: the integrals), the set-points `x0` [m],
-    `v0` [m/s], `theta0` [rad], `q0` [rad/s] of which the mode uses one, `thrust` (in the modes without velocity loop),
-    `M_open` (in open loop), and the estimates `x`, `v`, `theta`, `q`. Outputs: `M`, `T` and the set-points in use,
+    Inputs: `mode` (int32, index into `signals.MODES`) and `in_reset` (bool: the integrals). The mode uses one of the
+    set-points `x0` [m], `v0` [m/s], `theta0` [rad], `q0` [rad/s]. `thrust` is for the modes without velocity loop,
+    `M_open` for open loop. The estimates are `x`, `v`, `theta`, `q`. Outputs: `M`, `T` and the set-points in use,
     `q0`, `theta0`, `v0`, `x0`. Parameters: `rate.kp/ki/kd/N/limit`, `attitude.kp/limit`, `velocity.kp/ki`,
     `projection.T_bar/eta_T`, `position.kp/limit`.
 
-    `attitude` and `position` are diagrams of the templates of these names (`flight.templates`), which take the place of
-    the stock loops as the parts `attitude_control` and `position_control`; a set-point between loops inside one is
-    not seen outside, so `q0` and `v0` are then 0 unless they are given. With `position` there is one more input,
+    `attitude` and `position` are diagrams of the templates of these names (`flight.templates`). They replace the stock
+    loops, as the parts `attitude_control` and `position_control`. A set-point between loops inside such a part is not
+    seen outside, so `q0` and `v0` are then 0 unless they are given. With `position` there is one more input,
     `ax0` [m/s2].
     """
     d = Diagram("cascade", "position, velocity, attitude and rate loop; the mode names the outermost that is closed")

@@ -12,9 +12,9 @@ from twodof.signals import ATTITUDE, RATE, VELOCITY
 class LevelHold(Block):
     """Finds the moment M_trim that holds the pitch, and adds it to an open-loop excitation flown right after.
 
-    From `settle` s after the attitude mode was entered with thrust on, M_trim is the mean of the moment over at most
-    the last `window` s; what is older is forgotten exponentially. It is kept when the mode changes, until the next
-    hold. In open loop M_open = excitation + M_trim where `use_trim`, else the excitation alone.
+    The hold begins `settle` s after the attitude mode was entered with thrust on. From then on M_trim is the mean of
+    the moment over at most the last `window` s; what is older is forgotten exponentially. It is kept when the mode
+    changes, until the next hold. In open loop M_open = excitation + M_trim where `use_trim`, else the excitation alone.
     """
 
     inputs = (

@@ -42,7 +42,7 @@ class MotorFlags(Block):
 class RotorPairs(Block):
     """The commands of the single motors as those of the rotor pairs: a pair gets the mean of its two motors.
 
-    The rails let the drone neither roll nor yaw, so only what the motors of a pair have in common moves it. A command
+    The rails keep the drone from roll and yaw, so only what the motors of a pair have in common moves it. A command
     is kept within [0, 1], one that is infinite or NaN is 0, and all are 0 when the mode is off. M = (fore - aft) / 2
     and T = (fore + aft) / 2 are what flies; `M_shown` and `T_shown` are the same, or NaN while a command is not finite.
     """

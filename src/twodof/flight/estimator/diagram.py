@@ -42,10 +42,10 @@ def estimator(position_filter: str = "joint") -> Diagram:
 
     `position_filter` is "joint": one extended Kalman filter for pitch and position, which comes closest to the drone's
     own estimates. The others, "fixed-gain" and "kalman", are fed with the pitch of a filter of its own.
-    Inputs: `acc_x`, `acc_z` [m/s2] (specific force, body axes forward-right-down), `gyro_y` [rad/s], `dist` [m] with
-    `dist_new` (bool, true for one tick a sample) and `dist_age` [s] at that tick. Outputs: `theta` [rad], `q` [rad/s],
-    `x` [m], `v` [m/s] of this sample and `x_published`, `v_published`, held at 100 Hz. Raises ParameterError for
-    another filter.
+    Inputs: `acc_x`, `acc_z` [m/s2] (specific force, body axes forward-right-down), `gyro_y` [rad/s] and `dist` [m].
+    `dist_new` (bool) is true for one tick a sample; `dist_age` [s] is its age at that tick. Outputs of this sample:
+    `theta` [rad], `q` [rad/s], `x` [m], `v` [m/s]. `x_published` and `v_published` are held at 100 Hz. Raises
+    ParameterError for another filter.
     """
     if position_filter not in POSITION_FILTERS:
         raise ParameterError(

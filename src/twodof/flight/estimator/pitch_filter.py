@@ -14,10 +14,10 @@ from twodof.flight.tunables import tunables
 class PitchFilter(Block):
     """Pitch theta and rate q by an extended Kalman filter with the states theta and gyro bias b.
 
-    Prediction, with the gyro's noise and bias walk: theta' = gyro_y - b, b' = 0. Measurement: the specific force has
-    no horizontal part but the cart's acceleration, which is taken for white noise of `sigma_acc`,
-        0 = cos(theta) f_x + sin(theta) f_z + noise,
-    whose derivative by theta, at f = (g sin, -g cos), is -g. The first sample sets theta = atan2(f_x, -f_z).
+    Prediction, with the gyro's noise and bias walk: theta' = gyro_y - b, b' = 0. Measurement: only the cart's
+    acceleration makes a horizontal specific force, and it is taken for white noise of `sigma_acc`,
+        0 = cos(theta) f_x + sin(theta) f_z + noise.
+    Its derivative by theta, at f = (g sin, -g cos), is -g. The first sample sets theta = atan2(f_x, -f_z).
     After a sample that cannot be, such as NaN, it starts anew with the next one (`finite.restarted`).
     `variance` is that of theta, (rad)^2; `covariance` and `bias_variance` complete the matrix.
     """

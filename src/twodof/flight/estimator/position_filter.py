@@ -35,8 +35,8 @@ class FixedGainPosition(Block):
     """x and v as on board: a filter of fixed gains, and an output that follows its position with a lag.
 
     The filter integrates the acceleration; at each range sample, with e = range - x, x += k_x e and v += k_v e. Its v
-    is the output's. The output's x integrates the same and is drawn to the filter's with the time constant `lag`, so
-    that corrections do not make it jump: the logged x has no steps, and the logged v is not its derivative. The first
+    is the output's. The output's x integrates the same and follows the filter's with the time constant `lag`. So no
+    correction makes it jump: the logged x has no steps, and the logged v is not its derivative. The first
     sample sets x, with v = 0. The age of a sample is not used, as the drone does not use it. Defaults: on each of the
     drone's logs x is within 5 mm and v within 20 mm/s RMS of its own estimate. An error b of the acceleration gives v
     the lasting error b k_x / k_v, which is the velocity bias that the logs show; `bias` gives it to a simulated flight.

@@ -21,8 +21,8 @@ def cumulative_sum(total: Any, excess: Any, limit: Any, dt: Any) -> tuple[Any, A
     """A cumulative sum (Page, Biometrika 41-1954) of what is too much, after one more sample, and whether at its limit.
 
     It never falls below 0 and is held at the limit, so that it goes soon after its cause. It reaches the limit by one
-    large sample or by many small ones in a row; what stays below the slack for ever it never adds up. A sum that is no
-    number is 0 again with the next sample that is one.
+    large sample or by many small ones in a row; what stays below the slack for ever it never adds up. A sum that is
+    NaN is 0 again with the next finite sample.
     """
     new = total + excess * dt
     reached = new >= limit
@@ -88,13 +88,13 @@ class ForceConsistency(Block):
 class RateConsistency(Block):
     """Whether the gyro shows the turning that the commands ask for.
 
-    The commands that flew turn the drone by `turn` (lift(fore) - lift(aft)), lift(u) = (1 - `curve`) u + `curve` u^2,
-    after the delay and lag of the rotors, here one lag `answer`. Gravity turns it back by `swing` times the `sine` of
-    the pitch. Any other change of the gyro's rate has another cause: the gyro stands still while the moment grows, a
-    rotor does not do what it is told, or the drone has hit an end stop.
+    The commands that flew turn the drone by `turn` (lift(fore) - lift(aft)), with lift(u) = (1 - `curve`) u +
+    `curve` u^2. They act after the rotors' delay and lag, here one lag `answer`. Gravity turns it back by `swing` times
+    the `sine` of the pitch. No other change of the gyro's rate is expected. Where one is seen, the gyro stands still
+    while the moment grows, a rotor does not obey, or the drone has hit an end stop.
 
-    The sums are unexplained rates. The slack is `turn_slack`, the share `turn_share` of what is expected, and all that
-    is still under way through the lag: when it arrives is known to a few milliseconds only.
+    The sums are unexplained rates. The slack is `turn_slack`, the share `turn_share` of what is expected, and what is
+    still under way through the lag. When that arrives is known to a few milliseconds only.
     """
 
     inputs = (Port("gyro_y", unit="rad/s"), Port("sine"), Port("fore"), Port("aft"))

@@ -93,7 +93,7 @@ def failsafe() -> Diagram:
     """The failsafe, made for 250 Hz.
 
     Inputs: `INPUTS`; the measurements and estimates; `mode` and the set-points as given; the stock commands `fore`,
-    `aft`, `M`, `T` and the user's `own_fore`, ..., where `own_given` says that there are any. Outputs: the mode and
+    `aft`, `M`, `T`; and the user's `own_fore`, ..., if `own_given` is true. Outputs: the mode and
     set-points for the controllers (`safe_mode`, `safe_x0`, ...) and `own`, which both depend on nothing behind the
     controllers; `range_taken`, whether the range may correct the estimates, and `range_age`, which depend on no
     estimate of this tick; `fore`, `aft`, `M`, `T` as they fly; and `OUTPUTS`.

@@ -13,9 +13,9 @@ COMMANDS = ("fore", "aft", "M", "T")
 class OutputSelector(Block):
     """Chooses between the user's controller and the stock one, and stops the motors.
 
-    `own_fore`, ... are the user's commands. They fly while `own`, as long as they are numbers and the controller was
-    not out of time (`own_late`); in the very tick in which they are not, the stock commands fly. Where those are not
-    numbers either, or the motors are `stopped`, both pairs get 0 in that tick. Whatever passes lies within [0, 1].
+    `own_fore`, ... are the user's commands. They fly while `own`, if they are numbers and the controller was in time
+    (not `own_late`). Else the stock commands fly, from that very tick on. Where those are not numbers either, or the
+    motors are `stopped`, both pairs get 0 in that tick. Every output lies within [0, 1].
     """
 
     inputs = (

@@ -16,9 +16,9 @@ from twodof.signals import ATTITUDE, OFF, POSITION
 class SafeSetPoints(Block):
     """Mode and set-points for the controllers.
 
-    Flying: those given, each within its limit (one inside passes with its bits), 0 for one that is no number. Level:
+    Flying: those given, each within its limit (one inside passes with its bits), 0 for one that is not a number. Level:
     attitude mode, theta0 = 0, the thrust that flew last. Brake: the same with the pitch that stops the cart and brings
-    it back, theta0 = brake_x (x - place) + brake_v v within +-`brake_tilt`, where `place` is x within +-`rail_hold`.
+    it back. That is theta0 = brake_x (x - place) + brake_v v, within +-`brake_tilt`; `place` is x within +-`rail_hold`.
     The position loop would not do: the faster the cart is, the further it tilts, into the stop. Descend: as level, and
     the thrust fades to 0 within `descent`. Where no thrust flew when the failsafe began to act, and whenever the motors
     are stopped, the mode is off: no action starts motors that stood.

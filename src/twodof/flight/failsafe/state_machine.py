@@ -29,7 +29,7 @@ class FailsafeStateMachine(Block):
     any        disarmed, while `arm` is false
     disarmed   flying where `ready`, else refused: until `arm` was false once
     armed      off where `off`; else
-    descend    off after `descent` s, whatever else happens
+    descend    off after `descent` s, in every case
     armed      descend where `descend`, or after `level_limit` s of level and brake; else
     armed      brake where `brake`; else
     armed      level where `level` or the user's controller has failed; else flying

@@ -21,8 +21,8 @@ IMU_AXES = ("acc_x", "acc_z", "gyro_y")
 class SensorFlags(Block):
     """Which sensors are alive.
 
-    The IMU: `imu_moves`, a sample of finite numbers came in this tick and differs from the last one in a bit at least
-    (the same bits again are a driver that repeats itself); `axes_move`, it differs in each of its three axes, as its
+    The IMU: `imu_moves`, a sample of finite numbers came in this tick, and at least one bit differs from the last
+    (a driver that repeats itself gives the same bits). `axes_move`, it differs in each of its three axes, as its
     noise makes nearly every sample differ. The range sensor: `range_good`, a sample came that is a number, of an age
     that can be, and within `range_error` of where the cart was then, as published before; `range_moves`, one that
     differs from the last. With the cart locked the range is not needed, and both are true. `watch_bits` off takes
@@ -103,7 +103,7 @@ class PlaceFlags(Block):
     `pitch_near`: |theta + look_ahead q| above `pitch_limit`, until below it by `pitch_margin`; `pitch_stop`: |theta| at
     `pitch_end`. `rail_near`: the place where the cart could be stopped, x + v reaction + v |v| / (2 braking), is beyond
     `rail_limit`, until inside by `rail_margin`; `rail_end`: |x| at `rail_end`. A locked cart is near no end.
-    `estimate_lost`: theta, q, x or v is no number, |theta| > `theta_bound` or |q| > `q_bound`. It asks for the
+    `estimate_lost`: theta, q, x or v is NaN or infinite, |theta| > `theta_bound` or |q| > `q_bound`. It asks for the
     strongest action, so NaN raises it alone: where the pitch is not known it is not said to be at its stop.
     """
 

@@ -1,6 +1,6 @@
 """Timers of the failsafe: bounded counters of ticks. One says that something is missing too long, one lets a flag last.
 
-Each is two comparisons and one counter of an integer, so that all that it can do can be tried out.
+Each is two comparisons and one counter of an integer, so that tests can try everything that it can do.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ def stock_motor() -> Diagram:
 def direct_motor(gains: Gains = DEFAULT) -> Diagram:
     """The attitude and rate loops straight on the motors, from the raw gyro; thrust is given up before moment is.
 
-    It follows theta_0 or q_0 by itself, whatever the level above asks for, and flies M_0 in open loop. The moment is
+    It follows theta_0 or q_0 by itself, as the level above asks for, and flies M_0 in open loop. The moment is
     kept within +-.5; the thrust gives way, so that no motor is asked for more than 1 or less than 0.
     """
     d = with_ports(MOTOR, "direct_motor", "attitude P, rate PID on the gyro, and a mixer that keeps the moment")

@@ -1,4 +1,4 @@
-"""What flies on a drone: its parameters, the diagrams of the user's controllers, and what is tuned meanwhile."""
+"""What flies on a drone: its parameters, the diagrams of the user's controllers, and what is tuned in flight."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class ActiveController:
     paths: Mapping[str, str] = field(default_factory=dict)
 
     def provenance(self) -> dict[str, Any]:
-        """For a log, all that a replay needs: `parameters`, and `controllers` by template; {} if unknown.
+        """What a log needs for a replay: `parameters`, and `controllers` by template; {} if unknown.
 
         A controller has its name, its diagram, the SHA-256 of the diagram's JSON, and all its parameters by path.
         """
@@ -59,10 +59,11 @@ class ActiveController:
 
 
 class ParameterChanges:
-    """Keeps what is tuned while a flight is recorded, by whatever program: rows [time [s], name, value].
+    """Keeps what any program tunes while a flight is recorded: rows [time [s], name, value].
 
     The time is that of the last step that may have had the old value. A parameter of a user's controller goes by its
-    path, such as `attitude_control.k_q`. Of parameters that were not known `before` the first value is no change.
+    path, such as `attitude_control.k_q`. The first value of a parameter that was not known `before` does not count as
+    a change.
     """
 
     def __init__(self, before: ActiveController) -> None:

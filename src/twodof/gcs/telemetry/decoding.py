@@ -59,7 +59,7 @@ def _reader(place: str) -> Callable[[Any], float]:
 
 
 def _decoder(message: str) -> Callable[[Any], Decoded]:
-    """Reads the signals that the message carries; a number that is none is no sample."""
+    """Reads the signals that the message carries; a value that is not finite is not a sample."""
     rows = [row for row in TOPICS if row.mavlink == message]
     readers = [(row.name, [_reader(place) for place in row.places], bool(row.fields)) for row in rows]
     stamp = next((read for field, read in _STAMPS.items() if field in fields_of(message)), lambda _got: nan)
