@@ -338,7 +338,8 @@ class Sweep(Excitation):
         law = self.law if self.start_hz != self.end_hz else "linear"
         rate = sweep_rate(law, self.start_hz, self.end_hz, self.length, log)
         turns = sweep_turns(law, s, self.start_hz, rate, self.start_hz / rate if rate else 0.0, np.exp)
-        return self.amplitude * np.sin(2.0 * pi * turns)
+        wave: NDArray[np.float64] = self.amplitude * np.sin(2.0 * pi * turns)
+        return wave
 
 
 @dataclass(frozen=True)

@@ -102,7 +102,7 @@ class Laboratory:
         self._conditions: dict[str, Any] = dict(conditions or {})
 
         flown = gains if isinstance(gains, Gains) else load_gains(gains)
-        self._tuned = flown.tuned()
+        self._tuned: dict[str, float] = flown.tuned()
 
         def loop(failsafe: bool) -> ClosedLoop:
             made = ClosedLoop(

@@ -13,8 +13,8 @@ from twodof.compile import CompiledProgram, build
 from twodof.compile.cortex_m7.report import measure
 from twodof.compile.program.check import check as check_diagram
 from twodof.compile.px4 import export
-from twodof.compile.px4.checkout import check as check_module
 from twodof.compile.px4.checkout.check import ERROR
+from twodof.compile.px4.checkout.check import check as check_module
 from twodof.constants import PERIOD
 from twodof.errors import CompileError
 from twodof.fleet.flash_target import check_target, open_target

@@ -211,7 +211,8 @@ def _open(log: FlightLog, time: NDArray[np.float64], on: NDArray[np.bool_]) -> N
         return np.zeros(time.shape, dtype=bool)
     if "lmnf" not in log or not len(log["lmnf"]):
         now = log["M"].value[np.maximum(log["M"].index(time), 0)]
-        return _held(log, "M", time) & (on | (now != 0.0))
+        still: NDArray[np.bool_] = _held(log, "M", time) & (on | (now != 0.0))
+        return still
     message, moment = log["lmnf"], log["M"]
     # M's sample is 3 to 36 us older than the set-points'; the message before that sample made it.
     sample = moment.index(time)

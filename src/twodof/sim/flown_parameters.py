@@ -47,7 +47,7 @@ class FlownParameters:
                 unknown.append(str(template))
             else:
                 found[template] = diagram
-                values = row.get("parameters")
+                values = row.get("parameters") if isinstance(row, Mapping) else None
                 inside = values if isinstance(values, Mapping) else {}
                 tuning |= {f"{template}.{path}": value for path, value in inside.items()}
         changes = provenance.get("changes")

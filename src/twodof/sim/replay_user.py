@@ -68,7 +68,7 @@ def _diagram(flown: FlownParameters) -> Diagram:
     for port in item.inputs.values():
         d.input(port.name, port.kind, unit=port.unit)
     d.add("arming", ArmingReset(), mode="mode", thrust="thrust", in_reset="in_reset")
-    d.add("cascade", item, **{name: name for name in item.inputs} | {"in_reset": "arming"})
+    d.add("cascade", item, inputs={name: name for name in item.inputs} | {"in_reset": "arming"})
     for name in ("M", "q0", "theta0", "T"):
         d.output(name, f"cascade.{name}")
     d.output("reset", "arming")

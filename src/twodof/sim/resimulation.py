@@ -15,8 +15,9 @@ from twodof.flightlog.log import FlightLog
 from twodof.parameters import ParameterSet
 from twodof.rig.parameters import lab
 from twodof.rig.steady_state import trim_moment
-from twodof.sim.closed_loop import FILTERS, ClosedLoop, InitialState
+from twodof.sim.closed_loop import FILTERS, ClosedLoop
 from twodof.sim.flight_segment import FlightSegment, logged, read_segment
+from twodof.sim.initial_state import InitialState
 
 CHANNELS = ("theta", "q", "x", "v")
 """Logged estimates that are compared; of a 1DoF log, those that it holds."""

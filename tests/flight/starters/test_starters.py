@@ -127,7 +127,7 @@ def test_a_new_diagram_overwrites_nothing(tmp_path: Path) -> None:
     new_diagram("lqr-attitude", file)
     written = file.read_bytes()
     assert to_json(from_json(written)).encode() == written
-    with pytest.raises(DiagramError, match="there already"):
+    with pytest.raises(LogError, match="there already"):
         new_diagram("empty-attitude", file)
     assert file.read_bytes() == written
     new_diagram("empty-attitude", file, overwrite=True)

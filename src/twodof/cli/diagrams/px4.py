@@ -12,7 +12,7 @@ from twodof.cli.diagrams.argument import DIAGRAM_HELP, read_diagram
 from twodof.cli.output import Json, print_json, table_console
 from twodof.compile.px4 import export as export_module
 from twodof.compile.px4.airframe import airframe_id
-from twodof.compile.px4.checkout import check as check_module
+from twodof.compile.px4.checkout.check import check as check_module
 
 app = typer.Typer(
     help="Make a module for PX4 of a diagram, and see whether a PX4 fits it.",

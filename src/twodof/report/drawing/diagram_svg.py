@@ -150,7 +150,7 @@ def _draw(diagram: Diagram, depth: int, border: bool, count: list[int]) -> Drawi
     if count[0] > MAX_PARTS:
         raise DiagramError(f"more than {MAX_PARTS} parts", diagram.name, "open fewer levels, or one sub-diagram")
     symbols = [terminal(n, "in", _remark(p)) for n, p in diagram.inputs.items()]
-    place = {(None, n): i for i, n in enumerate(diagram.inputs)}
+    place: dict[tuple[str | None, str], int] = {(None, n): i for i, n in enumerate(diagram.inputs)}
     inner: dict[int, Drawing] = {}
     parts = list(diagram.parts.values())
     for part in parts:

@@ -317,8 +317,8 @@ class _Layered:
         count = len(self.columns)
         channels = [WireChannel() for _ in range(count + 1)]  # channel c is left of column c
         for k, net in enumerate(self.nets):
-            box, pin = net.source
-            channels[self.rank[box] + 1].left.append(Pin(k, self.item_of[box].y + self.boxes[box].right[pin]))
+            a, pin = net.source
+            channels[self.rank[a] + 1].left.append(Pin(k, self.item_of[a].y + self.boxes[a].right[pin]))
             for b, p in net.sinks:
                 channels[self.rank[b]].right.append(Pin(k, self.item_of[b].y + self.boxes[b].left[p]))
         for (k, r), item in (*self.lanes.items(), *self.returns.items()):

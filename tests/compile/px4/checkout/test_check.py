@@ -14,8 +14,7 @@ import pytest
 from tests.compile.px4.modules import PITCH_LOG, pitch
 from tests.patience import PATIENCE_S
 from twodof.compile.px4 import export
-from twodof.compile.px4.checkout import check
-from twodof.compile.px4.checkout.check import _NEEDED, ERROR, WARNING, CheckoutFindings
+from twodof.compile.px4.checkout.check import _NEEDED, ERROR, WARNING, CheckoutFindings, check
 from twodof.compile.px4.checkout.source_tree import SourceTree
 from twodof.compile.px4.checkout.versions import Px4Version, parse_version
 from twodof.compile.px4.topics import FIELDS
