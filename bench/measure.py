@@ -21,7 +21,7 @@ from twodof.errors import CompileError
 
 @dataclass(frozen=True)
 class Timing:
-    """Repeated measurements of one thing [s of CPU time], and how much longer the clock on the wall ran meanwhile."""
+    """Repeated measurements of one thing [s of CPU time], and how much longer they took on the wall."""
 
     seconds: tuple[float, ...]
     stretch: float
@@ -40,8 +40,8 @@ class Timing:
 def timed(functions: Sequence[Callable[[], object]], repeats: int) -> list[Timing]:
     """Times each of `functions` `repeats` times, taking turns, so that all meet the same disturbances.
 
-    What counts is CPU time of this thread: on a quiet machine it is the time on the wall, on a shared one it leaves out
-    what others took. The first round warms caches and is not counted.
+    What counts is the CPU time of this thread. On a quiet machine it is the time on the wall; on a shared one it leaves
+    out what others took. The first round warms caches and is not counted.
     """
     seconds: list[list[float]] = [[] for _ in functions]
     wall: list[float] = [0.0 for _ in functions]

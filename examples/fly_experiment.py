@@ -1,7 +1,7 @@
-"""One experiment three ways: simulated, flown over MAVLink on a virtual drone, and on whatever drone a URL leads to.
+"""One experiment three ways: simulated, flown over MAVLink on a virtual drone, and on the drone at a URL.
 
-python examples/fly_experiment.py                              # simulated, and flown on a virtual drone of its own
-python examples/fly_experiment.py udp://127.0.0.1:14580        # flown there: a drone of `twodof up`, or a real one
+python examples/fly_experiment.py                              # simulated, and flown on its own virtual drone
+python examples/fly_experiment.py udp://127.0.0.1:14580        # flown there: on `twodof up` or a real drone
 """
 
 import sys

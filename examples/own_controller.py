@@ -1,4 +1,4 @@
-"""Draw a controller of one's own, fly it in place of the stock one, tune it, and keep it as a file."""
+"""Draw your own controller, fly it in place of the stock one, tune it, and keep it as a file."""
 
 from math import degrees
 

@@ -1,4 +1,4 @@
-"""Fit a structure of one's own, any diagram with parameters, to the columns of any table."""
+"""Fit your own structure, any diagram with parameters, to the columns of any table."""
 
 import numpy as np
 

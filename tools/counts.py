@@ -1,8 +1,8 @@
 """The shape of the source in numbers: `python -m tools.counts [ROOT] [--json]`, ROOT being the repository's folder.
 
-lines and files of src; the folder with most files; public class names that two modules use, and where; import cycles,
-those for type checking and those inside functions counted. How many files a new block, parameter, signal or stick mode
-touches is shown by the tests of the how-to pages.
+It shows lines and files of src, the folder with most files, and public class names that two modules use, with places.
+It also shows import cycles, including those for type checking and those inside functions. The tests of the how-to
+pages show how many files a new block, parameter, signal or stick mode touches.
 """
 
 from __future__ import annotations

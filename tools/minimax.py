@@ -1,8 +1,8 @@
 """Fits the polynomials of the elementary functions and prints `src/twodof/blocks/elementary/coefficients.py`.
 
 Each polynomial is a weighted least-squares fit of one smooth function on Chebyshev points, which is nearly minimax. Its
-coefficients are rounded to the format from the lowest power up, and the higher ones are fitted again after each
-rounding, so that they make up for it.
+coefficients are rounded to the format from the lowest power up. After each rounding the higher ones are fitted again,
+so that they make up for it.
 
     python tools/minimax.py > src/twodof/blocks/elementary/coefficients.py
 
@@ -159,7 +159,7 @@ def rounded(value: Any, bits: int) -> Any:
 
 
 def grid(low: Any, high: Any) -> list[Any]:
-    """Points dense towards the ends, where a minimax error alternates fastest; not the ends, nor their middle."""
+    """Points dense towards the ends, where a minimax error alternates fastest; without the ends and their middle."""
     return [
         (low + high) / 2 + (high - low) / 2 * mp.cos(mp.pi * (2 * i + 1) / (2 * GRID)) for i in reversed(range(GRID))
     ]

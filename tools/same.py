@@ -1,21 +1,24 @@
 """Whether a change has changed nothing: hashes of what flies, of what is sent and of what is written.
 
 python -m tools.same --out FILE        record, in the repository's root (a quarter of an hour)
+
 python -m tools.same --against FILE    record and compare with FILE: each difference is listed, exit status 1
+
 With --quick (two minutes) the outputs are those of the reference and of gcc only.
 
 It records, for the code that is imported:
-outputs   every signal over 20,000 steps of the flight core, the closed loop on both rigs and the starter diagrams, on
-          each target that is there and in both precisions; the reference, which is slow, runs the first `SLOW` steps;
-          the closed loop with each starter on the targets of --quick
-wire      every frame of two sessions, both ways: one in lockstep, one through the companion with time running; and
-          what the drone answers to the frames of FILE's client
-files     the on-board logs of the first session, and its recording in every format that is written
-texts     the C of all of these and the PX4 modules of the starters; they may differ where the bits do not
-The clocks and the random numbers of the operating system stand still meanwhile. Left out is what they cannot hold:
-the payload of ONBOARD_COMPUTER_STATUS (memory in use) and the text at the head of a .mat file (today's date). What
-follows the thread that writes: the order of a ULog's messages, its records of `REPEATED`, and the chunks of the MCAP
-recording, whose content is compared.
+- outputs: Every signal over 20,000 steps of the flight core, the closed loop on both rigs and the starter diagrams.
+  They run on each target that is there, in both precisions. The reference, which is slow, runs the first `SLOW`
+  steps. The closed loop with each starter runs on the targets of --quick.
+- wire: Every frame of two sessions, both ways: one in lockstep, one through the companion with time running. It also
+  has what the drone answers to the frames of FILE's client.
+- files: The on-board logs of the first session, and its recording in every format that is written.
+- texts: The C of all of these and the PX4 modules of the starters. They may differ where the bits do not.
+
+The clocks and the random numbers of the operating system stand still during the recording. Left out is what they
+cannot hold: the payload of ONBOARD_COMPUTER_STATUS (memory in use) and the date at the head of a .mat file. Left out
+is also what follows the writing thread: the order of a ULog's messages and its records of `REPEATED`. The chunks of
+the MCAP recording follow it too, so their content is compared.
 """
 
 from __future__ import annotations
@@ -86,7 +89,7 @@ Columns = Mapping[str, NDArray[Any]]
 
 @contextmanager
 def standing_clocks() -> Iterator[None]:
-    """Neither the clocks nor the random numbers of the operating system give anything away."""
+    """The clocks and the random numbers of the operating system give the same values in each run."""
     chance = random.Random(1)
     with ExitStack() as stack:
         for name, value in {"time": float(NOW_S), "time_ns": NOW_S * 10**9, "thread_time_ns": 1}.items():
@@ -117,7 +120,7 @@ def bits(values: NDArray[Any]) -> str:
 
 @dataclass(frozen=True)
 class Subject:
-    """A diagram, its parameters that are not at their defaults, and what comes in, (STEPS,) or (STEPS, width)."""
+    """A diagram, its parameters that are not at their defaults, and its inputs: (STEPS,) or (STEPS, width)."""
 
     make: Callable[[], Diagram]
     dt: float
@@ -127,7 +130,7 @@ class Subject:
 
 
 def random_inputs(diagram: Diagram) -> Columns:
-    """By each port's name alone: values like a flight's, and held for a while where they are no reals."""
+    """By each port's name alone: values like a flight's, and held for a while where they are not reals."""
     made = {}
     for name, port in diagram.inputs.items():
         rng = np.random.default_rng(zlib.crc32(name.encode()))
@@ -238,7 +241,7 @@ def outputs(quick: bool) -> tuple[dict[str, Any], dict[str, str]]:
 
 
 def disagreements(found: Mapping[str, Any]) -> list[str]:
-    """Where a target has not the bits of another in one precision."""
+    """Where the bits of two targets differ in one precision."""
     told = []
     by_subject: dict[str, list[tuple[str, Any]]] = {}
     for place, one in found.items():
@@ -358,7 +361,7 @@ def sent(frames: list[str]) -> list[str]:
 
 
 def content(log: FlightLog) -> dict[str, str]:
-    """Of a log, whatever its file."""
+    """Of a log of any file format."""
     found = {}
     for name, channel in sorted(log.channels.items()):
         text = f"{channel.unit} {channel.fields} {bits(channel.time)} {bits(channel.value)}"
@@ -370,7 +373,7 @@ def content(log: FlightLog) -> dict[str, str]:
 
 
 def ulog_messages(data: bytes) -> str:
-    """Of the messages of a ULog in whatever order, less what follows the writing thread."""
+    """Of the messages of a ULog in any order, without what follows the writing thread."""
     at, found, repeated = ULOG_HEAD, [], set()
     while at < len(data):
         end = at + 3 + int.from_bytes(data[at : at + 2], "little")

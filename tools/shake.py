@@ -2,9 +2,9 @@
 
 python tools/shake.py SEED COMMAND...   any command; `make shake` runs every test. Linux.
 
-One process after another, of the command's own and those that these start, stands still for .08 s in the mean and for
-`LONGEST_S` at most; in between all run for .02 s in the mean. A drone whose pilot stands still for longer than its
-failsafe waits makes itself safe, as it should: no test may take that for a fault, nor fail because of it.
+The command's processes, and those that they start, stand still one after another: for .08 s in the mean and for
+`LONGEST_S` at most. In between all run for .02 s in the mean. A drone whose pilot stands still for longer than its
+failsafe waits makes itself safe, as it should. No test may fail because of that, or take it for a fault.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def state_and_parent(process: Path) -> tuple[str, int]:
 
 
 def family(root: int) -> list[int]:
-    """`root` and all that it has started, theirs too, which can be stopped now."""
+    """`root` and its descendants that can be stopped now."""
     children: dict[int, list[tuple[int, str]]] = defaultdict(list)
     for entry in Path("/proc").iterdir():
         if entry.name.isdigit():

@@ -2,8 +2,8 @@
 
 First it gathers the pages of docs/, the API's pages and mkdocs.yml in one folder; then Zensical builds them, and a
 broken link ends the build. The API's pages list what the examples, README and the pages import, so that a reader finds
-each name of a program in them. A link to a file of the repository that is not a page becomes the file's name: the site
-stands alone, and nothing in it is fetched from elsewhere.
+each name of a program in them. A link to a file of the repository that is not a page becomes the file's name. The site
+stands alone: nothing in it is fetched from elsewhere.
 """
 
 import ast
@@ -90,7 +90,7 @@ def not_listed(configuration: str) -> list[str]:
 
 
 def gather(folder: Path) -> None:
-    """Write all that the site is built from into `folder`, which is emptied first."""
+    """Write everything that the site is built from into `folder`, which is emptied first."""
     configuration = CONFIGURATION.read_text(encoding="utf-8")
     if missing := not_listed(configuration):
         raise SystemExit(f"error: no place in the list of pages: {', '.join(missing)}; add them to nav in mkdocs.yml")

@@ -131,7 +131,7 @@ def compiled(diagram: Diagram, compiler: str = "gcc", optimise: str = OPTIMISE) 
     """The diagram in float32."""
     program = build(diagram, PERIOD, "float32", target="cortex-m7", compiler=compiler, optimise=optimise)
     if not isinstance(program, CompiledProgram):
-        raise CompileError("there is no compiled program", diagram.name, "install gcc-arm-none-eabi")
+        raise CompileError("the diagram was not compiled", diagram.name, "install gcc-arm-none-eabi")
     return program
 
 

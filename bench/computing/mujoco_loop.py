@@ -48,7 +48,7 @@ MODEL = """
 
 @dataclass
 class Cascade:
-    """Position P, velocity PI, attitude P, rate PID with filtered derivative: the flight code's laws, plain floats."""
+    """The flight code's laws, in floats: position P, velocity PI, attitude P and rate PID with filtered derivative."""
 
     gains: Gains = DEFAULT
     velocity_sum: float = 0.0

@@ -55,7 +55,7 @@ print(json.dumps(found))
 
 
 def large_diagram(blocks: int) -> Diagram:
-    """At least `blocks` blocks: rows of six, each a loop of gain, difference, low-pass, limit, sine and delay."""
+    """At least `blocks` blocks: rows of six; each is a loop of a gain, sum, low-pass, limit, sine and delay."""
     d = Diagram(f"large_{blocks}")
     d.input("u")
     last = "u"
@@ -94,7 +94,7 @@ def import_seconds(module: str, repeats: int) -> list[float]:
 
 def build_seconds(what: str, compiler: str, rounds: int) -> list[tuple[float, float, float]]:
     """(new source, the same again from the cache, only tracing and emitting) [s] for "closed_loop" or a number of
-    blocks. The caches are empty but for what zig keeps of its own runtime.
+    blocks. The caches are empty, except for what zig keeps of its own runtime.
     """
     with tempfile.TemporaryDirectory(prefix="twodof-bench-") as folder:
         environment = {

@@ -50,8 +50,8 @@ print(json.dumps(found))
 
 @dataclass(frozen=True)
 class Changed:
-    """What it took [s], round by round: on the wall and of CPU time, compilers included; and the `process` as a whole,
-    with the start of Python and all imports.
+    """What it took [s], round by round: on the wall and of CPU time, compilers included. `process` is the time of the
+    whole process, with the start of Python and all imports.
     """
 
     wall: tuple[float, ...]

@@ -1,4 +1,4 @@
-"""The companion: its own share of a frame, and what the system takes besides, between processes on loopback."""
+"""The companion: its own share of a frame, and what the system adds between processes on loopback."""
 
 from __future__ import annotations
 

@@ -77,7 +77,7 @@ class Process:
 
 @contextmanager
 def process(*arguments: str) -> Iterator[Process]:
-    """One that runs meanwhile."""
+    """One that runs until the block ends."""
     made = Process(*arguments)
     try:
         yield made

@@ -1,6 +1,6 @@
 """A virtual drone in real time that says when it was killed and arms again: `python -m bench.stack.killed_drone [KEY]`.
 
-It prints a line of JSON with its URLs, TCP and UDP; for each line on standard input it lets a kill go and
+It prints a line of JSON with its URLs, TCP and UDP. For each line on standard input it lets a kill go and
 arms in the name of the system there. It prints when it is armed, and when the motors have stopped.
 """
 

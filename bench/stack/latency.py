@@ -45,7 +45,7 @@ def until_acted(drone: DroneProcess, moment: float) -> list[tuple[int, float]]:
     end = time.monotonic() + START_S
     while all(asked != moment for _, asked in changes):
         if time.monotonic() > end:
-            raise RuntimeError(f"the motors have not followed the last of the set-points within {START_S:g} s")
+            raise RuntimeError(f"the motors did not follow the last of the set-points within {START_S:g} s")
         time.sleep(0.1)
         changes += drone.report()["changes"]
     return changes

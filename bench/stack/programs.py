@@ -104,7 +104,7 @@ def port(url: str) -> int:
 
 
 def free_port(kind: socket.SocketKind = socket.SOCK_STREAM) -> int:
-    """A port on this machine at which nobody listens, and that the system gives to nobody who leaves the choice to it.
+    """A port on this machine where no program listens, and that the system does not hand out by itself.
 
     Raises RuntimeError if there is none.
     """

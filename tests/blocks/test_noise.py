@@ -1,7 +1,7 @@
 """Noise: the generator against its published answers, its numbers against their distribution.
 
-All seeds are fixed. A statistic may stray 5 standard deviations (6e-7 of all generators that are in order would do so
-in any one of them), a p-value may be as small as 1e-5; a generator out of order exceeds both by far at these lengths.
+All seeds are fixed. A statistic may stray 5 standard deviations: for each one, 6e-7 of all good generators would stray
+further. A p-value may be as small as 1e-5. A bad generator exceeds both by far at these lengths.
 """
 
 from collections.abc import Callable

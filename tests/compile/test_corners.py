@@ -1,7 +1,7 @@
 """Corners that random diagrams seldom reach, on the reference and compiled.
 
-Edges of every fraction, several stores into one array, loops beside loops, all within sub-diagrams that are enabled,
-reset and slow, while parameters and states are set from outside and the tick wraps around.
+These are edges of every fraction, several stores into one array, and loops beside loops. All are within sub-diagrams
+that are enabled, reset and slow, while parameters and states are set from outside and the tick wraps around.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from twodof.compile import build as compiled
 
 
 class Edged(Block):
-    """Two edges whose fractions run through NaN, below 0, 0, 1, beyond and equal ones, and feed update and project."""
+    """Two edges that feed update and project. Their fractions are NaN, below 0, 0, 1, above 1 or equal."""
 
     inputs = (Port("u"),)
     outputs = (Port("y"), Port("z"))

@@ -48,7 +48,7 @@ def survivors(files: int, seed: int) -> Iterator[Diagram]:
 
 
 def check(files: int, seed: int, least: int) -> None:
-    """Load mutated files; all that is let in runs in one module as on the reference."""
+    """Load mutated files; each one that loads runs in one module as on the reference."""
     found = {d.name: d for d in survivors(files, seed)}
     assert len(found) >= least
     cases = [Case(d, [], strange_inputs(d, 30, seed), {}) for d in found.values()]

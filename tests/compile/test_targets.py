@@ -45,7 +45,7 @@ ROOMS = {
 
 
 def flight_core(steps: int) -> list[Case]:
-    """What flies, fed with whatever may come in."""
+    """What flies, fed with any input it may get."""
     d = core()
     return [Case(d, [], strange_inputs(d, steps, 1), {})]
 

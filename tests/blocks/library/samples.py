@@ -166,8 +166,8 @@ BASE = (1, 0)
 def room(name: str, rate: tuple[int, int] = BASE) -> Diagram:
     """Every sample of a module's blocks side by side; ports of one type share the diagram's inputs.
 
-    At the base rate each scalar real output drives a continuous lag, so that what it does inside the step is seen too;
-    at another one the blocks that are for the base rate only are left out.
+    At the base rate each scalar real output drives a continuous lag, so that what it does inside the step is seen too.
+    At another rate the blocks that are for the base rate only are left out.
     """
     d = Diagram(name)
     for type_name, cls in LIBRARY.items():

@@ -1,7 +1,7 @@
 """Loads files in processes of their own with bounded memory and time, and says what became of each.
 
-Run as a program with a folder: one line of JSON for each file of it, in the order of their names; with a file: one line
-for each of its lines, which are texts of diagrams as JSON strings, all in one process.
+Run as a program with a folder, it prints one line of JSON for each file, in the order of their names. With a file, it
+prints one for each line, which is a diagram's text as a JSON string. All are loaded in one process.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ CPU_SECONDS = 20  # when a process is ended; a load that takes more than SECONDS
 
 
 def judge(files: Mapping[str, bytes], folder: Path) -> dict[str, dict[str, Any]]:
-    """What became of each of `files`: "error" (its type, "" if it loaded), "text", "seconds" of CPU, peak "bytes"."""
+    """For each of `files`: "error" (its type; "" if the file loaded) and "text", "seconds" of CPU and peak "bytes"."""
     for number, data in enumerate(files.values()):
         (folder / f"{number:05d}").write_bytes(data)
     done = subprocess.run(

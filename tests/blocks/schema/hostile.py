@@ -383,7 +383,7 @@ MALFORMED: dict[str, tuple[bytes, str]] = {
 
 @cache
 def large() -> dict[str, bytes]:
-    """What is allowed, and large: it must stay bounded all the same."""
+    """What is allowed, and large: it must stay bounded too."""
     return {
         "a chain of 45,000 doublings": doubling(45_000),
         "10,000 gains": gains(10_000),

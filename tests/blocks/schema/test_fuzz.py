@@ -1,4 +1,4 @@
-"""The loader fuzzed: whatever comes in loads or is refused with a typed error, in bounded time."""
+"""The loader fuzzed: any input loads or is refused with a typed error, in bounded time."""
 
 from __future__ import annotations
 

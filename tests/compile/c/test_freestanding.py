@@ -24,7 +24,7 @@ def library() -> ctypes.CDLL:
 
 
 def test_memory_is_moved_filled_and_compared_at_any_offset(library: ctypes.CDLL) -> None:
-    """Against Python's slices: moves that overlap in both directions, sizes that are no multiples of a word."""
+    """Against Python's slices: moves that overlap in both directions, sizes that are not multiples of a word."""
     rng = random.Random(2)
     memcmp = library.memcmp
     for _ in range(3000):

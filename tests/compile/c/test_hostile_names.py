@@ -1,6 +1,6 @@
 """Legal names that mean something elsewhere, and texts made to break out: C and WebAssembly hold them all.
 
-No name but an identifier comes in (tests/blocks/schema/test_hostile.py); these are identifiers that C, its headers, its
+Only identifiers come in as names (tests/blocks/schema/test_hostile.py). These are identifiers that C, its headers, its
 compilers, the linker or the emitted file itself use.
 """
 
@@ -63,7 +63,7 @@ class Named(Block):
 
 
 def diagram(name: str, text: str) -> Diagram:
-    """A diagram `name` in which sub-diagram, block, ports, states, parameters and the input are all named so too."""
+    """A diagram `name` in which everything else has this name too: part, block, ports, states and parameters."""
     inner = Diagram(name)
     inner.input(name)
     inner.add(f"{name}_2", Named(name, text), inputs={name: name})

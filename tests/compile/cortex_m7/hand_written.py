@@ -27,7 +27,7 @@ ADD = STEP + "{ s->a += u->a + p->a; y->a = s->a; y->b = u->b; }\n"
 
 
 def image(step: str, compiler: str = "gcc", optimise: str = "-O2", **options: Any) -> Image:
-    """The image of one program `hand` with this `step` (and whatever it calls) in C."""
+    """The image of one program `hand` with this `step` (and the functions it calls) in C."""
     return build_image(HEAD + step, [("hand", SIZES)], find_cross_compiler(compiler), optimise, **options)
 
 

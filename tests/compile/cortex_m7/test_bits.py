@@ -1,4 +1,4 @@
-"""The emulated Cortex-M7 computes what this machine does, bit for bit: flight core, rig, library, special values."""
+"""The emulated Cortex-M7 computes what this machine does, to the bit: flight core, rig, library and special values."""
 
 from __future__ import annotations
 
@@ -163,7 +163,7 @@ def test_every_pair_of_special_values_gives_the_same_bits(precision: str) -> Non
 
 @pytest.mark.parametrize("precision", PRECISIONS)
 def test_random_diagrams_run_as_here(precision: str) -> None:
-    """The differential test over all targets has the many; these are to be found first when this target is wrong."""
+    """The differential test over all targets has many more. These few fail first when this target is wrong."""
     need("qemu-system-arm")
     cases: list[Case] = random_cases(range(300, 306), STEPS)
     sources = emitted([c.diagram for c in cases], precision)

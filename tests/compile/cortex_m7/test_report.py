@@ -1,4 +1,4 @@
-"""Bytes, stack and instructions of programs whose cost is known beforehand."""
+"""Bytes, stack and instructions of programs whose cost is known in advance."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Lanes have the bits of the scalar program, whatever each of them is given; and the interface of many instances."""
+"""Each lane has the bits of the scalar program for its own values; and the interface of many instances."""
 
 from __future__ import annotations
 

@@ -50,7 +50,7 @@ def git(root: Path, *arguments: str) -> None:
 
 @pytest.fixture(scope="session")
 def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A tree with all that is looked at in PX4, in a git repository with the tag v1.16.1."""
+    """A tree with everything that is looked at in PX4, in a git repository with the tag v1.16.1."""
     root = tmp_path_factory.mktemp("source") / "PX4"
     for path in _NEEDED:
         put(root, path)
