@@ -1,8 +1,8 @@
 """How long a test waits before it says that something hangs: one figure for every wait that states nothing itself.
 
 It ends what would wait for ever, and no machine, however loaded, takes so long over what works. A time that a test
-*states* is measured where load does not count: in virtual time, control periods or processor time, or against
-something else that runs beside it.
+*states* is measured where load does not count: in virtual time, control periods or processor time. Or it is compared
+with something else that runs beside it.
 """
 
 import time

@@ -289,7 +289,7 @@ def _solve(loop: ClosedLoop, logged: Mapping[CalibrationFlight, LoggedFlight], s
 
 
 def _covariance(jac: Array, residual: Array, priors: int) -> Array:
-    """Of the unknowns, from the Jacobian (n, k) and the residual (n,), whose first `priors` rows are the priors.
+    """Of the unknowns, from the Jacobian (n, k) and the residual (n,). Their first `priors` rows are the priors.
 
     The sandwich estimator with the misfits of each block of samples taken as one (Newey and West, Econometrica 55-3,
     1987, with blocks in place of lags).

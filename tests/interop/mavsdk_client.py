@@ -1,8 +1,9 @@
 """A client made with MAVSDK alone: `python mavsdk_client.py URL PARAMETER VALUE LOG FIRST`; prints what it saw.
 
-It goes through what MAVSDK's own examples do: look around (discover, version, parameters, telemetry), fly (arm, send
-attitude set-points, disarm), fetch the log. FIRST is `arm` as in them, or `offboard` to arm while set-points come. Each
-step is a line of JSON. It runs in a process of its own, as a native library that hangs must not take the tests with it.
+It goes through what MAVSDK's own examples do. It discovers the drone and reads its version, parameters and telemetry.
+It arms, sends attitude set-points offboard, disarms, and fetches the log. FIRST is `arm` as in them, or `offboard` to
+arm while set-points come. Each step is a line of JSON. It runs in a process of its own, as a native library that hangs
+must not take the tests with it.
 """
 
 from __future__ import annotations

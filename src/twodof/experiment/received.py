@@ -115,7 +115,7 @@ def _within(
 def _spread(
     names: Sequence[str], place: NDArray[np.int64], rows: NDArray[np.float64], steps: int
 ) -> dict[str, NDArray[Any]]:
-    """Each column of `rows` by its name on a grid of `steps`, NaN where there is no row."""
+    """Each column of `rows` by its name on a grid of `steps`, NaN where a row is missing."""
     grid = np.full((steps, len(names)), np.nan)
     grid[place] = rows
     return {name: grid[:, k] for k, name in enumerate(names)}

@@ -91,7 +91,7 @@ def core(
     `controllers` are diagrams of the templates (`flight.templates`), one of a kind at most. They take the place of the
     stock loops and of the mixer. Their parameters are `cascade.attitude_control...`, `cascade.position_control...` and
     `motor_control...`. If one of them asks for an infinite or NaN moment or thrust, the motors stop, and M or T shows
-    it; a bad command of a single motor stops that motor. With a motor controller M and T are what the motors are given.
+    it. A bad command of a single motor stops that motor. With a motor controller M and T are what the motors are given.
 
     With `failsafe` the ports of `flight.failsafe.diagram` are added, and its gate is the last thing before the motors.
     As long as nothing is wrong every output has the same bits as without. A user's controllers are then watched. The

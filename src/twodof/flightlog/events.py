@@ -145,7 +145,7 @@ def modes(log: FlightLog) -> list[Stretch]:
 
 
 def mode_at(log: FlightLog, time: NDArray[np.float64]) -> NDArray[np.int32]:
-    """The mode at each `time` (n,) [s], (n,), as an index into `signals.MODES`; "off" beyond what `modes` knows of.
+    """The mode (n,) at each `time` (n,) [s], as an index into `signals.MODES`; "off" outside the span of `modes`.
 
     A step's set-points are stamped some microseconds after its M: ask half a period after M's stamp. Raises as `modes`.
     """

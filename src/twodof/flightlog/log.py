@@ -108,7 +108,7 @@ class Channel:
     def index(self, t: ArrayLike, how: How = "hold") -> NDArray[np.intp]:
         """Which sample stands for each time of `t` (m,) [s]; -1 where none does. Raises LogError.
 
-        "hold" is the latest sample at or before t, "next" the first at or after t. "nearest" is the
+        `hold` is the latest sample at or before t, `next` the first at or after t. `nearest` is the
         closer of the two, or the earlier one of two that are equally close.
         """
         at = _floats(t, "t")
@@ -138,8 +138,8 @@ class Channel:
 class FlightLog:
     """Channels by the drone's .mat names (`theta`, `q`, `M`, ...) and where they came from.
 
-    `provenance` holds JSON values only: `file` (name, sha256, format), `history` (files it was made from), `seed`,
-    `versions`, and what the maker of the log added. Raises LogError without a channel.
+    `provenance` holds JSON values only: `file` (name, sha256, format) and `history` (files it was made from). It also
+    holds `seed`, `versions`, and what the maker of the log added. Raises LogError without a channel.
     """
 
     channels: dict[str, Channel]

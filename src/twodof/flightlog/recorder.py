@@ -45,7 +45,7 @@ class Recorder(Spool):
     """Records samples of topics into a new MCAP file, for `with`.
 
     `topics`: names of TOPICS (`imu.gyro`), rows of TOPICS, or streams that you describe. `provenance` holds JSON values
-    (seed, parameters, versions, ...), `attachments` files such as the diagram; both are on the disk before the first
+    (seed, parameters, versions, ...), `attachments` files such as the diagram. Both reach the disk before the first
     sample. Values are recorded as they come, NaN included; read_mcap says what it leaves out.
 
     `full="drop"`, the default, is for a caller that must not wait. It drops samples that do not fit into

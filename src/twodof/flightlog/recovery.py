@@ -44,9 +44,9 @@ def recover(path: str | Path) -> Recovered:
     """Reads an .mcap or .ulg file as far as it is sound; of an MCAP file, what has a checksum only if that holds.
 
     Everything that a Recorder or ULogWriter has acknowledged is in the result, even if later bytes were cut off or
-    written over. What had to be taken unverified is named in `unverified` and in the provenance (`recovered`). Those
-    are topics whose description is damaged, tables and descriptions of earlier versions, which lack checksums, and all
-    logs of PX4, whose format lacks them. A table whose checksum is wrong is kept apart, in provenance["unverified"].
+    written over. What had to be taken unverified is named in `unverified` and in the provenance (`recovered`). These
+    are topics with a damaged description, all logs of PX4, and tables and descriptions of earlier versions. The last
+    two lack checksums. A table whose checksum is wrong is kept apart, in provenance["unverified"].
     Raises LogError for a file in which no sample can be read: that is never a success.
     """
     data = provenance.read_bytes(path)

@@ -43,7 +43,7 @@ _LOGGED = sorted(
 def step_channels(
     tick: NDArray[np.int64], out: Mapping[str, NDArray[Any]], mode: NDArray[np.int32]
 ) -> dict[str, Channel]:
-    """The channels of the steps at `tick` (n,), rising, whose signals (n,) are `out`; ticks may be missing.
+    """The channels of the steps whose signals (n,) are `out`. `tick` (n,) rises; ticks may be missing.
 
     `out` holds the measurements: acc_x, acc_z, gyro_y, dist, dist_new, voltage, charge. It may hold acc_y, gyro_x and
     gyro_z too. It holds the flight code's outputs: theta, q, x, v, theta0, q0, x0, v0, M, T. Of a simulation it also
@@ -75,7 +75,7 @@ def step_channels(
 
 
 def truth_channels(tick: NDArray[np.int64], state: Mapping[str, NDArray[Any]]) -> dict[str, Channel]:
-    """The channels of a virtual rig's true state (`TRUTH`), whose values at `tick` (n,), rising, are `state` (n,)."""
+    """The channels of a virtual rig's true state (`TRUTH`): `state` (n,) has the values at the rising `tick` (n,)."""
     time = np.asarray(BOOT + PERIOD * tick, dtype=np.float64)
     rows = {name: topic(f"truth.{name}").mat for name in state}
     return {row: _channel(row, time, state[name]) for name, row in rows.items()}

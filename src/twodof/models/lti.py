@@ -98,7 +98,7 @@ class SampledStateSpace:
     dt: float
 
     def simulate(self, u: ArrayLike, x0: ArrayLike | None = None, before: float = 0.0) -> Array:
-        """Outputs, shape (k, p), for inputs `u` of shape (k,) or (k, m); the input was `before` for all earlier time.
+        """Outputs (k, p) for inputs `u` of shape (k,) or (k, m). At all earlier times the input was `before`.
 
         `x0` of shape (n,) is the state at sample 0 (default zero).
         """
@@ -118,7 +118,7 @@ class SampledStateSpace:
         return np.asarray(states @ self.c.T + through @ self.d.T)
 
     def augmented(self) -> tuple[Array, Array, Array, Array]:
-        """The same model as plain (A, B, C, D), past inputs kept as states: for tools that know no delay."""
+        """The same model as plain (A, B, C, D) with past inputs as states, for tools that do not support delays."""
         n, m = self.new.shape
         past = self.whole + 1 if self.split else self.whole
         size = n + past * m

@@ -28,7 +28,7 @@ class Rotors(Block):
 
     The trim moment is `trim` at hover once the wake stands and `trim_start` before. The wake follows the thrust with
     `wake_lag`. The drone shows it: the mean M of the first second after a start differs from that of the hover after
-    it, and a doublet flown 0.14 s after a restart meets hardly any trim.
+    it. A doublet flown 0.14 s after a restart meets hardly any trim.
     """
 
     inputs = (Port("fore"), Port("aft"), Port("supply"))

@@ -38,10 +38,10 @@ class FlightSegment:
     """A window of a log on the control grid of n steps, and the start of its simulation.
 
     `time` (n,) [s] are the steps by the drone's clock; `mode` (n,) indices into `signals.MODES`; `setpoint[name]` (n,)
-    for x0, v0, theta0, q0, M_open, thrust. For 1DoF, where no mode of the window needs the cart, the log may lack x0,
-    v0, x and v: x0, v0 and the start's x and v are then zeros. `hold` [s] is the time before the window that gives the
-    trim, None if there was none. The trim is `trim_moment`, the mean M, at the mean pitch `trim_theta`.
-    `velocity_bias` [m/s] is from before the window too.
+    for x0, v0, theta0, q0, M_open, thrust. Where no mode of the window needs the cart (1DoF) and the log lacks its
+    signals, x0 and v0, and x and v of `start`, are zeros. `hold` [s] is the time before the window that gives the trim,
+    None if there was none. The trim is `trim_moment`, the mean M, at the mean pitch `trim_theta`. `velocity_bias` [m/s]
+    is from before the window too.
     `states` are controller states at the first step; `spun_up` [s] is how long the rotors have run,
     `tof_elapsed` [s] how long ago the last range sample was.
     """
@@ -111,8 +111,8 @@ def _steps(log: FlightLog, stretch: Stretch) -> Floats:
 def read_segment(log: FlightLog, gains: Gains, window: tuple[float, float] | None = None) -> FlightSegment:
     """Reads a window (None: the default one) of `log`, flown with `gains`.
 
-    Raises LogError for a window without 10 control steps, and as `FlightLog` does for missing channels. x, v, x0 and v0
-    are missed only where a mode of the window needs the cart.
+    Raises LogError for a window without 10 control steps, and as `FlightLog` does for missing channels. The cart's
+    channels (x, v, x0, v0) must be there only if a mode of the window needs the cart.
     """
     t0, t1 = window if window is not None else default_window(log)
     grid = _grid(log, t0, t1)

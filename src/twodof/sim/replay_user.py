@@ -24,7 +24,7 @@ _ELEMENT = re.compile(r"(.+)\[(\d{1,6})\]")
 
 
 class UserReplay(NamedTuple):
-    """Outputs by channel, (n,) on the steps of the log, and where they may be compared, (n,)."""
+    """Outputs (n,) by channel on the steps of the log, and flags (n,) where they may be compared."""
 
     replayed: dict[str, Floats]
     compared: dict[str, Flags]

@@ -28,10 +28,10 @@ _SHORTEST = 25
 class AlignedLog:
     """A log on the controller's own grid of n steps, the stamps `time` (n,) [s] of the moment M.
 
-    `value[name]` (n,) are M, the set-points q0, theta0, v0 and T of the same step, and the measurements q, theta, v
-    that the step used. `lost[name]` (n,) is true where that sample is missing from the log (for M: a step was lost
-    before this one). `active[name]` (n,), for M, q0, theta0 and T, is true where the drone was armed (T > 0) and its
-    loop made the signal, rather than a message.
+    `value[name]` (n,) are M, T and the set-points q0, theta0, v0 of the same step. The measurements q, theta and v
+    are those that the step used. `lost[name]` (n,) is true where that sample is missing from the log (for M: a step was
+    lost before this one). `active[name]` (n,), for M, q0, theta0 and T, is true where the drone was armed (T > 0)
+    and its loop made the signal. It is false where a message gave it.
     """
 
     time: Floats
@@ -44,8 +44,8 @@ def align_log(log: FlightLog) -> AlignedLog:
     """Pairs the channels of a log: M, T, q0, theta0, v0, q, theta, v. Raises LogError for one missing or too short.
 
     The drone's logs show these rules. The grid is M's. A set-point's sample is the first one at or after M's stamp, as
-    it comes some microseconds later. A measurement's sample is the latest one at or before M's stamp. q is .3 to .7 ms
-    old and theta 3.7 ms; the nearest theta, just after M, is wrong. v comes at 100 Hz and is held.
+    it comes some microseconds later. A measurement's sample is the latest one at or before M's stamp. The age of q is
+    .3 to .7 ms, that of theta 3.7 ms (the nearest theta, just after M, is wrong). The 100 Hz samples of v are held.
     """
     time = _filled(log, "M").time
     value = {"M": log["M"].value}

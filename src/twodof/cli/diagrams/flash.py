@@ -52,8 +52,8 @@ def flash(
     beside it. `twodof flash stock-attitude --to sim` brings the stock one back. What flies in the simulator is kept in
     the user's data folder (TWODOF_DATA, else XDG_DATA_HOME/twodof or ~/.local/share/twodof), in flashed/sim.
 
-    A drone must be disarmed. It builds the controller itself, for its sandbox, flies it from then on, and keeps it over
-    restarts; until it has built it, what flew before flies on.
+    A drone must be disarmed. It builds the controller for its own sandbox. Until that is done, the earlier controller
+    flies on; from then on the new one flies, and the drone keeps it over restarts.
     """
     if out is None and to == PX4:
         raise typer.BadParameter("--to px4-dir needs --out DIR, the module's folder")

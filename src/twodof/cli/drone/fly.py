@@ -127,7 +127,7 @@ def fly(
 
 @contextmanager
 def connected(url: str, key: Path | None, system: int | None) -> Iterator[Drone]:
-    """The drone at `url`. That its link was lost is no news at the end: the flight has said so."""
+    """The drone at `url`. At the end a lost link is not reported again: the flight has said so."""
     drone = connect(url, key=key, drone=system)
     try:
         yield drone

@@ -197,8 +197,8 @@ class Commander:
     ) -> CommandResult:
         """A set-point, which acts in the next tick or, if that is later, at `at_tick`.
 
-        It is refused, and counted, where a number is not finite, the cart is locked, too many wait, or `source` may not
-        command. A mode that does not fly it keeps it for offboard.
+        It is refused and counted if a number is not finite, if the cart is locked, if too many wait, or if `source` may
+        not command. A mode that does not fly it keeps it for offboard.
 
         `said` is the open-loop message that it came of.
         """

@@ -23,8 +23,8 @@ class SensorFlags(Block):
 
     The IMU: `imu_moves`, a sample of finite numbers came in this tick, and at least one bit differs from the last
     (a driver that repeats itself gives the same bits). `axes_move`, it differs in each of its three axes, as its
-    noise makes nearly every sample differ. The range sensor: `range_good`, a sample came that is a number, of an age
-    that can be, and within `range_error` of where the cart was then, as published before; `range_moves`, one that
+    noise makes nearly every sample differ. The range sensor: `range_good`, a sample came that is a number and of a
+    possible age. It lies within `range_error` of the published place of the cart at its time. `range_moves`, one that
     differs from the last. With the cart locked the range is not needed, and both are true. `watch_bits` off takes
     repeated samples for good, for simulations without noise only.
 

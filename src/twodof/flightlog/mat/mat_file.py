@@ -122,7 +122,7 @@ def _channel(name: str, struct: Any, where: str) -> Channel:
 
 
 def _column(array: NDArray[Any], samples: int, where: str) -> NDArray[np.float64]:
-    """(n,) from n x 1 or 1 x n, (n, k) else, for the n samples that there must be."""
+    """(n,) from n x 1 or 1 x n, else (n, k). It must have n samples."""
     if samples == 0 and array.size == 0:
         return np.empty(0)
     if array.shape == (1, samples):

@@ -1,4 +1,4 @@
-"""How the drone stands, in words: mode, armed, failsafe, rig, battery, version; from what it last said."""
+"""How the drone stands, in words, from what it last said: mode, arming, failsafe, rig and so on."""
 
 from dataclasses import dataclass
 from typing import Any, NamedTuple
