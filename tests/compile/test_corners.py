@@ -141,7 +141,7 @@ def test_corners_have_the_bits_of_the_reference(precision: str, integrator: str,
     program = compiled(d, 0.01, precision, LOGGED, integrator, optimise="-O1")
     assert isinstance(program, CompiledProgram)
     ours, theirs = program.machine(), Reference(d, 0.01, precision, LOGGED, integrator).machine()
-    ours._s["tick"][0] = theirs.tick = 2**32 - 150
+    ours._s["tick"][0] = theirs._tick = 2**32 - 150
     rng = random.Random(1)
     for k in range(400):
         row = {"u": rng.gauss(0, 1), "i": rng.randint(-2, 7), "on": rng.random() < 0.7}
