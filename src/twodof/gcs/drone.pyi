@@ -51,10 +51,12 @@ class DroneLogs(SyncFace):
         path: str | Path,
         timeout: float = 600.0,
         progress: Callable[[int, int], None] | None = None,
+        overwrite: bool = False,
     ) -> Path:
         """Bring a log down into `path`, whole or not at all; `progress(bytes, of)` is told on the way.
 
-        Raises LogError for one that is empty or too large, Timeout when nothing more comes for 5 s, LinkLost.
+        Raises LogError for a file that is there, a log that is empty or too large, Timeout when nothing more comes for
+        5 s, LinkLost.
         """
 
     def list(self, timeout: float = 5.0) -> list[LogEntry]:
@@ -140,8 +142,12 @@ class Drone(SyncDrone):
         path: str | Path,
         topics: Iterable[str] | None = None,
         provenance: Mapping[str, object] | None = None,
+        overwrite: bool = False,
     ) -> AbstractContextManager[Recording]:
         """Record topics (None: all) at the full rate into a new MCAP file, for `with`. See gcs.recording.
+
+        Raises LogError for a file that is there, unless `overwrite` says that it may be lost. A session that repeats
+        takes new names from `flightlog.numbered`.
 
         The file also holds what flies: tuned parameters and, as attachments, the diagrams of the user's controllers.
 
