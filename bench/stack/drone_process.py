@@ -37,7 +37,7 @@ async def serve() -> None:
     """Until standard input ends."""
     changes = Changes()
     drone = VirtualDrone("paper", {"rings": True})
-    drone.controller.listeners.append(changes)
+    drone.controller.bus.subscribe(ControlStep, changes)
     async with drone:
         say({"url": await drone.listen("tcpin://127.0.0.1:0")})
         while await asyncio.to_thread(sys.stdin.readline):

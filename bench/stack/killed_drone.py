@@ -56,7 +56,7 @@ async def serve(key: str) -> None:
     signing = Signing(read_key(Path(key)), Stamps(None)) if key else None
     drone = VirtualDrone("paper", {"rings": True}, signing=signing)
     kills = Kills(drone)
-    drone.controller.listeners.append(kills)
+    drone.controller.bus.subscribe(ControlStep, kills)
     async with drone:
         say({"urls": [await drone.listen(f"{kind}://127.0.0.1:0") for kind in ("tcpin", "udpin")]})
         while line := await asyncio.to_thread(sys.stdin.readline):

@@ -53,9 +53,9 @@ def test_a_mistake_is_told_and_nothing_is_written(
 
 def test_a_folder_with_something_else_is_not_replaced(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "mine").write_text("mine")
-    assert run(["px4", "export", "pid-attitude", str(tmp_path), "--force", "--json"]) == 1
+    assert run(["px4", "export", "pid-attitude", str(tmp_path), "--force", "--json"]) == 2
     told = capsys.readouterr()
-    assert json.loads(told.out)["error"]["kind"] == "CompileError"
+    assert json.loads(told.out)["error"]["kind"] == "LogError"
     assert "something else in it" in told.err
     assert [p.name for p in tmp_path.iterdir()] == ["mine"]
 

@@ -21,8 +21,8 @@ class LinearModel:
     """x' = A x + B u, y = C x + D u, in deviations from a point; x' is x[k + 1], or dx/dt where `dt` is None.
 
     Shapes: `a` (n, n), `b` (n, m), `c` (p, n), `d` (p, m). `states`, `inputs` and `outputs` name the rows and columns
-    by paths, with `[i]` for an element of an array and `[k-i]` for the sample of i steps ago in a delay. `point` has
-    the values of states and inputs at the point, `output_values` those of the outputs. `left_out` says of each state
+    by paths. There `[i]` is an element of an array and `[k-i]` the sample of i steps ago in a delay. `point` has the
+    values of states and inputs at the point, `output_values` those of the outputs. `left_out` says of each state
     of the diagram that the model does not have why.
     """
 
