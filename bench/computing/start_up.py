@@ -34,7 +34,7 @@ BUILD = """
 import json, sys, time
 from bench.computing.start_up import large_diagram
 from twodof.compile import build
-from twodof.compile.program import emit_program
+from twodof.compile.builder import emit_program
 from twodof.sim.closed_loop import closed_loop
 
 def make():

@@ -107,7 +107,7 @@ def run(quick: bool) -> list[Figure]:
         lockstep = statistics.median(asyncio.run(lockstep_seconds(count)) for _ in range(repeats))
         plain = asyncio.run(round_trips(count // 5, signed=False))
         signed = asyncio.run(round_trips(count // 5, signed=True))
-    load = load_seconds("twodof.link import dialect", "dialect.load()", repeats)
+    load = load_seconds("twodof.link.mavlink import dialect", "dialect.load()", repeats)
     common = load_seconds("importlib import import_module", 'import_module("pymavlink.dialects.v20.common")', repeats)
     return [
         Figure("encode and decode", 1.0 / ours, "messages/s", MESSAGES_PER_SECOND),
