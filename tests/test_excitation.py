@@ -157,6 +157,15 @@ def test_sweep_of_one_frequency_is_a_sine() -> None:
         np.testing.assert_allclose(Sweep(0.2, 3.0, 3.0, 2.0, law).at(time), 0.2 * np.sin(6 * pi * time), atol=1e-14)
 
 
+@pytest.mark.parametrize("end_hz", [1.0 + 1e-15, 1.0 - 2.0**-53, 1.0 + 1e-9, 1.0 + 1e-5])
+def test_sweep_of_nearly_one_frequency_keeps_its_digits(end_hz: float) -> None:
+    """Both laws agree to second order in the logarithm of the frequencies' ratio, here over 20 turns."""
+    time = np.linspace(0.0, 19.9, 200).round(6)
+    theirs = Sweep(0.2, 1.0, end_hz, 20.0, "linear").at(time)
+    bound = 1e-12 + 0.2 * 2 * pi * 20.0 * (end_hz - 1.0) ** 2
+    np.testing.assert_allclose(Sweep(0.2, 1.0, end_hz, 20.0, "logarithmic").at(time), theirs, atol=bound)
+
+
 def test_multisine_has_its_lines_and_no_other() -> None:
     harmonics = (1, 2, 3, 5, 8, 13)
     signal = Multisine.schroeder(0.1, 10.0, harmonics, powers=(1, 2, 1, 1, 0.5, 0.25), repeat=2)

@@ -27,8 +27,6 @@ from twodof.blocks.library.waveform_laws import (
     PATTERNS,
     TAPS,
     shifted,
-    sweep_rate,
-    sweep_turns,
 )
 from twodof.errors import ExperimentError
 
@@ -333,11 +331,12 @@ class Sweep(Excitation):
         return self.start_hz * np.power(self.end_hz / self.start_hz, share)
 
     def _wave(self, us: NDArray[np.int64]) -> NDArray[np.float64]:
-        s = us / 1e6
-        # Between equal frequencies both laws are a sine.
-        law = self.law if self.start_hz != self.end_hz else "linear"
-        rate = sweep_rate(law, self.start_hz, self.end_hz, self.length, log)
-        turns = sweep_turns(law, s, self.start_hz, rate, self.start_hz / rate if rate else 0.0, np.exp)
+        t = us / 1e6
+        octaves = log(self.end_hz / self.start_hz) if self.law == "logarithmic" else 0.0
+        if octaves:  # expm1, since exp(..) - 1 loses every digit where the frequencies nearly agree
+            turns = self.start_hz * self.length / octaves * np.expm1(octaves * t / self.length)
+        else:
+            turns = t * (self.start_hz + 0.5 * (self.end_hz - self.start_hz) * t / self.length)
         wave: NDArray[np.float64] = self.amplitude * np.sin(2.0 * pi * turns)
         return wave
 

@@ -1,12 +1,12 @@
-"""What each test signal is, stated once: for the blocks that play it and for `twodof.excitation`, which stores it.
+"""What the blocks that play test signals share with `twodof.excitation`, which stores them.
 
-The functions take numbers of the block language as well as Python's and numpy's. Sources: Jategaonkar, Flight Vehicle
+`shifted` takes numbers of the block language as well as Python's. Sources: Jategaonkar, Flight Vehicle
 System Identification, chapter 2; Golomb, Shift Register Sequences.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
@@ -48,17 +48,3 @@ def shifted(register: Any, order: int) -> Any:
     for tap in TAPS[order]:
         feedback = feedback ^ (register >> (order - tap))
     return (register >> 1) | ((feedback & 1) << (order - 1))
-
-
-def sweep_rate(law: str, start_hz: Any, end_hz: Any, length: Any, log: Callable[[Any], Any]) -> Any:
-    """How fast a sweep's frequency grows: half of it [Hz/s] if linear, else its logarithm [1/s]."""
-    return 0.5 * (end_hz - start_hz) / length if law == "linear" else log(end_hz / start_hz) / length
-
-
-def sweep_turns(law: str, s: Any, start_hz: Any, rate: Any, scale: Any, exp: Callable[[Any], Any]) -> Any:
-    """Turns that a sweep has made after `s` [s]; `scale` is start_hz / rate.
-
-    "linear": The frequency is f = f0 + (f1 - f0) s/L, and n = s (f0 + (f1 - f0) s / (2 L)).
-    "logarithmic": The frequency is f = f0 (f1/f0)^(s/L), and n = f0 L/r (exp(r s/L) - 1) with r = log(f1/f0).
-    """
-    return s * (start_hz + rate * s) if law == "linear" else scale * (exp(rate * s) - 1.0)

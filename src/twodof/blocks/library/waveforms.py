@@ -13,7 +13,7 @@ from twodof.blocks.elementwise import count, one_of, reals
 from twodof.blocks.expressions.arrays import fold
 from twodof.blocks.expressions.expr import maximum, multiply_high, to_real, to_uint32, uint32, where
 from twodof.blocks.library.sources import start_param, ticks
-from twodof.blocks.library.waveform_laws import LAWS, MAX_HARMONIC, MAX_LINES, TAPS, shifted, sweep_rate, sweep_turns
+from twodof.blocks.library.waveform_laws import LAWS, MAX_HARMONIC, MAX_LINES, TAPS, shifted
 from twodof.errors import DiagramError
 
 __all__ = ["MultisineSource", "PrbsSource", "Sine", "SweepSource"]
@@ -178,17 +178,21 @@ class SweepSource(Block):
         self.derived = [Port("first", "uint32"), Port("last", "uint32"), Port("rate"), Port("turns")]
 
     def prepare(self, p: Any, t: Clock) -> Any:
-        rate = sweep_rate(self.law, p.start_hz, p.end_hz, p.length, log)
-        octaves = 0.0 if self.law == "linear" else log(p.end_hz / p.start_hz)
-        turns = 0.0 if self.law == "linear" else where(abs(octaves) < 1e-6, 0.0, p.start_hz / rate)
+        if self.law == "linear":
+            rate, turns = 0.5 * (p.end_hz - p.start_hz) / p.length, 0.0
+        else:
+            octaves = log(p.end_hz / p.start_hz)
+            rate = octaves / p.length
+            turns = where(abs(octaves) < 1e-6, 0.0, p.start_hz / rate)
         return {"first": ticks(p.start, t), "last": ticks(p.length, t), "rate": rate, "turns": turns}
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         since = t.tick - p.first
         s = to_real(since) * t.base_dt
-        n = sweep_turns(self.law, s, p.start_hz, p.rate, p.turns, exp)
-        if self.law == "logarithmic":
-            n = where(p.turns == 0.0, p.start_hz * s, n)
+        if self.law == "linear":
+            n = s * (p.start_hz + p.rate * s)
+        else:
+            n = where(p.turns == 0.0, p.start_hz * s, p.turns * (exp(p.rate * s) - 1.0))
         wave = p.amplitude * sin((2.0 * math.pi) * _fraction(n) + p.phase)
         return where((p.first <= t.tick) & (since < p.last), p.bias + wave, p.bias)
 
