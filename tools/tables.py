@@ -18,7 +18,7 @@ from twodof.fcu.parameters.row import VehicleParameter
 from twodof.fcu.parameters.table import own_rows
 from twodof.fcu.px4_compat.event_table import CHECKS, CRITICAL, ERROR, EVENTS, INFO, WARNING
 from twodof.fcu.px4_compat.log_topics import PX4_TOPICS
-from twodof.flight.failsafe.causes import ACTIONS, CAUSES, NONE
+from twodof.flight.failsafe.causes_and_actions import ACTIONS, CAUSES, NONE
 from twodof.flight.gains import NAMED
 from twodof.flight.starters import STARTERS, starter
 from twodof.flight.templates import TEMPLATES, kind_of

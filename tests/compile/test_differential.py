@@ -80,11 +80,13 @@ def needs(target: Target) -> None:
     need(*{"native": ["gcc"], "wasm": [], "cortex-m7": [M7, "arm-none-eabi-gcc"]}[target.name])
 
 
-def _swapped(op: str, args: Any) -> Any:
-    return _ARITHMETIC({"add": "sub", "sub": "add"}.get(op, op), args)
+_OPERATION = expressions.Renderer._operation
 
 
-_ARITHMETIC = expressions._arithmetic
+def _swapped(self: expressions.Renderer, name: str, args: Any) -> Any:
+    return _OPERATION(self, {"add_real": "sub_real", "sub_real": "add_real"}.get(name, name), args)
+
+
 _EXPRESSION = expressions.Renderer._expression
 
 
@@ -115,7 +117,7 @@ def _with_plain_quotient(self: expressions.Renderer, item: Expr, args: Sequence[
 @pytest.mark.parametrize(
     ("where", "name", "fault", "target"),
     [
-        *((expressions, "_arithmetic", _swapped, t) for t in (GCC, Wasm(), ON_M7)),
+        *((expressions.Renderer, "_operation", _swapped, t) for t in (GCC, Wasm(), ON_M7)),
         (expressions.Renderer, "_expression", _with_minimum_by("__builtin_fmin"), GCC),
         (expressions.Renderer, "_expression", _with_minimum_by("__builtin_fmin"), ON_M7),
         (expressions.Renderer, "_expression", _with_minimum_by("__builtin_wasm_min_f64"), Wasm()),

@@ -9,8 +9,8 @@ import pytest
 from twodof.constants import PERIOD
 from twodof.errors import ExperimentError, ParameterError
 from twodof.excitation import Doublet
+from twodof.experiment.experiments import EXPERIMENTS, IDENTIFICATION, Experiment, experiment
 from twodof.experiment.flight import Laboratory
-from twodof.experiment.protocol import EXPERIMENTS, IDENTIFICATION, Experiment, experiment
 from twodof.experiment.record import BOOT
 from twodof.experiment.script import script
 from twodof.flight.gains import DEFAULT, STUDENT

@@ -13,7 +13,7 @@ from pathlib import Path
 from tests.patience import PATIENCE_S
 from twodof.errors import Rejected, Timeout
 from twodof.experiment import fly
-from twodof.experiment.protocol import EXPERIMENTS
+from twodof.experiment.experiments import EXPERIMENTS
 from twodof.gcs.drone import Drone
 
 

@@ -12,7 +12,7 @@ import pytest
 from tests.faults.whole import BRAKE, DESCEND, LEVEL, NONE, OFF, Whole, acts, run, silent, stands, tell
 from tests.fcu.flights import exhausting, failing
 from twodof.fcu.control.hardware import SensorSample
-from twodof.flight.failsafe.causes import BIT
+from twodof.flight.failsafe.causes_and_actions import BIT
 
 LEVEL_RAD = 0.06  # as in tests/sim/test_failsafe_flights.py: the wake alone moves the pitch by .03
 FAILS_AT = 1200

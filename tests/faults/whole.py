@@ -24,7 +24,7 @@ from twodof.fcu import server
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.control.watchdog import Watchdog
 from twodof.fcu.mavlink.background import BackgroundWorker
-from twodof.flight.failsafe.causes import ACTIONS
+from twodof.flight.failsafe.causes_and_actions import ACTIONS
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.link.signing.frame_signing import Signing
 from twodof.link.transport.base import Transport

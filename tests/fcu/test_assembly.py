@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.fcu.assembled import INTERVAL, Assembled
-from twodof.fcu.parameters.store import ParameterStore
+from twodof.fcu.parameters.parameter_store import ParameterStore
 from twodof.link.mavlink.dialect import message_id
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from tests.fmea.loop import ONSET, compiled, fly, rig_values, settled
 from tests.fmea.rows import ROWS, SITUATIONS, Row
-from twodof.flight.failsafe.causes import ACTIONS, named_causes
+from twodof.flight.failsafe.causes_and_actions import ACTIONS, named_causes
 from twodof.rig.parameters import NAMES
 
 BATCH = 512

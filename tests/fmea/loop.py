@@ -14,7 +14,7 @@ from twodof.compile.lanes.lanes_program import LanesMachine, LanesProgram, build
 from twodof.flight.control.cascade import cascade
 from twodof.flight.control.mixer import Mixer
 from twodof.flight.core import PreviousPitch, core
-from twodof.flight.failsafe.causes import ACTIONS
+from twodof.flight.failsafe.causes_and_actions import ACTIONS
 from twodof.rig.parameters import load_rig
 from twodof.rig.rig import BASE_DT, SAMPLE, rig
 

@@ -11,7 +11,7 @@ import numpy as np
 from tests.fmea.expected import EXPECTED, Expected
 from tests.fmea.fly import Flown, flown
 from tests.fmea.rows import ROWS
-from twodof.flight.failsafe.causes import ACTIONS, named_causes
+from twodof.flight.failsafe.causes_and_actions import ACTIONS, named_causes
 
 FILE = Path(__file__).with_name("measured.csv")
 

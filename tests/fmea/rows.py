@@ -317,13 +317,13 @@ def _parameters() -> Iterator[Row]:
         return Row("parameter", text, {}, PITCHING, {f"flight.{path}": value for path, value in paths.items()})
 
     yield row("rate P 0", cascade__rate__kp=0.0)
-    yield row("rate P tenfold", cascade__rate__kp=0.854)
-    yield row("rate D tenfold", cascade__rate__kd=0.02)
+    yield row("rate P at its bound, .12", cascade__rate__kp=0.12)
+    yield row("rate D at its bound, .003", cascade__rate__kd=0.003)
     yield row("attitude P 0", cascade__attitude__kp=0.0)
-    yield row("attitude P 50 1/s", cascade__attitude__kp=50.0)
-    yield row("velocity P tenfold", cascade__velocity__kp=20.0)
+    yield row("attitude P at its bound, 15 1/s", cascade__attitude__kp=15.0)
+    yield row("velocity P at its bound, 4 N s/m", cascade__velocity__kp=4.0)
     yield row("velocity P and I 0", cascade__velocity__kp=0.0, cascade__velocity__ki=0.0)
-    yield row("position P 10 1/s", cascade__position__kp=10.0)
+    yield row("position P at its bound, 2.5 1/s", cascade__position__kp=2.5)
     yield row("filter: range noise of 1 mm", estimator__filter__sigma_range=0.001)
     yield row("filter: gyro noise thousandfold", estimator__filter__sigma_gyro=2.0)
 

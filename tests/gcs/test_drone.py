@@ -156,7 +156,7 @@ def test_a_disk_that_is_full_ends_the_recording_and_not_the_flight(
         with drone.record(tmp_path / "flight.mcap") as recording:
             drone.run(1.0)
             recording.recorder.flush()
-            monkeypatch.setattr("twodof.flightlog.spool.os.write", full)
+            monkeypatch.setattr("twodof.flightlog.append_only_file.os.write", full)
             drone.run(2.0)
             with pytest.raises(RecordingError):
                 recording.recorder.flush()

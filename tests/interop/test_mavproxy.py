@@ -9,7 +9,7 @@ import pytest
 from bench.stack.programs import port
 from tests.interop.mavproxy import MavProxy
 from tests.patience import patiently
-from twodof.fcu.parameters.store import ParameterStore
+from twodof.fcu.parameters.parameter_store import ParameterStore
 
 NUMBER = r"-?\d+\.\d+"  # a prompt may follow in the same line
 

@@ -14,7 +14,7 @@ from pyulog import ULog
 
 from bench.stack.programs import port
 from tests.patience import PATIENCE_S
-from twodof.fcu.parameters.store import ParameterStore
+from twodof.fcu.parameters.parameter_store import ParameterStore
 
 CLIENT = Path(__file__).with_name("mavsdk_client.py")
 SET_TO = 0.09

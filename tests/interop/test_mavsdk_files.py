@@ -15,7 +15,7 @@ from bench.stack.programs import port
 from tests.patience import PATIENCE_S
 from twodof.fcu.mavlink.files.metadata import metadata_files
 from twodof.fcu.onboard_log.step_row import STEP_TOPIC
-from twodof.fcu.parameters.store import ParameterStore
+from twodof.fcu.parameters.parameter_store import ParameterStore
 from twodof.flightlog.ulog.decoder import scan_ulog
 
 CLIENT = Path(__file__).with_name("mavsdk_files_client.py")

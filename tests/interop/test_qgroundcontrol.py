@@ -183,7 +183,7 @@ def test_it_connects_and_finds_all_it_needs(fcu_url: str) -> None:
 def test_a_cache_with_the_same_hash_stops_the_list(fcu_url: str) -> None:
     """QGroundControl waits for the hash of the list; a list takes an eighth of a second, and who stands still is late.
 
-    That it is stopped after its hash has come is told in the drone's own time, tests/fcu/mavlink/test_parameters.py.
+    It is stopped once its hash has come: tests/fcu/mavlink/test_parameter_service.py shows that in the drone's time.
     """
 
     async def connect() -> None:

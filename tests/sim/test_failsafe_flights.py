@@ -16,10 +16,10 @@ from tests.flight.failsafe.expr_arrays import tell
 from tests.sim.faulty_loop import PERIOD_MS, FaultyLoop, first
 from twodof.compile import build
 from twodof.constants import PERIOD
+from twodof.experiment.experiments import EXPERIMENTS
 from twodof.experiment.flight import Laboratory
-from twodof.experiment.protocol import EXPERIMENTS
 from twodof.experiment.script import script
-from twodof.flight.failsafe.causes import ACTIONS, BIT, named_causes
+from twodof.flight.failsafe.causes_and_actions import ACTIONS, BIT, named_causes
 from twodof.flight.failsafe.diagram import failsafe
 from twodof.flight.starters import load_diagram
 from twodof.flightlog.events import mode_at

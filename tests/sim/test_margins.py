@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from tests.flight.failsafe.expr_arrays import tell
 from twodof.compile.lanes.lanes_program import LanesMachine, LanesProgram, build_lanes
+from twodof.experiment.experiments import EXPERIMENTS
 from twodof.experiment.flight import Laboratory
-from twodof.experiment.protocol import EXPERIMENTS
 from twodof.experiment.script import script
-from twodof.flight.failsafe.causes import BIT
+from twodof.flight.failsafe.causes_and_actions import BIT
 from twodof.rig.rig import BASE_DT, SAMPLE
 from twodof.sim.closed_loop import closed_loop
 from twodof.sim.initial_state import InitialState

@@ -9,7 +9,7 @@ import pytest
 from tests.flight.failsafe.expr_arrays import tell
 from tests.fmea.fly import AT_A_STOP, flown
 from tests.fmea.rows import ROWS
-from twodof.flight.failsafe.causes import ACTIONS
+from twodof.flight.failsafe.causes_and_actions import ACTIONS
 
 WITHIN: Mapping[str, tuple[str, int]] = {
     "range: step of -0.16 m": ("descend", 320),

@@ -13,9 +13,9 @@ from rich.table import Table
 
 from twodof.cli.output import Force, Json, print_json, progress, table_console
 from twodof.errors import LogError
+from twodof.experiment.experiments import IDENTIFICATION, Experiment
 from twodof.experiment.flight import Flight, Laboratory
 from twodof.experiment.flight_series import fly_series
-from twodof.experiment.protocol import IDENTIFICATION, Experiment
 from twodof.flightlog.atomic import atomic_write
 from twodof.flightlog.files import check_folder
 from twodof.flightlog.provenance import versions

@@ -14,9 +14,9 @@ from twodof.cli.diagrams.argument import DIAGRAM_HELP, read_diagram
 from twodof.cli.logs.plot import Plot, draw
 from twodof.cli.output import Force, Json, print_json, say_line, table_console
 from twodof.errors import ParameterError
+from twodof.experiment.experiments import EXPERIMENTS
+from twodof.experiment.experiments import experiment as named_experiment
 from twodof.experiment.flight import Laboratory
-from twodof.experiment.protocol import EXPERIMENTS
-from twodof.experiment.protocol import experiment as named_experiment
 from twodof.flight.controller_store import simulator_controllers
 from twodof.flight.gains import load_gains
 from twodof.flightlog.files import check_place, read_log, write_log

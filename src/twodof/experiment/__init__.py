@@ -1,9 +1,9 @@
 """Experiments: protocols that excite a rig whose flight controller runs a diagram, and the flights they make."""
 
 from twodof.experiment.checks import FlightCheck
+from twodof.experiment.experiments import EXPERIMENTS, IDENTIFICATION, Experiment, experiment
 from twodof.experiment.flight import Flight, Laboratory, simulate
 from twodof.experiment.fly import fly
-from twodof.experiment.protocol import EXPERIMENTS, IDENTIFICATION, Experiment, experiment
 
 __all__ = [
     "EXPERIMENTS",

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twodof.constants import PERIOD
-from twodof.experiment.protocol import SETPOINT, Experiment
+from twodof.experiment.experiments import SETPOINT, Experiment
 from twodof.experiment.script import Script
 
 Signals = Mapping[str, NDArray[Any]]

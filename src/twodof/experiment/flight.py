@@ -18,8 +18,8 @@ from twodof.blocks import Diagram
 from twodof.blocks.schema.json_form import to_json
 from twodof.errors import ExperimentError, ParameterError
 from twodof.experiment.checks import FlightCheck, commanded, data_checks
-from twodof.experiment.protocol import EXPERIMENTS, Experiment
-from twodof.experiment.protocol import experiment as named_experiment
+from twodof.experiment.experiments import EXPERIMENTS, Experiment
+from twodof.experiment.experiments import experiment as named_experiment
 from twodof.experiment.record import flight_log
 from twodof.experiment.script import Script, script
 from twodof.flight.gains import DEFAULT, Gains, load_gains

@@ -12,8 +12,8 @@ import numpy as np
 from twodof.constants import PERIOD
 from twodof.errors import ExperimentError, LinkLost, Rejected, Timeout
 from twodof.experiment.checks import FlightCheck, data_checks, not_judged, received
+from twodof.experiment.experiments import Experiment
 from twodof.experiment.flight import MARGIN, PITCH_MARGIN, Flight, Laboratory, ready
-from twodof.experiment.protocol import Experiment
 from twodof.experiment.received import COLUMNS, ReceivedSamples, safety_in
 from twodof.experiment.script import Script, on_wire, script
 from twodof.flightlog.provenance import versions

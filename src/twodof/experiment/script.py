@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twodof.constants import PERIOD
-from twodof.experiment.protocol import SETPOINT, Experiment
+from twodof.experiment.experiments import SETPOINT, Experiment
 from twodof.signals import MODES, OFF, OPEN_LOOP
 from twodof.sim.closed_loop import ARMING
 

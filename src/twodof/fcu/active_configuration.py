@@ -6,7 +6,7 @@ from typing import Any
 
 from twodof.fcu.control.controllers import ControllerIdentity, Controllers, controller_identity
 from twodof.fcu.control.loop import FlightController
-from twodof.fcu.parameters.store import ParametersChanged, ParameterStore
+from twodof.fcu.parameters.parameter_store import ParametersChanged, ParameterStore
 
 
 class ActiveConfiguration:

@@ -29,7 +29,7 @@ from twodof.fcu.mavlink.services import MavlinkServices
 from twodof.fcu.mavlink.status_text import TextSent
 from twodof.fcu.mavlink.storage_monitor import StorageMonitor
 from twodof.fcu.onboard_log.logger import OnboardLogger
-from twodof.fcu.parameters.store import ParameterStore
+from twodof.fcu.parameters.parameter_store import ParameterStore
 from twodof.fcu.px4_compat.log_stream import LogStreamService
 from twodof.fcu.server import Server
 from twodof.link.control_period import TICK_MS

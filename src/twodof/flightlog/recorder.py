@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twodof.errors import LogError, listed, shown
+from twodof.flightlog.append_only_file import AppendOnlyFile, Full
 from twodof.flightlog.mcap.encoder import Attachment, McapEncoder, McapSamples
 from twodof.flightlog.mcap.mcap_file import END_NOTE, NOTE
 from twodof.flightlog.mcap.topic_stream import McapStream, named
 from twodof.flightlog.provenance import kept_json
-from twodof.flightlog.spool import Full, Spool
 from twodof.signals import Topic
 
 _LATEST_NS = (1 << 63) - 1
@@ -41,7 +41,7 @@ class _Slot:
         return McapSamples(times, values.reshape(-1, self.width))
 
 
-class Recorder(Spool):
+class Recorder(AppendOnlyFile):
     """Records samples of topics into a new MCAP file, for `with`.
 
     `topics`: names of TOPICS (`imu.gyro`), rows of TOPICS, or streams that you describe. `provenance` holds JSON values

@@ -54,7 +54,7 @@ def test_what_was_flashed_flies_when_asked_for_and_not_otherwise(
 
     def moments(*more: str) -> tuple[Any, np.ndarray]:
         file = folder / "flight.parquet"
-        found = answer(capfd, "simulate", "velocity-doublets", "--out", str(file), *more)
+        found = answer(capfd, "simulate", "velocity-doublets", "--out", str(file), "--force", *more)
         return found["controllers"], read_log(file)["M"].value
 
     stock, flown = moments()

@@ -11,7 +11,7 @@ from twodof.fcu.command.setpoints import SetPoint
 from twodof.fcu.control.control_input import ControlInput
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.control.hardware import SensorSample
-from twodof.flight.failsafe.causes import ACTIONS, BIT
+from twodof.flight.failsafe.causes_and_actions import ACTIONS, BIT
 from twodof.flight.failsafe.state_machine import BRAKE, DESCEND, DISARMED, FLYING, LEVEL, MAY_TURN, OFF, REFUSED
 from twodof.link.mavlink import modes
 from twodof.signals import ATTITUDE

@@ -10,7 +10,7 @@ from twodof.fcu.command.setpoint_manager import FRESH, SetpointManager
 from twodof.fcu.command.setpoints import OPENLOOP, STICKS, SetPoint
 from twodof.fcu.command.vehicle_state import VehicleState
 from twodof.fcu.control.control_input import ControlInput
-from twodof.flight.failsafe.causes import BIT
+from twodof.flight.failsafe.causes_and_actions import BIT
 from twodof.flight.failsafe.state_machine import DISARMED, FLYING, LEVEL
 from twodof.flight.failsafe.state_machine import OFF as STOPPED_BY_FAILSAFE
 from twodof.flight.failsafe.state_machine import REFUSED as REFUSED_BY_FAILSAFE

@@ -14,7 +14,7 @@ from twodof.fcu.command.setpoint_queue import CAPACITY, HORIZON
 from twodof.fcu.command.setpoints import SetPoint
 from twodof.fcu.command.vehicle_state import MOST_REMARKS
 from twodof.fcu.control.control_input import ControlInput
-from twodof.flight.failsafe.causes import BIT
+from twodof.flight.failsafe.causes_and_actions import BIT
 from twodof.flight.failsafe.state_machine import BRAKE, DESCEND, FLYING, LEVEL
 from twodof.flight.failsafe.state_machine import OFF as STOPPED_BY_FAILSAFE
 from twodof.link.mavlink import modes

@@ -13,7 +13,7 @@ from tests.fcu.command.cockpit import ME, OTHER, Cockpit, Rig, armed
 from twodof.constants import PERIOD
 from twodof.errors import ExperimentError
 from twodof.excitation import KINDS, Doublet, Excitation, Impulse, Multisine, Prbs, Steps, Sweep, ThreeTwoOneOne
-from twodof.experiment.protocol import EXPERIMENTS
+from twodof.experiment.experiments import EXPERIMENTS
 from twodof.experiment.script import script
 from twodof.fcu.command import excitation_player
 from twodof.fcu.command.excitation_player import (
@@ -28,7 +28,7 @@ from twodof.fcu.command.excitation_player import (
     written_out,
 )
 from twodof.fcu.command.setpoints import SetPoint
-from twodof.flight.failsafe.causes import BIT
+from twodof.flight.failsafe.causes_and_actions import BIT
 from twodof.flight.failsafe.state_machine import BRAKE
 from twodof.flight.failsafe.state_machine import OFF as STOPPED_BY_FAILSAFE
 from twodof.link.mavlink import modes

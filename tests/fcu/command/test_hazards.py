@@ -15,11 +15,11 @@ from twodof.fcu.command.excitation_player import REFUSED, STOPPED, written_out
 from twodof.fcu.command.result import FAILED, IN_PROGRESS, TEMPORARILY_REJECTED
 from twodof.fcu.command.setpoint_manager import FRESH
 from twodof.fcu.command.setpoints import SetPoint
-from twodof.fcu.mavlink.parameters import INT32, REAL32
+from twodof.fcu.mavlink.parameter_service import INT32, REAL32
 from twodof.fcu.mavlink.transactions import BEGIN, COMMIT, UNDO
 from twodof.fcu.parameters.row import VehicleParameter
 from twodof.fcu.px4_compat.storage import STORAGE
-from twodof.flight.failsafe.causes import BIT
+from twodof.flight.failsafe.causes_and_actions import BIT
 from twodof.flight.failsafe.state_machine import BRAKE, DESCEND, LEVEL
 from twodof.link.mavlink import modes
 from twodof.link.mavlink.messages import float_of_int, message

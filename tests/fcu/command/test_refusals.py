@@ -13,7 +13,7 @@ from twodof.fcu.command.excitation_player import READY, REFUSED, written_out
 from twodof.fcu.command.result import DENIED, FAILED, TEMPORARILY_REJECTED, UNSUPPORTED, CommandResult
 from twodof.fcu.command.setpoint_queue import HORIZON
 from twodof.fcu.command.setpoints import SetPoint
-from twodof.flight.failsafe.causes import BIT
+from twodof.flight.failsafe.causes_and_actions import BIT
 from twodof.link.mavlink import modes
 from twodof.signals import ATTITUDE, POSITION
 

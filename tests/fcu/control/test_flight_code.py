@@ -13,7 +13,7 @@ from twodof.blocks import Diagram
 from twodof.errors import ControllerFault, ParameterError
 from twodof.fcu.control.control_input import ControlInput
 from twodof.fcu.control.flight_code import OUTPUTS, ControlStep, FlightCode
-from twodof.flight.failsafe.causes import ACTIONS, BIT
+from twodof.flight.failsafe.causes_and_actions import ACTIONS, BIT
 from twodof.flight.starters import starter
 from twodof.parameters import FLIGHT_PARAMETERS, PARAMETERS, PRESETS
 

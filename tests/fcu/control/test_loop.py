@@ -15,7 +15,7 @@ from twodof.fcu.control.control_input import ControlInput
 from twodof.fcu.control.flight_code import ControlStep, FlightCode
 from twodof.fcu.control.hardware import SensorSample
 from twodof.fcu.control.loop import MOST_GRANTED, REMEDY, FlightController, TimeRestarted
-from twodof.flight.failsafe.causes import BIT
+from twodof.flight.failsafe.causes_and_actions import BIT
 from twodof.flight.failsafe.state_machine import DISARMED
 from twodof.link.control_period import TICK_NS
 from twodof.rig.parameters import lab

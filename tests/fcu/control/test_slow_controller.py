@@ -13,7 +13,7 @@ from twodof.fcu.control import sandbox
 from twodof.fcu.control.control_input import ControlInput
 from twodof.fcu.control.flight_code import FlightCode
 from twodof.fcu.control.loop import REMEDY, FlightController
-from twodof.flight.failsafe.causes import ACTIONS, BIT
+from twodof.flight.failsafe.causes_and_actions import ACTIONS, BIT
 from twodof.flight.starters import starter
 
 NONE, LEVEL = ACTIONS.index("none"), ACTIONS.index("level")

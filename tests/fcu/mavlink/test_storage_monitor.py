@@ -9,7 +9,7 @@ from tests.fcu.steps import plain_step
 from twodof.errors import ParameterError
 from twodof.fcu.mavlink.storage_monitor import LOOK_TICKS, StorageMonitor
 from twodof.fcu.onboard_log.logger import OnboardLogger
-from twodof.fcu.parameters.store import ParameterStore
+from twodof.fcu.parameters.parameter_store import ParameterStore
 
 ERROR, WARNING = 3, 4
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from tests.fcu.mavlink.world import CLIENT, World
 from tests.fcu.parameters.tuned import tuned
 from twodof.fcu.command.result import TEMPORARILY_REJECTED, CommandResult
-from twodof.fcu.mavlink.parameters import (
+from twodof.fcu.mavlink.parameter_service import (
     DOES_NOT_EXIST,
     INT32,
     NO_ERROR,
@@ -19,7 +19,7 @@ from twodof.fcu.mavlink.parameters import (
     TYPE_MISMATCH,
 )
 from twodof.fcu.mavlink.transactions import BEGIN, COMMIT, LONGEST_TICKS, MOST_OPEN, ROLL_BACK, UNDO
-from twodof.fcu.parameters.store import ParametersChanged
+from twodof.fcu.parameters.parameter_store import ParametersChanged
 from twodof.fcu.parameters.user_parameters import user_parameters
 from twodof.link.mavlink.messages import message
 

@@ -12,7 +12,7 @@ from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.control.hardware import SensorSample
 from twodof.fcu.control.loop import LoopTiming
 from twodof.fcu.mavlink.services import MavlinkServices
-from twodof.fcu.parameters.store import ParameterStore
+from twodof.fcu.parameters.parameter_store import ParameterStore
 from twodof.link.connection import Received
 from twodof.link.mavlink import modes
 from twodof.link.mavlink.framing import Parser, decode, encode

@@ -9,7 +9,7 @@ from pathlib import Path
 from tests.fcu.steps import plain_step
 from twodof.errors import LogError
 from twodof.fcu.onboard_log.logger import OnboardLogger
-from twodof.fcu.parameters.store import ParameterStore
+from twodof.fcu.parameters.parameter_store import ParameterStore
 
 FLUSHED_EACH = 100
 

@@ -24,7 +24,7 @@ from twodof.fcu.onboard_log import logger
 from twodof.fcu.onboard_log.log_writer import MARGIN, LogWriter
 from twodof.fcu.onboard_log.logger import OnboardLogger
 from twodof.fcu.onboard_log.step_row import COLUMNS, STEP_TOPIC
-from twodof.fcu.parameters.store import ParameterStore
+from twodof.fcu.parameters.parameter_store import ParameterStore
 from twodof.fcu.px4_compat.log_topics import PX4_TOPICS
 from twodof.flightlog import read_log, recover
 from twodof.flightlog.ulog.decoder import scan_ulog

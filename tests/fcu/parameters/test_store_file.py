@@ -13,7 +13,7 @@ import pytest
 from tests.patience import PATIENCE_S, patiently
 from twodof.errors import LogError, ParameterError
 from twodof.fcu.parameters import store_file
-from twodof.fcu.parameters.store import ParameterStore
+from twodof.fcu.parameters.parameter_store import ParameterStore
 from twodof.fcu.parameters.store_file import StoredParameters, text_of
 
 VALUES = {"RATE_KP": 0.07, "SAFE_SP_T": 0.4, "COM_DL_LOSS_T": 20}

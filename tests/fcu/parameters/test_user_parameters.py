@@ -14,7 +14,7 @@ from twodof.compile.px4 import make_module
 from twodof.compile.px4.parameters import MOST
 from twodof.fcu.control.flight_code import FlightCode
 from twodof.fcu.mavlink.files.metadata import metadata_files
-from twodof.fcu.parameters.store import ParameterStore
+from twodof.fcu.parameters.parameter_store import ParameterStore
 from twodof.fcu.parameters.table import wire_rows
 from twodof.fcu.parameters.user_parameters import user_parameters
 from twodof.flight.starters import STARTERS, starter

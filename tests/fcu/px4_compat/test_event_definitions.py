@@ -19,7 +19,7 @@ from twodof.errors import LinkError
 from twodof.fcu.px4_compat.event_definitions import definitions
 from twodof.fcu.px4_compat.event_enumerations import ABOUT, COMPONENT_INDEX, ENUMERATIONS, OBSTACLES
 from twodof.fcu.px4_compat.event_table import CHECKS, DENIED, EVENTS, MOST_BYTES, EventType
-from twodof.flight.failsafe.causes import ACTIONS, CAUSES
+from twodof.flight.failsafe.causes_and_actions import ACTIONS, CAUSES
 from twodof.link.mavlink.modes import MODES
 
 WIDTHS = {"uint8_t": 1, "uint16_t": 2, "uint32_t": 4}

@@ -11,7 +11,7 @@ from twodof.fcu.command.result import TEMPORARILY_REJECTED, CommandResult
 from twodof.fcu.px4_compat.event_definitions import definitions
 from twodof.fcu.px4_compat.events import KEPT, LOOK_TICKS, MOST_AGAIN, REPORT_TICKS
 from twodof.flight.failsafe import state_machine
-from twodof.flight.failsafe.causes import BIT, CAUSES, DESCEND, LEVEL, OFF
+from twodof.flight.failsafe.causes_and_actions import BIT, CAUSES, DESCEND, LEVEL, OFF
 from twodof.link.mavlink.messages import message
 
 TEXTS = {cause.name: cause.text for cause in CAUSES}

@@ -15,8 +15,8 @@ import pytest
 from tests.fcu.mavlink.world import World
 from tests.patience import PATIENCE_S, patiently
 from twodof.fcu.command.result import ACCEPTED, DENIED, FAILED, TEMPORARILY_REJECTED, UNSUPPORTED, CommandResult
-from twodof.fcu.parameters import store as store_module
-from twodof.fcu.parameters.store import ParameterStore
+from twodof.fcu.parameters import parameter_store as store_module
+from twodof.fcu.parameters.parameter_store import ParameterStore
 from twodof.link.mavlink.messages import message
 
 STORAGE = 245

@@ -10,7 +10,7 @@ import pytest
 from bench.stack.programs import running
 from tests.patience import PATIENCE_S
 from twodof.errors import LinkError, LinkLost, Timeout
-from twodof.fcu.parameters.store import ParameterStore
+from twodof.fcu.parameters.parameter_store import ParameterStore
 from twodof.gcs.drone import Drone
 
 STORE, DEFAULTS = 1, 2

@@ -13,7 +13,7 @@ import pytest
 from tests.fcu.px4_compat.event_reader import Reader
 from twodof.errors import Rejected
 from twodof.fcu.mavlink.files.file_tree import EXTRAS
-from twodof.flight.failsafe.causes import CAUSES
+from twodof.flight.failsafe.causes_and_actions import CAUSES
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.link.mavlink.modes import MODES, POSITION
 from twodof.sim.virtual_drone import VirtualDrone

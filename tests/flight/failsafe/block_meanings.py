@@ -11,19 +11,12 @@ from typing import Any
 import numpy as np
 
 from twodof.blocks import Block
-from twodof.flight.failsafe.causes import BIT, CAUSES
+from twodof.flight.failsafe.causes_and_actions import BIT, CAUSES
 from twodof.flight.failsafe.consistency import ForceConsistency, RateConsistency
+from twodof.flight.failsafe.flags import SET_POINTS, BatteryFlags, PlaceFlags, SensorFlags, SetPointFlags, StuckCommands
 from twodof.flight.failsafe.output_selector import COMMANDS, OutputSelector, StandbyReset
 from twodof.flight.failsafe.safe_setpoints import SafeSetPoints
 from twodof.flight.failsafe.state_machine import BRAKE, DESCEND, DISARMED, FLYING, LEVEL, OFF, REFUSED, Reasons
-from twodof.flight.failsafe.thresholds import (
-    SET_POINTS,
-    BatteryFlags,
-    PlaceFlags,
-    SensorFlags,
-    SetPointFlags,
-    StuckCommands,
-)
 
 NAN, INF = math.nan, math.inf
 Row = Mapping[str, Any]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tests.flight.failsafe.expr_arrays import combinations, flags
-from twodof.flight.failsafe.causes import ACTIONS
+from twodof.flight.failsafe.causes_and_actions import ACTIONS
 from twodof.flight.failsafe.state_machine import BRAKE, DESCEND, DISARMED, FLYING, LEVEL, OFF, REFUSED, STATES
 
 Array = NDArray[Any]

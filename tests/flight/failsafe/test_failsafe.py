@@ -17,7 +17,7 @@ from twodof.compile.lanes.lanes_program import build_lanes
 from twodof.constants import PERIOD
 from twodof.errors import DiagramError
 from twodof.flight.core import INPUTS, OUTPUTS, core
-from twodof.flight.failsafe.causes import BIT, BRAKE, CAUSES, DESCEND, LEVEL, NONE, OFF, named_causes
+from twodof.flight.failsafe.causes_and_actions import BIT, BRAKE, CAUSES, DESCEND, LEVEL, NONE, OFF, named_causes
 from twodof.flight.failsafe.diagram import INPUTS as SAFETY_INPUTS
 from twodof.flight.failsafe.diagram import OUTPUTS as SAFETY_OUTPUTS
 from twodof.flight.failsafe.diagram import STATES, failsafe

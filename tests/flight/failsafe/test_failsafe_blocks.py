@@ -14,7 +14,7 @@ from tests.flight.failsafe.block_meanings import MEANINGS, Meaning
 from tests.flight.failsafe.expr_arrays import graph_of, mutants, on_arrays
 from tests.flight.failsafe.unrolled import unrolled
 from twodof.blocks import Block
-from twodof.flight.failsafe.thresholds import BatteryFlags, PlaceFlags
+from twodof.flight.failsafe.flags import BatteryFlags, PlaceFlags
 
 CASES = 12_000
 DERIVED = {"per_tick": ("descent", 0.1, 1.0 / 25.0), "per_answer": ("answer", 0.016, 0.25), "per_dt": ("", 0.0, 250.0)}

@@ -23,12 +23,12 @@ from tests.flight.failsafe.machine_space import (
 )
 from tests.flight.failsafe.unrolled import unrolled
 from twodof.blocks import Block
-from twodof.flight.failsafe.causes import BIT, CAUSES, LEVEL, NONE, OFF, RequestedActions, named_causes
+from twodof.flight.block_parameters import tunable
+from twodof.flight.failsafe.causes_and_actions import BIT, CAUSES, LEVEL, NONE, OFF, RequestedActions, named_causes
 from twodof.flight.failsafe.diagram import TIMERS
 from twodof.flight.failsafe.state_machine import BRAKE, DESCEND, FLYING, MAY_TURN, REFUSED, FailsafeStateMachine
 from twodof.flight.failsafe.state_machine import LEVEL as LEVELLING
 from twodof.flight.failsafe.timers import OffDelay, WatchdogTimer
-from twodof.flight.tunables import tunable
 
 EQUIVALENT = {
     "lt: le": "maximum(timer, 0) of 0 is 0 either way",

@@ -14,7 +14,7 @@ from tests.patience import PATIENCE_S
 from twodof.compile.toolchain import cache
 from twodof.errors import LinkError
 from twodof.fcu.command import excitation_player
-from twodof.flight.failsafe.causes import ACTIONS, BIT, CAUSES
+from twodof.flight.failsafe.causes_and_actions import ACTIONS, BIT, CAUSES
 from twodof.link.mavlink import dialect
 from twodof.link.mavlink.messages import channel_bits
 from twodof.signals import TOPICS

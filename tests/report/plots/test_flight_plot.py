@@ -10,7 +10,7 @@ import pytest
 
 from twodof.errors import LogError
 from twodof.experiment.flight import Laboratory
-from twodof.flight.failsafe.causes import ACTIONS, BIT, CAUSES
+from twodof.flight.failsafe.causes_and_actions import ACTIONS, BIT, CAUSES
 from twodof.flightlog.log import Channel, FlightLog
 from twodof.report.plots.flight_plot import to_html, write_plot
 from twodof.report.plots.flight_view import MOST_POINTS, SUFFIXES, Curve, FlightView, flight_view

@@ -14,10 +14,10 @@ from twodof.cli.drone.connect import connect
 from twodof.cli.logs.plot import Plot, draw
 from twodof.cli.output import Force, Json, print_json, progress, say_line, table_console
 from twodof.errors import LinkLost
+from twodof.experiment.experiments import EXPERIMENTS
+from twodof.experiment.experiments import experiment as named_experiment
 from twodof.experiment.flight import Flight, Laboratory
 from twodof.experiment.fly import fly as fly_experiment
-from twodof.experiment.protocol import EXPERIMENTS
-from twodof.experiment.protocol import experiment as named_experiment
 from twodof.fleet.active_controller import controller_in_words
 from twodof.fleet.virtual_drone import virtual_drone
 from twodof.flightlog.files import check_place, write_log

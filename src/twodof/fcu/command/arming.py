@@ -9,7 +9,7 @@ from twodof.fcu.command.result import ACCEPTED, FAILED, IN_PROGRESS, TEMPORARILY
 from twodof.fcu.command.setpoint_manager import SetpointManager
 from twodof.fcu.command.vehicle_state import VehicleState
 from twodof.fcu.control.flight_code import ControlStep
-from twodof.flight.failsafe.causes import BIT, named_causes
+from twodof.flight.failsafe.causes_and_actions import BIT, named_causes
 from twodof.flight.failsafe.state_machine import DISARMED, MAY_TURN, REFUSED
 from twodof.link.mavlink import modes
 

@@ -6,7 +6,7 @@ The rules are those of the lease (docs/reference/protocol.md).
 from __future__ import annotations
 
 from twodof.constants import PERIOD
-from twodof.fcu.command.lease import COMMANDING, CommandLease, LeaseState
+from twodof.fcu.command.command_lease import COMMANDING, CommandLease, LeaseState
 from twodof.fcu.command.result import ACCEPTED, DENIED, TEMPORARILY_REJECTED, CommandResult, Source
 
 DONE = CommandResult(ACCEPTED)

@@ -11,9 +11,9 @@ from collections.abc import Callable
 
 from twodof.fcu.command.arming import ArmingControl
 from twodof.fcu.command.authority import DONE, CommandAuthority
+from twodof.fcu.command.command_lease import LeaseState
 from twodof.fcu.command.excitation_control import ExcitationControl
 from twodof.fcu.command.excitation_player import STOPPED
-from twodof.fcu.command.lease import LeaseState
 from twodof.fcu.command.manual_control import manual_setpoint
 from twodof.fcu.command.result import DENIED, TEMPORARILY_REJECTED, UNSUPPORTED, CommandResult, Source
 from twodof.fcu.command.setpoint_manager import SetpointManager
@@ -22,7 +22,7 @@ from twodof.fcu.command.setpoints import OPENLOOP, STICKS, TARGET, OpenLoopState
 from twodof.fcu.command.vehicle_state import ACTING, RigSwitches, VehicleState
 from twodof.fcu.control.control_input import ControlInput
 from twodof.fcu.control.flight_code import ControlStep
-from twodof.flight.failsafe.causes import named_causes
+from twodof.flight.failsafe.causes_and_actions import named_causes
 from twodof.flight.failsafe.state_machine import FLYING, STATES
 from twodof.link.mavlink import modes
 from twodof.signals import ATTITUDE, OPEN_LOOP, VELOCITY

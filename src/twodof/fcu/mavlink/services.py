@@ -13,7 +13,7 @@ from twodof.fcu.mavlink.commands.arming import ArmingCommands
 from twodof.fcu.mavlink.commands.command_service import CommandService
 from twodof.fcu.mavlink.commands.message_requests import MessageRequests
 from twodof.fcu.mavlink.commands.modes import ModeService
-from twodof.fcu.mavlink.parameters import ParameterService
+from twodof.fcu.mavlink.parameter_service import ParameterService
 from twodof.fcu.mavlink.service import Link, Service
 from twodof.fcu.mavlink.status_text import StatusTextService
 from twodof.fcu.mavlink.telemetry.batches import BATCH, BatchService
@@ -22,7 +22,7 @@ from twodof.fcu.mavlink.telemetry.heartbeat import Heartbeat
 from twodof.fcu.mavlink.telemetry.streams import ChangeDetector, StreamService
 from twodof.fcu.mavlink.transactions import TransactionService
 from twodof.fcu.mavlink.version import VersionService
-from twodof.fcu.parameters.store import ParameterStore
+from twodof.fcu.parameters.parameter_store import ParameterStore
 from twodof.fcu.px4_compat.events import EventService
 from twodof.fcu.px4_compat.missions import MissionService
 from twodof.fcu.px4_compat.storage import StorageCommand

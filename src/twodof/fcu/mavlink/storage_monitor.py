@@ -6,7 +6,7 @@ from twodof.errors import TwodofError
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.mavlink.service import Service
 from twodof.fcu.onboard_log.logger import OnboardLogger
-from twodof.fcu.parameters.store import ParameterStore
+from twodof.fcu.parameters.parameter_store import ParameterStore
 
 LOOK_TICKS = 250
 ERROR, WARNING = 3, 4

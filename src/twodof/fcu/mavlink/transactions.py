@@ -11,9 +11,9 @@ from twodof.fcu.command.result import Source
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.mavlink.addressing import VehicleAddress, source
 from twodof.fcu.mavlink.commands.command_service import CommandService
-from twodof.fcu.mavlink.parameters import NO_ERROR, PERMISSION_DENIED, READ_FAIL, ParameterService, text
+from twodof.fcu.mavlink.parameter_service import NO_ERROR, PERMISSION_DENIED, READ_FAIL, ParameterService, text
 from twodof.fcu.mavlink.service import Link, Service
-from twodof.fcu.parameters.store import HASH_NAME, ParameterStore
+from twodof.fcu.parameters.parameter_store import HASH_NAME, ParameterStore
 from twodof.link.connection import Received
 from twodof.link.mavlink.packing import Packer
 

@@ -19,8 +19,8 @@ from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.onboard_log.log_folder import MAX_BYTES, LogFolder, StoredLog
 from twodof.fcu.onboard_log.log_writer import LogWriter
 from twodof.fcu.onboard_log.step_row import ROW, pack
-from twodof.fcu.parameters.store import ParametersChanged, ParametersRelisted, ParameterStore
-from twodof.flightlog.spool import DEADLINE_S
+from twodof.fcu.parameters.parameter_store import ParametersChanged, ParametersRelisted, ParameterStore
+from twodof.flightlog.append_only_file import DEADLINE_S
 from twodof.link.control_period import TICK_US
 
 LONGEST_QUEUE = 20_000

@@ -16,7 +16,7 @@ from twodof.fcu.mavlink.telemetry.system_messages import hindering
 from twodof.fcu.px4_compat.event_enumerations import ABOUT, COMPONENT_INDEX, OBSTACLE_BIT
 from twodof.fcu.px4_compat.event_table import ARMING_SUMMARY, CHECKS, HEALTH_SUMMARY, EventType
 from twodof.flight.failsafe import state_machine
-from twodof.flight.failsafe.causes import BIT
+from twodof.flight.failsafe.causes_and_actions import BIT
 from twodof.link.mavlink.modes import MODES
 
 ALL_MODES = (1 << len(MODES)) - 1

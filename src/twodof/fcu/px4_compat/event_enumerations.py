@@ -8,7 +8,7 @@ from __future__ import annotations
 from types import MappingProxyType
 from typing import NamedTuple
 
-from twodof.flight.failsafe.causes import ACTIONS, CAUSES
+from twodof.flight.failsafe.causes_and_actions import ACTIONS, CAUSES
 from twodof.link.mavlink.modes import MODES
 
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from twodof.errors import LinkError
 from twodof.fcu.px4_compat.event_enumerations import ENUMERATIONS, FIRST_OBSTACLE, OBSTACLES, Obstacle
-from twodof.flight.failsafe.causes import CAUSES, Cause
+from twodof.flight.failsafe.causes_and_actions import CAUSES, Cause
 
 COMPONENT = 1
 MOST_BYTES = 25

@@ -20,7 +20,7 @@ from twodof.fcu.px4_compat.arming_report import ArmingReport, ReportedEvent
 from twodof.fcu.px4_compat.event_enumerations import COMMANDED, FAILED, KILLED, LEASE_BIT, OTHER_BIT
 from twodof.fcu.px4_compat.event_table import EventType
 from twodof.flight.failsafe import state_machine
-from twodof.flight.failsafe.causes import OFF
+from twodof.flight.failsafe.causes_and_actions import OFF
 from twodof.link.connection import Received
 from twodof.link.control_period import TICK_MS
 from twodof.link.mavlink.messages import message

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.flight.failsafe.causes import BIT
+from twodof.flight.failsafe.causes_and_actions import BIT
 from twodof.flightlog.steps import is_published
 from twodof.signals import MODES
 

@@ -17,7 +17,7 @@ from twodof.fcu.command.result import (
 )
 from twodof.fcu.mavlink.addressing import whole
 from twodof.fcu.mavlink.commands.command_service import CommandService, ReceivedCommand
-from twodof.fcu.parameters.store import SAVE_S, ParameterStore
+from twodof.fcu.parameters.parameter_store import SAVE_S, ParameterStore
 
 STORAGE = 245
 LOAD, SAVE, RESET_CONFIG, RESET_SENSORS, RESET_ALL = range(5)

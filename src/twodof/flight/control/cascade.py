@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from twodof.blocks import Block, Diagram, Port, int32, where
-from twodof.flight.control.loops import AttitudeLoop, PositionLoop, Projection, RateLoop, VelocityLoop
+from twodof.flight.control.cascade_loops import AttitudeLoop, PositionLoop, Projection, RateLoop, VelocityLoop
 from twodof.flight.gains import DEFAULT, Gains
 from twodof.signals import ATTITUDE, OFF, OPEN_LOOP, POSITION, RATE, VELOCITY
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from twodof.blocks import Block, Port, State, int32, maximum, minimum, to_int32, to_real, where
-from twodof.flight.tunables import tunables
+from twodof.flight.block_parameters import tunables
 from twodof.signals import ATTITUDE, RATE, VELOCITY
 
 

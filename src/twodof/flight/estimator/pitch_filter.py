@@ -7,8 +7,8 @@ from typing import Any
 from twodof.blocks import Block, Port, State, where
 from twodof.blocks.elementary.functions import atan2, cos, sin
 from twodof.constants import GRAVITY
+from twodof.flight.block_parameters import tunables
 from twodof.flight.finite import restarted
-from twodof.flight.tunables import tunables
 
 
 class PitchFilter(Block):

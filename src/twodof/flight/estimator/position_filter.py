@@ -10,8 +10,8 @@ from typing import Any
 from twodof.blocks import Block, Port, State, where
 from twodof.blocks.elementary.functions import cos, sin
 from twodof.constants import RAIL_CENTRE
+from twodof.flight.block_parameters import tunables
 from twodof.flight.finite import restarted
-from twodof.flight.tunables import tunables
 
 _INPUTS = (
     Port("acceleration", unit="m/s2"),

@@ -8,7 +8,7 @@ from typing import Any
 
 from twodof.blocks import Block, Port, State, minimum, where
 from twodof.constants import GRAVITY
-from twodof.flight.tunables import tunables
+from twodof.flight.block_parameters import tunables
 
 FORCE_SUMS = ("forth", "back", "up", "down")
 RATE_SUMS = ("faster", "slower")

@@ -7,21 +7,14 @@ from types import MappingProxyType
 from twodof.blocks import Diagram
 from twodof.blocks.library.functions import Trigonometry
 from twodof.blocks.library.logic import Logic
-from twodof.flight.failsafe.causes import ACTIONS, CAUSES, RequestedActions
+from twodof.flight.block_parameters import tunable
+from twodof.flight.failsafe.causes_and_actions import ACTIONS, CAUSES, RequestedActions
 from twodof.flight.failsafe.consistency import ForceConsistency, RateConsistency
+from twodof.flight.failsafe.flags import SET_POINTS, BatteryFlags, PlaceFlags, SensorFlags, SetPointFlags, StuckCommands
 from twodof.flight.failsafe.output_selector import COMMANDS, OutputSelector
 from twodof.flight.failsafe.safe_setpoints import SafeSetPoints
 from twodof.flight.failsafe.state_machine import STATES, FailsafeStateMachine, Reasons
-from twodof.flight.failsafe.thresholds import (
-    SET_POINTS,
-    BatteryFlags,
-    PlaceFlags,
-    SensorFlags,
-    SetPointFlags,
-    StuckCommands,
-)
 from twodof.flight.failsafe.timers import OffDelay, WatchdogTimer
-from twodof.flight.tunables import tunable
 
 __all__ = ["ACTIONS", "CAUSES", "INPUTS", "OUTPUTS", "OWN_INPUTS", "STATES", "TIMERS", "failsafe"]
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 from twodof.blocks import Block, Port, State, int32, maximum, minimum, to_real, where
+from twodof.flight.block_parameters import tunable, tunables
+from twodof.flight.failsafe.flags import SET_POINTS
 from twodof.flight.failsafe.state_machine import BRAKE, DESCEND, FLYING, LEVEL
-from twodof.flight.failsafe.thresholds import SET_POINTS
 from twodof.flight.failsafe.timers import ticks
 from twodof.flight.finite import finite
-from twodof.flight.tunables import tunable, tunables
 from twodof.signals import ATTITUDE, OFF, POSITION
 
 

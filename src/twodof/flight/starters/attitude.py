@@ -17,7 +17,7 @@ from twodof.blocks.library import (
     Switch,
     UnitDelay,
 )
-from twodof.flight.control.loops import AttitudeLoop, RateLoop
+from twodof.flight.control.cascade_loops import AttitudeLoop, RateLoop
 from twodof.flight.gains import DEFAULT, Gains
 from twodof.flight.starters.build import pitch_loop, tuned, with_ports
 from twodof.flight.templates import ATTITUDE

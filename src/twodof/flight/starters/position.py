@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from twodof.blocks import Diagram
 from twodof.blocks.library import Constant, Divide, Gain, Pid, Product, Saturation, Sum, Switch, Trigonometry
-from twodof.flight.control.loops import PositionLoop, Projection, VelocityLoop
+from twodof.flight.control.cascade_loops import PositionLoop, Projection, VelocityLoop
 from twodof.flight.gains import DEFAULT, Gains
 from twodof.flight.starters.build import tuned, with_ports
 from twodof.flight.templates import POSITION

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twodof.errors import LogError, shown
+from twodof.flightlog.append_only_file import AppendOnlyFile, Full
 from twodof.flightlog.memory_budget import MemoryBudget
-from twodof.flightlog.spool import Full, Spool
 from twodof.flightlog.ulog.format import (
     BASIC,
     HEADER,
@@ -55,7 +55,7 @@ def topic_format(topic: Topic) -> tuple[str, str]:
     return topic.name.replace(".", "_"), "uint64_t timestamp;" + "".join(f"double {name};" for name in names)
 
 
-class ULogWriter(Spool):
+class ULogWriter(AppendOnlyFile):
     """Writes records into a new ULog file, for `with`.
 
     `formats` describes each topic's records by name, such as `uint64_t timestamp;float[3] xyz;`: basic types,

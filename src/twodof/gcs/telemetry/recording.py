@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from twodof.errors import LogError, RecordingError, Timeout
 from twodof.flightlog import steps
+from twodof.flightlog.append_only_file import Acknowledged
 from twodof.flightlog.mcap.encoder import Attachment
 from twodof.flightlog.mcap.topic_stream import McapStream
 from twodof.flightlog.recorder import Recorder
-from twodof.flightlog.spool import Acknowledged
 from twodof.flightlog.steps import BOOT, MESSAGE_PERIOD, shift
 from twodof.gcs.control.active_controller import ActiveController, ParameterChanges
 from twodof.gcs.mavlink.clock import OLDEST_TICKS, DroneClock

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+from twodof.experiment.experiments import IDENTIFICATION, Experiment
 from twodof.experiment.flight import Flight, Laboratory
-from twodof.experiment.protocol import IDENTIFICATION, Experiment
 from twodof.flight.gains import NAMED
 from twodof.flightlog.files import read_log
 from twodof.flightlog.log import FlightLog

@@ -11,7 +11,7 @@ from twodof.identify.validate import Correlation
 from twodof.report.content import Content, Erratum, Figure, FitCheck, ParameterRow, ReportTable, Subject, Uncertain
 from twodof.report.numbers import deviation, plain, with_sigma
 from twodof.report.plots.canvas import style
-from twodof.report.plots.report_figures import correlation_figure, estimates_figure, time_figure
+from twodof.report.plots.time_figures import correlation_figure, estimates_figure, time_figure
 
 _KEY = {
     "measured": "measured",

@@ -20,7 +20,7 @@ from matplotlib.figure import Figure as Canvas
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from twodof.flight.failsafe.causes import ACTIONS
+from twodof.flight.failsafe.causes_and_actions import ACTIONS
 from twodof.flightlog.atomic import atomic_write
 from twodof.report.content import Span
 from twodof.report.plots.canvas import STAND_IN, Colours, on_paper, quiet, settings, style, svg

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twodof.errors import LogError, printable
-from twodof.flight.failsafe.causes import ACTIONS, CAUSES, named_causes
+from twodof.flight.failsafe.causes_and_actions import ACTIONS, CAUSES, named_causes
 from twodof.flightlog.contents import excitations
 from twodof.flightlog.events import MAX_EVENTS, modes
 from twodof.flightlog.files import check_folder

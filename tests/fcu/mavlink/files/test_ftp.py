@@ -21,7 +21,7 @@ from twodof.fcu.mavlink.files.ftp import MOST_GUESTS, UPLOAD_S, FileTransfer
 from twodof.fcu.mavlink.files.ftp_client import BURST_BYTES, MOST_SESSIONS
 from twodof.fcu.onboard_log.log_folder import LogFolder
 from twodof.fcu.onboard_log.logger import OnboardLogger
-from twodof.fcu.parameters.store import ParameterStore
+from twodof.fcu.parameters.parameter_store import ParameterStore
 from twodof.link.mavlink.ftp import FtpError, FtpOperation, FtpPacket, read_packet
 from twodof.link.mavlink.messages import message
 

@@ -13,8 +13,8 @@ from typing import Any
 
 from twodof.fcu.mavlink.files.file_tree import EXTRAS, mavlink_crc32
 from twodof.fcu.mavlink.telemetry.flight_messages import MASK_32
+from twodof.fcu.parameters.parameter_store import ParametersRelisted, ParameterStore
 from twodof.fcu.parameters.row import VehicleParameter
-from twodof.fcu.parameters.store import ParametersRelisted, ParameterStore
 from twodof.fcu.px4_compat.event_definitions import EVENTS_FILE, EVENTS_TYPE, definitions
 from twodof.link.mavlink.messages import message
 

@@ -10,7 +10,7 @@ from twodof.fcu.command.commander import Commander
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.control.loop import FlightController
 from twodof.fcu.mavlink.telemetry.flight_messages import MASK_32, Encoder, flying
-from twodof.flight.failsafe.causes import BIT
+from twodof.flight.failsafe.causes_and_actions import BIT
 from twodof.link.control_period import TICK_MS, TICK_US
 from twodof.link.mavlink.packing import Packed, Packer
 

@@ -9,7 +9,7 @@ from twodof.fcu.control.controllers import ControllerIdentity
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.control.loop import FlightController
 from twodof.fcu.mavlink.telemetry.flight_messages import MASK_32, Encoder
-from twodof.flight.failsafe.causes import CAUSES
+from twodof.flight.failsafe.causes_and_actions import CAUSES
 from twodof.link.control_period import TICK_MS, TICK_US
 from twodof.link.mavlink.packing import Packed, Packer
 

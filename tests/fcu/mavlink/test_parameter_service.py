@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from tests.fcu.mavlink.world import CLIENT, World
 from tests.fcu.parameters.tuned import tuned
 from twodof.fcu.command.result import TEMPORARILY_REJECTED, CommandResult
-from twodof.fcu.mavlink.parameters import (
+from twodof.fcu.mavlink.parameter_service import (
     A_TICK,
     DOES_NOT_EXIST,
     INT32,
@@ -23,7 +23,7 @@ from twodof.fcu.mavlink.parameters import (
     TYPE_MISMATCH,
     TYPE_UNSUPPORTED,
 )
-from twodof.fcu.parameters.store import ParameterStore
+from twodof.fcu.parameters.parameter_store import ParameterStore
 from twodof.fcu.parameters.user_parameters import user_parameters
 from twodof.link.mavlink.messages import float_of_int, message
 

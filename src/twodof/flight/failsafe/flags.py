@@ -8,8 +8,8 @@ from typing import Any
 
 from twodof.blocks import Block, Port, State, int32, where
 from twodof.constants import RAIL_CENTRE
+from twodof.flight.block_parameters import tunables
 from twodof.flight.finite import finite
-from twodof.flight.tunables import tunables
 from twodof.signals import OFF, POSITION, RATE, VELOCITY
 
 SET_POINTS = (("x0", "m"), ("v0", "m/s"), ("theta0", "rad"), ("q0", "rad/s"), ("thrust", ""), ("M_open", ""))

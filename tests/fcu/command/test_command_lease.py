@@ -9,8 +9,8 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 from tests.fcu.command.cockpit import COMPANION, ME, OTHER, Cockpit, armed
 from twodof.excitation import Impulse
 from twodof.fcu.command.arming import PATIENCE
+from twodof.fcu.command.command_lease import COMMANDING, HEARD, LONGEST, CommandLease
 from twodof.fcu.command.excitation_player import MOST_EFFORT, PLAYING, written_out
-from twodof.fcu.command.lease import COMMANDING, HEARD, LONGEST, CommandLease
 from twodof.fcu.command.result import DENIED, FAILED, IN_PROGRESS, TEMPORARILY_REJECTED, Source
 from twodof.fcu.command.setpoint_manager import FRESH
 from twodof.fcu.command.setpoint_queue import CAPACITY, HORIZON

@@ -14,7 +14,7 @@ import pytest
 from tests.fcc.scripted import until
 from tests.patience import PATIENCE_S
 from tests.processes import alive, started
-from twodof.fcc.supervisor import LONGEST_LINE, MOST_LINES, AppLimits, AppSupervisor, RestartPolicy
+from twodof.fcc.app_supervisor import LONGEST_LINE, MOST_LINES, AppLimits, AppSupervisor, RestartPolicy
 
 QUICK = RestartPolicy(first=0.05, longest=0.1, most=2)
 
@@ -182,7 +182,7 @@ def test_it_does_not_outlive_a_supervisor_that_was_killed(tmp_path: Path) -> Non
     command = program(tmp_path, "import os, time; print(os.getpid()); time.sleep(600)")
     above = textwrap.dedent(f"""
         import asyncio
-        from twodof.fcc.supervisor import AppSupervisor
+        from twodof.fcc.app_supervisor import AppSupervisor
         asyncio.run(AppSupervisor({command!r}, lambda line: print(line, flush=True)).run())
     """)
     with started([sys.executable, "-c", above], stdout=subprocess.PIPE, text=True) as supervisor:

@@ -31,7 +31,7 @@ class Acknowledged:
     samples: int = 0
 
 
-class Spool(ABC):
+class AppendOnlyFile(ABC):
     """Writes what a producer hands over to a new file; a child says what is handed over and how it is encoded.
 
     Every `flush_s` at the latest, or when `part_bytes` wait, what is there is written and synced. More than

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from twodof.errors import ParameterError, printable
+from twodof.fcu.parameters.parameter_store import ParametersChanged, ParameterStore
 from twodof.fcu.parameters.row import VehicleParameter
-from twodof.fcu.parameters.store import ParametersChanged, ParameterStore
 from twodof.fcu.parameters.table import own_rows, wire_rows
 from twodof.parameters import FLIGHT_PARAMETERS
 

@@ -22,8 +22,8 @@ from twodof.fcu.mavlink.addressing import VehicleAddress, source
 from twodof.fcu.mavlink.clients import ClientLeft
 from twodof.fcu.mavlink.commands.command_service import CommandService
 from twodof.fcu.mavlink.service import Link, Service
+from twodof.fcu.parameters.parameter_store import HASH_NAME, ParametersChanged, ParametersRelisted, ParameterStore
 from twodof.fcu.parameters.row import VehicleParameter
-from twodof.fcu.parameters.store import HASH_NAME, ParametersChanged, ParametersRelisted, ParameterStore
 from twodof.link.connection import Received
 from twodof.link.mavlink.messages import message
 from twodof.link.mavlink.packing import Packed, Packer
