@@ -14,7 +14,7 @@ from types import TracebackType
 from typing import Literal, Self
 
 from twodof.errors import LogError, RecordingError
-from twodof.flightlog.atomic import REPLACE
+from twodof.flightlog.atomic import REPLACE, partial_of
 
 Full = Literal["drop", "wait"]
 MAX_CAPACITY_BYTES = 1 << 24
@@ -36,11 +36,18 @@ class AppendOnlyFile(ABC):
 
     Every `flush_s` at the latest, or when `part_bytes` wait, what is there is written and synced. More than
     `capacity_bytes` never wait: `full` says whether a sample beyond is dropped and counted, or waits for the disk.
-    Safe to use from several threads. A process that forks keeps it in the parent only.
+    Safe to use from several threads. A process that forks keeps it in the parent only. With `overwrite` the file begins
+    beside its place, and takes the place of one that is there when its head is on the disk.
     """
 
     def __init__(
-        self, path: str | Path, flush_s: float, capacity_bytes: int, full: Full, part_bytes: int = 1 << 18
+        self,
+        path: str | Path,
+        flush_s: float,
+        capacity_bytes: int,
+        full: Full,
+        part_bytes: int = 1 << 18,
+        overwrite: bool = False,
     ) -> None:
         if not 0.0 < flush_s <= 60.0 or not 0 < capacity_bytes <= MAX_CAPACITY_BYTES or full not in ("drop", "wait"):
             raise LogError(
@@ -49,6 +56,7 @@ class AppendOnlyFile(ABC):
                 f"give 0 < flush_s <= 60, at most {MAX_CAPACITY_BYTES} bytes and 'drop' or 'wait'",
             )
         self.path = Path(path)
+        self._begun = partial_of(path) if overwrite else self.path  # where it is until its head is written
         self._flush_s, self._capacity, self._full, self._part_bytes = flush_s, capacity_bytes, full, part_bytes
         self._changed = threading.Condition()
         self._waiting_bytes = 0
@@ -171,7 +179,7 @@ class AppendOnlyFile(ABC):
     def _open(self) -> int:
         try:
             # A recording never takes the place of another one.
-            return os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
+            return os.open(self._begun, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
         except FileExistsError as there:
             raise LogError("is there already", str(self.path), REPLACE) from there
         except OSError as refusal:
@@ -183,6 +191,8 @@ class AppendOnlyFile(ABC):
         """Writes the head and the folder's entry through to the disk, then begins. Raises RecordingError."""
         try:
             self._write(head)
+            if self._begun != self.path:
+                self._begun.replace(self.path.resolve())
             folder = os.open(self.path.resolve().parent, os.O_RDONLY)
             try:
                 os.fsync(folder)
@@ -190,7 +200,7 @@ class AppendOnlyFile(ABC):
                 os.close(folder)
         except OSError as refusal:
             os.close(self._descriptor)
-            self.path.unlink(missing_ok=True)
+            self._begun.unlink(missing_ok=True)
             raise RecordingError(
                 f"cannot be written: {refusal.strerror}", str(self.path), "nothing was recorded"
             ) from refusal

@@ -32,6 +32,15 @@ def numbered(path: str | Path) -> Path:
     return next(name for name in names if not name.exists())
 
 
+def partial_of(path: str | Path) -> Path:
+    """Where a file begins that is to take the place of `path`: beside it. Raises LogError where a folder is there."""
+    # A link is followed, so that what it points at is replaced and not the link.
+    target = Path(path).resolve()
+    if target.is_dir():
+        raise LogError("is a directory", str(path), "name a file")
+    return target.with_name(f".{target.name}.{secrets.token_hex(6)}.tmp")
+
+
 @contextmanager
 def atomic_write(path: str | Path, mode: Literal["wb", "w"] = "wb") -> Iterator[IO[Any]]:
     """Opens a file for writing that takes the place of `path` only when the block ends well.
@@ -40,11 +49,7 @@ def atomic_write(path: str | Path, mode: Literal["wb", "w"] = "wb") -> Iterator[
     behind. Text is UTF-8 with `\\n` line ends. When it returns, the file and its name are on the disk (fsync of the
     file, then of its folder). Raises LogError where the file system refuses.
     """
-    # A link is followed, so that what it points at is replaced and not the link.
-    target = Path(path).resolve()
-    if target.is_dir():
-        raise LogError("is a directory", str(path), "name a file")
-    partial = target.with_name(f".{target.name}.{secrets.token_hex(6)}.tmp")
+    target, partial = Path(path).resolve(), partial_of(path)
     try:
         # os.open, and not tempfile, so that the user's umask decides who may read the result.
         descriptor = os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)

@@ -63,6 +63,7 @@ class Recorder(AppendOnlyFile):
         flush_s: float = 0.25,
         capacity_bytes: int = 1 << 24,
         full: Full = "drop",
+        overwrite: bool = False,
     ) -> None:
         streams = named(topics)
         if not streams or any(stream.stamped for stream in streams.values()):
@@ -71,7 +72,7 @@ class Recorder(AppendOnlyFile):
         self._slots = {name: _Slot(k, stream) for k, (name, stream) in enumerate(streams.items())}
         self._encoder = McapEncoder(list(streams.values()))
         self._notes: dict[str, object] = {}
-        super().__init__(path, flush_s, capacity_bytes, full)
+        super().__init__(path, flush_s, capacity_bytes, full, overwrite=overwrite)
         self._start(self._encoder.head({NOTE: {"provenance": note, "empty": "left out"}}, attachments))
 
     @property

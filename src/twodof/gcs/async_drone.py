@@ -55,9 +55,9 @@ class AsyncDrone(FlyingDrone):
         """Find the drone at `url` and, with `take_lease`, become the one who commands it.
 
         `system` and `component` are what we call ourselves: two clients need two. `system` None draws one (200 to 244,
-        see gcs.identity); for a program on board, of another `component`, it is the drone's own. `drone` is the system
-        id to look for if several may be heard. `key` (or its file) signs everything; what is not signed with it is
-        ignored. Raises LinkError, LinkLost if no drone is heard within `timeout` [s], Rejected if somebody else has
+        see gcs.mavlink.identity); for a program on board, of another `component`, it is the drone's own. `drone` is the
+        system id to look for if several may be heard. `key` (or its file) signs everything; what is not signed with it
+        is ignored. Raises LinkError, LinkLost if no drone is heard within `timeout` [s], Rejected if somebody else has
         the lease.
         """
         deadline = Deadline(timeout, "connecting", url)
@@ -166,10 +166,10 @@ class AsyncDrone(FlyingDrone):
         provenance: Mapping[str, object] | None = None,
         overwrite: bool = False,
     ) -> AbstractAsyncContextManager[Recording]:
-        """Record topics (None: all) at the full rate into a new MCAP file, for `async with`. See gcs.recording.
+        """Record topics (None: all) at the full rate into a new MCAP file, for `async with`.
 
-        Raises LogError for a file that is there, unless `overwrite` says that it may be lost. A session that repeats
-        takes new names from `flightlog.numbered`.
+        Raises LogError for a file that is there, unless `overwrite` says that it may be lost: it is kept until the new
+        one has begun in its place. A session that repeats takes new names from `flightlog.numbered`.
 
         The file also holds what flies: tuned parameters and, as attachments, the diagrams of the user's controllers.
 
@@ -177,8 +177,6 @@ class AsyncDrone(FlyingDrone):
         """
         if Path(path).suffix.lower() != ".mcap":
             raise LogError("a recording is an MCAP file", str(path), "call it .mcap; write_log makes others of it")
-        if overwrite:
-            Path(path).unlink(missing_ok=True)
         rig = self.state.rig
         about = {
             "autopilot": self.state.autopilot,
@@ -194,6 +192,7 @@ class AsyncDrone(FlyingDrone):
             self.state,
             {"drone": {**about, **link}, **(provenance or {})},
             self.active_controller if self.ours else None,
+            overwrite,
         )
 
     async def reset(

@@ -65,13 +65,16 @@ class Recording:
         provenance: Mapping[str, object],
         wait: bool,
         flies: ActiveController | None = None,
+        overwrite: bool = False,
     ) -> None:
         self.topics = tuple(topics)
         self.onboard = tuple(row for row in self.topics if row.onboard and row.name != _EVENTS)
         flies = flies or ActiveController(known=False)
         self._changes = ParameterChanges(flies)
         attached = [Attachment(f"{name}.json", "application/json", data) for name, data in flies.diagrams.items()]
-        self.recorder = Recorder(path, [*self.topics, SAFETY], provenance, attached, full="wait" if wait else "drop")
+        self.recorder = Recorder(
+            path, [*self.topics, SAFETY], provenance, attached, full="wait" if wait else "drop", overwrite=overwrite
+        )
         self.path = self.recorder.path
         self.texts: list[tuple[float, str, str]] = []
         self._with_events = any(row.name == _EVENTS for row in self.topics)
@@ -320,6 +323,7 @@ class Recordings:
         state: DroneState,
         provenance: Mapping[str, object],
         flying: Callable[[], Awaitable[ActiveController]] | None,
+        overwrite: bool = False,
     ) -> AsyncIterator[Recording]:
         """Records into a new file until the end of the block: all samples of a drone of ours, what another's sends.
 
@@ -336,7 +340,7 @@ class Recordings:
                 flies = await flying()
         drone = provenance.get("drone")
         about = {**provenance, "drone": {**(drone if isinstance(drone, dict) else {}), **flies.provenance()}}
-        recording = Recording(path, rows, about, session.lockstep, flies)
+        recording = Recording(path, rows, about, session.lockstep, flies, overwrite)
         handlers: dict[str, Handler] = {
             "TWODOF_RIG": recording.rig,
             "TWODOF_SAFETY": recording.safety,
