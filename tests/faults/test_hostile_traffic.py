@@ -168,6 +168,7 @@ def under_a_pilot(count: int, seed: int, folder: Path) -> None:
     async def work() -> None:
         async with Whole(state=folder) as whole:
             pilot = await whole.client()
+            await pilot.withhold_tuning()
             before, revision = dict(whole.drone.assembly.store), whole.drone.assembly.store.revision
             hostile = Hostile(seed, sound, strangers)
             bounded(*await attack(whole, hostile, whole.clients, count))
@@ -193,6 +194,7 @@ def in_flight(count: int, seed: int, folder: Path) -> None:
     async def work() -> None:
         async with Whole(state=folder) as whole:
             pilot = await whole.airborne(PITCH)
+            await pilot.withhold_tuning()
             store, revision = whole.drone.assembly.store, whole.drone.assembly.store.revision
             whole.steps.clear()
             avoid = frozenset(dialect.message_id(name) for name in ("COMMAND_LONG", "COMMAND_INT"))

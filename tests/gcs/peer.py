@@ -38,6 +38,7 @@ class Peer:
         self.armed = self.killed = False
         self.mode = MANUAL
         self.holder = (0, 0)
+        self.tuning_withheld = 0
         self.start = 0
         self.tick = 0
         self.sent = 0
@@ -166,13 +167,21 @@ class Peer:
     def _twodof_lease(self, got: Any, frame: Any) -> None:
         who = (frame.system, frame.component)
         if got.action == 1 and self.holder in ((0, 0), who):
-            self.holder = who
+            self.holder, self.tuning_withheld = who, got.tuning_withheld
         elif got.action == 2 and self.holder == who:
-            self.holder = (0, 0)
+            self.holder, self.tuning_withheld = (0, 0), 0
         self._lease()
 
     def _lease(self) -> None:
-        self.send("TWODOF_LEASE", holder_system=self.holder[0], holder_component=self.holder[1], duration_ms=3000)
+        system, component = self.holder
+        withheld = self.tuning_withheld
+        self.send(
+            "TWODOF_LEASE",
+            holder_system=system,
+            holder_component=component,
+            duration_ms=3000,
+            tuning_withheld=withheld,
+        )
 
     def _twodof_grant(self, got: Any, _: Any) -> None:
         until = min(got.until, self.tick + 25_000)  # as the flight controller bounds it

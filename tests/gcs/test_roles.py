@@ -9,11 +9,14 @@ import pytest
 
 from tests.fcu.command.cockpit import ME, OTHER, Cockpit
 from tests.fleet.drone_numbers import free_numbers
+from tests.gcs.peer import Peer
+from tests.gcs.test_async_drone import fly
 from tests.gcs.virtual import on_board
 from tests.patience import PATIENCE_S
 from tests.processes import started
 from twodof.errors import Rejected
 from twodof.fcc.companion import Companion, px4_links
+from twodof.gcs.async_drone import AsyncDrone
 from twodof.gcs.drone import Drone
 from twodof.gcs.loop_thread import LoopThread
 from twodof.link.transport import ports
@@ -94,6 +97,32 @@ def test_the_shell_tunes_what_another_program_flies_at_the_port_that_one_has() -
             assert " 0.06 " in done.stdout
 
 
+def test_what_is_withheld_is_allowed_again_with_the_next_lease() -> None:
+    async def flight(peer: Peer, drone: AsyncDrone) -> None:
+        await drone.withhold_tuning()
+        await drone.run(1.0)  # over a renewal
+        assert peer.tuning_withheld
+        await drone.lease.give_up(5.0)
+        await drone.lease.take(5.0)
+        await drone.run(1.0)
+        assert not peer.tuning_withheld
+
+    fly(flight)
+
+
+def test_who_has_lost_the_lease_is_told_to_whom_and_withholds_nothing() -> None:
+    async def flight(peer: Peer, drone: AsyncDrone) -> None:
+        peer.holder = (7, 190)
+        with pytest.raises(Rejected, match="7/190 holds the lease"):
+            await drone.withhold_tuning()
+        peer.holder = (0, 0)
+        await drone.run(1.0)  # a renewal takes it
+        assert drone.lease.ours
+        assert not peer.tuning_withheld
+
+    fly(flight)
+
+
 def test_the_right_to_tune_is_everybodys_but_for_as_long_as_the_holder_withholds_it() -> None:
     cockpit = Cockpit()
     commander = cockpit.commander
@@ -119,3 +148,7 @@ def test_an_open_loop_message_beyond_its_bounds_is_refused(M: float, T: float, w
     commander = Cockpit().commander
     assert why in commander.open_loop(ME, M, T, True, True, True).text
     assert commander.open_loop(ME, M, T, True, False, False).accepted  # it is not flown
+
+
+def test_the_end_of_open_loop_is_taken_whatever_moment_is_still_in_the_message() -> None:
+    assert Cockpit().commander.open_loop(ME, 5.0, 0.0, False, True, False).accepted

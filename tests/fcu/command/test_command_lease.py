@@ -395,9 +395,13 @@ class TwoClients(RuleBasedStateMachine):
     @invariant()
     def ends_in_bounded_time(self) -> None:
         lease = self.commander.lease
-        # Its time may be over in the very tick in which the motors stop; then it ends in the next one.
         assert lease.holder is not None or lease.left == 0
         assert lease.left <= LONGEST
+        if lease.holder is not None and lease.left == 0:
+            # Its time may be over in the very tick in which the motors stop; then it ends in the next one.
+            self.cockpit.run()
+            lease = self.commander.lease
+            assert lease.holder is None or lease.left > 0
         if lease.holder is not None and not self.cockpit.lockstep:
             silent = self.cockpit.tick - self.heard_at[lease.holder]
             since, ticks = self.asked_at[lease.holder]

@@ -222,7 +222,7 @@ class Commander:
 
         Then the attitude loop holds the pitch level, but in manual mode, which closes no loop, M is 0.
         """
-        if enableM and not abs(M) <= 1.0:  # nor does NaN pass
+        if openloop and enableM and not abs(M) <= 1.0:  # nor does NaN pass
             return self._refuse("invalid", f"M = {M:g} is outside -1 to 1")
         if enableT and not 0.0 <= T <= 1.0:
             return self._refuse("invalid", f"T = {T:g} is outside 0 to 1")

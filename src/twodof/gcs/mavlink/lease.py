@@ -98,13 +98,20 @@ class LeaseClient:
         deadline = self._session.deadline(timeout, "withholding tuning")
         if not self.wanted:
             raise Rejected("we do not hold the lease", deadline.where, "connect with take_lease=True")
-        self._withholds = withhold
-        await self._session.ask(
-            lambda _: self._message(ASK),
-            _ANSWER,
-            lambda got: True if self._granted(got) and self.tuning_withheld == withhold else None,
-            deadline,
-        )
+
+        def answered(got: Any) -> bool | None:
+            granted = self._granted(got)
+            return None if granted and self.tuning_withheld != withhold else granted
+
+        before, self._withholds = self._withholds, withhold  # at once: a renewal may be due before the answer
+        ours = False
+        try:
+            ours = bool(await self._session.ask(lambda _: self._message(ASK), _ANSWER, answered, deadline))
+        finally:
+            if not ours:
+                self._withholds = before
+        if not ours:
+            raise self._theirs(deadline, "and only its holder withholds tuning")
 
     async def give_up(self, timeout: float) -> None:
         """Let others command. Raises LinkLost, Timeout; without a lease it does nothing."""
@@ -114,8 +121,8 @@ class LeaseClient:
             await self._session.ask(lambda _: self._message(GIVE_UP), _ANSWER, self._gone, deadline)
 
     def stop(self) -> None:
-        """Renew it no more."""
-        self.wanted = False
+        """Renew it no more; what we withheld ends with it."""
+        self.wanted = self._withholds = False
         if self._renewing is not None:
             self._renewing.cancel()
             self._renewing = None
