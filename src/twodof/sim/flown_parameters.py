@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from math import isfinite
 from typing import Any
 
 from twodof.blocks import Diagram
@@ -16,6 +15,8 @@ from twodof.flight.templates import TEMPLATES, check_template
 
 Change = tuple[float, str, float]
 """Time [s] of the last step that may have had the old value, the parameter's name or path, and its new value."""
+
+_MOST = 3e38
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,9 @@ class FlownParameters:
                 inside = values if isinstance(values, Mapping) else {}
                 tuning |= {f"{template}.{path}": value for path, value in inside.items()}
         changes = provenance.get("changes")
-        rows = [(row[0], row[1], row[2]) for row in changes if _is_change(row)] if isinstance(changes, list) else []
+        rows = (
+            [(float(row[0]), row[1], row[2]) for row in changes if _is_change(row)] if isinstance(changes, list) else []
+        )
         return cls(Gains.flown(provenance), tuple(sorted(rows)), found, tuning, tuple(unknown))
 
     def gains_in_flight(self, start: Gains) -> list[tuple[float, Gains]]:
@@ -80,6 +83,11 @@ def _diagram(template: str, row: object) -> Diagram | None:
 
 def _is_change(row: object) -> bool:
     match row:
-        case [int() | float() as time, str(), int() | float() as value]:
-            return isfinite(time) and isfinite(value)
+        case [time, str(), value]:
+            return _is_number(time) and _is_number(value)
     return False
+
+
+def _is_number(value: object) -> bool:
+    """Whether it is a number that a parameter may have: no bool, not NaN, nothing that float32 does not hold."""
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < _MOST

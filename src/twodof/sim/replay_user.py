@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,6 +13,7 @@ import numpy as np
 from twodof.blocks import Diagram
 from twodof.compile import build
 from twodof.constants import PERIOD
+from twodof.errors import ParameterError
 from twodof.flight.control.cascade import cascade
 from twodof.flight.control.level_hold import ArmingReset
 from twodof.flight.gains import DEFAULT
@@ -89,16 +91,23 @@ def _inputs(log: FlightLog, paired: AlignedLog) -> tuple[dict[str, Any], Flags]:
 
 
 def _tune(machine: Any, values: Mapping[str, Any]) -> None:
-    """Sets parameters of the cascade by path, an array's element by its index; unknown paths are left out."""
+    """Sets parameters of the cascade by path, an array's element by its index.
+
+    Anybody may have written them: unknown paths, and values that the parameter refuses, are left out.
+    """
     for path, value in values.items():
         element = _ELEMENT.fullmatch(path)
         full = f"cascade.{element[1] if element else path}"
-        if full in machine.parameters:
-            before = machine.get(full) if element else None
-            if element and isinstance(before, list) and int(element[2]) < len(before):
-                machine.set(full, [*before[: int(element[2])], value, *before[int(element[2]) + 1 :]])
-            elif not element:
-                machine.set(full, value)
+        if full not in machine.parameters:
+            continue
+        given = value
+        if element:
+            before, place = machine.get(full), int(element[2])
+            if not isinstance(before, list) or place >= len(before):
+                continue
+            given = [*before[:place], value, *before[place + 1 :]]
+        with suppress(ParameterError, OverflowError):  # a whole number may be larger than any float
+            machine.set(full, given)
 
 
 def _known(reset: Flags, lost: Flags) -> Flags:
