@@ -10,7 +10,7 @@ import pytest
 
 from tests.gcs.virtual import on_board
 from twodof.cli.app import run
-from twodof.errors import shown
+from twodof.errors import CompileError, shown
 from twodof.experiment.flight import Laboratory
 from twodof.experiment.fly import fly
 from twodof.flight.gains import DEFAULT
@@ -110,6 +110,16 @@ def test_a_value_out_of_its_bounds_counts_as_not_noted(flown: FlightLog) -> None
     changes = [[12.0, "attitude_control.q_n", -1.0]]
     found = replay(FlightLog(flown.channels, flown.provenance | {"controllers": noted, "changes": changes}))
     assert found.nrms == pytest.approx(before.nrms, abs=1e-12)
+
+
+def test_a_logs_own_diagram_runs_in_the_sandbox_or_not_at_all(
+    flown: FlightLog, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Anybody may have written it. The stock loops need no sandbox."""
+    monkeypatch.setattr("twodof.compile.wasm.ready.find_spec", lambda _: None)
+    with pytest.raises(CompileError, match="make sandbox"):
+        replay(flown)
+    assert replay(flown, DEFAULT).nrms
 
 
 @pytest.mark.parametrize(

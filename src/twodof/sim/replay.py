@@ -67,11 +67,12 @@ def replay(log: FlightLog, gains: Gains | None = None, precision: str = "float64
     """Feeds the logged inputs to the cascade, compiled in `precision`, and compares M, q0, theta0, T.
 
     `gains` None: those that the log says, with each change in flight, else the default ones. A user's controller whose
-    diagram the log has then runs in place of the stock loops. With `gains` the stock cascade is compared, with
-    these all along.
+    diagram the log has then runs in place of the stock loops, in the sandbox. With `gains` the stock cascade is
+    compared, with these all along.
 
-    Where no compiler is found the reference runs instead, with a warning that says so. Raises LogError if the log lacks
-    a channel, DiagramError for an unknown precision.
+    Where no compiler is found the reference runs the stock loops, with a warning that says so. Raises LogError if the
+    log lacks a channel, DiagramError for an unknown precision, CompileError where there is no sandbox to run a user's
+    controller in.
 
     Left out are five samples where a loop starts, samples whose input is missing from the log, and the twelve after
     each of these. The twelve seed the loop: its integral, and for M the derivative's memory of the missing error.

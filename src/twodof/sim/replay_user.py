@@ -39,12 +39,15 @@ def replay_user(
 
     What a user's controller remembers is known where it is reset: with no thrust, and just after. So it is compared
     from there up to the first missing sample, except the `unsure` steps (n,). M is not compared where a user's motor
-    controller flew, and nothing is where the log lacks the channel `mode`. Raises LogError if it lacks another one.
+    controller flew, and nothing is where the log lacks the channel `mode`.
+
+    Whoever wrote the log wrote the diagrams: they run in the sandbox, as on board. Raises LogError if the log lacks
+    another channel, CompileError where there is no sandbox, ControllerFault where a step uses up its fuel.
     """
     if "mode" not in log.channels:
         return UserReplay({}, {})
     inputs, lost = _inputs(log, paired)
-    machine = build(_diagram(flown), dt=PERIOD, precision=precision).machine()
+    machine = build(_diagram(flown), dt=PERIOD, precision=precision, target="wasm").machine()
     _tune(machine, flown.tuning)
     n = len(paired.time)
     places = [int(place) for place in np.searchsorted(paired.time, [row[0] for row in flown.changes], "right")]
