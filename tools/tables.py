@@ -243,7 +243,8 @@ def _number(row: VehicleParameter, value: float) -> str:
 
 
 def _changed(row: VehicleParameter) -> str:
-    return "never" if row.fixed else "disarmed" if row.disarmed else "any time"
+    when = "never" if row.fixed else "disarmed" if row.disarmed else "any time"
+    return f"{when}, by anyone" if row.tuning else when
 
 
 def _wire() -> Iterator[str]:

@@ -30,7 +30,8 @@ _VERSION = 1
 class Parameter:
     """One tunable number: `low` <= value <= `high` in `unit`; one of kind "int32" is a whole number.
 
-    `path` is where it stands in the flight code, "" for one that does not.
+    `path` is where it stands in the flight code, "" for one that does not. `tuning`: to change it is to tune, which
+    needs no lease.
     """
 
     name: str
@@ -42,6 +43,7 @@ class Parameter:
     drone: str = ""
     kind: Literal["float", "int32"] = "float"
     path: str = ""
+    tuning: bool = False
 
     def __post_init__(self) -> None:
         if not 1 <= len(self.name) <= NAME_LENGTH or not self.name.isascii():
@@ -70,27 +72,28 @@ class Tunable(NamedTuple):
     unit: str
     text: str
     drone: str = ""
+    tuning: bool = False
 
 
-# By block: member of the block, name on the wire, default, bounds, unit, text, the real drone's name.
+# By block: member of the block, name on the wire, default, bounds, unit, text, the real drone's name, for tuning.
 _BLOCKS: Mapping[str, tuple[tuple[Any, ...], ...]] = {
     "cascade.rate": (
-        ("kp", "RATE_KP", 0.0854, 0.0, 0.12, "s/rad", "rate loop, proportional gain", "FC_PARAM_4"),
-        ("ki", "RATE_KI", 0.251, 0.0, 0.5, "1/rad", "rate loop, integral gain", "FC_PARAM_5"),
-        ("kd", "RATE_KD", 0.00054, 0.0, 0.003, "s^2/rad", "rate loop, derivative gain", "FC_PARAM_6"),
-        ("N", "RATE_N", 100.0, 1.0, 250.0, "1/s", "rate loop, bandwidth of the derivative's filter"),
+        ("kp", "RATE_KP", 0.0854, 0.0, 0.12, "s/rad", "rate loop, proportional gain", "FC_PARAM_4", True),
+        ("ki", "RATE_KI", 0.251, 0.0, 0.5, "1/rad", "rate loop, integral gain", "FC_PARAM_5", True),
+        ("kd", "RATE_KD", 0.00054, 0.0, 0.003, "s^2/rad", "rate loop, derivative gain", "FC_PARAM_6", True),
+        ("N", "RATE_N", 100.0, 1.0, 250.0, "1/s", "rate loop, bandwidth of the derivative's filter", "", True),
         ("limit", "M_MAX", 1.0, 0.0, 1.0, "-", "limit of the moment commanded"),
     ),
     "cascade.attitude": (
-        ("kp", "ATT_KP", 11.0, 0.0, 15.0, "1/s", "attitude loop, proportional gain", "FC_PARAM_11"),
+        ("kp", "ATT_KP", 11.0, 0.0, 15.0, "1/s", "attitude loop, proportional gain", "FC_PARAM_11", True),
         ("limit", "", 20.0, 0.0, inf, "rad/s", "largest rate set-point"),
     ),
     "cascade.velocity": (
-        ("kp", "VEL_KP", 2.4, 0.0, 4.0, "N s/m", "velocity loop, proportional gain", "FC_PARAM_13"),
-        ("ki", "VEL_KI", 2.81, 0.0, 4.0, "N/m", "velocity loop, integral gain", "FC_PARAM_14"),
+        ("kp", "VEL_KP", 2.4, 0.0, 4.0, "N s/m", "velocity loop, proportional gain", "FC_PARAM_13", True),
+        ("ki", "VEL_KI", 2.81, 0.0, 4.0, "N/m", "velocity loop, integral gain", "FC_PARAM_14", True),
     ),
     "cascade.position": (
-        ("kp", "POS_KP", 1.5, 0.0, 2.5, "1/s", "position loop, proportional gain", "FC_PARAM_19"),
+        ("kp", "POS_KP", 1.5, 0.0, 2.5, "1/s", "position loop, proportional gain", "FC_PARAM_19", True),
         ("limit", "", 1.0, 0.0, inf, "m/s", "largest velocity set-point"),
     ),
     "cascade.projection": (
@@ -260,7 +263,7 @@ TUNABLES: Mapping[str, Tunable] = MappingProxyType(
 def _on_the_wire(row: Tunable) -> Parameter:
     kind: Literal["float", "int32"] = "float" if isinstance(row.default, float) else "int32"
     numbers = float(row.default), float(row.low), float(row.high)
-    return Parameter(row.name, *numbers, row.unit, row.text, row.drone, kind, row.path)
+    return Parameter(row.name, *numbers, row.unit, row.text, row.drone, kind, row.path, row.tuning)
 
 
 FLIGHT_PARAMETERS: tuple[Parameter, ...] = tuple(_on_the_wire(row) for row in TUNABLES.values() if row.name)

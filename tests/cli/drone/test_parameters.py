@@ -38,7 +38,7 @@ def test_a_controller_is_tuned_from_the_shell(
 
         assert "2 is outside 0 to 1 s/rad" in said("RATE_KP=0.05", f"{PATH}=2", status=2)
         assert "no such parameter" in said("RATE_KP=0.05", "attitude_control.kq=0.1", status=2)
-        assert "'much' is no number" in said("RATE_KP=0.05", f"{PATH}=much", status=2)
+        assert "'much' is not a number" in said("RATE_KP=0.05", f"{PATH}=much", status=2)
         with Drone.connect(url) as pilot:
             said("RATE_KP=0.08")
             assert pilot.parameters["RATE_KP"] == pytest.approx(0.08)

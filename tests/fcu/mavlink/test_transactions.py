@@ -179,6 +179,20 @@ def test_who_is_not_let_tune_changes_nothing() -> None:
     assert "system 7" in world.texts()
 
 
+def test_one_that_is_not_for_tuning_makes_the_whole_a_command_and_its_refusal_says_so() -> None:
+    world = World()
+    transact(world, BEGIN)
+    put_all(world, GOOD | {"M_MAX": 0.5})
+    assert transact(world, COMMIT, count=4).result == NO_ERROR
+    assert world.commander.asked == [("take", CLIENT, "M_MAX (not for tuning)")]
+    world.commander.verdict = CommandResult(TEMPORARILY_REJECTED, "system 7 holds the lease")
+    transact(world, BEGIN, number=2)
+    put_all(world, GOOD | {"M_MAX": 0.25})
+    answer = transact(world, COMMIT, number=2, count=4)
+    assert (answer.result, answer.param_id) == (PERMISSION_DENIED, "M_MAX")
+    assert world.store["M_MAX"] == 0.5
+
+
 def test_what_is_never_ended_is_forgotten() -> None:
     world = World(profile={})
     transact(world, BEGIN)

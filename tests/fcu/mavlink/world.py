@@ -101,6 +101,9 @@ class Commander:
     def may_tune(self, source: Source, what: str = "parameters") -> CommandResult:
         return self._note("tune", source, what)
 
+    def tuned(self, source: Source, what: str) -> None:
+        self.remarks.append((6, what))
+
     def arm(self, source: Source, force: bool = False) -> CommandResult:
         return self._note("arm", source, force)
 

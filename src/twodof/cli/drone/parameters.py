@@ -40,8 +40,8 @@ def parameters(
     """Show a drone's parameters, or set some: those that you give act together at one tick, or none does.
 
     If your own controller flies there, the paths in its diagram name its parameters too. It takes no lease:
-    a drone that another program flies is tuned in flight, unless that program withholds it. If the drone refuses a
-    value or does not know a name: exit status 2, and nothing was changed.
+    gains of a drone that another program flies are tuned in flight, unless that program withholds it. If the drone
+    refuses a value or does not know a name: exit status 2, and nothing was changed.
     """
     names, changes = _asked(wanted or ())
     with Drone.connect(url, key=key, drone=drone, take_lease=False) as there:

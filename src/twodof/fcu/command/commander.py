@@ -158,6 +158,11 @@ class Commander:
         """Whether `source` may change parameters: anybody, unless the holder of the lease withholds it."""
         return self._authority.may_tune(source, what, self._vehicle.now)
 
+    def tuned(self, source: Source, what: str) -> None:
+        """Has the clients told `what` was changed, where `source` is not the one that holds the lease."""
+        if self._authority.holder not in (None, source):
+            self._vehicle.remark(6, f"{what}, by system {source[0]}, component {source[1]}")
+
     def ask_lease(self, source: Source, duration_ms: int = 0, withhold_tuning: bool = False) -> CommandResult:
         """Takes the lease, or renews it, for a time of 30 s at most (0: 2 s); refused while another holds it.
 

@@ -9,11 +9,11 @@ enforced: a refused value is answered by PARAM_ERROR and the value that stays, o
 from __future__ import annotations
 
 import struct
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from collections.abc import Hashable, Iterator, Mapping
 from typing import Any
 
-from twodof.errors import ParameterError
+from twodof.errors import ParameterError, listed
 from twodof.fcu.command.commander import Commander
 from twodof.fcu.command.result import Source
 from twodof.fcu.control.flight_code import ControlStep
@@ -27,6 +27,7 @@ from twodof.fcu.parameters.row import VehicleParameter
 from twodof.link.connection import Received
 from twodof.link.mavlink.messages import message
 from twodof.link.mavlink.packing import Packed, Packer
+from twodof.parameters import UNDO_STEPS
 
 UINT32, INT32, REAL32 = 5, 6, 9
 """MAV_PARAM_TYPE."""
@@ -40,7 +41,11 @@ MOST_LISTS = 64
 
 
 class ParameterService(Service):
-    """The parameter protocol in front of `store`; who holds the lease may withhold changes from all others."""
+    """The parameter protocol in front of `store`.
+
+    Anybody may change the rows for tuning, unless who holds the lease withholds it. The others need the lease. Undo
+    needs it too, except for who made the latest change by tuning.
+    """
 
     def __init__(
         self,
@@ -58,6 +63,8 @@ class ParameterService(Service):
         self._commander = commander
         self._store = store
         self._lists: OrderedDict[Hashable, Iterator[Packed]] = OrderedDict()
+        self._tuners: deque[Source | None] = deque(maxlen=UNDO_STEPS)  # of each step to undo; None: not by tuning
+        self._revision = store.revision  # after the latest of those steps
         self._pack = Packer("PARAM_VALUE")
         self._takes = {
             "PARAM_REQUEST_LIST": self._list,
@@ -96,14 +103,40 @@ class ParameterService(Service):
 
     def change(self, wanted: Mapping[str, float], sender: Source) -> tuple[int, str, str]:
         """Changes all of `wanted` or nothing: MAV_PARAM_ERROR, the first parameter it is about, and why."""
-        verdict = self._commander.may_tune(sender)
+        kept = next((name for name in wanted if name in self._store and not self._store.row(name).tuning), "")
+        if kept:
+            verdict = self._commander.take(sender, f"{kept} (not for tuning)")
+        else:
+            verdict = self._commander.may_tune(sender)
         if not verdict.accepted:
-            return PERMISSION_DENIED, "", verdict.text
+            return PERMISSION_DENIED, kept, verdict.text
+        self._forget_tuners()
         try:
             self._store.update(wanted, self._commander.armed)
         except ParameterError as error:
             return (*self._blame(wanted), str(error))
+        if self._store.revision != self._revision:
+            self._tuners.append(None if kept else sender)
+            self._tell_holder(sender, listed([f"{name} = {self._store[name]:g}" for name in wanted], 3))
         return NO_ERROR, "", ""
+
+    def undo(self, sender: Source) -> tuple[int, str]:
+        """Takes the latest change back: MAV_PARAM_ERROR and why."""
+        self._forget_tuners()
+        if self._tuners and self._tuners[-1] == sender:
+            verdict = self._commander.may_tune(sender, "undo")
+        else:
+            verdict = self._commander.take(sender, "undo (the latest change is not this client's tuning)")
+        if not verdict.accepted:
+            return PERMISSION_DENIED, verdict.text
+        try:
+            self._store.undo(self._commander.armed)
+        except ParameterError as error:
+            return PERMISSION_DENIED, str(error)
+        if self._tuners:
+            self._tuners.pop()
+        self._tell_holder(sender, "undo of parameters")
+        return NO_ERROR, ""
 
     def checked(self, received: Received) -> tuple[str, float | None, int]:
         """Name and value that a PARAM_SET carries, and MAV_PARAM_ERROR if it has no value that fits its type."""
@@ -182,6 +215,17 @@ class ParameterService(Service):
         # A change was announced to everybody; what is the same as before, or stays, is told to who asked.
         if self._store.revision == before:
             self._link.send(self.value(self._store.row(name)), received.peer)
+
+    def _forget_tuners(self) -> None:
+        """Where the parameters were changed in another way since, nobody knows whose the steps are."""
+        if self._store.revision != self._revision:
+            self._tuners.clear()
+            self._revision = self._store.revision
+
+    def _tell_holder(self, sender: Source, what: str) -> None:
+        """Notes that `sender` has changed parameters, and has it told where somebody else holds the lease."""
+        self._revision = self._store.revision
+        self._commander.tuned(sender, what)
 
     def _announce(self, changed: ParametersChanged) -> None:
         for name in changed.values:

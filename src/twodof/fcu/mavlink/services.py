@@ -66,7 +66,7 @@ class MavlinkServices:
         self.arming = ArmingCommands(self.commands, commander, bus, restart)
         self.storage = StorageCommand(self.commands, commander, store, controller.lockstep)
         self.versions = VersionService(self.requests, system, controller.hardware.name, capabilities)
-        self.transactions = TransactionService(link, us, self.commands, commander, self.parameters, store)
+        self.transactions = TransactionService(link, us, self.commands, self.parameters)
         self.batches = BatchService(link, bus, commander)
         self.streams.elsewhere[BATCH] = self.batches
         self.events = EventService(link, us, self.telemetry, controller, commander, bus)

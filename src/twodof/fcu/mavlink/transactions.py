@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections import OrderedDict
 from typing import NamedTuple
 
-from twodof.errors import ParameterError
-from twodof.fcu.command.commander import Commander
 from twodof.fcu.command.result import Source
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.mavlink.addressing import VehicleAddress, source
 from twodof.fcu.mavlink.commands.command_service import CommandService
-from twodof.fcu.mavlink.parameter_service import NO_ERROR, PERMISSION_DENIED, READ_FAIL, ParameterService, text
+from twodof.fcu.mavlink.parameter_service import NO_ERROR, READ_FAIL, ParameterService, text
 from twodof.fcu.mavlink.service import Link, Service
-from twodof.fcu.parameters.parameter_store import HASH_NAME, ParameterStore
+from twodof.fcu.parameters.parameter_store import HASH_NAME
 from twodof.link.connection import Received
 from twodof.link.mavlink.packing import Packer
 
@@ -62,16 +60,12 @@ class TransactionService(Service):
         link: Link,
         us: VehicleAddress,
         commands: CommandService,
-        commander: Commander,
         parameters: ParameterService,
-        store: ParameterStore,
     ) -> None:
         self._link = link
         self._us = us
         self._commands = commands
-        self._commander = commander
         self._parameters = parameters
-        self._store = store
         self._open: OrderedDict[Source, Transaction] = OrderedDict()
         self._answered: OrderedDict[tuple[Source, int, int], TransactionAnswer] = OrderedDict()
         self._pack = Packer("TWODOF_PARAM_TRANSACTION")
@@ -143,7 +137,8 @@ class TransactionService(Service):
     def _end(self, received: Received, sender: Source) -> TransactionAnswer:
         got = received.message
         if got.action == UNDO:
-            return self._undo(sender)
+            error, why = self._parameters.undo(sender)
+            return TransactionAnswer(error, why=why)
         transaction = self._open.get(sender)
         if transaction is None or transaction.number != got.transaction:
             return TransactionAnswer(READ_FAIL, why=f"there is no open transaction {got.transaction}")
@@ -166,13 +161,3 @@ class TransactionService(Service):
             )
         error, name, why = self._parameters.change(transaction.values, sender)
         return TransactionAnswer(error, have, name, why)
-
-    def _undo(self, sender: Source) -> TransactionAnswer:
-        verdict = self._commander.may_tune(sender, "undo")
-        if not verdict.accepted:
-            return TransactionAnswer(PERMISSION_DENIED, why=verdict.text)
-        try:
-            self._store.undo(self._commander.armed)
-        except ParameterError as error:
-            return TransactionAnswer(PERMISSION_DENIED, why=str(error))
-        return TransactionAnswer(NO_ERROR)

@@ -106,6 +106,7 @@ def _row(kind: str, diagram: str, one: ExportedParameter) -> VehicleParameter:
         harmless(one.unit, LONGEST_UNIT),
         harmless(text, LONGEST_TEXT),
         kind="float" if one.kind == "real" else "int32",
+        tuning=True,
         group=f"Controller {diagram}",
         own=path,
         bounded=one.low not in (-LARGEST_FLOAT, SMALLEST_INT) or one.high not in (LARGEST_FLOAT, LARGEST_INT),

@@ -79,6 +79,7 @@ def px4_rows(system: int) -> tuple[VehicleParameter, ...]:
             "most logs that are kept on board; the oldest go first",
             kind="int32",
             group="Log",
+            disarmed=True,
         ),
         _kept("BAT_LOW_THR", 0.15, 0.05, 0.5, "norm", "low charge; see SAFE_BAT_LOW", "float", "Battery"),
         _kept("BAT_CRIT_THR", 0.07, 0.03, 0.5, "norm", "critical charge; see SAFE_BAT_CRIT", "float", "Battery"),

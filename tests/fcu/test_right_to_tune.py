@@ -1,0 +1,111 @@
+"""Who may change which parameter: anyone those for tuning, who holds the lease the others, and each undoes its own."""
+
+from typing import Any
+
+import pytest
+
+from tests.faults.virtual_time import run_virtual
+from tests.fcu.command.cockpit import ME, OTHER, Cockpit
+from twodof.errors import ParameterError
+from twodof.fcu.parameters.parameter_store import ParameterStore
+from twodof.link.connection import Received
+from twodof.link.mavlink.framing import Parser, decode, encode
+from twodof.link.mavlink.messages import float_of_int, message
+from twodof.parameters import FLIGHT_PARAMETERS
+from twodof.sim.virtual_drone import VirtualDrone
+
+
+def put(drone: VirtualDrone, system: int, **values: float) -> None:
+    """A client sets them, each by a PARAM_SET."""
+    for name, value in values.items():
+        whole = drone.assembly.store.row(name).kind == "int32"
+        number = float_of_int(int(value)) if whole else value
+        sent = message("PARAM_SET", param_id=name, param_value=number, param_type=6 if whole else 9, **ITS)
+        hear(drone, system, sent)
+
+
+def undo(drone: VirtualDrone, system: int, number: int) -> None:
+    hear(drone, system, message("TWODOF_PARAM_TRANSACTION", transaction=number, action=3, **ITS))
+
+
+def hear(drone: VirtualDrone, system: int, sent: Any) -> None:
+    (frame,) = Parser().feed(encode(sent, system, 190, 0))
+    assert any(service.handle(Received(decode(frame), frame, system)) for service in drone.assembly.px4.services)
+
+
+ITS = {"target_system": 1, "target_component": 1}
+SAFETY = {
+    "M_MAX": 0.0,
+    "THRUST_BAR": 1.0,
+    "THRUST_ETA": 1.0,
+    "SDLOG_DIRS_MAX": 1,
+    "SDLOG_MODE": 1,
+    "SAFE_BAT_CRIT": 0.0,
+    "SAFE_WATCH_BITS": 0,
+    "SAFE_RAIL_LIM": 0.4,
+    "SAFE_PITCH_LIM": 0.87,
+    "COM_ARM_WO_GPS": 0,
+}
+
+
+def test_only_who_commands_changes_what_is_not_for_tuning() -> None:
+    async def work() -> None:
+        async with VirtualDrone("paper", lockstep=True, controllers=["lqr-attitude"]) as drone:
+            store, commander = drone.assembly.store, drone.commander
+            assert commander.ask_lease(ME).accepted
+            before = dict(store)
+            put(drone, OTHER[0], **SAFETY)
+            assert dict(store) == before
+            put(drone, OTHER[0], RATE_KP=0.0625, RATE_N=50.0, FC_PARAM_11=8.0, TLA_K_Q=0.25)
+            assert [store[name] for name in ("RATE_KP", "RATE_N", "ATT_KP", "TLA_K_Q")] == [0.0625, 50.0, 8.0, 0.25]
+            put(drone, ME[0], **SAFETY)
+            assert {name: store[name] for name in SAFETY} == SAFETY
+
+    run_virtual(work())
+
+
+def test_logs_are_not_bounded_in_flight_even_by_who_commands() -> None:
+    store = ParameterStore()
+    with pytest.raises(ParameterError, match="SDLOG_DIRS_MAX"):
+        store.update({"SDLOG_DIRS_MAX": 1}, armed=True)
+
+
+def test_the_gains_of_the_loops_are_what_is_for_tuning() -> None:
+    tuned = {row.name for row in FLIGHT_PARAMETERS if row.tuning}
+    assert tuned == {*("RATE_KP", "RATE_KI", "RATE_KD", "RATE_N", "ATT_KP", "VEL_KP", "VEL_KI", "POS_KP")}
+
+
+def test_undo_takes_back_what_the_client_has_tuned_itself_or_what_it_commands() -> None:
+    async def work() -> None:
+        async with VirtualDrone("paper", lockstep=True) as drone:
+            store, commander = drone.assembly.store, drone.commander
+            assert commander.ask_lease(ME).accepted
+            put(drone, ME[0], RATE_KP=0.03125)
+            put(drone, OTHER[0], RATE_KP=0.0625)
+            put(drone, OTHER[0], RATE_KP=0.07)
+            undo(drone, OTHER[0], 1)
+            assert store["RATE_KP"] == 0.0625
+            undo(drone, OTHER[0], 2)
+            assert store["RATE_KP"] == 0.03125
+            undo(drone, OTHER[0], 3)  # that is the other one's
+            assert store["RATE_KP"] == 0.03125
+            put(drone, OTHER[0], RATE_KP=0.0625)
+            undo(drone, ME[0], 1)
+            assert store["RATE_KP"] == 0.03125
+            put(drone, ME[0], M_MAX=0.5)
+            assert commander.give_up_lease(ME).accepted
+            assert commander.ask_lease(OTHER).accepted
+            undo(drone, ME[0], 2)  # not for tuning
+            assert store["M_MAX"] == 0.5
+
+    run_virtual(work())
+
+
+def test_the_holder_is_told_who_has_tuned_what() -> None:
+    commander = Cockpit().commander
+    commander.tuned(OTHER, "RATE_KP = 0.06")  # nobody holds it
+    assert commander.ask_lease(ME).accepted
+    commander.tuned(ME, "RATE_KP = 0.07")
+    assert commander.remarks == []
+    commander.tuned(OTHER, "RATE_KP = 0.08")
+    assert commander.remarks == [(6, "RATE_KP = 0.08, by system 245, component 190")]
