@@ -63,8 +63,14 @@ class AsyncDrone(FlyingDrone):
         deadline = Deadline(timeout, "connecting", url)
         if key is not None and not isinstance(key, Key):
             read_key(key)  # a key that is none is said before anything is opened
-        transport = await open_link(url, timeout)
-        return await cls.over(transport, deadline.left, system, key, take_lease, drone, component)
+        transport, taken = await open_link(url, timeout)
+        try:
+            return await cls.over(transport, deadline.left, system, key, take_lease, drone, component)
+        except LinkLost as lost:
+            if taken is None:
+                raise
+            what = f"{taken.what}; called at {lost.where}: {lost.what}"
+            raise LinkLost(what, taken.where, taken.remedy or lost.remedy) from taken
 
     @classmethod
     async def over(

@@ -60,21 +60,21 @@ def urls(hosts: Iterable[str] = (), drones: int = DRONES) -> list[str]:
     return [*places, f"udpin://127.0.0.1:{ports.GROUND_STATION}"]
 
 
-async def open_link(url: str, timeout: float) -> Transport:
-    """The transport of `url`; raises as `open_transport`.
+async def open_link(url: str, timeout: float) -> tuple[Transport, LinkError | None]:
+    """The transport of `url`, and why it leads elsewhere if it does; raises as `open_transport`.
 
     A drone sends to one UDP port of this machine, which one program can have. Where another program has it, this one
-    calls the drone at the port that it listens at.
+    calls the drone at the port that it listens at. Whether a drone is there is not known then.
     """
     try:
-        return await open_transport(url, timeout)
+        return await open_transport(url, timeout), None
     except LinkError as error:
         address, cause = parse(url), error.__cause__
         taken = isinstance(cause, OSError) and cause.errno == errno.EADDRINUSE
         index = address.port - ports.ONBOARD
         if not taken or address.kind != "udpin" or not 0 <= index < ports.GROUND_STATION - ports.ONBOARD:
             raise
-        return await open_transport(f"udp://{LOOPBACK}:{ports.COMPANION_ONBOARD + index}", timeout)
+        return await open_transport(f"udp://{LOOPBACK}:{ports.COMPANION_ONBOARD + index}", timeout), error
 
 
 async def discover(
@@ -130,7 +130,8 @@ async def _look(url: str, timeout: float, heard: dict[tuple[int, str], FoundDron
     loop = asyncio.get_running_loop()
     end = loop.time() + timeout
     with suppress(LinkError):
-        async with Connection(await open_link(url, timeout), system=SYSTEM, component=GROUND_STATION) as connection:
+        transport, _ = await open_link(url, timeout)
+        async with Connection(transport, system=SYSTEM, component=GROUND_STATION) as connection:
             while loop.time() < end:
                 with suppress(LinkLost):
                     connection.send(message("HEARTBEAT", type=6, autopilot=NO_AUTOPILOT, system_status=4))
