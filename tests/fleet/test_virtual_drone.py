@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import subprocess
+import sys
+import time
 from contextlib import AsyncExitStack
 from pathlib import Path
 
@@ -50,3 +53,23 @@ def test_several_drones_are_recorded_in_one_script(tmp_path: Path) -> None:
 def test_what_keeps_a_drone_from_starting_is_told() -> None:
     with pytest.raises(LinkError, match=r"nowhere\.json"), virtual_drone("nowhere.json"):
         pytest.fail("it came up")
+
+
+def test_the_time_to_start_is_one_for_all_drones_and_none_leaves_a_pipe_open(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first one listens late, the others never."""
+    made: list[subprocess.Popen[bytes]] = []
+
+    def started(_: object) -> subprocess.Popen[bytes]:
+        does = "" if made else "sleep 2; echo 'listening on tcpin://127.0.0.1:1 '; "
+        shell = ["sh", "-c", f"{does}exec sleep 60"]
+        made.append(subprocess.Popen(shell, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0))
+        return made[-1]
+
+    module = sys.modules[virtual_drone.__module__]  # the package has a function of its name
+    monkeypatch.setattr(module, "_started", started)
+    monkeypatch.setattr(module, "START_S", 3.0)
+    start = time.monotonic()
+    with pytest.raises(LinkError), virtual_drones(3):
+        pytest.fail("they came up")
+    assert time.monotonic() - start < 4.9  # 3 s more from the first one on would be 5
+    assert all(drone.stdout is not None and drone.stdout.closed for drone in made[1:])

@@ -18,7 +18,7 @@ from twodof.errors import LinkError
 from twodof.fleet.child_output import child_error
 
 START_S = 120.0
-"""How long it may take until it listens [s]: the first time it compiles flight code and rig."""
+"""How long it may take until all listen [s]: the first time it compiles flight code and rig."""
 
 END_S = 5.0
 """How long it may take to end [s]; then it is killed."""
@@ -55,11 +55,14 @@ def virtual_drones(
     given += [option for name in controllers for option in ("--controller", str(name))]
     with TemporaryDirectory(prefix="twodof-") as folder, ExitStack() as stack:
         drones: list[subprocess.Popen[bytes]] = []
-        stack.callback(_end, drones)
+        urls: list[str] = []
+        stack.callback(_end, drones, urls)
         for number in range(count):
             own = ["--seed", str(number + 1), "--state", str(Path(folder) / str(number))]
             drones.append(_started(["--lockstep", "--rig", str(rig), *own, *given]))
-        yield [_listening(drone, rig) for drone in drones]
+        end = time.monotonic() + START_S
+        urls.extend(_listening(drone, rig, end) for drone in drones)
+        yield urls
 
 
 def _started(options: Sequence[str]) -> subprocess.Popen[bytes]:
@@ -74,9 +77,9 @@ def _started(options: Sequence[str]) -> subprocess.Popen[bytes]:
     )
 
 
-def _listening(process: subprocess.Popen[bytes], rig: str) -> str:
-    """Where it listens, once it does."""
-    pipe, said, end = process.stdout, b"", time.monotonic() + START_S
+def _listening(process: subprocess.Popen[bytes], rig: str, end: float) -> str:
+    """Where it listens, once it does; `end` is by when, on the monotonic clock."""
+    pipe, said = process.stdout, b""
     if pipe is None:
         raise LinkError("the flight controller has no output", f"rig {rig}", "report this")
     with selectors.DefaultSelector() as selector:
@@ -87,7 +90,6 @@ def _listening(process: subprocess.Popen[bytes], rig: str) -> str:
                 # A pipe that nobody reads holds up who writes.
                 threading.Thread(target=_drain, args=(pipe,), daemon=True).start()
                 return "tcp" + found[1].decode()
-    pipe.close()
     raise child_error(said.decode(errors="replace").splitlines(), f"virtual drone on the rig {rig}")
 
 
@@ -97,8 +99,8 @@ def _drain(pipe: IO[bytes]) -> None:
             pass
 
 
-def _end(processes: Sequence[subprocess.Popen[bytes]]) -> None:
-    """Asks all to end, and kills those that still run after `END_S`."""
+def _end(processes: Sequence[subprocess.Popen[bytes]], urls: Sequence[str]) -> None:
+    """Asks all to end, and kills those that still run after `END_S`. Only the first, which have `urls`, are drained."""
     for process in processes:
         process.terminate()
     end = time.monotonic() + END_S
@@ -110,3 +112,6 @@ def _end(processes: Sequence[subprocess.Popen[bytes]]) -> None:
             process.wait()
         if process.stdin is not None:
             process.stdin.close()
+    for process in processes[len(urls) :]:
+        if process.stdout is not None:
+            process.stdout.close()
