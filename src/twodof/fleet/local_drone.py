@@ -33,7 +33,7 @@ class ControllerReport(NamedTuple):
 
 @dataclass(frozen=True)
 class LocalDrone:
-    """The drone `index`: its ports (docs/protocol.md), its seed, the folder of its state, the file of its key."""
+    """The drone `index`: its ports (docs/reference/protocol.md), seed, folder of its state and file of its key."""
 
     index: int
     seed: int = 1

@@ -1,4 +1,4 @@
-"""Slot: the place that keeps which controllers fly, a diagram of each template, until others are flashed."""
+"""Controller store: it keeps which controllers fly, a diagram of each template, until others are flashed."""
 
 from __future__ import annotations
 

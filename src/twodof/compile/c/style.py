@@ -1,4 +1,4 @@
-"""How values, conditions and constants are written: for one instance, or (see `clanes`) for several at once."""
+"""How values, conditions and constants are written: for one instance, or (`compile.lanes`) for several at once."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class CStyle:
         return self
 
     def writer(self, lean: bool) -> CWriter:
-        """A new writer; `lean` as in `c99.emit`."""
+        """A new writer; `lean` as in `emitter.emit`."""
         return CWriter(lean=lean)
 
     def same(self, text: str, kind: str) -> str:

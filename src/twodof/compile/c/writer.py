@@ -17,7 +17,7 @@ class CWriter:
     depth: int = 1
     elements: int = 0  # of local arrays
     masked: bool = False  # whether a choice is made for each of several instances
-    lean: bool = False  # see c99.emit
+    lean: bool = False  # see emitter.emit
 
     def line(self, text: str) -> None:
         """One more line, indented."""

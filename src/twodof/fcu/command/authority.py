@@ -1,4 +1,4 @@
-"""The pilot: who may command, and whether the drone hears it.
+"""Authority: who may command, and whether the drone hears it.
 
 The rules are those of the lease (docs/reference/protocol.md).
 """
