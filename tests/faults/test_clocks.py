@@ -43,7 +43,16 @@ async def signed(whole: Whole, key: Key, clock: Clock, system: int = 250) -> Asy
         return await AsyncDrone.over(await whole.open(), timeout=5.0, system=system)
 
 
-@pytest.mark.parametrize("jump", [300 * DAY, -2 * HOUR, -40 * 365 * DAY])
+@pytest.mark.parametrize(
+    "jump",
+    [
+        300 * DAY,
+        -2 * HOUR,
+        -40 * 365 * DAY,
+        pytest.param(2 * HOUR, marks=pytest.mark.soak),
+        pytest.param(-3 * DAY, marks=pytest.mark.soak),
+    ],
+)
 def test_the_drones_clock_is_set_in_flight(jump: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing is late, no set-point counts as lost, every command is heard, the log's time goes on."""
     key = Key.fresh()

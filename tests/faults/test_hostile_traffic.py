@@ -37,8 +37,8 @@ PITCH = 0.125  # through a quaternion of float32
 BURST = 64  # frames in a control period: 16000 a second
 CHANGES_PARAMETERS = ("PARAM_SET", "TWODOF_PARAM_TRANSACTION")
 PREFLIGHT_STORAGE = 245  # which resets them
-# After a warm-up; a queue that is full once, a dictionary that is resized. One object kept a frame would be 9600.
-MOST_OBJECTS = 2_000
+# After a warm-up; a queue that is full once, a dictionary that is resized. One object in fifteen frames is too many.
+MOST_OBJECTS, FRAMES_PER_OBJECT = 2_000, 15
 MOST_GROWN_BYTES = 12 << 20
 
 
@@ -151,9 +151,9 @@ async def attack(
     return early, end
 
 
-def bounded(early: Held, end: Held) -> None:
-    """Nothing was left behind."""
-    assert end.objects - early.objects < MOST_OBJECTS, (early, end)
+def bounded(count: int, early: Held, end: Held) -> None:
+    """Nothing was left behind by `count` frames."""
+    assert end.objects - early.objects < min(MOST_OBJECTS, count // FRAMES_PER_OBJECT), (early, end)
     assert end.tasks == early.tasks
     assert end.threads <= early.threads + 2  # one may have waited for its first work
     # An on-board log, an upload, and what readers of files hold open at most.
@@ -171,7 +171,7 @@ def under_a_pilot(count: int, seed: int, folder: Path) -> None:
             await pilot.withhold_tuning()
             before, revision = dict(whole.drone.assembly.store), whole.drone.assembly.store.revision
             hostile = Hostile(seed, sound, strangers)
-            bounded(*await attack(whole, hostile, whole.clients, count))
+            bounded(count, *await attack(whole, hostile, whole.clients, count))
             store = whole.drone.assembly.store
             assert (dict(store), store.revision) == (before, revision)
             assert whole.drone.commander.lease.holder == PILOT
@@ -199,7 +199,7 @@ def in_flight(count: int, seed: int, folder: Path) -> None:
             whole.steps.clear()
             avoid = frozenset(dialect.message_id(name) for name in ("COMMAND_LONG", "COMMAND_INT"))
             hostile = Hostile(seed, sound, strangers, avoid)
-            bounded(*await attack(whole, hostile, whole.clients, count, undisturbed))
+            bounded(count, *await attack(whole, hostile, whole.clients, count, undisturbed))
             assert store.revision == revision
             await pilot.close()
 
@@ -217,7 +217,7 @@ def with_nobody(count: int, seed: int, folder: Path) -> None:
             avoid = frozenset(dialect.message_id(name) for name in CHANGES_PARAMETERS)
             commands = tuple(number for number in COMMANDS if number != PREFLIGHT_STORAGE)
             hostile = Hostile(seed, sound, anybody, avoid, commands)
-            bounded(*await attack(whole, hostile, whole.fcu, count))
+            bounded(count, *await attack(whole, hostile, whole.fcu, count))
             assert (dict(store), store.revision) == (before, revision)
             await whole.passes(3.0)
             client = await whole.client()
@@ -248,7 +248,7 @@ def from_the_vehicle(count: int, seed: int, folder: Path) -> None:
                 if early is None and number >= count // 5:
                     early = Held.now()
             assert early is not None
-            bounded(early, Held.now())
+            bounded(count, early, Held.now())
             assert companion.lost == 0
             passed = client.counts.packets_in
             assert passed > count // 10

@@ -327,12 +327,13 @@ def test_a_kill_holds_until_it_is_released() -> None:
 @pytest.mark.parametrize("turns", range(12))
 def test_a_subscription_that_is_cancelled_half_way_leaves_nothing_behind(turns: int) -> None:
     """Wherever it is cancelled: nobody takes samples any more, and the drone is told that they are not wanted."""
+    taken: list[Any] = []
 
     async def work() -> None:
         async with Peer() as peer, await AsyncDrone.connect(peer.url) as drone:
 
             async def look() -> None:
-                async with drone.batch(["estimate.q"]):
+                async with drone.batches.to(["estimate.q"], taken.append):
                     await asyncio.sleep(10.0)
 
             looking = asyncio.get_running_loop().create_task(look())
@@ -340,7 +341,10 @@ def test_a_subscription_that_is_cancelled_half_way_leaves_nothing_behind(turns: 
                 await asyncio.sleep(0)
             looking.cancel()
             await asyncio.wait([looking])
+            before = len(taken)
+            peer.send("TWODOF_BATCH", channels=1, tick=1, values=[0.0] * 60, rows=1, every=1)
             await asyncio.sleep(0.1)
+            assert len(taken) == before
             asked = [got.param2 for got in peer.heard if got.get_type() == "COMMAND_LONG" and got.command == 511]
             assert asked == [] or asked[-1] == -1
 

@@ -28,7 +28,7 @@ LATE_S = 1.5
 # Two subscriptions of 5 s each; a second for the end of the truth's, three for that of the rows: the last come then.
 RECORD_S = 14.0
 # It waits .6 s of the drone's time: 2 s of ours without any of it, where it is granted and where it passes by itself;
-# and 2 s more where a grant was answered before.
+# and 2 s more where a grant was answered before: the patience of a call begins anew with every slice of its time.
 WAIT_S = 4.2
 EXCITATION = Doublet(0.1, 0.2, unit="rad")
 ENTRY = LogEntry(0, 1280, 0)
