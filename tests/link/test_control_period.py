@@ -1,15 +1,14 @@
-"""The tick of the wire, of the flight code and of the log are one."""
+"""The tick of the wire is the control period, in each unit."""
 
-from twodof.flight import core
-from twodof.flightlog import steps
+from twodof.constants import PERIOD
 from twodof.link import control_period
 
 
 def test_the_wire_counts_the_periods_of_the_flight_code() -> None:
-    assert control_period.TICK_S == core.PERIOD == steps.PERIOD
+    assert control_period.TICK_S == PERIOD
 
 
 def test_all_units_say_the_same() -> None:
     for number in (control_period.TICK_US * 1e-6, control_period.TICK_MS * 1e-3, control_period.TICK_NS / 1e9):
-        assert abs(number - core.PERIOD) < 1e-12  # rounding of one product
+        assert abs(number - PERIOD) < 1e-12  # rounding of one product
     assert type(control_period.TICK_MS) is type(control_period.TICK_NS) is int  # stamps are whole numbers

@@ -266,7 +266,7 @@ def test_an_error_of_the_acceleration_gives_the_fixed_gain_filter_its_lasting_ve
 @pytest.mark.parametrize("position_filter", ["joint", "fixed-gain", "kalman"])
 def test_the_first_samples_set_pitch_and_position(position_filter: str) -> None:
     f_x, f_z = specific_force(0.3)
-    inputs = {"acc_x": f_x, "acc_z": f_z, "dist": 0.7, "dist_new": [0, 1, 0]}
+    inputs = {"acc_x": f_x, "acc_z": f_z, "dist": 0.7, "dist_new": [False, True, False]}
     out = Reference(estimator(position_filter), TS).machine().run(3, inputs)
     assert out["theta"].tolist() == pytest.approx([0.3] * 3, abs=1e-6)
     # The joint filter starts with x known to 1 m, so the first range, weighed as 16 mm, gives x to 3e-4 of itself.
