@@ -75,7 +75,7 @@ def test_without_anything_native_runs_slowly_and_the_others_name_their_packages(
 
 def test_with_a_compiler_alone_the_engine_and_the_emulator_are_named(tmp_path: Path) -> None:
     said = user(["wasmtime"], ["native", "wasm", "cortex-m7"], tmp_path)
-    assert said["native"][0] == "Program"
+    assert said["native"][0] == "CompiledProgram"
     assert "pip install wasmtime" in said["wasm"][1]
     assert "apt-get install qemu-system-arm" in said["cortex-m7"][1]
 
