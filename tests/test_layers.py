@@ -14,7 +14,7 @@ SOURCE = Path(__file__).resolve().parents[1] / "src" / PACKAGE
 # Rooms of one row do not import each other.
 ROWS = [
     {"errors"},
-    {"constants", "signals", "parameters"},
+    {"signals", "parameters"},
     {"flightlog", "blocks"},
     {"excitation", "models"},
     {"compile", "slx"},

@@ -52,7 +52,6 @@ from twodof.blocks.reference.interpreter import Reference
 from twodof.compile import build
 from twodof.compile.lanes.lanes_program import SIMD, best_simd, build_lanes
 from twodof.compile.px4.export import make_module
-from twodof.constants import PERIOD
 from twodof.errors import CompileError, TwodofError
 from twodof.excitation import Doublet
 from twodof.flight.core import core
@@ -65,7 +64,7 @@ from twodof.link.transport.base import Transport
 from twodof.link.transport.open_transport import open_transport
 from twodof.rig.parameters import load_rig
 from twodof.rig.rig import BASE_DT
-from twodof.signals import MODES
+from twodof.signals import MODES, PERIOD
 from twodof.sim.closed_loop import closed_loop
 from twodof.sim.virtual_drone import VirtualDrone
 

@@ -12,7 +12,6 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from xml.etree import ElementTree
 
-from twodof.constants import HOVER
 from twodof.fcu.onboard_log.step_row import COLUMNS
 from twodof.fcu.parameters.row import VehicleParameter
 from twodof.fcu.parameters.table import own_rows
@@ -32,7 +31,7 @@ from twodof.parameters import TUNABLES
 from twodof.rig.parameters import CONDITIONS, NAMES, TABLE, load_rig, origins
 from twodof.rig.rig import PARTS, rig_params
 from twodof.rig.steady_state import model_parameters, rotor_moment
-from twodof.signals import TOPICS
+from twodof.signals import HOVER, TOPICS
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 PAGES = tuple(sorted(page for page in DOCS.rglob("*.md") if "<!-- made: " in page.read_text(encoding="utf-8")))

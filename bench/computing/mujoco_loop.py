@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import mujoco
 
-from twodof.constants import HOVER
 from twodof.flight.gains import DEFAULT, Gains
 from twodof.rig.rotors import lift
+from twodof.signals import HOVER
 
 TICK = 0.001
 TICKS = 4

@@ -18,7 +18,6 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.constants import GRAVITY, HOVER
 from twodof.errors import IdentificationError
 from twodof.flight.gains import NAMED
 from twodof.flightlog.files import read_log
@@ -27,6 +26,7 @@ from twodof.identify.levenberg_marquardt import minimise
 from twodof.parameters import ParameterSet
 from twodof.rig.parameters import CALIBRATED, TABLE, load_rig
 from twodof.rig.rotors import lift
+from twodof.signals import GRAVITY, HOVER
 from twodof.sim.closed_loop import ClosedLoop
 from twodof.sim.resimulation import LoggedFlight, resimulation_loop
 

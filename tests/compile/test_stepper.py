@@ -12,11 +12,11 @@ from twodof.blocks.library import Gain
 from twodof.compile import CompiledProgram, build
 from twodof.compile.machine import CompiledMachine
 from twodof.compile.stepper import Stepper
-from twodof.constants import PERIOD
 from twodof.errors import DiagramError
 from twodof.flight.core import INPUTS, OUTPUTS, core
 from twodof.flight.failsafe.diagram import INPUTS as SAFETY_INPUTS
 from twodof.flight.failsafe.diagram import OUTPUTS as SAFETY_OUTPUTS
+from twodof.signals import PERIOD
 
 KINDS = {name: kind for name, kind, *_ in (*INPUTS, *SAFETY_INPUTS)}
 NAMES = [name for name, *_ in (*OUTPUTS, *SAFETY_OUTPUTS)]

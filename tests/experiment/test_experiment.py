@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from twodof.constants import PERIOD
 from twodof.errors import ExperimentError, ParameterError
 from twodof.excitation import Doublet
 from twodof.experiment.experiments import EXPERIMENTS, IDENTIFICATION, Experiment, experiment
@@ -16,6 +15,7 @@ from twodof.experiment.script import script
 from twodof.flight.gains import DEFAULT, STUDENT
 from twodof.flightlog.contents import describe
 from twodof.flightlog.files import read_log, write_log
+from twodof.signals import PERIOD
 from twodof.sim.replay import replay
 
 

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from tests.experiment.drones import drone_process, drone_thread
 from tests.patience import PATIENCE_S
-from twodof.constants import PERIOD
 from twodof.errors import ExperimentError, LinkLost, Rejected, Timeout
 from twodof.experiment.checks import data_checks, received
 from twodof.experiment.experiments import EXPERIMENTS, Experiment, experiment
@@ -32,6 +31,7 @@ from twodof.flightlog.steps import BOOT
 from twodof.flightlog.ulog.decoder import scan_ulog
 from twodof.gcs.drone import Drone
 from twodof.rig.parameters import load_rig
+from twodof.signals import PERIOD
 from twodof.sim.virtual_drone import VirtualDrone
 
 SEED = 5

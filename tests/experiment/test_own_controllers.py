@@ -11,7 +11,6 @@ import pytest
 
 from twodof.blocks import Diagram
 from twodof.blocks.library import Gain, Step
-from twodof.constants import PERIOD
 from twodof.errors import DiagramError, ParameterError
 from twodof.experiment.flight import Flight, Laboratory
 from twodof.flight.starters import new_diagram, starter
@@ -19,6 +18,7 @@ from twodof.flight.starters.build import with_ports
 from twodof.flight.templates import ATTITUDE, MOTOR, POSITION, Template
 from twodof.flightlog.files import read_log, write_log
 from twodof.flightlog.log import FlightLog
+from twodof.signals import PERIOD
 
 
 def breaks(template: Template, at: float, values: dict[str, tuple[float, float]]) -> Diagram:

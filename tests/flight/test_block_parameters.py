@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 
 from twodof.compile.program.lower import lower
-from twodof.constants import PERIOD
 from twodof.flight.core import core
 from twodof.flight.estimator.diagram import POSITION_FILTERS
 from twodof.parameters import TUNABLES
+from twodof.signals import PERIOD
 
 
 @pytest.mark.parametrize("position_filter", POSITION_FILTERS)

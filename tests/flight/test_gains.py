@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from twodof.blocks.reference.interpreter import Reference
-from twodof.constants import PERIOD
 from twodof.errors import ParameterError
 from twodof.flight.core import core
 from twodof.flight.gains import DEFAULT, STUDENT, Gains, load_gains
 from twodof.parameters import PARAMETERS, ParameterSet
+from twodof.signals import PERIOD
 
 
 def test_default_gains_are_the_drones_own() -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 from twodof.blocks import Block, Param, Port, State, int32, maximum, minimum, store, to_int32, to_real, where
 from twodof.blocks.noise import normal
-from twodof.constants import RAIL_CENTRE
+from twodof.signals import RAIL_CENTRE
 
 RING = 64
 """Samples that a late signal may be old, and one: .25 s."""

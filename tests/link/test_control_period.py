@@ -1,7 +1,7 @@
 """The tick of the wire is the control period, in each unit."""
 
-from twodof.constants import PERIOD
 from twodof.link import control_period
+from twodof.signals import PERIOD
 
 
 def test_the_wire_counts_the_periods_of_the_flight_code() -> None:

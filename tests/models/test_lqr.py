@@ -6,11 +6,11 @@ import control
 import numpy as np
 import pytest
 
-from twodof.constants import PERIOD
 from twodof.errors import ParameterError
 from twodof.models.lqr import LqrGains, attitude_lqr, lqr, rate_lqr
 from twodof.models.lti import DelayedStateSpace
 from twodof.models.plant import PAPER_PITCH_RATE
+from twodof.signals import PERIOD
 
 
 def test_a_plant_without_delay_gets_the_gains_of_python_control() -> None:

@@ -10,11 +10,11 @@ import pytest
 from twodof.blocks import Diagram
 from twodof.blocks.library.delays import ZeroOrderHold
 from twodof.compile import CompiledMachine, CompiledProgram, build
-from twodof.constants import HOVER
 from twodof.rig.battery import BatteryPack
 from twodof.rig.parameters import lab, paper
 from twodof.rig.rotors import Rotors
 from twodof.rig.steady_state import moment_gain, rotor_moment, velocity_gain
+from twodof.signals import HOVER
 
 DT = 1e-3
 PULL = {"pair_thrust": 4.0, "curve": 0.3, "arm": 0.1}

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from tests.flight.failsafe.expr_arrays import tell
 from tests.sim.faulty_loop import PERIOD_MS, FaultyLoop, first
 from twodof.compile import build
-from twodof.constants import PERIOD
 from twodof.experiment.experiments import EXPERIMENTS
 from twodof.experiment.flight import Laboratory
 from twodof.experiment.script import script
@@ -24,6 +23,7 @@ from twodof.flight.failsafe.diagram import failsafe
 from twodof.flight.starters import load_diagram
 from twodof.flightlog.events import mode_at
 from twodof.flightlog.files import read_log
+from twodof.signals import PERIOD
 from twodof.sim.closed_loop import ClosedLoop, InitialState
 from twodof.sim.time_alignment import align_log
 

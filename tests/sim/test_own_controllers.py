@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from twodof.blocks import Diagram
 from twodof.compile import build
-from twodof.constants import HOVER, PERIOD
 from twodof.errors import DiagramError, ParameterError
 from twodof.flight.gains import DEFAULT, STUDENT
 from twodof.flight.starters import starter
@@ -21,6 +20,7 @@ from twodof.models.lqr import attitude_lqr
 from twodof.models.lti import step_figures
 from twodof.models.plant import PAPER_PITCH_RATE
 from twodof.rig.parameters import Q_AGE, lab, paper
+from twodof.signals import HOVER, PERIOD
 from twodof.sim.closed_loop import ClosedLoop, InitialState
 
 Floats = NDArray[np.float64]

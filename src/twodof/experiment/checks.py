@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.constants import PERIOD
 from twodof.experiment.experiments import SETPOINT, Experiment
 from twodof.experiment.script import Script
+from twodof.signals import PERIOD
 
 Signals = Mapping[str, NDArray[Any]]
 """Each signal at the control steps of a flight, (steps,), by name; NaN where a sample was lost."""

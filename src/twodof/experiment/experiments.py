@@ -8,9 +8,9 @@ from math import radians
 from types import MappingProxyType
 from typing import Any
 
-from twodof.constants import HOVER
 from twodof.errors import ExperimentError
 from twodof.excitation import Doublet, Excitation, Impulse, Prbs, Steps, Sweep
+from twodof.signals import HOVER
 
 SETPOINT = MappingProxyType(
     {"open-loop": "M_open", "rate": "q0", "attitude": "theta0", "velocity": "v0", "position": "x0"}

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from twodof.constants import PERIOD
 from twodof.errors import ExperimentError, LinkLost, Rejected, Timeout
 from twodof.experiment.checks import FlightCheck, data_checks, not_judged, received
 from twodof.experiment.experiments import Experiment
@@ -23,6 +22,7 @@ from twodof.gcs.sync_parts import DroneRows
 from twodof.gcs.telemetry.recording import safety_row, seconds
 from twodof.gcs.telemetry.status_texts import StatusText
 from twodof.rig.parameters import NAMES
+from twodof.signals import PERIOD
 
 Progress = Callable[[str, float], None]
 """Called with what the drone does and the share of the flight that is done, 0 to 1."""

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.constants import PERIOD
 from twodof.experiment.experiments import SETPOINT, Experiment
-from twodof.signals import MODES, OFF, OPEN_LOOP
+from twodof.signals import MODES, OFF, OPEN_LOOP, PERIOD
 from twodof.sim.closed_loop import ARMING
 
 

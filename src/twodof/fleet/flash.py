@@ -15,10 +15,10 @@ from twodof.compile.program.check import check as check_diagram
 from twodof.compile.px4 import export
 from twodof.compile.px4.checkout.check import ERROR
 from twodof.compile.px4.checkout.check import check as check_module
-from twodof.constants import PERIOD
 from twodof.errors import CompileError
 from twodof.fleet.flash_target import check_target, open_target
 from twodof.flight.templates import check_template
+from twodof.signals import PERIOD
 
 _STEPS = 250  # run on the emulated processor to count instructions: a second of flight
 

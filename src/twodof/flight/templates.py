@@ -11,8 +11,8 @@ from twodof.blocks.diagram import Diagram
 from twodof.blocks.library.delays import ZeroOrderHold
 from twodof.compile.program.flat_program import FlatProgram
 from twodof.compile.program.lower import lower
-from twodof.constants import PERIOD
 from twodof.errors import DiagramError
+from twodof.signals import PERIOD
 
 
 class TemplatePort(NamedTuple):

@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.constants import PERIOD
 from twodof.flightlog.log import Channel
-from twodof.signals import BY_MAT, OPEN_LOOP, TOPICS, topic
+from twodof.signals import BY_MAT, OPEN_LOOP, PERIOD, TOPICS, topic
 
 BOOT = 10.0
 """Time stamp of tick 0 [s]: the drone's logs count from when the flight controller booted."""

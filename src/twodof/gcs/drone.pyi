@@ -144,10 +144,10 @@ class Drone(SyncDrone):
         provenance: Mapping[str, object] | None = None,
         overwrite: bool = False,
     ) -> AbstractContextManager[Recording]:
-        """Record topics (None: all) at the full rate into a new MCAP file, for `with`. See gcs.recording.
+        """Record topics (None: all) at the full rate into a new MCAP file, for `with`.
 
-        Raises LogError for a file that is there, unless `overwrite` says that it may be lost. A session that repeats
-        takes new names from `flightlog.numbered`.
+        Raises LogError for a file that is there, unless `overwrite` says that it may be lost: it is kept until the new
+        one has begun in its place. A session that repeats takes new names from `flightlog.numbered`.
 
         The file also holds what flies: tuned parameters and, as attachments, the diagrams of the user's controllers.
 

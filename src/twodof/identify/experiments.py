@@ -9,12 +9,12 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.constants import RAIL_CENTRE
 from twodof.errors import IdentificationError, LogError
 from twodof.flightlog.contents import DetectedExcitation, excitations
 from twodof.flightlog.events import modes
 from twodof.flightlog.log import FlightLog
 from twodof.identify.record import Record
+from twodof.signals import RAIL_CENTRE
 
 Array = NDArray[np.float64]
 

@@ -1,9 +1,9 @@
 """The control period: the drone's ticks as they stand on the wire, in stamps and intervals.
 
-It is `constants.PERIOD`, in whole numbers.
+It is `signals.PERIOD`, in whole numbers.
 """
 
-from twodof.constants import PERIOD
+from twodof.signals import PERIOD
 
 TICK_US = round(PERIOD * 1e6)
 """Microseconds of a tick; what `time_usec` and the intervals of command 511 count in."""

@@ -8,10 +8,10 @@ from math import radians
 import numpy as np
 from scipy.linalg import LinAlgError, solve_discrete_are
 
-from twodof.constants import PERIOD
 from twodof.errors import ParameterError
 from twodof.models.lti import DelayedStateSpace
 from twodof.models.plant import PAPER_PITCH_RATE, PitchRate
+from twodof.signals import PERIOD
 
 
 @dataclass(frozen=True)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from twodof.constants import GRAVITY
 from twodof.errors import ParameterError
 from twodof.models.lti import DelayedStateSpace
+from twodof.signals import GRAVITY
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,6 @@ from types import MappingProxyType
 from twodof.blocks.block import Block
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.library import Constant
-from twodof.constants import PERIOD
 from twodof.models.input_delay import InputDelay
 from twodof.models.offset import Offset
 from twodof.models.pendulum import PitchPendulum
@@ -25,6 +24,7 @@ from twodof.models.zero_order_hold import (
     ZohPlant,
     ZohVelocity,
 )
+from twodof.signals import PERIOD
 
 # A change of the initial state or of an offset that matters, for step sizes and for telling "no effect" from "small".
 _SCALES: Mapping[str, float] = {

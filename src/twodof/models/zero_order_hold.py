@@ -14,7 +14,7 @@ from twodof.blocks.block import Block, Clock, library_block
 from twodof.blocks.declarations import Param, Port, State
 from twodof.blocks.expressions.arrays import fold, store
 from twodof.blocks.expressions.expr import maximum, real, to_int32, to_real, to_uint32, uint32, where
-from twodof.constants import GRAVITY
+from twodof.signals import GRAVITY
 
 # Taylor terms of the matrix exponential: |A| h <= 2 leaves 2^21 / 21! < 5e-14. A step with more is taken in pieces.
 _TERMS = 20

@@ -7,8 +7,8 @@ from typing import Any
 from twodof.blocks import Block, Param, Port, State, where
 from twodof.blocks.block import Clock
 from twodof.blocks.elementary.functions import cos_octant, sin_octant
-from twodof.constants import GRAVITY
 from twodof.rig.contact import after_friction, after_stops, stays_at_rest
+from twodof.signals import GRAVITY
 
 SLOW_PITCH = 0.02
 """A rebound from an end stop slower than this [rad/s] ends there."""

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
 
-from twodof.constants import HOVER
 from twodof.errors import LogError, ParameterError
 from twodof.flightlog.atomic import atomic_write, check_free
 from twodof.flightlog.provenance import read_bytes
@@ -14,7 +13,7 @@ from twodof.models.plant import PAPER_PITCH_RATE, PAPER_VELOCITY_GREYBOX
 from twodof.parameters import Parameter, ParameterSet
 from twodof.rig.rig import rig_params
 from twodof.rig.rotors import lift
-from twodof.signals import Q_AGE
+from twodof.signals import HOVER, Q_AGE
 
 CONDITIONS = frozenset(
     {

@@ -6,7 +6,7 @@ from typing import Any
 
 from twodof.blocks import Block, Param, Port, State, int32, maximum, minimum, store, to_int32, to_real, where
 from twodof.blocks.block import Clock
-from twodof.constants import HOVER
+from twodof.signals import HOVER
 
 RING = 64
 """Ticks that the command ring keeps; the longest pure delay is two less."""

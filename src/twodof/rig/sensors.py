@@ -8,8 +8,8 @@ from twodof.blocks import Block, Param, Port, State, int32, sqrt, store, to_int3
 from twodof.blocks.block import Clock
 from twodof.blocks.elementary.functions import cos, floor
 from twodof.blocks.noise import normal4
-from twodof.constants import GRAVITY, RAIL_CENTRE
 from twodof.rig.dynamics import sine_cosine
+from twodof.signals import GRAVITY, RAIL_CENTRE
 
 STREAM = 1
 """Stream of the noise generator."""

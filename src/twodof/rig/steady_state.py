@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from math import sin, sqrt
 
-from twodof.constants import GRAVITY, HOVER
 from twodof.rig.rotors import lift
-from twodof.signals import Q_AGE
+from twodof.signals import GRAVITY, HOVER, Q_AGE
 
 
 def rotor_moment(rig: Mapping[str, float], moment: float, thrust: float = HOVER) -> float:

@@ -8,12 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from twodof.constants import PERIOD
 from twodof.errors import LogError
 from twodof.flight.gains import Gains
 from twodof.flightlog.events import SETPOINTS, Stretch, mode_at, modes
 from twodof.flightlog.log import FlightLog
-from twodof.signals import MODES, VELOCITY
+from twodof.signals import MODES, PERIOD, VELOCITY
 
 Floats = NDArray[np.float64]
 

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from twodof.constants import HOVER
 from twodof.errors import ExperimentError
 from twodof.flight.failsafe.state_machine import FLYING
 from twodof.rig.rig import BASE_DT, SAMPLE
 from twodof.rig.rotors import RING
+from twodof.signals import HOVER
 
 SETTLE_STEPS = 25_000
 """Steps at rest after which the estimator's covariances stand: the gyro's bias settles within some tens of seconds."""

@@ -15,11 +15,10 @@ from typing import Any
 import numpy as np
 
 from twodof.compile import build
-from twodof.constants import PERIOD
 from twodof.flight.control.cascade import cascade
 from twodof.flight.gains import DEFAULT, Gains
 from twodof.flightlog.log import FlightLog
-from twodof.signals import ATTITUDE, RATE, VELOCITY
+from twodof.signals import ATTITUDE, PERIOD, RATE, VELOCITY
 from twodof.sim.flown_parameters import FlownParameters
 from twodof.sim.replay_user import replay_user
 from twodof.sim.time_alignment import AlignedLog, Flags, Floats, align_log, runs

@@ -12,13 +12,13 @@ import numpy as np
 
 from twodof.blocks import Diagram
 from twodof.compile import build
-from twodof.constants import PERIOD
 from twodof.errors import ParameterError
 from twodof.flight.control.cascade import cascade
 from twodof.flight.control.level_hold import ArmingReset
 from twodof.flight.gains import DEFAULT
 from twodof.flight.templates import ATTITUDE, MOTOR, POSITION
 from twodof.flightlog.log import FlightLog
+from twodof.signals import PERIOD
 from twodof.sim.flown_parameters import FlownParameters
 from twodof.sim.time_alignment import AlignedLog, Flags, Floats
 

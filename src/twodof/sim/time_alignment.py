@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.constants import PERIOD
 from twodof.errors import LogError
 from twodof.flightlog.log import Channel, FlightLog
+from twodof.signals import PERIOD
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]

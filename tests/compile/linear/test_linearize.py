@@ -18,9 +18,9 @@ from twodof.blocks.elementary import functions as f
 from twodof.compile import build
 from twodof.compile.linear.linear_model import LinearModel
 from twodof.compile.linear.linearize import linearize
-from twodof.constants import GRAVITY
 from twodof.errors import DiagramError
 from twodof.rig.dynamics import Dynamics
+from twodof.signals import GRAVITY
 
 
 def test_a_pendulum_is_its_textbook_linearization() -> None:

@@ -21,9 +21,9 @@ from twodof.compile.native.target import Native
 from twodof.compile.program.lower import lower
 from twodof.compile.target import EmittedProgram, Target
 from twodof.compile.wasm.target import Wasm
-from twodof.constants import PERIOD
 from twodof.flight.core import core
 from twodof.rig.rig import BASE_DT
+from twodof.signals import PERIOD
 from twodof.sim.closed_loop import closed_loop
 
 PRECISIONS = ("float64", "float32")

@@ -19,8 +19,8 @@ from tests.patience import PATIENCE_S
 from tests.toolchains import need
 from twodof.blocks import Diagram
 from twodof.compile import CompiledProgram, build
-from twodof.constants import PERIOD
 from twodof.flight.core import core
+from twodof.signals import PERIOD
 
 HOST = Path(__file__).with_name("host.mjs")
 STEPS = 3000

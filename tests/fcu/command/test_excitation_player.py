@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.fcu.command.cockpit import ME, OTHER, Cockpit, Rig, armed
-from twodof.constants import PERIOD
 from twodof.errors import ExperimentError
 from twodof.excitation import KINDS, Doublet, Excitation, Impulse, Multisine, Prbs, Steps, Sweep, ThreeTwoOneOne
 from twodof.experiment.experiments import EXPERIMENTS
@@ -32,7 +31,7 @@ from twodof.flight.failsafe.causes_and_actions import BIT
 from twodof.flight.failsafe.state_machine import BRAKE
 from twodof.flight.failsafe.state_machine import OFF as STOPPED_BY_FAILSAFE
 from twodof.link.mavlink import modes
-from twodof.signals import ATTITUDE, OPEN_LOOP, POSITION, RATE, VELOCITY
+from twodof.signals import ATTITUDE, OPEN_LOOP, PERIOD, POSITION, RATE, VELOCITY
 
 M, Q, THETA, V, X = range(5)
 PULSE = Impulse(0.1, 0.02, lead=0.008, settle=0.02)  # 12 ticks

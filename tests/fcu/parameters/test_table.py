@@ -3,10 +3,10 @@
 import struct
 
 from twodof.compile.program.lower import lower
-from twodof.constants import PERIOD
 from twodof.fcu.parameters.table import own_rows, wire_rows
 from twodof.flight.failsafe.diagram import failsafe
 from twodof.parameters import NAME_LENGTH, PARAMETERS
+from twodof.signals import PERIOD
 
 INT32, FLOAT = "int32", "float"
 # Facts about PX4's clients: QGroundControl shows errors where one of these is missing or of another type.

@@ -11,9 +11,8 @@ import pytest
 from twodof.blocks import Block, Diagram
 from twodof.blocks.reference.interpreter import Reference
 from twodof.compile import build
-from twodof.constants import PERIOD
 from twodof.flight.control.rotor_pairs import FiniteCommands, MotorFlags, RotorPairs
-from twodof.signals import ATTITUDE, OFF, OPEN_LOOP, POSITION, RATE, VELOCITY
+from twodof.signals import ATTITUDE, OFF, OPEN_LOOP, PERIOD, POSITION, RATE, VELOCITY
 
 
 def step(block: Block, **inputs: Any) -> dict[str, Any]:

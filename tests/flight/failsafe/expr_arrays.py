@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from twodof.blocks import Block
 from twodof.blocks.expressions.expr import Expr, const, node
 from twodof.blocks.expressions.graph import walk
-from twodof.constants import PERIOD
+from twodof.signals import PERIOD
 
 Array = NDArray[Any]
 Columns = Mapping[Any, Any]

@@ -14,7 +14,6 @@ from twodof.blocks.schema.json_form import from_json, to_json
 from twodof.compile import build
 from twodof.compile.cortex_m7.report import measure
 from twodof.compile.lanes.lanes_program import build_lanes
-from twodof.constants import PERIOD
 from twodof.errors import DiagramError
 from twodof.flight.core import INPUTS, OUTPUTS, core
 from twodof.flight.failsafe.causes_and_actions import BIT, BRAKE, CAUSES, DESCEND, LEVEL, NONE, OFF, named_causes
@@ -25,6 +24,7 @@ from twodof.flight.failsafe.state_machine import DISARMED, FLYING, MAY_TURN
 from twodof.flight.failsafe.state_machine import OFF as OFF_STATE
 from twodof.flight.starters import starter
 from twodof.flight.templates import PERIOD as TEMPLATE_PERIOD
+from twodof.signals import PERIOD
 
 LANES, STEPS = 128, 2500
 

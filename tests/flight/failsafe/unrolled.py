@@ -7,7 +7,7 @@ from typing import Any
 
 from twodof.blocks import Block, Diagram, Port
 from twodof.compile import build
-from twodof.constants import PERIOD
+from twodof.signals import PERIOD
 
 
 class Unrolled(Block):

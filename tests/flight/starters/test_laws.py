@@ -11,12 +11,11 @@ from numpy.typing import NDArray
 
 from twodof.blocks import Diagram
 from twodof.compile import build
-from twodof.constants import PERIOD
 from twodof.flight.core import core
 from twodof.flight.starters import starter
 from twodof.flight.starters.attitude import NOTCHED, notch_attitude, pid_attitude
 from twodof.models.lqr import attitude_lqr, rate_lqr
-from twodof.signals import ATTITUDE, OFF, OPEN_LOOP, POSITION, RATE, VELOCITY
+from twodof.signals import ATTITUDE, OFF, OPEN_LOOP, PERIOD, POSITION, RATE, VELOCITY
 
 Signals = dict[str, NDArray[Any]]
 

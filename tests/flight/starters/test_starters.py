@@ -13,10 +13,10 @@ from twodof.blocks import Diagram
 from twodof.blocks.block import REGISTRY, Block
 from twodof.blocks.schema.json_form import from_json, to_json
 from twodof.compile import build
-from twodof.constants import PERIOD
 from twodof.errors import DiagramError, LogError
 from twodof.flight.starters import STARTERS, load_diagram, new_diagram, save_diagram, starter
 from twodof.flight.templates import TEMPLATES, check_template
+from twodof.signals import PERIOD
 
 STEPS = 400
 

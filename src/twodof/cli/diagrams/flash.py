@@ -13,13 +13,13 @@ from twodof.blocks.schema.json_form import to_json
 from twodof.cli.diagrams.argument import DIAGRAM_HELP, read_diagram
 from twodof.cli.drone.connect import lease_refusals
 from twodof.cli.output import Json, print_json, table_console
-from twodof.constants import PERIOD
 from twodof.fleet.flash import ControllerCosts
 from twodof.fleet.flash import flash as flash_controller
 from twodof.fleet.flash_target import FCU, PX4, SIM
 from twodof.flight.controller_store import STOCK
 from twodof.flight.starters import starter
 from twodof.gcs.async_drone import DEFAULT_URL
+from twodof.signals import PERIOD
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
 

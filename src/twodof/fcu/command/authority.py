@@ -5,9 +5,9 @@ The rules are those of the lease (docs/reference/protocol.md).
 
 from __future__ import annotations
 
-from twodof.constants import PERIOD
 from twodof.fcu.command.command_lease import COMMANDING, CommandLease, LeaseState
 from twodof.fcu.command.result import ACCEPTED, DENIED, TEMPORARILY_REJECTED, CommandResult, Source
+from twodof.signals import PERIOD
 
 DONE = CommandResult(ACCEPTED)
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from twodof.constants import PERIOD
 from twodof.fcu.command.result import Source
+from twodof.signals import PERIOD
 
 COMMANDING = round(2.0 / PERIOD)
 """Ticks after the holder's last command for which it keeps the lease while disarmed."""

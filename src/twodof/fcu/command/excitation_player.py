@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twodof.blocks.library.waveform_laws import MAX_LINES
-from twodof.constants import PERIOD
 from twodof.errors import ExperimentError
 from twodof.excitation import MAX_DURATION_S, MAX_PARTS, Excitation, Multisine, from_dict
 from twodof.fcu.command.setpoint_queue import NEVER
-from twodof.signals import ATTITUDE, OPEN_LOOP, POSITION, RATE, VELOCITY
+from twodof.signals import ATTITUDE, OPEN_LOOP, PERIOD, POSITION, RATE, VELOCITY
 
 IDLE, RECEIVING, READY, PLAYING, DONE, STOPPED, REFUSED = range(7)
 """TWODOF_EXCITE_STATE."""

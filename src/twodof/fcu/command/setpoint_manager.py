@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from twodof.constants import PERIOD
 from twodof.fcu.command.excitation_player import REFUSED, STOPPED, OnboardPlayer
 from twodof.fcu.command.manual_control import manual_setpoint
 from twodof.fcu.command.setpoint_queue import SetpointQueue
 from twodof.fcu.command.setpoints import NOTHING, OPENLOOP, STICKS, TARGET, OpenLoopState, SetPoint, SetpointValues
 from twodof.fcu.control.control_input import ControlInput
 from twodof.link.mavlink import modes
-from twodof.signals import ATTITUDE, OFF, OPEN_LOOP
+from twodof.signals import ATTITUDE, OFF, OPEN_LOOP, PERIOD
 
 FRESH = round(0.5 / PERIOD)
 """Set-points must come above 2 Hz, as PX4 asks: the last one at most so many ticks ago."""

@@ -6,8 +6,8 @@ import heapq
 from itertools import count
 from typing import NamedTuple
 
-from twodof.constants import PERIOD
 from twodof.fcu.command.setpoints import OpenLoopState, SetPoint
+from twodof.signals import PERIOD
 
 CAPACITY = 256
 """Most set-points that wait."""

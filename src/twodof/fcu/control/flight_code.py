@@ -12,7 +12,6 @@ from twodof.blocks import Diagram
 from twodof.compile import CompiledProgram, build
 from twodof.compile.machine import CompiledMachine
 from twodof.compile.stepper import Stepper
-from twodof.constants import PERIOD
 from twodof.errors import CompileError, ParameterError
 from twodof.fcu.control.control_input import ControlInput
 from twodof.fcu.control.hardware import SensorSample
@@ -22,6 +21,7 @@ from twodof.flight.core import core
 from twodof.flight.failsafe.diagram import OWN_INPUTS
 from twodof.flight.templates import MOTOR, TEMPLATES
 from twodof.parameters import FLIGHT_PARAMETERS
+from twodof.signals import PERIOD
 
 INPUTS = (
     *("acc_x", "acc_z", "gyro_y", "dist", "dist_new", "dist_age", "imu_new", "voltage"),

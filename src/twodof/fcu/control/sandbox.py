@@ -10,12 +10,12 @@ from twodof.blocks import Diagram
 from twodof.compile import CompiledProgram, build
 from twodof.compile.stepper import Stepper
 from twodof.compile.wasm.target import Wasm
-from twodof.constants import PERIOD
 from twodof.errors import CompileError, ControllerFault
 from twodof.fcu.control.control_input import ControlInput
 from twodof.fcu.control.hardware import SensorSample
 from twodof.flight.core import INPUTS as CORE_INPUTS
 from twodof.flight.core import core
+from twodof.signals import PERIOD
 
 BUDGET_NS = 2_000_000
 """Processor time [ns] that a step in the sandbox may take in real time: half of the control period."""

@@ -6,9 +6,9 @@ from typing import Any
 
 from twodof.blocks import Block, Port, State, where
 from twodof.blocks.elementary.functions import atan2, cos, sin
-from twodof.constants import RAIL_CENTRE
 from twodof.flight.block_parameters import tunables
 from twodof.flight.finite import restarted
+from twodof.signals import RAIL_CENTRE
 
 STATES = ("theta", "bias", "x", "v")
 PAIRS = tuple((a, b) for i, a in enumerate(STATES) for b in STATES[i:])

@@ -6,9 +6,9 @@ from typing import Any
 
 from twodof.blocks import Block, Port, State, where
 from twodof.blocks.elementary.functions import atan2, cos, sin
-from twodof.constants import GRAVITY
 from twodof.flight.block_parameters import tunables
 from twodof.flight.finite import restarted
+from twodof.signals import GRAVITY
 
 
 class PitchFilter(Block):

@@ -9,9 +9,9 @@ from typing import Any
 
 from twodof.blocks import Block, Port, State, where
 from twodof.blocks.elementary.functions import cos, sin
-from twodof.constants import RAIL_CENTRE
 from twodof.flight.block_parameters import tunables
 from twodof.flight.finite import restarted
+from twodof.signals import RAIL_CENTRE
 
 _INPUTS = (
     Port("acceleration", unit="m/s2"),

@@ -7,8 +7,8 @@ from operator import or_
 from typing import Any
 
 from twodof.blocks import Block, Port, State, minimum, where
-from twodof.constants import GRAVITY
 from twodof.flight.block_parameters import tunables
+from twodof.signals import GRAVITY
 
 FORCE_SUMS = ("forth", "back", "up", "down")
 RATE_SUMS = ("faster", "slower")

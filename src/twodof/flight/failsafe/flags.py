@@ -7,10 +7,9 @@ from operator import and_, or_
 from typing import Any
 
 from twodof.blocks import Block, Port, State, int32, where
-from twodof.constants import RAIL_CENTRE
 from twodof.flight.block_parameters import tunables
 from twodof.flight.finite import finite
-from twodof.signals import OFF, POSITION, RATE, VELOCITY
+from twodof.signals import OFF, POSITION, RAIL_CENTRE, RATE, VELOCITY
 
 SET_POINTS = (("x0", "m"), ("v0", "m/s"), ("theta0", "rad"), ("q0", "rad/s"), ("thrust", ""), ("M_open", ""))
 """The set-points that are numbers, with their units."""

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.constants import PERIOD
 from twodof.errors import LogError
 from twodof.flightlog import provenance
 from twodof.flightlog.log import Channel, FlightLog
@@ -16,7 +15,7 @@ from twodof.flightlog.memory_budget import MemoryBudget
 from twodof.flightlog.sanitise import naming_file, noted, sanitise
 from twodof.flightlog.steps import ASKED, BOOT, STEP_TOPIC, safety_channel, step_channels
 from twodof.flightlog.ulog.decoder import Logged, ULog, scan_ulog
-from twodof.signals import BY_MAT, SEVERITIES, TOPICS
+from twodof.signals import BY_MAT, PERIOD, SEVERITIES, TOPICS
 
 _Rows = NDArray[np.void]
 _Values = Callable[[_Rows], NDArray[np.float64]]

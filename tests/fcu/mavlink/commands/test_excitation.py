@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 from tests.fcu.command.cockpit import ME, OTHER
 from tests.fcu.mavlink.commands.desk import TARGET, Desk
 from tests.patience import patiently
-from twodof.constants import PERIOD
 from twodof.excitation import Impulse, Multisine
 from twodof.fcu.command.excitation_player import DONE, PLAYING, READY, RECEIVING, REFUSED, STOPPED
 from twodof.link.mavlink.messages import excite, message
+from twodof.signals import PERIOD
 
 LONG = Multisine.schroeder(0.1, 1.0, range(1, 30))  # some pieces
 VALUES = LONG.at(np.arange(250) * PERIOD)
