@@ -133,9 +133,7 @@ def _column(values: Sequence[Any], precision: str) -> NDArray[Any]:
 def emitted(cases: Sequence[Case], precision: str, integrator: str) -> list[EmittedProgram]:
     """All cases in one C file."""
     with numbers.precision(precision):
-        lowered = [lower(c.diagram, DT, c.paths, integrator) for c in cases]
-        source = emit(lowered, precision)
-    return [EmittedProgram(flat, source.text, source.layouts[flat.name], precision) for flat in lowered]
+        return emit([lower(c.diagram, DT, c.paths, integrator) for c in cases], precision)
 
 
 def changed(programs: Sequence[EmittedProgram], change: Callable[[str], str]) -> list[EmittedProgram]:

@@ -116,7 +116,7 @@ def test_a_logs_own_diagram_runs_in_the_sandbox_or_not_at_all(
     flown: FlightLog, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Anybody may have written it. The stock loops need no sandbox."""
-    monkeypatch.setattr("twodof.compile.wasm.ready.find_spec", lambda _: None)
+    monkeypatch.setattr("twodof.compile.wasm.target.find_spec", lambda _: None)
     with pytest.raises(CompileError, match="make sandbox"):
         replay(flown)
     assert replay(flown, DEFAULT).nrms

@@ -61,12 +61,13 @@ def build(
 
 
 def _target(name: str, compiler: str | None, optimise: str | None, native_cpu: bool) -> Target:
-    if name == "native":
-        return Native(compiler, optimise or "-O3", native_cpu)
-    if name == "wasm":
-        return Wasm(compiler, optimise or "-O3")
-    if name == "cortex-m7":
-        return CortexM7(compiler, optimise or OPTIMISE)
+    match name:
+        case "native":
+            return Native(compiler, optimise or "-O3", native_cpu)
+        case "wasm":
+            return Wasm(compiler, optimise or "-O3")
+        case "cortex-m7":
+            return CortexM7(compiler, optimise or OPTIMISE)
     raise CompileError(f"there is no target {name!r:.80}", "", f"targets are {', '.join(TARGETS)}")
 
 
@@ -79,6 +80,5 @@ def emit_program(
 ) -> EmittedProgram:
     """`diagram` as C source; arguments and errors as `build`'s."""
     with numbers.precision(precision):  # refuses an unknown one
-        lowered = lower(diagram, dt, log, integrator)
-        emitted = emit([lowered], precision)
-    return EmittedProgram(lowered, emitted.text, emitted.layouts[lowered.name], precision)
+        (emitted,) = emit([lower(diagram, dt, log, integrator)], precision)
+    return emitted

@@ -1,4 +1,7 @@
-"""CompiledProgram: a compiled diagram. CompiledMachine: one running instance of it, on any target."""
+"""CompiledProgram: a compiled diagram. CompiledMachine: one running instance of it, on any target.
+
+What they share with many instances side by side (`twodof.compile.lanes`) are BuiltProgram and BuiltMachine.
+"""
 
 from __future__ import annotations
 
@@ -13,12 +16,11 @@ from twodof.blocks.machine import Machine
 from twodof.compile.target import Backend, EmittedProgram
 
 
-class CompiledProgram:
-    """A compiled diagram. `source` is its C; `flat` what was lowered; `parameters` the declarations by path."""
+class BuiltProgram:
+    """A diagram as C. `source` is it; `flat` what was lowered; `parameters` and `states` the declarations by path."""
 
-    def __init__(self, emitted: EmittedProgram, backend: Backend) -> None:
+    def __init__(self, emitted: EmittedProgram) -> None:
         self.emitted = emitted
-        self.backend = backend
         self.flat = lowered = emitted.flat
         self.source = emitted.source
         self.layout = emitted.layout
@@ -32,29 +34,49 @@ class CompiledProgram:
             for s in node.block.states
         }
 
+
+class CompiledProgram(BuiltProgram):
+    """A diagram compiled for a target."""
+
+    def __init__(self, emitted: EmittedProgram, backend: Backend) -> None:
+        super().__init__(emitted)
+        self.backend = backend
+
     def machine(self) -> CompiledMachine:
         """A fresh instance in its initial state."""
         return CompiledMachine(self)
 
 
-class CompiledMachine(Machine):
+class BuiltMachine(Machine):
+    """What runs in the memory of C structs: where each path stands in them."""
+
+    def __init__(self, program: BuiltProgram) -> None:
+        layout, flat = program.layout, program.flat
+        super().__init__(flat.name, program.precision, program.parameters, flat.ports)
+        self._states = program.states
+        self._members = {path: layout.parameters[q].name for path, q in flat.parameters.items()}
+        self._inputs = {name: layout.inputs[s].name for name, s in flat.inputs.items()}
+        self._outputs = {path: (s, layout.outputs[path].name) for path, s in flat.outputs.items()}
+
+    def _find_state(self, path: str) -> State | None:
+        found = self._states.get(path)
+        return found[0] if found else None
+
+
+class CompiledMachine(BuiltMachine):
     """One running instance, in the memory of the C structs.
 
     `instance` is what the target gave: the structs, and the calls on them.
     """
 
     def __init__(self, program: CompiledProgram) -> None:
-        layout, lowered = program.layout, program.flat
-        super().__init__(lowered.name, program.precision, program.parameters, lowered.ports)
+        super().__init__(program)
         self.program = program
         self._plain_floats = program.precision == "float64"
         self.instance = instance = program.backend.instance()
         self._p, self._s, self._u, self._y = (instance.structs[k] for k in "PSUY")
         self._advance = instance.step
-        self._members = {path: layout.parameters[q].name for path, q in lowered.parameters.items()}
-        self._inputs = {name: layout.inputs[s].name for name, s in lowered.inputs.items()}
-        self._outputs = {path: layout.outputs[path].name for path in lowered.outputs}
-        self._wide = [path for path, signal in lowered.outputs.items() if signal.width is not None]
+        self._wide = [path for path, (signal, _) in self._outputs.items() if signal.width is not None]
         instance.defaults()
         instance.prepare()
         self.reset()
@@ -82,10 +104,6 @@ class CompiledMachine(Machine):
     def _parameter(self, path: str) -> Any:
         return self._p[self._members[path]][0].tolist()
 
-    def _find_state(self, path: str) -> State | None:
-        found = self.program.states.get(path)
-        return found[0] if found else None
-
     def _state(self, path: str, declared: State) -> Any:
         return self._state_memory(path, declared)[0].tolist()
 
@@ -94,7 +112,7 @@ class CompiledMachine(Machine):
 
     def _state_memory(self, path: str, declared: State) -> NDArray[Any]:
         struct = self._s["x"] if declared.continuous else self._s
-        memory: NDArray[Any] = struct[self.program.states[path][1]]
+        memory: NDArray[Any] = struct[self._states[path][1]]
         return memory
 
     def _store_input(self, port: Port, value: Any) -> None:
@@ -126,4 +144,4 @@ class CompiledMachine(Machine):
             self._u[0] = u[-1]
         y: NDArray[Any] = np.empty(max(steps, 1), self._y.dtype)
         self.instance.run(steps, u, y)
-        return {path: np.ascontiguousarray(y[member][:steps]) for path, member in self._outputs.items()}
+        return {path: np.ascontiguousarray(y[member][:steps]) for path, (_, member) in self._outputs.items()}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Protocol
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twodof.compile.program.flat_program import FlatProgram
-from twodof.compile.program.layout import MemoryLayout
+from twodof.compile.program.layout import LaneShape, MemoryLayout
 
 
 @dataclass(frozen=True)
@@ -22,6 +22,7 @@ class EmittedProgram:
     source: str
     layout: MemoryLayout
     precision: str
+    shape: LaneShape | None = None  # of structs that hold several instances
 
     @property
     def name(self) -> str:
@@ -31,12 +32,26 @@ class EmittedProgram:
     @cached_property
     def dtypes(self) -> dict[str, np.dtype[Any]]:
         """The numpy types of the structs "P", "S", "U" and "Y", on all targets alike."""
-        return self.layout.dtypes(self.precision)
+        return self.layout.dtypes(self.precision, self.shape)
 
     @cached_property
     def sizes(self) -> list[int]:
         """Sizes [bytes] of real, P, S, U and Y."""
         return [np.dtype(self.precision).itemsize, *(self.dtypes[k].itemsize for k in "PSUY")]
+
+    @cached_property
+    def places(self) -> dict[str, dict[str, tuple[int, int]]]:
+        """(offset, size) [bytes] of each struct's members, by struct and name in C; a continuous state is `x.name`."""
+        found: dict[str, dict[str, tuple[int, int]]] = {}
+        for struct, whole in self.dtypes.items():
+            members = found[struct] = {}
+            fields: Mapping[str, Any] = whole.fields or {}
+            for name, (dtype, offset, *_) in fields.items():
+                inner: Mapping[str, Any] = dtype.fields or {}
+                members |= {f"{name}.{n}": (offset + at, item.itemsize) for n, (item, at, *_) in inner.items()}
+                if not inner and dtype != np.uint8:  # the byte of a struct without members
+                    members[name] = offset, dtype.itemsize
+        return found
 
 
 class TargetInstance(Protocol):
@@ -51,20 +66,16 @@ class TargetInstance(Protocol):
     def structs(self) -> Mapping[str, NDArray[Any]]:
         """The structs "P", "S", "U" and "Y": arrays of one element of `EmittedProgram.dtypes`, always the same."""
 
-    @property
-    def defaults(self) -> Callable[[], None]:
+    def defaults(self) -> None:
         """Writes the given parameters' defaults into P."""
 
-    @property
-    def prepare(self) -> Callable[[], None]:
+    def prepare(self) -> None:
         """Writes the derived parameters into P."""
 
-    @property
-    def init(self) -> Callable[[], None]:
+    def init(self) -> None:
         """Writes the initial states into S."""
 
-    @property
-    def step(self) -> Callable[[], None]:
+    def step(self) -> None:
         """One tick: reads P and U, moves S, writes Y."""
 
     def run(self, steps: int, u: NDArray[Any], y: NDArray[Any]) -> None:

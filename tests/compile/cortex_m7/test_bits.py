@@ -106,9 +106,7 @@ def samples() -> list[Diagram]:
 def emitted(diagrams: Sequence[Diagram], precision: str) -> list[EmittedProgram]:
     """All in one source."""
     with numbers.precision(precision):
-        lowered = [lower(d, 0.004) for d in diagrams]
-        source = emit(lowered, precision)
-    return [EmittedProgram(flat, source.text, source.layouts[flat.name], precision) for flat in lowered]
+        return emit([lower(d, 0.004) for d in diagrams], precision)
 
 
 def programs(sources: Sequence[EmittedProgram], target: Target) -> list[CompiledProgram]:

@@ -12,10 +12,9 @@ from tests.compile.differential import DT, Case, emitted, same
 from twodof.blocks import Diagram
 from twodof.blocks.expressions import numbers
 from twodof.compile.c.emitter import emit
-from twodof.compile.lanes.lanes_program import SIMD, LanesMachine, LanesProgram, shape
+from twodof.compile.lanes.lanes_program import LanesMachine, LanesProgram, compile_lanes, shape
 from twodof.compile.lanes.style import LaneStyle as Style
 from twodof.compile.machine import CompiledMachine, CompiledProgram
-from twodof.compile.native import target
 from twodof.compile.native.target import Native
 from twodof.compile.program.lower import lower
 from twodof.compile.toolchain import compilers
@@ -51,10 +50,8 @@ def lane_programs(
     """All cases for `lanes` instances each, in one C file."""
     with numbers.precision(precision):
         lowered = [lower(c.diagram, DT, c.paths, integrator) for c in cases]
-        source = emit(lowered, precision, style=Style(shape(simd, precision)))
-    how = SIMD[simd]
-    library = target.load(source.text, compilers.find_compiler(compiler), optimise, how.native, how.flags)
-    return [LanesProgram(f, source.text, source.layouts[f.name], library, lanes, precision, simd) for f in lowered]
+        programs = emit(lowered, precision, style=Style(shape(simd, precision)))
+    return compile_lanes(programs, lanes, simd, compilers.find_compiler(compiler), optimise)
 
 
 def spread_inputs(case: Case, lanes: int, seed: int) -> Columns:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -250,9 +251,9 @@ def test_contraction_in_lanes_is_caught(monkeypatch: pytest.MonkeyPatch) -> None
     emit = lanes_differential.emit
 
     def contracted(*args: Any, **named: Any) -> Any:
-        source = emit(*args, **named)
-        head, _, rest = source.text.partition("#if defined(__clang__)\n")
-        return type(source)(head + rest.partition("#endif\n")[2], source.layouts, source.precision)
+        programs = emit(*args, **named)
+        head, _, rest = programs[0].source.partition("#if defined(__clang__)\n")
+        return [replace(p, source=head + rest.partition("#endif\n")[2]) for p in programs]
 
     monkeypatch.setattr(lanes_differential, "emit", contracted)
     flags = SIMD[simd].flags

@@ -19,7 +19,7 @@ from twodof.compile import CompiledMachine, CompiledProgram, build
 from twodof.compile.c.emitter import emit
 from twodof.compile.native.target import Native
 from twodof.compile.program.lower import lower
-from twodof.compile.target import EmittedProgram, Target
+from twodof.compile.target import Target
 from twodof.compile.wasm.target import Wasm
 from twodof.flight.core import core
 from twodof.rig.rig import BASE_DT
@@ -33,9 +33,7 @@ EXAMPLES = (examples.loop, examples.switched, examples.edge, examples.delay)
 def batch(diagrams: list[Diagram], dt: float, precision: str, target: Target) -> Iterator[CompiledMachine]:
     """Machines of `diagrams`, all compiled from one source."""
     with numbers.precision(precision):
-        lowered = [lower(d, dt) for d in diagrams]
-        source = emit(lowered, precision)
-    programs = [EmittedProgram(flat, source.text, source.layouts[flat.name], precision) for flat in lowered]
+        programs = emit([lower(d, dt) for d in diagrams], precision)
     for program, backend in zip(programs, target.compile(programs), strict=True):
         yield CompiledProgram(program, backend).machine()
 

@@ -6,9 +6,9 @@ docs/explanation/language.md.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from functools import cache
 
 from twodof.blocks.elementary.functions import ARGUMENTS, DEFINITIONS
@@ -22,6 +22,7 @@ from twodof.compile.c.tick import INTEGRATION, NEXT_TICK, RETURNED, Scope, TickE
 from twodof.compile.c.writer import CWriter
 from twodof.compile.program.flat_program import FlatProgram
 from twodof.compile.program.layout import Member, MemoryLayout
+from twodof.compile.target import EmittedProgram
 from twodof.errors import DiagramError
 
 GUARDS = """#if defined(__FAST_MATH__)
@@ -44,48 +45,42 @@ GUARDS = """#if defined(__FAST_MATH__)
 """
 
 
+UNBOUNDED = (-math.inf, math.inf)
 MOST_ON_STACK = 40_000  # elements: 320 kB of the 512 kB that the smallest usual thread has
-
-
-@dataclass(frozen=True)
-class CSource:
-    """A C file. `layouts` tells for each program, by the prefix of its names, where everything stands."""
-
-    text: str
-    layouts: dict[str, MemoryLayout]
-    precision: str
 
 
 def emit(
     programs: Sequence[FlatProgram], precision: str = "float64", lean: bool = False, style: CStyle = SCALAR
-) -> CSource:
-    """One C file with the functions of `programs`, whose names must differ.
+) -> list[EmittedProgram]:
+    """`programs`, whose names must differ, each with the one C file that has the functions of all.
 
     `lean` is for a flight controller's firmware: without `run` and the tables, and without == on reals, of which its
     compiler warns (-Wfloat-equal). `style` says whether a value is one instance's or several lanes'.
     """
     helpers: set[str] = set()
     functions: set[str] = set()
-    layouts = {}
+    layouts = [MemoryLayout(program) for program in programs]
     bodies = []
-    for program in programs:
-        layouts[program.name] = MemoryLayout(program)
-        emitter = _Emitter(program, layouts[program.name], precision, lean, style)
+    for program, layout in zip(programs, layouts, strict=True):
+        emitter = _Emitter(program, layout, precision, lean, style)
         bodies.append(emitter.text())
         helpers |= emitter.helpers
         functions |= emitter.functions
     elementary, more = _elementary(functions, precision, lean, style)
     helpers |= more | style.needs
-    text = [
+    parts = [
         "#include <stdbool.h>\n#include <stddef.h>\n#include <stdint.h>\n#include <string.h>\n\n",
         GUARDS,
         f"\ntypedef {'float' if precision == 'float32' else 'double'} real;\n\n",
-        *(f"{HELPERS[name].text(precision)}\n" for name in HELPERS if name in helpers),
+        *(f"{text}\n" for name, text in HELPERS[precision].items() if name in helpers),
         style.prelude,
         *elementary,
         *bodies,
     ]
-    return CSource("".join(text), layouts, precision)
+    text = "".join(parts)
+    return [
+        EmittedProgram(p, text, layout, precision, style.shape) for p, layout in zip(programs, layouts, strict=True)
+    ]
 
 
 def _elementary(names: Iterable[str], precision: str, lean: bool, style: CStyle) -> tuple[list[str], set[str]]:
@@ -110,7 +105,7 @@ def _function(name: str, precision: str, lean: bool, style: CStyle) -> tuple[str
     with tracing(name):
         result = DEFINITIONS[name][precision](*(leaf("input", a, "real") for a in arguments))
     style = style.inner
-    writer, real = style.writer(lean), style.types["real"]
+    writer, real = style.writer(lean=lean), style.types["real"]
     renderer = style.renderer(writer, CNames({*arguments, "td"}), precision, lambda e: (e.data, ATOM), "td")
     writer.line(f"return {renderer.text(result)};")
     head = f"{style.function} {real} td_{name}({', '.join(f'{real} {a}' for a in arguments)})\n{{\n"
@@ -136,21 +131,10 @@ class _Emitter:
         """Structs, functions and tables."""
         p = self.prefix
         stage = IntegrationEmitter(self.scope, p) if self.program.integrated else None
-        functions = [
-            self._written(f"void {p}_defaults({p}_P *p)", self._defaults),
-            self._written(f"void {p}_prepare({p}_P *p)", self._prepare),
-            self._written(f"void {p}_init(const {p}_P *p, {p}_S *s)", self._init),
-        ]
+        functions = [self._written(write) for write in (self._defaults, self._prepare, self._init)]
         if stage:
-            functions.append(self._written("", stage.derivative))
-            functions.append(self._written("", stage.integrate))
-        functions.append(
-            self._written(
-                f"void {p}_step(const {p}_P *restrict p, {p}_S *restrict s, const {p}_U *restrict u, "
-                f"{p}_Y *restrict y)",
-                lambda writer: self._step(writer, stage),
-            )
-        )
+            functions += [self._written(stage.derivative), self._written(stage.integrate)]
+        functions.append(self._written(lambda writer: self._step(writer, stage)))
         if not self.lean:
             functions.append(self._run())
         remark = f" {_comment(self.program.text)}" if self.program.text else ""
@@ -169,8 +153,8 @@ class _Emitter:
         parts.append(self._struct("Y", "outputs and logged signals", self.layout.y.members))
         return "".join(parts + functions) + ("" if self.lean else self._tables() + self._sizes())
 
-    def _written(self, head: str, write: Callable[[CWriter], None]) -> str:
-        writer = self.scope.style.writer(self.lean)
+    def _written(self, write: Callable[[CWriter], None]) -> str:
+        writer = self.scope.style.writer(lean=self.lean)
         write(writer)
         if (writer.elements + 6 * self.continuous) * self.scope.style.copies > MOST_ON_STACK:
             raise DiagramError(
@@ -180,10 +164,7 @@ class _Emitter:
             )
         self.helpers |= writer.helpers
         self.functions |= writer.functions
-        body = "\n".join(writer.lines) + "\n"
-        if not head:
-            return _unused(body)
-        return _unused(f"{head}\n{{\n{body if writer.lines else ''}}}\n\n")
+        return _unused("\n".join(writer.lines) + "\n")
 
     def _struct(self, name: str, remark: str, members: Sequence[Member], nested: bool = False) -> str:
         lines = [m.declaration(self.scope.style.types) + _remark(m) for m in members]
@@ -193,47 +174,51 @@ class _Emitter:
         return f"typedef struct {{ /* {remark} */\n{_indented(lines)}}} {self.prefix}_{name};\n\n"
 
     def _defaults(self, writer: CWriter) -> None:
-        for parameter, member in self.layout.parameters.items():
-            d = parameter.declared
-            self.scope.fill(writer, f"p->{member.name}", _listed(d.value), d)
+        with writer.function(f"void {self.prefix}_defaults({self.prefix}_P *p)"):
+            for parameter, member in self.layout.parameters.items():
+                d = parameter.declared
+                self.scope.fill(writer, f"p->{member.name}", _listed(d.value), d)
 
     def _prepare(self, writer: CWriter) -> None:
         names = self.scope.names("p")
-        for node in self.program.nodes:
-            if not node.block.derived:
-                continue
-            writer.line(describe(node))
-            leaf_text = self.scope.leaf(node, lambda s: s.path, {}, "")
-            renderer = self.scope.renderer(writer, names, leaf_text, node.path)
-            renderer.assign([(f"p->{self.layout.derived[node, n].name}", e) for n, e in node.trace.prepare.items()])
+        with writer.function(f"void {self.prefix}_prepare({self.prefix}_P *p)"):
+            for node in self.program.nodes:
+                if not node.block.derived:
+                    continue
+                writer.line(describe(node))
+                leaf_text = self.scope.leaf(node, lambda s: s.path, str, "")
+                renderer = self.scope.renderer(writer, names, leaf_text, node.path)
+                renderer.assign([(f"p->{self.layout.derived[node, n].name}", e) for n, e in node.trace.prepare.items()])
 
     def _init(self, writer: CWriter) -> None:
-        writer.line("memset(s, 0, sizeof *s);")
-        for node in self.program.nodes:
-            if node.block.states:
-                writer.line(describe(node))
-            for state in node.block.states:
-                prefix = "s->x." if state.continuous else "s->"
-                target = prefix + self.layout.states[node, state.name].name
-                self.scope.initial(writer, node, state, target)
+        with writer.function(f"void {self.prefix}_init(const {self.prefix}_P *p, {self.prefix}_S *s)"):
+            writer.line("memset(s, 0, sizeof *s);")
+            for node in self.program.nodes:
+                if node.block.states:
+                    writer.line(describe(node))
+                for state in node.block.states:
+                    self.scope.initial(writer, node, state, self.scope.state(node, state))
 
     def _step(self, writer: CWriter, stage: IntegrationEmitter | None) -> None:
+        p = self.prefix
         tick = TickEmitter(self.scope, writer, self.scope.names("p", "s", "u", "y"))
-        tick.due()
-        tick.outputs()
-        if self.program.outputs:
-            writer.line(RETURNED)
-            tick.returned()
-        if stage:
-            writer.line(INTEGRATION)
-            stage.within_step(tick)
-        tick.updates()
-        if stage:
-            stage.commit(tick)
-        else:
-            writer.line(NEXT_TICK)
-        writer.line("s->tick += 1u;")
-        tick.forget_idle_rates()
+        arguments = f"const {p}_P *restrict p, {p}_S *restrict s, const {p}_U *restrict u, {p}_Y *restrict y"
+        with writer.function(f"void {p}_step({arguments})"):
+            tick.due()
+            tick.outputs()
+            if self.program.outputs:
+                writer.line(RETURNED)
+                tick.returned()
+            if stage:
+                writer.line(INTEGRATION)
+                stage.within_step(tick)
+            tick.updates()
+            if stage:
+                stage.commit(tick)
+            else:
+                writer.line(NEXT_TICK)
+            writer.line("s->tick += 1u;")
+            tick.forget_idle_rates()
 
     def _run(self) -> str:
         p = self.prefix
@@ -250,18 +235,13 @@ void {p}_run(const {p}_P *p, {p}_S *s, const {p}_U *u, size_t u_stride, {p}_Y *y
         if not self.scope.style.tables:
             return ""
         p, layout = self.prefix, self.layout
-        low_high = {m.name: (q.declared.low, q.declared.high) for q, m in layout.parameters.items()}
-        infinity = "__builtin_inf()"
+        bounds = {m.name: (q.declared.low, q.declared.high) for q, m in layout.parameters.items()}
 
         def bound(value: float) -> str:
-            return (
-                f"-{infinity}" if value == -float("inf") else infinity if value == float("inf") else float(value).hex()
-            )
+            return float(value).hex() if math.isfinite(value) else f"{'-' if value < 0 else ''}__builtin_inf()"
 
         def entry(struct: str, m: Member, place: str) -> str:
-            low, high = (
-                low_high.get(m.name, (-float("inf"), float("inf"))) if struct == "P" else (-float("inf"), float("inf"))
-            )
+            low, high = bounds.get(m.name, UNBOUNDED) if struct == "P" else UNBOUNDED
             return (
                 f"{{\"{m.path}\", \"{_quoted(m.unit)}\", '{struct}', '{m.kind[0]}', {m.width or 1}u, "
                 f"(uint32_t)offsetof({p}_{struct}, {place}), {bound(low)}, {bound(high)}}},"

@@ -13,7 +13,6 @@ import numpy as np
 from twodof.blocks.expressions.expr import LEAVES, Expr, node
 from twodof.blocks.expressions.graph import outside, walk
 from twodof.blocks.expressions.numbers import Integer
-from twodof.compile.c.helpers import HELPERS
 from twodof.compile.c.names import CNames
 from twodof.compile.c.operators import ATOM, C_TYPES, COMPARISONS, LOOSE, OPERATORS, SIGNED, Operator, row
 from twodof.compile.c.writer import CWriter
@@ -269,7 +268,7 @@ class Renderer:
 
     def _use(self, helper: str) -> str:
         self.writer.helpers.add(helper)
-        return HELPERS[helper].name
+        return helper
 
     def _index(self, index: Expr, text: Text, width: int) -> str:
         if index.op == "const":

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
+from functools import partial
 
 from twodof.blocks.expressions.expr import LEAVES, Expr
 from twodof.blocks.expressions.graph import walk
 from twodof.compile.c.expressions import Renderer, loop_depths
-from twodof.compile.c.names import CNames
 from twodof.compile.c.tick import FROZEN, NEXT_TICK, Scope, TickEmitter, commit, describe
 from twodof.compile.c.writer import CWriter
-from twodof.compile.program.flat_program import FlatSignal, Guard, Node
+from twodof.compile.program.flat_program import FlatSignal, Group, Guard, Node
 from twodof.compile.program.layout import Member, Struct
 
 ONE_SIXTH = 1 / 6
@@ -36,126 +36,99 @@ class IntegrationEmitter:
         self._hoisted: dict[tuple[Node, Expr], Member] = {}
         self._tick: Member | None = None
         self._qualifier = "td_inline"
+        self.local: dict[FlatSignal, str] = {}  # the texts of signals that `derivative` computes
+        self.renderers: dict[Node, Renderer] = {}
 
     def derivative(self, writer: CWriter) -> None:
         """The function that gives the derivatives of the continuous states."""
-        names = self.scope.names("p", "held", "x", "slope")
-        local: dict[FlatSignal, str] = {}
-        renderers: dict[Node, Renderer] = {}
+        self.writer = writer
+        self.names = self.scope.names("p", "held", "x", "slope")
         p = self.prefix
-        writer.depth = 0
         head = len(writer.lines)
-        writer.line("{")
-        writer.depth = 1
-        for group in self.program.stage:
-            if not group.guard.always:
-                for action in group.actions:
-                    writer.line(describe(action.node))
-                    for s in action.signals:
-                        self._held_value(writer, names, local, s)
-            with self._guarded(writer, group.guard):
-                for action in group.actions:
-                    node = action.node
-                    writer.line(describe(node))
-                    roots = [node.trace.outputs[s.port] for s in action.signals]
-                    renderer = self._renderer(writer, names, local, node, roots, renderers)
-                    for s, root in zip(action.signals, roots, strict=True):
-                        self._output(writer, names, local, renderer, s, root, group.guard.always)
-        for node in self.program.integrated:
-            writer.line(describe(node))
-            targets = [
-                (f"slope->{self.layout.states[node, s.name].name}", node.trace.derivative[s.name])
-                for s in node.continuous
-            ]
-            if not node.guard.always:
-                for (target, _), state in zip(targets, node.continuous, strict=True):
-                    if state.width is None:
-                        writer.line(f"{target} = {self.scope.style.same('0', 'real')};")
-                    else:
-                        writer.line(f"memset({target}, 0, sizeof {target});")
-            with self._guarded(writer, node.guard):
-                renderer = self._renderer(writer, names, local, node, [e for _, e in targets], renderers)
-                renderer.assign(targets)
-        writer.depth = 0
-        writer.line("}")
-        writer.line("")
-        if len(writer.lines) - head > LONGEST_INLINE:
+        with writer.function(""):
+            for group in self.program.stage:
+                self._outputs(group)
+            for node in self.program.integrated:
+                self._slopes(node)
+        if len(writer.lines) - head - 1 > LONGEST_INLINE:
             self._qualifier = "static"
-        writer.lines.insert(
-            head,
+        writer.lines[head] = (
             f"{self._qualifier} void {p}_derivative(const {p}_P *restrict p, const {p}_Held *restrict held, "
-            f"const {p}_X *restrict x, {p}_X *restrict slope)",
+            f"const {p}_X *restrict x, {p}_X *restrict slope)"
         )
 
-    def _guarded(self, writer: CWriter, guard: Guard) -> AbstractContextManager[None]:
-        return nullcontext() if guard.always else writer.choice("", [f"held->{self._flag(guard).name}"])
+    def _outputs(self, group: Group) -> None:
+        """The outputs of blocks that change inside a step; one that may be disabled starts with its held value."""
+        always = group.guard.always
+        for action in () if always else group.actions:
+            self.writer.line(describe(action.node))
+            for s in action.signals:
+                held = f"held->{self._capture(s).name}"
+                self._declare(s, f" = {held}" if s.width is None else "")
+                if s.width is not None:
+                    self.writer.duplicate(self.local[s], held, s.width, s.kind)
+        with self._guarded(group.guard):
+            for action in group.actions:
+                node = action.node
+                self.writer.line(describe(node))
+                roots = [node.trace.outputs[s.port] for s in action.signals]
+                renderer = self._renderer(node, roots)
+                for s, root in zip(action.signals, roots, strict=True):
+                    if always and s.width is None:
+                        self.local[s] = self.names.new(s.path)
+                        self.writer.line(f"const {self.scope.type(s.kind)} {self.local[s]} = {renderer.text(root)};")
+                        continue
+                    if always:
+                        self._declare(s)
+                    renderer.assign([(self.local[s], root)])
 
-    def _flag(self, guard: Guard) -> Member:
+    def _declare(self, s: FlatSignal, value: str = "") -> None:
+        self.local[s] = self.names.new(s.path)
+        size = "" if s.width is None else f"[{s.width}]"
+        self.writer.line(f"{self.scope.type(s.kind)} {self.local[s]}{size}{value};")
+
+    def _slopes(self, node: Node) -> None:
+        """The derivatives of a node's states: 0 where it is disabled."""
+        writer = self.writer
+        writer.line(describe(node))
+        targets = [
+            (f"slope->{self.layout.states[node, s.name].name}", node.trace.derivative[s.name]) for s in node.continuous
+        ]
+        if not node.guard.always:
+            for (target, _), state in zip(targets, node.continuous, strict=True):
+                if state.width is None:
+                    writer.line(f"{target} = {self.scope.style.same('0', 'real')};")
+                else:
+                    writer.line(f"memset({target}, 0, sizeof {target});")
+        with self._guarded(node.guard):
+            self._renderer(node, [e for _, e in targets]).assign(targets)
+
+    def _guarded(self, guard: Guard) -> AbstractContextManager[None]:
+        if guard.always:
+            return nullcontext()
         if guard not in self.active:
             stem = "_".join(e.path for e in guard.enables)
             self.active[guard] = self.held.add(f"{stem[:60]}_active", "bool", None)
-        return self.active[guard]
+        return self.writer.choice("", [f"held->{self.active[guard].name}"])
 
-    def _held_value(self, writer: CWriter, names: CNames, local: dict[FlatSignal, str], s: FlatSignal) -> None:
-        """A local that starts with the value of the tick, for a block that may be disabled."""
-        local[s] = names.new(s.path)
-        held = f"held->{self._capture(s).name}"
-        if s.width is None:
-            writer.line(f"{self.scope.type(s.kind)} {local[s]} = {held};")
-        else:
-            writer.line(f"{self.scope.type(s.kind)} {local[s]}[{s.width}];")
-            writer.duplicate(local[s], held, s.width, s.kind)
-
-    def _output(
-        self,
-        writer: CWriter,
-        names: CNames,
-        local: dict[FlatSignal, str],
-        renderer: Renderer,
-        s: FlatSignal,
-        root: Expr,
-        always: bool,
-    ) -> None:
-        if not always:
-            renderer.assign([(local[s], root)])
-            return
-        local[s] = names.new(s.path)
-        if s.width is None:
-            writer.line(f"const {self.scope.type(s.kind)} {local[s]} = {renderer.text(root)};")
-        else:
-            writer.line(f"{self.scope.type(s.kind)} {local[s]}[{s.width}];")
-            renderer.assign([(local[s], root)])
-
-    def _renderer(
-        self,
-        writer: CWriter,
-        names: CNames,
-        local: dict[FlatSignal, str],
-        node: Node,
-        roots: Sequence[Expr],
-        renderers: dict[Node, Renderer],
-    ) -> Renderer:
-        def signal(s: FlatSignal) -> str:
-            return local[s] if s in local else f"held->{self._capture(s).name}"
-
-        states = _Lookup(self, node)
+    def _renderer(self, node: Node, roots: Sequence[Expr]) -> Renderer:
         known = {e: f"held->{self._hoist(node, e).name}" for e in self._steady(node, roots)}
-        if node in renderers:
-            renderers[node].learn(known)
-            return renderers[node]
-        leaf = self.scope.leaf(node, signal, states, "held->tick")
-        if any(e.op == "tick" for e in walk(roots)):
-            self._need_tick()
-        made = self.scope.renderer(writer, names, leaf, node.path, known)
+        if node in self.renderers:
+            self.renderers[node].learn(known)
+            return self.renderers[node]
+
+        def signal(s: FlatSignal) -> str:
+            return self.local[s] if s in self.local else f"held->{self._capture(s).name}"
+
+        leaf = self.scope.leaf(node, signal, partial(self._state, node), "held->tick")
+        if self._tick is None and any(e.op == "tick" for e in walk(roots)):
+            self._tick = self.held.add("tick", "uint32", None, shared=True)
+        made = self.scope.renderer(self.writer, self.names, leaf, node.path, known)
         if node.guard.always:
-            renderers[node] = made
+            self.renderers[node] = made
         return made
 
-    def _need_tick(self) -> None:
-        if self._tick is None:
-            self._tick = self.held.add("tick", "uint32", None, shared=True)
-
-    def state(self, node: Node, name: str) -> str:
+    def _state(self, node: Node, name: str) -> str:
         """The text of a state within `derivative`: a continuous one is integrated, a discrete one held."""
         if any(s.name == name for s in node.continuous):
             return f"x->{self.layout.states[node, name].name}"
@@ -207,22 +180,14 @@ class IntegrationEmitter:
         p, members = self.prefix, self.layout.x.members
         real, style = self.scope.constant, self.scope.style
         h = style.types["real"]
-        writer.depth = 0
         if self.program.integrator == "rk4":
-            writer.line("/* to = from + h * slope */")
-            writer.line(
-                f"{self._qualifier} void {p}_along({p}_X *restrict to, const {p}_X *restrict from, {h} h, "
-                f"const {p}_X *restrict slope)"
-            )
-            with _Braces(writer):
+            writer.lines.append("/* to = from + h * slope */")
+            arguments = f"{p}_X *restrict to, const {p}_X *restrict from, {h} h, const {p}_X *restrict slope"
+            with writer.function(f"{self._qualifier} void {p}_along({arguments})"):
                 self._each(writer, "to->{m} = " + style.along.format("from->{m}", "slope->{m}") + ";")
-            writer.line("")
-            writer.line(f"/* Runge and Kutta's method of order 4 over h; {len(members)} continuous states. */")
-        writer.line(
-            f"{self._qualifier} void {p}_integrate(const {p}_P *restrict p, const {p}_Held *restrict held, "
-            f"{p}_X *restrict x, {h} h)"
-        )
-        with _Braces(writer):
+            writer.lines.append(f"/* Runge and Kutta's method of order 4 over h; {len(members)} continuous states. */")
+        arguments = f"const {p}_P *restrict p, const {p}_Held *restrict held, {p}_X *restrict x, {h} h"
+        with writer.function(f"{self._qualifier} void {p}_integrate({arguments})"):
             if self.program.integrator == "euler":
                 writer.line(f"{p}_X k1;")
                 writer.line(f"{p}_derivative(p, held, x, &k1);")
@@ -236,7 +201,6 @@ class IntegrationEmitter:
                         writer.line(f"{p}_along(&at, x, {step}, &k{before});")
                     writer.line(f"{p}_derivative(p, held, {'&at' if before else 'x'}, &k{k});")
                 self._each(writer, "x->{m} = " + style.weighted.replace("{two}", real(2.0, "real")) + ";")
-        writer.line("")
 
     def _each(self, writer: CWriter, line: str) -> None:
         for m in self.layout.x.members:
@@ -258,7 +222,7 @@ class IntegrationEmitter:
                 writer.line(f"{held}.{member.name} = {tick.signal(s)};")
         for (node, name), member in self._states.items():
             state = next(s for s in node.discrete if s.name == name)
-            writer.line(f"{held}.{member.name} = {tick.state(node, state)};")
+            writer.line(f"{held}.{member.name} = {self.scope.state(node, state)};")
         if self._tick is not None:
             writer.line(f"{held}.{self._tick.name} = s->tick;")
         for guard, member in self.active.items():
@@ -295,12 +259,8 @@ class IntegrationEmitter:
             if writer.lean and s.kind == "real":
                 writer.helpers.add("real_equal")
                 changed = f"!real_equal({tick.signal(s)}, {after})"
-            tests = [
-                changed,
-                style.compared(">", fraction, start),
-                style.compared("<", fraction, end),
-            ]
-            with writer.choice("", tests):
+            inside = [style.compared(">", fraction, start), style.compared("<", fraction, end)]
+            with writer.choice("", [changed, *inside]):
                 writer.assign(end, fraction, "real")
         for s, (fraction, after) in tick.fractions.items():
             if s in self.captured:
@@ -315,10 +275,10 @@ class IntegrationEmitter:
     def _project(self, tick: TickEmitter, node: Node, x: str) -> None:
         tick.writer.line(describe(node))
         lvalues = {
-            s.name: f"{x}.{self.layout.states[node, s.name].name}" if s.continuous else tick.state(node, s)
+            s.name: f"{x}.{self.layout.states[node, s.name].name}" if s.continuous else self.scope.state(node, s)
             for s in node.block.states
         }
-        leaf = self.scope.leaf(node, tick.signal, lvalues, "s->tick")
+        leaf = self.scope.leaf(node, tick.signal, lvalues.__getitem__, "s->tick")
         renderer = self.scope.renderer(tick.writer, tick.names, leaf, node.path)
         commit(tick.writer, renderer, tick.names, node, node.trace.project, lvalues)
 
@@ -350,30 +310,3 @@ class IntegrationEmitter:
                 yield f"const {self.scope.type(m.kind)} *{m.name};"
         if not self.held.members:
             yield "unsigned char none;"
-
-
-class _Lookup(dict[str, str]):
-    """The texts of a node's states within `derivative`, captured when they are asked for."""
-
-    def __init__(self, stage: IntegrationEmitter, node: Node) -> None:
-        super().__init__()
-        self.stage = stage
-        self.node = node
-
-    def __missing__(self, name: str) -> str:
-        return self.stage.state(self.node, name)
-
-
-class _Braces:
-    """A function's body."""
-
-    def __init__(self, writer: CWriter) -> None:
-        self.writer = writer
-
-    def __enter__(self) -> None:
-        self.writer.line("{")
-        self.writer.depth += 1
-
-    def __exit__(self, *_: object) -> None:
-        self.writer.depth -= 1
-        self.writer.line("}")

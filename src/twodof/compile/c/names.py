@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass, field
 
 from twodof.blocks.elementary.functions import ARGUMENTS
-from twodof.compile.c.helpers import HELPERS
+from twodof.compile.c.helpers import NAMES as HELPERS
 
 RESERVED = """
     auto break case char const continue default do double else enum extern float for goto if inline int
@@ -16,7 +16,7 @@ RESERVED = """
 KEYWORDS = frozenset(RESERVED.split())
 # What the included headers and the emitted file itself define beside those: macros, types, helpers.
 DEFINED = re.compile(r"[A-Z][A-Z0-9_]*_(MAX|MIN|C|WIDTH)|[a-z0-9_]+_t|td_inline")
-FUNCTIONS = frozenset(HELPERS) | {f"td_{name}" for name in ARGUMENTS}
+FUNCTIONS = HELPERS | {f"td_{name}" for name in ARGUMENTS}
 
 
 @dataclass

@@ -9,13 +9,15 @@ from twodof.compile.c.expressions import Renderer, Text
 from twodof.compile.c.names import CNames
 from twodof.compile.c.operators import C_TYPES
 from twodof.compile.c.writer import CWriter
-from twodof.compile.program.layout import Member
+from twodof.compile.program.layout import LaneShape, Member
 
 
 class CStyle:
     """C for one instance: values are scalars, conditions are C's."""
 
     types: Mapping[str, str] = C_TYPES
+    shape: LaneShape | None = None
+    writer: type[CWriter] = CWriter
     renderer: type[Renderer] = Renderer
     function = "static"  # how an elementary function is declared
     prelude = ""  # C that comes before the programs'
@@ -30,10 +32,6 @@ class CStyle:
     def inner(self) -> CStyle:
         """The style of the elementary functions."""
         return self
-
-    def writer(self, lean: bool) -> CWriter:
-        """A new writer; `lean` as in `emitter.emit`."""
-        return CWriter(lean=lean)
 
     def same(self, text: str, kind: str) -> str:
         """A value that is the same in all instances, as an instance's own."""

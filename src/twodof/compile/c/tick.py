@@ -62,15 +62,15 @@ class Scope:
         return self.style.renderer(writer, names, self.precision, leaf, stem, known)
 
     def leaf(
-        self, node: Node, signal: Callable[[FlatSignal], str], states: Mapping[str, str], tick: str
+        self, node: Node, signal: Callable[[FlatSignal], str], state: Callable[[str], str], tick: str
     ) -> Callable[[Expr], Text]:
-        """The C text of `node`'s leaves; `states` is its own states' texts by name."""
+        """The C text of `node`'s leaves; `state` gives that of its own states by name."""
 
         def text(item: Expr) -> Text:
             if item.op == "input":
                 return signal(node.drivers[item.data]), ATOM
             if item.op == "state":
-                return states[item.data], ATOM
+                return state(item.data), ATOM
             if item.op == "param":
                 return f"p->{self.parameter(node, item.data).name}", ATOM
             if item.op == "tick":
@@ -85,6 +85,11 @@ class Scope:
         if name in node.parameters:
             return self.layout.parameters[node.parameters[name]]
         return self.layout.derived[node, name]
+
+    def state(self, node: Node, state: State) -> str:
+        """The lvalue of a state."""
+        prefix = "s->x." if state.continuous else "s->"
+        return prefix + self.layout.states[node, state.name].name
 
     def initial(self, writer: CWriter, node: Node, state: State, target: str) -> None:
         """Lines that set a state to its initial value."""
@@ -146,17 +151,12 @@ class TickEmitter:
             return f"s->{self.layout.stored[signal].name}"
         return self.texts[signal]
 
-    def state(self, node: Node, state: State) -> str:
-        """The lvalue of a state."""
-        prefix = "s->x." if state.continuous else "s->"
-        return prefix + self.layout.states[node, state.name].name
-
     def renderer(self, node: Node) -> Renderer:
         """A node has one renderer in each C block, so that its temporaries serve everything that is computed there."""
         if node in self.renderers:
             return self.renderers[node]
-        states = {s.name: self.state(node, s) for s in node.block.states}
-        leaf = self.scope.leaf(node, self.signal, states, "s->tick")
+        states = {s.name: self.scope.state(node, s) for s in node.block.states}
+        leaf = self.scope.leaf(node, self.signal, states.__getitem__, "s->tick")
         made = self.scope.renderer(self.writer, self.names, leaf, node.path, self.stored.get(node))
         made.expect(node.trace.update.values())
         self.renderers[node] = made
@@ -232,7 +232,7 @@ class TickEmitter:
         if not action.signals:
             with write.choice("", [self.scope.style.disjunction([self.signal(r) for r in node.resets])]):
                 for state in node.block.states:
-                    self.scope.initial(write, node, state, self.state(node, state))
+                    self.scope.initial(write, node, state, self.scope.state(node, state))
             self.computed.add(node)
             return
         renderer = self.renderer(node)
@@ -322,7 +322,7 @@ class TickEmitter:
 
     def _update(self, node: Node) -> None:
         self.writer.line(describe(node))
-        texts = {s.name: self.state(node, s) for s in node.discrete}
+        texts = {s.name: self.scope.state(node, s) for s in node.discrete}
         commit(self.writer, self.renderer(node), self.names, node, node.trace.update, texts)
 
 

@@ -24,6 +24,13 @@ class CWriter:
         self.lines.append("    " * self.depth + text if text else "")
 
     @contextmanager
+    def function(self, head: str) -> Iterator[None]:
+        """A function around what is written inside."""
+        self.lines += [head, "{"]
+        yield
+        self.lines += ["}", ""]
+
+    @contextmanager
     def block(self, head: str) -> Iterator[None]:
         """`head {` ... `}` around what is written inside."""
         self.line(f"{head} {{")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import platform
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -12,17 +11,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.blocks.declarations import Param, Port, State, check_steps, numeric
+from twodof.blocks.declarations import Port, State, check_steps, numeric
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.expressions import numbers
-from twodof.blocks.machine import Machine, fitting
+from twodof.blocks.machine import fitting
 from twodof.compile.c.emitter import emit
 from twodof.compile.lanes.style import LaneStyle as Style
-from twodof.compile.native.target import load
-from twodof.compile.program import flat_program
-from twodof.compile.program.layout import LaneShape, MemoryLayout
+from twodof.compile.machine import BuiltMachine, BuiltProgram
+from twodof.compile.native.target import NativeBackend, load
+from twodof.compile.program.flat_program import FlatSignal
+from twodof.compile.program.layout import LaneShape
 from twodof.compile.program.lower import lower
+from twodof.compile.target import EmittedProgram
 from twodof.compile.toolchain import compilers
+from twodof.compile.toolchain.compilers import Compiler
 from twodof.errors import CompileError, DiagramError, ParameterError
 
 MOST_LANES = 65_536
@@ -91,10 +93,17 @@ def build_lanes(
         raise CompileError(f"there are no vectors {name!r:.40}", "lanes", f"use one of {', '.join(SIMD)}")
     found = compilers.find_compiler(compiler)
     with numbers.precision(precision):
-        lowered = lower(diagram, dt, tuple(log), integrator)
-        source = emit([lowered], precision, style=Style(shape(name, precision)))
-    library = load(source.text, found, optimise, SIMD[name].native, SIMD[name].flags)
-    return LanesProgram(lowered, source.text, source.layouts[lowered.name], library, lanes, precision, name)
+        emitted = emit([lower(diagram, dt, tuple(log), integrator)], precision, style=Style(shape(name, precision)))
+    return compile_lanes(emitted, lanes, name, found, optimise)[0]
+
+
+def compile_lanes(
+    programs: Sequence[EmittedProgram], lanes: int, simd: str, compiler: Compiler, optimise: str
+) -> list[LanesProgram]:
+    """The programs of one source, which were emitted in the style of these vectors."""
+    vectors = SIMD[simd]
+    library = load(programs[0].source, compiler, optimise, vectors.native, vectors.flags)
+    return [LanesProgram(NativeBackend(program, library), lanes, simd) for program in programs]
 
 
 def shape(simd: str, precision: str) -> LaneShape:
@@ -102,52 +111,15 @@ def shape(simd: str, precision: str) -> LaneShape:
     return LaneShape(precision, SIMD[simd].size, SIMD[simd].vectors)
 
 
-class LanesProgram:
-    """A diagram compiled for `lanes` instances. `source` is its C, `parameters` the declarations by path."""
+class LanesProgram(BuiltProgram):
+    """A diagram compiled for `lanes` instances."""
 
-    def __init__(
-        self,
-        lowered: flat_program.FlatProgram,
-        source: str,
-        layout: MemoryLayout,
-        library: ctypes.CDLL,
-        lanes: int,
-        precision: str,
-        simd: str,
-    ) -> None:
-        self.flat = lowered
-        self.source = source
-        self.layout = layout
+    def __init__(self, backend: NativeBackend, lanes: int, simd: str) -> None:
+        super().__init__(backend.program)
+        self.backend = backend
         self.lanes = lanes
-        self.precision = precision
-        self.simd = simd
-        self.dt = lowered.dt
-        self.shape = shape(simd, precision)
+        self.shape = shape(simd, self.precision)
         self.blocks = -(-lanes // self.shape.lanes)
-        self.dtypes = layout.lane_dtypes(self.shape)
-        self.parameters: dict[str, Param] = {path: q.declared for path, q in lowered.parameters.items()}
-        self.states: dict[str, tuple[State, str]] = {
-            f"{node.path}.{s.name}": (s, layout.states[node, s.name].name)
-            for node in lowered.nodes
-            for s in node.block.states
-        }
-        sizes = list((ctypes.c_size_t * 5).in_dll(library, f"{lowered.name}_sizes"))
-        ours = [np.dtype(precision).itemsize, *(self.dtypes[k].itemsize for k in "PSUY")]
-        if sizes != ours:
-            raise CompileError(
-                f"its structs have the sizes {sizes}, expected {ours}", lowered.name, "report this as a fault"
-            )
-        self._library = library
-        pointer, size = ctypes.c_void_p, ctypes.c_size_t
-        self.c_defaults = self._function("defaults", pointer)
-        self.c_prepare = self._function("prepare", pointer)
-        self.c_init = self._function("init", pointer, pointer)
-        self.c_run = self._function("run", pointer, pointer, pointer, size, pointer, size, size)
-
-    def _function(self, name: str, *arguments: Any) -> Any:
-        function = getattr(self._library, f"{self.flat.name}_{name}")
-        function.argtypes, function.restype = arguments, None
-        return function
 
     @property
     def lane_bytes(self) -> float:
@@ -159,7 +131,7 @@ class LanesProgram:
         return LanesMachine(self)
 
 
-class LanesMachine(Machine):
+class LanesMachine(BuiltMachine):
     """Running instances side by side, each with parameters, states and inputs of its own; they share the tick.
 
     A value of the shape () or (width,) is the same for all lanes. One of the shape (lanes,) or (lanes, width) has the
@@ -169,17 +141,14 @@ class LanesMachine(Machine):
     """
 
     def __init__(self, program: LanesProgram) -> None:
-        layout, lowered = program.layout, program.flat
-        super().__init__(lowered.name, program.precision, program.parameters, lowered.ports)
+        super().__init__(program)
         self.program = program
+        self._backend = program.backend
         self.lanes = program.lanes
         self._structs = {k: _structs(program.blocks, program.dtypes[k]) for k in "PSUY"}
-        self._members = {path: layout.parameters[q].name for path, q in lowered.parameters.items()}
-        self._inputs = {name: layout.inputs[s].name for name, s in lowered.inputs.items()}
-        self._outputs = {path: (s, layout.outputs[path].name) for path, s in lowered.outputs.items()}
         for block in self._structs["P"]:
-            program.c_defaults(block.ctypes.data)
-            program.c_prepare(block.ctypes.data)
+            self._backend.defaults(block.ctypes.data)
+            self._backend.prepare(block.ctypes.data)
         self.reset()
 
     @property
@@ -190,7 +159,7 @@ class LanesMachine(Machine):
     def reset(self) -> None:
         """To the initial states of the present parameters, tick 0, held outputs 0."""
         for p, s in zip(self._structs["P"], self._structs["S"], strict=True):
-            self.program.c_init(p.ctypes.data, s.ctypes.data)
+            self._backend.init(p.ctypes.data, s.ctypes.data)
 
     def run(self, steps: int, inputs: Mapping[str, Any] | None = None) -> dict[str, NDArray[Any]]:
         """`steps` steps. An input that is one value, or has the shape (steps,), is the same in all lanes. It may also
@@ -208,7 +177,7 @@ class LanesMachine(Machine):
         """`steps` steps with the last inputs, whose outputs nobody wants."""
         steps = check_steps(steps, self.name)
         for p, s, u, y in zip(*(self._structs[k] for k in "PSUY"), strict=True):
-            self.program.c_run(p.ctypes.data, s.ctypes.data, u.ctypes.data, 0, y.ctypes.data, 0, steps)
+            self._backend.run(p.ctypes.data, s.ctypes.data, u.ctypes.data, 0, y.ctypes.data, 0, steps)
 
     def _step(self) -> dict[str, NDArray[Any]]:
         return {path: column[0] for path, column in self._run(1, {}).items()}
@@ -232,7 +201,7 @@ class LanesMachine(Machine):
                         part = column[first : first + n] if len(column) > 1 else column
                         _spread(changing[self._inputs[name]][:n], part[:, mine] if part.shape[1] > 1 else part, count)
                     at, stride = changing.ctypes.data, 1
-                program.c_run(p.ctypes.data, s.ctypes.data, at, stride, y.ctypes.data, 1, n)
+                self._backend.run(p.ctypes.data, s.ctypes.data, at, stride, y.ctypes.data, 1, n)
                 if changing is not None:
                     u[0] = changing[n - 1]
                 for path, (signal, member) in self._outputs.items():
@@ -240,7 +209,7 @@ class LanesMachine(Machine):
                     results[path][first : first + n, mine] = values[:, :count]
         return results
 
-    def _shape(self, signal: flat_program.FlatSignal, steps: int) -> tuple[int, ...]:
+    def _shape(self, signal: FlatSignal, steps: int) -> tuple[int, ...]:
         return (steps, self.lanes) if signal.width is None else (steps, self.lanes, signal.width)
 
     def _checked(self, path: str, value: Any) -> Any:
@@ -259,20 +228,16 @@ class LanesMachine(Machine):
         for path, data in values.items():
             self._put("P", self._members[path], data)
         for block in self._structs["P"]:
-            self.program.c_prepare(block.ctypes.data)
+            self._backend.prepare(block.ctypes.data)
 
     def _parameter(self, path: str) -> NDArray[Any]:
         return self._read("P", self._members[path], self.parameters[path].kind)
 
-    def _find_state(self, path: str) -> State | None:
-        found = self.program.states.get(path)
-        return found[0] if found else None
-
     def _state(self, path: str, declared: State) -> NDArray[Any]:
-        return self._read("S", self.program.states[path][1], declared.kind)
+        return self._read("S", self._states[path][1], declared.kind)
 
     def _store_state(self, path: str, declared: State, value: Any) -> None:
-        self._put("S", self.program.states[path][1], value)
+        self._put("S", self._states[path][1], value)
 
     def _store_input(self, port: Port, value: Any) -> None:
         self._put("U", self._inputs[port.name], value)

@@ -10,6 +10,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
+from functools import reduce
 
 from twodof.blocks.expressions.expr import Expr
 from twodof.blocks.expressions.graph import outside
@@ -28,7 +29,7 @@ DEEPEST_INDEX = 20  # operations in an index that is the same in all lanes
 
 @dataclass
 class LaneWriter(CWriter):
-    """Lines of C whose stores a mask may choose."""
+    """Lines of C whose stores a mask may choose: they store where it allows it."""
 
     mask: str = ""
     masks: int = 0
@@ -49,13 +50,11 @@ class LaneWriter(CWriter):
             self.mask, self.masked = outer
 
     def assign(self, target: str, text: str, kind: str) -> None:
-        """A line that stores a value where the mask allows it."""
         self.line(
             f"{target} = lanes_pick_{kind}({self.mask}, {text}, {target});" if self.mask else f"{target} = {text};"
         )
 
     def copy(self, target: str, source: str, width: int, kind: str, own: bool = False) -> None:
-        """Lines that copy an array where the mask allows it."""
         if own or not self.mask:
             self.line(f"memcpy({target}, {source}, sizeof {source}[0] * {width});")
             return
@@ -63,11 +62,9 @@ class LaneWriter(CWriter):
             self.assign(f"{target}[i]", f"{source}[i]", kind)
 
     def duplicate(self, target: str, source: str, width: int, kind: str) -> None:
-        """As `copy`."""
         self.copy(target, source, width, kind)
 
     def table(self, target: str, table: str, width: int, kind: str) -> None:
-        """Lines that copy a table of constants into an array."""
         with self.block(f"for (int32_t i = 0; i < {width}; i++)"):
             self.assign(f"{target}[i]", f"lanes_{kind}_all({table}[i])", kind)
 
@@ -82,7 +79,6 @@ class LaneWriter(CWriter):
             self.line(f"{target}[{index}] = {text};")
 
     def index(self, name: str, text: str) -> None:
-        """A line that keeps an index."""
         if text in self.shared:
             self.shared.add(name)
         self.line(f"const {'int32_t' if text in self.shared else 'lanes_int32'} {name} = {text};")
@@ -90,10 +86,7 @@ class LaneWriter(CWriter):
 
 def conjunction(texts: Sequence[str]) -> str:
     """Whether all hold, as C."""
-    made = texts[0]
-    for text in texts[1:]:
-        made = f"lanes_and_bool({made}, {text})"
-    return made
+    return reduce("lanes_and_bool({}, {})".format, texts)
 
 
 _VARIABLE = re.compile(r"[A-Za-z_][\w.\[\]]*(->[\w.\[\]]+)?\.v@")
@@ -205,15 +198,17 @@ _WEIGHTED = (
 
 
 class LaneStyle(CStyle):
-    """C for as many instances as a `LaneShape` says."""
+    """C for as many instances as a `LaneShape` says; a condition says where it holds."""
 
     types: Mapping[str, str] = TYPES
+    writer = LaneWriter
     function = "td_inline"
     needs = SCALARS
     tables = False
 
     def __init__(self, shape: LaneShape) -> None:
         self.shape = shape
+        self.vectors = shape.vectors
         along = self._whole("lanes_v_add_real({0}.v@, lanes_v_mul_real(h.v@, {1}.v@))")
         self.along = along.replace("{{", "{{{{").replace("}}", "}}}}")  # it is formatted twice
         self.weighted = self._whole(_WEIGHTED)
@@ -224,7 +219,7 @@ class LaneStyle(CStyle):
 
     def _whole(self, text: str) -> str:
         """A real whose vectors `text` gives, `@` being the number of each; braces doubled, for it will be formatted."""
-        vectors = ", ".join(text.replace("@", str(k)) for k in range(self.shape.vectors))
+        vectors = ", ".join(text.replace("@", str(k)) for k in range(self.vectors))
         return f"(lanes_real){{{{{vectors}}}}}"
 
     @property
@@ -232,56 +227,38 @@ class LaneStyle(CStyle):
         """The style of the elementary functions: of single vectors."""
         return VECTOR
 
-    def writer(self, lean: bool) -> CWriter:
-        """A new writer."""
-        return LaneWriter(lean=lean)
-
     def same(self, text: str, kind: str) -> str:
-        """A value that is the same in all lanes."""
         return f"lanes_{kind}_all({text})"
 
     def literal(self, text: str, binding: int, kind: str) -> Text:
-        """A constant in all lanes."""
         return self.same(text, kind), ATOM
 
     def conjunction(self, texts: Sequence[str]) -> str:
-        """Where all hold."""
         return conjunction(texts)
 
     def disjunction(self, texts: Sequence[str]) -> str:
-        """Where any holds."""
-        made = texts[0]
-        for text in texts[1:]:
-            made = f"lanes_or_bool({made}, {text})"
-        return made
+        return reduce("lanes_or_bool({}, {})".format, texts)
 
     def negation(self, text: str) -> str:
-        """Where it does not hold."""
         return f"lanes_not_bool({text})"
 
     def truth(self, due: str, tests: Sequence[str]) -> str:
-        """Where a rate is due and all `tests` hold."""
         return conjunction([*([f"lanes_bool_all({due})"] if due else []), *tests])
 
     def product(self, a: str, b: str) -> str:
-        """a * b"""
         return f"lanes_mul_real({a}, {b})"
 
     def compared(self, sign: str, a: str, b: str, kind: str = "real") -> str:
-        """A comparison."""
         name = {"!=": "ne", ">": "gt", "<": "lt", ">=": "ge"}[sign]
         return f"lanes_{name}_{kind}({a}, {b})"
 
     def chosen(self, test: str, a: str, b: str, kind: str) -> str:
-        """`a` where `test` holds, else `b`."""
         return f"lanes_pick_{kind}({test}, {a}, {b})"
 
     def anywhere(self, test: str) -> str:
-        """Whether `test` holds in any lane."""
         return f"lanes_any({test})"
 
     def piece(self, start: str, end: str, dt: str) -> str:
-        """The length of a part of a step [s]."""
         return f"lanes_mul_real(lanes_sub_real({end}, {start}), {dt})"
 
     @contextmanager
@@ -305,11 +282,8 @@ class VectorStyle(CStyle):
 
     types: Mapping[str, str] = VECTORS
     renderer = VectorRenderer
+    writer = LaneWriter
     function = "td_inline"
-
-    def writer(self, lean: bool) -> CWriter:
-        """A new writer."""
-        return LaneWriter(lean=lean)
 
 
 VECTOR = VectorStyle()

@@ -11,8 +11,8 @@ from typing import Any
 from twodof.blocks.expressions.derivative import Value, plain
 from twodof.blocks.expressions.numbers import Integer
 from twodof.compile.linear.operating_point import OperatingPoint
-from twodof.compile.linear.tangent import Key, TangentStep
-from twodof.compile.program.flat_program import FlatProgram, Node
+from twodof.compile.linear.tangent import TangentStep
+from twodof.compile.program.flat_program import FlatProgram, Key, Node
 from twodof.errors import DiagramError
 
 MAX_STEPS = 20_000  # of a whole-number state until it must have come round
@@ -79,7 +79,7 @@ class IntegerStates:
                 return
             seen[key] = len(values)
             values.append(now)
-            states |= {(node, name): v for name, v in zip(names, step.values(node, roots, states), strict=True)}
+            states |= {(node, name): v for name, v in zip(names, step.evaluate(node, roots, states), strict=True)}
         raise DiagramError(
             f"its integer or bool states {', '.join(names)} do not stay or come round within {MAX_STEPS} steps",
             node.path,

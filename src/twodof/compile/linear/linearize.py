@@ -20,8 +20,8 @@ from twodof.blocks.expressions.derivative import Dual, Slope, Tie, Value, consta
 from twodof.compile.linear.integer_states import IntegerStates
 from twodof.compile.linear.linear_model import LinearModel
 from twodof.compile.linear.operating_point import OperatingPoint
-from twodof.compile.linear.tangent import Key, States, TangentStep
-from twodof.compile.program.flat_program import FlatProgram, FlatSignal
+from twodof.compile.linear.tangent import States, TangentStep, elements
+from twodof.compile.program.flat_program import FlatProgram, FlatSignal, Key
 from twodof.compile.program.flatten import constants
 from twodof.compile.program.lower import lower
 from twodof.errors import DiagramError
@@ -147,8 +147,8 @@ class _Linearization:
 
     def settle(self) -> None:
         """Bring whole-number states to where they stay, and continuous states to where projections put them."""
-        self.whole.settle(lambda: self._step(None, None))
-        step = self._step(None, None)
+        self.whole.settle(self._plain_step)
+        step = self._plain_step()
         x = {(n, s.name): self.point.states[n, s.name] for n in self.program.integrated for s in n.continuous}
         projected = step.projected({k: constant(v) for k, v in x.items()})
         self.point.put(projected)
@@ -160,43 +160,37 @@ class _Linearization:
         at = 0
         for key in self.states:
             value = self.point.states[key]
-            places = self.whole.order(key)
-            if isinstance(value, tuple):
-                duals = [Dual(v) for v in value]
-                for j, place in enumerate(places):
-                    duals[place] = Dual(value[place], unit[at + j])
-                states[key] = tuple(duals)
-            else:
-                states[key] = Dual(value, unit[at])
-            at += len(places)
+            items = list(elements(value))
+            for place in self.whole.order(key):
+                items[place] = Dual(items[place], unit[at])
+                at += 1
+            states[key] = tuple(items) if isinstance(value, tuple) else items[0]
         inputs: dict[FlatSignal, Value] = {s: constant(v) for s, v in self.point.inputs.items()}
         cut: dict[FlatSignal, Slope] = {}
         for s in self.inputs.values():
-            if s.node is not None:
-                if s.width is not None:
-                    raise DiagramError("an array is cut", s.path, "cut its elements behind a Demux")
-                cut[s] = unit[at]
-                at += 1
+            if s.node is None:
+                duals = tuple(Dual(v, unit[at + i]) for i, v in enumerate(elements(self.point.inputs[s])))
+                inputs[s] = duals[0] if s.width is None else duals
             elif s.width is None:
-                inputs[s] = Dual(self.point.inputs[s], unit[at])
-                at += 1
+                cut[s] = unit[at]
             else:
-                inputs[s] = tuple(Dual(v, unit[at + i]) for i, v in enumerate(self.point.inputs[s]))
-                at += s.width
+                raise DiagramError("an array is cut", s.path, "cut its elements behind a Demux")
+            at += s.width or 1
         return states, inputs, cut
 
-    def _step(self, direction: Slope | None, seeded: tuple[Any, Any, Any] | None) -> TangentStep:
-        if seeded is None:
-            states: States = {k: constant(v) for k, v in self.point.states.items()}
-            inputs: dict[FlatSignal, Value] = {s: constant(v) for s, v in self.point.inputs.items()}
-            cut: dict[FlatSignal, Slope] = {}
-        else:
-            states, inputs, cut = seeded
+    def _seeded_step(self, direction: Slope | None = None) -> TangentStep:
+        states, inputs, cut = self._seeded()
         return TangentStep(self.program, self.point.parameters, states, inputs, self.point.tick, cut, direction)
+
+    def _plain_step(self) -> TangentStep:
+        """A step without slopes."""
+        states: States = {k: constant(v) for k, v in self.point.states.items()}
+        inputs: dict[FlatSignal, Value] = {s: constant(v) for s, v in self.point.inputs.items()}
+        return TangentStep(self.program, self.point.parameters, states, inputs, self.point.tick)
 
     def _once(self, what: str, direction: Slope | None) -> tuple[_Matrices, list[Tie]]:
         """The slopes of `what` becomes of the states (one of WHAT) and of the outputs, ties resolved by `direction`."""
-        step = self._step(direction, self._seeded())
+        step = self._seeded_step(direction)
         x = {(n, s.name): step.states[n, s.name] for n in self.program.integrated for s in n.continuous}
         if what == "slope":
             new = step.derivative(x)
@@ -208,17 +202,13 @@ class _Linearization:
                 new |= step.projected(step.integrated())
         rows: list[Dual] = []
         for key in self.states:
-            value = new[key]
-            if isinstance(value, tuple):
-                rows += [value[place] for place in self.whole.order(key, 1 if what == "next" else 0)]
-            else:
-                rows.append(value)
-            self._finite(key[0].path, rows[-len(self.whole.order(key)) :])
+            items = elements(new[key])
+            rows += [items[place] for place in self.whole.order(key, 1 if what == "next" else 0)]
+            self._finite(key[0].path, items)
         made: list[Dual] = []
         for signal in self.outputs.values():
-            value = step.made[signal]
-            made += value if isinstance(value, tuple) else [value]
-            self._finite(signal.path, made[-(signal.width or 1) :])
+            made += elements(step.made[signal])
+            self._finite(signal.path, elements(step.made[signal]))
         return _Matrices(self._stack(rows), self._stack(made), _values(rows), _values(made)), step.tangent.ties
 
     def _stack(self, rows: Sequence[Dual]) -> Array:
@@ -277,14 +267,14 @@ class _Linearization:
         for node, name in self.states:
             if not any(s.name == name for s in node.continuous):
                 return f"the state {node.path}.{name} is discrete"
-        step = self._step(None, self._seeded())
+        step = self._seeded_step()
         for node in self.program.integrated:
             for s in node.drivers.values():
                 if s not in step.read:
                     continue  # computed at the stages of the integration only
                 d = step.read[s]
                 held = s.node is not None and s not in self.program.moving and s not in step.cut
-                for item in d if isinstance(d, tuple) else (d,):
+                for item in elements(d):
                     if held and item.slope is not None and item.slope[: self.size].any():
                         return f"{s.path} samples a continuous state"
         return ""
@@ -351,11 +341,9 @@ class _Linearization:
         )
 
     def _input_values(self, s: FlatSignal) -> list[float]:
-        if s.node is not None:
-            made = self._step(None, None).made[s]
-            return [float(made.value)] if isinstance(made, Dual) else [float(m.value) for m in made]
-        value = self.point.inputs[s]
-        return [float(v) for v in value] if isinstance(value, tuple) else [float(value)]
+        if s.node is None:
+            return self.point.input_values([s])
+        return [float(m.value) for m in elements(self._plain_step().made[s])]
 
     def _check_phases(self, found: _Matrices) -> None:
         """DiagramError if the model changes while something goes round (a write index, a counter)."""
@@ -370,10 +358,7 @@ class _Linearization:
                 )
 
     def _state_names(self) -> list[str]:
-        found: list[str] = []
-        for key in self.states:
-            found += self.whole.names(key)
-        return found
+        return [name for key in self.states for name in self.whole.names(key)]
 
     def trim(self, free: Sequence[str]) -> None:
         """Move the states, and the inputs in `free`, to an equilibrium; DiagramError if none is found."""
@@ -476,10 +461,7 @@ def _values(duals: Sequence[Dual]) -> Array:
 
 
 def _values_of(point: OperatingPoint, states: Sequence[Key], whole: IntegerStates) -> Array:
-    found: list[float] = []
-    for key in states:
-        value = point.states[key]
-        found += [float(value[i]) for i in whole.order(key)] if isinstance(value, tuple) else [float(value)]
+    found = [float(elements(point.states[key])[i]) for key in states for i in whole.order(key)]
     return np.array(found, dtype=np.float64)
 
 

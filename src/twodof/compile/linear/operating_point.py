@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,8 +12,8 @@ from twodof.blocks.declarations import check_value, numeric, unknown_parameter
 from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.derivative import plain
 from twodof.blocks.expressions.numbers import Vector
-from twodof.compile.linear.tangent import Key, States, initial_states, parameter_values
-from twodof.compile.program.flat_program import FlatProgram, FlatSignal
+from twodof.compile.linear.tangent import States, elements
+from twodof.compile.program.flat_program import FlatProgram, FlatSignal, Key, initial_states, parameter_values
 
 Array = NDArray[np.float64]
 
@@ -58,21 +58,14 @@ class OperatingPoint:
     def put_numbers(self, key: Key, places: Sequence[int], values: Array) -> None:
         """Overwrite the elements at `places` of a real state."""
         old = self.states[key]
-        if not isinstance(old, tuple):
-            self.states[key] = np.float64(values[0])
-            return
-        items = list(old)
+        items = list(elements(old))
         for place, value in zip(places, values, strict=True):
             items[place] = np.float64(value)
-        self.states[key] = Vector(items)
+        self.states[key] = Vector(items) if isinstance(old, tuple) else items[0]
 
-    def input_values(self, signals: Sequence[FlatSignal]) -> Array:
+    def input_values(self, signals: Iterable[FlatSignal]) -> list[float]:
         """The present values of some inputs, one after the other."""
-        found: list[float] = []
-        for s in signals:
-            value = self.inputs[s]
-            found += [float(v) for v in value] if isinstance(value, tuple) else [float(value)]
-        return np.array(found, dtype=np.float64)
+        return [float(v) for s in signals for v in elements(self.inputs[s])]
 
     def put_inputs(self, signals: Sequence[FlatSignal], values: Array) -> None:
         """Overwrite inputs by numbers, one after the other."""

@@ -2,52 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 
-from twodof.blocks.block import Clock, Parameters, names_given
 from twodof.blocks.declarations import numeric
-from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.derivative import Dual, Slope, Tangent, Value, constant, plain
 from twodof.blocks.expressions.expr import Expr
 from twodof.blocks.expressions.numbers import UInt32
-from twodof.compile.program.flat_program import FlatProgram, FlatSignal, Guard, Node
-
-Key = tuple[Node, str]
-"""A state: its node and its name."""
+from twodof.compile.program.flat_program import FlatProgram, FlatSignal, Guard, Key, Node, initial_states
 
 States = dict[Key, Value]
-
-
-def parameter_values(program: FlatProgram, given: Mapping[str, Any]) -> dict[Key, Any]:
-    """The parameters of every node, given (by path in `given`, else default) and derived, by node and own name."""
-    values: dict[Key, Any] = {}
-    with numbers.precision("float64"):
-        for node in program.nodes:
-            own = {}
-            for name, parameter in node.parameters.items():
-                d = parameter.declared
-                own[name] = numeric(given.get(parameter.path, d.value), d.kind, d.width, parameter.path)
-            block = node.block
-            clock = Clock(None, np.float64(program.dt * node.rate.divider), np.float64(program.dt))
-            made = names_given(node.path, "prepare", block.prepare(Parameters(dict(own)), clock), block.derived)
-            derived = {d.name: numeric(made[d.name], d.kind, d.width, node.path) for d in block.derived}
-            values |= {(node, name): value for name, value in (own | derived).items()}
-    return values
-
-
-def initial_states(program: FlatProgram, parameters: Mapping[Key, Any]) -> dict[Key, Any]:
-    """The initial value of every state."""
-    with numbers.precision("float64"):
-        return {
-            (node, s.name): parameters[node, s.initial]
-            if isinstance(s.initial, str)
-            else numeric(s.initial, s.kind, s.width, f"{node.path}.{s.name}")
-            for node in program.nodes
-            for s in node.block.states
-        }
 
 
 class TangentStep:
@@ -75,17 +41,29 @@ class TangentStep:
         self.states: States = dict(states)
         self.read: dict[FlatSignal, Value] = dict(inputs)  # as readers see it
         self.made: dict[FlatSignal, Value] = dict(inputs)  # as its block gives it
-        self._memo: dict[Node, dict[int, Value]] = {}
+        self._memos: dict[Node, dict[int, Value]] = {}
         self._outputs()
 
-    def _leaf(
-        self, node: Node, signal: Callable[[FlatSignal], Value], state: Callable[[str], Value]
-    ) -> Callable[[Expr], Value]:
-        def value(item: Expr) -> Value:
+    def evaluate(
+        self,
+        node: Node,
+        roots: Iterable[Expr],
+        states: Mapping[Key, Value] | None = None,
+        signals: Mapping[FlatSignal, Value] | None = None,
+        memos: dict[Node, dict[int, Value]] | None = None,
+    ) -> list[Value]:
+        """Expressions of a node at the tick, with some of its states, or what it reads, replaced.
+
+        `memos` keeps what was computed; by default that of the tick itself, or nothing where something is replaced.
+        """
+        x, read = states or {}, self.read if signals is None else signals
+
+        def leaf(item: Expr) -> Value:
             if item.op == "input":
-                return signal(node.drivers[item.data])
+                return read[node.drivers[item.data]]
             if item.op == "state":
-                return state(item.data)
+                key = node, item.data
+                return x[key] if key in x else self.states[key]
             if item.op == "param":
                 return constant(self.parameters[node, item.data])
             if item.op == "tick":
@@ -93,22 +71,9 @@ class TangentStep:
             seconds = self.program.dt * (node.rate.divider if item.data == "dt" else 1)
             return Dual(np.float64(seconds))
 
-        return value
-
-    def _state(self, node: Node, x: Mapping[Key, Value]) -> Callable[[str], Value]:
-        return lambda name: x[node, name] if (node, name) in x else self.states[node, name]
-
-    def evaluate(self, node: Node, roots: list[Expr]) -> list[Value]:
-        """Expressions of a node at the tick."""
         self.tangent.block = node.path
-        leaf = self._leaf(node, self.read.__getitem__, self._state(node, {}))
-        return self.tangent.evaluate(roots, leaf, self._memo.setdefault(node, {}))
-
-    def values(self, node: Node, roots: list[Expr], states: Mapping[Key, Value]) -> list[Value]:
-        """Expressions of a node at the tick, with some of its states replaced."""
-        self.tangent.block = node.path
-        leaf = self._leaf(node, self.read.__getitem__, self._state(node, states))
-        return self.tangent.evaluate(roots, leaf)
+        kept = self._memos if memos is None and not x else memos
+        return self.tangent.evaluate(list(roots), leaf, None if kept is None else kept.setdefault(node, {}))
 
     def active(self, guard: Guard) -> bool:
         """Whether the nodes of a guard act at this tick."""
@@ -136,7 +101,7 @@ class TangentStep:
         new: States = {}
         for node in self.program.nodes:
             roots = node.trace.update if self.active(node.guard) else {}
-            found = self.evaluate(node, list(roots.values()))
+            found = self.evaluate(node, roots.values())
             new |= {(node, name): value for name, value in zip(roots, found, strict=True)}
         return {(n, s.name): self.states[n, s.name] for n in self.program.nodes for s in n.discrete} | new
 
@@ -144,25 +109,20 @@ class TangentStep:
         """The derivatives of the continuous states at `x`; `signals` replaces those that have an edge."""
         now: dict[FlatSignal, Value] = dict(self.read) | dict(signals or {})
         memos: dict[Node, dict[int, Value]] = {}
-
-        def evaluate(node: Node, roots: list[Expr]) -> list[Value]:
-            self.tangent.block = node.path
-            leaf = self._leaf(node, now.__getitem__, self._state(node, x))
-            return self.tangent.evaluate(roots, leaf, memos.setdefault(node, {}))
-
         for group in self.program.stage:
             if self.active(group.guard):
                 for action in group.actions:
                     for s in action.signals:
                         if s not in self.cut:
-                            now[s] = evaluate(action.node, [action.node.trace.outputs[s.port]])[0]
+                            roots = [action.node.trace.outputs[s.port]]
+                            now[s] = self.evaluate(action.node, roots, x, now, memos)[0]
         slopes: States = {}
         for node in self.program.integrated:
             names = [s.name for s in node.continuous]
             if self.active(node.guard):
-                found = evaluate(node, [node.trace.derivative[name] for name in names])
+                found = self.evaluate(node, [node.trace.derivative[name] for name in names], x, now, memos)
             else:
-                found = [_times(x[node, name], 0.0) for name in names]
+                found = [_sum(x[node, name], x[node, name], -1.0) for name in names]
             slopes |= {(node, name): value for name, value in zip(names, found, strict=True)}
         return slopes
 
@@ -172,7 +132,7 @@ class TangentStep:
         edges: dict[FlatSignal, tuple[float, Value, Value]] = {}
         for s in self.program.edged:
             if s.node is not None and self.active(s.node.guard):
-                fraction, after = self.evaluate(s.node, list(s.node.trace.edges[s.port]))
+                fraction, after = self.evaluate(s.node, s.node.trace.edges[s.port])
                 edges[s] = float(plain(fraction)), self.read[s], after
         start = 0.0
         while start < 1.0:
@@ -184,7 +144,7 @@ class TangentStep:
 
     def _advance(self, x: States, h: float, signals: Mapping[FlatSignal, Value]) -> States:
         def along(step: float, slope: States) -> States:
-            return {key: _plus(x[key], _times(slope[key], step)) for key in x}
+            return {key: _sum(x[key], slope[key], step) for key in x}
 
         k1 = self.derivative(x, signals)
         if self.program.integrator == "euler":
@@ -192,7 +152,7 @@ class TangentStep:
         k2 = self.derivative(along(0.5 * h, k1), signals)
         k3 = self.derivative(along(0.5 * h, k2), signals)
         k4 = self.derivative(along(h, k3), signals)
-        total = {key: _plus(_plus(_plus(k1[key], _times(k2[key], 2.0)), _times(k3[key], 2.0)), k4[key]) for key in x}
+        total = {key: _sum(_sum(_sum(k1[key], k2[key], 2.0), k3[key], 2.0), k4[key], 1.0) for key in x}
         return along(h / 6.0, total)
 
     def projected(self, x: States) -> States:
@@ -200,9 +160,7 @@ class TangentStep:
         new = dict(x)
         for node in self.program.integrated:
             if node.trace.project and self.active(node.guard):
-                self.tangent.block = node.path
-                leaf = self._leaf(node, self.read.__getitem__, self._state(node, x))
-                found = self.tangent.evaluate(list(node.trace.project.values()), leaf)
+                found = self.evaluate(node, node.trace.project.values(), x)
                 new |= {(node, name): value for name, value in zip(node.trace.project, found, strict=True)}
         return new
 
@@ -212,20 +170,19 @@ def zero(signal: FlatSignal) -> Value:
     return constant(numeric(0, signal.kind, signal.width, signal.path))
 
 
-def _plus(a: Value, b: Value) -> Value:
-    if isinstance(a, tuple) and isinstance(b, tuple):
-        return tuple(_add(x, y) for x, y in zip(a, b, strict=True))
-    if isinstance(a, tuple) or isinstance(b, tuple):
-        raise TypeError("an array meets a scalar")
-    return _add(a, b)
+def elements(value: Any) -> tuple[Any, ...]:
+    """The elements of an array, or a scalar as the only one."""
+    return value if isinstance(value, tuple) else (value,)
 
 
-def _add(a: Dual, b: Dual) -> Dual:
-    slope = a.slope if b.slope is None else b.slope if a.slope is None else a.slope + b.slope
-    return Dual(a.value + b.value, slope)
+def _sum(a: Value, b: Value, factor: float) -> Value:
+    """a + factor * b."""
+    made = tuple(_added(x, y, factor) for x, y in zip(elements(a), elements(b), strict=True))
+    return made if isinstance(a, tuple) else made[0]
 
 
-def _times(a: Value, factor: float) -> Value:
-    if isinstance(a, tuple):
-        return tuple(Dual(d.value * factor, None if d.slope is None else d.slope * factor) for d in a)
-    return Dual(a.value * factor, None if a.slope is None else a.slope * factor)
+def _added(a: Dual, b: Dual, factor: float) -> Dual:
+    slope = None if b.slope is None else b.slope * factor
+    if a.slope is not None:
+        slope = a.slope if slope is None else a.slope + slope
+    return Dual(a.value + b.value * factor, slope)

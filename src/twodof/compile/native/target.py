@@ -83,7 +83,7 @@ class NativeBackend:
 
     def __init__(self, program: EmittedProgram, library: ctypes.CDLL) -> None:
         self.program = program
-        self.library = library
+        self._library = library
         sizes = list((ctypes.c_size_t * 5).in_dll(library, f"{program.name}_sizes"))
         if sizes != program.sizes:
             raise CompileError(
@@ -97,7 +97,7 @@ class NativeBackend:
         self.run = self._function("run", pointer, pointer, pointer, size, pointer, size, size)
 
     def _function(self, name: str, *arguments: Any) -> Any:
-        function = getattr(self.library, f"{self.program.name}_{name}")
+        function = getattr(self._library, f"{self.program.name}_{name}")
         function.argtypes, function.restype = arguments, None
         return function
 

@@ -7,12 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twodof.blocks.block import Clock, Parameters
-from twodof.blocks.declarations import Param, numeric
+from twodof.blocks.declarations import Param
 from twodof.blocks.diagram import Diagram
-from twodof.blocks.expressions import numbers
 from twodof.blocks.reference.interpreter import Reference
-from twodof.compile.program.flat_program import FlatProgram, FlatSignal, Node
+from twodof.compile.program.flat_program import FlatProgram, FlatSignal, Node, parameter_values
 from twodof.compile.program.flatten import FlatDiagram
 from twodof.compile.program.lower import lower
 from twodof.errors import DiagramError
@@ -95,7 +93,7 @@ def check(diagram: Diagram, dt: float) -> Findings:
     left_out = tuple(n.path for n in program.nodes if n.path not in needed)
     return Findings(
         (),
-        tuple(_remarks(diagram, flat, read, left_out, dt)),
+        tuple(_remarks(diagram, flat, program, read, left_out)),
         _sizes(flat, program),
         {
             name: tuple(sorted(through[s])) if s.node else (s.path,)
@@ -160,7 +158,7 @@ def _sizes(flat: FlatDiagram, program: FlatProgram) -> DiagramSizes:
 
 
 def _remarks(
-    diagram: Diagram, flat: FlatDiagram, read: set[FlatSignal], left_out: tuple[str, ...], dt: float
+    diagram: Diagram, flat: FlatDiagram, program: FlatProgram, read: set[FlatSignal], left_out: tuple[str, ...]
 ) -> Iterator[Remark]:
     for name, signal in flat.root.root_inputs.items():
         if signal not in read:
@@ -179,7 +177,7 @@ def _remarks(
             yield Remark("no block uses this parameter", parameter.path, "bind a parameter of a part to it")
             continue
         yield from _at_bound(parameter.path, parameter.declared)
-    yield from _not_finite(diagram, flat, dt)
+    yield from _not_finite(diagram, program)
 
 
 def _at_bound(path: str, declared: Param) -> Iterator[Remark]:
@@ -191,29 +189,18 @@ def _at_bound(path: str, declared: Param) -> Iterator[Remark]:
             yield Remark(f"its default {bound:g} is its {word} bound", path, "check the bound")
 
 
-def _not_finite(diagram: Diagram, flat: FlatDiagram, dt: float) -> Iterator[Remark]:
+def _not_finite(diagram: Diagram, program: FlatProgram) -> Iterator[Remark]:
     """Derived parameters that the defaults make infinite or NaN, else signals that are so at once with inputs 0."""
     found = False
-    with numbers.precision("float64"):
-        for node in flat.nodes:
-            if not node.block.derived:
-                continue
-            given = {}
-            for name, parameter in node.parameters.items():
-                d = parameter.declared
-                given[name] = numeric(d.value, d.kind, d.width, parameter.path)
-            real = numbers.real_type()
-            clock = Clock(None, real(dt * node.rate.divider), real(dt))
-            made = node.block.prepare(Parameters(given), clock)
-            for name, value in (made if isinstance(made, dict) else {node.block.derived[0].name: made}).items():
-                if not _finite(value):
-                    found = True
-                    where = f"{node.path}.{name}"
-                    yield Remark("the default parameters make it infinite or NaN", where, "change the defaults")
+    for (node, name), value in parameter_values(program, {}).items():
+        if name not in node.parameters and not _finite(value):
+            found = True
+            where = f"{node.path}.{name}"
+            yield Remark("the default parameters make it infinite or NaN", where, "change the defaults")
     if found:
         return
-    paths = [s.path for n in flat.nodes for s in n.outputs.values() if s.kind == "real"]
-    for path, value in Reference(diagram, dt, log=paths).machine().step().items():
+    paths = [s.path for n in program.nodes for s in n.outputs.values() if s.kind == "real"]
+    for path, value in Reference(diagram, program.dt, log=paths).machine().step().items():
         if path in paths and not np.all(np.isfinite(value)):
             yield Remark(
                 "with all inputs 0 it is infinite or NaN at the first step", path, "guard the division with where"

@@ -5,11 +5,16 @@ Every emitter (C99 first) reads these; `twodof.compile.program.lower` makes them
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
-from twodof.blocks.block import Block, Trace
-from twodof.blocks.declarations import Param, Port, State
+import numpy as np
+
+from twodof.blocks.block import Block, Clock, Parameters, Trace, names_given
+from twodof.blocks.declarations import Param, Port, State, numeric
 from twodof.blocks.diagram import Rate
+from twodof.blocks.expressions import numbers
 
 
 @dataclass(eq=False)
@@ -145,3 +150,36 @@ class FlatProgram:
     def integrated(self) -> list[Node]:
         """The nodes with continuous states."""
         return [n for n in self.nodes if n.continuous]
+
+
+Key = tuple[Node, str]
+"""A state or parameter: its node and its name."""
+
+
+def parameter_values(program: FlatProgram, given: Mapping[str, Any]) -> dict[Key, Any]:
+    """The parameters of every node, given (by path in `given`, else default) and derived, by node and own name."""
+    values: dict[Key, Any] = {}
+    with numbers.precision("float64"):
+        for node in program.nodes:
+            own = {}
+            for name, parameter in node.parameters.items():
+                d = parameter.declared
+                own[name] = numeric(given.get(parameter.path, d.value), d.kind, d.width, parameter.path)
+            block = node.block
+            clock = Clock(None, np.float64(program.dt * node.rate.divider), np.float64(program.dt))
+            made = names_given(node.path, "prepare", block.prepare(Parameters(dict(own)), clock), block.derived)
+            derived = {d.name: numeric(made[d.name], d.kind, d.width, node.path) for d in block.derived}
+            values |= {(node, name): value for name, value in (own | derived).items()}
+    return values
+
+
+def initial_states(program: FlatProgram, parameters: Mapping[Key, Any]) -> dict[Key, Any]:
+    """The initial value of every state."""
+    with numbers.precision("float64"):
+        return {
+            (node, s.name): parameters[node, s.initial]
+            if isinstance(s.initial, str)
+            else numeric(s.initial, s.kind, s.width, f"{node.path}.{s.name}")
+            for node in program.nodes
+            for s in node.block.states
+        }

@@ -258,10 +258,6 @@ class FlatDiagram:
         _check_rates(self.nodes, order, self.unknown, self.report)
         return order
 
-    def input_signal(self, name: str) -> FlatSignal:
-        """The signal of an input of the diagram."""
-        return self.root.root_inputs[name]
-
     def logged(self, path: str) -> FlatSignal:
         """The signal with the path "part.sub.port". Raises DiagramError if there is none."""
         owner, _, port = path.rpartition(".")

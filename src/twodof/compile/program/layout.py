@@ -122,70 +122,44 @@ class MemoryLayout:
         struct = self.x if state.continuous else self.s
         return struct.add(path, state.kind, state.width, path, state.unit)
 
-    def lane_dtypes(self, shape: LaneShape) -> dict[str, np.dtype[Any]]:
-        """As `dtypes`, of structs that hold several lanes: see `lane_dtype`."""
-        x = lane_dtype(self.x.members, shape)
-        s = lane_dtype(self.s.members, shape, [("x", x)] if self.x.members else [])
-        p, u, y = (lane_dtype(struct.members, shape) for struct in (self.p, self.u, self.y))
-        return {"P": p, "S": s, "U": u, "Y": y}
-
-    def dtypes(self, precision: str) -> dict[str, np.dtype[Any]]:
-        """The numpy types of P, S, U and Y: their memory is that of the C structs."""
-        x = struct_dtype(self.x.members, precision)
-        s = struct_dtype(self.s.members, precision, [("x", x)] if self.x.members else [])
-        return {
-            "P": struct_dtype(self.p.members, precision),
-            "S": s,
-            "U": struct_dtype(self.u.members, precision),
-            "Y": struct_dtype(self.y.members, precision),
-        }
+    def dtypes(self, precision: str, shape: LaneShape | None = None) -> dict[str, np.dtype[Any]]:
+        """The numpy types of P, S, U and Y: their memory is that of the C structs, of one instance or of `shape`'s."""
+        word = np.dtype(precision).itemsize * (shape.each if shape else 1)
+        x = _struct_dtype([(m.name, *_place(m, precision, shape)) for m in self.x.members])
+        made = {}
+        for name, struct in (("P", self.p), ("S", self.s), ("U", self.u), ("Y", self.y)):
+            places = [(m.name, *_place(m, precision, shape)) for m in struct.members]
+            if name == "S" and self.x.members:
+                places.append(("x", x, word))
+            made[name] = _struct_dtype(places)
+        return made
 
 
-def struct_dtype(
-    members: Sequence[Member], precision: str, last: Sequence[tuple[str, np.dtype[Any]]] = ()
-) -> np.dtype[Any]:
-    """The numpy type of a C struct; an empty one holds one byte, because C has no empty structs."""
-    formats: list[tuple[str, Any]] = []
-    for m in members:
-        base: Any = np.dtype({"real": precision, "bool": "bool"}.get(m.kind, m.kind))
-        formats.append((m.name, base if m.width is None else np.dtype((base, (m.width,)))))
-    formats += last
-    if not formats:
-        formats = [("none", np.dtype("uint8"))]
-    return np.dtype({"names": [n for n, _ in formats], "formats": [f for _, f in formats]}, align=True)
+def _place(m: Member, precision: str, shape: LaneShape | None) -> tuple[np.dtype[Any], int]:
+    """A member's numpy type and its alignment [bytes].
 
-
-def lane_dtype(
-    members: Sequence[Member], shape: LaneShape, last: Sequence[tuple[str, np.dtype[Any]]] = ()
-) -> np.dtype[Any]:
-    """The numpy type of a C struct of lanes; `itemsize` is a multiple of its alignment.
-
-    A member's last axis is the lane, or, of bools whose masks are bits, a byte of eight lanes.
+    Of lanes the last axis is the lane, or, of bools whose masks are bits, a byte of eight lanes.
     """
-    word = 4 if shape.precision == "float32" else 8
-    bases: dict[str, Any] = {"real": shape.precision, "bool": f"int{8 * word}"}
-    names, formats, offsets = [], [], []
-    end, alignment = 0, 1
-    for m in members:
-        base = np.dtype(bases.get(m.kind, m.kind))
-        dims = () if m.width is None else (m.width,)
-        last_axis, align = shape.lanes, base.itemsize * shape.each
-        if m.kind == "bool" and shape.bits:
-            base, last_axis, align = np.dtype("uint8"), shape.lanes // 8, shape.each // 8
-        if m.shared:
-            align = base.itemsize
-        place = np.dtype((base, dims if m.shared else (*dims, last_axis)))
-        names.append(m.name)
-        formats.append(place)
-        offsets.append(-(-end // align) * align)
-        end, alignment = offsets[-1] + place.itemsize, max(alignment, align)
-    for name, inner in last:
-        align = word * shape.each  # states are real
-        names.append(name)
-        formats.append(inner)
-        offsets.append(-(-end // align) * align)
-        end, alignment = offsets[-1] + inner.itemsize, max(alignment, align)
-    if not names:
+    dims = () if m.width is None else (m.width,)
+    if shape is None or m.shared:
+        base = np.dtype(precision if m.kind == "real" else m.kind)
+        return np.dtype((base, dims)), base.itemsize
+    if m.kind == "bool" and shape.bits:
+        return np.dtype((np.uint8, (*dims, shape.lanes // 8))), shape.each // 8
+    masks = "int32" if precision == "float32" else "int64"
+    base = np.dtype({"real": precision, "bool": masks}.get(m.kind, m.kind))
+    return np.dtype((base, (*dims, shape.lanes))), base.itemsize * shape.each
+
+
+def _struct_dtype(places: Sequence[tuple[str, np.dtype[Any], int]]) -> np.dtype[Any]:
+    """The numpy type of a C struct with members of a name, type and alignment. An empty one holds a byte."""
+    if not places:
         return np.dtype({"names": ["none"], "formats": ["u1"]})
-    size = -(-end // alignment) * alignment
+    offsets, end = [], 0
+    for _, dtype, align in places:
+        offsets.append(-(-end // align) * align)
+        end = offsets[-1] + dtype.itemsize
+    largest = max(align for _, _, align in places)
+    names, formats = [name for name, _, _ in places], [dtype for _, dtype, _ in places]
+    size = -(-end // largest) * largest
     return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": size})

@@ -5,6 +5,7 @@ from __future__ import annotations
 import heapq
 import math
 from collections.abc import Callable, Iterable, Sequence
+from graphlib import TopologicalSorter
 
 from twodof.blocks.diagram import BASE, Diagram
 from twodof.blocks.expressions.expr import Expr
@@ -27,7 +28,7 @@ def lower(diagram: Diagram, dt: float, log: Iterable[str] = (), integrator: str 
         raise DiagramError(f"unknown integrator {integrator!r}", diagram.name, 'use "rk4" or "euler"')
     flat = FlatDiagram(diagram)
     ordered = flat.ordered()
-    inputs = {name: flat.input_signal(name) for name in diagram.inputs}
+    inputs = {name: flat.root.root_inputs[name] for name in diagram.inputs}
     outputs = {name: flat.root.driver(name) for name in diagram.outputs}
     for path in log:
         outputs[path] = flat.logged(path)
@@ -131,25 +132,15 @@ def _grouped(
             if owner in begins:
                 before[thing].add(owner)
     rank = {thing: i for i, thing in enumerate(things)}
-    users: dict[FlatSignal | Node, list[FlatSignal | Node]] = {t: [] for t in things}
-    for thing, earlier in before.items():
-        for e in earlier:
-            users[e].append(thing)
-    waiting = {t: len(earlier) for t, earlier in before.items()}
+    sorter = TopologicalSorter(before)
+    sorter.prepare()
     queues: dict[Guard, list[int]] = {}
-
-    def guard_of(thing: FlatSignal | Node) -> Guard:
-        return thing.guard if isinstance(thing, Node) else node_of(thing).guard
-
-    def push(thing: FlatSignal | Node) -> None:
-        heapq.heappush(queues.setdefault(guard_of(thing), []), rank[thing])
-
-    for thing in things:
-        if waiting[thing] == 0:
-            push(thing)
     groups: list[Group] = []
     open_guard, actions = Guard(BASE), list[Action]()
-    while any(queues.values()):
+    while sorter.is_active():
+        for thing in sorter.get_ready():
+            guard = thing.guard if isinstance(thing, Node) else node_of(thing).guard
+            heapq.heappush(queues.setdefault(guard, []), rank[thing])
         if not queues.get(open_guard):
             if actions:
                 groups.append(Group(open_guard, tuple(actions)))
@@ -163,10 +154,7 @@ def _grouped(
             actions[-1] = Action(actions[-1].node, (*actions[-1].signals, thing))
         else:
             actions.append(Action(node_of(thing), (thing,)))
-        for user in users[thing]:
-            waiting[user] -= 1
-            if waiting[user] == 0:
-                push(user)
+        sorter.done(thing)
     if actions:
         groups.append(Group(open_guard, tuple(actions)))
     return groups

@@ -51,8 +51,8 @@ def controller(diagram: Diagram, names: ModuleNames, log: Sequence[str]) -> Cont
     """
     with numbers.precision("float32"):
         program = replace(lower(diagram, DT, log), name=names.module)
-        emitted = emit([program], "float32", lean=True)
-    arrays = 4 * sum(int(width) for width in _LOCAL_ARRAY.findall(emitted.text))
+        (emitted,) = emit([program], "float32", lean=True)
+    arrays = 4 * sum(int(width) for width in _LOCAL_ARRAY.findall(emitted.source))
     stack = -(-(arrays + 600) // 100) * 100  # 600: what steps of hundreds of blocks without arrays need on the M7
     if stack > LARGEST_FRAME:
         raise DiagramError(
@@ -60,7 +60,7 @@ def controller(diagram: Diagram, names: ModuleNames, log: Sequence[str]) -> Cont
             diagram.name,
             "make the arrays shorter, or states, which do not stand on the stack",
         )
-    return ControllerCode(program, emitted.text, emitted.layouts[names.module], stack)
+    return ControllerCode(program, emitted.source, emitted.layout, stack)
 
 
 def header(names: ModuleNames, found: MessageFields, rows: Sequence[ExportedParameter], made: ControllerCode) -> str:

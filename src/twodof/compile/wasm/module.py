@@ -10,6 +10,7 @@ from typing import Any
 
 from twodof.compile.c import freestanding
 from twodof.compile.c.optimisation_budget import OPTIMISATION_BUDGET, optimisation_cost
+from twodof.compile.program.layout import Member
 from twodof.compile.target import EmittedProgram
 from twodof.compile.toolchain import compilers
 from twodof.compile.toolchain.compilers import Compiler
@@ -81,7 +82,6 @@ class WasmModule:
         name = name or next(iter(self.programs))
         program, places = self.programs[name], self.places[name]
         layout, flat = program.layout, program.flat
-        entries = _Entries(program, places)
         sizes = dict(zip("PSUY", program.sizes[1:], strict=True))
         return {
             "twodof": INTERFACE,
@@ -98,47 +98,34 @@ class WasmModule:
                 "Y": {"address": places.outputs, "stride": sizes["Y"]},
             },
             "parameters": [
-                entries.entry("P", m, path)
+                _entry(program, places, "P", m, path)
                 | {"low": _finite(q.declared.low), "high": _finite(q.declared.high), "tunable": q.declared.tunable}
                 for path, q in flat.parameters.items()
                 for m in (layout.parameters[q],)
             ],
-            "inputs": [entries.entry("U", layout.inputs[s], path) for path, s in flat.inputs.items()],
-            "outputs": [entries.entry("Y", layout.outputs[path], path) for path in flat.outputs],
+            "inputs": [_entry(program, places, "U", layout.inputs[s], path) for path, s in flat.inputs.items()],
+            "outputs": [_entry(program, places, "Y", layout.outputs[path], path) for path in flat.outputs],
             "states": [
-                entries.entry("x" if s.continuous else "S", layout.states[node, s.name], f"{node.path}.{s.name}")
+                _entry(program, places, "S", layout.states[node, s.name], f"{node.path}.{s.name}", s.continuous)
                 for node in flat.nodes
                 for s in node.block.states
             ],
         }
 
 
-class _Entries:
-    """Where members stand in the memory."""
-
-    def __init__(self, program: EmittedProgram, places: WasmAddresses) -> None:
-        self.precision = program.precision
-        fields: dict[str, Any] = {k: program.dtypes[k].fields or {} for k in "PSUY"}
-        starts = dict(places.structs)
-        if "x" in fields["S"]:
-            dtype, offset, *_ = fields["S"]["x"]
-            fields["x"], starts["x"] = dtype.fields or {}, starts["S"] + offset
-        self.places = {
-            (kind, name): starts[kind] + offset
-            for kind, members in fields.items()
-            for name, (_, offset, *_) in members.items()
-        }
-
-    def entry(self, kind: str, member: Any, path: str) -> dict[str, Any]:
-        """A member's path, unit, type, number of elements and address."""
-        return {
-            "path": path,
-            "unit": member.unit,
-            "type": self.precision if member.kind == "real" else member.kind,
-            "count": member.width or 1,
-            "array": member.width is not None,
-            "address": self.places[kind, member.name],
-        }
+def _entry(
+    program: EmittedProgram, places: WasmAddresses, struct: str, member: Member, path: str, continuous: bool = False
+) -> dict[str, Any]:
+    """A member's path, unit, type, number of elements and address."""
+    offset, _ = program.places[struct][f"x.{member.name}" if continuous else member.name]
+    return {
+        "path": path,
+        "unit": member.unit,
+        "type": program.precision if member.kind == "real" else member.kind,
+        "count": member.width or 1,
+        "array": member.width is not None,
+        "address": places.structs[struct] + offset,
+    }
 
 
 def _finite(bound: float) -> float | None:

@@ -14,7 +14,7 @@ import pytest
 from tests.fcu.mavlink.test_on_board import Client
 from tests.patience import PATIENCE_S
 from twodof.blocks.schema.json_form import to_json
-from twodof.compile.wasm import ready
+from twodof.compile.wasm import target
 from twodof.errors import CompileError, LogError
 from twodof.fcu.command.result import ACCEPTED, FAILED, IN_PROGRESS, TEMPORARILY_REJECTED
 from twodof.fcu.control.controllers import Controllers
@@ -113,8 +113,8 @@ def test_who_asks_first_is_told_all_that_is_missing_at_once_and_nothing_is_built
         raise CompileError("there is no compiler for WebAssembly", "target wasm", "install one")
 
     if not there:
-        monkeypatch.setattr(ready, "find_spec", nowhere)
-        monkeypatch.setattr(ready, "find_wasm_compiler", none)
+        monkeypatch.setattr(target, "find_spec", nowhere)
+        monkeypatch.setattr(target, "find_wasm_compiler", none)
 
     async def session() -> None:
         async with VirtualDrone(lockstep=True, state=tmp_path) as drone:

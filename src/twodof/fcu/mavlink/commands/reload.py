@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 
 from twodof.blocks import Diagram
-from twodof.compile.wasm.ready import check_ready
+from twodof.compile.wasm.target import check_ready
 from twodof.errors import CompileError, TwodofError
 from twodof.fcu.command.commander import Commander
 from twodof.fcu.command.result import (
