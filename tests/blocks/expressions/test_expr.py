@@ -124,8 +124,8 @@ def test_a_nested_loop_multiplies_matrices() -> None:
     m, n = np.arange(9.0).reshape(3, 3), np.arange(9.0, 18.0).reshape(3, 3)
     with numbers.precision("float64"):
         given_ = {
-            "a": numbers.cast_array([np.float64(v) for v in m.ravel()], "real"),
-            "b": numbers.cast_array([np.float64(v) for v in n.ravel()], "real"),
+            "a": numbers.Vector(np.float64(v) for v in m.ravel()),
+            "b": numbers.Vector(np.float64(v) for v in n.ravel()),
         }
         assert np.array_equal(np.reshape(at(recorded, **given_), (3, 3)), m @ n)
 

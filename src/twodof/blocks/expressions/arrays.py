@@ -6,23 +6,9 @@ from collections.abc import Callable, Sequence
 from contextvars import ContextVar
 from typing import Any
 
-import numpy as np
-
 from twodof.blocks.expressions import numbers
-from twodof.blocks.expressions.expr import (
-    Expr,
-    as_expr,
-    const,
-    fault,
-    int32,
-    node,
-    recording,
-    scalars,
-    to_int32,
-    traced,
-    where,
-)
-from twodof.blocks.expressions.numbers import Int32, Integer, Vector
+from twodof.blocks.expressions.expr import Expr, as_expr, during, fault, node, position, recording, scalars, traced
+from twodof.blocks.expressions.numbers import Int32, Vector
 
 LOOP_DEPTH: ContextVar[int] = ContextVar("loop depth", default=0)
 """How many loops enclose what is being recorded."""
@@ -32,11 +18,10 @@ def vector(elements: Sequence[Any]) -> Any:
     """An array of the given scalars, all of one type."""
     if not elements:
         raise fault("an array of no elements", "an array has at least one element")
-    strong = [v for v in elements if isinstance(v, (Expr, Integer, np.floating, np.bool_, bool))]
-    anchor = next((v for v in strong if isinstance(v, Expr)), strong[0] if strong else 0.0)
-    kind = anchor.kind if isinstance(anchor, Expr) else numbers.kind_of(anchor)
+    anchor = next((v for v in elements if isinstance(v, Expr)), None)
+    kind = anchor.kind if anchor is not None else numbers.common_kind(elements)
     if not traced(*elements):
-        return numbers.cast_array(elements, kind)
+        return Vector(numbers.cast(v, kind) for v in elements)
     items = tuple(as_expr(e, kind) for e in elements)
     scalars("vector", *items)
     return node("vector", kind, items, None, len(items))
@@ -48,13 +33,9 @@ def store(array: Any, index: Any, value: Any) -> Any:
         base = array if isinstance(array, Expr) else vector(list(array))
         if base.width is None:
             raise fault("store into a scalar", "only arrays have elements")
-        if not isinstance(index, Expr):
-            index = const(numbers.clamp_index(index, base.width), "int32")
-        elif index.kind == "uint32":
-            index = where(index < base.width, to_int32(index), int32(base.width - 1))
         item = as_expr(value, base.kind)
         scalars("store", item)
-        return node("store", base.kind, (base, as_expr(index, "int32"), item), None, base.width)
+        return node("store", base.kind, (base, position(index, base.width), item), None, base.width)
     items = list(array)
     items[numbers.clamp_index(index, len(items))] = numbers.cast(value, numbers.kind_of(items[0]))
     return Vector(items)
@@ -67,11 +48,8 @@ def build(length: int, element: Callable[[Any], Any]) -> Any:
     if not recording():
         return vector([element(Int32(i)) for i in range(length)])
     depth = LOOP_DEPTH.get()
-    token = LOOP_DEPTH.set(depth + 1)
-    try:
+    with during(LOOP_DEPTH, depth + 1):
         body = as_expr(element(node("bound", "int32", (), (depth, 0))))
-    finally:
-        LOOP_DEPTH.reset(token)
     scalars("build", body)
     return node("build", body.kind, (body,), (length, depth), length)
 
@@ -90,13 +68,10 @@ def fold(length: int, initial: Sequence[Any], step: Callable[..., Sequence[Any]]
     starts = tuple(as_expr(v) for v in initial)
     scalars("fold", *starts)
     depth = LOOP_DEPTH.get()
-    token = LOOP_DEPTH.set(depth + 1)
-    try:
-        index = node("bound", "int32", (), (depth, 0))
-        carried = [node("bound", s.kind, (), (depth, j + 1)) for j, s in enumerate(starts)]
+    index = node("bound", "int32", (), (depth, 0))
+    carried = [node("bound", s.kind, (), (depth, j + 1)) for j, s in enumerate(starts)]
+    with during(LOOP_DEPTH, depth + 1):
         results = tuple(step(index, *carried))
-    finally:
-        LOOP_DEPTH.reset(token)
     if len(results) != len(starts):
         raise fault(
             f"the body of fold returns {len(results)} values and takes {len(starts)}",

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from twodof.blocks.expressions.expr import Expr
-from twodof.blocks.expressions.graph import outside
+from twodof.blocks.expressions.graph import outside, walk
 from twodof.errors import DiagramError
 
 MAX_SIZE = 50_000
@@ -45,54 +45,25 @@ class CostMeter:
 
     def measure(self, roots: Iterable[Expr]) -> ExpressionCost:
         """The effort of evaluating `roots` once. Raises DiagramError if it is beyond what any diagram may cost."""
-        return self._measure(roots)[0]
-
-    def _measure(self, roots: Iterable[Expr]) -> tuple[ExpressionCost, int]:
-        """The effort, and how deep loops are nested. Loops are entered innermost first, without recursion."""
-        order = self._walk(roots)
-        pending = [item for item in order if item.op in ("build", "fold") and id(item) not in self._loops]
-        while pending:
-            loop = pending[-1]
-            if id(loop) in self._loops:
-                pending.pop()
+        roots = list(roots)
+        for loop in walk(roots):  # inner loops come before those around them
+            if loop.op not in ("build", "fold") or id(loop) in self._loops:
                 continue
-            body = self._walk(loop.args[len(outside(loop)) :])
-            inner = [n for n in body if n.op in ("build", "fold") and id(n) not in self._loops]
-            if inner:
-                pending += inner
-                self._check(len(pending))
-                continue
-            effort, depth = self._sum(body)
-            length = loop.data[0]
+            effort, depth = self._sum(loop.args[len(outside(loop)) :])
             if self.most is not None and depth + 1 > MAX_LOOP_DEPTH:
                 raise DiagramError(
                     f"loops are nested more than {MAX_LOOP_DEPTH} deep", "", "use fewer loops within one another"
                 )
+            length = loop.data[0]
             self._loops[id(loop)] = (ExpressionCost(1 + effort.size, 1 + length * (1 + effort.operations)), depth + 1)
             self._kept.append(loop)
-            pending.pop()
-        return self._sum(order)
+        return self._sum(roots)[0]
 
-    def _walk(self, roots: Iterable[Expr]) -> list[Expr]:
-        """Every node below `roots` once, loops not entered."""
-        found: list[Expr] = []
-        seen: set[int] = set()
-        stack = list(roots)
-        while stack:
-            item = stack.pop()
-            if id(item) not in seen:
-                seen.add(id(item))
-                found.append(item)
-                stack.extend(outside(item))
-        self._visited += len(found)
+    def _sum(self, roots: Iterable[Expr]) -> tuple[ExpressionCost, int]:
+        """The effort of every node below `roots`, a loop as one of them, and how deep loops are nested."""
+        nodes = walk(roots, loops=False)
+        self._visited += len(nodes)
         self._check(self._visited // 10)  # the sum of all bodies: this bounds the time of measuring itself
-        return found
-
-    def _check(self, size: int) -> None:
-        if self.most is not None and size > self.most:
-            raise too_large()
-
-    def _sum(self, nodes: Iterable[Expr]) -> tuple[ExpressionCost, int]:
         size = operations = depth = 0
         for item in nodes:
             if item.op in ("build", "fold"):
@@ -100,14 +71,17 @@ class CostMeter:
                 size += inner.size
                 operations += inner.operations
                 depth = max(depth, below)
-                continue
-            elements = (
-                (item.width or 0) // COPIED if item.op == "store" else len(item.args) if item.op == "vector" else 0
-            )
-            size += 1 + (len(item.args) if item.op == "vector" else 0)
-            operations += elements + (CALL if item.op == "call" else 1)
+            else:
+                elements = len(item.args) if item.op == "vector" else 0
+                size += 1 + elements
+                operations += CALL if item.op == "call" else 1
+                operations += (item.width or 0) // COPIED if item.op == "store" else elements
         self._check(size)
         return ExpressionCost(size, operations), depth
+
+    def _check(self, size: int) -> None:
+        if self.most is not None and size > self.most:
+            raise too_large()
 
 
 def too_large() -> DiagramError:

@@ -7,8 +7,8 @@ an Expr and record; a block's code cannot tell which.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
 from typing import Any
 from weakref import WeakValueDictionary
@@ -29,41 +29,38 @@ _room: ContextVar[list[int] | None] = ContextVar("room", default=None)  # nodes 
 
 
 @contextmanager
-def at_most(nodes: int) -> Iterator[None]:
+def during(variable: ContextVar[Any], value: Any) -> Iterator[None]:
+    """Set a context variable while the enclosed code runs."""
+    token = variable.set(value)
+    try:
+        yield
+    finally:
+        variable.reset(token)
+
+
+def at_most(nodes: int) -> AbstractContextManager[None]:
     """Raise DiagramError as soon as the enclosed code has recorded more than `nodes` new nodes."""
-    token = _room.set([nodes])
-    try:
-        yield
-    finally:
-        _room.reset(token)
+    return during(_room, [nodes])
 
 
-@contextmanager
-def tracing(path: str) -> Iterator[None]:
+def tracing(path: str) -> AbstractContextManager[None]:
     """Name the block that is being traced, for the errors that its code may cause."""
-    token = _tracing.set(path)
-    try:
-        yield
-    finally:
-        _tracing.reset(token)
-
-
-def _here() -> str:
-    """The block being traced and the user's line that is at fault."""
-    frame = sys._getframe(1)
-    while frame.f_back is not None and frame.f_globals.get("__name__", "") in (
-        "twodof.blocks.expressions.expr",
-        "twodof.blocks.expressions.arrays",
-    ):
-        frame = frame.f_back
-    line = f"{frame.f_code.co_filename}:{frame.f_lineno}"
-    block = _tracing.get()
-    return f"block {block}, {line}" if block else line
+    return during(_tracing, path)
 
 
 def fault(what: str, remedy: str) -> DiagramError:
     """A mistake in a block's code, with the block and the user's line that made it."""
-    return DiagramError(what, _here(), remedy)
+    frame = sys._getframe(1)
+    while frame.f_back is not None and frame.f_globals.get("__name__", "") in LANGUAGE:
+        frame = frame.f_back
+    line = f"{frame.f_code.co_filename}:{frame.f_lineno}"
+    block = _tracing.get()
+    return DiagramError(what, f"block {block}, {line}" if block else line, remedy)
+
+
+def _operator(op: str) -> tuple[Callable[[Any, Any], Any], Callable[[Any, Any], Any]]:
+    """The methods that record `self op other` and `other op self`."""
+    return lambda self, other: _binary(op, self, other), lambda self, other: _binary(op, other, self)
 
 
 class Expr:
@@ -117,16 +114,7 @@ class Expr:
     def __getitem__(self, index: Any) -> Any:
         if self.width is None:
             raise fault(f"a scalar {self.kind} is indexed", "only arrays have elements")
-        if isinstance(index, Expr):
-            if index.kind not in ("int32", "uint32") or index.width is not None:
-                raise fault(f"an array is indexed with a {index.kind}", "convert the index with to_int32")
-            # Clamped as a signed number would be: a uint32 above 2^31 is above every length.
-            position = (
-                where(index < self.width, to_int32(index), int32(self.width - 1)) if index.kind == "uint32" else index
-            )
-        else:
-            position = const(numbers.clamp_index(index, self.width), "int32")
-        return node("select", self.kind, (self, position))
+        return node("select", self.kind, (self, position(index, self.width)))
 
     def __repr__(self) -> str:
         shape = "" if self.width is None else f"[{self.width}]"
@@ -134,106 +122,38 @@ class Expr:
             return f"{self.op}:{self.data}:{self.kind}{shape}"
         return f"{self.op}({len(self.args)} args):{self.kind}{shape}"
 
-    def __add__(self, other: Any) -> Any:
-        return _binary("add", self, other)
-
-    def __radd__(self, other: Any) -> Any:
-        return _binary("add", other, self)
-
-    def __sub__(self, other: Any) -> Any:
-        return _binary("sub", self, other)
-
-    def __rsub__(self, other: Any) -> Any:
-        return _binary("sub", other, self)
-
-    def __mul__(self, other: Any) -> Any:
-        return _binary("mul", self, other)
-
-    def __rmul__(self, other: Any) -> Any:
-        return _binary("mul", other, self)
-
-    def __truediv__(self, other: Any) -> Any:
-        return _binary("div", self, other)
-
-    def __rtruediv__(self, other: Any) -> Any:
-        return _binary("div", other, self)
-
-    def __floordiv__(self, other: Any) -> Any:
-        return _binary("quot", self, other)
-
-    def __rfloordiv__(self, other: Any) -> Any:
-        return _binary("quot", other, self)
-
-    def __mod__(self, other: Any) -> Any:
-        return _binary("rem", self, other)
-
-    def __rmod__(self, other: Any) -> Any:
-        return _binary("rem", other, self)
+    __add__, __radd__ = _operator("add")
+    __sub__, __rsub__ = _operator("sub")
+    __mul__, __rmul__ = _operator("mul")
+    __truediv__, __rtruediv__ = _operator("div")
+    __floordiv__, __rfloordiv__ = _operator("quot")
+    __mod__, __rmod__ = _operator("rem")
+    __lshift__, __rlshift__ = _operator("shl")
+    __rshift__, __rrshift__ = _operator("shr")
+    __and__, __rand__ = _operator("and")
+    __or__, __ror__ = _operator("or")
+    __xor__, __rxor__ = _operator("xor")
+    __lt__, __gt__ = _operator("lt")
+    __le__, __ge__ = _operator("le")
+    __eq__ = _operator("eq")[0]
+    __ne__ = _operator("ne")[0]
 
     def __pow__(self, other: Any) -> Any:
         raise fault("** is not an operation of the language", "write x * x, or pow(x, y)")
 
     __rpow__ = __pow__
 
-    def __lshift__(self, other: Any) -> Any:
-        return _binary("shl", self, other)
-
-    def __rlshift__(self, other: Any) -> Any:
-        return _binary("shl", other, self)
-
-    def __rshift__(self, other: Any) -> Any:
-        return _binary("shr", self, other)
-
-    def __rrshift__(self, other: Any) -> Any:
-        return _binary("shr", other, self)
-
-    def __and__(self, other: Any) -> Any:
-        return _binary("and", self, other)
-
-    def __rand__(self, other: Any) -> Any:
-        return _binary("and", other, self)
-
-    def __or__(self, other: Any) -> Any:
-        return _binary("or", self, other)
-
-    def __ror__(self, other: Any) -> Any:
-        return _binary("or", other, self)
-
-    def __xor__(self, other: Any) -> Any:
-        return _binary("xor", self, other)
-
-    def __rxor__(self, other: Any) -> Any:
-        return _binary("xor", other, self)
-
-    def __lt__(self, other: Any) -> Any:
-        return _binary("lt", self, other)
-
-    def __le__(self, other: Any) -> Any:
-        return _binary("le", self, other)
-
-    def __gt__(self, other: Any) -> Any:
-        return _binary("lt", other, self)
-
-    def __ge__(self, other: Any) -> Any:
-        return _binary("le", other, self)
-
-    def __eq__(self, other: object) -> Any:
-        return _binary("eq", self, other)
-
-    def __ne__(self, other: object) -> Any:
-        return _binary("ne", self, other)
-
     def __neg__(self) -> Any:
-        return _unary("neg", self)
+        return _operation("neg", self)
 
     def __pos__(self) -> Any:
         return self
 
     def __abs__(self) -> Any:
-        return _unary("abs", self)
+        return _operation("abs", self)
 
     def __invert__(self) -> Any:
-        return _unary("not", self)
+        return _operation("not", self)
 
 
 # Which scalar types an operation takes; comparisons give bool, everything else the type of its operands.
@@ -302,14 +222,22 @@ def as_expr(value: Any, kind: str | None = None) -> Expr:
     raise fault(f"the literal {value!r} meets {kind} in one operation", "write it in that type, or convert explicitly")
 
 
+def position(index: Any, width: int) -> Expr:
+    """The int32 index of an element of an array of `width` elements, as numbers, literals and Exprs may name it."""
+    if not isinstance(index, Expr):
+        return const(numbers.clamp_index(index, width), "int32")
+    if index.kind not in ("int32", "uint32") or index.width is not None:
+        raise fault(f"an array is indexed with a {index.kind}", "convert the index with to_int32")
+    if index.kind == "int32":
+        return index
+    # Clamped as a signed number would be: a uint32 above 2^31 is above every length.
+    return as_expr(where(index < width, to_int32(index), int32(width - 1)))
+
+
 def _pair(a: Any, b: Any) -> tuple[Expr, Expr]:
     anchor = a if isinstance(a, Expr) else b
-    if not isinstance(anchor, Expr):
-        found = {numbers.kind_of(v) for v in (a, b)}
-        strong = [v for v in (a, b) if isinstance(v, (Integer, np.floating, np.bool_))]
-        kind = numbers.kind_of(strong[0]) if strong else ("bool" if found == {"bool"} else "real")
-        return as_expr(a, kind), as_expr(b, kind)
-    return as_expr(a, anchor.kind), as_expr(b, anchor.kind)
+    kind = anchor.kind if isinstance(anchor, Expr) else numbers.common_kind((a, b))
+    return as_expr(a, kind), as_expr(b, kind)
 
 
 def scalars(op: str, *args: Expr) -> None:
@@ -322,19 +250,16 @@ def scalars(op: str, *args: Expr) -> None:
             )
 
 
+def _operation(op: str, *args: Expr) -> Expr:
+    scalars(op, *args)
+    kind = args[0].kind
+    if kind not in _TAKES[op]:
+        raise fault(f"{op} is not defined on {kind}", _REMEDY.get(op, f"it takes {', '.join(_TAKES[op])}"))
+    return node(op, "bool" if op in ("lt", "le", "eq", "ne") else kind, args)
+
+
 def _binary(op: str, a: Any, b: Any) -> Expr:
-    left, right = _pair(a, b)
-    scalars(op, left, right)
-    if left.kind not in _TAKES[op]:
-        raise fault(f"{op} is not defined on {left.kind}", _REMEDY.get(op, f"it takes {', '.join(_TAKES[op])}"))
-    return node(op, "bool" if op in ("lt", "le", "eq", "ne") else left.kind, (left, right))
-
-
-def _unary(op: str, a: Expr) -> Expr:
-    scalars(op, a)
-    if a.kind not in _TAKES[op]:
-        raise fault(f"{op} is not defined on {a.kind}", f"it takes {', '.join(_TAKES[op])}")
-    return node(op, a.kind, (a,))
+    return _operation(op, *_pair(a, b))
 
 
 def traced(*values: Any) -> bool:
@@ -355,9 +280,7 @@ def where(condition: Any, a: Any, b: Any) -> Any:
         left, right = _pair(a, b)
         scalars("where", c, left, right)
         return node("where", left.kind, (c, left, right))
-    strong = [v for v in (a, b) if isinstance(v, (Integer, np.floating, np.bool_, bool))]
-    kind = numbers.kind_of(strong[0]) if strong else "real"
-    return numbers.cast(a if condition else b, kind)
+    return numbers.cast(a if condition else b, numbers.common_kind((a, b)))
 
 
 def minimum(a: Any, b: Any) -> Any:
@@ -377,7 +300,7 @@ def _less(a: Any, b: Any) -> Any:
 def sqrt(x: Any) -> Any:
     """The IEEE square root of a real; NaN below zero."""
     if traced(x):
-        return _unary("sqrt", as_expr(x, "real"))
+        return _operation("sqrt", as_expr(x, "real"))
     return np.sqrt(numbers.cast(x, "real"))
 
 

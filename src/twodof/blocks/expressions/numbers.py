@@ -7,8 +7,8 @@ A `Vector` is a fixed-length array whose dynamic index is clamped.
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import operator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Any, ClassVar
@@ -18,6 +18,7 @@ import numpy as np
 from twodof.errors import DiagramError, shown
 
 PRECISIONS: dict[str, type[np.floating[Any]]] = {"float64": np.float64, "float32": np.float32}
+_Method = Callable[[Any, Any], Any]
 _REAL: ContextVar[type[np.floating[Any]]] = ContextVar("real", default=np.float64)
 
 
@@ -52,6 +53,40 @@ def scalars() -> frozenset[type]:
     return _TYPES[_REAL.get()]
 
 
+def _quotient(a: int, b: int) -> int:
+    if b == 0:
+        return 0
+    q = abs(a) // abs(b)
+    return q if (a < 0) == (b < 0) else -q
+
+
+def _remainder(a: int, b: int) -> int:
+    # MIN % -1 is MIN - (MIN / -1) * -1 with a wrapped quotient, and that is 0, as for any other a % -1.
+    return 0 if b == 0 else a - b * _quotient(a, b)
+
+
+def _operator(compute: Callable[[int, int], int]) -> tuple[_Method, _Method]:
+    """The methods for `self op other` and `other op self`; the result wraps around."""
+
+    def left(self: Integer, other: object) -> Any:
+        value = self._other(other)
+        return NotImplemented if value is None else type(self)(compute(self.value, value))
+
+    def right(self: Integer, other: object) -> Any:
+        value = self._other(other)
+        return NotImplemented if value is None else type(self)(compute(value, self.value))
+
+    return left, right
+
+
+def _comparison(compare: Callable[[int, int], bool]) -> _Method:
+    def method(self: Integer, other: object) -> Any:
+        value = self._other(other)
+        return NotImplemented if value is None else np.bool_(compare(self.value, value))
+
+    return method
+
+
 class Integer:
     """A 32-bit integer; the base of Int32 and UInt32."""
 
@@ -63,69 +98,36 @@ class Integer:
     def __init__(self, value: int) -> None:
         self.value = (int(value) - self.low) % 2**32 + self.low
 
-    def _other(self, other: object) -> int:
+    def _other(self, other: object) -> int | None:
+        """The other operand; None for one of the expression graph, which has a method of its own."""
         if isinstance(other, type(self)):
             return other.value
         if type(other) is int:
             return type(self)(other).value
+        if hasattr(other, "op"):
+            return None
         raise DiagramError(
             f"{self.kind} meets {type(other).__name__} in one operation",
             "",
             "convert with to_real, to_int32 or to_uint32",
         )
 
-    def __add__(self, other: object) -> Any:
-        return type(self)(self.value + self._other(other))
-
-    def __radd__(self, other: object) -> Any:
-        return type(self)(self._other(other) + self.value)
-
-    def __sub__(self, other: object) -> Any:
-        return type(self)(self.value - self._other(other))
-
-    def __rsub__(self, other: object) -> Any:
-        return type(self)(self._other(other) - self.value)
-
-    def __mul__(self, other: object) -> Any:
-        return type(self)(self.value * self._other(other))
-
-    def __rmul__(self, other: object) -> Any:
-        return type(self)(self._other(other) * self.value)
-
-    def __floordiv__(self, other: object) -> Any:
-        return type(self)(_quotient(self.value, self._other(other)))
-
-    def __rfloordiv__(self, other: object) -> Any:
-        return type(self)(_quotient(self._other(other), self.value))
-
-    def __mod__(self, other: object) -> Any:
-        return type(self)(_remainder(self.value, self._other(other)))
-
-    def __rmod__(self, other: object) -> Any:
-        return type(self)(_remainder(self._other(other), self.value))
-
-    def __lshift__(self, other: object) -> Any:
-        return type(self)(self.value << (self._other(other) & 31))
-
-    def __rlshift__(self, other: object) -> Any:
-        return type(self)(self._other(other)) << self
-
-    def __rshift__(self, other: object) -> Any:
-        return type(self)(self.value >> (self._other(other) & 31))
-
-    def __rrshift__(self, other: object) -> Any:
-        return type(self)(self._other(other)) >> self
-
-    def __and__(self, other: object) -> Any:
-        return type(self)(self.value & self._other(other))
-
-    def __or__(self, other: object) -> Any:
-        return type(self)(self.value | self._other(other))
-
-    def __xor__(self, other: object) -> Any:
-        return type(self)(self.value ^ self._other(other))
-
-    __rand__, __ror__, __rxor__ = __and__, __or__, __xor__
+    __add__, __radd__ = _operator(operator.add)
+    __sub__, __rsub__ = _operator(operator.sub)
+    __mul__, __rmul__ = _operator(operator.mul)
+    __floordiv__, __rfloordiv__ = _operator(_quotient)
+    __mod__, __rmod__ = _operator(_remainder)
+    __lshift__, __rlshift__ = _operator(lambda a, b: a << (b & 31))
+    __rshift__, __rrshift__ = _operator(lambda a, b: a >> (b & 31))
+    __and__, __rand__ = _operator(operator.and_)
+    __or__, __ror__ = _operator(operator.or_)
+    __xor__, __rxor__ = _operator(operator.xor)
+    __lt__ = _comparison(operator.lt)
+    __le__ = _comparison(operator.le)
+    __gt__ = _comparison(operator.gt)
+    __ge__ = _comparison(operator.ge)
+    __eq__ = _comparison(operator.eq)
+    __ne__ = _comparison(operator.ne)
 
     def __invert__(self) -> Any:
         return type(self)(~self.value)
@@ -136,47 +138,11 @@ class Integer:
     def __abs__(self) -> Any:
         return type(self)(abs(self.value))
 
-    def __lt__(self, other: object) -> Any:
-        return np.bool_(self.value < self._other(other))
-
-    def __le__(self, other: object) -> Any:
-        return np.bool_(self.value <= self._other(other))
-
-    def __gt__(self, other: object) -> Any:
-        return np.bool_(self.value > self._other(other))
-
-    def __ge__(self, other: object) -> Any:
-        return np.bool_(self.value >= self._other(other))
-
-    def __eq__(self, other: object) -> Any:
-        return np.bool_(self.value == self._other(other))
-
-    def __ne__(self, other: object) -> Any:
-        return np.bool_(self.value != self._other(other))
-
     def __hash__(self) -> int:
         return hash((self.kind, self.value))
 
     def __repr__(self) -> str:
         return f"{self.kind}({self.value})"
-
-
-def _deferring(operation: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
-    """`operation`, leaving an operand of the expression graph (which this module cannot know) to its own method."""
-
-    @functools.wraps(operation)
-    def deferred(self: Any, other: Any) -> Any:
-        # First what it nearly always is: an attribute that is not there is found out slowly.
-        return operation(self, other) if type(other) is type(self) or not hasattr(other, "op") else NotImplemented
-
-    return deferred
-
-
-for _name in ("add", "sub", "mul", "floordiv", "mod", "lshift", "rshift", "and", "or", "xor"):
-    for _dunder in (f"__{_name}__", f"__r{_name}__"):
-        setattr(Integer, _dunder, _deferring(getattr(Integer, _dunder)))
-for _name in ("lt", "le", "gt", "ge", "eq", "ne"):
-    setattr(Integer, f"__{_name}__", _deferring(getattr(Integer, f"__{_name}__")))
 
 
 class Int32(Integer):
@@ -199,18 +165,6 @@ _SCALARS: dict[type, dict[str | None, type]] = {
     real: {"real": real, "bool": np.bool_, "int32": Int32, "uint32": UInt32} for real in PRECISIONS.values()
 }
 _TYPES = {real: frozenset(kinds.values()) for real, kinds in _SCALARS.items()}
-
-
-def _quotient(a: int, b: int) -> int:
-    if b == 0:
-        return 0
-    q = abs(a) // abs(b)
-    return q if (a < 0) == (b < 0) else -q
-
-
-def _remainder(a: int, b: int) -> int:
-    # MIN % -1 is MIN - (MIN / -1) * -1 with a wrapped quotient, and that is 0, as for any other a % -1.
-    return 0 if b == 0 else a - b * _quotient(a, b)
 
 
 class Vector(tuple[Any, ...]):
@@ -271,11 +225,6 @@ def plain(value: Any) -> Any:
     return value.value if isinstance(value, Integer) else value.item()
 
 
-def cast_array(values: Sequence[Any], kind: str) -> Vector:
-    """`values` as a Vector of numbers of `kind`; raises like `cast`."""
-    return Vector(cast(v, kind) for v in values)
-
-
 def kind_of(value: Any) -> str:
     """The language's type of a number; a Python float or int literal is taken for a real.
 
@@ -288,6 +237,15 @@ def kind_of(value: Any) -> str:
     if isinstance(value, (int, float, np.floating)):
         return "real"
     raise DiagramError(f"{type(value).__name__} is not a number of the language", "", "use real, int32, uint32 or bool")
+
+
+def common_kind(values: Iterable[Any]) -> str:
+    """The kind of the first of `values` that is more than a literal of Python, which may be a real or an integer.
+
+    It is "real" if all are such literals.
+    """
+    typed = (v for v in values if isinstance(v, (Integer, np.floating, np.bool_, bool)))
+    return next(map(kind_of, typed), "real")
 
 
 def same_bits(a: Any, b: Any) -> bool:
