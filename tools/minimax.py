@@ -214,16 +214,16 @@ def constants(bits: int) -> dict[str, tuple[str, list[Any]]]:
     }
 
 
-def row(name: str, values: list[Any], text: str) -> str:
+def row(name: str, values: list[Any]) -> str:
     digits = " ".join(float(v).hex() for v in values)
     single = f'    {name}=_row("{digits}"),'
     if len(single) <= WIDTH:
-        return f"    # {text}\n{single}\n"
+        return f"{single}\n"
     lines = textwrap.wrap(digits, WIDTH - 11)
     if len(digits) <= WIDTH - 10:
         lines = [digits]
     body = "".join(f'        "{line} "\n' for line in lines[:-1]) + f'        "{lines[-1]}"'
-    return f"    # {text}\n    {name}=_row(\n{body}\n    ),\n"
+    return f"    {name}=_row(\n{body}\n    ),\n"
 
 
 HEAD = '''"""Coefficients of the elementary functions, lowest power first, exact in their format.
@@ -238,16 +238,17 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Coefficients:
-    """Polynomials and split constants of one precision; what each is for stands at its values."""
+    """Polynomials and split constants of one precision, each with what it is for."""
 
 '''
 
 
 def main() -> None:
     """Print the module."""
-    fields = [f.name for f in FITS] + list(constants(53))
+    texts = {fit.name: fit.text for fit in FITS}
+    texts |= {key: text if key == "inverse" else f"{text}, as a sum" for key, (text, _) in constants(53).items()}
     out = [HEAD]
-    out += [f"    {name}: tuple[float, ...]\n" for name in fields]
+    out += [f"    {name}: tuple[float, ...]  # {text}\n" for name, text in texts.items()]
     out.append(
         "\n\ndef _row(text: str) -> tuple[float, ...]:\n"
         "    return tuple(float.fromhex(word) for word in text.split())\n"
@@ -256,9 +257,9 @@ def main() -> None:
         out.append(f"\n\n{name} = Coefficients(\n")
         for fit in FITS:
             count = fit.float64 if bits == 53 else fit.float32
-            out.append(row(fit.name, coefficients(fit, count, bits), fit.text))
-        for key, (text, values) in constants(bits).items():
-            out.append(row(key, values, text if key == "inverse" else f"{text}, as a sum"))
+            out.append(row(fit.name, coefficients(fit, count, bits)))
+        for key, (_, values) in constants(bits).items():
+            out.append(row(key, values))
         out.append(")\n")
     sys.stdout.write("".join(out))
 

@@ -13,35 +13,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from inspect import isfunction
 from typing import Any
 
-from twodof.blocks.elementary import definitions as definitions
+from twodof.blocks.elementary import definitions
 from twodof.blocks.elementary.definitions import DOUBLE, SINGLE
 from twodof.blocks.expressions import expr, numbers
 from twodof.blocks.expressions.expr import Expr
 
-ARGUMENTS: dict[str, int] = {
-    "sin": 1,
-    "cos": 1,
-    "sin_octant": 1,
-    "cos_octant": 1,
-    "tan": 1,
-    "atan": 1,
-    "atan2": 2,
-    "asin": 1,
-    "acos": 1,
-    "exp": 1,
-    "log": 1,
-    "pow": 2,
-    "floor": 1,
-    "ceil": 1,
-    "trunc": 1,
-    "tanh": 1,
-    "hypot": 2,
-}
-DEFINITIONS: dict[str, dict[str, Callable[..., Any]]] = {
-    name: {f.name: partial(getattr(definitions, name), f) for f in (DOUBLE, SINGLE)} for name in ARGUMENTS
-}
 _NAME = {real: name for name, real in numbers.PRECISIONS.items()}
 
 
@@ -141,4 +120,10 @@ def hypot(x: Any, y: Any) -> Any:
     return _apply("hypot", x, y)
 
 
-FUNCTIONS: dict[str, Callable[..., Any]] = {name: function for name, function in vars().items() if name in ARGUMENTS}
+FUNCTIONS: dict[str, Callable[..., Any]] = {
+    name: function for name, function in dict(vars()).items() if isfunction(function) and name in vars(definitions)
+}
+ARGUMENTS: dict[str, int] = {name: function.__code__.co_argcount for name, function in FUNCTIONS.items()}
+DEFINITIONS: dict[str, dict[str, Callable[..., Any]]] = {
+    name: {f.name: partial(getattr(definitions, name), f) for f in (DOUBLE, SINGLE)} for name in FUNCTIONS
+}
