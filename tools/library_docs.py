@@ -63,9 +63,7 @@ def _block(cls: type[Block]) -> Iterator[str]:
 
 
 def _signature(call: Callable[..., object]) -> str:
-    """The arguments with their defaults, without annotations; a class without a constructor takes none."""
-    if isinstance(call, type) and "__init__" not in vars(call):
-        return "()"
+    """The arguments with their defaults, without annotations."""
     arguments = [p.replace(annotation=p.empty) for p in inspect.signature(call).parameters.values()]
     return f"({', '.join(map(str, arguments))})"
 

@@ -2,22 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from typing import Any
 
+from twodof.blocks.block import Block, Clock
+from twodof.blocks.declarations import Port
 from twodof.blocks.expressions.arrays import build, fold
-from twodof.blocks.expressions.expr import int32, maximum, minimum, where
+from twodof.blocks.expressions.expr import Expr, int32, maximum, minimum, where
+from twodof.blocks.expressions.numbers import Vector
 from twodof.errors import DiagramError
 
 NUMERIC = ("real", "int32", "uint32")
 LETTERS = "abcdefghijklmnopqrstuvwxyz"
 
 
-def elementwise(width: int | None, f: Callable[..., Any], *arrays: Any) -> Any:
-    """`f` of the scalars if `width` is None, else the array of `f` of the i-th elements."""
-    if width is None:
-        return f(*arrays)
-    return build(width, lambda i: f(*(a[i] for a in arrays)))
+def elementwise(f: Callable[..., Any], *values: Any) -> Any:
+    """`f` of the values, or, of arrays, the array of `f` of the i-th elements."""
+    first = values[0]
+    width = first.width if isinstance(first, Expr) else len(first) if isinstance(first, Vector) else None
+    return f(*values) if width is None else build(width, lambda i: f(*(v[i] for v in values)))
+
+
+class Pointwise(Block):
+    """y = of(p, inputs): a function of numbers, element by element where the ports are arrays."""
+
+    of: Callable[..., Any]
+
+    def ports(self, names: Iterable[str], kind: str = "real", width: int | None = None, unit: str = "") -> None:
+        """Declare the inputs and the output y, all of one type and unit."""
+        self.inputs = [Port(name, kind, width, unit) for name in names]
+        self.outputs = [Port("y", kind, width, unit)]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return elementwise(partial(self.of, p), *(u[port.name] for port in self.inputs))
 
 
 def dot(length: int, a: Callable[[Any], Any], b: Callable[[Any], Any]) -> Any:

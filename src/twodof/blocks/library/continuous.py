@@ -9,12 +9,7 @@ from twodof.blocks.block import Block, Clock, library_block
 from twodof.blocks.declarations import Param, Port, State
 from twodof.blocks.elementwise import clamp, dot, elementwise, limits_of, reals
 from twodof.blocks.expressions.arrays import vector
-from twodof.blocks.library.discrete import (
-    MAX_ORDER,
-    declare_state_space,
-    state_space_change,
-    state_space_output,
-)
+from twodof.blocks.library.discrete import MAX_ORDER, LinearStateSpace
 from twodof.errors import DiagramError
 
 __all__ = ["FirstOrder", "Integrator", "SecondOrder", "StateSpace", "TransferFunction"]
@@ -35,7 +30,7 @@ class Integrator(Block):
         unit: str = "",
     ) -> None:
         pair = limits_of(limits, "Integrator")
-        self.limited, self.width = pair is not None, width
+        self.limited = pair is not None
         self.inputs = [Port("u", width=width)]
         self.outputs = [Port("y", width=width, unit=unit)]
         self.params = [Param("initial", initial, width=width, unit=unit)]
@@ -46,7 +41,7 @@ class Integrator(Block):
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         if not self.limited:
             return x.x
-        return elementwise(self.width, lambda s: clamp(p.low, p.high, s), x.x)
+        return elementwise(lambda s: clamp(p.low, p.high, s), x.x)
 
     def derivative(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         return u.u
@@ -175,7 +170,7 @@ class TransferFunction(Block):
 
 
 @library_block("state_space")
-class StateSpace(Block):
+class StateSpace(LinearStateSpace):
     """x' = A x + B u, y = C x + D u, from `initial`.
 
     A, B, C and D are lists of rows (D None: no feed-through). One input or output is a scalar port, more are an array.
@@ -191,10 +186,7 @@ class StateSpace(Block):
         initial: Any = 0.0,
         unit: str = "",
     ) -> None:
-        self.size = declare_state_space(self, A, B, C, D, initial, unit, continuous=True)
-
-    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return state_space_output(self.size, u, x, p)
+        self.declare(A, B, C, D, initial, unit, continuous=True)
 
     def derivative(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return state_space_change(self.size, u, x, p)
+        return self.change(u, x, p)

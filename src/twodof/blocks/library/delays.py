@@ -174,22 +174,10 @@ class ZeroOrderHold(Block):
 
 
 @library_block("rate_transition")
-class RateTransition(Block):
+class RateTransition(UnitDelay):
     """Sample and hold, and a delay by one sample of the block's own rate: y[k] = u[k-1], y[0] = initial.
 
     May read a signal of another rate; breaks algebraic loops over two rates.
     """
 
     crossing = True
-
-    def __init__(self, initial: Any = 0, kind: str = "real", width: int | None = None, unit: str = "") -> None:
-        self.inputs = [Port("u", kind, width, unit)]
-        self.outputs = [Port("y", kind, width, unit)]
-        self.params = [Param("initial", initial, kind, width, unit)]
-        self.states = [State("x", "initial", kind, width, unit)]
-
-    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return x.x
-
-    def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return u.u

@@ -49,7 +49,7 @@ class DiscreteIntegrator(Block):
     ) -> None:
         self.method = one_of(method, METHODS, "DiscreteIntegrator", "method")
         pair = limits_of(limits, "DiscreteIntegrator")
-        self.limited, self.resets, self.width = pair is not None, reset, width
+        self.limited, self.resets = pair is not None, reset
         self.inputs = [Port("u", width=width), *([Port("clear", "bool")] if reset else [])]
         self.outputs = [Port("y", width=width, unit=unit)]
         self.params = [Param("gain", gain), Param("initial", initial, width=width, unit=unit)]
@@ -70,9 +70,8 @@ class DiscreteIntegrator(Block):
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         if self.method == "forward":
-            return elementwise(self.width, lambda s, s0: self._bound(self._start(s, s0, u), p), x.x, p.initial)
+            return elementwise(lambda s, s0: self._bound(self._start(s, s0, u), p), x.x, p.initial)
         return elementwise(
-            self.width,
             lambda v, s, s0: self._bound(self._start(s, s0, u) + p.step * v, p),
             u.u,
             x.x,
@@ -83,7 +82,7 @@ class DiscreteIntegrator(Block):
         y = self.output(u, x, p, t)
         if self.method == "backward":
             return y
-        return elementwise(self.width, lambda v, s: self._bound(s + p.step * v, p), u.u, y)
+        return elementwise(lambda v, s: self._bound(s + p.step * v, p), u.u, y)
 
 
 @library_block("discrete_derivative")
@@ -91,7 +90,6 @@ class DiscreteDerivative(Block):
     """Backward difference: y[k] = gain (u[k] - u[k-1]) / T, T the block's period, u[-1] = initial."""
 
     def __init__(self, gain: float = 1.0, initial: Any = 0.0, width: int | None = None, unit: str = "") -> None:
-        self.width = width
         self.inputs = [Port("u", width=width)]
         self.outputs = [Port("y", width=width, unit=unit)]
         self.params = [Param("gain", gain), Param("initial", initial, width=width)]
@@ -102,7 +100,7 @@ class DiscreteDerivative(Block):
         return p.gain / t.dt
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return elementwise(self.width, lambda v, s: p.slope * (v - s), u.u, x.x)
+        return elementwise(lambda v, s: p.slope * (v - s), u.u, x.x)
 
     def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         return u.u
@@ -207,8 +205,51 @@ class DiscreteTransferFunction(_Rational):
         self._declare(top, bottom, lead, initial, unit)
 
 
+class LinearStateSpace(Block):
+    """y = C x + D u, and the state's change A x + B u, in discrete or continuous time."""
+
+    def declare(self, A: Any, B: Any, C: Any, D: Any, initial: Any, unit: str, continuous: bool) -> None:
+        """Declare ports, parameters and the state. Raises DiagramError for matrices that do not fit together."""
+        name = type(self).__name__
+        a = matrix(A, None, None, name, "A")
+        self.size = n = len(a)
+        parts = {
+            "A": matrix(A, n, n, name, "A"),
+            "B": matrix(B, n, None, name, "B"),
+            "C": matrix(C, None, n, name, "C"),
+        }
+        self.input_count, self.output_count, self.direct = len(parts["B"][0]), len(parts["C"]), D is not None
+        if self.direct:
+            parts["D"] = matrix(D, self.output_count, self.input_count, name, "D")
+        self.inputs = [Port("u", width=None if self.input_count == 1 else self.input_count)]
+        self.outputs = [Port("y", width=None if self.output_count == 1 else self.output_count, unit=unit)]
+        self.params = [
+            *(Param(k, [v for row in rows for v in row], width=len(rows) * len(rows[0])) for k, rows in parts.items()),
+            Param("initial", initial, width=n),
+        ]
+        self.states = [State("x", "initial", width=n, continuous=continuous)]
+
+    def _row(self, i: Any, gain_x: Any, gain_u: Any, u: Any, x: Any) -> Any:
+        total = dot(self.size, lambda j: gain_x[i * self.size + j], lambda j: x.x[j])
+        if gain_u is None:
+            return total
+        if self.input_count == 1:
+            return total + gain_u[i] * u.u
+        return total + dot(self.input_count, lambda j: gain_u[i * self.input_count + j], lambda j: u.u[j])
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        gain = p.D if self.direct else None
+        if self.output_count == 1:
+            return self._row(0, p.C, gain, u, x)
+        return build(self.output_count, lambda i: self._row(i, p.C, gain, u, x))
+
+    def change(self, u: Any, x: Any, p: Any) -> Any:
+        """A x + B u."""
+        return build(self.size, lambda i: self._row(i, p.A, p.B, u, x))
+
+
 @library_block("discrete_state_space")
-class DiscreteStateSpace(Block):
+class DiscreteStateSpace(LinearStateSpace):
     """x' = A x + B u, y = C x + D u at the block's rate; x[0] = initial.
 
     A, B, C and D are lists of rows (D None: no feed-through). One input or output is a scalar port, more are an array.
@@ -224,66 +265,10 @@ class DiscreteStateSpace(Block):
         initial: Any = 0.0,
         unit: str = "",
     ) -> None:
-        self.size = declare_state_space(self, A, B, C, D, initial, unit, continuous=False)
-
-    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return state_space_output(self.size, u, x, p)
+        self.declare(A, B, C, D, initial, unit, continuous=False)
 
     def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return state_space_change(self.size, u, x, p)
-
-
-class Size:
-    """Numbers of states, inputs and outputs of a state-space block, and whether it has a D."""
-
-    def __init__(self, states: int, inputs: int, outputs: int, direct: bool) -> None:
-        self.states, self.inputs, self.outputs, self.direct = states, inputs, outputs, direct
-
-
-def declare_state_space(
-    block: Block, A: Any, B: Any, C: Any, D: Any, initial: Any, unit: str, continuous: bool
-) -> Size:
-    """Declare ports, parameters and the state of a (discrete or continuous) state-space block."""
-    name = type(block).__name__
-    a = matrix(A, None, None, name, "A")
-    n = len(a)
-    a = matrix(A, n, n, name, "A")
-    b = matrix(B, n, None, name, "B")
-    c = matrix(C, None, n, name, "C")
-    size = Size(n, len(b[0]), len(c), D is not None)
-    parts = {"A": a, "B": b, "C": c}
-    if D is not None:
-        parts["D"] = matrix(D, size.outputs, size.inputs, name, "D")
-    block.inputs = [Port("u", width=None if size.inputs == 1 else size.inputs)]
-    block.outputs = [Port("y", width=None if size.outputs == 1 else size.outputs, unit=unit)]
-    block.params = [
-        *(Param(k, [v for row in rows for v in row], width=len(rows) * len(rows[0])) for k, rows in parts.items()),
-        Param("initial", initial, width=n),
-    ]
-    block.states = [State("x", "initial", width=n, continuous=continuous)]
-    return size
-
-
-def _row(size: Size, i: Any, gain_x: Any, gain_u: Any, u: Any, x: Any) -> Any:
-    total = dot(size.states, lambda j: gain_x[i * size.states + j], lambda j: x.x[j])
-    if gain_u is None:
-        return total
-    if size.inputs == 1:
-        return total + gain_u[i] * u.u
-    return total + dot(size.inputs, lambda j: gain_u[i * size.inputs + j], lambda j: u.u[j])
-
-
-def state_space_output(size: Size, u: Any, x: Any, p: Any) -> Any:
-    """C x + D u."""
-    gain = p.D if size.direct else None
-    if size.outputs == 1:
-        return _row(size, 0, p.C, gain, u, x)
-    return build(size.outputs, lambda i: _row(size, i, p.C, gain, u, x))
-
-
-def state_space_change(size: Size, u: Any, x: Any, p: Any) -> Any:
-    """A x + B u."""
-    return build(size.states, lambda i: _row(size, i, p.A, p.B, u, x))
+        return self.change(u, x, p)
 
 
 @library_block("moving_average")

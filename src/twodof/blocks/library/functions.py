@@ -3,62 +3,48 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from types import MappingProxyType
 from typing import Any
 
-from twodof.blocks.block import Block, Clock, library_block
+from twodof.blocks.block import library_block
 from twodof.blocks.declarations import Port
-from twodof.blocks.elementary import functions
-from twodof.blocks.elementwise import elementwise, one_of
-from twodof.blocks.expressions.expr import KINDS, sqrt, to_int32, to_real, to_uint32, where
+from twodof.blocks.elementary.functions import FUNCTIONS, atan2, ceil, exp, floor, hypot, log, pow, trunc
+from twodof.blocks.elementwise import NUMERIC, Pointwise, one_of
+from twodof.blocks.expressions.expr import KINDS, convert, sqrt, where
 
 __all__ = ["Atan2", "Convert", "Elementary", "Hypot", "Power", "Remainder", "Rounding", "Trigonometry"]
 
 Function = Callable[[Any], Any]
 
-TRIGONOMETRIC: Mapping[str, Function] = MappingProxyType(
-    {
-        "sin": functions.sin,
-        "cos": functions.cos,
-        "tan": functions.tan,
-        "asin": functions.asin,
-        "acos": functions.acos,
-        "atan": functions.atan,
-        "tanh": functions.tanh,
-    }
-)
-ELEMENTARY: Mapping[str, Function] = MappingProxyType(
-    {
-        "exp": functions.exp,
-        "log": functions.log,
-        "sqrt": sqrt,
-        "square": lambda v: v * v,
-        "reciprocal": lambda v: 1.0 / v,
-    }
-)
-ROUNDING: Mapping[str, Function] = MappingProxyType(
-    {
-        "floor": functions.floor,
-        "ceil": functions.ceil,
-        "trunc": functions.trunc,
-        "nearest": lambda v: where(v < 0.0, -functions.floor(0.5 - v), functions.floor(v + 0.5)),
-    }
-)
+TRIGONOMETRIC: Mapping[str, Function] = {
+    name: FUNCTIONS[name] for name in ("sin", "cos", "tan", "asin", "acos", "atan", "tanh")
+}
+ELEMENTARY: Mapping[str, Function] = {
+    "exp": exp,
+    "log": log,
+    "sqrt": sqrt,
+    "square": lambda v: v * v,
+    "reciprocal": lambda v: 1.0 / v,
+}
+ROUNDING: Mapping[str, Function] = {
+    "floor": floor,
+    "ceil": ceil,
+    "trunc": trunc,
+    "nearest": lambda v: where(v < 0.0, -floor(0.5 - v), floor(v + 0.5)),
+}
 
 
-class _Function(Block):
+class _Function(Pointwise):
     """y = f(u), f chosen by name."""
 
     functions: Mapping[str, Function]
 
     def _declare(self, function: str, width: int | None, input_unit: str, unit: str) -> None:
         self.function = one_of(function, list(self.functions), type(self).__name__, "function")
-        self.width = width
         self.inputs = [Port("u", width=width, unit=input_unit)]
         self.outputs = [Port("y", width=width, unit=unit)]
 
-    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return elementwise(self.width, self.functions[self.function], u.u)
+    def of(self, p: Any, u: Any) -> Any:
+        return self.functions[self.function](u)
 
 
 @library_block("trigonometry")
@@ -92,63 +78,54 @@ class Rounding(_Function):
 
 
 @library_block("atan2")
-class Atan2(Block):
+class Atan2(Pointwise):
     """y = atan2(a, b) [rad]: the angle of the point (b, a), within -pi .. pi; C99's signs of zero and infinities."""
 
     def __init__(self, width: int | None = None, input_unit: str = "") -> None:
-        self.width = width
         self.inputs = [Port("a", width=width, unit=input_unit), Port("b", width=width, unit=input_unit)]
         self.outputs = [Port("y", width=width, unit="rad")]
 
-    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return elementwise(self.width, functions.atan2, u.a, u.b)
+    def of(self, p: Any, a: Any, b: Any) -> Any:
+        return atan2(a, b)
 
 
 @library_block("hypot")
-class Hypot(Block):
+class Hypot(Pointwise):
     """y = sqrt(a^2 + b^2) without overflow or underflow on the way."""
 
     def __init__(self, width: int | None = None, unit: str = "") -> None:
-        self.width = width
-        self.inputs = [Port("a", width=width, unit=unit), Port("b", width=width, unit=unit)]
-        self.outputs = [Port("y", width=width, unit=unit)]
+        self.ports("ab", "real", width, unit)
 
-    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return elementwise(self.width, functions.hypot, u.a, u.b)
+    def of(self, p: Any, a: Any, b: Any) -> Any:
+        return hypot(a, b)
 
 
 @library_block("power")
-class Power(Block):
+class Power(Pointwise):
     """y = a^b as C99's pow."""
 
     def __init__(self, width: int | None = None, unit: str = "") -> None:
-        self.width = width
         self.inputs = [Port("a", width=width), Port("b", width=width)]
         self.outputs = [Port("y", width=width, unit=unit)]
 
-    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return elementwise(self.width, functions.pow, u.a, u.b)
+    def of(self, p: Any, a: Any, b: Any) -> Any:
+        return pow(a, b)
 
 
 @library_block("remainder")
-class Remainder(Block):
+class Remainder(Pointwise):
     """The remainder of a / b: a - b floor(a / b), with b's sign; for integers a % b, with a's sign (a % 0 = 0)."""
 
     def __init__(self, kind: str = "real", width: int | None = None, unit: str = "") -> None:
-        self.kind = one_of(kind, ("real", "int32", "uint32"), "Remainder", "kind")
-        self.width = width
-        self.inputs = [Port("a", kind, width, unit), Port("b", kind, width, unit)]
-        self.outputs = [Port("y", kind, width, unit)]
+        self.kind = one_of(kind, NUMERIC, "Remainder", "kind")
+        self.ports("ab", kind, width, unit)
 
-    def _of(self, a: Any, b: Any) -> Any:
-        return a - b * functions.floor(a / b) if self.kind == "real" else a % b
-
-    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return elementwise(self.width, self._of, u.a, u.b)
+    def of(self, p: Any, a: Any, b: Any) -> Any:
+        return a - b * floor(a / b) if self.kind == "real" else a % b
 
 
 @library_block("convert")
-class Convert(Block):
+class Convert(Pointwise):
     """y = u as another type. Real to integer: rounded by `rounding`, then saturated, NaN gives 0. To bool: u != 0.
 
     int32 to uint32 and back keep the bits; bool gives 0 or 1.
@@ -165,18 +142,14 @@ class Convert(Block):
         self.source = one_of(source, KINDS, "Convert", "source")
         self.target = one_of(target, KINDS, "Convert", "target")
         self.rounding = one_of(rounding, list(ROUNDING), "Convert", "rounding")
-        self.width = width
         self.inputs = [Port("u", source, width, unit)]
         self.outputs = [Port("y", target, width, unit)]
 
-    def _of(self, v: Any) -> Any:
+    def of(self, p: Any, u: Any) -> Any:
         if self.source == self.target:
-            return v
+            return u
         if self.target == "bool":
-            return v != 0
+            return u != 0
         if self.source == "real" and self.rounding != "trunc":
-            v = ROUNDING[self.rounding](v)
-        return {"real": to_real, "int32": to_int32, "uint32": to_uint32}[self.target](v)
-
-    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return elementwise(self.width, self._of, u.u)
+            u = ROUNDING[self.rounding](u)
+        return convert(u, self.target)

@@ -5,56 +5,50 @@ from __future__ import annotations
 import operator
 from collections.abc import Callable, Mapping
 from functools import reduce
-from types import MappingProxyType
 from typing import Any
 
 from twodof.blocks.block import Block, Clock, library_block
 from twodof.blocks.declarations import Param, Port, State
-from twodof.blocks.elementwise import NUMERIC, elementwise, letters, one_of
+from twodof.blocks.elementwise import NUMERIC, Pointwise, letters, one_of
 from twodof.blocks.expressions.expr import to_real, to_uint32, where
 
 __all__ = ["Bitwise", "Compare", "CompareToConstant", "Counter", "EdgeDetector", "FlipFlop", "Logic", "Timer"]
 
-COMPARISONS: Mapping[str, Callable[[Any, Any], Any]] = MappingProxyType(
-    {
-        "<": operator.lt,
-        "<=": operator.le,
-        ">": operator.gt,
-        ">=": operator.ge,
-        "==": operator.eq,
-        "!=": operator.ne,
-    }
-)
-LOGIC: Mapping[str, Callable[[Any, Any], Any]] = MappingProxyType(
-    {
-        "and": operator.and_,
-        "or": operator.or_,
-        "xor": operator.xor,
-        "nand": operator.and_,
-        "nor": operator.or_,
-    }
-)
-INVERTED = ("nand", "nor", "not")
+COMPARISONS: Mapping[str, Callable[[Any, Any], Any]] = {
+    "<": operator.lt,
+    "<=": operator.le,
+    ">": operator.gt,
+    ">=": operator.ge,
+    "==": operator.eq,
+    "!=": operator.ne,
+}
+BITWISE: Mapping[str, Callable[[Any, Any], Any]] = {
+    "and": operator.and_,
+    "or": operator.or_,
+    "xor": operator.xor,
+    "left": operator.lshift,
+    "right": operator.rshift,
+}
+INVERTED = {"nand": "and", "nor": "or", "not": "and"}
 EDGES = ("rising", "falling", "either")
 
 
 @library_block("compare")
-class Compare(Block):
+class Compare(Pointwise):
     """y = (a operation b), a bool; `operation` is <, <=, >, >=, == or !=. A comparison with NaN is false, != true."""
 
     def __init__(self, operation: str = "<", kind: str = "real", width: int | None = None, unit: str = "") -> None:
         self.operation = one_of(operation, list(COMPARISONS), "Compare", "operation")
         one_of(kind, NUMERIC, "Compare", "kind")
-        self.width = width
         self.inputs = [Port("a", kind, width, unit), Port("b", kind, width, unit)]
         self.outputs = [Port("y", "bool", width)]
 
-    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return elementwise(self.width, COMPARISONS[self.operation], u.a, u.b)
+    def of(self, p: Any, a: Any, b: Any) -> Any:
+        return COMPARISONS[self.operation](a, b)
 
 
 @library_block("compare_to_constant")
-class CompareToConstant(Block):
+class CompareToConstant(Pointwise):
     """y = (u operation constant), a bool; `operation` is <, <=, >, >=, == or !=."""
 
     def __init__(
@@ -67,51 +61,40 @@ class CompareToConstant(Block):
     ) -> None:
         self.operation = one_of(operation, list(COMPARISONS), "CompareToConstant", "operation")
         one_of(kind, NUMERIC, "CompareToConstant", "kind")
-        self.width = width
         self.inputs = [Port("u", kind, width, unit)]
         self.outputs = [Port("y", "bool", width)]
         self.params = [Param("constant", constant if kind == "real" else int(constant), kind, unit=unit)]
 
-    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return elementwise(self.width, lambda v: COMPARISONS[self.operation](v, p.constant), u.u)
+    def of(self, p: Any, u: Any) -> Any:
+        return COMPARISONS[self.operation](u, p.constant)
 
 
 @library_block("logic")
-class Logic(Block):
+class Logic(Pointwise):
     """y = a operation b operation c ..., bools; `operation` is and, or, xor, nand, nor, or not (of one input)."""
 
     def __init__(self, operation: str = "and", inputs: int = 2, width: int | None = None) -> None:
-        self.operation = one_of(operation, [*LOGIC, "not"], "Logic", "operation")
-        self.width = width
-        self.names = letters(1 if operation == "not" else inputs, "Logic")
-        self.inputs = [Port(name, "bool", width) for name in self.names]
-        self.outputs = [Port("y", "bool", width)]
+        self.operation = one_of(operation, ("and", "or", "xor", *INVERTED), "Logic", "operation")
+        self.ports(letters(1 if operation == "not" else inputs, "Logic"), "bool", width)
 
-    def _of(self, *values: Any) -> Any:
-        y = reduce(LOGIC.get(self.operation, operator.and_), values)
+    def of(self, p: Any, *values: Any) -> Any:
+        y = reduce(BITWISE[INVERTED.get(self.operation, self.operation)], values)
         return ~y if self.operation in INVERTED else y
-
-    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return elementwise(self.width, self._of, *(u[name] for name in self.names))
 
 
 @library_block("bitwise")
-class Bitwise(Block):
+class Bitwise(Pointwise):
     """y = a operation b on the bits of integers; `operation` is and, or, xor, left or right.
 
     left and right shift a by the lower 5 bits of b; right keeps the sign of an int32.
     """
 
     def __init__(self, operation: str = "and", kind: str = "uint32", width: int | None = None) -> None:
-        self.operation = one_of(operation, ("and", "or", "xor", "left", "right"), "Bitwise", "operation")
-        one_of(kind, ("int32", "uint32"), "Bitwise", "kind")
-        self.width = width
-        self.inputs = [Port("a", kind, width), Port("b", kind, width)]
-        self.outputs = [Port("y", kind, width)]
+        self.operation = one_of(operation, list(BITWISE), "Bitwise", "operation")
+        self.ports("ab", one_of(kind, ("int32", "uint32"), "Bitwise", "kind"), width)
 
-    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        of = {"left": operator.lshift, "right": operator.rshift}.get(self.operation) or LOGIC[self.operation]
-        return elementwise(self.width, of, u.a, u.b)
+    def of(self, p: Any, a: Any, b: Any) -> Any:
+        return BITWISE[self.operation](a, b)
 
 
 @library_block("edge_detector")

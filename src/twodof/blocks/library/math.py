@@ -8,7 +8,7 @@ from typing import Any
 
 from twodof.blocks.block import Block, Clock, library_block
 from twodof.blocks.declarations import MAX_WIDTH, Param, Port
-from twodof.blocks.elementwise import NUMERIC, count, dot, elementwise, letters, matrix, one_of, reals
+from twodof.blocks.elementwise import NUMERIC, Pointwise, count, dot, letters, matrix, one_of, reals
 from twodof.blocks.expressions.arrays import build, fold
 from twodof.blocks.expressions.expr import maximum, minimum, where
 from twodof.errors import DiagramError
@@ -31,26 +31,21 @@ __all__ = [
 
 
 @library_block("sum")
-class Sum(Block):
+class Sum(Pointwise):
     """y = +- a +- b +- c ..., from left to right; `signs` has a + or - for each of the inputs a, b, c, ..."""
 
     def __init__(self, signs: str = "++", kind: str = "real", width: int | None = None, unit: str = "") -> None:
         if not isinstance(signs, str) or not signs or set(signs) - set("+-"):
             raise DiagramError(f"signs={signs!r:.80}", "Sum", 'give a + or - for each input, such as "+-"')
         one_of(kind, NUMERIC, "Sum", "kind")
-        self.signs, self.width = signs, width
-        self.names = letters(len(signs), "Sum")
-        self.inputs = [Port(name, kind, width, unit) for name in self.names]
-        self.outputs = [Port("y", kind, width, unit)]
+        self.signs = signs
+        self.ports(letters(len(signs), "Sum"), kind, width, unit)
 
-    def _total(self, *terms: Any) -> Any:
+    def of(self, p: Any, *terms: Any) -> Any:
         total = terms[0] if self.signs[0] == "+" else -terms[0]
         for sign, term in zip(self.signs[1:], terms[1:], strict=True):
             total = total + term if sign == "+" else total - term
         return total
-
-    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return elementwise(self.width, self._total, *(u[name] for name in self.names))
 
 
 @library_block("sum_of_elements")
@@ -67,7 +62,7 @@ class SumOfElements(Block):
 
 
 @library_block("gain")
-class Gain(Block):
+class Gain(Pointwise):
     """y = k u."""
 
     def __init__(
@@ -78,13 +73,12 @@ class Gain(Block):
         input_unit: str = "",
         unit: str = "",
     ) -> None:
-        self.width = width
         self.inputs = [Port("u", width=width, unit=input_unit)]
         self.outputs = [Port("y", width=width, unit=unit)]
         self.params = [Param("k", k, unit=gain_unit)]
 
-    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return elementwise(self.width, lambda v: p.k * v, u.u)
+    def of(self, p: Any, u: Any) -> Any:
+        return p.k * u
 
 
 @library_block("matrix_gain")
@@ -108,21 +102,19 @@ class MatrixGain(Block):
 
 
 @library_block("bias")
-class Bias(Block):
+class Bias(Pointwise):
     """y = u + bias."""
 
     def __init__(self, bias: float = 0.0, width: int | None = None, unit: str = "") -> None:
-        self.width = width
-        self.inputs = [Port("u", width=width, unit=unit)]
-        self.outputs = [Port("y", width=width, unit=unit)]
+        self.ports("u", "real", width, unit)
         self.params = [Param("bias", bias, unit=unit)]
 
-    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return elementwise(self.width, lambda v: v + p.bias, u.u)
+    def of(self, p: Any, u: Any) -> Any:
+        return u + p.bias
 
 
 @library_block("product")
-class Product(Block):
+class Product(Pointwise):
     """y = a b c ..., from left to right; `operations` has a * (multiply) or / (divide) for each of the inputs.
 
     A first / starts from 1 / a.
@@ -131,33 +123,28 @@ class Product(Block):
     def __init__(self, operations: str = "**", width: int | None = None, unit: str = "") -> None:
         if not isinstance(operations, str) or not operations or set(operations) - set("*/"):
             raise DiagramError(f"operations={operations!r:.80}", "Product", 'give a * or / for each input, like "*/"')
-        self.operations, self.width = operations, width
-        self.names = letters(len(operations), "Product")
-        self.inputs = [Port(name, width=width) for name in self.names]
+        self.operations = operations
+        self.inputs = [Port(name, width=width) for name in letters(len(operations), "Product")]
         self.outputs = [Port("y", width=width, unit=unit)]
 
-    def _total(self, *terms: Any) -> Any:
+    def of(self, p: Any, *terms: Any) -> Any:
         total = terms[0] if self.operations[0] == "*" else 1.0 / terms[0]
         for operation, term in zip(self.operations[1:], terms[1:], strict=True):
             total = total * term if operation == "*" else total / term
         return total
 
-    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return elementwise(self.width, self._total, *(u[name] for name in self.names))
-
 
 @library_block("divide")
-class Divide(Block):
+class Divide(Pointwise):
     """y = a / b; for the integer kinds it truncates and a / 0 = 0."""
 
     def __init__(self, kind: str = "real", width: int | None = None, unit: str = "") -> None:
-        one_of(kind, NUMERIC, "Divide", "kind")
-        self.kind, self.width = kind, width
+        self.kind = one_of(kind, NUMERIC, "Divide", "kind")
         self.inputs = [Port("a", kind, width), Port("b", kind, width)]
         self.outputs = [Port("y", kind, width, unit)]
 
-    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return elementwise(self.width, lambda a, b: a / b if self.kind == "real" else a // b, u.a, u.b)
+    def of(self, p: Any, a: Any, b: Any) -> Any:
+        return a / b if self.kind == "real" else a // b
 
 
 @library_block("dot_product")
@@ -192,62 +179,44 @@ class Polynomial(Block):
 
 
 @library_block("abs")
-class Abs(Block):
+class Abs(Pointwise):
     """y = |u|; for int32 the smallest number stays itself."""
 
     def __init__(self, kind: str = "real", width: int | None = None, unit: str = "") -> None:
-        one_of(kind, NUMERIC, "Abs", "kind")
-        self.width = width
-        self.inputs = [Port("u", kind, width, unit)]
-        self.outputs = [Port("y", kind, width, unit)]
+        self.ports("u", one_of(kind, NUMERIC, "Abs", "kind"), width, unit)
 
-    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return elementwise(self.width, abs, u.u)
+    def of(self, p: Any, u: Any) -> Any:
+        return abs(u)
 
 
 @library_block("sign")
-class Sign(Block):
+class Sign(Pointwise):
     """y = 1 for u > 0, -1 for u < 0, else u itself (0, or NaN)."""
 
     def __init__(self, kind: str = "real", width: int | None = None) -> None:
-        one_of(kind, ("real", "int32"), "Sign", "kind")
-        self.width = width
-        self.inputs = [Port("u", kind, width)]
-        self.outputs = [Port("y", kind, width)]
+        self.ports("u", one_of(kind, ("real", "int32"), "Sign", "kind"), width)
 
-    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return elementwise(self.width, lambda v: where(v > 0, 1, where(v < 0, -1, v)), u.u)
-
-
-class _Extreme(Block):
-    """The smallest or largest of several inputs."""
-
-    def _declare(self, inputs: int, kind: str, width: int | None, unit: str) -> None:
-        name = type(self).__name__
-        one_of(kind, NUMERIC, name, "kind")
-        self.width = width
-        self.names = letters(inputs, name)
-        self.inputs = [Port(n, kind, width, unit) for n in self.names]
-        self.outputs = [Port("y", kind, width, unit)]
+    def of(self, p: Any, u: Any) -> Any:
+        return where(u > 0, 1, where(u < 0, -1, u))
 
 
 @library_block("minimum")
-class Minimum(_Extreme):
+class Minimum(Pointwise):
     """y is the smallest of its inputs: minimum(minimum(a, b), c) with minimum(a, b) = a if a < b else b."""
 
     def __init__(self, inputs: int = 2, kind: str = "real", width: int | None = None, unit: str = "") -> None:
-        self._declare(inputs, kind, width, unit)
+        self.ports(letters(inputs, "Minimum"), one_of(kind, NUMERIC, "Minimum", "kind"), width, unit)
 
-    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return elementwise(self.width, lambda *v: reduce(minimum, v), *(u[name] for name in self.names))
+    def of(self, p: Any, *inputs: Any) -> Any:
+        return reduce(minimum, inputs)
 
 
 @library_block("maximum")
-class Maximum(_Extreme):
+class Maximum(Pointwise):
     """y is the largest of its inputs: maximum(maximum(a, b), c) with maximum(a, b) = a if b < a else b."""
 
     def __init__(self, inputs: int = 2, kind: str = "real", width: int | None = None, unit: str = "") -> None:
-        self._declare(inputs, kind, width, unit)
+        self.ports(letters(inputs, "Maximum"), one_of(kind, NUMERIC, "Maximum", "kind"), width, unit)
 
-    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return elementwise(self.width, lambda *v: reduce(maximum, v), *(u[name] for name in self.names))
+    def of(self, p: Any, *inputs: Any) -> Any:
+        return reduce(maximum, inputs)

@@ -7,14 +7,14 @@ from typing import Any
 from twodof.blocks.block import Block, Clock, library_block
 from twodof.blocks.declarations import Param, Port, State
 from twodof.blocks.elementary.functions import floor
-from twodof.blocks.elementwise import NUMERIC, clamp, elementwise, one_of
+from twodof.blocks.elementwise import NUMERIC, Pointwise, clamp, elementwise, one_of
 from twodof.blocks.expressions.expr import maximum, minimum, where
 
 __all__ = ["Backlash", "DeadZone", "DynamicSaturation", "Quantiser", "RateLimit", "Relay", "Saturation"]
 
 
 @library_block("saturation")
-class Saturation(Block):
+class Saturation(Pointwise):
     """y = u within [low, high]; NaN stays NaN."""
 
     def __init__(
@@ -25,14 +25,11 @@ class Saturation(Block):
         width: int | None = None,
         unit: str = "",
     ) -> None:
-        one_of(kind, NUMERIC, "Saturation", "kind")
-        self.width = width
-        self.inputs = [Port("u", kind, width, unit)]
-        self.outputs = [Port("y", kind, width, unit)]
+        self.ports("u", one_of(kind, NUMERIC, "Saturation", "kind"), width, unit)
         self.params = [Param("low", low, kind, unit=unit), Param("high", high, kind, unit=unit)]
 
-    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return elementwise(self.width, lambda v: clamp(p.low, p.high, v), u.u)
+    def of(self, p: Any, u: Any) -> Any:
+        return clamp(p.low, p.high, u)
 
 
 @library_block("dynamic_saturation")
@@ -40,43 +37,35 @@ class DynamicSaturation(Block):
     """y = u within [low, high], which are inputs; NaN stays NaN."""
 
     def __init__(self, width: int | None = None, unit: str = "") -> None:
-        self.width = width
         self.inputs = [Port("u", width=width, unit=unit), Port("low", unit=unit), Port("high", unit=unit)]
         self.outputs = [Port("y", width=width, unit=unit)]
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return elementwise(self.width, lambda v: clamp(u.low, u.high, v), u.u)
+        return elementwise(lambda v: clamp(u.low, u.high, v), u.u)
 
 
 @library_block("dead_zone")
-class DeadZone(Block):
+class DeadZone(Pointwise):
     """y = 0 for low <= u <= high, u - high above, u - low below."""
 
     def __init__(self, low: float = -0.5, high: float = 0.5, width: int | None = None, unit: str = "") -> None:
-        self.width = width
-        self.inputs = [Port("u", width=width, unit=unit)]
-        self.outputs = [Port("y", width=width, unit=unit)]
+        self.ports("u", "real", width, unit)
         self.params = [Param("low", low, unit=unit), Param("high", high, unit=unit)]
 
-    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        def of(v: Any) -> Any:
-            return where(p.high < v, v - p.high, where(v < p.low, v - p.low, where(v == v, 0.0, v)))
-
-        return elementwise(self.width, of, u.u)
+    def of(self, p: Any, u: Any) -> Any:
+        return where(p.high < u, u - p.high, where(u < p.low, u - p.low, where(u == u, 0.0, u)))
 
 
 @library_block("quantiser")
-class Quantiser(Block):
+class Quantiser(Pointwise):
     """y = step floor(u / step + 1/2): the nearest multiple of step, halves upwards; y = u for step 0."""
 
     def __init__(self, step: float = 0.1, width: int | None = None, unit: str = "") -> None:
-        self.width = width
-        self.inputs = [Port("u", width=width, unit=unit)]
-        self.outputs = [Port("y", width=width, unit=unit)]
+        self.ports("u", "real", width, unit)
         self.params = [Param("step", step, unit=unit, low=0.0)]
 
-    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return elementwise(self.width, lambda v: where(p.step == 0.0, v, p.step * floor(v / p.step + 0.5)), u.u)
+    def of(self, p: Any, u: Any) -> Any:
+        return where(p.step == 0.0, u, p.step * floor(u / p.step + 0.5))
 
 
 @library_block("rate_limit")
@@ -94,7 +83,6 @@ class RateLimit(Block):
         width: int | None = None,
         unit: str = "",
     ) -> None:
-        self.width = width
         self.inputs = [Port("u", width=width, unit=unit)]
         self.outputs = [Port("y", width=width, unit=unit)]
         self.params = [
@@ -109,7 +97,7 @@ class RateLimit(Block):
         return {"up": p.rising * t.dt, "down": p.falling * t.dt}
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return elementwise(self.width, lambda v, before: clamp(before - p.down, before + p.up, v), u.u, x.x)
+        return elementwise(lambda v, before: clamp(before - p.down, before + p.up, v), u.u, x.x)
 
     def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         return self.output(u, x, p, t)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from twodof.blocks.block import Block, Clock, library_block
@@ -13,20 +14,39 @@ from twodof.blocks.noise import normal, normal4, uniform, uniform4
 __all__ = ["Noise", "UniformNoise"]
 
 
-def _random_params(seed: int, stream: int, block: str) -> list[Param]:
-    return [
-        Param("seed", count(seed, 0, 2**32 - 1, block, "seed"), "uint32"),
-        Param("stream", count(stream, 0, 2**32 - 1, block, "stream"), "uint32", text="one of its own for each source"),
-    ]
+class _Random(Block):
+    """One number a tick, or up to 4 of one evaluation, made from random ones by `of`."""
+
+    one: Callable[..., Any]
+    four: Callable[..., Any]
+    of: Callable[..., Any]
+
+    def declare(self, params: list[Param], seed: int, stream: int, width: int | None, unit: str) -> None:
+        """Declare the output, and the parameters of the generator beside `params`."""
+        name, most = type(self).__name__, 2**32 - 1
+        self.width = width if width is None else count(width, 1, 4, name, "width")
+        self.outputs = [Port("y", width=width, unit=unit)]
+        self.params = [
+            *params,
+            Param("seed", count(seed, 0, most, name, "seed"), "uint32"),
+            Param("stream", count(stream, 0, most, name, "stream"), "uint32", text="one of its own for each source"),
+        ]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        if self.width is None:
+            return self.of(p, self.one(p.seed, p.stream, t.tick))
+        return vector([self.of(p, z) for z in self.four(p.seed, p.stream, t.tick)[: self.width]])
 
 
 @library_block("noise")
-class Noise(Block):
+class Noise(_Random):
     """y = mean + deviation z, z standard normal and independent from tick to tick (Philox 4x32-10, Box-Muller).
 
     `width` up to 4 gives independent elements from one evaluation. Two blocks need different `stream`s, two runs
     different `seed`s.
     """
+
+    one, four = staticmethod(normal), staticmethod(normal4)
 
     def __init__(
         self,
@@ -37,27 +57,21 @@ class Noise(Block):
         width: int | None = None,
         unit: str = "",
     ) -> None:
-        self.width = width if width is None else count(width, 1, 4, "Noise", "width")
-        self.outputs = [Port("y", width=width, unit=unit)]
-        self.params = [
-            Param("deviation", deviation, unit=unit, low=0.0),
-            Param("mean", mean, unit=unit),
-            *_random_params(seed, stream, "Noise"),
-        ]
+        params = [Param("deviation", deviation, unit=unit, low=0.0), Param("mean", mean, unit=unit)]
+        self.declare(params, seed, stream, width, unit)
 
-    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        if self.width is None:
-            return p.mean + p.deviation * normal(p.seed, p.stream, t.tick)
-        several = normal4(p.seed, p.stream, t.tick)[: self.width]
-        return vector([p.mean + p.deviation * z for z in several])
+    def of(self, p: Any, z: Any) -> Any:
+        return p.mean + p.deviation * z
 
 
 @library_block("uniform_noise")
-class UniformNoise(Block):
+class UniformNoise(_Random):
     """y = low + (high - low) w, w uniform on [0, 1) in steps of 2^-24 and independent from tick to tick (Philox).
 
     `width` up to 4 gives independent elements from one evaluation.
     """
+
+    one, four = staticmethod(uniform), staticmethod(uniform4)
 
     def __init__(
         self,
@@ -68,16 +82,7 @@ class UniformNoise(Block):
         width: int | None = None,
         unit: str = "",
     ) -> None:
-        self.width = width if width is None else count(width, 1, 4, "UniformNoise", "width")
-        self.outputs = [Port("y", width=width, unit=unit)]
-        self.params = [
-            Param("low", low, unit=unit),
-            Param("high", high, unit=unit),
-            *_random_params(seed, stream, "UniformNoise"),
-        ]
+        self.declare([Param("low", low, unit=unit), Param("high", high, unit=unit)], seed, stream, width, unit)
 
-    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        if self.width is None:
-            return p.low + (p.high - p.low) * uniform(p.seed, p.stream, t.tick)
-        several = uniform4(p.seed, p.stream, t.tick)[: self.width]
-        return vector([p.low + (p.high - p.low) * w for w in several])
+    def of(self, p: Any, w: Any) -> Any:
+        return p.low + (p.high - p.low) * w

@@ -19,12 +19,11 @@ class Switch(Block):
     """y = a where the bool `condition` is true, else b."""
 
     def __init__(self, kind: str = "real", width: int | None = None, unit: str = "") -> None:
-        self.width = width
         self.inputs = [Port("condition", "bool"), Port("a", kind, width, unit), Port("b", kind, width, unit)]
         self.outputs = [Port("y", kind, width, unit)]
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return elementwise(self.width, lambda a, b: where(u.condition, a, b), u.a, u.b)
+        return elementwise(lambda a, b: where(u.condition, a, b), u.a, u.b)
 
 
 @library_block("multiport_switch")
@@ -32,7 +31,6 @@ class MultiportSwitch(Block):
     """y is the input that the int32 `index` selects, from 0 on. An index beyond the ends takes the first or last."""
 
     def __init__(self, inputs: int = 2, kind: str = "real", width: int | None = None, unit: str = "") -> None:
-        self.width = width
         self.names = letters(inputs, "MultiportSwitch")
         self.inputs = [Port("index", "int32"), *(Port(name, kind, width, unit) for name in self.names)]
         self.outputs = [Port("y", kind, width, unit)]
@@ -44,7 +42,7 @@ class MultiportSwitch(Block):
                 y = where(u.index <= i, values[i], y)
             return y
 
-        return elementwise(self.width, of, *(u[name] for name in self.names))
+        return elementwise(of, *(u[name] for name in self.names))
 
 
 @library_block("mux")
