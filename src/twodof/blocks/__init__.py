@@ -1,75 +1,38 @@
 """The block language: write a block once, interpret it, compile it. See docs/explanation/language.md."""
 
-from twodof.blocks.block import Block
-from twodof.blocks.declarations import Param, Port, State
-from twodof.blocks.diagram import Diagram, Rate
-from twodof.blocks.elementary.functions import (
-    acos,
-    asin,
-    atan,
-    atan2,
-    ceil,
-    cos,
-    exp,
-    floor,
-    hypot,
-    log,
-    pow,
-    sin,
-    tan,
-    tanh,
-    trunc,
-)
-from twodof.blocks.expressions.arrays import build, fold, store, vector
-from twodof.blocks.expressions.expr import (
-    int32,
-    maximum,
-    minimum,
-    multiply_high,
-    real,
-    sqrt,
-    to_int32,
-    to_real,
-    to_uint32,
-    uint32,
-    where,
-)
-
-__all__ = [
-    "Block",
-    "Diagram",
-    "Param",
-    "Port",
-    "Rate",
-    "State",
-    "acos",
-    "asin",
-    "atan",
-    "atan2",
-    "build",
-    "ceil",
-    "cos",
-    "exp",
-    "floor",
-    "fold",
-    "hypot",
-    "int32",
-    "log",
-    "maximum",
-    "minimum",
-    "multiply_high",
-    "pow",
-    "real",
-    "sin",
-    "sqrt",
-    "store",
-    "tan",
-    "tanh",
-    "to_int32",
-    "to_real",
-    "to_uint32",
-    "trunc",
-    "uint32",
-    "vector",
-    "where",
-]
+from twodof.blocks.block import Block as Block
+from twodof.blocks.declarations import Param as Param
+from twodof.blocks.declarations import Port as Port
+from twodof.blocks.declarations import State as State
+from twodof.blocks.diagram import Diagram as Diagram
+from twodof.blocks.diagram import Rate as Rate
+from twodof.blocks.elementary.functions import acos as acos
+from twodof.blocks.elementary.functions import asin as asin
+from twodof.blocks.elementary.functions import atan as atan
+from twodof.blocks.elementary.functions import atan2 as atan2
+from twodof.blocks.elementary.functions import ceil as ceil
+from twodof.blocks.elementary.functions import cos as cos
+from twodof.blocks.elementary.functions import exp as exp
+from twodof.blocks.elementary.functions import floor as floor
+from twodof.blocks.elementary.functions import hypot as hypot
+from twodof.blocks.elementary.functions import log as log
+from twodof.blocks.elementary.functions import pow as pow
+from twodof.blocks.elementary.functions import sin as sin
+from twodof.blocks.elementary.functions import tan as tan
+from twodof.blocks.elementary.functions import tanh as tanh
+from twodof.blocks.elementary.functions import trunc as trunc
+from twodof.blocks.expressions.arrays import build as build
+from twodof.blocks.expressions.arrays import fold as fold
+from twodof.blocks.expressions.arrays import store as store
+from twodof.blocks.expressions.arrays import vector as vector
+from twodof.blocks.expressions.expr import int32 as int32
+from twodof.blocks.expressions.expr import maximum as maximum
+from twodof.blocks.expressions.expr import minimum as minimum
+from twodof.blocks.expressions.expr import multiply_high as multiply_high
+from twodof.blocks.expressions.expr import real as real
+from twodof.blocks.expressions.expr import sqrt as sqrt
+from twodof.blocks.expressions.expr import to_int32 as to_int32
+from twodof.blocks.expressions.expr import to_real as to_real
+from twodof.blocks.expressions.expr import to_uint32 as to_uint32
+from twodof.blocks.expressions.expr import uint32 as uint32
+from twodof.blocks.expressions.expr import where as where

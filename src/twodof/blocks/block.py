@@ -10,11 +10,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from twodof.blocks.declarations import Param, Port, State
+from twodof.blocks.declarations import Param, Port, State, shape
 from twodof.blocks.expressions.arrays import vector
-from twodof.blocks.expressions.expr import Expr, as_expr, const, leaf, to_real, tracing
+from twodof.blocks.expressions.expr import Expr, as_expr, leaf, to_real, tracing
 from twodof.blocks.expressions.graph import leaves, walk
-from twodof.blocks.expressions.numbers import Integer, Vector
+from twodof.blocks.expressions.numbers import Vector
 from twodof.errors import DiagramError, listed, shown
 
 MAX_PORTS = 1000  # inputs, outputs, states or parameters of one block
@@ -190,7 +190,8 @@ def trace_clock(tick: bool = True) -> Clock:
     )
 
 
-def _leaves(op: str, declared: Sequence[Any]) -> dict[str, Expr]:
+def leaves_of(op: str, declared: Sequence[Any]) -> dict[str, Expr]:
+    """The leaves of kind `op` for what is declared, by name."""
     return {d.name: leaf(op, d.name, d.kind, d.width) for d in declared}
 
 
@@ -198,10 +199,10 @@ def _trace(block: Block) -> Trace:
     name = type(block).__name__
     check_declarations(block, name)
     with tracing(name):
-        u = Inputs(_leaves("input", block.inputs))
-        x = States(_leaves("state", block.states))
-        given = _leaves("param", block.params)
-        p = Parameters(given | _leaves("param", block.derived))
+        u = Inputs(leaves_of("input", block.inputs))
+        x = States(leaves_of("state", block.states))
+        given = leaves_of("param", block.params)
+        p = Parameters(given | leaves_of("param", block.derived))
         t = trace_clock()
         discrete = [s for s in block.states if not s.continuous]
         continuous = [s for s in block.states if s.continuous]
@@ -232,31 +233,29 @@ def _trace(block: Block) -> Trace:
 
 def check_declarations(block: Block, name: str) -> None:
     """Raise DiagramError if two inputs, outputs, states or parameters share a name or a default does not fit."""
-    kinds: list[tuple[str, list[Any]]] = [
-        ("input", [*block.inputs]),
-        ("output", [*block.outputs]),
-        ("state", [*block.states]),
-        ("parameter", [*block.params, *block.derived]),
-    ]
-    for what, declared in kinds:
-        if len(declared) > MAX_PORTS:
-            raise DiagramError(f"{len(declared)} {what}s", name, f"a block has at most {MAX_PORTS}; use arrays")
-        seen: set[str] = set()
-        for d in declared:
-            if d.name in seen:
-                raise DiagramError(f"two {what}s are named {d.name!r}", name, "names are unique within a block")
-            seen.add(d.name)
     parameters: list[Any] = [*block.params, *block.derived]
     by_name = {p.name: p for p in parameters}
+    kinds: dict[str, Sequence[Any]] = {
+        "input": block.inputs,
+        "output": block.outputs,
+        "state": block.states,
+        "parameter": parameters,
+    }
+    for what, declared in kinds.items():
+        if len(declared) > MAX_PORTS:
+            raise DiagramError(f"{len(declared)} {what}s", name, f"a block has at most {MAX_PORTS}; use arrays")
+        names = [d.name for d in declared]
+        if len(set(names)) < len(names):
+            raise DiagramError(
+                f"two {what}s are named {max(names, key=names.count)!r}", name, "names are unique within a block"
+            )
     for s in block.states:
-        if isinstance(s.initial, str):
-            source = by_name.get(s.initial)
-            if source is None or (source.kind, source.width) != (s.kind, s.width):
-                raise DiagramError(
-                    f"state {s.name!r} starts from {shown(s.initial)}, which is not a parameter of this type",
-                    name,
-                    "name a parameter of the same type and width",
-                )
+        if isinstance(s.initial, str) and not (s.initial in by_name and shape(by_name[s.initial]) == shape(s)):
+            raise DiagramError(
+                f"state {s.name!r} starts from {shown(s.initial)}, which is not a parameter of this type",
+                name,
+                "name a parameter of the same type and width",
+            )
 
 
 def names_given(name: str, method: str, result: Any, declared: Sequence[Any], partial: bool = False) -> dict[str, Any]:
@@ -271,14 +270,11 @@ def names_given(name: str, method: str, result: Any, declared: Sequence[Any], pa
     for n in result:
         if n not in known:
             raise DiagramError(
-                f"{method} gives {shown(n)}, which is not declared",
-                name,
-                f"it may give: {listed(sorted(known))}",
+                f"{method} gives {shown(n)}, which is not declared", name, f"it may give: {listed(sorted(known))}"
             )
-    if not partial:
-        for n in known:
-            if n not in result:
-                raise DiagramError(f"{method} does not give {n!r}", name, "give each declared name a value")
+    for n in () if partial else known:
+        if n not in result:
+            raise DiagramError(f"{method} does not give {n!r}", name, "give each declared name a value")
     return dict(result)
 
 
@@ -290,23 +286,14 @@ def returned(name: str, method: str, result: Any, declared: Sequence[Any], parti
 
 def _fit(value: Any, declared: Any, where: str) -> Expr:
     if declared.width is not None and isinstance(value, (list, tuple, Vector)):
-        value = vector([as_expr(v, declared.kind) if not isinstance(v, Expr) else v for v in value])
-    if isinstance(value, Expr):
-        fitted = value
-    elif declared.width is not None:
+        value = vector([v if isinstance(v, Expr) else as_expr(v, declared.kind) for v in value])
+    if declared.width is not None and not isinstance(value, Expr):
         raise DiagramError(f"a scalar is given for an array of {declared.width}", where, "give a list")
-    elif isinstance(value, Integer) and value.kind == declared.kind:
-        fitted = const(value, declared.kind)
-    else:
-        fitted = as_expr(value, declared.kind)
-    if (fitted.kind, fitted.width) != (declared.kind, declared.width):
+    fitted = value if isinstance(value, Expr) else as_expr(value, declared.kind)
+    if shape(fitted) != shape(declared):
         raise DiagramError(
-            f"a {_shape(fitted.kind, fitted.width)} is given for a {_shape(declared.kind, declared.width)}",
+            f"a {shape(fitted)} is given for a {shape(declared)}",
             where,
             "convert it, or declare the name with that type",
         )
     return fitted
-
-
-def _shape(kind: str, width: int | None) -> str:
-    return kind if width is None else f"{kind}[{width}]"

@@ -5,14 +5,15 @@ from __future__ import annotations
 import difflib
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from twodof.blocks.expressions import numbers
-from twodof.blocks.expressions.expr import KINDS
+from twodof.blocks.expressions.expr import KINDS, Expr
 from twodof.blocks.expressions.numbers import Integer, Vector
 from twodof.errors import DiagramError, ParameterError, outside, shown
 
@@ -46,6 +47,15 @@ def _check_shape(kind: str, width: int | None, name: str, unit: str) -> None:
         raise DiagramError(f"unknown type {shown(kind)}", name, f"use one of {', '.join(KINDS)}")
     if width is not None and not (type(width) is int and 1 <= width <= MAX_WIDTH):
         raise DiagramError(f"width {shown(width)} is not in 1..{MAX_WIDTH}", name, "use None for a scalar")
+
+
+@contextmanager
+def located(where: str) -> Iterator[None]:
+    """Give a DiagramError that the enclosed code raises the place `where`."""
+    try:
+        yield
+    except DiagramError as error:
+        raise DiagramError(error.what, where, error.remedy) from error
 
 
 @dataclass(frozen=True)
@@ -109,6 +119,11 @@ class Param:
         for value in () if free else given:
             if not self.low <= value <= self.high:
                 raise DiagramError(f"the default {value} is outside [{self.low}, {self.high}]", self.name, "change one")
+
+
+def shape(declared: Port | State | Param | Expr) -> str:
+    """The type of what is declared or recorded, with its width if it is an array: "real", "int32[3]"."""
+    return declared.kind if declared.width is None else f"{declared.kind}[{declared.width}]"
 
 
 def _declared(value: Any, kind: str, width: int | None, name: str) -> list[Any]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from twodof.blocks.block import Block
-from twodof.blocks.declarations import Param, Port, check_name
+from twodof.blocks.declarations import Param, Port, check_name, located
 from twodof.errors import DiagramError, listed, shown
 
 MAX_DIVIDER = 2**31 - 1
@@ -101,10 +101,8 @@ class Diagram:
     ) -> str:
         """Declare a parameter of the diagram, to which parameters of its parts may be bound (see `add`)."""
         self._new(name)
-        try:
+        with located(f"{self.name}.{name}"):
             self.params[name] = Param(name, value, kind, width, unit, low, high, text, tunable)
-        except DiagramError as error:
-            raise DiagramError(error.what, f"{self.name}.{name}", error.remedy) from error
         return name
 
     def add(

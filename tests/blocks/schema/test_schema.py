@@ -122,7 +122,7 @@ HOSTILE = {
     "a missing output": (custom(output={}), "does not give 'y'"),
     "a node that is not there": (custom(output={"y": 99}), "node 99, which is not there"),
     "a rate of zero": (form(parts=[{**GAIN, "rate": [0, 0]}], connections=[], outputs=[]), "is impossible"),
-    "a connection to nowhere": (form(connections=[["r", "nowhere.u"]]), "which is not there"),
+    "a connection to nowhere": (form(connections=[["r", "nowhere.u"]]), "there is no output or part .nowhere."),
     "an input fed twice": (form(connections=[["r", "b0.u"], ["r", "b0.u"]]), "fed twice"),
     "a name used twice": (form(parts=[GAIN, GAIN], connections=[], outputs=[]), "used twice"),
 }

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from twodof.blocks.block import Block
-from twodof.blocks.declarations import Param, Port, State, narrowed
+from twodof.blocks.declarations import Param, Port, State, narrowed, shape
 from twodof.blocks.diagram import BASE, MAX_NESTED, Diagram, Rate
 from twodof.blocks.expressions.graph import leaves
 from twodof.errors import DiagramError
@@ -92,6 +92,10 @@ class DiagramLevel:
         raise DiagramError("a connection leads back to itself", f"{self.path}.{source}", "a loop needs a block in it")
 
 
+Schedule = list[tuple[Cell, list[str]]]
+"""Cells, each with those of its ports that are computed together."""
+
+
 class Hierarchy:
     """All cells of a diagram, connected, checked and put into an order.
 
@@ -125,23 +129,25 @@ class Hierarchy:
             raise DiagramError(f"sub-diagrams are nested more than {MAX_DEPTH} deep", path, "flatten the diagram")
         roots = {name: self._root(prefix + name, p, bound.get(name)) for name, p in diagram.params.items()}
         for p in diagram.parts.values():
-            inner = {
-                own: roots[outer] if outer in roots else self._unbound(path, p.name, outer)
-                for own, outer in p.params.items()
-            }
+            for outer in p.params.values():
+                if outer not in roots:
+                    raise DiagramError(
+                        f"there is no parameter {outer!r} to bind to",
+                        f"{path}.{p.name}",
+                        "declare it with Diagram.param",
+                    )
+            inner = {own: roots[outer] for own, outer in p.params.items()}
             at = prefix + p.name
+            own_rate = p.rate.within(rate).check(at, MAX_NESTED)
             if isinstance(p.item, Block):
-                cell = Cell(at, p.item, p.rate.within(rate).check(at, MAX_NESTED), levels)
+                cell = Cell(at, p.item, own_rate, levels)
                 cell.parameters = {d.name: self._root(f"{at}.{d.name}", d, inner.get(d.name)) for d in p.item.params}
                 level.children[p.name] = cell
                 self.cells.append(cell)
             else:
-                conditional = bool(p.enable or p.reset)
-                child = self._open(
-                    p.item, at, level, p.name, at + ".", p.rate.within(rate).check(at, MAX_NESTED), levels, inner
-                )
+                child = self._open(p.item, at, level, p.name, at + ".", own_rate, levels, inner)
                 level.children[p.name] = child
-                if conditional:
+                if p.enable or p.reset:
                     child.resets_outputs = p.disabled == "reset"
                     for cell in self.cells:
                         if cell.path.startswith(at + "."):
@@ -153,33 +159,24 @@ class Hierarchy:
             self.parameters[path] = declared
             return path
         outer = self.parameters[bound]
-        if (outer.kind, outer.width) != (declared.kind, declared.width) or _units_clash(outer.unit, declared.unit):
+        if shape(outer) != shape(declared) or _units_clash(outer.unit, declared.unit):
             raise DiagramError(
                 f"it is bound to {bound!r}, which has another type, width or unit", path, "declare both alike"
             )
         self.parameters[bound] = narrowed(outer, declared, path)
         return bound
 
-    def _unbound(self, path: str, part: str, outer: str) -> str:
-        raise DiagramError(
-            f"there is no parameter {outer!r} to bind to", f"{path}.{part}", "declare it with Diagram.param"
-        )
-
-    def _levels(self) -> Iterator[DiagramLevel]:
+    def _connect(self) -> None:
         stack = [self.root]
         while stack:
             level = stack.pop()
-            yield level
-            stack.extend(c for c in level.children.values() if isinstance(c, DiagramLevel))
-
-    def _connect(self) -> None:
-        for level in self._levels():
             for name, source in level.diagram.outputs.items():
                 if source is None:
                     raise DiagramError("the output is not connected", f"{level.path}.{name}", "connect it or remove it")
             for name, child in level.children.items():
                 part = level.diagram.parts[name]
                 if isinstance(child, DiagramLevel):
+                    stack.append(child)
                     child.enable = self._condition(level, part.enable, child.path, "enable")
                     child.reset = self._condition(level, part.reset, child.path, "reset")
                     for port in child.diagram.inputs.values():
@@ -189,11 +186,14 @@ class Hierarchy:
                         i.name: self._checked_driver(level, name, i, child.path) for i in child.block.inputs
                     }
 
+    def _port(self, driver: PortOf | str) -> Port:
+        return self.root.diagram.inputs[driver] if isinstance(driver, str) else driver.declared
+
     def _condition(self, level: DiagramLevel, source: str | None, path: str, what: str) -> PortOf | str | None:
         if source is None:
             return None
         driver = level.resolve(source)
-        port = self.root.diagram.inputs[driver] if isinstance(driver, str) else driver.declared
+        port = self._port(driver)
         if port.kind != "bool" or port.width is not None:
             raise DiagramError(f"its {what} signal {source!r} is not a bool", path, "compare the signal with something")
         return driver
@@ -203,10 +203,10 @@ class Hierarchy:
         if source is None:
             raise DiagramError("the input is not connected", f"{path}.{port.name}", "connect it")
         driver = level.resolve(source)
-        given = self.root.diagram.inputs[driver] if isinstance(driver, str) else driver.declared
-        if (given.kind, given.width) != (port.kind, port.width):
+        given = self._port(driver)
+        if shape(given) != shape(port):
             raise DiagramError(
-                f"it takes {_shape(port)} and {driver} gives {_shape(given)}",
+                f"it takes {shape(port)} and {driver} gives {shape(given)}",
                 f"{path}.{port.name}",
                 "convert the signal, or mux and demux it",
             )
@@ -239,36 +239,36 @@ class Hierarchy:
         drivers += [s for level in cell.levels for s in (level.enable, level.reset) if s is not None]
         return [d for d in drivers if isinstance(d, PortOf)]
 
-    def _order(self) -> list[tuple[Cell, list[str]]]:
-        done: set[tuple[str, str]] = set()
-        schedule: list[tuple[Cell, list[str]]] = []
+    def _order(self) -> Schedule:
+        done: set[PortOf] = set()
+        schedule: Schedule = []
         for cell in self.cells:
             for port in cell.block.outputs:
                 for item in self._ready(PortOf(cell, port.name), done):
-                    if schedule and schedule[-1][0] is item.cell and not self._feeds_itself(item):
-                        schedule[-1][1].append(item.port)
-                    else:
-                        schedule.append((item.cell, [item.port]))
+                    self._append(schedule, item)
         return schedule
 
-    def _feeds_itself(self, item: PortOf) -> bool:
-        """Whether a port reads another output of its own cell, which must then be computed before, not beside it."""
-        return any(need.cell is item.cell for need in self._needs(item))
+    def _append(self, schedule: Schedule, item: PortOf) -> None:
+        """Add a port to the end: beside those of its cell, unless it reads one of them, which then comes before."""
+        feeds_itself = any(need.cell is item.cell for need in self._needs(item))
+        if schedule and schedule[-1][0] is item.cell and not feeds_itself:
+            schedule[-1][1].append(item.port)
+        else:
+            schedule.append((item.cell, [item.port]))
 
-    def _ready(self, item: PortOf, done: set[tuple[str, str]]) -> Iterator[PortOf]:
+    def _ready(self, item: PortOf, done: set[PortOf]) -> Iterator[PortOf]:
         """`item` and all it needs that is not `done`, needs first. Raises DiagramError at an algebraic loop."""
         path: list[PortOf] = []
         stack: list[tuple[PortOf, bool]] = [(item, False)]
-        open_: set[tuple[str, str]] = set()
+        open_: set[PortOf] = set()
         while stack:
             at, leaving = stack.pop()
-            key = (at.cell.path, at.port)
             if leaving:
                 path.pop()
-                open_.discard(key)
-                done.add(key)
+                open_.discard(at)
+                done.add(at)
                 yield at
-            elif key in open_:
+            elif at in open_:
                 loop = [str(p) for p in path]
                 loop = loop[loop.index(str(at)) :]
                 raise DiagramError(
@@ -276,29 +276,21 @@ class Hierarchy:
                     self.root.path,
                     "put a delay or a continuous state into the loop",
                 )
-            elif key not in done:
-                open_.add(key)
+            elif at not in done:
+                open_.add(at)
                 path.append(at)
                 stack.append((at, True))
                 stack.extend((need, False) for need in self._needs(at))
 
-    def _constant(self) -> set[tuple[str, str]]:
+    def _constant(self) -> set[PortOf | str]:
         """Ports that never change while parameters do not: they have no rate."""
-        found: set[tuple[str, str]] = set()
+        found: set[PortOf | str] = set()
         for cell, ports in self.schedule:
+            t = cell.block.trace
             for port in ports:
-                t = cell.block.trace
-                roots = [t.outputs[port]]
-                fed = [cell.drivers[i] for i in t.feedthrough[port]]
-                steady = all(isinstance(d, PortOf) and (d.cell.path, d.port) in found for d in fed)
-                if (
-                    steady
-                    and not cell.levels
-                    and not leaves(roots, "state")
-                    and port not in t.uses_tick
-                    and port not in t.edges
-                ):
-                    found.add((cell.path, port))
+                changes = cell.levels or port in t.uses_tick or port in t.edges or leaves([t.outputs[port]], "state")
+                if not changes and found.issuperset(cell.drivers[i] for i in t.feedthrough[port]):
+                    found.add(PortOf(cell, port))
         return found
 
     def _check_rates(self) -> None:
@@ -306,36 +298,28 @@ class Hierarchy:
         for cell in self.cells:
             for name, driver in cell.drivers.items():
                 rate = BASE if isinstance(driver, str) else driver.cell.rate
-                free = isinstance(driver, PortOf) and (driver.cell.path, driver.port) in constant
-                if rate != cell.rate and not free and not cell.block.crossing:
+                if rate != cell.rate and driver not in constant and not cell.block.crossing:
                     raise DiagramError(
                         f"it runs at {tuple(cell.rate)} and {driver} at {tuple(rate)}",
                         f"{cell.path}.{name}",
                         "put a ZeroOrderHold or RateTransition between them",
                     )
 
-    def _continuous(self) -> list[tuple[Cell, list[str]]]:
-        varying: set[tuple[str, str]] = set()
-        chosen: list[tuple[Cell, list[str]]] = []
+    def _continuous(self) -> Schedule:
+        varying: set[PortOf | str] = set()
+        chosen: Schedule = []
         for cell, ports in self.schedule:
             t = cell.block.trace
             own = {s.name for s in cell.continuous}
+            held = cell.rate != BASE or cell.block.crossing or (cell.discrete and not cell.continuous)
             for port in ports:
                 if port in t.edges:
-                    varying.add((cell.path, port))
+                    varying.add(PortOf(cell, port))
                     continue
-                moving = any(
-                    isinstance(d, PortOf) and (d.cell.path, d.port) in varying
-                    for d in (cell.drivers[i] for i in t.feedthrough[port])
-                )
-                moving = moving or bool(own & leaves([t.outputs[port]], "state"))
-                held = cell.rate != BASE or cell.block.crossing or (bool(cell.discrete) and not cell.continuous)
-                if moving and not held:
-                    varying.add((cell.path, port))
-                    if chosen and chosen[-1][0] is cell and not self._feeds_itself(PortOf(cell, port)):
-                        chosen[-1][1].append(port)
-                    else:
-                        chosen.append((cell, [port]))
+                moving = not varying.isdisjoint(cell.drivers[i] for i in t.feedthrough[port])
+                if not held and (moving or own & leaves([t.outputs[port]], "state")):
+                    varying.add(PortOf(cell, port))
+                    self._append(chosen, PortOf(cell, port))
         return chosen
 
     def signal(self, path: str) -> PortOf:
@@ -345,10 +329,6 @@ class Hierarchy:
             if cell.path == owner and any(p.name == port for p in cell.block.outputs):
                 return PortOf(cell, port)
         raise DiagramError(f"there is no signal {path!r:.120}", self.root.path, "a signal's path is part.sub.port")
-
-
-def _shape(port: Port) -> str:
-    return port.kind if port.width is None else f"{port.kind}[{port.width}]"
 
 
 def _units_clash(a: str, b: str) -> bool:

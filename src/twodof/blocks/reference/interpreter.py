@@ -47,9 +47,8 @@ class Reference:
         self.precision = precision
         self.integrator = integrator
         self.log = tuple(log)
-        self.signals: dict[str, PortOf | str] = {
-            n: self.hierarchy.root.resolve(s) for n, s in diagram.outputs.items() if s
-        }
+        resolve = self.hierarchy.root.resolve
+        self.signals: dict[str, PortOf | str] = {n: resolve(s) for n, s in diagram.outputs.items() if s}
         self.signals |= {path: self.hierarchy.signal(path) for path in self.log}
 
     def machine(self) -> ReferenceMachine:
@@ -78,6 +77,7 @@ class _Run:
         self.feeds: list[tuple[str, dict[str, Any], str]] = []  # input, where its value stands, under which name
         self.enables: list[_Place] = []
         self.resets: list[_Place] = []
+        self.clears: list[_Place] = []  # those of `enables` without which the outputs are 0
         self.active = False
         self.seen = (Inputs(self.u), States(self.x), Parameters(self.p), clock)
         self.discrete = cell.discrete
@@ -117,10 +117,6 @@ class _Method:
         return given
 
 
-def _zero(port: Port) -> Any:
-    return numeric(0, port.kind, port.width, port.name)
-
-
 class ReferenceMachine(Machine):
     """One running instance of a diagram on plain numbers."""
 
@@ -133,11 +129,16 @@ class ReferenceMachine(Machine):
             self._values = {path: _number(p.value, p, path) for path, p in self.parameters.items()}
             self._real_dt = numbers.real_type()(program.dt)
             self._inputs = {name: _zero(port) for name, port in self.inputs.items()}
-            self._runs = {cell.path: self._open(cell) for cell in self.hierarchy.cells}
+            self._runs: dict[str, _Run] = {}
+            for cell in self.hierarchy.cells:
+                dt = numbers.real_type()(program.dt * cell.rate.divider)
+                self._runs[cell.path] = _Run(cell, Clock(UInt32(0), dt, self._real_dt))
         for run in self._runs.values():
             run.feeds = [(port, *self._place(driver)) for port, driver in run.cell.drivers.items()]
             run.enables = [self._place(level.enable) for level in run.cell.levels if level.enable]
             run.resets = [self._place(level.reset) for level in run.cell.levels if level.reset]
+            levels = [level for level in run.cell.levels if level.resets_outputs]
+            run.clears = [self._place(level.enable) for level in levels if level.enable]
         begun: set[str] = set()
         self._schedule: list[tuple[_Run, Block, Sequence[str], bool]] = []  # and whether it is the cell's first place
         for cell, ports in self.hierarchy.schedule:
@@ -148,13 +149,7 @@ class ReferenceMachine(Machine):
         self._inner = [(self._runs[c.path], ports) for c, ports in self.hierarchy.continuous_schedule]
         self.reset()
 
-    def _open(self, cell: Cell) -> _Run:
-        dt = numbers.real_type()(self.program.dt * cell.rate.divider)
-        return _Run(cell, Clock(UInt32(0), dt, self._real_dt))
-
-    def _place(self, driver: PortOf | str | None) -> _Place:
-        if driver is None:
-            raise DiagramError("a signal is not connected", self.program.diagram.name, "connect it")
+    def _place(self, driver: PortOf | str) -> _Place:
         if isinstance(driver, PortOf):
             return self._runs[driver.cell.path].y, driver.port
         return self._inputs, driver
@@ -235,32 +230,22 @@ class ReferenceMachine(Machine):
                 for port in ports:
                     run.y[port] = fresh[port]
                     if port in edges:
-                        run.after[port] = (
-                            numbers.cast(edges[port][0], "real"),
-                            numbers.cast(edges[port][1], "real"),
-                        )
-            elif run.cell.rate_due(self.tick) and self._cleared(run.cell):
+                        fraction, after = edges[port]
+                        run.after[port] = numbers.cast(fraction, "real"), numbers.cast(after, "real")
+            elif run.cell.rate_due(self.tick) and not all(values[key] for values, key in run.clears):
                 run.zero_outputs()
         for run in self._without_outputs:
             self._begin(run)
         for run in self._runs.values():
             run.feed()
 
-    def _cleared(self, cell: Cell) -> bool:
-        return any(level.resets_outputs and not self._value(level.enable) for level in cell.levels if level.enable)
-
     def _begin(self, run: _Run) -> None:
-        """Whether the cell acts in this tick; its states as they read in this tick."""
-        cell = run.cell
+        """Find whether the cell acts in this tick, and its states as they read in this tick."""
         run.t.tick = UInt32(self.tick)
         run.after = {}
-        run.active = cell.rate_due(self.tick) and (not run.enables or all(values[key] for values, key in run.enables))
-        if run.active and run.resets and any(values[key] for values, key in run.resets):
+        run.active = run.cell.rate_due(self.tick) and all(values[key] for values, key in run.enables)
+        if run.active and any(values[key] for values, key in run.resets):
             run.x.update(self._initial(run))
-
-    def _value(self, driver: PortOf | str | None) -> Any:
-        values, key = self._place(driver)
-        return values[key]
 
     def _integrate(self, runs: list[_Run]) -> list[tuple[_Run, dict[str, Any]]]:
         """The continuous states of the next tick."""
@@ -334,17 +319,21 @@ class ReferenceMachine(Machine):
         result = cell.block.prepare(Parameters(dict(given)), clock)
         derived = names_given(cell.path, "prepare", result, cell.block.derived)
         run.p.update(given)
-        run.p.update({d.name: numeric(derived[d.name], d.kind, d.width, cell.path) for d in cell.block.derived})
+        run.p.update({d.name: _number(derived[d.name], d, cell.path) for d in cell.block.derived})
 
     def _initial(self, run: _Run) -> dict[str, Any]:
         return {
-            s.name: run.p[s.initial] if isinstance(s.initial, str) else numeric(s.initial, s.kind, s.width, s.name)
+            s.name: run.p[s.initial] if isinstance(s.initial, str) else _number(s.initial, s, s.name)
             for s in run.cell.block.states
         }
 
 
 def _number(value: Any, declared: Port | State | Param, where: str) -> Any:
     return numeric(value, declared.kind, declared.width, where)
+
+
+def _zero(port: Port) -> Any:
+    return _number(0, port, port.name)
 
 
 def _elementwise(f: Any, *values: Any) -> Any:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import math
 from collections import Counter
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -152,23 +153,14 @@ def _block_to(block: Block, name: str) -> dict[str, Any]:
     }
 
 
-_DEFAULTS: dict[str, Any] = {
-    "kind": "real",
-    "width": None,
-    "unit": "",
-    "text": "",
-    "tunable": True,
-    "continuous": False,
-}
-
-
 def _declared_to(item: Port | State | Param) -> dict[str, Any]:
-    form = {}
-    for key, value in vars(item).items():
-        infinite = key in ("low", "high") and math.isinf(value)
-        if not infinite and not (key in _DEFAULTS and value == _DEFAULTS[key]):
-            form[key] = _encode(value, item.name)
-    return form
+    """The value, and what else differs from its default."""
+    values = {f.name: (getattr(item, f.name), f.default) for f in fields(item)}
+    return {
+        key: _encode(value, item.name)
+        for key, (value, default) in values.items()
+        if key in ("value", "initial") or value != default
+    }
 
 
 def _encode(value: Any, where: str) -> Any:

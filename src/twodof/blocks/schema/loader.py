@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import difflib
 import unicodedata
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from dataclasses import fields
 from typing import Any
 
 from twodof.blocks import library
 from twodof.blocks.block import REGISTRY, Block
-from twodof.blocks.declarations import NAME, Param, Port, State
+from twodof.blocks.declarations import NAME, Param, Port, State, located
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.expressions.cost import COPIED, MAX_OPERATIONS, MAX_SIZE, CostMeter, too_large
 from twodof.blocks.expressions.expr import at_most
@@ -30,6 +31,7 @@ STAGES = 4  # evaluations of a derivative in a step of RK4
 _DIAGRAM = {"name", "text", "inputs", "params", "parts", "connections", "outputs"}
 _PART = {"name", "rate", "params", "enable", "reset", "disabled", "position", "diagram", "block"}
 _SECTIONS = {"inputs", "outputs", "states", "params", "derived"}
+_FIELDS = {cls: {field.name for field in fields(cls)} for cls in (Port, State, Param)}
 _CUSTOM = {"type", "name", "crossing", "nodes", "prepare", "output", "edges", "update", "derivative", "project"}
 
 
@@ -84,9 +86,7 @@ class Loader:
             port = self._declaration(Port, form, path)
             d.input(port.name, port.kind, port.width, port.unit)
         for form in member(data, "params", list, path, []):
-            p = self._declaration(Param, form, path)
-            fields = {k: v for k, v in vars(p).items() if k not in ("name", "value")}
-            d.param(p.name, p.value, **fields)
+            d.param(**vars(self._declaration(Param, form, path)))
         parts = member(data, "parts", list, path, [])
         self.parts += len(parts)
         if self.parts > MAX_PARTS:  # counted before the first is made, which costs more than reading them
@@ -96,22 +96,14 @@ class Loader:
         for pair in member(data, "connections", list, path, []):
             if not (isinstance(pair, list) and len(pair) == 2 and all(isinstance(s, str) for s in pair)):
                 raise DiagramError(f"{shown(pair)} is not a connection", path, 'write ["source", "part.port"]')
-            self._connect(d, pair[0], pair[1])
+            d.connect(*pair)
         for pair in member(data, "outputs", list, path, []):
             named = isinstance(pair, list) and len(pair) == 2 and isinstance(pair[0], str)
             if not named or not isinstance(pair[1], (str, type(None))):
                 raise DiagramError(f"{shown(pair)} is not an output", path, 'write ["name", "source"]')
             self._count(1, 0, path)
-            d.output(pair[0], pair[1])
+            d.output(*pair)
         return d
-
-    def _connect(self, d: Diagram, source: str, destination: str) -> None:
-        part, _, _ = destination.partition(".")
-        if part not in d.parts:
-            raise DiagramError(
-                f"a connection leads to {shown(destination)}, which is not there", d.name, "name a part's input"
-            )
-        d.connect(source, destination)
 
     def _part(self, d: Diagram, form: Any, path: str, depth: int) -> None:
         if not isinstance(form, dict):
@@ -174,10 +166,8 @@ class Loader:
                 where,
                 f"see docs/reference/blocks.md for those of {library.__name__}; like it: {near}",
             )
-        try:
+        with located(where):
             self._measure(block)
-        except DiagramError as error:
-            raise DiagramError(error.what, where, error.remedy) from error
         return block
 
     def _custom(self, form: dict[str, Any], where: str) -> TracedBlock:
@@ -221,14 +211,10 @@ class Loader:
                 "make loops and arrays shorter",
             )
 
-    def _declaration(self, cls: type, form: Any, where: str) -> Any:
-        fields = {"name", "kind", "width", "unit"}
-        fields |= {"initial", "continuous"} if cls is State else set()
-        fields |= {"value", "low", "high", "text", "tunable"} if cls is Param else set()
-        if not isinstance(form, dict) or not set(form) <= fields:
-            raise DiagramError(
-                f"{shown(form)} is no {cls.__name__.lower()}", where, f"it may have {', '.join(sorted(fields))}"
-            )
+    def _declaration(self, cls: type[Any], form: Any, where: str) -> Any:
+        if not isinstance(form, dict) or not set(form) <= _FIELDS[cls]:
+            known = ", ".join(sorted(_FIELDS[cls]))
+            raise DiagramError(f"{shown(form)} is no {cls.__name__.lower()}", where, f"it may have {known}")
         width = form.get("width")
         if width is not None and (type(width) is not int or width < 1):
             raise DiagramError(f"width {shown(width)}", where, "give an integer from 1, or leave it out")
@@ -276,18 +262,17 @@ _FIELD_TYPES: dict[str, tuple[type, ...]] = {
 }
 
 
-def _typed(cls: type, fields: Mapping[str, Any], where: str) -> Any:
-    for key, value in fields.items():
-        if not isinstance(value, _FIELD_TYPES[key]) or (isinstance(value, list) and not _flat(value)):
+def _typed(cls: type, given: Mapping[str, Any], where: str) -> Any:
+    for key, value in given.items():
+        flat = not isinstance(value, list) or all(isinstance(v, (bool, int, float)) for v in value)
+        if not flat or not isinstance(value, _FIELD_TYPES[key]):
             raise DiagramError(f"{key!r} is {shown(value)}", where, "see docs/explanation/language.md, section 5")
-    if "name" not in fields:
+    if "name" not in given:
         raise DiagramError("a declaration has no name", where, "name it")
-    _visible(fields.get("unit", ""), fields.get("text", ""), where)
-    try:
-        return cls(**fields)
-    except DiagramError as error:
-        name = fields["name"] if NAME.fullmatch(fields["name"]) else ""
-        raise DiagramError(error.what, f"{where}.{name}".rstrip("."), error.remedy) from error
+    _visible(given.get("unit", ""), given.get("text", ""), where)
+    name = given["name"] if NAME.fullmatch(given["name"]) else ""
+    with located(f"{where}.{name}".rstrip(".")):
+        return cls(**given)
 
 
 def _visible(unit: str, remark: str, where: str) -> None:
@@ -295,7 +280,3 @@ def _visible(unit: str, remark: str, where: str) -> None:
     text(remark, MAX_TEXT, where, lines=True)
     if unicodedata.normalize("NFKC", text(unit, MAX_UNIT, where)) != unit:
         raise DiagramError(f"the unit {shown(unit)}", where, "write it in its usual characters (Unicode's form NFKC)")
-
-
-def _flat(values: Sequence[Any]) -> bool:
-    return all(isinstance(v, (bool, int, float)) for v in values)

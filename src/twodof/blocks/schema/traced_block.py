@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from twodof.blocks.block import SECTIONS, Block, Clock, Trace
-from twodof.blocks.declarations import check_name, fits
+from twodof.blocks.block import SECTIONS, Block, Clock, Trace, leaves_of
+from twodof.blocks.declarations import check_name, fits, located
 from twodof.blocks.elementary.functions import FUNCTIONS
 from twodof.blocks.expressions.arrays import vector
 from twodof.blocks.expressions.cost import MAX_LOOP_DEPTH, MAX_SIZE, CostMeter, too_large
@@ -14,7 +14,6 @@ from twodof.blocks.expressions.expr import KINDS, Expr, const, convert, leaf, no
 from twodof.blocks.expressions.graph import OPERATIONS, evaluate, free_bounds, walk
 from twodof.errors import DiagramError, shown
 
-MAX_NODES = MAX_SIZE
 MAX_LENGTH = 1_000_000
 MAX_CARRIED = 32  # values that a fold carries from one round to the next
 
@@ -76,9 +75,8 @@ def graph_to_json(trace: Trace) -> dict[str, Any]:
         "derivative": trace.derivative,
         "project": trace.project,
     }
-    roots = [e for exprs in sections.values() for e in exprs.values()] + [
-        e for pair in trace.edges.values() for e in pair
-    ]
+    roots = [e for exprs in sections.values() for e in exprs.values()]
+    roots += [e for pair in trace.edges.values() for e in pair]
     order = walk(roots)
     number = {id(item): i for i, item in enumerate(order)}
     form: dict[str, Any] = {"nodes": [_node_to(item, number) for item in order]}
@@ -111,13 +109,12 @@ def _node_to(item: Expr, number: dict[int, int]) -> list[Any]:
 def graph_from_json(block: TracedBlock, form: Mapping[str, Any], where: str) -> None:
     """Fill `block` with the expressions in `form`. Raises DiagramError for a node that is not well formed."""
     rows = form.get("nodes")
-    if not isinstance(rows, list) or len(rows) > MAX_NODES:
-        raise DiagramError(f"nodes are missing or more than {MAX_NODES}", where, "save the diagram again")
-    parameters: list[Any] = [*block.params, *block.derived]
+    if not isinstance(rows, list) or len(rows) > MAX_SIZE:
+        raise DiagramError(f"nodes are missing or more than {MAX_SIZE}", where, "save the diagram again")
     leaves = {
-        "input": {d.name: leaf("input", d.name, d.kind, d.width) for d in block.inputs},
-        "state": {d.name: leaf("state", d.name, d.kind, d.width) for d in block.states},
-        "param": {d.name: leaf("param", d.name, d.kind, d.width) for d in parameters},
+        "input": leaves_of("input", block.inputs),
+        "state": leaves_of("state", block.states),
+        "param": leaves_of("param", [*block.params, *block.derived]),
     }
     made: list[Expr] = []
     with tracing(where):
@@ -147,23 +144,17 @@ def graph_from_json(block: TracedBlock, form: Mapping[str, Any], where: str) -> 
         if not (isinstance(pair, list) and len(pair) == 2):
             raise DiagramError(f"edges.{key} is not a pair of nodes", where, "save the diagram again")
         block.edge_pairs[key] = (pick(pair[0], f"edges.{key}"), pick(pair[1], f"edges.{key}"))
-    roots = [e for exprs in block.sections.values() for e in exprs.values()] + [
-        e for p in block.edge_pairs.values() for e in p
-    ]
-    try:
+    roots = [e for exprs in block.sections.values() for e in exprs.values()]
+    roots += [e for pair in block.edge_pairs.values() for e in pair]
+    with located(where):
         free = free_bounds(roots)
-    except DiagramError as error:
-        raise DiagramError(error.what, where, error.remedy) from error
-    if any(free[id(root)] for root in roots):
-        raise DiagramError("a loop variable stands outside its loop", where, "save the diagram again")
-    try:
+        if any(free[id(root)] for root in roots):
+            raise DiagramError("a loop variable stands outside its loop", where, "save the diagram again")
         # Before anything is computed, port by port as it will be: what is small in a file can be endless to follow.
         meter = CostMeter()
         if sum(meter.measure([e]).size for e in roots) > MAX_SIZE:
             raise too_large()
         _ = block.trace  # checks the types, and that each declared name is given
-    except DiagramError as error:
-        raise DiagramError(error.what, where, error.remedy) from error
 
 
 def _node_from(row: Any, made: list[Expr], leaves: Mapping[str, Mapping[str, Expr]]) -> Expr:
@@ -197,7 +188,7 @@ def _node_from(row: Any, made: list[Expr], leaves: Mapping[str, Mapping[str, Exp
         if data[0] not in KINDS or data[0] == "bool":
             raise ValueError("no such conversion")
         return _expr(convert(args[0], data[0]))
-    if op == "bits":
+    if op in ("bits", "from_bits"):
         raise ValueError("bit patterns of reals are not for diagrams")
     if op == "call":
         if data[0] not in FUNCTIONS:
@@ -225,8 +216,6 @@ def _node_from(row: Any, made: list[Expr], leaves: Mapping[str, Mapping[str, Exp
             if (start.kind, start.width) != (body.kind, body.width) or start.width is not None:
                 raise ValueError("a loop changes a type")
         return node("fold", args[which].kind, tuple(args), (length, depth, which))
-    if op == "from_bits":
-        raise ValueError("bit patterns of reals are not for diagrams")
     return _expr(OPERATIONS[op](*args))
 
 
