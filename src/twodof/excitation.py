@@ -39,6 +39,10 @@ SHORTEST_HOLD_S = 1e-3
 HIGHEST_HZ = 125.0
 MAX_PARTS = 10_000
 _VERSION = 1
+_REST = (0.0, MAX_DURATION_S)
+_HOLD = (SHORTEST_HOLD_S, MAX_DURATION_S)
+_TWO_HOLDS = (2 * SHORTEST_HOLD_S, MAX_DURATION_S)
+_ANY = (-inf, inf)
 
 
 @dataclass(frozen=True)
@@ -50,6 +54,8 @@ class Excitation(ABC):
     """
 
     kind: ClassVar[str]
+    bounds: ClassVar[Mapping[str, tuple[float, float]]]
+    """Of the subclass's own numbers."""
 
     unit: str = field(default="-", kw_only=True)
     lead: float = field(default=0.0, kw_only=True)
@@ -60,8 +66,12 @@ class Excitation(ABC):
     def __post_init__(self) -> None:
         if not isinstance(self.unit, str) or self.unit not in LIMITS:
             raise self._mistake("unit", f"unknown unit {self.unit!r}", f"use one of {', '.join(LIMITS)}")
-        for name in ("lead", "settle", "pause"):
-            self._number(name, 0.0, MAX_DURATION_S)
+        bounds = {"lead": _REST, "settle": _REST, "pause": _REST, **self.bounds}
+        for name, (low, high) in bounds.items():
+            value = self._real(name, getattr(self, name))
+            if not low <= value <= high:
+                raise self._mistake(name, f"{value:g} is outside {low:g} to {high:g}")
+            object.__setattr__(self, name, value)
         self._whole("repeat", 1, MAX_PARTS)
         self._check()
         limit = LIMITS[self.unit]
@@ -86,9 +96,8 @@ class Excitation(ABC):
     def peak(self) -> float:
         """Largest absolute value."""
 
-    @abstractmethod
-    def _check(self) -> None:
-        """Checks the subclass's own values and brings them into their final types."""
+    def _check(self) -> None:  # noqa: B027
+        """Checks the subclass's values that are not numbers within `bounds`, and brings them into their final types."""
 
     @abstractmethod
     def _wave(self, us: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -130,12 +139,6 @@ class Excitation(ABC):
 
     def _mistake(self, name: str, what: str, remedy: str = "") -> ExperimentError:
         return ExperimentError(what, f"{self.kind}.{name}", remedy)
-
-    def _number(self, name: str, low: float, high: float) -> None:
-        value = self._real(name, getattr(self, name))
-        if not low <= value <= high:
-            raise self._mistake(name, f"{value:g} is outside {low:g} to {high:g}")
-        object.__setattr__(self, name, value)
 
     def _whole(self, name: str, low: int, high: int) -> None:
         value = getattr(self, name)
@@ -197,12 +200,9 @@ class Impulse(_Held):
     """`amplitude` for `width` [s], then nothing: the free response follows (`settle`)."""
 
     kind = "impulse"
+    bounds = MappingProxyType({"amplitude": _ANY, "width": _HOLD})
     amplitude: float
     width: float
-
-    def _check(self) -> None:
-        self._number("amplitude", -np.inf, np.inf)
-        self._number("width", SHORTEST_HOLD_S, MAX_DURATION_S)
 
     def _levels(self) -> tuple[list[int], list[float]]:
         return [_us(self.width)], [self.amplitude]
@@ -213,12 +213,9 @@ class Doublet(_Held):
     """`amplitude` for half a `period` [s], then its opposite for the other half."""
 
     kind = "doublet"
+    bounds = MappingProxyType({"amplitude": _ANY, "period": _TWO_HOLDS})
     amplitude: float
     period: float
-
-    def _check(self) -> None:
-        self._number("amplitude", -np.inf, np.inf)
-        self._number("period", 2 * SHORTEST_HOLD_S, MAX_DURATION_S)
 
     def _levels(self) -> tuple[list[int], list[float]]:
         return _pattern(self.kind, _us(self.period / 2.0), self.amplitude)
@@ -229,12 +226,9 @@ class ThreeTwoOneOne(_Held):
     """+, -, +, - `amplitude` for 3, 2, 1 and 1 times `step` [s]: a broader band than a doublet's."""
 
     kind = "3-2-1-1"
+    bounds = MappingProxyType({"amplitude": _ANY, "step": _HOLD})
     amplitude: float
     step: float
-
-    def _check(self) -> None:
-        self._number("amplitude", -np.inf, np.inf)
-        self._number("step", SHORTEST_HOLD_S, MAX_DURATION_S)
 
     def _levels(self) -> tuple[list[int], list[float]]:
         return _pattern(self.kind, _us(self.step), self.amplitude)
@@ -245,12 +239,12 @@ class Steps(_Held):
     """The `levels` one after the other, each for `hold` [s]."""
 
     kind = "steps"
+    bounds = MappingProxyType({"hold": _HOLD})
     levels: tuple[float, ...]
     hold: float
 
     def _check(self) -> None:
         self._numbers("levels")
-        self._number("hold", SHORTEST_HOLD_S, MAX_DURATION_S)
 
     def _levels(self) -> tuple[list[int], list[float]]:
         return [_us(self.hold)] * len(self.levels), list(self.levels)
@@ -265,14 +259,13 @@ class Prbs(_Held):
     """
 
     kind = "prbs"
+    bounds = MappingProxyType({"amplitude": _ANY, "clock": _HOLD})
     amplitude: float
     clock: float
     order: int = 7
     seed: int = 1
 
     def _check(self) -> None:
-        self._number("amplitude", -np.inf, np.inf)
-        self._number("clock", SHORTEST_HOLD_S, MAX_DURATION_S)
         self._whole("order", min(TAPS), max(TAPS))
         self._whole("seed", 1, (1 << self.order) - 1)
 
@@ -297,6 +290,9 @@ class Sweep(Excitation):
     """
 
     kind = "sweep"
+    bounds = MappingProxyType(
+        {"amplitude": _ANY, "start_hz": (0.0, HIGHEST_HZ), "end_hz": (0.0, HIGHEST_HZ), "length": _HOLD}
+    )
     amplitude: float
     start_hz: float
     end_hz: float
@@ -304,10 +300,6 @@ class Sweep(Excitation):
     law: Literal["linear", "logarithmic"] = "linear"
 
     def _check(self) -> None:
-        self._number("amplitude", -np.inf, np.inf)
-        self._number("start_hz", 0.0, HIGHEST_HZ)
-        self._number("end_hz", 0.0, HIGHEST_HZ)
-        self._number("length", SHORTEST_HOLD_S, MAX_DURATION_S)
         if self.law not in LAWS:
             raise self._mistake("law", f"unknown law {self.law!r}", f"use {' or '.join(map(repr, LAWS))}")
         if self.law == "logarithmic" and not min(self.start_hz, self.end_hz) > 0.0:
@@ -350,6 +342,7 @@ class Multisine(Excitation):
     """
 
     kind = "multisine"
+    bounds = MappingProxyType({"period": _HOLD})
     period: float
     harmonics: tuple[int, ...]
     amplitudes: tuple[float, ...]
@@ -392,7 +385,6 @@ class Multisine(Excitation):
         return cls(period, lines, scaled, tuple(float(phi) for phi in np.mod(phases, 2.0 * pi)), **options)
 
     def _check(self) -> None:
-        self._number("period", SHORTEST_HOLD_S, MAX_DURATION_S)
         lines = self._numbers("harmonics")
         if any(line != int(line) or line < 1 for line in lines) or len(set(lines)) != len(lines):
             raise self._mistake("harmonics", "must be whole numbers from 1 on, each once")

@@ -75,6 +75,21 @@ class Tunable(NamedTuple):
     tuning: bool = False
 
 
+# By timer of the failsafe: name on the wire, default, bounds, text of its timeout.
+_TIMERS: tuple[tuple[Any, ...], ...] = (
+    ("setpoint", "SAFE_SP_T", 0.5, 0.02, 0.9, "silence of set-points after which it levels"),
+    ("link", "SAFE_LINK_T", 3.0, 0.1, 30.0, "silence of the link after which it descends (heartbeats come at 1 Hz)"),
+    ("imu", "SAFE_IMU_T", 0.02, 0.004, 0.1, "silence or repetition of the IMU after which the motors stop"),
+    ("axis", "SAFE_AXIS_T", 0.1, 0.02, 1.0, "repetition of an axis of the IMU after which the motors stop"),
+    ("range", "SAFE_RANGE_T", 0.24, 0.06, 2.0, "time without a believed range after which it descends"),
+    ("range_stuck", "SAFE_RANGE_STK_T", 0.5, 0.06, 5.0, "time of one and the same range after which it descends"),
+    ("brake", "SAFE_BRAKE_T", 3.0, 0.1, 10.0, "longest time of braking, then the motors stop"),
+    ("battery_low", "SAFE_BAT_LOW_T", 1.0, 0.004, 30.0, "time of low voltage until it counts"),
+    ("battery_critical", "SAFE_BAT_CRIT_T", 0.5, 0.004, 10.0, "time of critical voltage until it descends"),
+    ("late", "SAFE_LATE_T", 0.008, 0.004, 0.008, "time of late steps in a row after which the motors stop"),
+    ("stuck", "SAFE_STK_T", 0.5, 0.02, 5.0, "time of commands that do not move after which they are not believed"),
+)
+
 # By block: member of the block, name on the wire, default, bounds, unit, text, the real drone's name, for tuning.
 _BLOCKS: Mapping[str, tuple[tuple[Any, ...], ...]] = {
     "cascade.rate": (
@@ -150,63 +165,7 @@ _BLOCKS: Mapping[str, tuple[tuple[Any, ...], ...]] = {
         ("margin", "SAFE_BAT_MARG", 0.2, 0.01, 2.0, "V", "hysteresis of both"),
         ("high", "SAFE_BAT_HIGH", 13.5, 0.0, 65.0, "V", "no voltage beyond it is believed (4.5 V a cell)"),
     ),
-    "failsafe.setpoint": (
-        ("timeout", "SAFE_SP_T", 0.5, 0.02, 0.9, "s", "silence of set-points after which it levels"),
-    ),
-    "failsafe.link": (
-        (
-            "timeout",
-            "SAFE_LINK_T",
-            3.0,
-            0.1,
-            30.0,
-            "s",
-            "silence of the link after which it descends (heartbeats come at 1 Hz)",
-        ),
-    ),
-    "failsafe.imu": (
-        (
-            "timeout",
-            "SAFE_IMU_T",
-            0.02,
-            0.004,
-            0.1,
-            "s",
-            "silence or repetition of the IMU after which the motors stop",
-        ),
-    ),
-    "failsafe.axis": (
-        ("timeout", "SAFE_AXIS_T", 0.1, 0.02, 1.0, "s", "repetition of an axis of the IMU after which the motors stop"),
-    ),
-    "failsafe.range": (
-        ("timeout", "SAFE_RANGE_T", 0.24, 0.06, 2.0, "s", "time without a believed range after which it descends"),
-    ),
-    "failsafe.range_stuck": (
-        ("timeout", "SAFE_RANGE_STK_T", 0.5, 0.06, 5.0, "s", "time of one and the same range after which it descends"),
-    ),
-    "failsafe.brake": (
-        ("timeout", "SAFE_BRAKE_T", 3.0, 0.1, 10.0, "s", "longest time of braking, then the motors stop"),
-    ),
-    "failsafe.battery_low": (
-        ("timeout", "SAFE_BAT_LOW_T", 1.0, 0.004, 30.0, "s", "time of low voltage until it counts"),
-    ),
-    "failsafe.battery_critical": (
-        ("timeout", "SAFE_BAT_CRIT_T", 0.5, 0.004, 10.0, "s", "time of critical voltage until it descends"),
-    ),
-    "failsafe.late": (
-        ("timeout", "SAFE_LATE_T", 0.008, 0.004, 0.008, "s", "time of late steps in a row after which the motors stop"),
-    ),
-    "failsafe.stuck": (
-        (
-            "timeout",
-            "SAFE_STK_T",
-            0.5,
-            0.02,
-            5.0,
-            "s",
-            "time of commands that do not move after which they are not believed",
-        ),
-    ),
+    **{f"failsafe.{timer}": (("timeout", *row, "s", text),) for timer, *row, text in _TIMERS},
     "failsafe.level_lasts": (("time", "SAFE_LEVEL_LASTS", 0.5, 0.02, 5.0, "s", "levelling lasts at least"),),
     "failsafe.brake_lasts": (("time", "SAFE_BRAKE_LASTS", 0.5, 0.02, 5.0, "s", "braking lasts at least"),),
     "failsafe.machine": (

@@ -8,9 +8,10 @@ from numpy.typing import NDArray
 
 from twodof.blocks.reference.interpreter import Reference, ReferenceMachine
 from twodof.compile import build
-from twodof.flight.core import INPUTS, OUTPUTS, core
+from twodof.flight.core import OUTPUTS, core
 from twodof.flight.estimator.diagram import POSITION_FILTERS
 from twodof.flight.gains import DEFAULT
+from twodof.flight.ports import INPUTS
 from twodof.signals import ATTITUDE, OFF, OPEN_LOOP, PERIOD, POSITION, RATE, VELOCITY
 
 GRAVITY = 9.81

@@ -24,7 +24,7 @@ from twodof.identify import (
 from twodof.identify.best_excitation import Family
 from twodof.identify.information import simulate_planned
 from twodof.models import PAPER_PITCH_RATE, Structure, pitch_and_velocity, pitch_rate, velocity
-from twodof.models.offset import Offset
+from twodof.models.around_plant import Offset
 
 U = doublet(1500, 0.5, 0.6, 0.03)
 CHOSEN = ("w_n", "xi", "mu", "tau")

@@ -106,5 +106,5 @@ def test_the_robust_covariance_is_the_double_sum_over_lags_even_across_gaps() ->
                 meat += (1.0 - lag / (reach + 1.0)) * correlation * np.outer(jacobian[s], jacobian[t])
     bread = np.linalg.inv(jacobian.T @ jacobian)
     expected = n / (n - 2) * bread @ meat @ bread
-    found = robust_covariance(jacobian, residual, [ResidualRows(0, slice(0, n), when)], spectral=False)
+    found = robust_covariance(jacobian, residual, [ResidualRows(0, "y", slice(0, n), when)], spectral=False)
     assert found == pytest.approx(expected, rel=1e-9)

@@ -1,7 +1,5 @@
 """Parameters of the flight code's blocks, made from their rows in `twodof.parameters`."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from twodof.blocks import Param

@@ -1,7 +1,5 @@
 """Controller store: it keeps which controllers fly, a diagram of each template, until others are flashed."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,44 +1,21 @@
 """The flight core: sensors and set-points in, rotor commands out, at 250 Hz; one diagram."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
+from types import MappingProxyType
 from typing import Any
 
-from twodof.blocks import Block, Diagram, Port, State
+from twodof.blocks import Block, Diagram, State
 from twodof.errors import DiagramError
 from twodof.flight.control.cascade import cascade
 from twodof.flight.control.level_hold import ArmingReset, LevelHold
-from twodof.flight.control.mixer import Mixer
-from twodof.flight.control.rotor_pairs import FiniteCommands, MotorFlags, RotorPairs
+from twodof.flight.control.mixer import FiniteCommands, Mixer, MotorFlags, RotorPairs
 from twodof.flight.estimator.diagram import estimator
-from twodof.flight.failsafe.diagram import INPUTS as FAILSAFE_INPUTS
 from twodof.flight.failsafe.diagram import OUTPUTS as FAILSAFE_OUTPUTS
-from twodof.flight.failsafe.diagram import OWN_INPUTS
 from twodof.flight.failsafe.diagram import failsafe as failsafe_diagram
-from twodof.flight.failsafe.output_selector import COMMANDS, StandbyReset
+from twodof.flight.failsafe.output_selector import StandbyReset
 from twodof.flight.gains import DEFAULT, Gains
+from twodof.flight.ports import COMMANDS, FAILSAFE_INPUTS, IMU, INPUTS, OWN_INPUTS, RANGE, SET_POINTS, add_inputs, ports
 from twodof.flight.templates import ATTITUDE, MOTOR, POSITION, by_kind
-
-INPUTS: tuple[tuple[str, str, str, str], ...] = (
-    ("acc_x", "real", "m/s2", "specific force along the body's x axis"),
-    ("acc_z", "real", "m/s2", "specific force along the body's z axis (down)"),
-    ("gyro_y", "real", "rad/s", "pitch rate"),
-    ("dist", "real", "m", "time-of-flight range; x = dist - 0.50"),
-    ("dist_new", "bool", "", "a range sample is handed over in this tick"),
-    ("dist_age", "real", "s", "its age at this tick"),
-    ("mode", "int32", "", "index into signals.MODES"),
-    ("in_reset", "bool", "", "hold the integrals in reset (besides the reset at arming, which is inside)"),
-    ("x0", "real", "m", "position set-point, in position mode"),
-    ("v0", "real", "m/s", "velocity set-point, in velocity mode"),
-    ("ax0", "real", "m/s2", "acceleration set-point, a feed-forward that only a user's position controller reads"),
-    ("theta0", "real", "rad", "pitch set-point, in attitude mode"),
-    ("q0", "real", "rad/s", "pitch-rate set-point, in rate mode"),
-    ("thrust", "real", "", "thrust in open-loop, rate and attitude mode"),
-    ("M_open", "real", "", "moment in open loop"),
-    ("use_trim", "bool", "", "add the trim moment that the last level hold found to M_open"),
-)
-"""Name, type, unit, meaning of each input of the core."""
 
 OUTPUTS: tuple[tuple[str, str, str], ...] = (
     ("fore", "", "command of the fore rotor pair, 0 to 1"),
@@ -57,16 +34,17 @@ OUTPUTS: tuple[tuple[str, str, str], ...] = (
 )
 """Name, unit, meaning of each output of the core."""
 
+PUBLISHED = MappingProxyType({"theta": "theta", "q": "q", "x": "x_published", "v": "v_published"})
+"""The output of the estimator for each estimate that the others read."""
 
-GIVEN = ("mode", "x0", "v0", "theta0", "q0", "thrust", "M_open", "ax0")
+GIVEN = ("mode", *SET_POINTS, "ax0")
 """The inputs that say what is to be flown; with the failsafe they pass through it."""
 
 
 class PreviousPitch(Block):
     """The pitch of the sample before: the drone's estimator publishes after the controller has read."""
 
-    inputs = (Port("theta", unit="rad"),)
-    outputs = (Port("theta", unit="rad"),)
+    inputs = outputs = ports("theta")
     states = (State("theta", unit="rad"),)
 
     def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
@@ -98,7 +76,7 @@ def core(
     stock ones, computed at every step as `stock...` with their integrals in reset, stand ready to replace them.
 
     `outside` is for a user's controllers that are not trusted and run elsewhere, such as a whole core of theirs in a
-    sandbox. Their commands come in as `flight.failsafe.diagram.OWN_INPUTS` and are watched in the same way. The output
+    sandbox. Their commands come in as `flight.ports.OWN_INPUTS` and are watched in the same way. The output
     `own` says whether they were to fly in this tick.
 
     Raises ParameterError for an unknown position filter, DiagramError for a diagram that fits no template, and for
@@ -113,12 +91,11 @@ def core(
         )
     d = Diagram("flight", "estimator, level hold, cascade and mixer at 250 Hz")
     safety = (*(FAILSAFE_INPUTS if failsafe else ()), *(OWN_INPUTS if outside else ()))
-    for name, kind, unit, _ in (*INPUTS, *safety):
-        d.input(name, kind, unit=unit)
+    add_inputs(d, *(name for name, *_ in (*INPUTS, *safety)))
     # Where the controllers read the mode and the set-points: as given, or as the failsafe lets them pass.
     given = {name: f"failsafe.safe_{name}" if failsafe else name for name in GIVEN}
     d.add("estimator", estimator(position_filter))
-    for name in ("acc_x", "acc_z", "gyro_y", "dist"):
+    for name in (*IMU, "dist"):
         d.connect(name, f"estimator.{name}")
     # A range that the failsafe does not believe is none.
     for name, believed in (("dist_new", "range_taken"), ("dist_age", "range_age")):
@@ -159,10 +136,8 @@ def core(
     for name in ("x0", "v0", "theta0", "q0"):
         d.output(name, f"cascade.{name}")
     d.connect(flown, "hold.M")
-    d.output("theta", "estimator.theta")
-    d.output("q", "estimator.q")
-    d.output("x", "estimator.x_published")
-    d.output("v", "estimator.v_published")
+    for name, source in PUBLISHED.items():
+        d.output(name, f"estimator.{source}")
     d.output("M_trim", "hold.M_trim")
     return d
 
@@ -178,7 +153,7 @@ def _cascade(d: Diagram, name: str, item: Diagram, given: Mapping[str, str], in_
         v="estimator.v_published",
         theta="previous.theta",
         q="estimator.q",
-        inputs={port: given[port] for port in ("mode", "x0", "v0", "theta0", "q0", "thrust")},
+        inputs={name: given[name] for name in ("mode", *SET_POINTS) if name != "M_open"},
     )
 
 
@@ -187,11 +162,9 @@ def _failsafe(
 ) -> None:
     """Adds the failsafe behind `commands`; where those are a user's, stock controllers with the gains `reserve`."""
     d.add("failsafe", failsafe_diagram())
-    for name, _, _, _ in FAILSAFE_INPUTS:
+    for name in (*(row[0] for row in FAILSAFE_INPUTS), *IMU, *RANGE, *GIVEN):
         d.connect(name, f"failsafe.{name}")
-    for name in ("acc_x", "acc_z", "gyro_y", "dist", "dist_new", "dist_age", *GIVEN):
-        d.connect(name, f"failsafe.{name}")
-    for name, source in (("theta", "theta"), ("q", "q"), ("x", "x_published"), ("v", "v_published")):
+    for name, source in PUBLISHED.items():
         d.connect(f"estimator.{source}", f"failsafe.{name}")
     stock = commands
     if reserve is not None:

@@ -1,7 +1,5 @@
 """Whether a number is one, and what becomes of a filter whose states are none."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from functools import reduce
 from operator import and_

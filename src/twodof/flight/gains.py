@@ -1,13 +1,11 @@
 """Gains: the numbers of the cascade's loops, by name, by JSON file, by the path of the parameter they set."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Self
 
 from twodof.errors import LogError, ParameterError
 from twodof.flightlog.provenance import read_bytes
@@ -55,14 +53,14 @@ class Gains:
         """Those that are not the default ones, by the names of the drone's parameters ("RATE_KP")."""
         return {name: value for name, value in self._named().items() if value != _DEFAULTS[name]}
 
-    def changed(self, name: str, value: float) -> Gains:
+    def changed(self, name: str, value: float) -> Self:
         """With the drone's parameter `name` at a float32 `value`; unchanged where that is not a gain in its bounds."""
         if name not in _ROWS or ParameterSet(table=(_ROWS[name],)).check({name: value})[1]:
             return self
         return self._of({**self._named(), name: float32_decimal(value)})
 
     @classmethod
-    def flown(cls, provenance: Mapping[str, Any]) -> Gains | None:
+    def flown(cls, provenance: Mapping[str, Any]) -> Self | None:
         """The gains that a log's provenance says were flown, by the drone's parameters; None where it says nothing.
 
         A flight and a recording have those that were tuned, a log of our flight controller all of them, in float32.
@@ -77,7 +75,7 @@ class Gains:
         return None if wrong else cls._of(_DEFAULTS | given)
 
     @classmethod
-    def _of(cls, values: Mapping[str, float]) -> Gains:
+    def _of(cls, values: Mapping[str, float]) -> Self:
         kp, ki, kd, attitude, velocity_kp, velocity_ki, position = (values[name] for name in _ROWS)
         return cls((kp, ki, kd), attitude, (velocity_kp, velocity_ki), position)
 
@@ -91,7 +89,7 @@ class Gains:
         }
 
     @classmethod
-    def from_json(cls, data: object, where: str = "gains") -> Gains:
+    def from_json(cls, data: object, where: str = "gains") -> Self:
         """Gains from `{"rate": [Kp, Ki, Kd], "attitude": Kp, "velocity": [Kp, Ki], "position": Kp}`.
 
         Raises ParameterError for another shape; `where` names its source in the message.

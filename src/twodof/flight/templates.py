@@ -1,15 +1,14 @@
 """Templates: what a student fills in. A diagram with exactly the ports of one takes the stock controller's place."""
 
-from __future__ import annotations
-
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import NamedTuple
 
+from twodof.blocks.declarations import Port
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.library.delays import ZeroOrderHold
-from twodof.compile.program.flat_program import FlatProgram
+from twodof.compile.program.flat_program import FlatSignal
 from twodof.compile.program.lower import lower
 from twodof.errors import DiagramError
 from twodof.signals import PERIOD
@@ -170,14 +169,14 @@ def check_template(diagram: Diagram, kind: str | None = None) -> Template:
     if name not in TEMPLATES:
         raise DiagramError(f"no template called {name!r:.80}", diagram.name, f"there are: {', '.join(TEMPLATES)}")
     template = TEMPLATES[name]
-    faults = [*_names(diagram, template), *_inputs(diagram, template)]
+    outputs: dict[str, FlatSignal | None] = dict.fromkeys(diagram.outputs)
     refusal: DiagramError | None = None
     try:
         program = lower(diagram, PERIOD)
+        outputs = {name: program.outputs[name] for name in outputs}
     except DiagramError as error:
         refusal = error
-    else:
-        faults += [*_outputs(program, template)]
+    faults = [*_faults("input", template.inputs, diagram.inputs), *_faults("output", template.outputs, outputs)]
     if faults:
         raise DiagramError(
             f"it does not fit the template {name}: {'; '.join(faults)}", diagram.name, "change these ports"
@@ -209,43 +208,21 @@ def _check_among_others(diagram: Diagram) -> None:
     lower(d, PERIOD / 4.0)
 
 
-def _names(diagram: Diagram, template: Template) -> Iterator[str]:
-    """What is wrong with the names of the ports."""
-    for what, wanted, given in (
-        ("input", template.inputs, diagram.inputs),
-        ("output", template.outputs, diagram.outputs),
-    ):
-        names = {port.name for port in wanted}
-        for port in wanted:
-            if port.name not in given:
-                yield f"the {what} {port.name} is missing: add {_described(port.kind, None, port.unit)}, {port.text}"
-        for name in given:
-            if name not in names:
-                yield f"the {what} {name} is not of the template: remove it"
-
-
-def _inputs(diagram: Diagram, template: Template) -> Iterator[str]:
-    """What is wrong with the types of the inputs."""
-    for port in template.inputs:
-        given = diagram.inputs.get(port.name)
-        if given is not None:
-            yield from _clash("input", port, given.kind, given.width, given.unit)
-
-
-def _outputs(program: FlatProgram, template: Template) -> Iterator[str]:
-    """What is wrong with the types of the outputs."""
-    for port in template.outputs:
-        signal = program.outputs.get(port.name)
-        if signal is not None:
-            yield from _clash("output", port, signal.kind, signal.width, signal.unit)
-
-
-def _clash(what: str, port: TemplatePort, kind: str, width: int | None, unit: str) -> Iterator[str]:
-    """What is wrong with a port of the type `kind`, of `width` elements, in `unit`."""
-    # A unit that is left out is not compared, as at any connection.
-    if (kind, width) != (port.kind, None) or (unit and unit != port.unit):
-        wanted = _described(port.kind, None, port.unit)
-        yield f"the {what} {port.name} is {_described(kind, width, unit)}: make it {wanted}"
+def _faults(what: str, wanted: Sequence[TemplatePort], given: Mapping[str, FlatSignal | Port | None]) -> Iterator[str]:
+    """What is wrong with the ports `given`, by name; None for one whose type is not known."""
+    for port in wanted:
+        asked = _described(port.kind, None, port.unit)
+        if port.name not in given:
+            yield f"the {what} {port.name} is missing: add {asked}, {port.text}"
+        elif (found := given[port.name]) is not None:
+            # A unit that is left out is not compared, as at any connection.
+            if (found.kind, found.width) != (port.kind, None) or (found.unit and found.unit != port.unit):
+                described = _described(found.kind, found.width, found.unit)
+                yield f"the {what} {port.name} is {described}: make it {asked}"
+    names = {port.name for port in wanted}
+    for name in given:
+        if name not in names:
+            yield f"the {what} {name} is not of the template: remove it"
 
 
 def _described(kind: str, width: int | None, unit: str) -> str:

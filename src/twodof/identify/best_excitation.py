@@ -1,7 +1,5 @@
 """The best excitation within the rig's limits: the doublet, 3-2-1-1 or multisine that tells the unknowns best."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """What the Jacobian at the solution says: covariance, its robust form, condition, and what the data cannot tell."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,16 +17,8 @@ Array = NDArray[np.float64]
 RANK_TOLERANCE = 1e-6
 
 
-@dataclass(frozen=True, eq=False)
-class Conditioning:
-    """Singular values of the Jacobian with columns of unit length; `number` is the largest over the smallest."""
-
-    singular_values: Array
-    number: float
-
-
-def check_identifiable(jacobian: Array, scale: Array, labels: Sequence[str], where: str) -> Conditioning:
-    """The conditioning of `jacobian` (rows, unknowns), or IdentificationError naming what the data cannot tell.
+def check_identifiable(jacobian: Array, scale: Array, labels: Sequence[str], where: str) -> float:
+    """The condition number of `jacobian` (rows, unknowns), or IdentificationError naming what the data cannot tell.
 
     Columns are scaled to unit length, so units do not matter. An unknown has no effect if its change by its whole
     `scale` moves the outputs less than 1e-9 times as much as that of the most effective one.
@@ -52,7 +42,7 @@ def check_identifiable(jacobian: Array, scale: Array, labels: Sequence[str], whe
             where,
             "fix one of them, measure another output, or add an experiment in which they act differently",
         )
-    return Conditioning(s, float(s[0] / s[-1]))
+    return float(s[0] / s[-1])
 
 
 def covariance(jacobian: Array) -> Array:
@@ -67,6 +57,7 @@ class ResidualRows:
     """The rows of one output of one record; `when` is the step (or Fourier coefficient) of each."""
 
     record: int
+    output: str
     rows: slice
     when: NDArray[np.int64]
 

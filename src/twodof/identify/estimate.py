@@ -1,7 +1,5 @@
 """The result of a fit: values with units and uncertainty, how well the model reproduces the data, and the checks."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import dataclass

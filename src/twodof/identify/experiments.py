@@ -1,7 +1,5 @@
 """The paper's three experiments as records: which excitation to look for in a log and which channels to take."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
@@ -18,7 +16,6 @@ from twodof.signals import RAIL_CENTRE
 
 Array = NDArray[np.float64]
 
-# The range sensor's reading at mid rail.
 # Beyond this the drone is at its end stop (0.87 rad) and no model of the free motion holds.
 _NEAR_STOP_RAD = 0.84
 # A free response is over when q has stayed below this share of its peak for this long; what follows in a log is

@@ -1,7 +1,5 @@
 """Non-parametric frequency response: what a record says about q / M before any structure is supposed."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import dataclass
@@ -77,12 +75,7 @@ def frequency_response(
     Raises IdentificationError for unknown channels, a segment that does not fit twice, an input that does not move.
     """
     where = f"record '{record.name}'"
-    if input not in record.inputs or output not in record.outputs:
-        raise IdentificationError(
-            f"the record does not hold '{input}' as input and '{output}' as output",
-            where,
-            f"inputs: {', '.join(record.inputs)}; outputs: {', '.join(record.outputs)}",
-        )
+    _, value, u = record.signals(input, output)
     steps, dt = record.steps, record.dt
     length = steps * 2 // 9 if segment is None else round(segment / dt)
     if length < 8 or 3 * length > 2 * steps:
@@ -91,16 +84,15 @@ def frequency_response(
             where,
             "use a longer record or a shorter segment",
         )
-    u = record.inputs[input]
-    samples = record.outputs[output]
-    y = np.interp(np.arange(steps), samples.position, samples.value)
+    y = np.interp(np.arange(steps), record.outputs[output].position, value)
     if float(np.ptp(u)) == 0.0:
         raise IdentificationError(f"the input '{input}' does not move", where, "choose a window with excitation")
     taper = get_window(window, length)
     starts = np.arange(0, steps - length + 1, length // 2)
     pieces = starts[:, None] + np.arange(length)
-    spectrum_u = np.fft.rfft((u[pieces] - u[pieces].mean(axis=1, keepdims=True)) * taper)[:, 1:]
-    spectrum_y = np.fft.rfft((y[pieces] - y[pieces].mean(axis=1, keepdims=True)) * taper)[:, 1:]
+    spectrum_u, spectrum_y = (
+        np.fft.rfft((one[pieces] - one[pieces].mean(axis=1, keepdims=True)) * taper)[:, 1:] for one in (u, y)
+    )
     p_uu = (abs(spectrum_u) ** 2).mean(axis=0)
     p_yy = (abs(spectrum_y) ** 2).mean(axis=0)
     p_uy = (spectrum_u.conj() * spectrum_y).mean(axis=0)

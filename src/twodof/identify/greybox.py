@@ -5,8 +5,6 @@ noise that is maximum likelihood (Ljung, System Identification, section 7.4; wha
 disturbance model). The standard deviations sigma of the outputs are estimated along, unless given.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 
@@ -15,10 +13,10 @@ from numpy.typing import NDArray
 
 from twodof.errors import IdentificationError
 from twodof.flightlog.log import FlightLog
-from twodof.identify.covariance import check_identifiable, covariance, robust_covariance
+from twodof.identify.covariance import ResidualRows, check_identifiable, covariance, robust_covariance
 from twodof.identify.estimate import Estimate
 from twodof.identify.levenberg_marquardt import LeastSquaresMinimum, minimise
-from twodof.identify.problem import OutputRows, Problem
+from twodof.identify.problem import Problem
 from twodof.identify.record import Record
 from twodof.identify.validate import Comparison, compare
 from twodof.models.structure import Structure
@@ -92,7 +90,7 @@ def fit(
         noise=problem.noise(),
         fixed={name: value for name, value in problem.values(minimum.x, 0).items() if name not in wanted},
         at_bound=tuple(label for label, held in zip(labels, minimum.at_bound, strict=True) if held),
-        condition_number=condition.number,
+        condition_number=condition,
         identification=_comparisons(problem, minimum.x),
         validation=_validation(structure, problem, minimum.x, _several(validation), like),
         iterations=minimum.iterations,
@@ -144,7 +142,7 @@ def _solve(problem: Problem, noise: Mapping[str, float]) -> LeastSquaresMinimum:
     return minimum
 
 
-def _reweight(problem: Problem, minimum: LeastSquaresMinimum, blocks: Sequence[OutputRows]) -> float:
+def _reweight(problem: Problem, minimum: LeastSquaresMinimum, blocks: Sequence[ResidualRows]) -> float:
     """Set the sigma of each block to that of its residuals (degrees of freedom shared by rows); the largest change."""
     residual = minimum.residual
     freedom = max(1, residual.size - len(problem.slots)) / residual.size

@@ -4,8 +4,6 @@ The Fisher information of an experiment is J' J, with J the sensitivities of the
 is the Cramer-Rao bound, which the grey-box fit attains (Jategaonkar, Flight Vehicle System Identification, chapter 2).
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -95,12 +93,23 @@ def predict(
     to be (default: the structure's guesses). `repeats`: how often the experiment is flown; local unknowns, one value a
     flight, gain nothing from it. Raises IdentificationError as `fit` does, for unknowns the experiment cannot tell.
     """
-    problem, x = _problem(structure, inputs, dt, noise, values, estimate)
+    for output, size in noise.items():
+        if output not in structure.outputs or not size > 0.0:
+            raise IdentificationError(
+                f"noise {size} for '{output}' is not a positive number for an output of the structure",
+                f"structure '{structure.name}'",
+                f"outputs: {', '.join(structure.outputs)}",
+            )
+    record = _blank(structure, inputs, dt, tuple(noise))
+    wanted = structure.estimate if estimate is None else tuple(estimate)
+    problem = Problem(structure, [record], wanted, dict(values or {}), {})
+    problem.set_noise(noise)
+    x = problem.x0
     jacobian = problem.central_jacobian(x)
     labels = tuple(slot.label for slot in problem.slots)
     where = f"structure '{structure.name}', planned experiment"
     condition = check_identifiable(jacobian, problem.scale, labels, where)
-    shared = np.array([0.0 if slot.unknown.local else 1.0 for slot in problem.slots])
+    shared = np.flatnonzero([not slot.unknown.local for slot in problem.slots])
     bound = _repeated(jacobian, shared, repeats)
     sigma = np.sqrt(np.diag(bound))
     simulated = simulate_planned(structure, inputs, dt, problem.values(x, 0))
@@ -112,32 +121,10 @@ def predict(
         np.asarray(np.linalg.inv(bound)),
         sigma,
         bound / np.outer(sigma, sigma),
-        condition.number,
+        condition,
         {name: float(np.abs(y).max()) for name, y in simulated.items()},
         {name: float(np.ptp(y)) for name, y in simulated.items()},
     )
-
-
-def _problem(
-    structure: Structure,
-    inputs: Mapping[str, ArrayLike],
-    dt: float,
-    noise: Mapping[str, float],
-    values: Mapping[str, float] | None,
-    estimate: Collection[str] | None,
-) -> tuple[Problem, Array]:
-    for output, sigma in noise.items():
-        if output not in structure.outputs or not sigma > 0.0:
-            raise IdentificationError(
-                f"noise {sigma} for '{output}' is not a positive number for an output of the structure",
-                f"structure '{structure.name}'",
-                f"outputs: {', '.join(structure.outputs)}",
-            )
-    record = _blank(structure, inputs, dt, tuple(noise))
-    wanted = structure.estimate if estimate is None else tuple(estimate)
-    problem = Problem(structure, [record], wanted, dict(values or {}), {})
-    problem.set_noise(noise)
-    return problem, problem.x0
 
 
 def _blank(structure: Structure, inputs: Mapping[str, ArrayLike], dt: float, outputs: Sequence[str]) -> Record:
@@ -160,22 +147,12 @@ def simulate_planned(
     return RecordSimulator(structure, _blank(structure, inputs, dt, structure.outputs)).run(values)
 
 
-def _repeated(jacobian: Array, shared: Array, repeats: int) -> Array:
+def _repeated(jacobian: Array, shared: NDArray[np.int64], repeats: int) -> Array:
     """The covariance after `repeats` flights that each have their own local unknowns."""
     one = covariance(jacobian)
-    # Marginal information about the shared unknowns adds up over flights; a local one is known as well as one flight
-    # tells it, given what all flights tell of the shared ones.
-    both = shared == 1.0
-    if repeats == 1 or not both.any():
+    if repeats == 1 or not shared.size:
         return one
+    # Each further flight adds what it tells of the shared unknowns, whatever its own local ones are.
     information = np.linalg.inv(one)
-    pooled = one[np.ix_(both, both)] / repeats
-    result = np.zeros_like(one)
-    result[np.ix_(both, both)] = pooled
-    if not both.all():
-        own = np.linalg.inv(information[np.ix_(~both, ~both)])
-        gain = own @ information[np.ix_(~both, both)]
-        result[np.ix_(~both, ~both)] = own + gain @ pooled @ gain.T
-        result[np.ix_(~both, both)] = -gain @ pooled
-        result[np.ix_(both, ~both)] = result[np.ix_(~both, both)].T
-    return result
+    information[np.ix_(shared, shared)] += (repeats - 1) * np.linalg.inv(one[np.ix_(shared, shared)])
+    return np.linalg.inv(information)

@@ -5,8 +5,6 @@ That decomposes the tall Jacobian at each step, where a simulation costs less. O
 flights both find the same estimates to 5 digits, except with dry friction, whose cost has several minima.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

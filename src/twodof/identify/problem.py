@@ -1,7 +1,5 @@
 """The least-squares problem behind a fit: which unknown of which record is which entry of x, residuals, Jacobian."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -29,13 +27,6 @@ class FreeUnknown:
     unknown: UnknownParameter
     record: int | None
     label: str
-
-
-@dataclass(frozen=True, eq=False)
-class OutputRows(ResidualRows):
-    """The rows of the residual that one output of one record makes."""
-
-    output: str
 
 
 class Problem:
@@ -131,38 +122,27 @@ class Problem:
 
     def jacobian(self, x: Array, residual: Array) -> Array:
         """One-sided differences of the residual; an unknown of one record re-simulates only that record."""
-        jac = np.zeros((residual.size, x.size))
-        for i, slot in enumerate(self.slots):
-            h = _ONE_SIDED * max(abs(x[i]), self.scale[i])
-            h = -h if x[i] + h > self.upper[i] else h
-            moved = x.copy()
-            moved[i] += h
-            self._differences(jac, i, slot, moved, residual, moved[i] - x[i])
-        return jac
+        step = _ONE_SIDED * np.maximum(np.abs(x), self.scale)
+        return self._differences(x, x + np.where(x + step > self.upper, -step, step), x, residual)
 
     def central_jacobian(self, x: Array) -> Array:
         """Two-sided differences, one-sided where a bound leaves no room: for statistics, at the end of a fit."""
-        base = self.residual(x)
-        jac = np.zeros((base.size, x.size))
+        step = _TWO_SIDED * np.maximum(np.abs(x), self.scale)
+        return self._differences(x, np.minimum(x + step, self.upper), np.maximum(x - step, self.lower))
+
+    def _differences(self, x: Array, high: Array, low: Array, residual: Array | None = None) -> Array:
+        """(residual at `high` - that at `low`) / (high - low), unknown by unknown; `residual` is that at x = `low`."""
+        rows = [[block.rows for block in self.blocks if block.record == r] for r in range(len(self.records))]
+        jac = np.zeros((rows[-1][-1].stop, x.size))
         for i, slot in enumerate(self.slots):
-            h = _TWO_SIDED * max(abs(x[i]), self.scale[i])
             up, down = x.copy(), x.copy()
-            up[i], down[i] = min(x[i] + h, self.upper[i]), max(x[i] - h, self.lower[i])
-            low = np.zeros_like(base)
-            for r in range(len(self.records)):
-                low[self._span(r)] = self._rows(down, r) if slot.record in (None, r) else base[self._span(r)]
-            self._differences(jac, i, slot, up, low, up[i] - down[i])
+            up[i], down[i] = high[i], low[i]
+            for r, own in enumerate(rows):
+                if slot.record in (None, r):
+                    span = slice(own[0].start, own[-1].stop)
+                    below = self._rows(down, r) if residual is None else residual[span]
+                    jac[span, i] = (self._rows(up, r) - below) / (high[i] - low[i])
         return jac
-
-    def _differences(self, jac: Array, i: int, slot: FreeUnknown, moved: Array, base: Array, h: float) -> None:
-        for r in range(len(self.records)):
-            if slot.record in (None, r):
-                rows = self._span(r)
-                jac[rows, i] = (self._rows(moved, r) - base[rows]) / h
-
-    def _span(self, record: int) -> slice:
-        own = [block.rows for block in self.blocks if block.record == record]
-        return slice(own[0].start, own[-1].stop)
 
     def _rows(self, x: Array, record: int) -> Array:
         simulated = self.simulate(x, record)
@@ -187,7 +167,7 @@ class Problem:
         inner = (frequency > 0.0) & (frequency < 0.5 / self.records[record].dt * (1.0 - 1e-9))
         return np.flatnonzero((frequency >= low) & (frequency <= high) & inner)
 
-    def _blocks(self) -> list[OutputRows]:
+    def _blocks(self) -> list[ResidualRows]:
         blocks, start = [], 0
         for r, simulator in enumerate(self._simulators):
             for output in simulator.outputs:
@@ -210,7 +190,7 @@ class Problem:
                             f"the resolution is {1.0 / (self.records[r].dt * samples.position.size):g} Hz",
                         )
                     when = np.concatenate([bins, bins])
-                blocks.append(OutputRows(r, slice(start, start + when.size), when, output))
+                blocks.append(ResidualRows(r, output, slice(start, start + when.size), when))
                 start += when.size
         return blocks
 

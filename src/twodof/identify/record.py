@@ -1,10 +1,9 @@
 """A record: the piece of a log or table that a fit uses, inputs held on a uniform grid, outputs at their own stamps."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -59,6 +58,16 @@ class Record:
         """Times of the samples of `output` on the log's axis [s]."""
         return np.asarray(self.start + self.dt * self.outputs[output].position)
 
+    def signals(self, input: str, output: str) -> tuple[Array, Array, Array]:
+        """Times and values of an output, and the steps of an input. Raises IdentificationError for one it lacks."""
+        if input not in self.inputs or output not in self.outputs:
+            raise IdentificationError(
+                f"the record does not hold '{input}' as input and '{output}' as output",
+                f"record '{self.name}'",
+                f"inputs: {', '.join(self.inputs)}; outputs: {', '.join(self.outputs)}",
+            )
+        return self.output_time(output), self.outputs[output].value, self.inputs[input]
+
     @classmethod
     def from_columns(
         cls,
@@ -69,16 +78,12 @@ class Record:
         name: str = "record",
         *,
         smooth: Collection[str] = (),
-    ) -> Record:
+    ) -> Self:
         """A record from one table whose columns share the column `time` [s]; `smooth` as in `from_channels`.
 
         Raises IdentificationError for a missing column, NaN, time that does not increase, fewer than two rows.
         """
-        channels = {}
-        for column in (*inputs, *outputs):
-            if column not in columns:
-                raise _missing(column, columns)
-            channels[column] = (time, columns[column])
+        channels = {column: (time, value) for column, value in columns.items()}
         return cls.from_channels(channels, inputs, outputs, smooth=smooth, name=name)
 
     @classmethod
@@ -93,7 +98,7 @@ class Record:
         dt: float | None = None,
         smooth: Collection[str] = (),
         name: str = "record",
-    ) -> Record:
+    ) -> Self:
         """A record from channels (time [s], value), each with its own clock, in the window `start` to `stop` [s].
 
         The grid is that of the first input: its step is the mean of its regular intervals unless `dt` is given, its
@@ -151,14 +156,7 @@ class Record:
             near = np.round(position)
             # A stamp that is on the grid but for rounding is on the grid; real jitter is thousands of times larger.
             position = np.where(np.abs(position - near) < 1e-6, near, position)
-            keep = (position >= 0.0) & (position <= steps - 1)
-            if not keep.any():
-                raise IdentificationError(
-                    f"the window {start:g} to {stop:g} s holds no sample of the output",
-                    f"record '{name}', channel '{channel}'",
-                    _span_of(time),
-                )
-            measured[channel] = Samples(position[keep], value[keep])
+            measured[channel] = _samples(position, value, 0, steps - 1, f"record '{name}', channel '{channel}'", time)
         return cls(name, step, origin, held, measured)
 
     @classmethod
@@ -172,7 +170,7 @@ class Record:
         *,
         smooth: Collection[str] = (),
         name: str = "",
-    ) -> Record:
+    ) -> Self:
         """A record from a flight log's window `start` to `stop` [s]; see `from_channels`.
 
         Channels are named as in the log, or as {name in the structure: channel in the log}. Raises LogError for a
@@ -191,7 +189,7 @@ class Record:
         title = name or log.source
         return cls.from_channels(channels, list(ins), list(outs), start=start, stop=stop, smooth=smooth, name=title)
 
-    def part(self, start: float, stop: float, name: str | None = None) -> Record:
+    def part(self, start: float, stop: float, name: str | None = None) -> Self:
         """The piece from `start` to `stop` [s] on the log's axis. Raises IdentificationError if it is empty."""
         first = max(0, math.ceil((start - self.start) / self.dt - 1e-6))
         last = min(self.steps - 1, math.floor((stop - self.start) / self.dt + 1e-6))
@@ -203,22 +201,25 @@ class Record:
             )
         outputs = {}
         for output, samples in self.outputs.items():
-            keep = (samples.position >= first) & (samples.position <= last)
-            if not keep.any():
-                raise IdentificationError(
-                    f"the window {start:g} to {stop:g} s holds no sample of '{output}'",
-                    f"record '{self.name}'",
-                    _span_of(self.output_time(output)),
-                )
-            outputs[output] = Samples(samples.position[keep] - first, samples.value[keep])
+            where = f"record '{self.name}', channel '{output}'"
+            outputs[output] = _samples(samples.position, samples.value, first, last, where, self.output_time(output))
         inputs = {channel: value[first : last + 1] for channel, value in self.inputs.items()}
-        return Record(name or self.name, self.dt, self.start + first * self.dt, inputs, outputs)
+        begin = self.start + first * self.dt
+        return replace(self, name=name or self.name, start=begin, inputs=inputs, outputs=outputs)
 
 
 def _missing(channel: str, present: Mapping[str, object]) -> IdentificationError:
     return IdentificationError(
         f"there is no channel '{channel}'", "record", f"present are: {', '.join(sorted(present)) or 'none'}"
     )
+
+
+def _samples(position: Array, value: Array, first: int, last: int, where: str, time: Array) -> Samples:
+    """Those from step `first` to step `last`, by their position after `first`."""
+    keep = (position >= first) & (position <= last)
+    if not keep.any():
+        raise IdentificationError("the window holds no sample of the output", where, _span_of(time))
+    return Samples(position[keep] - first, value[keep])
 
 
 def _span_of(time: Array) -> str:

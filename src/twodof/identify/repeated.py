@@ -1,7 +1,5 @@
 """The same estimate from several flights, each by itself: how far they spread beside what each of them claims."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Collection, Mapping, Sequence

@@ -4,13 +4,12 @@ Experiment 1, an impulse: period -> natural frequency, settling time -> damping 
 over the peak simulated with mu = 1 -> gain; counting samples until the response overlays the simulated one -> delay.
 """
 
-from __future__ import annotations
-
 import json
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from itertools import pairwise
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +23,6 @@ Array = NDArray[np.float64]
 
 SETTLED = 0.01
 """A response is settled when its envelope is below this share of its first peak: exp(-4.6) = 1 %."""
-
 
 # Half of the signal unexplained. Flights of the paper's experiments on the virtual rigs reach 66 to 92 %.
 _POOR_FIT = 50.0
@@ -73,65 +71,79 @@ class DoubletResponse:
 
 
 @dataclass(frozen=True, eq=False)
-class SimplePitch:
-    """The simple method's model with the figures it came from; FIT of q [%] by record, the first one identified."""
+class SimpleEstimate:
+    """What the simple methods have in common: FIT [%] by record, that of the record identified and of the others."""
 
-    model: PitchRate
-    free: FreeResponse
-    doublet: DoubletResponse
+    output: ClassVar[str]
+
     identification: tuple[str, float]
     validation: tuple[tuple[str, float], ...]
 
     @property
     def remarks(self) -> tuple[str, ...]:
         """What a reader should know before using the figures, one sentence each with what to do about it."""
-        return poor_fits("q", (self.identification, *self.validation))
+        return tuple(
+            f"the model reproduces {self.output} in '{name}' with a FIT of only {value:.0f} %, so its figures are not "
+            "to be trusted: check on a plot that the window holds one clean response, or estimate by output error "
+            "(grey-box)"
+            for name, value in (self.identification, *self.validation)
+            if value < _POOR_FIT
+        )
+
+    def table_with(self, steps: Sequence[str]) -> str:
+        """The lines `steps`, and below them fits and remarks."""
+        name, value = self.identification
+        lines = [*steps, f"identification '{name}': FIT {value:.1f} %"]
+        lines.extend(f"validation '{name}': FIT {value:.1f} %" for name, value in self.validation)
+        lines.extend(f"note: {remark}" for remark in self.remarks)
+        return "\n".join(lines)
+
+    def json_with(self, figures: Mapping[str, object]) -> str:
+        """The `figures`, and below them fits and remarks, as JSON text."""
+        fits = {"identification": dict([self.identification]), "validation": dict(self.validation)}
+        return json.dumps({**figures, **fits, "remarks": self.remarks}, indent=2, default=np.ndarray.tolist)
+
+
+@dataclass(frozen=True, eq=False)
+class SimplePitch(SimpleEstimate):
+    """The simple method's model of the pitch rate with the figures it came from."""
+
+    output = "q"
+
+    model: PitchRate
+    free: FreeResponse
+    doublet: DoubletResponse
 
     def table(self) -> str:
         """Each step as a line of text."""
         f, d, m = self.free, self.doublet, self.model
         halves = np.diff(f.crossings)
         late = " (extrapolated)" if f.extrapolated else ""
-        lines = [
-            f"period        T_P = {f.period:.3f} s -> w_n = {m.w_n:.3f} rad/s",
-            f"              ({halves.size} half swings, the first {halves[0]:.3f} s, the last {halves[-1]:.3f} s)",
-            f"settling time T_S = {f.settling_time:.2f} s{late} -> xi = 4.6 / (T_S w_n) = {m.xi:.4f}",
-            f"peak {d.peak:.3f} rad/s over {d.unit_peak:.3e} rad/s with mu = 1 -> mu = {m.mu:.1f} rad/s2",
-            f"the response lies {d.shift} samples behind the input -> tau = {1e3 * m.tau:.1f} ms",
-            f"              (q leaves its noise {d.first_motion} samples after the edge)",
-            f"identification '{self.identification[0]}': FIT {self.identification[1]:.1f} %",
-        ]
-        lines.extend(f"validation '{name}': FIT {value:.1f} %" for name, value in self.validation)
-        lines.extend(f"note: {remark}" for remark in self.remarks)
-        return "\n".join(lines)
+        return self.table_with(
+            [
+                f"period        T_P = {f.period:.3f} s -> w_n = {m.w_n:.3f} rad/s",
+                f"              ({halves.size} half swings, the first {halves[0]:.3f} s, the last {halves[-1]:.3f} s)",
+                f"settling time T_S = {f.settling_time:.2f} s{late} -> xi = 4.6 / (T_S w_n) = {m.xi:.4f}",
+                f"peak {d.peak:.3f} rad/s over {d.unit_peak:.3e} rad/s with mu = 1 -> mu = {m.mu:.1f} rad/s2",
+                f"the response lies {d.shift} samples behind the input -> tau = {1e3 * m.tau:.1f} ms",
+                f"              (q leaves its noise {d.first_motion} samples after the edge)",
+            ]
+        )
 
     def to_json(self) -> str:
         """Model and intermediate figures as JSON text."""
-        f, d = self.free, self.doublet
-        return json.dumps(
+        d = self.doublet
+        read = ("period", "settling_time", "extrapolated", "crossings", "peak_times", "peaks")
+        return self.json_with(
             {
-                "model": {"w_n": self.model.w_n, "xi": self.model.xi, "mu": self.model.mu, "tau": self.model.tau},
-                "free_response": {
-                    "period": f.period,
-                    "settling_time": f.settling_time,
-                    "extrapolated": f.extrapolated,
-                    "crossings": f.crossings.tolist(),
-                    "peak_times": f.peak_times.tolist(),
-                    "peaks": f.peaks.tolist(),
-                },
+                "model": asdict(self.model),
+                "free_response": {name: getattr(self.free, name) for name in read},
                 "doublet": {
-                    "edge": d.edge,
-                    "amplitude": d.amplitude,
-                    "peak": d.peak,
-                    "unit_peak": d.unit_peak,
+                    **{name: getattr(d, name) for name in ("edge", "amplitude", "peak", "unit_peak")},
                     "shift_samples": d.shift,
                     "first_motion_samples": d.first_motion,
                 },
-                "identification": dict([self.identification]),
-                "validation": dict(self.validation),
-                "remarks": list(self.remarks),
-            },
-            indent=2,
+            }
         )
 
 
@@ -154,7 +166,7 @@ def identify_pitch(
     doublet = read_doublet(doublets[0], free.w_n, free.xi, trim, input, output)
     model = PitchRate(free.w_n, free.xi, doublet.mu, doublet.tau)
     scores = [(record.name, fit_percent(*simulated_pair(model, record, trim, input, output))) for record in doublets]
-    return SimplePitch(model, free, doublet, scores[0], tuple(scores[1:]))
+    return SimplePitch(scores[0], tuple(scores[1:]), model, free, doublet)
 
 
 def simulated_pair(
@@ -164,7 +176,7 @@ def simulated_pair(
 
     `trim` defaults to the input's first value. Raises IdentificationError as `read_doublet` does.
     """
-    time, q, u = signals_of(record, input, output)
+    time, q, u = record.signals(input, output)
     edge = edges_of(record, u, input)[0]
     rest = float(q[time < record.start + edge * record.dt].mean())
     simulated = model.state_space().zero_order_hold(record.dt).simulate(u - (u[0] if trim is None else trim))[:, 1]
@@ -176,7 +188,7 @@ def read_free_response(record: Record, input: str = "M", output: str = "q") -> F
 
     Raises IdentificationError without an edge, or with fewer than three half swings above the noise.
     """
-    time, q, u = signals_of(record, input, output)
+    time, q, u = record.signals(input, output)
     released = record.start + edges_of(record, u, input)[-1] * record.dt
     after = time >= released
     t, y = time[after], q[after]
@@ -209,7 +221,7 @@ def read_doublet(
     lift the peak, and the average rounds both corners alike. Raises IdentificationError without an edge, without rest
     before it, or for a response within the noise.
     """
-    time, q, u = signals_of(record, input, output)
+    time, q, u = record.signals(input, output)
     edges = edges_of(record, u, input)
     edge = record.start + edges[0] * record.dt
     before = rest_before(record, time, edge, output)
@@ -243,27 +255,6 @@ def read_doublet(
         mu=mu,
         tau=shift * record.dt,
     )
-
-
-def poor_fits(output: str, scores: Sequence[tuple[str, float]]) -> tuple[str, ...]:
-    """A warning for each record (name, FIT [%]) that the model read by hand hardly reproduces."""
-    return tuple(
-        f"the model reproduces {output} in '{name}' with a FIT of only {value:.0f} %, so its figures are not to be "
-        "trusted: check on a plot that the window holds one clean response, or estimate by output error (grey-box)"
-        for name, value in scores
-        if value < _POOR_FIT
-    )
-
-
-def signals_of(record: Record, input: str, output: str) -> tuple[Array, Array, Array]:
-    """Times and values of an output, and an input, of a record. Raises IdentificationError for one it lacks."""
-    if input not in record.inputs or output not in record.outputs:
-        raise IdentificationError(
-            f"the record does not hold '{input}' as input and '{output}' as output",
-            f"record '{record.name}'",
-            f"inputs: {', '.join(record.inputs)}; outputs: {', '.join(record.outputs)}",
-        )
-    return record.output_time(output), record.outputs[output].value, record.inputs[input]
 
 
 def rest_before(record: Record, time: Array, edge: float, output: str) -> NDArray[np.bool_]:

@@ -1,11 +1,8 @@
 """The paper's simple method for the velocity (section 4.2): initial slope -> gain, first-order response -> pole."""
 
-from __future__ import annotations
-
-import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +10,7 @@ from scipy.optimize import brentq
 
 from twodof.errors import IdentificationError
 from twodof.identify.record import Record
-from twodof.identify.simple_pitch import edges_of, poor_fits, rest_before, signals_of
+from twodof.identify.simple_pitch import SimpleEstimate, edges_of, rest_before
 from twodof.identify.validate import fit_percent
 from twodof.models.plant import Velocity
 
@@ -47,18 +44,18 @@ class StepResponse:
 
 
 @dataclass(frozen=True, eq=False)
-class SimpleVelocity:
-    """The simple method's model with the figures it came from; FIT of v [%] by record, the first one identified."""
+class SimpleVelocity(SimpleEstimate):
+    """The simple method's model of the velocity with the figures it came from."""
+
+    output = "v"
 
     model: Velocity
     step: StepResponse
-    identification: tuple[str, float]
-    validation: tuple[tuple[str, float], ...]
 
     @property
     def remarks(self) -> tuple[str, ...]:
         """What a reader should know before using the figures, one sentence each with what to do about it."""
-        found = poor_fits("v", (self.identification, *self.validation))
+        found = super().remarks
         if self.step.strayed > _STRAYED * abs(self.step.theta_bar):
             strayed = (
                 f"the pitch's set-point strays by {math.degrees(self.step.strayed):.0f} deg before the doublet turns, "
@@ -71,35 +68,18 @@ class SimpleVelocity:
     def table(self) -> str:
         """Each step as a line of text."""
         s = self.step
-        lines = [
-            f"slope {s.slope:.3f} m/s2 at theta = {math.degrees(s.theta_bar):.1f} deg -> k_v = {s.k_v:.3f} m/s2",
-            f"peak {s.peak:.3f} m/s, {s.peak_time - s.start:.3f} s after the start -> p_v = {s.p_v:.3f} 1/s",
-            f"identification '{self.identification[0]}': FIT {self.identification[1]:.1f} %",
-        ]
-        lines.extend(f"validation '{name}': FIT {value:.1f} %" for name, value in self.validation)
-        lines.extend(f"note: {remark}" for remark in self.remarks)
-        return "\n".join(lines)
+        return self.table_with(
+            [
+                f"slope {s.slope:.3f} m/s2 at theta = {math.degrees(s.theta_bar):.1f} deg -> k_v = {s.k_v:.3f} m/s2",
+                f"peak {s.peak:.3f} m/s, {s.peak_time - s.start:.3f} s after the start -> p_v = {s.p_v:.3f} 1/s",
+            ]
+        )
 
     def to_json(self) -> str:
         """Model and intermediate figures as JSON text."""
-        s = self.step
-        return json.dumps(
-            {
-                "model": {"k_v": self.model.k_v, "p_v": self.model.p_v},
-                "step": {
-                    "edge": s.edge,
-                    "theta_bar": s.theta_bar,
-                    "slope": s.slope,
-                    "start": s.start,
-                    "peak": s.peak,
-                    "peak_time": s.peak_time,
-                },
-                "identification": dict([self.identification]),
-                "validation": dict(self.validation),
-                "remarks": list(self.remarks),
-            },
-            indent=2,
-        )
+        read = ("edge", "theta_bar", "slope", "start", "peak", "peak_time")
+        step = {name: getattr(self.step, name) for name in read}
+        return self.json_with({"model": asdict(self.model), "step": step})
 
 
 def identify_velocity(
@@ -117,15 +97,15 @@ def identify_velocity(
     scores = [
         (record.name, fit_percent(*simulated_pair(model, record, set_point, pitch, output))) for record in doublets
     ]
-    return SimpleVelocity(model, step, scores[0], tuple(scores[1:]))
+    return SimpleVelocity(scores[0], tuple(scores[1:]), model, step)
 
 
 def simulated_pair(
     model: Velocity, record: Record, set_point: str = "theta0", pitch: str = "theta", output: str = "v"
 ) -> tuple[Array, Array]:
     """Measured v less its rest, and v simulated from the measured pitch less its rest, at the samples' times."""
-    time, v, theta0 = signals_of(record, set_point, output)
-    _, _, theta = signals_of(record, pitch, output)
+    time, v, theta0 = record.signals(set_point, output)
+    _, _, theta = record.signals(pitch, output)
     first = edges_of(record, theta0, set_point)[0]
     rest = float(v[rest_before(record, time, record.start + first * record.dt, output)].mean())
     simulated = model.state_space().zero_order_hold(record.dt).simulate(theta - theta[:first].mean())[:, 1]
@@ -141,7 +121,7 @@ def read_step(record: Record, set_point: str = "theta0", output: str = "v") -> S
     both come out low, as in the paper.
     Raises IdentificationError as `identify_velocity` does.
     """
-    time, v, theta0 = signals_of(record, set_point, output)
+    time, v, theta0 = record.signals(set_point, output)
     edges = edges_of(record, theta0, set_point)
     edge = record.start + edges[0] * record.dt
     theta_bar = float(theta0[edges[0]] - theta0[edges[0] - 1])

@@ -1,7 +1,5 @@
 """Running a structure on a record: compiled once for a step size, then a few microseconds for each set of values."""
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Mapping

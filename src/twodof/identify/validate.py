@@ -1,7 +1,5 @@
 """How well a model reproduces a record: FIT, VAF, RMSE, and what the residuals still hold."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

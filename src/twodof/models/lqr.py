@@ -1,7 +1,5 @@
 """LQR: state feedback of the pitch axis with the moments under way as states, and an integral; gains by Riccati."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import radians
 

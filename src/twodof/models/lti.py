@@ -1,9 +1,8 @@
 """Linear models: state space with an input delay, exact zero-order hold, frequency response, step figures."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,75 +12,6 @@ from twodof.errors import ParameterError
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
-
-
-@dataclass(frozen=True, eq=False)
-class DelayedStateSpace:
-    """x' = A x + B u(t - delay), y = C x + D u(t - delay), in continuous time.
-
-    Shapes: `a` (n, n), `b` (n, m), `c` (p, n), `d` (p, m); `delay` [s] is common to all inputs.
-    Raises ParameterError when shapes do not fit, a number is not finite or the delay is negative.
-    """
-
-    a: Array
-    b: Array
-    c: Array
-    d: Array
-    delay: float = 0.0
-
-    def __post_init__(self) -> None:
-        n, m, p = self.a.shape[0], self.b.shape[1], self.c.shape[0]
-        shapes = (self.a.shape, self.b.shape, self.c.shape, self.d.shape)
-        if shapes != ((n, n), (n, m), (p, n), (p, m)):
-            raise ParameterError(
-                f"shapes {shapes} do not form a state space", "StateSpace", "give a (n,n), b (n,m), c (p,n), d (p,m)"
-            )
-        if not all(np.isfinite(part).all() for part in (self.a, self.b, self.c, self.d)):
-            raise ParameterError("a matrix holds NaN or infinity", "StateSpace")
-        if not (math.isfinite(self.delay) and self.delay >= 0.0):
-            raise ParameterError(f"delay {self.delay} s is not a finite time >= 0", "StateSpace.delay")
-
-    @classmethod
-    def of(cls, a: ArrayLike, b: ArrayLike, c: ArrayLike, d: ArrayLike, delay: float = 0.0) -> DelayedStateSpace:
-        """A state space from anything array-like; a one-dimensional b is a column, c a row."""
-        column = np.asarray(b, dtype=float)
-        row = np.asarray(c, dtype=float)
-        return cls(
-            np.atleast_2d(np.asarray(a, dtype=float)),
-            column.reshape(-1, 1) if column.ndim < 2 else column,
-            np.atleast_2d(row),
-            np.atleast_2d(np.asarray(d, dtype=float)),
-            float(delay),
-        )
-
-    def poles(self) -> Complex:
-        """Eigenvalues of A [rad/s], shape (n,)."""
-        return np.linalg.eigvals(self.a).astype(np.complex128)
-
-    def response(self, omega: ArrayLike) -> Complex:
-        """Frequency response C (j w I - A)^-1 B + D times exp(-j w delay) at `omega` [rad/s]: shape (k, p, m)."""
-        w = np.atleast_1d(np.asarray(omega, dtype=float))
-        resolvent = 1j * w[:, None, None] * np.eye(self.a.shape[0]) - self.a
-        response = self.c @ np.linalg.solve(resolvent, np.broadcast_to(self.b, (w.size, *self.b.shape))) + self.d
-        return np.asarray(response * np.exp(-1j * w * self.delay)[:, None, None], dtype=np.complex128)
-
-    def zero_order_hold(self, dt: float) -> SampledStateSpace:
-        """The exact discrete model for an input held over each `dt` [s]; the delay need not be a multiple of it.
-
-        Where the delay ends inside a step the step is split at that edge (Astrom and Wittenmark, Computer-Controlled
-        Systems, section 2.3). Raises ParameterError when dt is not a positive finite time.
-        """
-        if not (math.isfinite(dt) and dt > 0.0):
-            raise ParameterError(f"sample time {dt} s is not a finite time > 0", "zero_order_hold")
-        whole = math.floor(self.delay / dt + 1e-9)
-        part = self.delay - whole * dt
-        # A delay that is a multiple of dt up to rounding is that multiple: no sliver of a step is split off.
-        part = 0.0 if part < 1e-9 * dt else part
-        phi_new, gamma_new = _held_step(self.a, self.b, dt - part)
-        phi_old, gamma_old = _held_step(self.a, self.b, part)
-        return SampledStateSpace(
-            phi_new @ phi_old, phi_new @ gamma_old, gamma_new, self.c, self.d, whole, part > 0.0, dt
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,27 +51,87 @@ class SampledStateSpace:
         """The same model as plain (A, B, C, D) with past inputs as states, for tools that do not support delays."""
         n, m = self.new.shape
         past = self.whole + 1 if self.split else self.whole
-        size = n + past * m
-        a, b = np.zeros((size, size)), np.zeros((size, m))
-        c, d = np.zeros((self.c.shape[0], size)), np.zeros((self.c.shape[0], m))
-        a[:n, :n], c[:, :n] = self.phi, self.c
-
-        def place(age: int, into: Array, matrix: Array, direct: Array) -> None:
-            rows = slice(0, matrix.shape[0])
-            if age == 0:
-                direct[rows] += matrix
-            else:
-                into[rows, n + (age - 1) * m : n + age * m] += matrix
-
-        place(self.whole, a, self.new, b)
+        # Columns: the states, then the inputs by age, the present one first.
+        step = np.zeros((n + past * m, n + (past + 1) * m))
+        read = np.zeros((self.c.shape[0], step.shape[1]))
+        step[:n, :n], read[:, :n] = self.phi, self.c
+        step[:n, n + self.whole * m : n + (self.whole + 1) * m] = self.new
         if self.split:
-            place(self.whole + 1, a, self.old, b)
-        place(self.whole + 1 if self.split else self.whole, c, self.d, d)
-        if past:
-            b[n : n + m] = np.eye(m)
-        for age in range(1, past):
-            a[n + age * m : n + (age + 1) * m, n + (age - 1) * m : n + age * m] = np.eye(m)
-        return a, b, c, d
+            step[:n, n + past * m :] = self.old
+        step[n:, n : n + past * m] = np.eye(past * m)
+        read[:, n + past * m :] = self.d
+        present = slice(n, n + m)
+        a, c = (np.delete(matrix, present, axis=1) for matrix in (step, read))
+        return a, step[:, present], c, read[:, present]
+
+
+@dataclass(frozen=True, eq=False)
+class DelayedStateSpace:
+    """x' = A x + B u(t - delay), y = C x + D u(t - delay), in continuous time.
+
+    Shapes: `a` (n, n), `b` (n, m), `c` (p, n), `d` (p, m); `delay` [s] is common to all inputs.
+    Raises ParameterError when shapes do not fit, a number is not finite or the delay is negative.
+    """
+
+    a: Array
+    b: Array
+    c: Array
+    d: Array
+    delay: float = 0.0
+
+    def __post_init__(self) -> None:
+        n, m, p = self.a.shape[0], self.b.shape[1], self.c.shape[0]
+        shapes = (self.a.shape, self.b.shape, self.c.shape, self.d.shape)
+        if shapes != ((n, n), (n, m), (p, n), (p, m)):
+            raise ParameterError(
+                f"shapes {shapes} do not form a state space", "StateSpace", "give a (n,n), b (n,m), c (p,n), d (p,m)"
+            )
+        if not all(np.isfinite(part).all() for part in (self.a, self.b, self.c, self.d)):
+            raise ParameterError("a matrix holds NaN or infinity", "StateSpace")
+        if not (math.isfinite(self.delay) and self.delay >= 0.0):
+            raise ParameterError(f"delay {self.delay} s is not a finite time >= 0", "StateSpace.delay")
+
+    @classmethod
+    def of(cls, a: ArrayLike, b: ArrayLike, c: ArrayLike, d: ArrayLike, delay: float = 0.0) -> Self:
+        """A state space from anything array-like; a one-dimensional b is a column, c a row."""
+        column = np.asarray(b, dtype=float)
+        row = np.asarray(c, dtype=float)
+        return cls(
+            np.atleast_2d(np.asarray(a, dtype=float)),
+            column.reshape(-1, 1) if column.ndim < 2 else column,
+            np.atleast_2d(row),
+            np.atleast_2d(np.asarray(d, dtype=float)),
+            float(delay),
+        )
+
+    def poles(self) -> Complex:
+        """Eigenvalues of A [rad/s], shape (n,)."""
+        return np.linalg.eigvals(self.a).astype(np.complex128)
+
+    def response(self, omega: ArrayLike) -> Complex:
+        """Frequency response C (j w I - A)^-1 B + D times exp(-j w delay) at `omega` [rad/s]: shape (k, p, m)."""
+        w = np.atleast_1d(np.asarray(omega, dtype=float))
+        resolvent = 1j * w[:, None, None] * np.eye(self.a.shape[0]) - self.a
+        response = self.c @ np.linalg.solve(resolvent, np.broadcast_to(self.b, (w.size, *self.b.shape))) + self.d
+        return np.asarray(response * np.exp(-1j * w * self.delay)[:, None, None], dtype=np.complex128)
+
+    def zero_order_hold(self, dt: float) -> SampledStateSpace:
+        """The exact discrete model for an input held over each `dt` [s]; the delay need not be a multiple of it.
+
+        Where the delay ends inside a step the step is split at that edge (Astrom and Wittenmark, Computer-Controlled
+        Systems, section 2.3). Raises ParameterError when dt is not a positive finite time.
+        """
+        if not (math.isfinite(dt) and dt > 0.0):
+            raise ParameterError(f"sample time {dt} s is not a finite time > 0", "zero_order_hold")
+        whole = math.floor(self.delay / dt + 1e-9)
+        part = self.delay - whole * dt
+        # A delay that is a multiple of dt up to rounding is that multiple: no sliver of a step is split off.
+        part = 0.0 if part < 1e-9 * dt else part
+        phi_new, gamma_new = _held_step(self.a, self.b, dt - part)
+        phi_old, gamma_old = _held_step(self.a, self.b, part)
+        return SampledStateSpace(
+            phi_new @ phi_old, phi_new @ gamma_old, gamma_new, self.c, self.d, whole, part > 0.0, dt
+        )
 
 
 @dataclass(frozen=True)

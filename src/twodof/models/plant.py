@@ -1,7 +1,5 @@
 """The platform's linear plants by name: pitch rate G_q, velocity G_v, the course's three-state longitudinal model."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,11 +1,10 @@
 """A model structure: a diagram with parameters, and which of them an experiment is asked to tell."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, field, replace
+from typing import Self
 
 from twodof.blocks.declarations import Param
 from twodof.blocks.diagram import Diagram
@@ -76,7 +75,7 @@ class Structure:
             if param.kind == "real" and param.width is None
         }
 
-    def with_guess(self, **values: float) -> Structure:
+    def with_guess(self, **values: float) -> Self:
         """The same structure with other first guesses. Raises IdentificationError for an unknown name."""
         diagram = copy(self.diagram)
         diagram.params = dict(self.diagram.params)

@@ -2,8 +2,6 @@
 three-state model. Each is a diagram like any that a user builds himself.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
@@ -11,10 +9,8 @@ from types import MappingProxyType
 from twodof.blocks.block import Block
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.library import Constant
-from twodof.models.input_delay import InputDelay
-from twodof.models.offset import Offset
-from twodof.models.pendulum import PitchPendulum
-from twodof.models.rail import Lift, Rail
+from twodof.models.around_plant import InputDelay, Offset
+from twodof.models.dry_friction import Lift, PitchPendulum, Rail
 from twodof.models.structure import Structure
 from twodof.models.zero_order_hold import (
     ZohLongitudinal,
@@ -69,16 +65,13 @@ def pitch_rate(lag: bool = False, ring: int = 64) -> Structure:
     With `lag` part of the total delay `tau` is the rotors' first-order lag, 11 ms unless it is estimated. `ring`
     bounds the delay to `ring - 2` steps. Of q alone `theta_0` and `M_trim` have the same effect: estimate one.
     """
-    plant: ZohPlant = ZohPitchRateLag(ring) if lag else ZohPitchRate(ring)
     return _about_trim(
         "pitch_rate_lag" if lag else "pitch_rate",
         "angular rate from moment, linear",
-        plant,
-        "M",
-        estimate=("w_n", "xi", "mu", "tau", "theta_0", "q_0"),
-        values={"tau": 0.015},
-        tau_high=ring - 2,
-        exclude=("m_0",),
+        ZohPitchRateLag(ring) if lag else ZohPitchRate(ring),
+        ("w_n", "xi", "mu", "tau", "theta_0", "q_0"),
+        {"tau": 0.015},
+        ring,
     )
 
 
@@ -88,15 +81,7 @@ def velocity() -> Structure:
     `theta_trim` is subtracted from theta: the pitch at which the cart would not accelerate (a rail that is not level,
     a biased estimate). Of v alone it cannot be told from `v_bias` unless friction shows: both stay 0 by default.
     """
-    return _about_trim(
-        "velocity",
-        "velocity from pitch, linear friction",
-        ZohVelocity(),
-        "theta",
-        estimate=("k_v", "p_v", "v_0"),
-        values={},
-        tau_high=62,
-    )
+    return _about_trim("velocity", "velocity from pitch, linear friction", ZohVelocity(), ("k_v", "p_v", "v_0"))
 
 
 def rail(thrust: bool = False, ring: int = 64) -> Structure:
@@ -129,10 +114,9 @@ def pitch_and_velocity(ring: int = 64) -> Structure:
         "pitch_and_velocity",
         "pitch and velocity from moment, linear",
         ZohPitchAndVelocity(ring),
-        "M",
-        estimate=("w_n", "xi", "mu", "tau", "k_v", "p_v", "theta_0", "q_0", "x_0", "v_0"),
-        values={"tau": 0.015},
-        tau_high=ring - 2,
+        ("w_n", "xi", "mu", "tau", "k_v", "p_v", "theta_0", "q_0", "x_0", "v_0"),
+        {"tau": 0.015},
+        ring,
     )
 
 
@@ -142,10 +126,8 @@ def longitudinal(ring: int = 64) -> Structure:
         "longitudinal",
         "three-state longitudinal model",
         ZohLongitudinal(ring),
-        "M",
-        estimate=("X_u", "X_q", "M_u", "M_q", "X_d", "M_d"),
-        values={},
-        tau_high=ring - 2,
+        ("X_u", "X_q", "M_u", "M_q", "X_d", "M_d"),
+        ring=ring,
     )
 
 
@@ -158,12 +140,10 @@ def free_response(ring: int = 64, substeps: int = 1) -> Structure:
         "free_response",
         "pitch with hardening spring and dry friction",
         PitchPendulum(),
-        "M",
-        estimate=("w_n", "xi", "mu", "coulomb", "hardening", "theta_0", "q_0"),
-        values={"tau": 0.015, "coulomb": 0.1, "mu": 130.0},
-        tau_high=ring - 2,
-        delay=InputDelay(ring),
-        substeps=substeps,
+        ("w_n", "xi", "mu", "coulomb", "hardening", "theta_0", "q_0"),
+        {"tau": 0.015, "coulomb": 0.1, "mu": 130.0},
+        ring,
+        substeps,
     )
 
 
@@ -171,27 +151,22 @@ def _about_trim(
     name: str,
     text: str,
     plant: Block,
-    input: str,
-    *,
     estimate: Sequence[str],
-    values: Mapping[str, float],
-    tau_high: int,
-    delay: InputDelay | None = None,
-    exclude: Sequence[str] = (),
+    values: Mapping[str, float] = MappingProxyType({}),
+    ring: int = 64,
     substeps: int = 1,
 ) -> Structure:
-    """input - trim -> (delay) -> plant -> + bias -> outputs; every parameter of it one of the diagram."""
+    """input - trim -> delay (inside a ZohPlant) -> plant -> + bias -> outputs; all parameters are the diagram's."""
     diagram = Diagram(name, text)
-    unit = plant.inputs[0].unit
+    input, unit = plant.inputs[0].name, plant.inputs[0].unit
     diagram.input(input, unit=unit)
     trim = _offer(diagram, f"{input}_trim", 0.0, unit, f"constant part of {input} that moves nothing")
     source = diagram.add("trim", Offset(unit, -1.0), params={"offset": trim}, u=input)
     # The ring holds this many steps of the control period; at a smaller step `tau` reaches less far.
-    reach = (0.0, tau_high * PERIOD)
-    _offer(diagram, "tau", values.get("tau", 0.0), "s", "delay of the input", reach)
-    if delay is not None:
-        source = diagram.add("delay", delay, params={"tau": "tau"}, u=source)
-    return _with_outputs(diagram, plant, {plant.inputs[0].name: source}, estimate, values, exclude, substeps)
+    _offer(diagram, "tau", values.get("tau", 0.0), "s", "delay of the input", (0.0, (ring - 2) * PERIOD))
+    if not isinstance(plant, ZohPlant):
+        source = diagram.add("delay", InputDelay(ring), params={"tau": "tau"}, u=source)
+    return _with_outputs(diagram, plant, {input: source}, estimate, values, substeps)
 
 
 def _with_outputs(
@@ -200,11 +175,10 @@ def _with_outputs(
     sources: Mapping[str, str],
     estimate: Sequence[str],
     values: Mapping[str, float] = MappingProxyType({}),
-    exclude: Sequence[str] = (),
     substeps: int = 1,
 ) -> Structure:
     """Add the plant, a bias behind each of its outputs, and say what is local and on which scale."""
-    bound = {param.name: param.name for param in plant.params if param.name not in exclude}
+    bound = {param.name: param.name for param in plant.params if param.name != "m_0"}  # the rotors start at rest
     for param in plant.params:
         if param.name in bound and param.name not in diagram.params:
             guess = values.get(param.name, float(param.value))

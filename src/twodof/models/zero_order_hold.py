@@ -4,8 +4,6 @@ A subclass says A, B, C and D in terms of its parameters. `prepare` turns them i
 parameter changes, so that one compiled program serves a whole estimation; a step is then a few multiplications.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any
@@ -29,19 +27,19 @@ class ZohPlant(Block):
 
     Inputs before step 0 equal that of step 0. The dead time, by default the parameter `tau`, is a real number of
     seconds, from 0 to `ring - 2` steps; a longer one gives NaN. Each state is named in `plant_states` (name, unit)
-    and starts from the parameter "<name>_0".
+    and starts from the parameter "<name>_0". The outputs are the states, unless `plant_outputs` names others.
     """
 
     plant_states: Sequence[tuple[str, str]] = ()
-    plant_inputs: Sequence[Port] = ()
-    plant_outputs: Sequence[Port] = ()
+    plant_input = Port("M")
+    plant_outputs: Sequence[tuple[str, str]] = ()
     plant_params: Sequence[Param] = ()
 
     def __init__(self, ring: int = 64) -> None:
         self.ring = ring
         names = [name for name, _ in self.plant_states]
-        self.inputs = self.plant_inputs
-        self.outputs = self.plant_outputs
+        self.inputs = (self.plant_input,)
+        self.outputs = tuple(Port(name, unit=unit) for name, unit in self.plant_outputs or self.plant_states)
         self.params = (
             *self.plant_params,
             Param("tau", 0.0, unit="s", low=0.0, text="delay of the input"),
@@ -61,9 +59,14 @@ class ZohPlant(Block):
             Port("fits", "bool"),
         )
 
-    def matrices(self, p: Any) -> tuple[Matrix, Sequence[Any], Matrix, Sequence[Any]]:
-        """A (n rows), B (n), C (one row an output) and D (one number an output), from the parameters."""
+    def matrices(self, p: Any) -> tuple[Matrix, Sequence[Any]]:
+        """A (n rows) and B (n), from the parameters."""
         raise AttributeError(f"{type(self).__name__} does not define matrices")
+
+    def readout(self, p: Any) -> tuple[Matrix, Sequence[Any]]:
+        """C (one row an output) and D (one number an output): by default each output is the state of its name."""
+        rows = [[float(port.name == name) for name, _ in self.plant_states] for port in self.outputs]
+        return rows, [0.0] * len(rows)
 
     def dead_time(self, p: Any) -> Any:
         """The pure delay of the input [s], from the parameters."""
@@ -71,7 +74,7 @@ class ZohPlant(Block):
 
     def prepare(self, p: Any, t: Clock) -> dict[str, Any]:
         """Phi(dt), and the input's share before and after the edge at `split` inside the step."""
-        a, b, _, _ = self.matrices(p)
+        a, b = self.matrices(p)
         names = [name for name, _ in self.plant_states]
         steps = self.dead_time(p) / t.dt
         # A delay that is a multiple of dt up to rounding is that multiple.
@@ -90,7 +93,7 @@ class ZohPlant(Block):
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
         """C x + D u, the input as old as the delay says."""
-        _, _, c, d = self.matrices(p)
+        c, d = self.readout(p)
         state = [x[name] for name, _ in self.plant_states]
         through = d
         if any(not _is_zero(value) for value in d):
@@ -190,22 +193,15 @@ class ZohPitchRate(ZohPlant):
     """G_q, paper equation (5): q' = -w_n^2 theta - 2 xi w_n q + mu M."""
 
     plant_states = (("theta", "rad"), ("q", "rad/s"))
-    plant_inputs = (Port("M"),)
-    plant_outputs = (Port("theta", unit="rad"), Port("q", unit="rad/s"))
     plant_params = (
         Param("w_n", 3.437, unit="rad/s", low=0.0, text="natural frequency"),
         Param("xi", 0.0836, text="damping ratio"),
         Param("mu", 358.5, unit="rad/s2", text="gain from normalised moment to angular acceleration"),
     )
 
-    def matrices(self, p: Any) -> tuple[Matrix, Sequence[Any], Matrix, Sequence[Any]]:
+    def matrices(self, p: Any) -> tuple[Matrix, Sequence[Any]]:
         """Paper equations (3) to (6)."""
-        return (
-            ((0.0, 1.0), (-(p.w_n * p.w_n), -2.0 * p.xi * p.w_n)),
-            (0.0, p.mu),
-            ((1.0, 0.0), (0.0, 1.0)),
-            (0.0, 0.0),
-        )
+        return ((0.0, 1.0), (-(p.w_n * p.w_n), -2.0 * p.xi * p.w_n)), (0.0, p.mu)
 
 
 @library_block("models.HeldPitchRateLag")
@@ -215,9 +211,8 @@ class ZohPitchRateLag(ZohPlant):
     The rest, tau - lag, is a pure delay (none if the lag is longer). A slow input sees the same tau either way.
     """
 
-    plant_states = (("theta", "rad"), ("q", "rad/s"), ("m", ""))
-    plant_inputs = (Port("M"),)
-    plant_outputs = (Port("theta", unit="rad"), Port("q", unit="rad/s"))
+    plant_states = (*ZohPitchRate.plant_states, ("m", ""))
+    plant_outputs = ZohPitchRate.plant_states
     plant_params = (
         *ZohPitchRate.plant_params,
         Param("lag", 0.011, unit="s", low=0.002, text="time constant of the rotors"),
@@ -227,13 +222,11 @@ class ZohPitchRateLag(ZohPlant):
         """What of the total delay is not lag."""
         return maximum(p.tau - p.lag, 0.0)
 
-    def matrices(self, p: Any) -> tuple[Matrix, Sequence[Any], Matrix, Sequence[Any]]:
+    def matrices(self, p: Any) -> tuple[Matrix, Sequence[Any]]:
         """Paper equations (3) to (6), the moment being that of the rotors."""
         return (
             ((0.0, 1.0, 0.0), (-(p.w_n * p.w_n), -2.0 * p.xi * p.w_n, p.mu), (0.0, 0.0, -(1.0 / p.lag))),
             (0.0, 0.0, 1.0 / p.lag),
-            ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)),
-            (0.0, 0.0),
         )
 
 
@@ -242,35 +235,26 @@ class ZohVelocity(ZohPlant):
     """G_v and G_x, paper equation (9): v' = -p_v v - k_v theta, x' = v."""
 
     plant_states = (("x", "m"), ("v", "m/s"))
-    plant_inputs = (Port("theta", unit="rad"),)
-    plant_outputs = (Port("x", unit="m"), Port("v", unit="m/s"))
+    plant_input = Port("theta", unit="rad")
     plant_params = (
         Param("k_v", 4.748, unit="m/s2", text="gain from pitch to deceleration"),
         Param("p_v", 1.168, unit="1/s", text="pole of the linear friction"),
     )
 
-    def matrices(self, p: Any) -> tuple[Matrix, Sequence[Any], Matrix, Sequence[Any]]:
+    def matrices(self, p: Any) -> tuple[Matrix, Sequence[Any]]:
         """Paper equation (9)."""
-        return ((0.0, 1.0), (0.0, -p.p_v)), (0.0, -p.k_v), ((1.0, 0.0), (0.0, 1.0)), (0.0, 0.0)
+        return ((0.0, 1.0), (0.0, -p.p_v)), (0.0, -p.k_v)
 
 
 @library_block("models.HeldPitchAndVelocity")
 class ZohPitchAndVelocity(ZohPlant):
     """G_q, then G_v, then G_x as one plant from M: paper Figure 6 with the loop open."""
 
-    plant_states = (("theta", "rad"), ("q", "rad/s"), ("x", "m"), ("v", "m/s"))
-    plant_inputs = (Port("M"),)
-    plant_outputs = (
-        Port("theta", unit="rad"),
-        Port("q", unit="rad/s"),
-        Port("x", unit="m"),
-        Port("v", unit="m/s"),
-    )
+    plant_states = (*ZohPitchRate.plant_states, *ZohVelocity.plant_states)
     plant_params = (*ZohPitchRate.plant_params, *ZohVelocity.plant_params)
 
-    def matrices(self, p: Any) -> tuple[Matrix, Sequence[Any], Matrix, Sequence[Any]]:
+    def matrices(self, p: Any) -> tuple[Matrix, Sequence[Any]]:
         """Paper equations (3) to (6) and (9)."""
-        identity = [[1.0 if i == j else 0.0 for j in range(4)] for i in range(4)]
         return (
             (
                 (0.0, 1.0, 0.0, 0.0),
@@ -279,8 +263,6 @@ class ZohPitchAndVelocity(ZohPlant):
                 (-p.k_v, 0.0, 0.0, -p.p_v),
             ),
             (0.0, p.mu, 0.0, 0.0),
-            identity,
-            (0.0, 0.0, 0.0, 0.0),
         )
 
 
@@ -289,13 +271,7 @@ class ZohLongitudinal(ZohPlant):
     """The course's three-state longitudinal model (see `twodof.models.plant.Longitudinal`)."""
 
     plant_states = (("u", "m/s"), ("q", "rad/s"), ("theta", "rad"))
-    plant_inputs = (Port("M"),)
-    plant_outputs = (
-        Port("u", unit="m/s"),
-        Port("q", unit="rad/s"),
-        Port("theta", unit="rad"),
-        Port("a_x", unit="m/s2"),
-    )
+    plant_outputs = (*plant_states, ("a_x", "m/s2"))
     plant_params = (
         Param("X_u", -0.1068, unit="1/s", text="velocity damping"),
         Param("X_q", 0.1192, unit="m/s", text="acceleration by pitch rate"),
@@ -305,11 +281,11 @@ class ZohLongitudinal(ZohPlant):
         Param("M_d", 450.71, unit="rad/s2", text="pitch acceleration by moment"),
     )
 
-    def matrices(self, p: Any) -> tuple[Matrix, Sequence[Any], Matrix, Sequence[Any]]:
-        """The course's A, B, C, D."""
-        return (
-            ((p.X_u, p.X_q, -GRAVITY), (p.M_u, p.M_q, 0.0), (0.0, 1.0, 0.0)),
-            (p.X_d, p.M_d, 0.0),
-            ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (p.X_u, p.X_q, 0.0)),
-            (0.0, 0.0, 0.0, p.X_d),
-        )
+    def matrices(self, p: Any) -> tuple[Matrix, Sequence[Any]]:
+        """The course's A and B."""
+        return ((p.X_u, p.X_q, -GRAVITY), (p.M_u, p.M_q, 0.0), (0.0, 1.0, 0.0)), (p.X_d, p.M_d, 0.0)
+
+    def readout(self, p: Any) -> tuple[Matrix, Sequence[Any]]:
+        """The states, and the accelerometer."""
+        states, _ = super().readout(p)
+        return [*states[:3], (p.X_u, p.X_q, 0.0)], (0.0, 0.0, 0.0, p.X_d)

@@ -1,7 +1,5 @@
 """Battery: state of charge, and the voltage sag that lowers the thrust."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from twodof.blocks import Block, Param, Port, State, maximum, minimum, sqrt

@@ -6,8 +6,6 @@ at rest is held in `derivative`: its acceleration is exactly 0 as long as the lo
 against a stop. So a body at rest stays there to the bit.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

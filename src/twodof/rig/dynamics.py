@@ -1,7 +1,5 @@
 """Dynamics: pitch about the bearing and the cart on its rail, coupled by the thrust and the drone's offset centre."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from twodof.blocks import Block, Param, Port, State, where

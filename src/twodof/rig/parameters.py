@@ -1,7 +1,5 @@
 """Two named sets of rig parameters, `paper` and `lab`, each number with its origin; sets as JSON files."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType

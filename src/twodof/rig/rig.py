@@ -1,7 +1,5 @@
 """The rig as one diagram: battery, rotors, dynamics, turbulence and sensors, for a base tick of 1 ms."""
 
-from __future__ import annotations
-
 from twodof.blocks import Block, Diagram, Param
 from twodof.blocks.library.delays import ZeroOrderHold
 from twodof.rig.battery import BatteryPack

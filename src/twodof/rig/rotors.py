@@ -1,7 +1,5 @@
 """Rotors: the fore and aft pairs, from commands to thrust and pitch moment."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from twodof.blocks import Block, Param, Port, State, int32, maximum, minimum, store, to_int32, to_real, where

@@ -1,7 +1,5 @@
 """Sensors: accelerometer and gyro at 250 Hz, time-of-flight range at 18.35 Hz, with the errors that the logs show."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from twodof.blocks import Block, Param, Port, State, int32, sqrt, store, to_int32, to_real, to_uint32, where

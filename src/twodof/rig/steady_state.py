@@ -1,7 +1,5 @@
 """Predict: gains and balances of the rig by its static laws, without a simulation."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from math import sin, sqrt
 

@@ -1,7 +1,5 @@
 """Turbulence: the random pitch moment of the rotors' own wake, which keeps a hovering drone moving."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from twodof.blocks import Block, Param, Port, State, sqrt

@@ -15,11 +15,11 @@ from twodof.blocks.library.delays import ZeroOrderHold
 from twodof.blocks.reference.interpreter import Reference
 from twodof.compile import CompiledProgram, build
 from twodof.errors import ExperimentError
-from twodof.flight.core import INPUTS, OUTPUTS, core
-from twodof.flight.failsafe.diagram import INPUTS as FAILSAFE_INPUTS
+from twodof.flight.core import OUTPUTS, core
 from twodof.flight.failsafe.diagram import OUTPUTS as FAILSAFE_OUTPUTS
 from twodof.flight.failsafe.state_machine import FLYING
 from twodof.flight.gains import DEFAULT, Gains
+from twodof.flight.ports import FAILSAFE_INPUTS, INPUTS
 from twodof.flight.templates import TEMPLATES
 from twodof.parameters import ParameterSet
 from twodof.rig.parameters import lab

@@ -13,10 +13,11 @@ import numpy as np
 from twodof.blocks import Block
 from twodof.flight.failsafe.causes_and_actions import BIT, CAUSES
 from twodof.flight.failsafe.consistency import ForceConsistency, RateConsistency
-from twodof.flight.failsafe.flags import SET_POINTS, BatteryFlags, PlaceFlags, SensorFlags, SetPointFlags, StuckCommands
-from twodof.flight.failsafe.output_selector import COMMANDS, OutputSelector, StandbyReset
+from twodof.flight.failsafe.flags import BatteryFlags, PlaceFlags, SensorFlags, SetPointFlags, StuckCommands
+from twodof.flight.failsafe.output_selector import OutputSelector, StandbyReset
 from twodof.flight.failsafe.safe_setpoints import SafeSetPoints
 from twodof.flight.failsafe.state_machine import BRAKE, DESCEND, DISARMED, FLYING, LEVEL, OFF, REFUSED, Reasons
+from twodof.flight.ports import COMMANDS, SET_POINTS
 
 NAN, INF = math.nan, math.inf
 Row = Mapping[str, Any]
@@ -145,7 +146,7 @@ def battery(r: Row) -> dict[str, Any]:
 
 
 def asked(r: Row) -> dict[str, Any]:
-    numbers = all(math.isfinite(r[name]) for name, _ in SET_POINTS)
+    numbers = all(math.isfinite(r[name]) for name in SET_POINTS)
     off, along_rail = r["mode"] <= 0, r["mode"] >= 4
     return {
         "output.invalid": not numbers or r["mode"] > 5,
@@ -193,7 +194,7 @@ def standby(r: Row) -> dict[str, Any]:
 
 
 def safe(r: Row) -> dict[str, Any]:
-    state, names = r["state"], ("mode", *(name for name, _ in SET_POINTS), "ax0")
+    state, names = r["state"], ("mode", *(name for name in SET_POINTS), "ax0")
     out = dict.fromkeys(names, 0.0)
     turns = state in (LEVEL, BRAKE, DESCEND) and r["last_thrust"] > 0.0 and not r["stopped"]
     out["thrust"] = 0.0 if state == FLYING else r["last_thrust"]
@@ -366,7 +367,7 @@ MEANINGS = (
         SetPointFlags(),
         {
             "mode": (-(2**31), -1, 0, 1, 2, 3, 4, 5, 6, 2**31 - 1),
-            **{name: (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.5, -0.5, NAN, INF, -INF) for name, _ in SET_POINTS},
+            **dict.fromkeys(SET_POINTS, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.5, -0.5, NAN, INF, -INF)),
             **dict.fromkeys(("setpoint_new", "rings"), BOOLS),
         },
         asked,
@@ -403,7 +404,7 @@ MEANINGS = (
             "timer": (0, 1, 3, 4, 5),
             "stopped": BOOLS,
             "mode": (-1, 0, 1, 2, 3, 4, 5, 6, 99),
-            **{name: SMALL for name, _ in SET_POINTS},
+            **dict.fromkeys(SET_POINTS, SMALL),
             "ax0": SMALL,
             "x": SMALL,
             "T_flown": SMALL,

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 
 class ControlInput(NamedTuple):
-    """Inputs of the flight code that are not measured; names and units as in `flight.core.INPUTS`."""
+    """Inputs of the flight code that are not measured; names and units as in `flight.ports.INPUTS`."""
 
     mode: int = 0
     arm: bool = False

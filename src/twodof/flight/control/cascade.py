@@ -1,26 +1,19 @@
 """The position-velocity-attitude-rate cascade as one diagram, entered at the loop that the mode names."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from twodof.blocks import Block, Diagram, Port, int32, where
 from twodof.flight.control.cascade_loops import AttitudeLoop, PositionLoop, Projection, RateLoop, VelocityLoop
 from twodof.flight.gains import DEFAULT, Gains
+from twodof.flight.ports import SET_POINTS, add_inputs, ports
 from twodof.signals import ATTITUDE, OFF, OPEN_LOOP, POSITION, RATE, VELOCITY
 
 
 class ModeLogic(Block):
     """Which loops a mode closes. An integral outside the closed loops is held in reset, so that it starts afresh."""
 
-    inputs = (Port("mode", "int32"), Port("in_reset", "bool"))
-    outputs = (
-        Port("position", "bool"),
-        Port("velocity", "bool"),
-        Port("attitude", "bool"),
-        Port("reset_velocity", "bool"),
-        Port("reset_rate", "bool"),
-    )
+    inputs = ports("mode", "in_reset")
+    outputs = tuple(Port(name, "bool") for name in ("position", "velocity", "attitude", "reset_velocity", "reset_rate"))
 
     def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
         return {
@@ -35,15 +28,8 @@ class ModeLogic(Block):
 class SetPointsInUse(Block):
     """The set-points in use; one that is not is 0, and in velocity mode x0 mirrors x, as the drone's logs have it."""
 
-    inputs = (
-        Port("mode", "int32"),
-        Port("x0", unit="m"),
-        Port("x", unit="m"),
-        Port("v0", unit="m/s"),
-        Port("theta0", unit="rad"),
-        Port("projected", unit="rad"),
-    )
-    outputs = (Port("x0", unit="m"), Port("v0", unit="m/s"), Port("theta0", unit="rad"))
+    inputs = (*ports("mode", "x0", "x", "v0", "theta0"), Port("projected", unit="rad"))
+    outputs = ports("x0", "v0", "theta0")
 
     def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
         along_rail = u.mode >= int32(VELOCITY)
@@ -60,7 +46,7 @@ class GivenSetPoint(Block):
 
     def __init__(self, mode: int, unit: str) -> None:
         self.mode = mode
-        self.inputs = (Port("mode", "int32"), Port("given", unit=unit))
+        self.inputs = (*ports("mode"), Port("given", unit=unit))
         self.outputs = (Port("used", unit=unit),)
 
     def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
@@ -70,14 +56,8 @@ class GivenSetPoint(Block):
 class MomentAndThrust(Block):
     """Moment and thrust to the mixer: the loops', or in open loop those of the message; nothing when off."""
 
-    inputs = (
-        Port("mode", "int32"),
-        Port("M_loop"),
-        Port("T_loop"),
-        Port("M_open"),
-        Port("thrust"),
-    )
-    outputs = (Port("M"), Port("T"))
+    inputs = (*ports("mode"), Port("M_loop"), Port("T_loop"), *ports("M_open", "thrust"))
+    outputs = ports("M", "T")
 
     def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
         off = u.mode <= int32(OFF)
@@ -101,21 +81,7 @@ def cascade(gains: Gains = DEFAULT, attitude: Diagram | None = None, position: D
     `ax0` [m/s2].
     """
     d = Diagram("cascade", "position, velocity, attitude and rate loop; the mode names the outermost that is closed")
-    d.input("mode", "int32")
-    d.input("in_reset", "bool")
-    for name, unit in (
-        ("x0", "m"),
-        ("v0", "m/s"),
-        ("theta0", "rad"),
-        ("q0", "rad/s"),
-        ("thrust", ""),
-        ("M_open", ""),
-        ("x", "m"),
-        ("v", "m/s"),
-        ("theta", "rad"),
-        ("q", "rad/s"),
-    ):
-        d.input(name, unit=unit)
+    add_inputs(d, "mode", "in_reset", *SET_POINTS, "x", "v", "theta", "q")
     d.add("logic", ModeLogic(), mode="mode", in_reset="in_reset")
     v0_used, tilt, thrust = _stock_position(d, gains) if position is None else _own_position(d, position)
     d.add(
@@ -141,9 +107,8 @@ def cascade(gains: Gains = DEFAULT, attitude: Diagram | None = None, position: D
     d.output("M", "command.M")
     d.output("T", "command.T")
     d.output("q0", q0_used)
-    d.output("theta0", "setpoints.theta0")
-    d.output("v0", "setpoints.v0")
-    d.output("x0", "setpoints.x0")
+    for name in ("theta0", "v0", "x0"):
+        d.output(name, f"setpoints.{name}")
     return d
 
 
@@ -157,7 +122,7 @@ def _stock_position(d: Diagram, gains: Gains) -> tuple[str, str, str]:
 
 def _own_position(d: Diagram, position: Diagram) -> tuple[str, str, str]:
     """Adds a user's position controller; returns the same sources."""
-    d.input("ax0", unit="m/s2")
+    add_inputs(d, "ax0")
     d.add(
         "position_control",
         position,

@@ -3,14 +3,13 @@
 The laws are those of the drone's own controller at 250 Hz; fed with logged inputs they give the logged outputs back.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from twodof.blocks import Block, Port, State, maximum, minimum, where
 from twodof.blocks.elementary.functions import atan, cos
 from twodof.flight.block_parameters import tunables
 from twodof.flight.finite import finite
+from twodof.flight.ports import ports
 
 
 def limited(value: Any, limit: Any) -> Any:
@@ -18,27 +17,24 @@ def limited(value: Any, limit: Any) -> Any:
     return maximum(-limit, minimum(limit, value))
 
 
-def kahan_sum(total: Any, carry: Any, increment: Any) -> tuple[Any, Any]:
-    """(total, carry) after one term of a compensated sum (Kahan, CACM 8-1, 1965).
+def _integral(error: Any, u: Any, x: Any, p: Any) -> tuple[Any, Any, Any]:
+    """(sum, carry, increment) of the integral Ki e by backward Euler; in reset its own sample's contribution, Ki Ts e.
 
     The drone sums its integrals in double precision. In float32 a plain sum of some 1e4 terms drifts by 1e-6 of the
-    moment; with the rounding error carried along it stays where the double sum is.
+    moment. With the rounding error carried along (Kahan, CACM 8-1, 1965) it stays where the double sum is.
     """
-    term = increment - carry
-    new = total + term
-    return new, (new - total) - term
+    increment = p.ki_dt * error
+    term = increment - x.carry
+    total = x.sum + term
+    carry = (total - x.sum) - term
+    return where(u.in_reset, increment, total), where(u.in_reset, 0.0, carry), increment
 
 
 class PositionLoop(Block):
     """v0 = Kp (x0 - x) in position mode, else the velocity set-point that is given."""
 
-    inputs = (
-        Port("x0", unit="m"),
-        Port("x", unit="m"),
-        Port("v0", unit="m/s"),
-        Port("closed", "bool"),
-    )
-    outputs = (Port("v0", unit="m/s"),)
+    inputs = (*ports("x0", "x", "v0"), Port("closed", "bool"))
+    outputs = ports("v0")
 
     def __init__(self, kp: float | None = None) -> None:
         self.params = tunables("cascade.position", kp=kp)
@@ -48,18 +44,10 @@ class PositionLoop(Block):
 
 
 class VelocityLoop(Block):
-    """force = Kp e + integral, e = v0 - v; the integral Ki e by backward Euler.
+    """force = Kp e + integral of Ki e, e = v0 - v."""
 
-    In reset the integral is its own sample's contribution, Ki Ts e.
-    """
-
-    inputs = (Port("v0", unit="m/s"), Port("v", unit="m/s"), Port("in_reset", "bool"))
-    outputs = (
-        Port("force", unit="N"),
-        Port("proportional", unit="N"),
-        Port("integral", unit="N"),
-        Port("increment", unit="N"),
-    )
+    inputs = ports("v0", "v", "in_reset")
+    outputs = tuple(Port(name, unit="N") for name in ("force", "proportional", "integral", "increment"))
     states = (State("sum", unit="N"), State("carry", unit="N"))
     derived = (Port("ki_dt"),)
 
@@ -69,13 +57,8 @@ class VelocityLoop(Block):
     def prepare(self, p: Any, t: Any) -> Any:
         return p.ki * t.dt
 
-    def _integral(self, u: Any, x: Any, p: Any) -> tuple[Any, Any, Any]:
-        increment = p.ki_dt * (u.v0 - u.v)
-        total, carry = kahan_sum(x.sum, x.carry, increment)
-        return where(u.in_reset, increment, total), where(u.in_reset, 0.0, carry), increment
-
     def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-        integral, _, increment = self._integral(u, x, p)
+        integral, _, increment = _integral(u.v0 - u.v, u, x, p)
         proportional = p.kp * (u.v0 - u.v)
         return {
             "force": proportional + integral,
@@ -85,7 +68,7 @@ class VelocityLoop(Block):
         }
 
     def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-        integral, carry, _ = self._integral(u, x, p)
+        integral, carry, _ = _integral(u.v0 - u.v, u, x, p)
         return {"sum": integral, "carry": carry}
 
 
@@ -95,7 +78,7 @@ class Projection(Block):
     """
 
     inputs = (Port("force", unit="N"),)
-    outputs = (Port("theta0", unit="rad"), Port("T"))
+    outputs = ports("theta0", "T")
     params = tunables("cascade.projection")
 
     def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
@@ -106,13 +89,8 @@ class Projection(Block):
 class AttitudeLoop(Block):
     """q0 = Kp (theta0 - theta), or in rate mode the rate set-point that is given."""
 
-    inputs = (
-        Port("theta0", unit="rad"),
-        Port("theta", unit="rad"),
-        Port("q0", unit="rad/s"),
-        Port("closed", "bool"),
-    )
-    outputs = (Port("q0", unit="rad/s"),)
+    inputs = (*ports("theta0", "theta", "q0"), Port("closed", "bool"))
+    outputs = ports("q0")
 
     def __init__(self, kp: float | None = None) -> None:
         self.params = tunables("cascade.attitude", kp=kp)
@@ -122,15 +100,14 @@ class AttitudeLoop(Block):
 
 
 class RateLoop(Block):
-    """M = Kp e + integral + Kd derivative, e = q0 - q, within +-limit.
+    """M = Kp e + integral of Ki e + Kd derivative, e = q0 - q, within +-limit.
 
-    The integral Ki e by backward Euler; in reset it is its own sample's contribution, Ki Ts e. The derivative is
-    (z - 1) / ((1/N + Ts) z - 1/N) and is never reset. No anti-windup, no feed-forward. `proportional`, `integral`,
-    `derivative` and `increment` are the terms of M, for the log and for the replay.
+    The derivative is (z - 1) / ((1/N + Ts) z - 1/N) and is never reset. No anti-windup, no feed-forward.
+    `proportional`, `integral`, `derivative` and `increment` are the terms of M, for the log and for the replay.
     """
 
-    inputs = (Port("q0", unit="rad/s"), Port("q", unit="rad/s"), Port("in_reset", "bool"))
-    outputs = (Port("M"), Port("proportional"), Port("integral"), Port("derivative"), Port("increment"))
+    inputs = ports("q0", "q", "in_reset")
+    outputs = tuple(Port(name) for name in ("M", "proportional", "integral", "derivative", "increment"))
     states = (State("sum"), State("carry"), State("slope", unit="rad/s2"), State("error", unit="rad/s"))
     derived = (Port("ki_dt"), Port("decay"), Port("rise"))
 
@@ -141,16 +118,11 @@ class RateLoop(Block):
         lag = 1.0 / p.N
         return {"ki_dt": p.ki * t.dt, "decay": lag / (lag + t.dt), "rise": 1.0 / (lag + t.dt)}
 
-    def _integral(self, u: Any, x: Any, p: Any) -> tuple[Any, Any, Any]:
-        increment = p.ki_dt * (u.q0 - u.q)
-        total, carry = kahan_sum(x.sum, x.carry, increment)
-        return where(u.in_reset, increment, total), where(u.in_reset, 0.0, carry), increment
-
     def _slope(self, u: Any, x: Any, p: Any) -> Any:
         return p.decay * x.slope + p.rise * ((u.q0 - u.q) - x.error)
 
     def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-        integral, _, increment = self._integral(u, x, p)
+        integral, _, increment = _integral(u.q0 - u.q, u, x, p)
         proportional = p.kp * (u.q0 - u.q)
         derivative = p.kd * self._slope(u, x, p)
         return {
@@ -162,7 +134,7 @@ class RateLoop(Block):
         }
 
     def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-        integral, carry, _ = self._integral(u, x, p)
+        integral, carry, _ = _integral(u.q0 - u.q, u, x, p)
         slope = self._slope(u, x, p)
         # Never reset, it would else be none for ever after one rate that is no number.
         return {"sum": integral, "carry": carry, "slope": where(finite(slope), slope, 0.0), "error": u.q0 - u.q}

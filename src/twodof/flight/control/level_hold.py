@@ -1,11 +1,10 @@
 """Level hold: while the attitude loop holds the pitch, the mean of its moment is the trim moment."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from twodof.blocks import Block, Port, State, int32, maximum, minimum, to_int32, to_real, where
 from twodof.flight.block_parameters import tunables
+from twodof.flight.ports import ports
 from twodof.signals import ATTITUDE, RATE, VELOCITY
 
 
@@ -17,14 +16,8 @@ class LevelHold(Block):
     changes, until the next hold. In open loop M_open = excitation + M_trim where `use_trim`, else the excitation alone.
     """
 
-    inputs = (
-        Port("mode", "int32"),
-        Port("M"),
-        Port("thrust"),
-        Port("excitation"),
-        Port("use_trim", "bool"),
-    )
-    outputs = (Port("M_open"), Port("M_trim"))
+    inputs = (*ports("mode", "M", "thrust"), Port("excitation"), *ports("use_trim"))
+    outputs = (*ports("M_open"), Port("M_trim"))
     states = (State("mean"), State("samples", 0, "int32"))
     derived = (Port("settle_samples", "int32"), Port("window_samples"))
     params = tunables("hold")
@@ -52,8 +45,8 @@ class ArmingReset(Block):
     There is thrust where the velocity loop makes it, and in rate and attitude mode where `thrust` > 0.
     """
 
-    inputs = (Port("mode", "int32"), Port("thrust"), Port("in_reset", "bool"))
-    outputs = (Port("in_reset", "bool"),)
+    inputs = ports("mode", "thrust", "in_reset")
+    outputs = ports("in_reset")
     states = (State("count", 0, "int32"),)
     # The drone's logs show two to four samples.
     params = tunables("arming")

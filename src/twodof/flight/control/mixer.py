@@ -1,10 +1,15 @@
-"""Mixer: thrust and moment to the commands of the fore and aft rotor pairs."""
+"""Mixer: thrust and moment, or the commands of single motors, become the commands of the fore and aft rotor pairs."""
 
-from __future__ import annotations
-
+from functools import reduce
+from math import nan
+from operator import and_
 from typing import Any
 
-from twodof.blocks import Block, Port, maximum, minimum
+from twodof.blocks import Block, Port, int32, maximum, minimum, where
+from twodof.flight.finite import finite
+from twodof.flight.ports import ports
+from twodof.flight.templates import AFT_MOTORS, FORE_MOTORS
+from twodof.signals import ATTITUDE, OFF, POSITION, RATE, VELOCITY
 
 
 class Mixer(Block):
@@ -13,8 +18,8 @@ class Mixer(Block):
     Unsaturated, (fore + aft) / 2 = T and (fore - aft) / 2 = M. `saturated` says that a command was clipped.
     """
 
-    inputs = (Port("T"), Port("M"))
-    outputs = (Port("fore"), Port("aft"), Port("saturated", "bool"))
+    inputs = ports("T", "M")
+    outputs = (*ports("fore", "aft"), Port("saturated", "bool"))
 
     def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
         fore, aft = u.T + u.M, u.T - u.M
@@ -23,4 +28,60 @@ class Mixer(Block):
             "fore": clipped_fore,
             "aft": clipped_aft,
             "saturated": (clipped_fore != fore) | (clipped_aft != aft),
+        }
+
+
+class FiniteCommands(Block):
+    """M and T as they are, or 0 both, which stops the motors, where one of them is infinite or NaN."""
+
+    inputs = outputs = ports("M", "T")
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        sound = finite(u.M) & finite(u.T)
+        return {"M": where(sound, u.M, 0.0), "T": where(sound, u.T, 0.0)}
+
+
+class MotorFlags(Block):
+    """What a motor controller is told about the mode."""
+
+    inputs = ports("mode")
+    outputs = tuple(Port(name, "bool") for name in ("rate", "attitude", "velocity", "position"))
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        return {
+            "rate": u.mode >= int32(RATE),
+            "attitude": u.mode >= int32(ATTITUDE),
+            "velocity": u.mode >= int32(VELOCITY),
+            "position": u.mode == int32(POSITION),
+        }
+
+
+class RotorPairs(Block):
+    """The commands of the single motors as those of the rotor pairs: a pair gets the mean of its two motors.
+
+    The rails keep the drone from roll and yaw, so only what the motors of a pair have in common moves it. A command
+    is kept within [0, 1], one that is infinite or NaN is 0, and all are 0 when the mode is off. M = (fore - aft) / 2
+    and T = (fore + aft) / 2 are what flies; `M_shown` and `T_shown` are the same, or NaN while a command is not finite.
+    """
+
+    inputs = (*ports("mode"), *(Port(f"motor_{n}") for n in (1, 2, 3, 4)))
+    outputs = (*ports("fore", "aft", "M", "T"), Port("M_shown"), Port("T_shown"))
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        off = u.mode <= int32(OFF)
+
+        def command(motor: str) -> Any:
+            asked = u[motor]
+            return where(off | ~finite(asked), 0.0, maximum(0.0, minimum(1.0, asked)))
+
+        fore, aft = (0.5 * (command(a) + command(b)) for a, b in (FORE_MOTORS, AFT_MOTORS))
+        moment, thrust = 0.5 * (fore - aft), 0.5 * (fore + aft)
+        lost = ~off & ~reduce(and_, [finite(u[motor]) for motor in (*FORE_MOTORS, *AFT_MOTORS)])
+        return {
+            "fore": fore,
+            "aft": aft,
+            "M": moment,
+            "T": thrust,
+            "M_shown": where(lost, nan, moment),
+            "T_shown": where(lost, nan, thrust),
         }

@@ -1,14 +1,13 @@
 """Estimator: pitch, pitch rate, position and velocity from the IMU at 250 Hz and the time-of-flight sensor."""
 
-from __future__ import annotations
-
 from typing import Any
 
-from twodof.blocks import Block, Diagram, Port, State, int32, where
+from twodof.blocks import Block, Diagram, State, int32, where
 from twodof.errors import ParameterError
 from twodof.flight.estimator.longitudinal_filter import LongitudinalFilter
 from twodof.flight.estimator.pitch_filter import PitchFilter
 from twodof.flight.estimator.position_filter import FixedGainPosition, KalmanPosition, RailAcceleration
+from twodof.flight.ports import IMU, RANGE, add_inputs, ports
 
 POSITION_FILTERS = ("joint", "fixed-gain", "kalman")
 
@@ -19,8 +18,7 @@ class Publisher(Block):
     What is published at a sample is read from the next one on.
     """
 
-    inputs = (Port("x", unit="m"), Port("v", unit="m/s"))
-    outputs = (Port("x", unit="m"), Port("v", unit="m/s"))
+    inputs = outputs = ports("x", "v")
     states = (State("x", unit="m"), State("v", unit="m/s"), State("phase", 0, "int32"))
 
     def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
@@ -52,15 +50,7 @@ def estimator(position_filter: str = "joint") -> Diagram:
             f"no filter called {position_filter!r:.80}", "position_filter", f"use {', '.join(POSITION_FILTERS)}"
         )
     d = Diagram("estimator", "pitch by an extended Kalman filter, position by the filter chosen")
-    for name, unit in (
-        ("acc_x", "m/s2"),
-        ("acc_z", "m/s2"),
-        ("gyro_y", "rad/s"),
-        ("dist", "m"),
-        ("dist_age", "s"),
-    ):
-        d.input(name, unit=unit)
-    d.input("dist_new", "bool")
+    add_inputs(d, *IMU, "dist", "dist_age", "dist_new")
     if position_filter == "joint":
         d.add("filter", LongitudinalFilter())
         for name in d.inputs:
@@ -83,12 +73,6 @@ def _separate(d: Diagram, position_filter: str) -> tuple[str, str]:
     d.add("pitch", PitchFilter(), acc_x="acc_x", acc_z="acc_z", gyro_y="gyro_y")
     d.add("rail", RailAcceleration(), acc_x="acc_x", acc_z="acc_z", theta="pitch.theta")
     position = KalmanPosition() if position_filter == "kalman" else FixedGainPosition()
-    d.add(
-        "position",
-        position,
-        acceleration="rail.acceleration",
-        dist="dist",
-        dist_new="dist_new",
-        dist_age="dist_age",
-    )
+    sources = {"acceleration": "rail.acceleration"} | {name: name for name in RANGE}
+    d.add("position", position, inputs=sources)
     return "pitch", "position"

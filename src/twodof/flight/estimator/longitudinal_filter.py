@@ -1,13 +1,12 @@
 """One extended Kalman filter for pitch, gyro bias, position and velocity: the range tells tilt from acceleration."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from twodof.blocks import Block, Port, State, where
 from twodof.blocks.elementary.functions import atan2, cos, sin
 from twodof.flight.block_parameters import tunables
 from twodof.flight.finite import restarted
+from twodof.flight.ports import IMU, RANGE, ports
 from twodof.signals import RAIL_CENTRE
 
 STATES = ("theta", "bias", "x", "v")
@@ -33,20 +32,11 @@ class LongitudinalFilter(Block):
     its noise were four times its 4 mm.
     """
 
-    inputs = (
-        Port("acc_x", unit="m/s2"),
-        Port("acc_z", unit="m/s2"),
-        Port("gyro_y", unit="rad/s"),
-        Port("dist", unit="m"),
-        Port("dist_new", "bool"),
-        Port("dist_age", unit="s"),
-    )
+    inputs = ports(*IMU, *RANGE)
     outputs = (
-        Port("theta", unit="rad"),
-        Port("q", unit="rad/s"),
+        *ports("theta", "q"),
         Port("bias", unit="rad/s"),
-        Port("x", unit="m"),
-        Port("v", unit="m/s"),
+        *ports("x", "v"),
         *(Port(name) for name in COVARIANCE),
     )
     states = (

@@ -1,13 +1,12 @@
 """Pitch from gyro and accelerometer: an extended Kalman filter about one axis, with the gyro's bias as second state."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from twodof.blocks import Block, Port, State, where
 from twodof.blocks.elementary.functions import atan2, cos, sin
 from twodof.flight.block_parameters import tunables
 from twodof.flight.finite import restarted
+from twodof.flight.ports import IMU, ports
 from twodof.signals import GRAVITY
 
 
@@ -22,14 +21,11 @@ class PitchFilter(Block):
     `variance` is that of theta, (rad)^2; `covariance` and `bias_variance` complete the matrix.
     """
 
-    inputs = (Port("acc_x", unit="m/s2"), Port("acc_z", unit="m/s2"), Port("gyro_y", unit="rad/s"))
+    inputs = ports(*IMU)
     outputs = (
-        Port("theta", unit="rad"),
-        Port("q", unit="rad/s"),
+        *ports("theta", "q"),
         Port("bias", unit="rad/s"),
-        Port("variance"),
-        Port("covariance"),
-        Port("bias_variance"),
+        *(Port(name) for name in ("variance", "covariance", "bias_variance")),
     )
     states = (
         State("theta", unit="rad"),
@@ -39,13 +35,7 @@ class PitchFilter(Block):
         State("bias_variance", "bias_variance_0"),
         State("started", False, "bool"),
     )
-    derived = (
-        Port("variance_0"),
-        Port("bias_variance_0"),
-        Port("gyro_q"),
-        Port("walk_q"),
-        Port("acc_r"),
-    )
+    derived = tuple(Port(name) for name in ("variance_0", "bias_variance_0", "gyro_q", "walk_q", "acc_r"))
     # The noise densities are those of the drone in hover (q .06 rad/s a sample, acceleration and vibration together
     # some m/s2); with them theta stays within .3 deg RMS of the drone's own estimate on each of its logs.
     params = tunables("estimator.pitch")

@@ -3,29 +3,21 @@
 Two filters with the same ports: the fixed gains that the drone's logs show, and a Kalman filter.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from twodof.blocks import Block, Port, State, where
 from twodof.blocks.elementary.functions import cos, sin
 from twodof.flight.block_parameters import tunables
 from twodof.flight.finite import restarted
+from twodof.flight.ports import RANGE, ports
 from twodof.signals import RAIL_CENTRE
-
-_INPUTS = (
-    Port("acceleration", unit="m/s2"),
-    Port("dist", unit="m"),
-    Port("dist_new", "bool"),
-    Port("dist_age", unit="s"),
-)
 
 
 class RailAcceleration(Block):
     """Acceleration along the rail, cos(theta) f_x + sin(theta) f_z: the horizontal part of the specific force."""
 
-    inputs = (Port("acc_x", unit="m/s2"), Port("acc_z", unit="m/s2"), Port("theta", unit="rad"))
-    outputs = (Port("acceleration", unit="m/s2"),)
+    inputs = ports("acc_x", "acc_z", "theta")
+    outputs = ports("acceleration")
 
     def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
         return cos(u.theta) * u.acc_x + sin(u.theta) * u.acc_z
@@ -42,8 +34,8 @@ class FixedGainPosition(Block):
     the lasting error b k_x / k_v, which is the velocity bias that the logs show; `bias` gives it to a simulated flight.
     """
 
-    inputs = _INPUTS
-    outputs = (Port("x", unit="m"), Port("v", unit="m/s"), Port("x_filter", unit="m"))
+    inputs = ports("acceleration", *RANGE)
+    outputs = (*ports("x", "v"), Port("x_filter", unit="m"))
     states = (
         State("x", unit="m"),
         State("v", unit="m/s"),
@@ -88,10 +80,9 @@ class KalmanPosition(Block):
     triangle.
     """
 
-    inputs = _INPUTS
+    inputs = ports("acceleration", *RANGE)
     outputs = (
-        Port("x", unit="m"),
-        Port("v", unit="m/s"),
+        *ports("x", "v"),
         Port("bias", unit="m/s2"),
         *(Port(f"P_{pair}") for pair in _PAIRS),
         Port("innovation", unit="m"),
@@ -104,16 +95,7 @@ class KalmanPosition(Block):
         *(State(f"P_{pair}", f"P_{pair}_0" if pair in ("xx", "vv", "bb") else 0.0) for pair in _PAIRS),
         State("started", False, "bool"),
     )
-    derived = (
-        Port("P_xx_0"),
-        Port("P_vv_0"),
-        Port("P_bb_0"),
-        Port("q_xx"),
-        Port("q_xv"),
-        Port("q_vv"),
-        Port("q_bb"),
-        Port("r"),
-    )
+    derived = tuple(Port(n) for n in ("P_xx_0", "P_vv_0", "P_bb_0", "q_xx", "q_xv", "q_vv", "q_bb", "r"))
     params = tunables("estimator.position", "sigma_a", "sigma_walk", "sigma_tof", "sigma_v_0", "sigma_bias_0")
 
     def prepare(self, p: Any, t: Any) -> Any:

@@ -1,7 +1,5 @@
 """Causes: what can go wrong, one row each, and what it asks for; a bit mask says which of them hold."""
 
-from __future__ import annotations
-
 from functools import reduce
 from operator import or_
 from types import MappingProxyType

@@ -1,13 +1,12 @@
 """Agreement: whether the sensors feel what pitch, thrust, moment and rail explain. Else one has failed."""
 
-from __future__ import annotations
-
 from functools import reduce
 from operator import or_
 from typing import Any
 
 from twodof.blocks import Block, Port, State, minimum, where
 from twodof.flight.block_parameters import tunables
+from twodof.flight.ports import ports
 from twodof.signals import GRAVITY
 
 FORCE_SUMS = ("forth", "back", "up", "down")
@@ -51,16 +50,7 @@ class ForceConsistency(Block):
     much, and the play of the rings rattles: the limit is twice as high.
     """
 
-    inputs = (
-        Port("acc_x", unit="m/s2"),
-        Port("acc_z", unit="m/s2"),
-        Port("sine"),
-        Port("cosine"),
-        Port("v", unit="m/s"),
-        Port("fore"),
-        Port("aft"),
-        Port("rings", "bool"),
-    )
+    inputs = ports("acc_x", "acc_z", "sine", "cosine", "v", "fore", "aft", "rings")
     outputs = (Port("disagrees", "bool"), *(Port(name, unit="m/s") for name in FORCE_SUMS))
     states = (*(State(name, unit="m/s") for name in FORCE_SUMS), State("thrust"))
     params = tunables("failsafe.force")
@@ -97,7 +87,7 @@ class RateConsistency(Block):
     still under way through the lag. When that arrives is known to a few milliseconds only.
     """
 
-    inputs = (Port("gyro_y", unit="rad/s"), Port("sine"), Port("fore"), Port("aft"))
+    inputs = ports("gyro_y", "sine", "fore", "aft")
     outputs = (Port("disagrees", "bool"), *(Port(name, unit="rad/s") for name in RATE_SUMS))
     states = (
         *(State(name, unit="rad/s") for name in RATE_SUMS),

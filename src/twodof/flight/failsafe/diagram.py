@@ -1,7 +1,5 @@
 """The failsafe: thresholds, timers, state machine and the last gate to the motors, as one diagram at 250 Hz."""
 
-from __future__ import annotations
-
 from types import MappingProxyType
 
 from twodof.blocks import Diagram
@@ -10,39 +8,14 @@ from twodof.blocks.library.logic import Logic
 from twodof.flight.block_parameters import tunable
 from twodof.flight.failsafe.causes_and_actions import ACTIONS, CAUSES, RequestedActions
 from twodof.flight.failsafe.consistency import ForceConsistency, RateConsistency
-from twodof.flight.failsafe.flags import SET_POINTS, BatteryFlags, PlaceFlags, SensorFlags, SetPointFlags, StuckCommands
-from twodof.flight.failsafe.output_selector import COMMANDS, OutputSelector
+from twodof.flight.failsafe.flags import BatteryFlags, PlaceFlags, SensorFlags, SetPointFlags, StuckCommands
+from twodof.flight.failsafe.output_selector import OutputSelector
 from twodof.flight.failsafe.safe_setpoints import SafeSetPoints
 from twodof.flight.failsafe.state_machine import STATES, FailsafeStateMachine, Reasons
 from twodof.flight.failsafe.timers import OffDelay, WatchdogTimer
+from twodof.flight.ports import COMMANDS, ESTIMATED, FAILSAFE_INPUTS, IMU, OWN_INPUTS, RANGE, SET_POINTS, add_inputs
 
-__all__ = ["ACTIONS", "CAUSES", "INPUTS", "OUTPUTS", "OWN_INPUTS", "STATES", "TIMERS", "failsafe"]
-
-INPUTS: tuple[tuple[str, str, str, str], ...] = (
-    ("arm", "bool", "", "arm; a rising edge arms if nothing speaks against it, false disarms at once"),
-    (
-        "setpoint_new",
-        "bool",
-        "",
-        "a set-point came in this tick, from whatever source has the command, on board or not",
-    ),
-    ("link_new", "bool", "", "something came over the link in this tick"),
-    ("imu_new", "bool", "", "the IMU gave a sample in this tick"),
-    ("rings", "bool", "", "the rings lock the cart: range and rail end do not matter"),
-    ("voltage", "real", "V", "of the battery"),
-    ("step_late", "bool", "", "the flight controller's last step ran out of its time"),
-    ("own_late", "bool", "", "the user's controller ran out of its time, its commands of this tick are not to be used"),
-)
-"""Name, type, unit, meaning of what the flight code takes besides `core.INPUTS` when it has the failsafe."""
-
-OWN_INPUTS: tuple[tuple[str, str, str, str], ...] = (
-    ("own_given", "bool", "", "a user's commands are there and are to fly as long as they are healthy"),
-    ("own_fore", "real", "", "the user's command of the fore rotor pair"),
-    ("own_aft", "real", "", "of the aft pair"),
-    ("own_M", "real", "", "the user's moment, to be shown while it flies"),
-    ("own_T", "real", "", "the user's thrust, the same"),
-)
-"""The same for a user's commands that come from outside the flight code."""
+__all__ = ["ACTIONS", "CAUSES", "OUTPUTS", "STATES", "TIMERS", "failsafe"]
 
 OUTPUTS: tuple[tuple[str, str, str], ...] = (
     ("armed", "", "motors may turn"),
@@ -70,41 +43,21 @@ TIMERS = MappingProxyType(
 )
 """What each timer waits for, by the timer's name; its parameter is `failsafe.NAME.timeout`."""
 
-_MEASURED = (
-    ("acc_x", "real", "m/s2"),
-    ("acc_z", "real", "m/s2"),
-    ("gyro_y", "real", "rad/s"),
-    ("dist", "real", "m"),
-    ("dist_new", "bool", ""),
-    ("dist_age", "real", "s"),
-)
-_ESTIMATED = (("theta", "rad"), ("q", "rad/s"), ("x", "m"), ("v", "m/s"))
-_SAME = MappingProxyType({name: name for name, _ in SET_POINTS})
+_SAME = MappingProxyType({name: name for name in SET_POINTS})
 
 
 def failsafe() -> Diagram:
     """The failsafe, made for 250 Hz.
 
-    Inputs: `INPUTS`; the measurements and estimates; `mode` and the set-points as given; the stock commands `fore`,
-    `aft`, `M`, `T`; and the user's `own_fore`, ..., if `own_given` is true. Outputs: the mode and
+    Inputs: `ports.FAILSAFE_INPUTS`; the measurements and estimates; `mode` and the set-points as given; the stock
+    commands `fore`, `aft`, `M`, `T`; and the user's `own_fore`, ..., if `own_given` is true. Outputs: the mode and
     set-points for the controllers (`safe_mode`, `safe_x0`, ...) and `own`, which both depend on nothing behind the
     controllers; `range_taken`, whether the range may correct the estimates, and `range_age`, which depend on no
     estimate of this tick; `fore`, `aft`, `M`, `T` as they fly; and `OUTPUTS`.
     """
     d = Diagram("failsafe", "flags, timers, state machine, and the last gate to the motors")
-    for name, kind, unit, _ in INPUTS:
-        d.input(name, kind, unit=unit)
-    for name, kind, unit in _MEASURED:
-        d.input(name, kind, unit=unit)
-    for name, unit in _ESTIMATED:
-        d.input(name, unit=unit)
-    d.input("mode", "int32")
-    for name, unit in (*SET_POINTS, ("ax0", "m/s2")):
-        d.input(name, unit=unit)
-    for name in COMMANDS:
-        d.input(name)
-    for name, kind, unit, _ in OWN_INPUTS:
-        d.input(name, kind, unit=unit)
+    add_inputs(d, *(name for name, *_ in FAILSAFE_INPUTS), *IMU, *RANGE, *ESTIMATED, "mode", *SET_POINTS, "ax0")
+    add_inputs(d, *COMMANDS, *(name for name, *_ in OWN_INPUTS))
     descent = tunable("failsafe.descent")
     d.param("descent", descent.value, unit=descent.unit, low=descent.low, high=descent.high, text=descent.text)
     _flags(d)
@@ -118,9 +71,9 @@ def _flags(d: Diagram) -> None:
     d.add(
         "sensors",
         SensorFlags(),
-        inputs={name: name for name in (*(row[0] for row in _MEASURED), "imu_new", "x", "v", "rings", "arm")},
+        inputs={name: name for name in (*IMU, *RANGE, "imu_new", "x", "v", "rings", "arm")},
     )
-    d.add("place", PlaceFlags(), inputs={name: name for name in (*(row[0] for row in _ESTIMATED), "rings")})
+    d.add("place", PlaceFlags(), inputs={name: name for name in (*ESTIMATED, "rings")})
     for name, function in (("sine", "sin"), ("cosine", "cos")):
         d.add(name, Trigonometry(function, input_unit="rad"), u="theta")
     turned = {"sine": "sine", "cosine": "cosine"}
@@ -217,7 +170,7 @@ def _gate(d: Diagram) -> None:
         T_flown="gate.T",
         inputs=_SAME,
     )
-    for name in ("mode", *(name for name, _ in SET_POINTS), "ax0"):
+    for name in ("mode", *SET_POINTS, "ax0"):
         d.output(f"safe_{name}", f"safe.{name}")
     d.add("gate", OutputSelector(), stopped="machine.stopped", own="machine.own", own_late="own_late")
     d.output("own", "machine.own")

@@ -1,7 +1,5 @@
 """Thresholds: measurements, estimates and set-points become flags, where they might chatter with a hysteresis."""
 
-from __future__ import annotations
-
 from functools import reduce
 from operator import and_, or_
 from typing import Any
@@ -9,12 +7,8 @@ from typing import Any
 from twodof.blocks import Block, Port, State, int32, where
 from twodof.flight.block_parameters import tunables
 from twodof.flight.finite import finite
+from twodof.flight.ports import ESTIMATED, IMU, RANGE, SET_POINTS, ports
 from twodof.signals import OFF, POSITION, RAIL_CENTRE, RATE, VELOCITY
-
-SET_POINTS = (("x0", "m"), ("v0", "m/s"), ("theta0", "rad"), ("q0", "rad/s"), ("thrust", ""), ("M_open", ""))
-"""The set-points that are numbers, with their units."""
-
-IMU_AXES = ("acc_x", "acc_z", "gyro_y")
 
 
 class SensorFlags(Block):
@@ -34,36 +28,21 @@ class SensorFlags(Block):
     `range_age` is its age, 0 where none is taken.
     """
 
-    inputs = (
-        Port("acc_x", unit="m/s2"),
-        Port("acc_z", unit="m/s2"),
-        Port("gyro_y", unit="rad/s"),
-        Port("imu_new", "bool"),
-        Port("dist", unit="m"),
-        Port("dist_new", "bool"),
-        Port("dist_age", unit="s"),
-        Port("x", unit="m"),
-        Port("v", unit="m/s"),
-        Port("rings", "bool"),
-        Port("arm", "bool"),
-    )
+    inputs = ports(*IMU, "imu_new", *RANGE, "x", "v", "rings", "arm")
     outputs = (
         *(Port(name, "bool") for name in ("imu_moves", "axes_move", "range_good", "range_moves", "range_end")),
         Port("range_taken", "bool"),
         Port("range_age", unit="s"),
     )
     states = (
-        State("acc_x", unit="m/s2"),
-        State("acc_z", unit="m/s2"),
-        State("gyro_y", unit="rad/s"),
-        State("dist", unit="m"),
+        *(State(port.name, unit=port.unit) for port in ports(*IMU, "dist")),
         State("at_end", False, "bool"),
     )
     params = tunables("failsafe.sensors")
 
     def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-        moved = [u[axis] != x[axis] for axis in IMU_AXES]
-        sample = u.imu_new & reduce(and_, [finite(u[axis]) for axis in IMU_AXES])
+        moved = [u[axis] != x[axis] for axis in IMU]
+        sample = u.imu_new & reduce(and_, [finite(u[axis]) for axis in IMU])
         good = self._good(u, p)
         taken = good | (u.dist_new & self._number(u, p) & ~u.arm)
         return {
@@ -87,10 +66,7 @@ class SensorFlags(Block):
         return abs(u.dist - RAIL_CENTRE) >= p.range_end
 
     def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-        return {
-            "acc_x": where(u.imu_new, u.acc_x, x.acc_x),
-            "acc_z": where(u.imu_new, u.acc_z, x.acc_z),
-            "gyro_y": where(u.imu_new, u.gyro_y, x.gyro_y),
+        return {axis: where(u.imu_new, u[axis], x[axis]) for axis in IMU} | {
             "dist": where(u.dist_new, u.dist, x.dist),
             "at_end": where(u.dist_new, self._good(u, p) & self._at_end(u, p), x.at_end),
         }
@@ -106,13 +82,7 @@ class PlaceFlags(Block):
     strongest action, so NaN raises it alone: where the pitch is not known it is not said to be at its stop.
     """
 
-    inputs = (
-        Port("theta", unit="rad"),
-        Port("q", unit="rad/s"),
-        Port("x", unit="m"),
-        Port("v", unit="m/s"),
-        Port("rings", "bool"),
-    )
+    inputs = ports(*ESTIMATED, "rings")
     outputs = tuple(
         Port(name, "bool") for name in ("estimate_lost", "pitch_near", "pitch_stop", "rail_near", "rail_end", "tilted")
     )
@@ -145,7 +115,7 @@ class BatteryFlags(Block):
     that has failed: how full the pack is is not known, and it counts as empty.
     """
 
-    inputs = (Port("voltage", unit="V"),)
+    inputs = ports("voltage")
     outputs = (Port("full", "bool"), Port("usable", "bool"))
     states = (State("low", False, "bool"), State("critical", False, "bool"))
     params = tunables("failsafe.battery")
@@ -169,19 +139,14 @@ class SetPointFlags(Block):
     `active`: the motors are asked for something. `rings_wrong`: a mode that moves the cart, which is locked.
     """
 
-    inputs = (
-        Port("mode", "int32"),
-        *(Port(name, unit=unit) for name, unit in SET_POINTS),
-        Port("setpoint_new", "bool"),
-        Port("rings", "bool"),
-    )
-    outputs = (Port("invalid", "bool"), Port("fed", "bool"), Port("active", "bool"), Port("rings_wrong", "bool"))
+    inputs = ports("mode", *SET_POINTS, "setpoint_new", "rings")
+    outputs = tuple(Port(name, "bool") for name in ("invalid", "fed", "active", "rings_wrong"))
 
     def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
         off = u.mode <= int32(OFF)
         along_rail = u.mode >= int32(VELOCITY)
         return {
-            "invalid": ~reduce(and_, [finite(u[name]) for name, _ in SET_POINTS]) | (u.mode > int32(POSITION)),
+            "invalid": ~reduce(and_, [finite(u[name]) for name in SET_POINTS]) | (u.mode > int32(POSITION)),
             "fed": u.setpoint_new | off,
             "active": ~off & (along_rail | (u.thrust != 0.0) | (u.M_open != 0.0)),
             "rings_wrong": u.rings & along_rail,
@@ -194,13 +159,7 @@ class StuckCommands(Block):
     In a closed loop with thrust noise alone moves them; commands that stand still come of a controller that does.
     """
 
-    inputs = (
-        Port("mode", "int32"),
-        Port("imu_moves", "bool"),
-        Port("stopped", "bool"),
-        Port("fore"),
-        Port("aft"),
-    )
+    inputs = (*ports("mode"), Port("imu_moves", "bool"), *ports("stopped", "fore", "aft"))
     outputs = (Port("moves", "bool"),)
     states = (State("fore"), State("aft"), State("moves", True, "bool"))
 

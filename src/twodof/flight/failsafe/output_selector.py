@@ -1,13 +1,10 @@
 """The gate: the last thing before the motors. What is right passes with its bits, all else is replaced or 0."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from twodof.blocks import Block, Port, maximum, minimum, where
 from twodof.flight.finite import finite
-
-COMMANDS = ("fore", "aft", "M", "T")
+from twodof.flight.ports import COMMANDS, ports
 
 
 class OutputSelector(Block):
@@ -18,14 +15,8 @@ class OutputSelector(Block):
     motors are `stopped`, both pairs get 0 in that tick. Every output lies within [0, 1].
     """
 
-    inputs = (
-        Port("stopped", "bool"),
-        Port("own", "bool"),
-        Port("own_late", "bool"),
-        *(Port(name) for name in COMMANDS),
-        *(Port(f"own_{name}") for name in COMMANDS),
-    )
-    outputs = (*(Port(name) for name in COMMANDS), Port("own_lost", "bool"), Port("command_lost", "bool"))
+    inputs = ports("stopped", "own", "own_late", *COMMANDS, *(f"own_{name}" for name in COMMANDS))
+    outputs = ports(*COMMANDS, "own_lost", "command_lost")
 
     def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
         def numbers(prefix: str) -> Any:
@@ -53,8 +44,8 @@ class OutputSelector(Block):
 class StandbyReset(Block):
     """Which controllers hold their integrals in reset: those that do not fly. `own_given` is the constant `given`."""
 
-    inputs = (Port("in_reset", "bool"), Port("own", "bool"))
-    outputs = (Port("own_in_reset", "bool"), Port("stock_in_reset", "bool"), Port("own_given", "bool"))
+    inputs = ports("in_reset", "own")
+    outputs = (Port("own_in_reset", "bool"), Port("stock_in_reset", "bool"), *ports("own_given"))
 
     def __init__(self, given: bool) -> None:
         self.given = given

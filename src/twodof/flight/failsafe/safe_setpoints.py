@@ -1,15 +1,13 @@
 """Set-points as they may fly: limited, and while the failsafe acts its own."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from twodof.blocks import Block, Port, State, int32, maximum, minimum, to_real, where
 from twodof.flight.block_parameters import tunable, tunables
-from twodof.flight.failsafe.flags import SET_POINTS
 from twodof.flight.failsafe.state_machine import BRAKE, DESCEND, FLYING, LEVEL
 from twodof.flight.failsafe.timers import ticks
 from twodof.flight.finite import finite
+from twodof.flight.ports import SET_POINTS, ports
 from twodof.signals import ATTITUDE, OFF, POSITION
 
 
@@ -24,18 +22,8 @@ class SafeSetPoints(Block):
     are stopped, the mode is off: no action starts motors that stood.
     """
 
-    inputs = (
-        Port("state", "int32"),
-        Port("timer", "int32"),
-        Port("stopped", "bool"),
-        Port("mode", "int32"),
-        *(Port(name, unit=unit) for name, unit in SET_POINTS),
-        Port("ax0", unit="m/s2"),
-        Port("x", unit="m"),
-        Port("v", unit="m/s"),
-        Port("T_flown"),
-    )
-    outputs = (Port("mode", "int32"), *(Port(name, unit=unit) for name, unit in SET_POINTS), Port("ax0", unit="m/s2"))
+    inputs = (*ports("state", "timer", "stopped", "mode", *SET_POINTS, "ax0", "x", "v"), Port("T_flown"))
+    outputs = ports("mode", *SET_POINTS, "ax0")
     states = (State("thrust"),)
     derived = (Port("per_tick"),)
     params = (tunable("failsafe.descent"), *tunables("failsafe.safe"))

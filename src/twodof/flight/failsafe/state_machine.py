@@ -1,7 +1,5 @@
 """The failsafe's state machine, on integers and flags only, and the memory of why it acts."""
 
-from __future__ import annotations
-
 from functools import reduce
 from operator import or_
 from typing import Any
@@ -10,6 +8,7 @@ from twodof.blocks import Block, Port, State, int32, maximum, where
 from twodof.flight.block_parameters import tunable, tunables
 from twodof.flight.failsafe.causes_and_actions import ACTIONS, BIT, CAUSES, NONE
 from twodof.flight.failsafe.timers import ticks
+from twodof.flight.ports import ports
 
 STATES = ("disarmed", "refused", "flying", "level", "brake", "descend", "off")
 """What the failsafe is in, by number. Motors may turn in flying, level, brake and descend."""
@@ -44,31 +43,21 @@ class FailsafeStateMachine(Block):
     """
 
     inputs = (
-        *(Port(name, "bool") for name in ("arm", "ready", "off", "descend", "brake", "level")),
-        Port("stuck", "bool"),
-        Port("own_given", "bool"),
-        Port("own_lost", "bool"),
-        Port("command_lost", "bool"),
+        *(Port(name, "bool") for name in ("arm", "ready", "off", "descend", "brake", "level", "stuck")),
+        *ports("own_given", "own_lost", "command_lost"),
     )
     outputs = (
-        Port("state", "int32"),
-        Port("timer", "int32"),
+        *ports("state", "timer"),
         Port("action", "int32"),
         Port("armed", "bool"),
-        Port("own", "bool"),
-        Port("failed", "bool"),
-        Port("stopped", "bool"),
-        Port("stuck_off", "bool"),
+        *ports("own", "failed", "stopped", "stuck_off"),
     )
     states = (State("state", DISARMED, "int32"), State("timer", 0, "int32"), State("own_failed", False, "bool"))
     derived = (Port("level_ticks", "int32"), Port("descent_ticks", "int32"))
     params = (*tunables("failsafe.machine"), tunable("failsafe.descent"))
 
     def prepare(self, p: Any, t: Any) -> Any:
-        return {
-            "level_ticks": ticks(p.level_limit, t.dt),
-            "descent_ticks": ticks(p.descent, t.dt),
-        }
+        return {"level_ticks": ticks(p.level_limit, t.dt), "descent_ticks": ticks(p.descent, t.dt)}
 
     def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
         held = x.state
@@ -124,14 +113,7 @@ class Reasons(Block):
     state refused they are those that spoke against arming, in flying those that ask for no action (a low battery).
     """
 
-    inputs = (
-        Port("state", "int32"),
-        Port("mask", "int32"),
-        Port("failed", "bool"),
-        Port("stuck_off", "bool"),
-        Port("own_lost", "bool"),
-        Port("command_lost", "bool"),
-    )
+    inputs = ports("state", "mask", "failed", "stuck_off", "own_lost", "command_lost")
     outputs = (Port("reason", "int32"),)
     states = (State("held", 0, "int32"), State("was", DISARMED, "int32"))
 

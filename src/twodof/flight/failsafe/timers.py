@@ -3,8 +3,6 @@
 Each is two comparisons and one counter of an integer, so that tests can try everything that it can do.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from twodof.blocks import Block, Param, Port, State, int32, maximum, minimum, to_int32, where

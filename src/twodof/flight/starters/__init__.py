@@ -1,7 +1,5 @@
 """Starter diagrams by name, and diagrams from files: what a user's controller begins as."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType

@@ -1,7 +1,5 @@
 """Starter diagrams for the template attitude_control: the stock loops, a PID, an LQR, a notch, and an empty one."""
 
-from __future__ import annotations
-
 from twodof.blocks import Diagram
 from twodof.blocks.library import (
     Constant,

@@ -1,7 +1,5 @@
 """What the starter diagrams share: a template's ports, parameters with bounds, unit and text, the attitude loop."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from twodof.blocks import Diagram

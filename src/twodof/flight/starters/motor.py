@@ -1,8 +1,6 @@
 """Starter diagrams for the template motor_control: the stock mixer, one that keeps the moment, the rate loop on the
 motors, and an empty one."""
 
-from __future__ import annotations
-
 from twodof.blocks import Diagram
 from twodof.blocks.library import Abs, Constant, DynamicSaturation, Gain, Pid, Saturation, Sum, Switch
 from twodof.flight.gains import DEFAULT, Gains

@@ -1,7 +1,5 @@
 """Starter diagrams for the template position_control: the stock loops, the same from library blocks, an empty one."""
 
-from __future__ import annotations
-
 from twodof.blocks import Diagram
 from twodof.blocks.library import Constant, Divide, Gain, Pid, Product, Saturation, Sum, Switch, Trigonometry
 from twodof.flight.control.cascade_loops import PositionLoop, Projection, VelocityLoop

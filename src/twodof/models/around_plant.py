@@ -1,6 +1,4 @@
-"""A delay of the input, not a multiple of the sample time, for structures integrated in continuous time."""
-
-from __future__ import annotations
+"""What stands around the plant of a structure: a delay of its input, and constants added to its signals."""
 
 import math
 from typing import Any
@@ -51,3 +49,18 @@ class InputDelay(Block):
         then = where(x.step < steps, int32(0), x.step - steps)
         past = where(p.fits, x.past[then % self.ring], math.nan)
         return where((steps == 0) | (x.step == 0), u.u, past)
+
+
+@library_block("models.Offset")
+class Offset(Block):
+    """y = u + sign * offset, in `unit`."""
+
+    def __init__(self, unit: str = "", sign: float = 1.0) -> None:
+        self.sign = sign
+        self.inputs = (Port("u", unit=unit),)
+        self.outputs = (Port("y", unit=unit),)
+        self.params = (Param("offset", 0.0, unit=unit, text="constant part"),)
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        """The sum."""
+        return u.u + self.sign * p.offset

@@ -1,0 +1,81 @@
+"""Ports of the flight code: its inputs, and the type and unit that a name has in all of its blocks."""
+
+from twodof.blocks import Diagram, Port
+
+INPUTS: tuple[tuple[str, str, str, str], ...] = (
+    ("acc_x", "real", "m/s2", "specific force along the body's x axis"),
+    ("acc_z", "real", "m/s2", "specific force along the body's z axis (down)"),
+    ("gyro_y", "real", "rad/s", "pitch rate"),
+    ("dist", "real", "m", "time-of-flight range; x = dist - 0.50"),
+    ("dist_new", "bool", "", "a range sample is handed over in this tick"),
+    ("dist_age", "real", "s", "its age at this tick"),
+    ("mode", "int32", "", "index into signals.MODES"),
+    ("in_reset", "bool", "", "hold the integrals in reset (besides the reset at arming, which is inside)"),
+    ("x0", "real", "m", "position set-point, in position mode"),
+    ("v0", "real", "m/s", "velocity set-point, in velocity mode"),
+    ("ax0", "real", "m/s2", "acceleration set-point, a feed-forward that only a user's position controller reads"),
+    ("theta0", "real", "rad", "pitch set-point, in attitude mode"),
+    ("q0", "real", "rad/s", "pitch-rate set-point, in rate mode"),
+    ("thrust", "real", "", "thrust in open-loop, rate and attitude mode"),
+    ("M_open", "real", "", "moment in open loop"),
+    ("use_trim", "bool", "", "add the trim moment that the last level hold found to M_open"),
+)
+"""Name, type, unit, meaning of each input of the core."""
+
+FAILSAFE_INPUTS: tuple[tuple[str, str, str, str], ...] = (
+    ("arm", "bool", "", "arm; a rising edge arms if nothing speaks against it, false disarms at once"),
+    (
+        "setpoint_new",
+        "bool",
+        "",
+        "a set-point came in this tick, from whatever source has the command, on board or not",
+    ),
+    ("link_new", "bool", "", "something came over the link in this tick"),
+    ("imu_new", "bool", "", "the IMU gave a sample in this tick"),
+    ("rings", "bool", "", "the rings lock the cart: range and rail end do not matter"),
+    ("voltage", "real", "V", "of the battery"),
+    ("step_late", "bool", "", "the flight controller's last step ran out of its time"),
+    ("own_late", "bool", "", "the user's controller ran out of its time, its commands of this tick are not to be used"),
+)
+"""The same of what the flight code takes besides `INPUTS` when it has the failsafe."""
+
+OWN_INPUTS: tuple[tuple[str, str, str, str], ...] = (
+    ("own_given", "bool", "", "a user's commands are there and are to fly as long as they are healthy"),
+    ("own_fore", "real", "", "the user's command of the fore rotor pair"),
+    ("own_aft", "real", "", "of the aft pair"),
+    ("own_M", "real", "", "the user's moment, to be shown while it flies"),
+    ("own_T", "real", "", "the user's thrust, the same"),
+)
+"""The same for a user's commands that come from outside the flight code."""
+
+IMU = ("acc_x", "acc_z", "gyro_y")
+RANGE = ("dist", "dist_new", "dist_age")
+ESTIMATED = ("theta", "q", "x", "v")
+SET_POINTS = ("x0", "v0", "theta0", "q0", "thrust", "M_open")
+"""The set-points that are numbers and that every controller reads."""
+COMMANDS = ("fore", "aft", "M", "T")
+
+_PORTS = {name: Port(name, kind, unit=unit) for name, kind, unit, _ in (*INPUTS, *FAILSAFE_INPUTS, *OWN_INPUTS)} | {
+    port.name: port
+    for port in (
+        Port("theta", unit="rad"),
+        Port("q", unit="rad/s"),
+        Port("x", unit="m"),
+        Port("v", unit="m/s"),
+        Port("acceleration", unit="m/s2"),
+        *(Port(name) for name in (*COMMANDS, "sine", "cosine")),
+        *(Port(name, "int32") for name in ("state", "timer", "mask")),
+        *(Port(name, "bool") for name in ("own", "stopped", "failed", "stuck_off", "own_lost", "command_lost")),
+    )
+}
+
+
+def ports(*names: str) -> tuple[Port, ...]:
+    """The ports of a block that have these names."""
+    return tuple(_PORTS[name] for name in names)
+
+
+def add_inputs(d: Diagram, *names: str) -> None:
+    """Declares inputs of a diagram that have these names."""
+    for port in ports(*names):
+        d.input(port.name, port.kind, unit=port.unit)

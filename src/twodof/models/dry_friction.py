@@ -1,0 +1,151 @@
+"""The pitch axis and the cart beyond the linear models: gravity, a hardening spring, dry friction with true sticking.
+
+A step integrates everything but the dry (Coulomb) friction, which then acts as an impulse that knows when in the step
+the motion stops. So the machine sticks exactly. What is simulated does not jump when a parameter moves the moment of a
+stop across a step: an estimation needs derivatives.
+"""
+
+from typing import Any
+
+from twodof.blocks.block import Block, Clock, library_block
+from twodof.blocks.declarations import Param, Port, State
+from twodof.blocks.elementary.functions import sin
+from twodof.blocks.expressions.expr import maximum, minimum, where
+
+
+def sticks(speed: Any, drive: Any, more: Any, less: Any) -> Any:
+    """Whether friction holds it at rest: `drive` is the acceleration of everything else.
+
+    Friction opposes a positive speed with `more`, a negative one with `less` (both >= 0, as accelerations).
+    """
+    return (speed == 0.0) & (drive <= more) & (-drive <= less)
+
+
+def after_friction(speed: Any, drive: Any, more: Any, less: Any, dt: Any) -> Any:
+    """The speed after a step of `dt` with friction, from `speed`, that after the step without it."""
+    before = speed - drive * dt
+    # A motion that stops after a part of the step goes on the other way, if the drive exceeds the friction there.
+    slowed, lifted = speed - more * dt, speed + less * dt
+    left_up = dt - before / (more - drive)
+    left_down = dt + before / (less + drive)
+    from_up = where(slowed < 0.0, minimum(0.0, (drive + less) * left_up), slowed)
+    from_down = where(lifted > 0.0, maximum(0.0, (drive - more) * left_down), lifted)
+    return where(sticks(speed, drive, more, less), speed, where(before > 0.0, from_up, from_down))
+
+
+@library_block("models.PitchPendulum")
+class PitchPendulum(Block):
+    """q' = mu M - 2 xi w_n q - w_n^2 sin(theta) - hardening theta^3 - friction, theta' = q.
+
+    Friction is Coulomb's. It opposes q with `coulomb` (1 + `asymmetry`) for q > 0 and `coulomb` (1 - `asymmetry`) for
+    q < 0 [rad/s2]. It holds the drone at rest while the rest of the right-hand side is smaller.
+    """
+
+    inputs = (Port("M"),)
+    outputs = (Port("theta", unit="rad"), Port("q", unit="rad/s"))
+    states = (
+        State("theta", "theta_0", unit="rad", continuous=True),
+        State("q", "q_0", unit="rad/s", continuous=True),
+    )
+    params = (
+        Param("w_n", 3.437, unit="rad/s", low=0.0, text="natural frequency of small swings"),
+        Param("xi", 0.0836, text="viscous damping ratio"),
+        Param("mu", 358.5, unit="rad/s2", text="gain from normalised moment to angular acceleration"),
+        Param("coulomb", 0.0, unit="rad/s2", low=0.0, text="dry friction"),
+        Param("asymmetry", 0.0, low=-1.0, high=1.0, text="share by which friction differs with direction"),
+        Param("hardening", 0.0, unit="rad/s2", text="cubic part of the spring"),
+        Param("theta_0", 0.0, unit="rad", text="pitch at the start"),
+        Param("q_0", 0.0, unit="rad/s", text="pitch rate at the start"),
+    )
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
+        """The states."""
+        return {"theta": x.theta, "q": x.q}
+
+    def derivative(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
+        """All but the dry friction while it moves; nothing while it sticks."""
+        drive, more, less = self._drive(u, x, p)
+        return {"theta": x.q, "q": where(sticks(x.q, drive, more, less), 0.0, drive)}
+
+    def project(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
+        """The dry friction's impulse over the step; the angle as if it had acted evenly over it."""
+        after = after_friction(x.q, *self._drive(u, x, p), t.dt)
+        return {"theta": x.theta - 0.5 * t.dt * (x.q - after), "q": after}
+
+    def _drive(self, u: Any, x: Any, p: Any) -> tuple[Any, Any, Any]:
+        """The right-hand side without dry friction, and that friction for q > 0 and for q < 0."""
+        spring = p.w_n * p.w_n * sin(x.theta) + p.hardening * (x.theta * x.theta * x.theta)
+        drive = p.mu * u.M - 2.0 * p.xi * p.w_n * x.q - spring
+        return drive, p.coulomb * (1.0 + p.asymmetry), p.coulomb * (1.0 - p.asymmetry)
+
+
+@library_block("models.Lift")
+class Lift(Block):
+    """Thrust of both rotor pairs, commanded T +- M, over that of level flight at `hover`.
+
+    A pair gives (1 - curve) u + curve u^2 for a command u within 0 to 1. A hard pitch manoeuvre lifts more: the square
+    of M adds to both pairs, and a pair at rest cannot give less than nothing.
+    """
+
+    inputs = (Port("M"), Port("T"))
+    outputs = (Port("lift"),)
+    params = (
+        Param("curve", 0.3, low=0.0, high=1.0, text="quadratic share of the thrust curve"),
+        Param("hover", 0.4, low=0.01, high=1.0, text="thrust command at which k_v is stated"),
+    )
+    derived = (Port("per_hover"),)
+
+    def prepare(self, p: Any, t: Clock) -> dict[str, Any]:
+        """One over the thrust at hover."""
+        return {"per_hover": 0.5 / self._pair(p.hover, p)}
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        """The two pairs."""
+        fore, aft = (maximum(0.0, minimum(1.0, command)) for command in (u.T + u.M, u.T - u.M))
+        return (self._pair(fore, p) + self._pair(aft, p)) * p.per_hover
+
+    @staticmethod
+    def _pair(command: Any, p: Any) -> Any:
+        return command * ((1.0 - p.curve) + p.curve * command)
+
+
+@library_block("models.Rail")
+class Rail(Block):
+    """theta' = q, x' = v, v' = -k_v lift sin(theta) - p_v v - dry friction: paper equation (9) without small angles.
+
+    `lift` is the thrust over that at which k_v is stated (a constant 1 where it does not vary).
+
+    The measured q is integrated to theta here, since an on-board estimate of theta errs while the cart accelerates:
+    it takes the accelerometer for the direction of gravity.
+    """
+
+    inputs = (Port("q", unit="rad/s"), Port("lift"))
+    outputs = (Port("theta", unit="rad"), Port("x", unit="m"), Port("v", unit="m/s"))
+    states = (
+        State("theta", "theta_0", unit="rad", continuous=True),
+        State("x", "x_0", unit="m", continuous=True),
+        State("v", "v_0", unit="m/s", continuous=True),
+    )
+    params = (
+        Param("k_v", 4.748, unit="m/s2", text="gain from pitch to deceleration"),
+        Param("p_v", 1.168, unit="1/s", text="pole of the linear friction"),
+        Param("coulomb", 0.0, unit="m/s2", low=0.0, text="dry friction of the rail"),
+        Param("theta_0", 0.0, unit="rad", text="pitch at the start, from where the cart would not accelerate"),
+        Param("x_0", 0.0, unit="m", text="position at the start"),
+        Param("v_0", 0.0, unit="m/s", text="velocity at the start"),
+    )
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
+        """The states."""
+        return {"theta": x.theta, "x": x.x, "v": x.v}
+
+    def derivative(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
+        """All but the dry friction while it moves; nothing while it sticks."""
+        drive = -p.k_v * u.lift * sin(x.theta) - p.p_v * x.v
+        return {"theta": u.q, "x": x.v, "v": where(sticks(x.v, drive, p.coulomb, p.coulomb), 0.0, drive)}
+
+    def project(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
+        """The dry friction's impulse over the step; the position as if it had acted evenly over it."""
+        drive = -p.k_v * u.lift * sin(x.theta) - p.p_v * x.v
+        after = after_friction(x.v, drive, p.coulomb, p.coulomb, t.dt)
+        return {"x": x.x - 0.5 * t.dt * (x.v - after), "v": after}
