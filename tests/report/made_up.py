@@ -47,10 +47,10 @@ def subject(name: str, seed: int, truth: bool) -> Subject:
         "response to the impulse-like signal",
         "M = 0.1 for 0.2 s, then free. Period 1.83 s gives ω<sub>n</sub>.",
         [
-            Panel("M [–]", [FigureLine("M", "input", time, pulse)], height=0.6),
+            Panel("M [–]", [FigureLine("input", time, pulse)], height=0.6),
             Panel(
                 "q [rad/s]",
-                [FigureLine("q", "measured", time, noisy), FigureLine("grey-box", "grey-box", time, 2.0 * ring)],
+                [FigureLine("measured", time, noisy), FigureLine("grey-box", time, 2.0 * ring)],
                 [Span(0.6, 0.6 + 1.83, "period 1.83 s"), FigureBand(-0.02, 0.02, "±1 %")],
                 height=1.6,
             ),
@@ -63,13 +63,13 @@ def subject(name: str, seed: int, truth: bool) -> Subject:
         "doublet, identification data",
         "Three repetitions; the first identifies.",
         [
-            Panel("M [–]", [FigureLine("M", "input", short, 0.03 * np.sign(np.sin(10.5 * short)))], height=0.6),
+            Panel("M [–]", [FigureLine("input", short, 0.03 * np.sign(np.sin(10.5 * short)))], height=0.6),
             Panel(
                 "q [rad/s]",
                 [
-                    FigureLine("q", "measured", short, response + generator.normal(0.0, 0.06, short.size)),
-                    FigureLine("simple", "simple", short, 0.95 * response),
-                    FigureLine("grey-box", "grey-box", short, response),
+                    FigureLine("measured", short, response + generator.normal(0.0, 0.06, short.size)),
+                    FigureLine("simple", short, 0.95 * response),
+                    FigureLine("grey-box", short, response),
                 ],
                 [FigurePoint(0.76, 0.9, "peak 2.40 rad/s")],
                 height=1.6,

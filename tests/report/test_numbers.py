@@ -35,7 +35,6 @@ def test_plain_numbers_have_four_significant_digits(value: float, text: str) -> 
 def test_deviation_is_in_percent_and_in_standard_deviations() -> None:
     assert deviation(Uncertain(102.0, 4.0), 100.0) == "+2.0 %, 0.5 σ"
     assert deviation(Uncertain(98.0), 100.0) == "−2.0 %"
-    assert deviation(Uncertain(102.0, 4.0), 100.0, in_sigmas=False) == "+2.0 %"
 
 
 def test_small_numbers_have_a_power_of_ten() -> None:

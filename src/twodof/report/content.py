@@ -55,7 +55,6 @@ class ParameterRow:
 class FigureLine:
     """A curve: `time` [s] and `value`, both of shape (n,)."""
 
-    label: str
     role: LineRole
     time: Array
     value: Array

@@ -28,10 +28,10 @@ def with_sigma(estimate: Uncertain) -> str:
     return f"{value} ± {estimate.sigma:.{decimals}f}"
 
 
-def deviation(estimate: Uncertain, truth: float, in_sigmas: bool = True) -> str:
+def deviation(estimate: Uncertain, truth: float) -> str:
     """How far an estimate is from the truth in percent and, if its sigma claims to cover that, in sigmas."""
     percent = f"{100.0 * (estimate.value - truth) / truth:+.1f} %".replace("-", "−")
-    if not in_sigmas or not math.isfinite(estimate.sigma) or estimate.sigma <= 0.0:
+    if not math.isfinite(estimate.sigma) or estimate.sigma <= 0.0:
         return percent
     return f"{percent}, {abs(estimate.value - truth) / estimate.sigma:.1f} σ"
 

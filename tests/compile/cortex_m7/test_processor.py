@@ -22,7 +22,6 @@ from tests.toolchains import need
 from twodof.compile import CompiledProgram, build
 from twodof.compile.cortex_m7 import board
 from twodof.compile.cortex_m7.elf import read_elf
-from twodof.compile.cortex_m7.fault import ProcessorFault
 from twodof.compile.cortex_m7.image import Image, build_image, find_cross_compiler
 from twodof.compile.cortex_m7.processor import DEFAULTS, INIT, PREPARE, Processor
 from twodof.compile.cortex_m7.target import CortexM7
@@ -277,10 +276,16 @@ def test_the_emulator_ends_when_python_is_killed() -> None:
     shutil.rmtree(folder)  # nobody was left to do it
 
 
-def test_a_fault_reads_its_words_in_order() -> None:
-    fault = ProcessorFault.from_bytes(np.arange(14, dtype="<u4").tobytes())
-    assert (fault.r0, fault.pc, fault.sp, fault.cfsr, fault.bfar) == (0, 6, 8, 10, 13)
-    divided = ProcessorFault(**{**vars(fault), "cfsr": 1 << 25})
-    assert divided.cause == "division of integers by zero"
-    lost = ProcessorFault(**{**vars(fault), "cfsr": 1 << 9 | 1 << 15, "bfar": 0x3000_0000})
-    assert lost.cause == "access to where no memory is at 0x30000000"
+@pytest.mark.parametrize(
+    ("words", "cause"),
+    [
+        ({"cfsr": 1 << 25}, "division of integers by zero; "),
+        ({"cfsr": 1 << 9 | 1 << 15, "bfar": 0x3000_0000}, "access to where no memory is at 0x30000000; "),
+        ({"cfsr": 0}, "fault of unknown cause; "),
+    ],
+)
+def test_a_fault_reads_its_words_in_order(words: dict[str, int], cause: str) -> None:
+    names = ("r0", "r1", "r2", "r3", "r12", "lr", "pc", "xpsr", "sp", "exc_return", "cfsr", "hfsr", "mmfar", "bfar")
+    values = {name: words.get(name, place) for place, name in enumerate(names)}
+    text = board.fault_text(np.array(list(values.values()), dtype="<u4").tobytes())
+    assert text == cause + " ".join(f"{name}={value:08x}" for name, value in values.items())

@@ -39,17 +39,12 @@ def find_cross_compiler(name: str | None = None) -> Compiler:
 
     Raises CompileError, with the package that gives it, if it is not there.
     """
-    for candidate in (name,) if name else ("gcc", "zig"):
-        if candidate in ("gcc", "arm-none-eabi-gcc"):
-            path = shutil.which("arm-none-eabi-gcc")
-            if path:
-                return Compiler("arm-none-eabi-gcc", (path,), GCC)
-        elif candidate == "zig":
-            path = compilers.find_zig()
-            if path:
-                return Compiler("zig", (path, "cc"), ZIG)
-        else:
-            raise CompileError(f"{candidate!r:.80} is not a cross compiler for the Cortex-M7", "", "name gcc or zig")
+    if name not in (None, "gcc", "arm-none-eabi-gcc", "zig"):
+        raise CompileError(f"{name!r:.80} is not a cross compiler for the Cortex-M7", "", "name gcc or zig")
+    if name != "zig" and (path := shutil.which("arm-none-eabi-gcc")):
+        return Compiler("arm-none-eabi-gcc", (path,), GCC)
+    if name in (None, "zig") and (path := compilers.find_zig()):
+        return Compiler("zig", (path, "cc"), ZIG)
     raise CompileError(
         "there is no C compiler for the Cortex-M7" + (f" called {name!r}" if name else ""),
         "",

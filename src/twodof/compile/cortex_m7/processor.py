@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import struct
 import threading
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,15 +53,10 @@ class Processor:
             self._board.stop()
             self._board = None
 
-    def call(self, program: int, operation: int, p: NDArray[np.void], s: NDArray[np.void], watch: bool = False) -> int:
-        """DEFAULTS, PREPARE or INIT of the program with this index on its structs; see `run` for result and errors."""
-        request = self._request(program, operation, 0, False, False, watch)
-        sent = [] if operation == DEFAULTS else [p.tobytes()]
-        target = s if operation == INIT else p
-        with self._lock:
-            answer, (depth, _) = self._transact(program, [request, *sent], target.nbytes)
-        target.view(np.uint8)[:] = np.frombuffer(answer, np.uint8)
-        return depth
+    def call(self, program: int, operation: int, p: NDArray[np.void], s: NDArray[np.void]) -> None:
+        """DEFAULTS, PREPARE or INIT of the program with this index on its structs; see `run` for the errors."""
+        sent = [] if operation == DEFAULTS else [p]
+        self._exchange(program, operation, sent, [s if operation == INIT else p])
 
     def run(
         self,
@@ -77,17 +74,8 @@ class Processor:
         0. Raises ControllerFault if the program faults, with the registers; if the emulator ends; if nothing is heard
         for `SILENCE` seconds.
         """
-        many = len(y) > 1
-        rows = [np.ascontiguousarray(u).view(np.uint8).data] if steps else []
-        request = self._request(program, RUN, steps, len(u) > 1, many, watch)
-        size = y.itemsize
-        expected = (steps * size if many else size if steps else 0) + s.nbytes
-        with self._lock:
-            answer, (depth, _) = self._transact(program, [request, p.tobytes(), s.tobytes(), *rows], expected)
-        data = np.frombuffer(answer, np.uint8)
-        s.view(np.uint8)[:] = data[-s.nbytes :]
-        if steps:
-            y.view(np.uint8)[:] = data[: -s.nbytes]
+        sent, filled = ([p, s, u], [y, s]) if steps else ([p, s], [s])
+        depth, _ = self._exchange(program, RUN, sent, filled, steps, len(u) > 1, len(y) > 1, watch)
         return depth
 
     def count(
@@ -100,18 +88,23 @@ class Processor:
         """
         if not self.counting:
             raise CompileError("this processor's clock does not count instructions", "", "make it with counting=True")
-        rows = [np.ascontiguousarray(u).view(np.uint8).data] if steps else []
-        request = self._request(program, COUNT, steps, len(u) > 1, True, True)
-        with self._lock:
-            answer, (depth, idle) = self._transact(
-                program, [request, p.tobytes(), s.tobytes(), *rows], 4 * steps + s.nbytes
-            )
-        data = np.frombuffer(answer, np.uint8)
-        s.view(np.uint8)[:] = data[-s.nbytes :]
-        ticks = data[: -s.nbytes].view("<u4").astype(np.int64)
+        ticks = np.zeros(steps, "<u4")
+        sent = [p, s, u] if steps else [p, s]
+        depth, idle = self._exchange(program, COUNT, sent, [ticks, s], steps, len(u) > 1, True, True)
         return _instructions(ticks) - _instructions(np.array([idle])), depth
 
-    def _request(self, program: int, operation: int, steps: int, u_rows: bool, y_rows: bool, watch: bool) -> bytes:
+    def _exchange(
+        self,
+        program: int,
+        operation: int,
+        sent: Sequence[NDArray[Any]],
+        filled: Sequence[NDArray[Any]],
+        steps: int = 0,
+        u_rows: bool = False,
+        y_rows: bool = False,
+        watch: bool = False,
+    ) -> tuple[int, int]:
+        """One request with `sent` behind it; `filled` from its answer. Depth of the stack, ticks of an empty call."""
         name, sizes = self.image.names[program], self.image.sizes[program]
         need = sum(sizes[1:]) + ROWS + 64
         if need > POOL:
@@ -120,21 +113,23 @@ class Processor:
             )
         if not 0 <= steps <= MOST_STEPS:
             raise CompileError(f"{steps} steps at once", name, f"at most {MOST_STEPS}")
-        return struct.pack("<11I", operation, program, steps, u_rows, y_rows, watch, *sizes)
+        request = struct.pack("<11I", operation, program, steps, u_rows, y_rows, watch, *sizes)
+        parts: list[bytes | memoryview] = [request, *(np.ascontiguousarray(part).view(np.uint8).data for part in sent)]
+        with self._lock:
+            if self._board is None:
+                self._board = Board(self.emulator, self.image.elf, self.counting)
+            try:
+                answer, last = self._board.transact(name, parts, sum(part.nbytes for part in filled))
+            except BaseException:  # whatever happened, what is in the pipes belongs to nobody now
+                self._off()
+                raise
+        at = 0
+        for part in filled:
+            part.view(np.uint8)[:] = np.frombuffer(answer, np.uint8, part.nbytes, at)
+            at += part.nbytes
+        return last
 
-    def _transact(self, program: int, parts: list[bytes | memoryview], expected: int) -> tuple[bytes, tuple[int, int]]:
-        """One request and its answer: the data, and depth of the stack and ticks of an empty call."""
-        name = self.image.names[program]
-        if self._board is None:
-            self._board = Board(self.emulator, self.image.elf, self.counting)
-        try:
-            return self._board.transact(name, parts, expected)
-        except BaseException:  # whatever happened, what is in the pipes belongs to nobody now
-            self._off()
-            raise
 
-
-def _instructions(ticks: NDArray[np.int64]) -> NDArray[np.int64]:
+def _instructions(ticks: NDArray[Any]) -> NDArray[np.int64]:
     """Ticks are known to +-1, an instruction is 25.6 of them: the number of instructions is exact."""
-    exact: NDArray[np.float64] = np.rint(ticks * (NANOSECONDS_PER_TICK / NANOSECONDS_PER_INSTRUCTION))
-    return exact.astype(np.int64)
+    return np.rint(ticks * (NANOSECONDS_PER_TICK / NANOSECONDS_PER_INSTRUCTION)).astype(np.int64)

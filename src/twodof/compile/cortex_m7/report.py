@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,12 +90,12 @@ def measure(
         raise CompileError(f"{steps} steps to measure", program.flat.name, "ask for at least one")
     image = backend.processor.image
     with Processor(image, counting=True) as processor:
-        counting = _CountingBackend(program.emitted, processor, backend.index)
-        machine = CompiledProgram(program.emitted, counting).machine()
+        counting = CompiledProgram(program.emitted, CortexM7Backend(program.emitted, processor, backend.index))
+        machine = counting.machine()
         machine.set_many(parameters or {})
         machine.reset()
         machine.run(steps, inputs)
-    (instance,) = counting.instances
+    instance = cast(CortexM7Instance, machine.instance)
     usage = Usage(image)
     prefix = program.flat.name
     return CortexM7Report(
@@ -111,29 +111,3 @@ def measure(
         stack_seen=instance.stack,
         instructions=instance.instructions,
     )
-
-
-class _CountingInstance(CortexM7Instance):
-    """Counts what its steps take; its outputs are not fetched."""
-
-    def __init__(self, backend: CortexM7Backend) -> None:
-        super().__init__(backend)
-        self.stack = 0
-        self.instructions: NDArray[np.int64] = np.zeros(0, np.int64)
-
-    def run(self, steps: int, u: NDArray[Any], y: NDArray[Any]) -> None:
-        """As the base class's, without outputs."""
-        with self._watched():
-            p, s = self.structs["P"], self.structs["S"]
-            self.instructions, self.stack = self._processor.count(self._index, p, s, u, steps)
-
-
-class _CountingBackend(CortexM7Backend):
-    """Keeps the instances that it gives."""
-
-    instances: list[_CountingInstance]
-
-    def instance(self) -> _CountingInstance:
-        """A fresh instance that counts."""
-        self.instances = [_CountingInstance(self)]
-        return self.instances[0]

@@ -68,6 +68,8 @@ class CortexM7Instance:
         self.structs: dict[str, NDArray[Any]] = {k: np.zeros(1, kinds[k]) for k in "PSUY"}
         self._processor, self._index = backend.processor, backend.index
         self._fault: ControllerFault | None = None
+        self.instructions: NDArray[np.int64] = np.zeros(0, np.int64)
+        self.stack = 0
 
     def defaults(self) -> None:
         """Writes the given parameters' defaults into P. The errors of this and the next methods are those of `run`."""
@@ -86,9 +88,16 @@ class CortexM7Instance:
         self.run(1, self.structs["U"], self.structs["Y"])
 
     def run(self, steps: int, u: NDArray[Any], y: NDArray[Any]) -> None:
-        """`steps` ticks with the rows of `u` (or its one row at each) into those of `y`; see `Processor.run`."""
+        """`steps` ticks with the rows of `u` (or its one row at each) into those of `y`; see `Processor.run`.
+
+        A processor that counts gives the instructions of each and the stack that they used instead of outputs.
+        """
+        p, s = self.structs["P"], self.structs["S"]
         with self._watched():
-            self._processor.run(self._index, self.structs["P"], self.structs["S"], u, y, steps)
+            if self._processor.counting:
+                self.instructions, self.stack = self._processor.count(self._index, p, s, u, steps)
+            else:
+                self._processor.run(self._index, p, s, u, y, steps)
 
     def _call(self, operation: int) -> None:
         with self._watched():

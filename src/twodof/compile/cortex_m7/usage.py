@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-from twodof.compile.cortex_m7.elf import FUNCTION, Elf, ElfSection, read_elf
+from twodof.compile.cortex_m7.elf import FUNCTION, Elf, ElfSection, ElfSymbol, read_elf
 from twodof.compile.cortex_m7.image import Image
 from twodof.errors import CompileError
 
@@ -67,24 +67,16 @@ class Usage:
         nothing. A static function that calls itself leaves no relocation and is not noticed; emitted C has none.
         Interrupts come on top.
         """
-        depths: dict[Place, int | None] = {}
-        under_way: set[Place] = set()
-        walk = [(self._place(function), False)]
-        while walk:
-            place, done = walk.pop()
-            if done:
-                below = [depths[p] for p in self._referred(place)]
-                frame = self._frame(place)
-                bounded = [d for d in below if d is not None]
-                depths[place] = None if frame is None or len(bounded) < len(below) else frame + max(bounded, default=0)
-                under_way.discard(place)
-            elif place in under_way:
-                return None
-            elif place not in depths:
-                under_way.add(place)
-                walk.append((place, True))
-                walk += [(p, False) for p in self._referred(place) if p not in depths]
-        return depths[self._place(function)]
+        return self._depth(self._place(function), {}, frozenset())
+
+    def _depth(self, place: Place, known: dict[Place, int | None], above: frozenset[Place]) -> int | None:
+        if place in above:
+            return None
+        if place not in known:
+            below = [self._depth(p, known, above | {place}) for p in self._referred(place)]
+            frame, bounded = self._frame(place), [depth for depth in below if depth is not None]
+            known[place] = None if frame is None or len(bounded) < len(below) else frame + max(bounded, default=0)
+        return known[place]
 
     def _place(self, name: str) -> Place:
         if name not in self._defined:
@@ -108,8 +100,7 @@ class Usage:
         section = self.files[i].sections[j]
         if section.use != "text":
             return 0
-        unknown = [k for k in section.refers if self._elsewhere(self.files[i], k)]
-        if unknown:
+        if any(self._elsewhere(self.files[i].symbols[k]) for k in section.refers if k):
             return None
         if place in self._clang_frames:
             return self._clang_frames[place]
@@ -118,9 +109,8 @@ class Usage:
         bounded = [f for f in frames if f is not None]
         return max(bounded) if bounded and len(bounded) == len(frames) else None
 
-    def _elsewhere(self, file: Elf, symbol: int) -> bool:
-        found = file.symbols[symbol]
-        return symbol != 0 and found.section == 0 and found.name not in self._defined
+    def _elsewhere(self, symbol: ElfSymbol) -> bool:
+        return symbol.section == 0 and symbol.name not in self._defined
 
     def _gcc_frame(self, name: str) -> int | None:
         while name not in self._gcc_frames and "." in name:  # a clone goes by the name of its function
@@ -154,14 +144,9 @@ def _stack_sizes(data: bytes) -> list[int]:
     sizes, at = [], 0
     while at + 4 < len(data):
         at += 4
-        size = shift = 0
-        while True:
-            size |= (data[at] & 0x7F) << shift
-            shift += 7
-            at += 1
-            if data[at - 1] < 0x80:
-                break
-        sizes.append(size)
+        end = next(k for k in range(at, len(data)) if data[k] < 0x80) + 1
+        sizes.append(sum((byte & 0x7F) << 7 * k for k, byte in enumerate(data[at:end])))
+        at = end
     return sizes
 
 

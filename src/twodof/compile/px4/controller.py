@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from twodof.blocks.diagram import Diagram
@@ -102,16 +102,35 @@ def _remark(field: MessageField) -> str:
 
 def source(names: ModuleNames, found: MessageFields, rows: Sequence[ExportedParameter], made: ControllerCode) -> str:
     """The C file: the emitted program, then the interface."""
+    layout = made.layout
     return fill(
         "controller.c",
         names,
         program=made.source,
         table=_table(names, rows),
-        assignments=_assignments(rows, made.layout),
-        inputs=_inputs(found, made),
-        outputs=_outputs(found, made),
-        unpacked=_unpacked(found.inputs),
-        packed=_packed(found.outputs),
+        assignments=_assignments(rows, layout),
+        inputs=_copies(
+            (
+                (f"own->u.{layout.inputs[signal].name}", f"in->{f.name}", f.width)
+                for signal, f in zip(made.program.inputs.values(), found.inputs, strict=True)
+            ),
+            "in",
+        ),
+        outputs=_copies(
+            ((f"out->{f.name}", f"own->y.{layout.outputs[f.path].name}", f.width) for f in found.outputs), "out"
+        ),
+        unpacked=_words(
+            found.inputs,
+            "in->{name} = words[{at}] != 0u;",
+            "memcpy(&in->{name}, words + {at}, sizeof in->{name});",
+            "in",
+        ),
+        packed=_words(
+            found.outputs,
+            "words[{at}] = out->{name} ? 1u : 0u;",
+            "memcpy(words + {at}, &out->{name}, sizeof out->{name});",
+            "out",
+        ),
     )
 
 
@@ -161,50 +180,23 @@ def _assignments(rows: Sequence[ExportedParameter], layout: MemoryLayout) -> str
     return lines[False] + starting
 
 
-def _inputs(found: MessageFields, made: ControllerCode) -> str:
-    signals = list(made.program.inputs.values())
-    text = "".join(
-        _copied(f"own->u.{made.layout.inputs[s].name}", f"in->{f.name}", s.width)
-        for s, f in zip(signals, found.inputs, strict=True)
-    )
-    return text or "    (void)in;\n"
+def _copies(pairs: Iterable[tuple[str, str, int | None]], unused: str) -> str:
+    """Lines that copy origins to targets, each of them a scalar or an array of this width."""
+    lines = [
+        f"    {to} = {origin};\n" if width is None else f"    memcpy({to}, {origin}, sizeof {to});\n"
+        for to, origin, width in pairs
+    ]
+    return "".join(lines) or f"    (void){unused};\n"
 
 
-def _outputs(found: MessageFields, made: ControllerCode) -> str:
-    text = "".join(
-        _copied(f"out->{f.name}", f"own->y.{made.layout.outputs[path].name}", f.width)
-        for path, f in zip(made.program.outputs, found.outputs, strict=True)
-    )
-    return text or "    (void)out;\n"
-
-
-def _copied(target: str, origin: str, width: int | None) -> str:
-    if width is None:
-        return f"    {target} = {origin};\n"
-    return f"    memcpy({target}, {origin}, sizeof {target});\n"
-
-
-def _unpacked(inputs: Sequence[MessageField]) -> str:
+def _words(members: Sequence[MessageField], flag: str, whole: str, unused: str) -> str:
+    """Lines that take `members` from words of 32 bits or to them: `flag` a bool alone, `whole` all else at once."""
     lines, at = [], 0
-    for f in inputs:
+    for f in members:
         if f.kind == "bool":
-            lines += [f"    in->{f.name}{e} = words[{at + i}] != 0u;\n" for i, e in _elements(f)]
+            elements = [f.name] if f.width is None else [f"{f.name}[{i}]" for i in range(f.width)]
+            lines += [f"    {flag.format(name=name, at=at + i)}\n" for i, name in enumerate(elements)]
         else:
-            lines.append(f"    memcpy(&in->{f.name}, words + {at}, sizeof in->{f.name});\n")
+            lines.append(f"    {whole.format(name=f.name, at=at)}\n")
         at += f.words
-    return "".join(lines) or "    (void)words;\n    (void)in;\n"
-
-
-def _packed(outputs: Sequence[MessageField]) -> str:
-    lines, at = [], 0
-    for f in outputs:
-        if f.kind == "bool":
-            lines += [f"    words[{at + i}] = out->{f.name}{e} ? 1u : 0u;\n" for i, e in _elements(f)]
-        else:
-            lines.append(f"    memcpy(words + {at}, &out->{f.name}, sizeof out->{f.name});\n")
-        at += f.words
-    return "".join(lines) or "    (void)words;\n    (void)out;\n"
-
-
-def _elements(field: MessageField) -> list[tuple[int, str]]:
-    return [(0, "")] if field.width is None else [(i, f"[{i}]") for i in range(field.width)]
+    return "".join(lines) or f"    (void)words;\n    (void){unused};\n"

@@ -18,6 +18,11 @@ MOST = 200
 LARGEST_INT, SMALLEST_INT = 2**31 - 1, -(2**31)
 LARGEST_FLOAT = float(np.finfo(np.float32).max)
 LIVE, TORQUE = "LIVE", "TORQUE"
+_LIVE_TEXT = "1: changes act at the next step; 0: they wait, and act together in one step when this is 1 again"
+_TORQUE_TEXT = (
+    "Torque set-point of M = 1. The allocator moves each motor of a symmetric X by .7071 of it, so that sqrt(2) gives "
+    "fore = T + M and aft = T - M"
+)
 
 # Units that every PX4 from v1.14 knows, by how the block language writes them; others go into the description.
 UNITS: Mapping[str, str] = MappingProxyType(
@@ -84,30 +89,10 @@ def exported(
     A parameter that is not tunable is read when the module starts; `diagram_rows` says what stays as it is. `torque`
     adds the scale of the torque set-point. Raises DiagramError for more than MOST parameters.
     """
-    own = [
-        ExportedParameter(
-            f"{names.prefix}_{LIVE}",
-            "bool",
-            1.0,
-            0.0,
-            1.0,
-            "",
-            "1: changes act at the next step; 0: they wait, and act together in one step when this is 1 again",
-        )
-    ]
+    own = [ExportedParameter(f"{names.prefix}_{LIVE}", "bool", 1.0, 0.0, 1.0, "", _LIVE_TEXT)]
     if torque:
-        own.append(
-            ExportedParameter(
-                f"{names.prefix}_{TORQUE}",
-                "real",
-                float32(math.sqrt(2.0)),
-                0.0,
-                10.0,
-                "",
-                "Torque set-point of M = 1. The allocator moves each motor of a symmetric X by .7071 of it, so that "
-                "sqrt(2) gives fore = T + M and aft = T - M",
-            )
-        )
+        scale = float32(math.sqrt(2.0))
+        own.append(ExportedParameter(f"{names.prefix}_{TORQUE}", "real", scale, 0.0, 10.0, "", _TORQUE_TEXT))
     wanted, kept = _wanted(program)
     if len(wanted) > MOST:
         raise DiagramError(f"{len(wanted)} parameters for PX4", program.name, f"{MOST} at most; bind or remove some")

@@ -12,17 +12,6 @@ from twodof.compile.px4.parameters import ExportedParameter, KeptParameter, numb
 from twodof.compile.px4.template_files import fill
 from twodof.compile.px4.topics import INPUTS, OUTPUTS, ModuleRole
 
-_COMMANDED = {
-    "torque": "while PX4's mode controls rates (`flag_control_rates_enabled`)",
-    "attitude": "while PX4's mode controls velocity or position",
-    "motors": "always",
-}
-_SAFE = {
-    "torque": "torque and thrust 0",
-    "attitude": "level pitch and thrust 0",
-    "motors": "all motors stopped",
-}
-
 
 def readme(
     names: ModuleNames,
@@ -48,11 +37,11 @@ def readme(
         airframe=airframe_file(names),
         airframe_id=airframe_id(names),
         stops=", ".join(f"`{s}`" for s in role.stops),
-        safe=_SAFE[role.commands],
+        safe=role.commanding.safe,
         inputs=_table(("input", "unit", "topic", "what"), inputs),
         outputs=_table(("output", "where"), [(f"`{name}`", _cell(OUTPUTS[name])) for name in role.outputs]),
         writes=", ".join(f"`{t}`" for t in role.writes),
-        commanded=_COMMANDED[role.commands],
+        commanded=role.commanding.when,
         fields=_table(("field", "what"), fields),
         parameters=_parameters(rows),
         kept=_kept(kept),

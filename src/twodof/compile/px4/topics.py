@@ -1,77 +1,67 @@
-"""What a diagram's ports are inside PX4: port names on one side, uORB topics and their fields on the other."""
+"""What a diagram's ports are inside PX4: port names on one side, uORB topics and their fields on the other.
+
+`topics.toml` holds the tables, and explains the columns of those whose C++ `work_item.py` puts together.
+"""
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib import resources
 from types import MappingProxyType
+from typing import Any
 
 from twodof.compile.program.flat_program import FlatProgram
 from twodof.errors import DiagramError
 
+_TABLES: Mapping[str, Any] = tomllib.loads(resources.files(__package__).joinpath("topics.toml").read_text("utf-8"))
+
 
 @dataclass(frozen=True)
 class Reading:
-    """What is fed to an input: its type, unit, topics, and in words what it is."""
+    """What is fed to an input: its topics, in words what it is, its value in C++, its type and unit."""
 
-    kind: str
-    unit: str
     topics: tuple[str, ...]
     text: str
+    value: str
+    kind: str = "real"
+    unit: str = ""
 
 
-# The fields of each topic that a module may touch, with their types as the .msg files write them; "or" stands between
-# those of different versions.
+@dataclass(frozen=True)
+class Commanding:
+    """What modules that command the same share: see `topics.toml`."""
+
+    writes: tuple[str, ...]
+    finite: tuple[str, ...]
+    when: str
+    wanted: str
+    safe: str
+
+
+def _frozen(row: dict[str, Any]) -> dict[str, Any]:
+    return {key: tuple(value) if isinstance(value, list) else value for key, value in row.items()}
+
+
+# Of each topic the fields that a module may touch, with their types.
 FIELDS: Mapping[str, Mapping[str, str]] = MappingProxyType(
-    {
-        "vehicle_angular_velocity": {"timestamp_sample": "uint64", "xyz": "float32[3]"},
-        "vehicle_attitude": {"timestamp": "uint64", "q": "float32[4]"},
-        "vehicle_local_position": {
-            "timestamp": "uint64",
-            "xy_valid": "bool",
-            "v_xy_valid": "bool",
-            "x": "float32",
-            "vx": "float32",
-        },
-        "vehicle_attitude_setpoint": {"timestamp": "uint64", "q_d": "float32[4]", "thrust_body": "float32[3]"},
-        "vehicle_rates_setpoint": {"timestamp": "uint64", "pitch": "float32", "thrust_body": "float32[3]"},
-        "trajectory_setpoint": {
-            "timestamp": "uint64",
-            "position": "float32[3]",
-            "velocity": "float32[3]",
-            "acceleration": "float32[3]",
-        },
-        "sensor_combined": {
-            "timestamp": "uint64",
-            "gyro_rad": "float32[3]",
-            "accelerometer_m_s2": "float32[3]",
-        },
-        "vehicle_control_mode": {
-            "flag_control_rates_enabled": "bool",
-            "flag_control_attitude_enabled": "bool",
-            "flag_control_velocity_enabled": "bool",
-            "flag_control_position_enabled": "bool",
-        },
-        "actuator_armed": {"armed": "bool"},
-        "parameter_update": {"timestamp": "uint64"},
-        "vehicle_thrust_setpoint": {"timestamp": "uint64", "timestamp_sample": "uint64", "xyz": "float32[3]"},
-        "vehicle_torque_setpoint": {"timestamp": "uint64", "timestamp_sample": "uint64", "xyz": "float32[3]"},
-        "actuator_motors": {"timestamp": "uint64", "timestamp_sample": "uint64", "control": "float32[12]"},
-        "vehicle_command": {
-            "timestamp": "uint64",
-            "param1": "float32",
-            "param2": "float32",
-            "command": "uint32",
-            "target_system": "uint8",
-            "target_component": "uint8",
-            "source_system": "uint8",
-            "source_component": "uint16 or uint8",
-        },
-        "vehicle_status": {"system_id": "uint8", "component_id": "uint8"},
-        "rate_ctrl_status": {"timestamp": "uint64"},
-        "takeoff_status": {"timestamp": "uint64"},
-    }
+    {topic: row["fields"] for topic, row in _TABLES["topics"].items()}
 )
+# The topics that are read into a member of the class; of some of them a test whether they may be used.
+MEMBERS: Mapping[str, str] = MappingProxyType(
+    {topic: row["member"] for topic, row in _TABLES["topics"].items() if "member" in row}
+)
+FRESH: Mapping[str, str] = MappingProxyType(
+    {topic: row["fresh"] for topic, row in _TABLES["topics"].items() if "fresh" in row}
+)
+INPUTS: Mapping[str, Reading] = MappingProxyType(
+    {name: Reading(**_frozen(row)) for name, row in _TABLES["inputs"].items()}
+)
+SHARED: Mapping[str, str] = MappingProxyType(_TABLES["shared"])
+OUTPUTS: Mapping[str, str] = MappingProxyType(_TABLES["outputs"])
+_COMMANDING = {name: Commanding(**_frozen(row)) for name, row in _TABLES["commands"].items()}
+MOTORS = _COMMANDING["motors"].finite
 
 # A module of PX4 -> the topic that it alone advertises, from its start to its end.
 SIGNS: Mapping[str, str] = MappingProxyType(
@@ -79,47 +69,6 @@ SIGNS: Mapping[str, str] = MappingProxyType(
         "mc_rate_control": "rate_ctrl_status",
         "mc_pos_control": "takeoff_status",
         "control_allocator": "actuator_motors",
-    }
-)
-
-_ATTITUDE, _RATES = "vehicle_attitude_setpoint", "vehicle_rates_setpoint"
-INPUTS: Mapping[str, Reading] = MappingProxyType(
-    {
-        "theta": Reading("real", "rad", ("vehicle_attitude",), "pitch, from the attitude quaternion"),
-        "q": Reading("real", "rad/s", ("vehicle_angular_velocity",), "pitch rate, xyz[1]"),
-        "x": Reading("real", "m", ("vehicle_local_position",), "position along the rail, which is local north"),
-        "vx": Reading("real", "m/s", ("vehicle_local_position",), "velocity along the rail"),
-        "acc_x": Reading("real", "m/s2", ("sensor_combined",), "specific force forward, accelerometer_m_s2[0]"),
-        "acc_z": Reading("real", "m/s2", ("sensor_combined",), "specific force down, accelerometer_m_s2[2]"),
-        "gyro_y": Reading("real", "rad/s", ("sensor_combined",), "measured pitch rate, gyro_rad[1]"),
-        "M_0": Reading("real", "", ("vehicle_torque_setpoint",), "moment asked for by mc_rate_control, xyz[1]"),
-        "theta_0": Reading("real", "rad", (_ATTITUDE,), "pitch set-point, from q_d"),
-        "q_0": Reading("real", "rad/s", (_RATES,), "pitch rate set-point"),
-        "x_0": Reading("real", "m", ("trajectory_setpoint",), "position set-point, position[0]"),
-        "vx_0": Reading("real", "m/s", ("trajectory_setpoint",), "velocity set-point, velocity[0]"),
-        "ax_0": Reading("real", "m/s2", ("trajectory_setpoint",), "acceleration set-point, acceleration[0]"),
-        "thrust_0": Reading("real", "", (_ATTITUDE, _RATES), "thrust set-point 0 to 1, -thrust_body[2]"),
-        "FLAG_RESET_INT": Reading("bool", "", ("actuator_armed",), "disarmed, or no thrust: integrals are reset"),
-        "FLAG_RATE_ENABLED": Reading("bool", "", ("vehicle_control_mode",), "some loop is closed"),
-        "FLAG_ATTITUDE_ENABLED": Reading("bool", "", ("vehicle_control_mode",), "the attitude loop is closed"),
-        "FLAG_VELOCITY_ENABLED": Reading("bool", "", ("vehicle_control_mode",), "the velocity is controlled"),
-        "FLAG_RESET_INT_VEL": Reading(
-            "bool", "", ("actuator_armed", "vehicle_control_mode"), "disarmed, or velocity is not controlled"
-        ),
-        "FLAG_POSITION_ENABLED": Reading("bool", "", ("vehicle_control_mode",), "the position loop is closed"),
-    }
-)
-
-MOTORS = ("motor_1", "motor_2", "motor_3", "motor_4")
-OUTPUTS: Mapping[str, str] = MappingProxyType(
-    {
-        "M": "pitching moment, -1 to 1: vehicle_torque_setpoint.xyz[1]",
-        "thrust": "thrust, 0 to 1: -vehicle_thrust_setpoint.xyz[2]",
-        "theta_0": "pitch set-point [rad]: vehicle_attitude_setpoint.q_d",
-        "motor_1": "front right motor, 0 to 1: actuator_motors.control[0]",
-        "motor_2": "rear left motor, 0 to 1: actuator_motors.control[1]",
-        "motor_3": "front left motor, 0 to 1: actuator_motors.control[2]",
-        "motor_4": "rear right motor, 0 to 1: actuator_motors.control[3]",
     }
 )
 
@@ -149,7 +98,7 @@ class ModuleRole:
         for name in self.inputs:
             topics.update(INPUTS[name].topics)
         if self.thrust_setpoint:
-            topics.update((_ATTITUDE, _RATES))
+            topics.update(INPUTS["thrust_0"].topics)
         if self.commands == "attitude":
             topics.add("vehicle_attitude")
         return tuple(sorted(topics))
@@ -170,13 +119,14 @@ class ModuleRole:
         return tuple(sorted({*self.signs, "vehicle_command", "vehicle_status"}))
 
     @property
+    def commanding(self) -> Commanding:
+        """What it shares with all that command the same."""
+        return _COMMANDING[self.commands]
+
+    @property
     def writes(self) -> tuple[str, ...]:
         """The topics published, in the order in which they are."""
-        return {
-            "torque": ("vehicle_thrust_setpoint", "vehicle_torque_setpoint"),
-            "attitude": (_ATTITUDE,),
-            "motors": ("actuator_motors",),
-        }[self.commands]
+        return self.commanding.writes
 
 
 def role(program: FlatProgram) -> ModuleRole:

@@ -9,6 +9,7 @@ import secrets
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from twodof.errors import CompileError, LogError
 from twodof.flightlog.atomic import atomic_write
@@ -24,7 +25,7 @@ def manifest(files: Mapping[str, str], facts: Mapping[str, object]) -> str:
     return json.dumps({"format": FORMAT, **facts, "files": sums}, indent=2) + "\n"
 
 
-def read_manifest(folder: Path) -> dict[str, object] | None:
+def read_manifest(folder: Path) -> dict[str, Any] | None:
     """The manifest of a folder, or None if it does not have a valid one."""
     place = folder / MANIFEST
     try:
@@ -41,28 +42,30 @@ def read_manifest(folder: Path) -> dict[str, object] | None:
 
 def absent(folder: Path) -> list[str]:
     """What an export has put into `folder` and is there no more, by relative path."""
-    known = read_manifest(folder)
-    files = known["files"] if known else {}
-    return [path for path in sorted(files if isinstance(files, dict) else {}) if not (folder / path).is_file()]
+    return [path for path in sorted(_sums(folder)) if not (folder / path).is_file()]
 
 
 def strangers(folder: Path) -> list[str]:
     """What in `folder` no export has put there, or what has been changed since, by relative path."""
-    known = read_manifest(folder)
-    files = known["files"] if known else {}
-    sums = files if isinstance(files, dict) else {}
+    sums = _sums(folder)
     found = []
     for root, folders, names in os.walk(folder):
         folders.sort()
         for name in sorted(names):
             path = Path(root, name)
             relative = path.relative_to(folder).as_posix()
-            if relative == MANIFEST and known:
+            if relative == MANIFEST and sums:
                 continue
             regular = path.is_file() and not path.is_symlink()
             if not regular or hashlib.sha256(path.read_bytes()).hexdigest() != sums.get(relative):
                 found.append(relative)
     return found
+
+
+def _sums(folder: Path) -> dict[str, str]:
+    """The SHA-256 of each file of the export in `folder`, by relative path; none where there is not an export."""
+    known = read_manifest(folder)
+    return known["files"] if known else {}
 
 
 def write_tree(folder: Path, files: Mapping[str, str], force: bool = False) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TypeVar
 
 import numpy as np
@@ -94,41 +95,39 @@ def characterise(flights: ExperimentRecords, dry_friction: bool) -> Characterisa
     guess = {} if pitch is None else {"w_n": pitch.model.w_n, "xi": pitch.model.xi}
     gain = {} if pitch is None else {"mu": pitch.model.mu}
     seen = [only(record, "x") for record in flights.velocities]
-    # One doublet tells p_v to a tenth: several identify, if one is left to validate.
-    together = min(_TRAVELS, max(1, len(seen) - 1))
-
-    def swing(records: Sequence[Record], unseen: Sequence[Record] = ()) -> Estimate:
-        return fit(pitch_rate(), records, values=guess, validation=unseen)
-
-    def rub(records: Sequence[Record], unseen: Sequence[Record] = ()) -> Estimate:
-        return fit(free_response(), records, validation=unseen)
-
-    def force(records: Sequence[Record], unseen: Sequence[Record] = ()) -> Estimate:
-        return fit(pitch_rate(), records, estimate=FORCED, values=poles | gain, validation=unseen)
-
-    wanted = (*TRAVEL, "q_trim") if flights.gyro_bias else TRAVEL
-
-    def move(records: Sequence[Record], unseen: Sequence[Record] = ()) -> Estimate:
-        return fit(rail(thrust=bool(curve)), records, estimate=wanted, values=curve, validation=unseen)
-
     greybox: dict[str, Uncertain] = {}
     spreads: dict[str, Spread] = {}
 
-    def identify(work: _Fit, records: Sequence[Record], keys: Sequence[str], count: int = 1) -> Estimate | None:
+    def identify(
+        records: Sequence[Record], keys: Sequence[str], work: Callable[..., Estimate], count: int = 1
+    ) -> Estimate | None:
         """The fit of the first `count` records; into the table the values of `keys` and their spread."""
-        found = _tried(lambda: work(records[:count], records[count : count + 2]), refusals) if records else None
+        if not records:
+            return None
+        unseen = records[count : count + 2]
+        found = _tried(lambda: work(records[:count], validation=unseen), refusals)
         if found is None:
             return None
         greybox.update({key: Uncertain(found[key], found.sigma(key)) for key in keys})
-        spreads.update(_repeated(work, records, keys, count))
+        if keys and len(records) // count >= _REPETITIONS:
+            # What the claimed standard deviations must stand up to.
+            starts = range(0, len(records) - count + 1, count)
+            again = [work(records[k : k + count]) for k in starts]
+            spreads.update({key: Spread(_spread([one[key] for one in again]), len(again)) for key in keys})
         return found
 
-    dry = identify(rub, flights.impulses, ("w_n", "xi", "coulomb", "hardening")) if dry_friction else None
-    free = identify(swing, flights.impulses, () if dry is not None else ("w_n", "xi"))
+    rubbing = partial(fit, free_response())
+    dry = identify(flights.impulses, ("w_n", "xi", "coulomb", "hardening"), rubbing) if dry_friction else None
+    swinging = partial(fit, pitch_rate(), values=guess)
+    free = identify(flights.impulses, () if dry is not None else ("w_n", "xi"), swinging)
     poles = {key: greybox[key].value for key in ("w_n", "xi") if key in greybox}
-    forced = identify(force, flights.doublets, ("mu", "tau")) if poles else None
+    driven = partial(fit, pitch_rate(), estimate=FORCED, values=poles | gain)
+    forced = identify(flights.doublets, ("mu", "tau"), driven) if poles else None
     curve = _curve(dry or free, forced, refusals)
-    travel = identify(move, seen, ("k_v", "p_v"), together)
+    wanted = (*TRAVEL, "q_trim") if flights.gyro_bias else TRAVEL
+    moving = partial(fit, rail(thrust=bool(curve)), estimate=wanted, values=curve)
+    # One doublet tells p_v to a tenth: several identify, if one is left to validate.
+    travel = identify(seen, ("k_v", "p_v"), moving, min(_TRAVELS, max(1, len(seen) - 1)))
     simple = _readings(flights, pitch, along)
     return Characterisation(flights, pitch, along, free, dry, forced, travel, simple, greybox, spreads, refusals)
 
@@ -147,15 +146,6 @@ def _curve(idle: Estimate | None, run: Estimate | None, refusals: list[str]) -> 
 # What a doublet can tell; the poles show only after it is over.
 FORCED = ("mu", "tau", "M_trim", "q_0")
 _Found = TypeVar("_Found")
-_Fit = Callable[[Sequence[Record], Sequence[Record]], Estimate]
-
-
-def _repeated(work: _Fit, records: Sequence[Record], keys: Sequence[str], count: int) -> dict[str, Spread]:
-    """The spread of the same estimate over the repetitions: what the claimed standard deviations must stand up to."""
-    if not keys or len(records) // count < _REPETITIONS:
-        return {}
-    found = [work(records[k : k + count], ()) for k in range(0, len(records) - count + 1, count)]
-    return {key: Spread(_spread([one[key] for one in found]), len(found)) for key in keys}
 
 
 def _tried(work: Callable[[], _Found], refusals: list[str]) -> _Found | None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from twodof.experiment.experiments import IDENTIFICATION, Experiment
@@ -19,6 +20,7 @@ from twodof.report.characterisation.characterise import FORCED, ExperimentRecord
 from twodof.report.characterisation.compose import CharacterisedMachine
 from twodof.report.content import ReportTable
 from twodof.report.numbers import plain, power_of_ten
+from twodof.report.template_texts import text
 from twodof.rig.parameters import lab, load_rig
 from twodof.rig.steady_state import model_parameters
 from twodof.sim.replay import replay
@@ -32,18 +34,7 @@ REPETITIONS = 10
 
 _PAPER_EXPERIMENT = {"impulse": "impulse", "doublet": "doublet", "velocity": "velocity-doublet"}
 
-_TEXT = {
-    "paper": "The rig with the paper’s parameters: viscous friction only, a pure delay. μ is 358.5 at the hover’s "
-    "thrust and, our assumption, 130 with the rotors at rest. Here the truth is known.",
-    "lab": "The rig calibrated on the real drone’s logs: dry friction, a hardening spring, rotors with a lag, gusts "
-    "that push each flight off its course, an old range, a pendulum’s coupling with the cart. The truth is known. "
-    "Gusts act on each flight anew, so an estimate strays as far as its spread over repeated flights; what is off "
-    "by several times that spread shows what a structure leaves out.",
-    "real": "The public logs of a real drone (not the paper’s): one free response, one doublet of the moment, two "
-    "doublets of the velocity. The motors had been restarted 0.14 s before the doublet, and the moment that "
-    "trims it had not built up yet, which lengthens τ and makes its reading by hand a rough one.",
-}
-
+_TEXTS = tomllib.loads(text("demonstration.toml"))
 
 Fly = Callable[[Experiment, int], Flight]
 """Flies an experiment with the noise of a seed."""
@@ -73,12 +64,12 @@ def virtual(
     flights = ExperimentRecords(records["impulse"], records["doublet"], records["velocity"], surroundings=surroundings)
     found = characterise(flights, dry_friction=laboratory.parameters["coulomb_idle"] > 0.0)
     truth = truth_of(laboratory.parameters.snapshot())
-    return CharacterisedMachine(f"virtual rig “{rig}”", _TEXT[rig], found, truth, remarks)
+    return CharacterisedMachine(f"virtual rig “{rig}”", _TEXTS["machines"][rig], found, truth, remarks)
 
 
 def planned(machines: Mapping[str, CharacterisedMachine]) -> ReportTable:
     """What the doublet was bound to tell, by Fisher information before flying, beside what it told; by rig name."""
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for name, machine in machines.items():
         found, doublet = machine.found, machine.found.flights.doublets[0]
         if found.forced is None:
@@ -104,16 +95,11 @@ def planned(machines: Mapping[str, CharacterisedMachine]) -> ReportTable:
                     "–" if spread is None else plain(scale * spread.value, 2),
                 )
             )
-    return ReportTable(
-        "planned",
-        "Plan: what the doublet could tell, and what it told",
-        "Before flying, the Fisher information of the doublet and the gyro’s noise, taken for white, give the standard "
-        "deviations that no estimate can beat on average (Cramér-Rao). After flying, the fit claims its own, and "
-        "repeated flights show them. The rotors’ vibration is not white, which leaves less of it where the response "
-        "is; gusts are not in the plan.",
-        ("Machine and parameter", "Unit", "predicted σ", "claimed σ", "spread of repeated flights"),
-        rows,
-    )
+    return _table("planned", rows)
+
+
+def _table(name: str, rows: Sequence[Sequence[str]]) -> ReportTable:
+    return ReportTable(name, rows=rows, **_TEXTS["tables"][name])
 
 
 def truth_of(rig: Mapping[str, float]) -> dict[str, float]:
@@ -129,7 +115,9 @@ def real(logs: Mapping[str, Path], progress: StepProgress) -> CharacterisedMachi
     if not needed:
         return None
     progress("real drone: identify")
-    return CharacterisedMachine("real drone", _TEXT["real"], characterise(_real_flights(needed), dry_friction=True), {})
+    return CharacterisedMachine(
+        "real drone", _TEXTS["machines"]["real"], characterise(_real_flights(needed), dry_friction=True), {}
+    )
 
 
 _REAL = (
@@ -179,23 +167,4 @@ def comparisons(logs: Mapping[str, Path], progress: StepProgress) -> list[Report
         flown.append((name, *(f"{fit[c]:.1f}" if c in known.compared else "–" for c in ("theta", "q", "x", "v"))))
     if not flown:
         return []
-    return [
-        ReportTable(
-            "replay",
-            "Replay: what we compile is what flew",
-            "The compiled control laws, fed with each log’s inputs: RMS of the difference to what the real flight "
-            "controller logged, over the RMS of the logged signal (float64; the logs are float32, so a few 10⁻⁸ to "
-            "10⁻⁷ is agreement to the last digit).",
-            ("Flight", "M", "q₀", "θ₀", "T", "compared, at least"),
-            replayed,
-        ),
-        ReportTable(
-            "like",
-            "Lab rig: flown like the real drone",
-            "The logged set-points flown on the noise-free lab rig in closed loop from the logged initial state: FIT "
-            "in percent of the logged estimates over the whole window. Hover noise alone, which no model can "
-            "foresee, holds q at 72 to 94 % and θ at 95 to 99 % on the attitude steps.",
-            ("Flight", "θ", "q", "x", "v"),
-            flown,
-        ),
-    ]
+    return [_table("replay", replayed), _table("like", flown)]

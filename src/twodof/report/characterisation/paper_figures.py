@@ -107,9 +107,7 @@ def _figure_5(found: Characterisation) -> Figure:
         lines = [_measured(record, "q", zero)]
         word = "identification" if index == 0 else "validation"
         if found.pitch is not None:
-            shown, model = pitch_pair(found.pitch.model, record, found.flights.trim)
-            rest = float(np.mean(record.outputs["q"].value - shown))
-            lines.append(FigureLine("simple", "simple", record.output_time("q") - zero, model + rest))
+            lines.append(_by_hand(pitch_pair(found.pitch.model, record, found.flights.trim), record, "q", zero))
         comparison = _of_record(found.forced, record)
         if comparison is not None:
             lines.append(_simulated(comparison, zero))
@@ -156,8 +154,8 @@ def _figure_7(found: Characterisation) -> Figure:
     whole = _whole_flight(found, record)
     time = whole.time - zero
     pitch = [
-        FigureLine("set-point", "set-point", time, np.degrees(whole.inputs["theta0"])),
-        FigureLine("theta", "measured", time, np.degrees(whole.inputs["theta"])),
+        FigureLine("set-point", time, np.degrees(whole.inputs["theta0"])),
+        FigureLine("measured", time, np.degrees(whole.inputs["theta"])),
     ]
     caption, marks = "Pitch set-point and pitch above, velocity below. ", []
     if found.velocity is not None:
@@ -183,27 +181,22 @@ def _figure_8(found: Characterisation) -> Figure:
     lines, panels = [_measured(record, "v", zero)], []
     caption = "Above, the velocity as the on-board filter estimates it. "
     if found.velocity is not None:
-        shown, model = velocity_pair(found.velocity.model, record)
-        rest = float(np.mean(record.outputs["v"].value - shown))
-        lines.append(FigureLine("simple", "simple", record.output_time("v") - zero, model + rest))
+        lines.append(_by_hand(velocity_pair(found.velocity.model, record), record, "v", zero))
         hand = [found.velocity.identification, *found.velocity.validation]
         flights = f", {len(hand)} flights, the first is drawn" if len(hand) > 1 else ""
         caption += f"FIT of v by hand{flights}: {', '.join(f'{value:.1f} %' for _, value in hand)}. "
     if found.travel is not None:
         velocity = _velocity(found.travel, record)
-        lines.append(FigureLine("grey-box", "grey-box", record.output_time("v") - zero, velocity))
+        lines.append(FigureLine("grey-box", record.output_time("v") - zero, velocity))
         caption += (
             f"FIT of v of the grey-box model: {fit_percent(record.outputs['v'].value, velocity):.1f} % in the flight "
             "drawn. "
             "Below, the position as the range sensor sees it: the grey-box model goes from the gyro to the range, so "
             "that the filter’s errors do not become the model’s. FIT of x: "
         )
-        used, unseen = found.travel.identification[:1], found.travel.validation[:1]
-        caption += ", ".join(
-            f"{one.fit_percent:.1f} % ({word})"
-            for one, word in (*((c, "identification") for c in used), *((c, "validation") for c in unseen))
-        )
-        for one in (*used, *unseen):
+        drawn = {"identification": found.travel.identification[:1], "validation": found.travel.validation[:1]}
+        caption += ", ".join(f"{one.fit_percent:.1f} % ({word})" for word, ones in drawn.items() for one in ones)
+        for one in (*drawn["identification"], *drawn["validation"]):
             other = next(r for r in found.flights.velocities if r.name == one.record)
             start = _first_edge(other, "theta0")
             position = [_measured(other, "x", start), _simulated(one, start)]
@@ -245,18 +238,25 @@ def _input_panel(record: Record, whole: Record, zero: float) -> Panel:
     """M over the whole flight, to the scale of the excitation: what stops the drone afterwards may be far larger."""
     # Two points a step, so that a held input is drawn held.
     time = np.repeat(whole.time - zero, 2)[1:]
-    line = FigureLine("M", "input", time, np.repeat(whole.inputs["M"], 2)[:-1])
+    line = FigureLine("input", time, np.repeat(whole.inputs["M"], 2)[:-1])
     low, high = float(record.inputs["M"].min()), float(record.inputs["M"].max())
     room = 0.15 * (high - low) or 0.01
     return Panel("M [–]", [line], _used(record, whole, zero), 0.6, (low - room, high + room))
 
 
 def _measured(record: Record, output: str, zero: float) -> FigureLine:
-    return FigureLine(output, "measured", record.output_time(output) - zero, record.outputs[output].value)
+    return FigureLine("measured", record.output_time(output) - zero, record.outputs[output].value)
+
+
+def _by_hand(pair: tuple[Array, Array], record: Record, output: str, zero: float) -> FigureLine:
+    """The simple method's model about the mean of what was measured; `pair` is the output it takes, and its own."""
+    shown, model = pair
+    rest = float(np.mean(record.outputs[output].value - shown))
+    return FigureLine("simple", record.output_time(output) - zero, model + rest)
 
 
 def _simulated(comparison: Comparison, zero: float) -> FigureLine:
-    return FigureLine("grey-box", "grey-box", comparison.time - zero, comparison.simulated)
+    return FigureLine("grey-box", comparison.time - zero, comparison.simulated)
 
 
 def _of_record(estimate: Estimate | None, record: Record) -> Comparison | None:

@@ -22,23 +22,10 @@ from twodof.report.drawing.symbols import (
 )
 from twodof.report.drawing.text_width import shortened, text_width
 from twodof.report.drawing.wire_channels import Segment
+from twodof.report.template_texts import fill
 
 MAX_PARTS = 5000  # in one picture
 HEADER = 26.0  # above what an opened sub-diagram shows
-
-STYLE = """
-text { font-family: Helvetica, Arial, "Liberation Sans", sans-serif; fill: #16202e; }
-.name { font-weight: bold; } .soft { fill: #556072; } .italic { font-style: italic; }
-.block { fill: #ffffff; stroke: #16202e; stroke-width: 1.4; }
-.sub { fill: #e9f0fb; stroke: #1d4a8f; stroke-width: 1.6; }
-.frame { fill: #f6f9fe; stroke: #1d4a8f; stroke-width: 1.4; }
-.terminal { fill: #eef1f4; stroke: #556072; stroke-width: 1.1; }
-.rule { stroke: #16202e; stroke-width: .6; fill: none; opacity: .45; }
-.bar { stroke: #16202e; stroke-width: 1.5; fill: none; } .axes { stroke: #aab3c0; stroke-width: .8; fill: none; }
-.wire { stroke: #2b3a50; stroke-width: 1.3; fill: none; stroke-linecap: round; stroke-linejoin: round; }
-.array { stroke-width: 2.8; } .whole { stroke: #8a5a00; } .truth { stroke: #7a3fa0; stroke-dasharray: 5 3; }
-.head, .joint { fill: #2b3a50; stroke: none; }
-"""
 
 
 def escape(text: str) -> str:
@@ -86,26 +73,19 @@ def to_svg(diagram: Diagram, depth: int = 0) -> str:
     head = 50.0 if about else 34.0
     legend = _legend(drawing)
     width, height = max(drawing.placed.width, title_width), drawing.placed.height + head + (20.0 if legend else 0.0)
-    title, about = escape(diagram.name), escape(about)
-    described = escape(_described(diagram))
-    size = f'width="{width:g}" height="{height:g}"'
-    role = 'role="img" aria-labelledby="title desc"'
-    lines = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:g} {height:g}" {size} {role}>',
-        f'<title id="title">{title}</title>',
-        f'<desc id="desc">{described}</desc>',
-        f"<style>{STYLE}</style>",
-        f'<rect width="{width:g}" height="{height:g}" fill="#ffffff"/>',
-        f'<text class="name" x="16" y="26" font-size="17">{title}</text>',
-    ]
-    if about:
-        lines.append(f'<text class="soft" x="16" y="44" font-size="12">{about}</text>')
-    lines.append(f'<g transform="translate(0 {head:g})">')
-    lines += _written(drawing)
-    lines.append("</g>")
-    lines += [f'<g transform="translate(16 {height - 16:g})">', *legend, "</g>"] if legend else []
-    lines.append("</svg>")
-    return "\n".join(lines) + "\n"
+    said = f'\n<text class="soft" x="16" y="44" font-size="12">{escape(about)}</text>' if about else ""
+    key = ["", f'<g transform="translate(16 {height - 16:g})">', *legend, "</g>"] if legend else []
+    return fill(
+        "diagram.svg",
+        width=f"{width:g}",
+        height=f"{height:g}",
+        title=escape(diagram.name),
+        described=escape(_described(diagram)),
+        about=said,
+        head=f"{head:g}",
+        drawing="\n".join(_written(drawing)),
+        legend="\n".join(key),
+    )
 
 
 def to_inline_svg(diagram: Diagram, title: str) -> str:

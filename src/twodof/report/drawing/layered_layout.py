@@ -10,8 +10,14 @@ flight core through boxes, in two to four times the time. `dot` of Graphviz igno
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from bisect import bisect_right, insort
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from graphlib import TopologicalSorter
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from twodof.report.drawing.wire_channels import Pin, Segment, WireChannel
 
@@ -84,17 +90,18 @@ class _Layered:
         self.nets = nets
         self.border = border
         self.edges = sorted({(n.source[0], b) for n in nets for b, _ in n.sinks if n.source[0] != b})
-        self.placed = any(b.wish is not None for b in boxes)
         self.rank: list[int] = []
         self.columns: list[list[_Item]] = []
         self.item_of = [_Item(i, height=b.height) for i, b in enumerate(boxes)]
+        self.author = {self.item_of[i]: b.wish[1] for i, b in enumerate(boxes) if b.wish is not None}
+        self.wishes: dict[_Item, float] = {}  # the author's heights, and those that they mean for the others
         self.lanes: dict[tuple[int, int], _Item] = {}  # (net, column) -> passing wire, forward
         self.returns: dict[tuple[int, int], _Item] = {}  # (net, column) -> passing wire, feedback
 
     def run(self) -> GraphLayout:
-        self.rank = self._wished_ranks() if self.placed else self._ranks()
+        self.rank = self._wished_ranks() if self.author else self._ranks()
         self._fill_columns()
-        if self.placed:
+        if self.author:
             self._order_by_wish()
         else:
             self._reduce_crossings()
@@ -107,15 +114,15 @@ class _Layered:
     def _ranks(self) -> list[int]:
         inner = [i for i, b in enumerate(self.boxes) if not b.side]
         component = _components(len(self.boxes), self.edges)
-        forward = [(a, b) for a, b in self.edges if component[a] != component[b] or a < b]
-        before: dict[int, list[int]] = {i: [] for i in range(len(self.boxes))}
-        after: dict[int, list[int]] = {i: [] for i in range(len(self.boxes))}
-        for a, b in forward:
-            if not self.boxes[a].side and not self.boxes[b].side:
+        before: dict[int, list[int]] = {i: [] for i in inner}
+        after: dict[int, list[int]] = {i: [] for i in inner}
+        for a, b in self.edges:
+            forward = component[a] != component[b] or a < b
+            if forward and a in after and b in before:
                 before[b].append(a)
                 after[a].append(b)
         rank = dict.fromkeys(inner, 0)
-        order = _topological(inner, before, after)
+        order = list(TopologicalSorter(before).static_order())
         for i in order:
             rank[i] = 1 + max((rank[j] for j in before[i]), default=-1)
         for i in reversed(order):  # what is needed late only, such as a constant, stands late
@@ -224,7 +231,7 @@ class _Layered:
 
     def _order_by_wish(self) -> None:
         """The author's heights; a box without one stands by its neighbours."""
-        wish = {self.item_of[i]: b.wish[1] for i, b in enumerate(self.boxes) if b.wish is not None}
+        wish = dict(self.author)
         links = [link for c in range(len(self.columns)) for link in self._links(c)]
         for _ in range(len(self.columns) + 1):
             pulls: dict[_Item, list[float]] = {}
@@ -242,19 +249,14 @@ class _Layered:
     def _heights(self) -> None:
         links = [self._links(c) for c in range(len(self.columns))]
         for column in self.columns:
-            y = 0.0
-            for above, item in zip([None, *column], column, strict=False):
-                y += self._gap(above, item)
-                item.y = y
-                y += item.height
-        wishes: dict[_Item, float] = {}
-        if self.placed:
-            wishes = {self.item_of[i]: b.wish[1] for i, b in enumerate(self.boxes) if b.wish is not None}
-            for column in self.columns:
-                _settle(column, self._offsets(column), {i: [(self.wishes.get(i, i.y), 1.0)] for i in column})
+            offsets = self._offsets(column)
+            for item, y in zip(column, offsets, strict=True):
+                item.y = self.wishes.get(item, y)
+            if self.author:
+                _settle(column, offsets, {item: [(item.y, 1.0)] for item in column})
         for sweep in range(SWEEPS):
             columns = range(len(self.columns)) if sweep % 2 == 0 else range(len(self.columns) - 1, -1, -1)
-            last = sweep >= SWEEPS - 2 or self.placed
+            last = sweep >= SWEEPS - 2 or self.author
             for c in columns:
                 wants: dict[_Item, list[tuple[float, float]]] = {}
                 if sweep % 2 == 0 or last:
@@ -263,10 +265,10 @@ class _Layered:
                 if (sweep % 2 == 1 or last) and c + 1 < len(links):
                     for a, pa, b, pb, _ in links[c + 1]:
                         wants.setdefault(a, []).append((b.y + pb - pa, self._weight(a, b)))
-                for item in (i for i in self.columns[c] if i in wishes):
+                for item in (i for i in self.columns[c] if i in self.author):
                     # Near the author's place; as far off it as makes a wire straight.
-                    near = [(y, w) for y, w in wants.get(item, []) if abs(y - wishes[item]) <= NEAR]
-                    wants[item] = near or [(wishes[item], 1.0)]
+                    near = [(y, w) for y, w in wants.get(item, []) if abs(y - self.author[item]) <= NEAR]
+                    wants[item] = near or [(self.author[item], 1.0)]
                 _settle(self.columns[c], self._offsets(self.columns[c]), wants)
 
     def _offsets(self, column: Sequence[_Item]) -> list[float]:
@@ -405,63 +407,16 @@ def _crossings(links: Sequence[Sequence[tuple[_Item, float, _Item, float, int]]]
     """The number of pairs of wires that cross between columns."""
     total = 0
     for column in links:
-        ends = sorted((place[a], pa, place[b], pb) for a, pa, b, pb, _ in column)
-        rank = {end: j for j, end in enumerate(sorted({(b, pb) for _, _, b, pb in ends}))}
-        tree = [0] * (len(rank) + 1)
-        for seen, (_, _, b, pb) in enumerate(ends):
-            j, below = rank[b, pb] + 1, 0
-            while j:
-                below += tree[j]
-                j &= j - 1
-            total += seen - below
-            j = rank[b, pb] + 1
-            while j <= len(rank):
-                tree[j] += 1
-                j += j & -j
+        seen: list[tuple[float, float]] = []
+        for _, _, b, pb in sorted((place[a], pa, place[b], pb) for a, pa, b, pb, _ in column):
+            total += len(seen) - bisect_right(seen, (b, pb))
+            insort(seen, (b, pb))
     return total
 
 
-def _components(count: int, edges: Iterable[tuple[int, int]]) -> list[int]:
-    """Strongly connected components (Tarjan, SIAM J. Comput. 1-2, 1972): a number for each node."""
-    after: list[list[int]] = [[] for _ in range(count)]
-    for a, b in edges:
-        after[a].append(b)
-    index, low, component = [-1] * count, [0] * count, [-1] * count
-    stack: list[int] = []
-    found = counter = 0
-    for root in range(count):
-        work = [(root, 0)] if index[root] < 0 else []
-        while work:
-            node, step = work.pop()
-            if step == 0:
-                index[node] = low[node] = counter
-                counter += 1
-                stack.append(node)
-            elif component[after[node][step - 1]] < 0:
-                low[node] = min(low[node], low[after[node][step - 1]])
-            for j in range(step, len(after[node])):
-                other = after[node][j]
-                if index[other] < 0:
-                    work += [(node, j + 1), (other, 0)]
-                    break
-                if component[other] < 0:
-                    low[node] = min(low[node], index[other])
-            else:
-                if low[node] == index[node]:
-                    while component[node] < 0:
-                        component[stack.pop()] = found
-                    found += 1
+def _components(count: int, edges: Sequence[tuple[int, int]]) -> list[int]:
+    """Strongly connected components: a number for each node."""
+    rows, columns = np.array(edges, dtype=int).reshape(-1, 2).T
+    graph = coo_array((np.ones(len(edges)), (rows, columns)), shape=(count, count))
+    component: list[int] = connected_components(graph, connection="strong")[1].tolist()
     return component
-
-
-def _topological(nodes: Sequence[int], before: dict[int, list[int]], after: dict[int, list[int]]) -> list[int]:
-    waiting = {i: len(before[i]) for i in nodes}
-    ready = [i for i in nodes if not waiting[i]]
-    order = []
-    for i in ready:
-        order.append(i)
-        for j in after[i]:
-            waiting[j] -= 1
-            if not waiting[j]:
-                ready.append(j)
-    return order

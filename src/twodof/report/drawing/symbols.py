@@ -19,6 +19,7 @@ ROW = 20.0  # between ports, and between terminals, so that wires between them a
 MOST = 220.0  # a text is cut beyond
 MANY_PARAMETERS = 5
 RADIUS = 14.0
+HIGH = 44.0  # a symbol with its name below
 TERMINAL = 16.0  # height of a terminal
 _SUPERSCRIPT = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 
@@ -78,9 +79,7 @@ def symbol(part: Part, flip: bool = False) -> BlockSymbol:
     """The drawing of a part. `flip` lets the second input of a sum come from above."""
     item = part.item
     if isinstance(item, Block):
-        draw = _DRAWN.get(type(item).type_name)
-        made = draw(part, item, flip) if draw else None
-        made = made or _block(part, item)
+        made = _special(part, item, flip) or _block(part, item)
     else:
         made = _subdiagram(part, item)
     made.box.wish = part.position
@@ -183,15 +182,15 @@ def _rate(part: Part) -> list[str]:
     return [f"every {divider} ticks" + (f" from {offset}" if offset else "")]
 
 
-def _labelled(part: Part, block: Block, width: float, height: float) -> BlockSymbol:
-    """An empty symbol of this size with its name below; pins at half its height."""
+def _labelled(part: Part, block: Block, width: float) -> BlockSymbol:
+    """An empty symbol of this width with its name below; pins at half its height."""
     unit = _unit(block)
     label = part.name + (f" [{unit}]" if unit else "") + "".join(f" · {r}" for r in _rate(part))
     label = shortened(label, SMALL, MOST)
     wide = float(round(max(width, text_width(label, SMALL) + 2.0)))
-    middle = float(round(0.5 * height))
-    box = Box(wide, height + 15.0, [middle] * len(block.inputs), [middle] * len(block.outputs))
-    made = BlockSymbol(box, [], [SymbolText(0.5 * wide, height + 11.0, label, SMALL, "middle", "soft")], part.name)
+    middle = 0.5 * HIGH
+    box = Box(wide, HIGH + 15.0, [middle] * len(block.inputs), [middle] * len(block.outputs))
+    made = BlockSymbol(box, [], [SymbolText(0.5 * wide, HIGH + 11.0, label, SMALL, "middle", "soft")], part.name)
     left = 0.5 * (wide - width)
     if left >= 1.0:  # the name is wider than the shape: wires go on to it
         for ports, x1, x2 in ((block.inputs, 0.0, left), (block.outputs, wide - left, wide)):
@@ -251,34 +250,67 @@ def arrow(x: float, y: float, dx: int, dy: int) -> str:
     return f'<path class="head" d="M{x:g} {y:g}L{a[0]:g} {a[1]:g}L{b[0]:g} {b[1]:g}Z"/>'
 
 
-def _gain(part: Part, block: Any, flip: bool) -> BlockSymbol:
+def _special(part: Part, block: Any, flip: bool) -> BlockSymbol | None:
+    """The field's symbol of a block; None where it has none, or the block does not fit into it."""
+    kind = type(block).type_name
+    if kind == "sum":
+        return _sum(part, block, flip)
+    if kind == "gain":
+        return _gain(part, block)
+    if len(block.inputs) > 1 or len(block.outputs) > 1:
+        return None
+    if kind in _GRAPHS:
+        return _graph(part, block, _GRAPHS[kind])
+    if kind in _EQUATIONS:
+        return _framed(part, block, _EQUATIONS[kind])
+    return _framed(part, block, _FORMULAS[kind](part, block), fraction=True) if kind in _FORMULAS else None
+
+
+def _gain(part: Part, block: Any) -> BlockSymbol:
     value = shortened(value_text(part, block, "k"), VALUE, 90.0)
-    high = 44.0
     width = float(round(max(44.0, (text_width(value, VALUE) + 6.0) / 0.56)))
-    made = _labelled(part, block, width, high)
+    made = _labelled(part, block, width)
     left = 0.5 * (made.box.width - width)
     made.shapes.append(f'<path class="block" d="M{left:g} 0L{left + width:g} 22L{left:g} 44Z"/>')
     made.texts.append(SymbolText(left + 4.0, 26.5, value, VALUE, "start"))
     return made
 
 
-def _framed(
-    part: Part, block: Block, lines: Sequence[str], fraction: bool = False, pins: Any = None
-) -> BlockSymbol | None:
-    """A box with a formula: one line, or numerator and denominator."""
-    if len(block.inputs) > 1 or len(block.outputs) > 1 or any(text_width(t, VALUE) > MOST for t in lines):
-        return None
+def _framed(part: Part, block: Block, lines: Sequence[str], fraction: bool = False) -> BlockSymbol | None:
+    """A box with a formula: one line, or two, as a `fraction` or below each other."""
     inner = max(text_width(t, VALUE) for t in lines)
-    width, height = float(round(max(46.0, inner + 18.0))), 44.0
-    made = _labelled(part, block, width, height)
-    left, middle = 0.5 * (made.box.width - width), 0.5 * made.box.width
-    made.shapes.append(f'<rect class="block" x="{left:g}" width="{width:g}" height="{height:g}" rx="3"/>')
-    if fraction:
-        made.shapes.append(f'<path class="bar" d="M{middle - 0.5 * inner - 3:g} 22H{middle + 0.5 * inner + 3:g}"/>')
+    if inner > MOST:
+        return None
+    made, _ = _boxed(part, block, float(round(max(46.0, inner + 18.0))))
+    middle = 0.5 * made.box.width
     if len(lines) == 1:
         made.texts.append(SymbolText(middle, 26.5, lines[0], VALUE))
-    else:
-        made.texts += [SymbolText(middle, 16.5, lines[0], VALUE), SymbolText(middle, 36.0, lines[1], VALUE)]
+        return made
+    if fraction:
+        made.shapes.append(f'<path class="bar" d="M{middle - 0.5 * inner - 3:g} 22H{middle + 0.5 * inner + 3:g}"/>')
+    made.texts += [SymbolText(middle, 16.5, lines[0], VALUE), SymbolText(middle, 36.0, lines[1], VALUE)]
+    return made
+
+
+def _boxed(part: Part, block: Block, width: float) -> tuple[BlockSymbol, float]:
+    """An empty box of this width with its name below, and where it begins."""
+    made = _labelled(part, block, width)
+    left = 0.5 * (made.box.width - width)
+    made.shapes.append(f'<rect class="block" x="{left:g}" width="{width:g}" height="{HIGH:g}" rx="3"/>')
+    return made, left
+
+
+def _graph(part: Part, block: Block, path: str) -> BlockSymbol:
+    """A box with a small graph on axes, and the limits, if it has two, below and above."""
+    limits = ("low", "high") if type(block).type_name in _LIMITED else ()
+    texts = [shortened(value_text(part, block, name), SMALL, 60.0) for name in limits]
+    inner = max((text_width(t, SMALL) for t in texts), default=0.0)
+    made, left = _boxed(part, block, float(round(50.0 + (inner + 4.0 if texts else 0.0))))
+    axes = '<path class="axes" d="M5 22H45M25 5V39"/>'
+    made.shapes.append(f'<g transform="translate({left:g} 0)">{axes}<path class="bar" d="{path}"/></g>')
+    made.texts += [
+        SymbolText(left + 48.0, y, t, SMALL, "start", "soft") for y, t in zip((38.0, 14.0), texts, strict=False)
+    ]
     return made
 
 
@@ -300,108 +332,74 @@ def _polynomial(values: Any, variable: str, falling: bool = True) -> str:
     return first + "".join(f" {sign} {term}" for sign, term in terms[1:])
 
 
-def _rational(variable: str, falling: bool = True) -> Callable[[Part, Any, bool], BlockSymbol | None]:
-    def draw(part: Part, block: Any, flip: bool) -> BlockSymbol | None:
+def _rational(variable: str, falling: bool = True) -> _Formula:
+    def formula(part: Part, block: Any) -> list[str]:
+        unknown = [f"B({variable})", f"A({variable})"]
         if {"numerator", "denominator"} & set(part.params):
-            return _framed(part, block, [f"B({variable})", f"A({variable})"], True)
+            return unknown
         value = {p.name: p.value for p in block.params}
-        top, bottom = (_polynomial(value[n], variable, falling) for n in ("numerator", "denominator"))
-        long = max(text_width(t, VALUE) for t in (top, bottom)) > MOST
-        return _framed(part, block, [f"B({variable})", f"A({variable})"] if long else [top, bottom], True)
+        known = [_polynomial(value[n], variable, falling) for n in ("numerator", "denominator")]
+        return unknown if max(text_width(t, VALUE) for t in known) > MOST else known
 
-    return draw
-
-
-def _fixed(*lines: str, fraction: bool = False) -> Callable[[Part, Any, bool], BlockSymbol | None]:
-    return lambda part, block, flip: _framed(part, block, lines, fraction)
+    return formula
 
 
-def _delay(part: Part, block: Any, flip: bool) -> BlockSymbol | None:
+def _delay(part: Part, block: Any) -> list[str]:
     samples = value_text(part, block, "samples") if any(p.name == "samples" for p in block.params) else "1"
-    power = f"−{samples}" if not samples.isdecimal() else f"-{samples}".translate(_SUPERSCRIPT)
-    return _framed(part, block, [f"z{power}" if samples.isdecimal() else f"z^{power}"])
+    return [f"z{f'-{samples}'.translate(_SUPERSCRIPT)}" if samples.isdecimal() else f"z^−{samples}"]
 
 
-def _discrete_integrator(part: Part, block: Any, flip: bool) -> BlockSymbol | None:
-    gain = value_text(part, block, "gain")
-    factor = "" if gain == "1" else f"{gain} "
+def _discrete_integrator(part: Part, block: Any) -> list[str]:
     top = {"forward": "T", "backward": "T z", "trapezoidal": "T (z + 1)"}[block.method]
-    return _framed(part, block, [factor + top, "2 (z − 1)" if block.method == "trapezoidal" else "z − 1"], True)
+    return [_factor(part, block, "gain") + top, "2 (z − 1)" if block.method == "trapezoidal" else "z − 1"]
 
 
-def _first_order(part: Part, block: Any, flip: bool) -> BlockSymbol | None:
-    constant = value_text(part, block, "time_constant")
-    return _framed(
-        part, block, [value_text(part, block, "gain"), f"{'' if constant == '1' else constant + ' '}s + 1"], True
-    )
+def _factor(part: Part, block: Block, name: str) -> str:
+    value = value_text(part, block, name)
+    return "" if value == "1" else f"{value} "
 
 
-def _constant(part: Part, block: Any, flip: bool) -> BlockSymbol | None:
-    return _framed(part, block, [shortened(value_text(part, block, block.params[0].name), VALUE, 120.0)])
+def _function(part: Part, block: Any) -> list[str]:
+    return [str(block.config.get("function", "f"))]
 
 
-def _fractional(part: Part, block: Any, flip: bool) -> BlockSymbol | None:
-    return _framed(part, block, [f"exp(−{value_text(part, block, 'delay')} s)"])
+_Formula = Callable[[Part, Any], Sequence[str]]
 
-
-def _trigonometry(part: Part, block: Any, flip: bool) -> BlockSymbol | None:
-    return _framed(part, block, [str(block.config.get("function", "f"))])
-
-
-def _icon(*paths: str, limits: tuple[str, str] = ("", "")) -> Callable[[Part, Any, bool], BlockSymbol | None]:
-    """A box with a small graph on axes, and two parameters as its limits below and above."""
-
-    def draw(part: Part, block: Any, flip: bool) -> BlockSymbol | None:
-        if len(block.inputs) > 1 or len(block.outputs) > 1:
-            return None
-        texts = [shortened(value_text(part, block, n), SMALL, 60.0) for n in limits if n]
-        inner = max((text_width(t, SMALL) for t in texts), default=0.0)
-        width, height = float(round(50.0 + (inner + 4.0 if texts else 0.0))), 44.0
-        made = _labelled(part, block, width, height)
-        left = 0.5 * (made.box.width - width)
-        made.shapes.append(f'<rect class="block" x="{left:g}" width="{width:g}" height="{height:g}" rx="3"/>')
-        axes = "M5 22H45M25 5V39"
-        made.shapes.append(f'<g transform="translate({left:g} 0)"><path class="axes" d="{axes}"/>')
-        made.shapes[-1] += "".join(f'<path class="bar" d="{p}"/>' for p in paths) + "</g>"
-        if texts:
-            made.texts.append(SymbolText(left + 48.0, 38.0, texts[0], SMALL, "start", "soft"))
-            made.texts.append(SymbolText(left + 48.0, 14.0, texts[-1], SMALL, "start", "soft"))
-        return made
-
-    return draw
-
-
-_DRAWN: dict[str, Callable[[Part, Any, bool], BlockSymbol | None]] = {
-    "sum": _sum,
-    "gain": _gain,
+# By the type's name: a formula of one line or, of two, numerator and denominator.
+_FORMULAS: dict[str, _Formula] = {
     "unit_delay": _delay,
     "delay": _delay,
     "rate_transition": _delay,
-    "fractional_delay": _fractional,
-    "integrator": _fixed("1", "s", fraction=True),
+    "fractional_delay": lambda part, block: [f"exp(−{value_text(part, block, 'delay')} s)"],
+    "integrator": lambda part, block: ["1", "s"],
     "discrete_integrator": _discrete_integrator,
-    "discrete_derivative": _fixed("z − 1", "T z", fraction=True),
-    "first_order": _first_order,
+    "discrete_derivative": lambda part, block: ["z − 1", "T z"],
+    "first_order": lambda p, block: [value_text(p, block, "gain"), f"{_factor(p, block, 'time_constant')}s + 1"],
     "transfer_function": _rational("s"),
     "discrete_transfer_function": _rational("z"),
     "discrete_filter": _rational("z", falling=False),
-    "state_space": _fixed("x' = A x + B u", "y = C x + D u"),
-    "discrete_state_space": _fixed("x⁺ = A x + B u", "y = C x + D u"),
-    "constant": _constant,
-    "abs": _fixed("|u|"),
-    "sign": _icon("M7 36H25V8H43"),
-    "elementary": _trigonometry,
-    "trigonometry": _trigonometry,
-    "saturation": _icon("M7 34H15L35 10H43", limits=("low", "high")),
-    "dead_zone": _icon("M8 36L18 22H32L42 8", limits=("low", "high")),
-    "rate_limit": _icon("M8 38L20 22H30L42 8"),
-    "quantiser": _icon("M7 36H16V27H25V17H34V8H43"),
-    "relay": _icon("M7 36H32V8M18 36V8H43"),
-    "backlash": _icon("M10 36L30 8H40L20 36Z"),
-    "zero_order_hold": _icon("M7 36H14V28H22V18H30V10H43"),
-    "step": _icon("M7 36H25V10H43"),
-    "ramp": _icon("M7 36H20L42 8"),
-    "sine": _icon("M7 22C13 4 19 4 25 22S37 40 43 22"),
-    "doublet": _icon("M7 22H14V8H25V36H36V22H43"),
-    "pulse": _icon("M7 34H16V10H32V34H43"),
+    "constant": lambda part, block: [shortened(value_text(part, block, block.params[0].name), VALUE, 120.0)],
+    "abs": lambda part, block: ["|u|"],
+    "elementary": _function,
+    "trigonometry": _function,
+}
+_EQUATIONS = {
+    "state_space": ("x' = A x + B u", "y = C x + D u"),
+    "discrete_state_space": ("x⁺ = A x + B u", "y = C x + D u"),
+}
+_LIMITED = ("saturation", "dead_zone")
+_GRAPHS = {
+    "sign": "M7 36H25V8H43",
+    "saturation": "M7 34H15L35 10H43",
+    "dead_zone": "M8 36L18 22H32L42 8",
+    "rate_limit": "M8 38L20 22H30L42 8",
+    "quantiser": "M7 36H16V27H25V17H34V8H43",
+    "relay": "M7 36H32V8M18 36V8H43",
+    "backlash": "M10 36L30 8H40L20 36Z",
+    "zero_order_hold": "M7 36H14V28H22V18H30V10H43",
+    "step": "M7 36H25V10H43",
+    "ramp": "M7 36H20L42 8",
+    "sine": "M7 22C13 4 19 4 25 22S37 40 43 22",
+    "doublet": "M7 22H14V8H25V36H36V22H43",
+    "pulse": "M7 34H16V10H32V34H43",
 }

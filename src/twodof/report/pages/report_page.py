@@ -10,7 +10,7 @@ from html import escape
 from twodof.identify.validate import Correlation
 from twodof.report.content import Content, Erratum, Figure, FitCheck, ParameterRow, ReportTable, Subject, Uncertain
 from twodof.report.numbers import deviation, plain, with_sigma
-from twodof.report.plots.canvas import style
+from twodof.report.plots.canvas import page
 from twodof.report.plots.time_figures import correlation_figure, estimates_figure, time_figure
 
 _KEY = {
@@ -41,14 +41,8 @@ def to_html(content: Content) -> str:
     body = "".join(
         f'<section id="{anchor}"><h2>{escape(name)}</h2>{inner}</section>' for anchor, name, inner in sections
     )
-    return (
-        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{escape(content.title)}</title>\n<style>\n{style()}</style></head>\n<body>"
-        f'<header><h1>{escape(content.title)}</h1><p class="lead">{content.lead}</p>'
-        f'<ul class="findings">{findings}</ul></header>'
-        f'<nav aria-label="Contents"><ul>{links}</ul></nav>\n<main>{body}</main></body></html>\n'
-    )
+    main = f'<nav aria-label="Contents"><ul>{links}</ul></nav>\n<main>{body}</main>'
+    return page(content.title, content.lead, main, f'<ul class="findings">{findings}</ul>')
 
 
 def _table_section(subjects: Sequence[Subject]) -> Iterator[str]:

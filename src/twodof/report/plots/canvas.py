@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Mapping
-from importlib.resources import files
+from html import escape
 from types import MappingProxyType
 from typing import Any
 
@@ -15,38 +15,26 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure as Canvas
 from matplotlib.ticker import MaxNLocator
 
-# Stand-in colours that matplotlib draws with; in an SVG each becomes the CSS variable of the page.
-_TOKENS = MappingProxyType(
-    {
-        "#0a0b01": "ink",
-        "#0a0b02": "soft",
-        "#0a0b03": "rule",
-        "#0a0b04": "measured",
-        "#0a0b05": "input",
-        "#0a0b06": "set-point",
-        "#0a0b07": "simple",
-        "#0a0b08": "grey-box",
-        "#0a0b09": "band",
-        "#0a0b0a": "paper",
-        "#0a0b0b": "bad",
-    }
-)
+from twodof.report.template_texts import fill, text
+
+# Colours of the page. matplotlib draws with a stand-in for each; in an SVG that becomes the CSS variable.
+_NAMES = "ink soft rule measured input set-point simple grey-box band paper bad"
 
 Colours = Mapping[str, str]
 """A colour as matplotlib takes it, by its name in style.css."""
 
-STAND_IN: Colours = MappingProxyType({token: colour for colour, token in _TOKENS.items()})
+STAND_IN: Colours = MappingProxyType({name: f"#0a0b{i:02x}" for i, name in enumerate(_NAMES.split(), 1)})
 """For figures that `svg` turns into an element of a page."""
 
 
-def style() -> str:
-    """The style sheet of all pages."""
-    return (files("twodof.report") / "style.css").read_text(encoding="utf-8")
+def page(title: str, lead: str, main: str, findings: str = "") -> str:
+    """A page without script or network: the title as text, all else as HTML."""
+    return fill("page.html", title=escape(title), lead=lead, findings=findings, main=main, style=text("style.css"))
 
 
 def on_paper() -> Colours:
     """The light colours of the style sheet, for figures that stand alone."""
-    light = style().split("}", 1)[0]
+    light = text("style.css").split("}", 1)[0]
     return dict(re.findall(r"--([\w-]+): (#\w+);", light))
 
 
@@ -58,29 +46,29 @@ def settings(colours: Colours) -> Any:
         "figure.facecolor": "none",
         "axes.facecolor": "none",
         "font.size": 9.5,
+        "axes.axisbelow": True,
         "axes.linewidth": 0.6,
+        **dict.fromkeys(("axes.spines.top", "axes.spines.right", "axes.spines.left"), False),
         "axes.edgecolor": colours["rule"],
         "axes.labelcolor": colours["soft"],
-        "xtick.color": colours["rule"],
-        "ytick.color": colours["rule"],
-        "xtick.labelcolor": colours["soft"],
-        "ytick.labelcolor": colours["soft"],
+        **dict.fromkeys(("xtick.color", "ytick.color", "grid.color"), colours["rule"]),
+        **dict.fromkeys(("xtick.labelcolor", "ytick.labelcolor", "legend.labelcolor"), colours["soft"]),
         "text.color": colours["ink"],
-        "grid.color": colours["rule"],
         "grid.linewidth": 0.5,
         "xtick.major.size": 3.0,
         "ytick.major.size": 0.0,
+        "legend.frameon": False,
+        "legend.borderaxespad": 0.0,
+        "legend.borderpad": 0.15,
+        "legend.fontsize": 9,
         "path.simplify": True,
         "path.simplify_threshold": 0.3,
     }
 
 
 def quiet(ax: Axes) -> None:
-    """Axes with a horizontal grid and no box."""
+    """Axes with a horizontal grid."""
     ax.grid(visible=True, axis="y")
-    ax.set_axisbelow(True)
-    for side in ("top", "right", "left"):
-        ax.spines[side].set_visible(False)
     ax.yaxis.set_major_locator(MaxNLocator(4))
 
 
@@ -91,17 +79,17 @@ def svg(canvas: Canvas, title: str) -> str:
         FigureCanvasSVG(canvas)
         _settle(canvas)
         canvas.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
-    text = out.getvalue()
-    text = text[text.index("<svg") :]
-    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+    drawn = out.getvalue()
+    drawn = drawn[drawn.index("<svg") :]
+    drawn = re.sub(r"<metadata>.*?</metadata>", "", drawn, flags=re.DOTALL)
     # Groups are numbered alike in every figure; only what is referred to (clip paths, markers) keeps its name.
-    text = re.sub(r'<g id="[^"]*"', "<g", text)
-    for colour, token in _TOKENS.items():
-        text = text.replace(colour, f"var(--{token})")
-    text = re.sub(r"font: ([\d.]+px)[^;\"]*", r"font-size: \1", text)
-    view = text.split('viewBox="', 1)[1].split('"', 1)[0]
+    drawn = re.sub(r'<g id="[^"]*"', "<g", drawn)
+    for name, colour in STAND_IN.items():
+        drawn = drawn.replace(colour, f"var(--{name})")
+    drawn = re.sub(r"font: ([\d.]+px)[^;\"]*", r"font-size: \1", drawn)
+    view = drawn.split('viewBox="', 1)[1].split('"', 1)[0]
     head = f'<svg viewBox="{view}" role="img" aria-label="{title}">'
-    return re.sub(r"\s*\n\s*", "\n", re.sub(r"<svg[^>]*>", head, text, count=1))
+    return re.sub(r"\s*\n\s*", "\n", re.sub(r"<svg[^>]*>", head, drawn, count=1))
 
 
 def _settle(canvas: Canvas) -> None:

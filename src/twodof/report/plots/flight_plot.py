@@ -23,7 +23,7 @@ from matplotlib.ticker import MaxNLocator
 from twodof.flight.failsafe.causes_and_actions import ACTIONS
 from twodof.flightlog.atomic import atomic_write
 from twodof.report.content import Span
-from twodof.report.plots.canvas import STAND_IN, Colours, on_paper, quiet, settings, style, svg
+from twodof.report.plots.canvas import STAND_IN, Colours, on_paper, page, quiet, settings, svg
 from twodof.report.plots.flight_view import Curve, FlightView, View, check_place
 
 _ALONE = MappingProxyType({".png": FigureCanvasAgg, ".svg": FigureCanvasSVG, ".pdf": FigureCanvasPdf})
@@ -35,9 +35,6 @@ _LETTER_IN = 0.082
 
 _LINE = 120
 """Letters in a line of the heading."""
-_LEGEND: MappingProxyType[str, Any] = MappingProxyType(
-    {"frameon": False, "borderaxespad": 0.0, "borderpad": 0.15, "fontsize": 9}
-)
 _LOOK: MappingProxyType[str, dict[str, Any]] = MappingProxyType(
     {
         "true": {"color": "measured", "linewidth": 3.0, "alpha": 0.55, "zorder": 1.8},
@@ -74,14 +71,8 @@ def to_html(view: FlightView) -> str:
     with matplotlib.rc_context(settings(STAND_IN)):
         picture = svg(_drawn(view, STAND_IN, heading=False), escape(view.title))
     notes = "".join(f"<p>{escape(note)}</p>" for note in view.notes)
-    return (
-        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{escape(view.title)}</title>\n<style>\n{style()}</style></head>\n<body>"
-        f'<header><h1>{escape(view.title)}</h1><p class="lead">{escape(view.about)}</p></header>'
-        f'<main><figure class="wide" style="max-width:72rem">{picture}<figcaption>{notes}</figcaption></figure></main>'
-        "</body></html>\n"
-    )
+    figure = f'<figure class="wide" style="max-width:72rem">{picture}<figcaption>{notes}</figcaption></figure>'
+    return page(view.title, escape(view.about), f"<main>{figure}</main>")
 
 
 def _alone(view: FlightView, suffix: str) -> bytes:
@@ -97,7 +88,8 @@ def _alone(view: FlightView, suffix: str) -> bytes:
 
 
 def _drawn(view: FlightView, colours: Colours, heading: bool) -> Canvas:
-    strips = [(name, bands) for name, bands in _strips(view) if bands]
+    kinds = (("mode", view.modes), ("failsafe", view.failsafe), ("excitation", view.excitations))
+    strips = [(name, bands) for name, bands in kinds if bands]
     heights = [_STRIP_IN * len(strips)] * bool(strips) + [_PANEL_IN] * len(view.views)
     canvas = Canvas(figsize=(_WIDTH_IN, 0.5 + 0.6 * heading + sum(heights)), layout="constrained")
     axes = list(canvas.subplots(len(heights), 1, sharex=True, height_ratios=heights, squeeze=False)[:, 0])
@@ -118,20 +110,8 @@ def _head(ax: Axes, view: FlightView, colours: Colours) -> None:
     lines = [line for part in (view.about, *view.notes) for line in wrap(part, _LINE)]
     under = 7.0 + 13.0 * len(lines)
     ax.set_title(view.title, loc="left", fontsize=12.5, fontweight="bold", pad=under)
-    ax.annotate(
-        "\n".join(lines),
-        (0.0, 1.0),
-        (0.0, 6.0),
-        xycoords="axes fraction",
-        textcoords="offset points",
-        va="bottom",
-        fontsize=9.5,
-        color=colours["soft"],
-    )
-
-
-def _strips(view: FlightView) -> Sequence[tuple[str, tuple[Span, ...]]]:
-    return (("mode", view.modes), ("failsafe", view.failsafe), ("excitation", view.excitations))
+    above: Any = {"xycoords": "axes fraction", "textcoords": "offset points", "va": "bottom"}
+    ax.annotate("\n".join(lines), (0.0, 1.0), (0.0, 6.0), **above, fontsize=9.5, color=colours["soft"])
 
 
 def _draw_strips(
@@ -145,8 +125,7 @@ def _draw_strips(
     ax.set_yticks(range(len(strips)), [name for name, _ in strips])
     ax.tick_params(axis="x", length=0, labelbottom=False)
     ax.tick_params(axis="y", labelcolor=colours["soft"])
-    for side in ("top", "right", "left", "bottom"):
-        ax.spines[side].set_visible(False)
+    ax.spines["bottom"].set_visible(False)
     for row, (name, bands) in enumerate(strips):
         for band in bands:
             colour, alpha = _paint(name, band.label, colours)
@@ -163,15 +142,7 @@ def _draw_strips(
                 keys.setdefault(band.label, Patch(color=colour, alpha=alpha, linewidth=0))
     keys = {label: patch for label, patch in keys.items() if label not in named}
     if keys:
-        ax.legend(
-            keys.values(),
-            keys.keys(),
-            loc="upper right",
-            bbox_to_anchor=(1.0, 0.0),
-            ncols=len(keys),
-            **_LEGEND,
-            labelcolor=colours["soft"],
-        )
+        ax.legend(keys.values(), keys.keys(), loc="upper right", bbox_to_anchor=(1.0, 0.0), ncols=len(keys))
 
 
 def _paint(strip: str, label: str, colours: Colours) -> tuple[str, float]:
@@ -191,13 +162,7 @@ def _draw_view(ax: Axes, view: View, colours: Colours) -> None:
         ax.text(0.5, 0.5, "no sample", ha="center", va="center", transform=ax.transAxes, color=colours["soft"])
         ax.set_yticks([])
     elif any(curve.label for curve in view.curves):
-        ax.legend(
-            loc="lower right",
-            bbox_to_anchor=(1.0, 1.0),
-            ncols=len(view.curves),
-            **_LEGEND,
-            labelcolor=colours["soft"],
-        )
+        ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=len(view.curves))
 
 
 def _draw_curve(ax: Axes, curve: Curve, other: str, colours: Colours) -> None:

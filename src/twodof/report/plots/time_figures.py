@@ -13,7 +13,7 @@ from matplotlib.figure import Figure as Canvas
 from matplotlib.ticker import MaxNLocator
 
 from twodof.identify.validate import Correlation
-from twodof.report.content import Figure, FigureBand, FigurePoint, LineRole, Panel, ParameterRow, Span, Subject
+from twodof.report.content import Figure, FigureBand, LineRole, Panel, ParameterRow, Span, Subject
 from twodof.report.plots.canvas import STAND_IN, quiet, settings, svg
 
 _STROKE: dict[LineRole, dict[str, Any]] = {
@@ -51,49 +51,28 @@ def _draw_panel(ax: Axes, panel: Panel) -> None:
     for mark in panel.marks:
         if isinstance(mark, FigureBand):
             ax.axhspan(mark.low, mark.high, color=STAND_IN["band"], linewidth=0.8)
-            ax.annotate(
-                mark.label,
-                (1.0, mark.high),
-                (-4, 3),
-                xycoords=("axes fraction", "data"),
-                textcoords="offset points",
-                ha="right",
-                color=STAND_IN["soft"],
-                fontsize=8.5,
-            )
+            edge = ("axes fraction", "data")
+            _note(ax, mark.label, (1.0, mark.high), (-4, 3), xycoords=edge, ha="right", color=STAND_IN["soft"])
         elif isinstance(mark, Span):
             _draw_span(ax, mark, high)
-        elif isinstance(mark, FigurePoint):
+        else:
             ax.plot([mark.time], [mark.value], "o", ms=4.5, mfc="none", mec=STAND_IN["ink"], mew=1.1)
             up = mark.value >= 0.5 * (low + high)
-            ax.annotate(
-                mark.label,
-                (mark.time, mark.value),
-                (7, 2 if up else -2),
-                textcoords="offset points",
-                va="bottom" if up else "top",
-                fontsize=8.5,
-            )
+            _note(ax, mark.label, (mark.time, mark.value), (7, 2 if up else -2), va="bottom" if up else "top")
+
+
+def _note(ax: Axes, text: str, at: tuple[float, float], points: tuple[float, float], **look: Any) -> None:
+    """A text beside the place `at`, so many points away."""
+    ax.annotate(text, at, points, textcoords="offset points", fontsize=8.5, **look)
 
 
 def _draw_span(ax: Axes, span: Span, high: float) -> None:
     """An arrow from start to stop at the top of the panel with the label above its middle."""
-    ax.annotate(
-        "",
-        (span.stop, high),
-        (span.start, high),
-        arrowprops={"arrowstyle": "<->", "color": STAND_IN["ink"], "linewidth": 0.8, "shrinkA": 0, "shrinkB": 0},
-    )
+    arrow = {"arrowstyle": "<->", "color": STAND_IN["ink"], "linewidth": 0.8, "shrinkA": 0, "shrinkB": 0}
+    ax.annotate("", (span.stop, high), (span.start, high), arrowprops=arrow)
     for edge in (span.start, span.stop):
         ax.axvline(edge, color=STAND_IN["ink"], linewidth=0.5, dashes=(2, 2))
-    ax.annotate(
-        span.label,
-        (0.5 * (span.start + span.stop), high),
-        (0, 3),
-        textcoords="offset points",
-        ha="center",
-        fontsize=8.5,
-    )
+    _note(ax, span.label, (0.5 * (span.start + span.stop), high), (0, 3), ha="center")
     ax.set_ylim(top=high + 0.18 * (high - ax.get_ylim()[0]))
 
 
@@ -134,10 +113,7 @@ def estimates_figure(subjects: Sequence[Subject], title: str) -> str:
 
 def _draw_estimates(ax: Axes, rows: Sequence[ParameterRow | None]) -> None:
     ax.grid(visible=True, axis="x")
-    ax.set_axisbelow(True)
     ax.tick_params(length=0)
-    for side in ("top", "right", "left"):
-        ax.spines[side].set_visible(False)
     ax.xaxis.set_major_locator(MaxNLocator(5))
     shown = [row for row in rows if row is not None]
     if shown:
@@ -151,28 +127,18 @@ def _draw_estimates(ax: Axes, rows: Sequence[ParameterRow | None]) -> None:
             continue
         if row.truth is not None:
             ax.plot([row.truth], [height], "|", ms=17, mew=1.6, color=STAND_IN["ink"])
-        for estimate, role, offset, shape in (
-            (row.simple, "simple", -0.14, "s"),
-            (row.greybox, "grey-box", 0.14, "o"),
-        ):
+        for estimate, role, offset, shape in ((row.simple, "simple", -0.14, "s"), (row.greybox, "grey-box", 0.14, "o")):
             if estimate is not None:
                 sigma = estimate.sigma if np.isfinite(estimate.sigma) else 0.0
-                ax.errorbar(
-                    estimate.value,
-                    height + offset,
-                    xerr=sigma,
-                    fmt=shape,
-                    ms=4.5,
-                    color=STAND_IN[role],
-                    elinewidth=1.3,
-                )
+                look: Any = {"fmt": shape, "ms": 4.5, "color": STAND_IN[role], "elinewidth": 1.3}
+                ax.errorbar(estimate.value, height + offset, xerr=sigma, **look)
     ax.set_ylim(len(rows) - 0.5, -0.5)
     ax.margins(x=0.12)
 
 
-def _plain(symbol: str) -> str:
-    return re.sub(r"<sub>(.*?)</sub>", lambda match: match[1].translate(_SUBSCRIPTS), symbol)
-
-
 # An SVG text has no subscript of its own; Unicode has none of "p" in all fonts, so letters follow plainly.
 _SUBSCRIPTS = str.maketrans({"n": "ₙ", "v": "ᵥ"})
+
+
+def _plain(symbol: str) -> str:
+    return re.sub(r"<sub>(.*?)</sub>", lambda match: match[1].translate(_SUBSCRIPTS), symbol)

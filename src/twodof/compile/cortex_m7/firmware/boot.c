@@ -66,7 +66,7 @@ __attribute__((naked)) void fault(void)
 
 __attribute__((used)) void report_fault(const uint32_t *frame, uint32_t exc_return)
 {
-    /* What is found here is read by `fault.py`: r0 to r3, r12, lr, pc, xpsr of the frame, then these. */
+    /* What is found here is read by `board.py`: r0 to r3, r12, lr, pc, xpsr of the frame, then these. */
     uint32_t words[14] = {0};
     const uint32_t at = (uint32_t)frame;
     if (at >= 0x20000000u && at <= 0x203fffe0u) /* else the stack left the memory */

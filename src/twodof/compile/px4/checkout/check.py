@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import get_origin, get_type_hints
 
 from twodof.compile.px4.checkout.source_tree import SourceTree
 from twodof.compile.px4.checkout.versions import FIRST, LAST, TESTED, Px4Version
@@ -60,9 +62,17 @@ class CheckoutFindings:
         return not any(row.level == ERROR for row in self.rows)
 
 
+def _error(what: str, where: object, remedy: str) -> CheckoutFinding:
+    return CheckoutFinding(ERROR, what, str(where), remedy)
+
+
+def _warning(what: str, where: object, remedy: str) -> CheckoutFinding:
+    return CheckoutFinding(WARNING, what, str(where), remedy)
+
+
 @dataclass(frozen=True)
 class _Facts:
-    """What a manifest says of the module."""
+    """What a manifest says of the module. Raises TypeError for what is not of these types."""
 
     module: str
     message: str
@@ -74,6 +84,14 @@ class _Facts:
     stops: list[str]
     description: int
 
+    def __post_init__(self) -> None:
+        for name, kind in get_type_hints(_Facts).items():
+            value = getattr(self, name)
+            if not isinstance(value, get_origin(kind) or kind):
+                raise TypeError
+            if isinstance(value, list) and not all(isinstance(one, str) for one in value):
+                raise TypeError
+
 
 def check(px4: str | Path, folder: str | Path) -> CheckoutFindings:
     """Whether the export in `folder` fits the checkout `px4`. Nothing is written, built or run but `git describe`.
@@ -84,13 +102,11 @@ def check(px4: str | Path, folder: str | Path) -> CheckoutFindings:
     facts = _facts(export)
     rows = [*_export(export)]
     if not tree.root.is_dir():
-        rows.append(CheckoutFinding(ERROR, "is no folder", str(px4), "name a checkout of PX4"))
+        rows.append(_error("is no folder", px4, "name a checkout of PX4"))
         return CheckoutFindings(facts.module, "unknown", tuple(rows))
     missing = [p for p in _LANDMARKS if not tree.has(p)]
     if "px4" not in tree.text("CMakeLists.txt").lower() or len(missing) > len(_LANDMARKS) // 2:
-        rows.append(
-            CheckoutFinding(ERROR, "is no source tree of PX4", str(px4), "name the folder that git clone made of PX4")
-        )
+        rows.append(_error("is no source tree of PX4", px4, "name the folder that git clone made of PX4"))
         return CheckoutFindings(facts.module, "unknown", tuple(rows))
     version, reason = tree.version
     rows += [*_checked_out(tree, missing), *_version(tree, version, reason), *_interfaces(tree, facts)]
@@ -105,31 +121,18 @@ def _facts(folder: Path) -> _Facts:
             "holds no exported module", str(folder), "name the folder that twodof px4 export DIAGRAM FOLDER wrote"
         )
     try:
-        lists = {k: _strings(data[k]) for k in ("parameters", "units", "reads", "writes", "stops")}
-        module, message = _strings([data["module"], data["message"]])
-        airframe, description = int(str(data["airframe"])), int(str(data["description"]))
-    except (KeyError, TypeError, ValueError) as error:
+        return _Facts(**{field.name: data[field.name] for field in dataclasses.fields(_Facts)})
+    except (KeyError, TypeError) as error:
         raise CompileError("its manifest is damaged", str(folder), "export the diagram again") from error
-    return _Facts(module, message, airframe, description=description, **lists)
-
-
-def _strings(value: object) -> list[str]:
-    if not isinstance(value, list) or not all(isinstance(v, str) for v in value):
-        raise TypeError
-    return list(value)
 
 
 def _export(folder: Path) -> Iterator[CheckoutFinding]:
     missing = absent(folder)
     if missing:
-        yield CheckoutFinding(
-            ERROR, f"has lost files of the export: {_some(missing)}", str(folder), "export the diagram again"
-        )
+        yield _error(f"has lost files of the export: {_some(missing)}", folder, "export the diagram again")
     changed = strangers(folder)
     if changed:
-        yield CheckoutFinding(
-            WARNING, f"was changed since the export: {_some(changed)}", str(folder), "export the diagram again"
-        )
+        yield _warning(f"was changed since the export: {_some(changed)}", folder, "export the diagram again")
 
 
 def _some(paths: list[str]) -> str:
@@ -137,39 +140,33 @@ def _some(paths: list[str]) -> str:
 
 
 def _checked_out(tree: SourceTree, missing: list[str]) -> Iterator[CheckoutFinding]:
-    root = str(tree.root)
+    root = tree.root
     missing = missing + [path for path in _NEEDED if not tree.has(path)]
     if missing:
-        yield CheckoutFinding(
-            ERROR, f"is half checked out: {', '.join(missing)} missing", root, "run git checkout -f in it"
-        )
+        yield _error(f"is half checked out: {', '.join(missing)} missing", root, "run git checkout -f in it")
     listed = tree.submodules
     empty = [path for path in _SUBMODULES if path in listed and tree.empty(path)]
     if empty:
-        yield CheckoutFinding(ERROR, f"is half checked out: {', '.join(empty)} empty", root, _FETCH)
+        yield _error(f"is half checked out: {', '.join(empty)} empty", root, _FETCH)
     boards = [path for path in _BOARD_SUBMODULES if path in listed and tree.empty(path)]
     if boards:
-        yield CheckoutFinding(WARNING, f"builds for the simulator only: {', '.join(boards)} empty", root, _FETCH)
+        yield _warning(f"builds for the simulator only: {', '.join(boards)} empty", root, _FETCH)
     build = tree.root / "build"
     if not os.access(build if build.is_dir() else tree.root, os.W_OK):
-        yield CheckoutFinding(
-            ERROR, "is read-only, and PX4 builds inside it", root, "copy it, or change its permissions"
-        )
+        yield _error("is read-only, and PX4 builds inside it", root, "copy it, or change its permissions")
 
 
 def _version(tree: SourceTree, version: Px4Version | None, reason: str) -> Iterator[CheckoutFinding]:
-    root = str(tree.root)
+    root = tree.root
     first, last = (f"v{major}.{minor}" for major, minor in (FIRST, LAST))
     if version is None:
         what = f"its version is unknown ({reason}); only what the module uses was compared"
-        yield CheckoutFinding(WARNING, what, root, f"use a git clone with tags; modules are for {first} to {last}")
+        yield _warning(what, root, f"use a git clone with tags; modules are for {first} to {last}")
     elif not version.supported:
-        yield CheckoutFinding(
-            ERROR, f"is PX4 {version}; the module is for {first} to {last}", root, f"run git checkout {TESTED} in it"
-        )
+        yield _error(f"is PX4 {version}; the module is for {first} to {last}", root, f"run git checkout {TESTED} in it")
     elif not version.tested:
         what = f"is PX4 {version}: what the module uses is there, but it was flown with {TESTED} only"
-        yield CheckoutFinding(WARNING, what, root, "try it in the simulator first")
+        yield _warning(what, root, "try it in the simulator first")
 
 
 def _interfaces(tree: SourceTree, facts: _Facts) -> Iterator[CheckoutFinding]:
@@ -182,36 +179,34 @@ def _interfaces(tree: SourceTree, facts: _Facts) -> Iterator[CheckoutFinding]:
     ):
         text = tree.text(path)
         if text and wanted not in text:
-            yield CheckoutFinding(ERROR, f"knows no {what}", str(tree.root / path), another)
+            yield _error(f"knows no {what}", tree.root / path, another)
     limit = re.search(r"\bchar\s+format\[(\d+)\]", tree.text("src/modules/logger/messages.h"))
     if limit and int(limit[1]) < facts.description:
         what = f"its logger has room for {limit[1]} characters of a message's description, not {facts.description}"
-        yield CheckoutFinding(ERROR, what, str(tree.root), "log fewer signals")
+        yield _error(what, tree.root, "log fewer signals")
     units = re.search(
         r"allowedUnits = set ?\(\[(.*?)\]\)", tree.text("src/lib/parameters/px4params/srcparser.py"), re.DOTALL
     )
     unknown = [u for u in facts.units if units and f"'{u}'" not in units[1]]
     if unknown:
-        yield CheckoutFinding(ERROR, f"knows no parameters in {', '.join(unknown)}", str(tree.root), another)
+        yield _error(f"knows no parameters in {', '.join(unknown)}", tree.root, another)
     absent = [name for name in facts.stops if name not in tree.commands]
     if absent:
         what = f"has no {', '.join(absent)}, whose place the module takes"
-        yield CheckoutFinding(
-            WARNING, what, str(tree.root), "see that nobody else commands; the .post stops it in vain"
-        )
+        yield _warning(what, tree.root, "see that nobody else commands; the .post stops it in vain")
 
 
 def _topics(tree: SourceTree, facts: _Facts) -> Iterator[CheckoutFinding]:
     for topic in sorted({*facts.reads, *facts.writes}):
         fields = tree.messages.get(topic)
         if fields is None:
-            yield CheckoutFinding(ERROR, f"has no topic {topic}", str(tree.root / "msg"), "use another version of PX4")
+            yield _error(f"has no topic {topic}", tree.root / "msg", "use another version of PX4")
             continue
         for name, kind in FIELDS.get(topic, {}).items():
             if fields.get(name) not in kind.split(" or "):
                 has = f"is {fields[name]}" if name in fields else "is missing"
                 what = f"{topic}.{name} {has}, where {kind} is used"
-                yield CheckoutFinding(ERROR, what, str(tree.root / "msg"), "use another version of PX4")
+                yield _error(what, tree.root / "msg", "use another version of PX4")
 
 
 def _clashes(tree: SourceTree, facts: _Facts, own: bool = False) -> Iterator[CheckoutFinding]:
@@ -223,23 +218,23 @@ def _clashes(tree: SourceTree, facts: _Facts, own: bool = False) -> Iterator[Che
 
     rename = "rename the diagram and export again"
     for path in others(tree.commands.get(facts.module, [])):
-        yield CheckoutFinding(ERROR, f"has a module {facts.module} already", str(path), rename)
-    messages = others(tree.message_files.get(facts.message.lower(), []))
+        yield _error(f"has a module {facts.module} already", path, rename)
+    messages = others(tree.message_files(facts.message))
     for path in messages:
-        yield CheckoutFinding(ERROR, f"has a message {facts.message} already", str(path), rename)
+        yield _error(f"has a message {facts.message} already", path, rename)
     if not messages and facts.module in tree.messages and not own:
-        yield CheckoutFinding(ERROR, f"has a topic {facts.module} already", str(tree.root / "msg"), rename)
+        yield _error(f"has a topic {facts.module} already", tree.root / "msg", rename)
     defined: dict[Path, list[str]] = {}
     for name in facts.parameters:
         for path in others(tree.parameters(name)):
             defined.setdefault(path, []).append(name)
     for path, names in defined.items():
         what = f"has {'a parameter' if len(names) == 1 else 'parameters'} {_some(names)} already"
-        yield CheckoutFinding(ERROR, what, str(path), "export one of the two again with another --prefix")
-    for other in tree.airframes.get(facts.airframe, []):
+        yield _error(what, path, "export one of the two again with another --prefix")
+    for other in tree.airframes(facts.airframe):
         if other.name != f"{facts.airframe}_{facts.module}":
             what = f"has an airframe {facts.airframe} already"
-            yield CheckoutFinding(WARNING, what, str(other), "give the exported airframe's file another number")
+            yield _warning(what, other, "give the exported airframe's file another number")
 
 
 def _neighbours(tree: SourceTree, facts: _Facts, folder: Path) -> Iterator[CheckoutFinding]:
@@ -252,4 +247,4 @@ def _neighbours(tree: SourceTree, facts: _Facts, folder: Path) -> Iterator[Check
         seen.add(place)
         for row in _clashes(SourceTree(place), facts, own=True):
             what = f"{row.what}; {cache.parent.name} was built with it, and in one folder the two do not build"
-            yield CheckoutFinding(WARNING, what, row.where, row.remedy)
+            yield _warning(what, row.where, row.remedy)

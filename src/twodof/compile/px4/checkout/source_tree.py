@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import cached_property
 from pathlib import Path
 
@@ -99,22 +99,24 @@ class SourceTree:
                 found.setdefault(_CAPITAL.sub("_", topic).lower(), fields)
         return found
 
-    @cached_property
-    def message_files(self) -> dict[str, list[Path]]:
-        """Name in small letters -> files, of all messages."""
+    def _places(self, under: str, file: str, names: Callable[[Path], Iterable[str]]) -> dict[str, list[Path]]:
+        """Name -> files, for the `names` of each file below `under`."""
         found: dict[str, list[Path]] = {}
-        for path in self.files("msg", r".*\.msg"):
-            found.setdefault(path.stem.lower(), []).append(path)
+        for path in self.files(under, file):
+            for name in names(path):
+                found.setdefault(name, []).append(path)
         return found
+
+    def message_files(self, name: str) -> list[Path]:
+        """The files of the messages with this name, in whatever letters."""
+        return list(self.files("msg", rf"(?i:{re.escape(name)})\.msg"))
 
     @cached_property
     def commands(self) -> dict[str, list[Path]]:
         """Name of a module's command -> its CMakeLists.txt; more than one where modules clash."""
-        found: dict[str, list[Path]] = {}
-        for path in self.files("src", r"CMakeLists\.txt"):
-            for name in re.findall(r"\bMAIN\s+([A-Za-z0-9_]+)", self.text(path)):
-                found.setdefault(name, []).append(path)
-        return found
+        return self._places(
+            "src", r"CMakeLists\.txt", lambda path: re.findall(r"\bMAIN\s+(\w+)", self.text(path), re.ASCII)
+        )
 
     def parameters(self, name: str) -> list[Path]:
         """Where a parameter is defined."""
@@ -124,11 +126,9 @@ class SourceTree:
     @cached_property
     def _parameters(self) -> tuple[dict[str, list[Path]], list[tuple[re.Pattern[str], Path]]]:
         """Parameter -> its files; and patterns of those that are defined once for several instances."""
-        names: dict[str, list[Path]] = {}
         patterns: list[tuple[re.Pattern[str], Path]] = []
-        for path in self.files("src", r".*param.*\.c"):
-            for name in re.findall(r"\bPARAM_DEFINE_\w+\s*\(\s*([A-Z0-9_]+)", self.text(path)):
-                names.setdefault(name, []).append(path)
+        defined = re.compile(r"\bPARAM_DEFINE_\w+\s*\(\s*([A-Z0-9_]+)")
+        names = self._places("src", r".*param.*\.c", lambda path: defined.findall(self.text(path)))
         for path in self.files("src", r".*\.ya?ml"):
             text = self.text(path)
             for name in re.findall(r"^\s+([A-Z0-9_]+(?:\$\{i\}[A-Z0-9_]*)?):\s*$", text, re.MULTILINE):
@@ -151,11 +151,7 @@ class SourceTree:
                 found.append((Path(place[1]).resolve(), cache))
         return found
 
-    @cached_property
-    def airframes(self) -> dict[int, list[Path]]:
-        """SYS_AUTOSTART -> the airframes' files, of PX4 or of exports."""
-        found: dict[int, list[Path]] = {}
-        for folder in ("ROMFS", "etc/init.d-posix/airframes"):
-            for path in self.files(folder, r"\d+_[^.]+"):
-                found.setdefault(int(path.name.partition("_")[0]), []).append(path)
-        return found
+    def airframes(self, number: int) -> list[Path]:
+        """The files of the airframes with this SYS_AUTOSTART, of PX4 or of exports."""
+        folders = ("ROMFS", "etc/init.d-posix/airframes")
+        return [path for folder in folders for path in self.files(folder, rf"{number}_[^.]+")]

@@ -144,7 +144,10 @@ private:
     bool _silent{false};
     float _torque_scale{1.41421356f};
 
+    hrt_abstime _now{0};
 ${members}
+
+    float setpoint(float value, hrt_abstime stamp, float neutral, bool wanted);
     uORB::Subscription _parameter_update_sub{ORB_ID(parameter_update)};
     uORB::SubscriptionCallbackWorkItem _angular_velocity_sub{this, ORB_ID(vehicle_angular_velocity)};
 
