@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+import subprocess
 import sys
 import tomllib
 from collections.abc import Iterable
@@ -52,3 +53,10 @@ def test_an_import_that_is_not_declared_is_found(tmp_path: Path) -> None:
 
 def _plain(name: str) -> str:
     return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def test_a_flight_starts_without_scipy() -> None:
+    """Its import takes half a second to two seconds of processor time, in each command and each virtual drone."""
+    code = "import sys, twodof.cli.drone.fly, twodof.cli.drone.fcu; print([n for n in sys.modules if n == 'scipy'])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout.strip() == "[]"

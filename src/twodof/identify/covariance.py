@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import fftconvolve
 
 from twodof.errors import IdentificationError
 
@@ -101,7 +100,8 @@ def _coloured(jacobian: Array, residual: Array, one: ResidualRows, two: Residual
     size = steps + reach
     cross = np.fft.irfft(np.fft.rfft(e1, 2 * size) * np.fft.rfft(e2, 2 * size).conj(), 2 * size)[lags]
     kernel = (1.0 - np.abs(lags) / (reach + 1.0)) * cross / math.sqrt(one.when.size * two.when.size)
-    filtered = fftconvolve(j2, kernel[:, None], mode="full", axes=0)[reach : reach + steps]
+    spectrum = np.fft.rfft(j2, 2 * size, axis=0) * np.fft.rfft(kernel, 2 * size)[:, None]
+    filtered = np.fft.irfft(spectrum, 2 * size, axis=0)[reach : reach + steps]
     return np.asarray(j1.T @ filtered)
 
 

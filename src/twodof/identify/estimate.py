@@ -3,10 +3,10 @@
 import json
 import math
 from dataclasses import dataclass
+from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
 
 from twodof.errors import IdentificationError
 from twodof.identify.validate import Comparison
@@ -71,7 +71,7 @@ class Estimate:
 
     def interval(self, label: str, level: float = 0.95) -> tuple[float, float]:
         """The confidence interval at `level` (normal distribution, standard deviation as quoted)."""
-        half = float(norm.ppf(0.5 + level / 2.0)) * self.sigma(label)
+        half = NormalDist().inv_cdf(0.5 + level / 2.0) * self.sigma(label)
         return self[label] - half, self[label] + half
 
     @property

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import get_window
 
 from twodof.errors import IdentificationError
 from twodof.identify.record import Record
@@ -87,6 +86,8 @@ def frequency_response(
     y = np.interp(np.arange(steps), record.outputs[output].position, value)
     if float(np.ptp(u)) == 0.0:
         raise IdentificationError(f"the input '{input}' does not move", where, "choose a window with excitation")
+    from scipy.signal import get_window  # imported late: most commands start without it
+
     taper = get_window(window, length)
     starts = np.arange(0, steps - length + 1, length // 2)
     pieces = starts[:, None] + np.arange(length)

@@ -6,7 +6,6 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
 
 from twodof.errors import IdentificationError
 from twodof.identify.estimate import Estimate
@@ -24,7 +23,9 @@ class Spread:
 
     def exceeds(self, sigma: float) -> bool:
         """Whether it is too large to be chance if `sigma` is right (chi-square, once in a thousand)."""
-        return (self.count - 1) * (self.value / sigma) ** 2 > float(chi2.ppf(0.999, self.count - 1))
+        from scipy.special import chdtri  # imported late: most commands start without it
+
+        return (self.count - 1) * (self.value / sigma) ** 2 > float(chdtri(self.count - 1, 0.001))
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,6 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 from twodof.errors import IdentificationError
 from twodof.identify.record import Record
@@ -146,6 +145,8 @@ def read_step(record: Record, set_point: str = "theta0", output: str = "v") -> S
     start = edge - offset / slope
     duration = float(t[top]) - start
     ratio = peak / (slope * duration)
+    from scipy.optimize import brentq  # imported late: most commands start without it
+
     p_v = brentq(lambda z: -math.expm1(-z) / z - ratio, 1e-9, 1e3) / duration if ratio < 1.0 - 1e-9 else 0.0
     sign = -math.copysign(1.0, theta_bar)
     return StepResponse(

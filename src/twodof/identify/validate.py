@@ -2,10 +2,10 @@
 
 import math
 from dataclasses import dataclass
+from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.stats import binom, norm
 
 from twodof.errors import IdentificationError
 
@@ -57,12 +57,16 @@ class Correlation:
     @property
     def allowed(self) -> int:
         """Number of lags that may lie outside by chance."""
-        return int(binom.ppf(self.level, self.lags.size, 1.0 - self.level))
+        from scipy.special import bdtr  # imported late: most commands start without it
+
+        counts = np.arange(self.lags.size + 1)
+        return int(np.argmax(bdtr(counts, self.lags.size, 1.0 - self.level) >= self.level))
 
     @property
     def passed(self) -> bool:
         """Whether the residuals pass this test."""
-        ratio = norm.isf(0.5 * (1.0 - self.level) / self.lags.size) / norm.isf(0.5 * (1.0 - self.level))
+        quantile = NormalDist().inv_cdf
+        ratio = quantile(0.5 * (1.0 - self.level) / self.lags.size) / quantile(0.5 * (1.0 - self.level))
         return self.outside <= self.allowed and bool((np.abs(self.value) <= ratio * self.bound).all())
 
 
@@ -71,7 +75,7 @@ def whiteness(residual: ArrayLike, lags: int = 25, level: float = 0.99) -> Corre
     e = _residual(residual, lags)
     variance = float(e @ e)
     value = np.array([e[:-k] @ e[k:] for k in range(1, lags + 1)]) / variance
-    bound = np.full(lags, float(norm.ppf(0.5 + level / 2.0)) / math.sqrt(e.size))
+    bound = np.full(lags, NormalDist().inv_cdf(0.5 + level / 2.0) / math.sqrt(e.size))
     return Correlation(np.arange(1, lags + 1), value, bound, level)
 
 
@@ -97,7 +101,7 @@ def cross_correlation(residual: ArrayLike, applied: ArrayLike, lags: int = 25, l
     # Far lags of R_e are noise themselves; they are cut where a real correlation has died out.
     reach = min(n - 1, 10 * lags)
     total = ree[0] * ruu[0] + 2.0 * float(ree[1 : reach + 1] @ ruu[1 : reach + 1])
-    width = float(norm.ppf(0.5 + level / 2.0)) * math.sqrt(max(total, 1.0) / n)
+    width = NormalDist().inv_cdf(0.5 + level / 2.0) * math.sqrt(max(total, 1.0) / n)
     return Correlation(np.arange(-lags, lags + 1), value, np.full(2 * lags + 1, width), level)
 
 

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from math import radians
 
 import numpy as np
-from scipy.linalg import LinAlgError, solve_discrete_are
 
 from twodof.errors import ParameterError
 from twodof.models.lti import DelayedStateSpace
@@ -36,6 +35,8 @@ def lqr(
     weights are one over the square of what is acceptable (Bryson's rule); a state whose `largest` is infinite does not
     count. Raises ParameterError where no feedback stabilises the plant and the integral.
     """
+    from scipy.linalg import solve_discrete_are  # imported late: most commands start without it
+
     a, b, c, _ = plant.zero_order_hold(PERIOD).augmented()
     n, size = len(plant.a), len(a)
     y = c[output]
@@ -48,7 +49,7 @@ def lqr(
     moment = np.array([[1.0 / largest_moment**2]])
     try:
         cost = solve_discrete_are(phi, gamma, np.diag(weights), moment)
-    except LinAlgError as reason:
+    except np.linalg.LinAlgError as reason:
         raise _unstable(str(reason)) from reason
     gains = np.linalg.solve(moment + gamma.T @ cost @ gamma, gamma.T @ cost @ phi)[0]
     radius = float(np.abs(np.linalg.eigvals(phi - gamma @ gains[None])).max())

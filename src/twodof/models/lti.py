@@ -6,7 +6,6 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import expm
 
 from twodof.errors import ParameterError
 
@@ -190,6 +189,8 @@ def _first_crossing(time: Array, z: Array, level: float) -> float:
 
 def _held_step(a: Array, b: Array, dt: float) -> tuple[Array, Array]:
     """exp(A dt) and its integral times B, from one exponential (Van Loan 1978), so that A may be singular."""
+    from scipy.linalg import expm  # imported late: most commands start without it
+
     n, m = b.shape
     block = np.zeros((n + m, n + m))
     block[:n, :n], block[:n, n:] = a * dt, b * dt

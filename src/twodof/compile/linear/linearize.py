@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from twodof.blocks.diagram import BASE, Diagram, Rate
 from twodof.blocks.expressions import numbers
@@ -391,6 +390,8 @@ class _Linearization:
 
         start = np.concatenate([states[moving], self.point.input_values(freed)])
         if start.size and self.size:
+            from scipy.optimize import least_squares  # imported late: most commands start without it
+
             best = least_squares(
                 lambda z: evaluated(z)[0], start, lambda z: evaluated(z)[1], xtol=1e-15, ftol=1e-15, gtol=1e-15
             )

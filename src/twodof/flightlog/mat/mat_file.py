@@ -11,8 +11,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.io import loadmat, savemat
-from scipy.io.matlab import MatReadError
 
 from twodof.errors import LogError
 from twodof.flightlog import provenance
@@ -37,6 +35,8 @@ def read_mat(path: str | Path) -> FlightLog:
     """
     data = provenance.read_bytes(path)
     where = str(path)
+    from scipy.io.matlab import MatReadError, loadmat  # imported late: most commands start without it
+
     budget = MemoryBudget(len(data), where)
     held = variables(data, where, budget)
     wanted = [variable for variable in held if _is_channel(variable, where)]
@@ -78,6 +78,8 @@ def write_mat(log: FlightLog, path: str | Path) -> None:
             raise LogError(f"{name!r} cannot name a MATLAB variable", str(path), "rename the channel")
         content[name] = {"timestamp": channel.time[:, None], **_parts(name, channel, str(path))}
     content[_NOTE] = note
+    from scipy.io import savemat  # imported late: most commands start without it
+
     buffer = BytesIO()
     savemat(buffer, content, do_compression=True, long_field_names=True)
     with atomic_write(path) as file:
