@@ -12,7 +12,7 @@ from twodof.gcs import drone
 STUB = Path(__file__).resolve().parents[1] / "src" / "twodof" / "gcs" / "drone.pyi"
 DERIVED = (drone.DroneFiles, drone.DroneLogs, drone.Drone)
 LONGEST = 110
-HEAD = '"""{}\n\nWritten by tools/sync_stub.py: change the asynchronous classes, not this."""\n'
+HEAD = '"""{}\n\nWritten by tools/sync_stub.py: change the asynchronous classes, not this."""'
 DRONE = """    logs: DroneLogs
     files: DroneFiles
 
@@ -33,7 +33,7 @@ def stub() -> str:
         head = f"class {kind.__name__}({base.__name__}):\n{_doc(kind, 4)}"
         classes.append("\n\n".join([head, *([DRONE] if kind is drone.Drone else []), *members]))
     imports = [f"from {module} import {name}" for name, module in sorted(needed.items(), key=lambda row: row[::-1])]
-    return "\n\n".join([HEAD.format(drone.__doc__) + "\nimport numpy as np", "\n".join(imports), *classes]) + "\n"
+    return "\n\n".join([HEAD.format(drone.__doc__), "\n".join(imports), *classes]) + "\n"
 
 
 def _property(name: str, member: property, needed: dict[str, str]) -> str:
@@ -59,13 +59,11 @@ def _method(name: str, member: Any, needed: dict[str, str]) -> str:
 
 def _named(annotation: str, there: Any, needed: dict[str, str]) -> str:
     """The annotation, with the modules of its names noted in `needed`."""
-    known = there.__globals__ | {"AbstractContextManager": None, "DroneRows": None}
+    known = there.__globals__ | {"AbstractContextManager": None}
     for name in re.findall(r"(?<![\w.\"])[A-Za-z_]\w*", annotation):
         if name == "AbstractContextManager":
             needed[name] = "contextlib"
-        elif name == "DroneRows":
-            needed[name] = "twodof.gcs.sync_parts"
-        elif name in known and name != "np":
+        elif name in known:
             needed[name] = known[name].__module__
     return annotation
 

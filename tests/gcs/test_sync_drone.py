@@ -11,7 +11,7 @@ from twodof.gcs import AsyncDrone, Drone
 from twodof.gcs.control.parameters import AsyncParameters
 from twodof.gcs.mavlink.files import AsyncFiles
 from twodof.gcs.mavlink.log_download import AsyncLogs
-from twodof.gcs.sync_parts import DroneParameters, DroneSignal
+from twodof.gcs.sync_drone import DroneParameters, DroneSignal
 from twodof.gcs.telemetry.signals import AsyncSignal
 
 TOOL = Path(__file__).resolve().parents[2] / "tools" / "sync_stub.py"

@@ -18,7 +18,7 @@ from twodof.experiment.script import Script, on_wire, script
 from twodof.flightlog.provenance import versions
 from twodof.gcs.control.active_controller import ActiveController, ParameterChanges
 from twodof.gcs.drone import Drone
-from twodof.gcs.sync_parts import DroneRows
+from twodof.gcs.telemetry.full_rate import BatchRows, TruthRows
 from twodof.gcs.telemetry.recording import safety_row, seconds
 from twodof.gcs.telemetry.status_texts import StatusText
 from twodof.rig.parameters import NAMES
@@ -146,7 +146,7 @@ def fly(
 
 
 @contextmanager
-def _truth(drone: Drone) -> Iterator[DroneRows[np.float64] | None]:
+def _truth(drone: Drone) -> Iterator[TruthRows | None]:
     """The true state of its rig, which nothing on board knows; None where the drone does not tell it."""
     with ExitStack() as stack:
         rows = None
@@ -192,7 +192,7 @@ def _listening(drone: Drone, what: ActiveController) -> Iterator[_Heard]:
     with (
         session.handling(safety, "TWODOF_SAFETY"),
         session.handling(parameter, "PARAM_VALUE"),
-        session.events.handling(StatusText, said),
+        session.handling(said, StatusText),
     ):
         yield heard
 
@@ -217,7 +217,7 @@ class _Course:
     plan: Script
     x_start: float
     drone: Drone
-    rows: DroneRows[np.float32]
+    rows: BatchRows
     stops: Mapping[str, float]
     progress: Progress
     first: int = 0

@@ -17,9 +17,8 @@ from twodof.gcs.flying_drone import FlyingDrone
 from twodof.gcs.mavlink.deadline import Deadline
 from twodof.gcs.mavlink.identity import drawn, identity
 from twodof.gcs.mavlink.session import DroneSession
-from twodof.gcs.telemetry.full_rate import BatchRows
-from twodof.gcs.telemetry.recording import Recording
-from twodof.gcs.telemetry.truth import TruthRows
+from twodof.gcs.telemetry.full_rate import BatchRows, TruthRows
+from twodof.gcs.telemetry.recording import Recording, record
 from twodof.link.connection import Connection
 from twodof.link.mavlink import dialect
 from twodof.link.mavlink.components import GROUND_STATION
@@ -143,8 +142,7 @@ class AsyncDrone(FlyingDrone):
         """
         self._needs_ours("samples at full rate", "TWODOF_BATCH")
         names = tuple(columns)
-        channel_mask(names)  # said here, not when it is entered
-        return self.batches.rows(names)
+        return self.batches.rows(BatchRows(names), channel_mask(names))
 
     def truth(self) -> AbstractAsyncContextManager[TruthRows]:
         """The true state of a virtual rig at the full rate, for `async with`; what is on board never gets it.
@@ -155,7 +153,7 @@ class AsyncDrone(FlyingDrone):
         if self.session.on_board or not self.state.rig.virtual:
             why = "what is on board never gets it" if self.session.on_board else "nobody knows that of a real one"
             raise Rejected(f"the rig's true state: {why}", f"drone {self.session.system}", "go by the estimates")
-        return self.rig_truth.rows()
+        return self.rig_truth.rows(TruthRows())
 
     async def active_controller(self, timeout: float = TIMEOUT_S) -> ActiveController:
         """Which parameters are not at their defaults, and which diagrams fly in place of the stock controllers.
@@ -183,23 +181,8 @@ class AsyncDrone(FlyingDrone):
         """
         if Path(path).suffix.lower() != ".mcap":
             raise LogError("a recording is an MCAP file", str(path), "call it .mcap; write_log makes others of it")
-        rig = self.state.rig
-        about = {
-            "autopilot": self.state.autopilot,
-            "rig": rig.name,
-            "controller": rig.controller,
-            "diagram": f"{rig.diagram:016x}",
-            "seed": rig.seed,
-        }
-        link = {"url": self.session.url, "system": self.session.system, "lockstep": rig.lockstep}
-        return self.recordings.to(
-            path,
-            topics,
-            self.state,
-            {"drone": {**about, **link}, **(provenance or {})},
-            self.active_controller if self.ours else None,
-            overwrite,
-        )
+        flying = self.active_controller if self.ours else None
+        return record(self, path, topics, provenance or {}, flying, overwrite)
 
     async def reset(
         self, seed: int = 1, x: float = 0.0, noise: float = 1.0, rings: bool = False, timeout: float = TIMEOUT_S

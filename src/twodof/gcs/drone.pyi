@@ -2,8 +2,6 @@
 
 Written by tools/sync_stub.py: change the asynchronous classes, not this."""
 
-import numpy as np
-
 from collections.abc import Callable
 from collections.abc import Iterable
 from collections.abc import Mapping
@@ -18,10 +16,11 @@ from twodof.gcs.mavlink.files import FileEntry
 from twodof.gcs.mavlink.log_download import LogEntry
 from twodof.gcs.sync_drone import SyncDrone
 from twodof.gcs.sync_face import SyncFace
-from twodof.gcs.sync_parts import DroneRows
 from twodof.gcs.telemetry.drone_state import BatteryState
 from twodof.gcs.telemetry.drone_state import DroneState
 from twodof.gcs.telemetry.drone_state import DroneVersion
+from twodof.gcs.telemetry.full_rate import BatchRows
+from twodof.gcs.telemetry.full_rate import TruthRows
 from twodof.gcs.telemetry.recording import Recording
 from twodof.gcs.telemetry.status_texts import StatusText
 from twodof.link.statistics import LinkStatistics
@@ -83,7 +82,7 @@ class Drone(SyncDrone):
     def arm(self, timeout: float = 5.0) -> None:
         """Arm it, and see that it is. Raises Rejected with what speaks against it."""
 
-    def batch(self, columns: Iterable[str]) -> AbstractContextManager[DroneRows[np.float32]]:
+    def batch(self, columns: Iterable[str]) -> AbstractContextManager[BatchRows]:
         """Every sample of these columns of signals.TOPICS (`imu.gyro_y`) at the full rate, for `with`.
 
         Raises LinkError for a column that is none.
@@ -219,7 +218,7 @@ class Drone(SyncDrone):
     def tick(self) -> int:
         """Its control period, 4 ms each; in lockstep the first that has not been run."""
 
-    def truth(self) -> AbstractContextManager[DroneRows[np.float64]]:
+    def truth(self) -> AbstractContextManager[TruthRows]:
         """The true state of a virtual rig at the full rate, for `with`; what is on board never gets it.
 
         Raises Rejected by a real drone and for a program on board.

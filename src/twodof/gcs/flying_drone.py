@@ -9,9 +9,8 @@ from math import ceil, inf
 from twodof.errors import ParameterError, Rejected, Timeout, shown
 from twodof.gcs.control import setpoints
 from twodof.gcs.control.setpoints import Setpoint
-from twodof.gcs.drone_base import TIMEOUT_S
+from twodof.gcs.drone_base import TIMEOUT_S, DroneBase
 from twodof.gcs.mavlink.deadline import Deadline
-from twodof.gcs.stoppable_drone import StoppableDrone
 from twodof.link.control_period import TICK_S
 from twodof.link.mavlink.modes import custom_mode
 
@@ -24,7 +23,7 @@ _RINGS = "set-point refused: it moves the cart, and the rings lock it"
 _FOLLOWING = "changing to a mode in which set-points are followed"
 
 
-class FlyingDrone(StoppableDrone):
+class FlyingDrone(DroneBase):
     """A drone that follows set-points; what is refused raises Rejected, and is not flown later either."""
 
     async def arm(self, timeout: float = TIMEOUT_S) -> None:

@@ -1,23 +1,139 @@
-"""What the synchronous drone does in its own way: connecting, leaving, waiting for first values."""
+"""What the synchronous drone does in its own way: connecting, leaving, its parameters, waiting for first values."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping, MutableMapping
+from contextlib import contextmanager
 from pathlib import Path
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 from weakref import WeakSet, finalize
 
-from twodof.errors import Rejected, TwodofError
+from twodof.errors import ParameterError, Rejected, TwodofError
 from twodof.gcs.async_drone import DEFAULT_URL, AsyncDrone
+from twodof.gcs.control.parameter_entry import ParameterDescription, ParameterEntry
+from twodof.gcs.control.parameters import TIMEOUT_S, AsyncParameters
 from twodof.gcs.discovery import FoundDrone, discover
+from twodof.gcs.drone_base import LEAVING_S
 from twodof.gcs.loop_thread import LoopThread
-from twodof.gcs.stoppable_drone import LEAVING_S
 from twodof.gcs.sync_face import SyncFace
-from twodof.gcs.sync_parts import DroneParameters, DroneSignal
+from twodof.gcs.telemetry.signals import (
+    QUEUE,
+    AsyncSignal,
+    Callback,
+    LatestEstimates,
+    SampleStream,
+    TelemetrySample,
+    Value,
+)
 from twodof.link.signing.key import Key
 
 
-class SyncDrone(SyncFace):
+class DroneParameters(MutableMapping[str, float]):
+    """The drone's parameters as a mapping, by its own names or the package's; each access asks the drone.
+
+    Those of a user's controller that flies there are also found by their paths: `["attitude_control.k_q"]`.
+    """
+
+    def __init__(self, there: AsyncParameters, runner: LoopThread) -> None:
+        self._there, self._runner = there, runner
+
+    def __repr__(self) -> str:
+        return f"<parameters of drone {self._there.system}: [name] asks for one, all() for all>"
+
+    def __contains__(self, name: object) -> bool:
+        """Whether the drone has it. Raises LinkLost, Timeout."""
+        return isinstance(name, str) and self.get(name) is not None
+
+    def get(self, name: str, default: Any = None) -> Any:
+        """The value, `default` for one that the drone lacks. Raises LinkLost, Timeout."""
+        try:
+            return self[name]
+        except ParameterError:
+            return default
+
+    def __getitem__(self, name: str) -> float:
+        """Raises ParameterError for one that it lacks, LinkLost, Timeout."""
+        return self._runner.run(self._there.read(name))
+
+    def __setitem__(self, name: str, value: float) -> None:
+        """Raises ParameterError, Rejected, LinkLost, Timeout; then nothing was changed."""
+        self._runner.run(self._there.set(name, value))
+
+    def __delitem__(self, name: str) -> None:
+        raise TypeError("a drone's parameter cannot be removed")
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.all())
+
+    def __len__(self) -> int:
+        return len(self.all())
+
+    def all(self, timeout: float = 30.0) -> dict[str, ParameterEntry]:
+        """Every parameter with its type and, where the package knows it, its row: bounds, unit, text."""
+        return self._runner.run(self._there.all(timeout))
+
+    def describe(self, timeout: float = 30.0) -> dict[str, ParameterDescription]:
+        """Bounds, unit, text and path of each as the drone describes them. Raises Rejected, and what `all` raises."""
+        return self._runner.run(self._there.describe(timeout))
+
+    def change(self, changes: Mapping[str, float], timeout: float = TIMEOUT_S) -> None:
+        """Set several, all or none. Raises ParameterError, Rejected, LinkLost, Timeout."""
+        self._runner.run(self._there.update(changes, timeout))
+
+    def update(self, changes: Any = (), /, **more: float) -> None:
+        """As `change`; also takes what dict.update takes."""
+        self.change({**dict(changes), **more})
+
+    def undo(self, timeout: float = TIMEOUT_S) -> None:
+        """Back to what was before the last change. Raises Rejected, LinkLost, Timeout."""
+        self._runner.run(self._there.undo(timeout))
+
+
+class DroneSignal:
+    """One signal of the drone: latest value, next samples, callbacks."""
+
+    def __init__(self, there: AsyncSignal, runner: LoopThread) -> None:
+        self._there, self._runner = there, runner
+        self.name = there.name
+        self.unit = there.row.unit
+
+    def __repr__(self) -> str:
+        return repr(self._there)
+
+    @property
+    def latest(self) -> TelemetrySample | None:
+        """The latest sample, None if none has come."""
+        return self._there.latest
+
+    @property
+    def value(self) -> Value:
+        """The latest value; the first one is waited for. Raises LinkLost where no newer one will come, Timeout."""
+        return self._there.value if self._there.latest is not None else self._runner.run(self._there.next()).value
+
+    def next(self, timeout: float = 2.0) -> TelemetrySample:
+        """The next sample. Raises LinkLost, Timeout."""
+        return self._runner.run(self._there.next(timeout))
+
+    def on(self, callback: Callback) -> Callable[[], None]:
+        """Call `callback` with each sample, in the drone's thread, quickly; what is returned ends that."""
+        return self._there.on(callback)
+
+    @contextmanager
+    def samples(self, timeout: float = 2.0, size: int = QUEUE) -> Iterator[Iterator[TelemetrySample]]:
+        """Samples from now on, as an iterator; Timeout after `timeout` [s] without one. `size` wait at most."""
+        manager = self._there.stream(size, timeout)
+        stream = self._runner.call(manager.__enter__)
+        try:
+            yield self._each(stream)
+        finally:
+            self._runner.call(lambda: manager.__exit__(None, None, None))
+
+    def _each(self, stream: SampleStream) -> Iterator[TelemetrySample]:
+        while True:
+            yield self._runner.run(stream.next())
+
+
+class SyncDrone(LatestEstimates, SyncFace):
     """A drone that a thread of its own flies for a script."""
 
     there: AsyncDrone
@@ -95,30 +211,6 @@ class SyncDrone(SyncFace):
         finally:
             self._open.discard(self)
             self._runner.close()
-
-    @property
-    def theta(self) -> float:
-        """The latest estimate of the pitch [rad]; the first one is waited for. Raises LinkLost, Timeout."""
-        return self._scalar("estimate.theta")
-
-    @property
-    def q(self) -> float:
-        """The latest estimate of the pitch rate [rad/s], as `theta`."""
-        return self._scalar("estimate.q")
-
-    @property
-    def x(self) -> float:
-        """The latest estimate of the position along the rail [m], as `theta`."""
-        return self._scalar("estimate.x")
-
-    @property
-    def v(self) -> float:
-        """The latest estimate of the velocity along the rail [m/s], as `theta`."""
-        return self._scalar("estimate.v")
-
-    def _scalar(self, name: str) -> float:
-        value = self.telemetry(name).value
-        return value[0] if isinstance(value, tuple) else value
 
     def telemetry(self, name: str) -> DroneSignal:
         """A signal by its name (`estimate.q`) or .mat channel (`q`). Raises LogError if there is none."""

@@ -13,16 +13,9 @@ from typing import Any, TypeVar
 
 from twodof.errors import TwodofError
 from twodof.gcs.loop_thread import LoopThread
-from twodof.gcs.sync_parts import DroneRows
-from twodof.gcs.telemetry.sample_rows import SampleRows
 
 Kind = TypeVar("Kind", bound=type)
 _CONTEXT = "AbstractAsyncContextManager"
-_SYNCHRONOUS = {
-    "[BatchRows]": "[DroneRows[np.float32]]",
-    "[TruthRows]": "[DroneRows[np.float64]]",
-    _CONTEXT: "AbstractContextManager",
-}
 
 
 class SyncFace:
@@ -44,7 +37,7 @@ class SyncFace:
 
         entered = self._runner.run(enter())
         try:
-            yield DroneRows(entered, self._runner) if isinstance(entered, SampleRows) else entered
+            yield entered
         except BaseException as error:
             with suppress(TwodofError):  # what went wrong in the block says more
                 self._runner.run(leave(type(error), error, error.__traceback__))
@@ -82,9 +75,7 @@ def _method(there: Any) -> Any:
             return self._within(there(self.there, *args, **named))
         return self._runner.call(lambda: there(self.there, *args, **named))
 
-    returned = str(signature.return_annotation)
-    for old, new in _SYNCHRONOUS.items():
-        returned = returned.replace(old, new)
+    returned = str(signature.return_annotation).replace(_CONTEXT, "AbstractContextManager")
     call.__doc__ = (there.__doc__ or "").replace("`async with`", "`with`")
     call.__signature__ = signature.replace(return_annotation=returned)  # type: ignore[attr-defined]
     return call

@@ -18,8 +18,10 @@ from twodof.link.mavlink.messages import excite, message
 LOOPS = ("M", "q", "theta", "v", "x")
 """By TWODOF_LOOP: what is excited; the loops below it are closed."""
 UNITS = ("-", "rad/s", "rad", "m/s", "m")
-_READY, _PLAYING, _DONE, _STOPPED, _REFUSED = 2, 3, 4, 5, 6
+_READY, _REFUSED = 2, 6
+_STATES = {3: "playing", 4: "done", 5: "stopped", _REFUSED: "stopped"}
 _START, _STOP = 1, 2
+_STATUS = ("TWODOF_EXCITE_STATUS",)
 _OVER = ("done", "stopped")
 # Status comes at each change and at 1 Hz; in real time it is believed to be over so long after its end.
 _LATE_TICKS = 500
@@ -48,7 +50,7 @@ class ExcitationPlayer:
         self._session, self._clock = session, clock
         self._transfers = count(1)
         self._playback: ExcitationPlayback | None = None
-        session.on(self._told, "TWODOF_EXCITE_STATUS")
+        session.on(self._told, *_STATUS)
 
     async def start(
         self, excitation: Excitation, loop: str | None, thrust: float | None, at: int | None, timeout: float
@@ -68,22 +70,27 @@ class ExcitationPlayer:
             thrust=nan if thrust is None else float(thrust),
             **self._session.target,
         )
-        # It may be over before who asked runs on: what is told meanwhile is kept too.
-        before, told = self._playback, ExcitationPlayback(transfer, 0, 0)
-        self._playback = told
+        meant = self._clock.meant
+
+        def begun(got: Any) -> tuple[int, int] | None:
+            if got.transfer != transfer:
+                return None
+            if got.state == _REFUSED:
+                raise _refusal(got, "excitation")
+            waits = got.state == _READY and got.end_tick > got.start_tick and at in (None, 0, meant(got.start_tick))
+            return (meant(got.start_tick), meant(got.end_tick)) if waits or got.state in _STATES else None
+
+        # It may be over before who asked runs on: `_told` keeps what is told meanwhile.
+        before, playback = self._playback, ExcitationPlayback(transfer, 0, 0)
+        self._playback = playback
         try:
-            playback = await self._session.ask(
-                lambda _: start, ("TWODOF_EXCITE_STATUS",), lambda got: _begun(got, transfer, at, self._clock), deadline
-            )
+            first, end = await self._session.ask(lambda _: start, _STATUS, begun, deadline)
         except BaseException:
             self._playback = before
             raise
-        if told.state != "waiting":
-            playback.state, playback.reason = told.state, told.reason
         # The drone may not make us wait for longer than it plays.
         longest = ceil(excitation.duration / TICK_S) + 1
-        playback.end_tick = min(playback.end_tick, max(playback.start_tick, self._clock.tick) + longest)
-        self._playback = playback
+        playback.start_tick, playback.end_tick = first, min(end, max(first, self._clock.tick) + longest)
         return playback
 
     async def finish(self, playback: ExcitationPlayback) -> ExcitationPlayback:
@@ -103,7 +110,7 @@ class ExcitationPlayer:
         if playback is None:
             session.send(asked)
             return
-        with session.listen("TWODOF_EXCITE_STATUS") as heard:
+        with session.listen(*_STATUS) as heard:
             while playback.state not in _OVER:
                 session.send(asked)
                 if self._clock.granting:
@@ -119,27 +126,27 @@ class ExcitationPlayer:
     async def _send(self, excitation: Excitation, loop: int, transfer: int, deadline: Deadline) -> bool:
         """Have the definition on board; False where another session has played it under this number."""
         session = self._session
-        with session.listen("TWODOF_EXCITE_STATUS") as heard:
-            while True:
-                for piece in excite(excitation, loop, transfer, session.system, session.component):
-                    session.send(piece)
-                until = min(deadline.end, session.now + RETRY_S)
-                while (got := await heard.next(until)) is not None:
-                    if got.transfer == transfer and got.state == _REFUSED:
-                        raise _refusal(got, deadline.where)
-                    if got.transfer == transfer and got.state in (_READY, _DONE, _STOPPED):
-                        return bool(got.state == _READY)
-                    deadline.check()
-                deadline.check()
+
+        def question(_: int) -> Any:
+            *pieces, last = excite(excitation, loop, transfer, session.system, session.component)
+            for piece in pieces:
+                session.send(piece)
+            return last
+
+        def answer(got: Any) -> bool | None:
+            if got.transfer != transfer:
+                return None
+            if got.state == _REFUSED:
+                raise _refusal(got, deadline.where)
+            return True if got.state == _READY else False if _STATES.get(got.state) in _OVER else None
+
+        return await session.ask(question, _STATUS, answer, deadline)
 
     def _told(self, got: Any) -> None:
         playback = self._playback
         if playback is not None and got.transfer == playback.transfer:
-            if got.state == _PLAYING:
-                playback.state = "playing"
-            elif got.state in (_DONE, _STOPPED, _REFUSED):
-                playback.state = "done" if got.state == _DONE else "stopped"
-                playback.reason = str(got.reason)
+            playback.state = _STATES.get(got.state, playback.state)
+            playback.reason = str(got.reason)
 
 
 def loop_number(excitation: Excitation, loop: str | None) -> int:
@@ -156,19 +163,5 @@ def loop_number(excitation: Excitation, loop: str | None) -> int:
     return LOOPS.index(loop)
 
 
-def _begun(got: Any, transfer: int, at: int | None, clock: DroneClock) -> ExcitationPlayback | None:
-    if got.transfer != transfer:
-        return None
-    if got.state == _REFUSED:
-        raise _refusal(got, "")
-    starts = got.state in (_PLAYING, _DONE, _STOPPED)
-    waits = got.state == _READY and got.end_tick > got.start_tick and at in (None, 0, clock.meant(got.start_tick))
-    if not (starts or waits):
-        return None
-    states = {_PLAYING: "playing", _DONE: "done", _STOPPED: "stopped"}
-    start, end = clock.meant(got.start_tick), clock.meant(got.end_tick)
-    return ExcitationPlayback(transfer, start, end, states.get(got.state, "waiting"), str(got.reason))
-
-
 def _refusal(got: Any, where: str) -> Rejected:
-    return Rejected(str(got.reason) or "the drone does not play it", where or "excitation", "put right what it says")
+    return Rejected(str(got.reason) or "the drone does not play it", where, "put right what it says")

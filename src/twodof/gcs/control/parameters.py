@@ -29,6 +29,7 @@ from twodof.gcs.telemetry.status_texts import StatusTexts
 from twodof.link.mavlink.messages import float_of_int, message
 
 HASH = "_HASH_CHECK"
+TIMEOUT_S = 5.0
 SILENCE_S = 1.0
 """Another's PX4 says nothing of a name that it has not: after so long [s] it is asked for all that it has."""
 DESCRIPTION = "/etc/extras/parameters.json"
@@ -54,18 +55,9 @@ class AsyncParameters:
     What is known is forgotten when the drone says that its list is another: other controllers fly.
     """
 
-    def __init__(
-        self,
-        session: DroneSession,
-        files: AsyncFiles | None = None,
-        texts: StatusTexts | None = None,
-        timeout: float = 5.0,
-    ) -> None:
-        self._session = session
-        self._files = files
-        self._texts = texts
+    def __init__(self, session: DroneSession, files: AsyncFiles, texts: StatusTexts) -> None:
+        self._session, self._files, self._texts = session, files, texts
         self._spoken = 0  # lines that it had said when a change was begun
-        self._timeout = timeout
         self.known: dict[str, ParameterEntry] = {}
         self._described: dict[str, ParameterDescription] = {}
         self._paths: dict[str, str] = {}
@@ -84,16 +76,16 @@ class AsyncParameters:
         """The drone's system id."""
         return self._session.system
 
-    async def read(self, name: str, timeout: float | None = None) -> float:
+    async def read(self, name: str, timeout: float = TIMEOUT_S) -> float:
         """The value of one, as the drone says now. Raises ParameterError for one that it lacks, LinkLost, Timeout."""
-        deadline = self._deadline(timeout, f"reading {shown(name)}")
+        deadline = self._session.deadline(timeout, f"reading {shown(name)}")
         return (await self._ask(await self._on_board(name, deadline), deadline)).value
 
-    async def set(self, name: str, value: float, timeout: float | None = None) -> None:
+    async def set(self, name: str, value: float, timeout: float = TIMEOUT_S) -> None:
         """Set one and see that it is set. Raises as `update`."""
         await self.update({name: value}, timeout)
 
-    async def update(self, changes: Mapping[str, float], timeout: float | None = None) -> None:
+    async def update(self, changes: Mapping[str, float], timeout: float = TIMEOUT_S) -> None:
         """Set several, all or none. Raises ParameterError for a value that cannot be, Rejected, LinkLost, Timeout.
 
         A drone of ours takes them in one transaction, at one tick; with another's, those that were set are set back
@@ -101,7 +93,7 @@ class AsyncParameters:
         """
         if not changes:
             return
-        deadline = self._deadline(timeout, f"setting {listed(changes, 3)}")
+        deadline = self._session.deadline(timeout, f"setting {listed(changes, 3)}")
         async with self._alone(deadline):
             await self._update(changes, deadline)
 
@@ -113,7 +105,7 @@ class AsyncParameters:
         if len({entry.name for entry in entries}) < len(entries):
             raise ParameterError("a parameter is given twice", listed(changes), "nothing was changed")
         wanted = [
-            (entry, checked(self._with_row(entry), value))
+            (entry, checked(entry._replace(described=self._described.get(entry.name)), value))
             for entry, value in zip(entries, changes.values(), strict=True)
         ]
         if self.transactions and len(wanted) > 1:
@@ -123,9 +115,9 @@ class AsyncParameters:
         else:
             await self._one_by_one(wanted, deadline)
 
-    async def undo(self, timeout: float | None = None) -> None:
+    async def undo(self, timeout: float = TIMEOUT_S) -> None:
         """Back to what was before the last change. Raises Rejected, LinkLost, Timeout."""
-        deadline = self._deadline(timeout, "undoing the last change of parameters")
+        deadline = self._session.deadline(timeout, "undoing the last change of parameters")
         if not self.transactions:
             raise Rejected("it keeps no changes to undo: it is not one of ours", deadline.where, "set them back")
         async with self._alone(deadline):
@@ -133,7 +125,7 @@ class AsyncParameters:
 
     async def all(self, timeout: float = 30.0) -> dict[str, ParameterEntry]:
         """Every parameter, by the drone's names. Raises LinkLost, Timeout."""
-        found = await self._list(self._deadline(timeout, "listing the parameters"))
+        found = await self._list(self._session.deadline(timeout, "listing the parameters"))
         return {name: entry._replace(described=self._described.get(name)) for name, entry in found.items()}
 
     async def describe(self, timeout: float = 30.0) -> dict[str, ParameterDescription]:
@@ -141,7 +133,7 @@ class AsyncParameters:
 
         Raises Rejected for a drone that is not one of ours or describes nothing, LinkLost, Timeout.
         """
-        await self._describe(self._deadline(timeout, "asking for the description of the parameters"))
+        await self._describe(self._session.deadline(timeout, "asking for the description of the parameters"))
         return dict(self._described)
 
     def forget(self) -> None:
@@ -189,7 +181,7 @@ class AsyncParameters:
         return {found[index].name: found[index] for index in sorted(found)}
 
     async def _describe(self, deadline: Deadline) -> None:
-        if self._files is None or not self.transactions:
+        if not self.transactions:
             raise Rejected("it describes no parameters to us: it is not one of ours", deadline.where, "list them")
         content = await self._files.read(DESCRIPTION, deadline.left)
         try:
@@ -234,9 +226,8 @@ class AsyncParameters:
                 )
             return True
 
-        await self._session.ask(
-            lambda _: self._set_message(entry, value), ("PARAM_VALUE", "PARAM_ERROR"), accept, deadline
-        )
+        asked = self._set_message(entry, value)
+        await self._session.ask(lambda _: asked, ("PARAM_VALUE", "PARAM_ERROR"), accept, deadline)
 
     async def _together(self, wanted: list[tuple[ParameterEntry, float]], deadline: Deadline) -> None:
         """All at once. What is overtaken on the way is said again; the same number is done once only."""
@@ -274,15 +265,9 @@ class AsyncParameters:
     @asynccontextmanager
     async def _alone(self, deadline: Deadline) -> AsyncIterator[None]:
         """Let one change go on at a time: what is set during a transaction would be a part of it."""
-        try:
-            await asyncio.wait_for(self._changing.acquire(), deadline.left)
-        except TimeoutError:
-            raise deadline.error("another call on this drone changes parameters: wait for it") from None
-        self._spoken = self._texts.count if self._texts is not None else 0
-        try:
+        async with deadline.turn(self._changing, "another call on this drone changes parameters: wait for it"):
+            self._spoken = self._texts.count
             yield
-        finally:
-            self._changing.release()
 
     async def _on_board(self, name: str, deadline: Deadline) -> str:
         """What the drone calls it, of which a path in a diagram is asked for. Raises ParameterError for none."""
@@ -300,7 +285,7 @@ class AsyncParameters:
             return await self._ask_for(name, deadline)
         try:
             # Even if all is listed: PX4 lists what is in use, and knows others by their names.
-            return await self._ask_for(name, self._deadline(min(SILENCE_S, deadline.left), deadline.doing))
+            return await self._ask_for(name, self._session.deadline(min(SILENCE_S, deadline.left), deadline.doing))
         except Timeout:
             pass
         try:
@@ -316,7 +301,7 @@ class AsyncParameters:
         return found
 
     async def _ask_for(self, name: str, deadline: Deadline) -> ParameterEntry:
-        if not isinstance(name, str) or not name.isascii() or not 1 <= len(name) <= 16:
+        if not name.isascii() or not 1 <= len(name) <= 16:
             raise ParameterError(
                 f"{shown(name)} is not a name of 1 to 16 ASCII characters",
                 "parameters",
@@ -329,12 +314,8 @@ class AsyncParameters:
                 return None
             return entry_of(got) if got.param_id == name else None
 
-        return await self._session.ask(
-            lambda _: message("PARAM_REQUEST_READ", param_id=name, param_index=-1, **self._session.target),
-            ("PARAM_VALUE", "PARAM_ERROR"),
-            accept,
-            deadline,
-        )
+        asked = message("PARAM_REQUEST_READ", param_id=name, param_index=-1, **self._session.target)
+        return await self._session.ask(lambda _: asked, ("PARAM_VALUE", "PARAM_ERROR"), accept, deadline)
 
     def _refused(self, got: Any, name: str) -> None:
         if got.param_id != name or not got.error:
@@ -345,8 +326,9 @@ class AsyncParameters:
 
     def _why(self, name: str, error: int) -> str:
         """Why a change is refused: what the drone said last of it, or what its number says."""
-        said = self._texts.since(self._spoken) if self._texts is not None else []
-        return f"{name}: {said[-1].text if said else _error(error)}"
+        said = self._texts.since(self._spoken)
+        words = _ERRORS[error] if error < len(_ERRORS) else f"error {error}"
+        return f"{name}: {said[-1].text if said else words}"
 
     def _unknown(self, name: str) -> ParameterError:
         """That the drone lacks `name`, with the nearest names that it has."""
@@ -355,9 +337,6 @@ class AsyncParameters:
         near = [names[one] for one in get_close_matches(name.casefold(), names, 3, 0.5)]
         remedy = f"the nearest: {', '.join(near)}" if near else "parameters.all() lists them"
         return ParameterError("the drone has no such parameter", name, remedy)
-
-    def _with_row(self, entry: ParameterEntry) -> ParameterEntry:
-        return entry._replace(described=self._described.get(entry.name))
 
     def _flies(self, got: Any) -> None:
         if self._flown not in (None, got.diagram):
@@ -378,10 +357,3 @@ class AsyncParameters:
         return message(
             "PARAM_SET", param_id=entry.name, param_value=carried, param_type=entry.kind, **self._session.target
         )
-
-    def _deadline(self, timeout: float | None, doing: str) -> Deadline:
-        return self._session.deadline(self._timeout if timeout is None else timeout, doing)
-
-
-def _error(number: int) -> str:
-    return _ERRORS[number] if number < len(_ERRORS) else f"error {number}"

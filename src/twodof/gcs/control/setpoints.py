@@ -12,8 +12,7 @@ from math import degrees, isfinite, nan, pi
 from typing import Any
 
 from twodof.errors import LinkLost, ParameterError, shown
-from twodof.gcs.mavlink.clock import SETPOINT_TICKS, DroneClock
-from twodof.gcs.mavlink.events import SliceStarts
+from twodof.gcs.mavlink.clock import SETPOINT_TICKS, DroneClock, SliceStarts
 from twodof.gcs.mavlink.session import DroneSession
 from twodof.link.control_period import TICK_MS
 from twodof.link.mavlink.messages import message
@@ -129,7 +128,7 @@ class SetpointStream:
         self.sent = 0
         self._next_tick = 0
         self._streaming: asyncio.Task[None] | None = None
-        session.events.on(SliceStarts, self._slice)
+        session.on(self._slice, SliceStarts)
 
     def hold(self, setpoint: Setpoint) -> None:
         """Send it now and keep sending it. Raises LinkLost."""

@@ -4,11 +4,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import count
 from math import inf
-from typing import Any
+from typing import Any, NamedTuple
 
 from twodof.errors import Rejected, Timeout
 from twodof.gcs.mavlink.deadline import Deadline
-from twodof.gcs.mavlink.events import DroneRestarted, SliceStarts
 from twodof.gcs.mavlink.session import DroneSession
 from twodof.link.control_period import TICK_MS, TICK_S
 from twodof.link.mavlink.messages import message
@@ -36,6 +35,17 @@ _STAMPS, _TICKS = (1 << 32) // TICK_MS, 1 << 32
 _MOST_AHEAD = 900_000
 # After a reset of ours what was sent before it may still come.
 RESET_SETTLES_S = 3.0
+
+
+class DroneRestarted(NamedTuple):
+    """An event: the drone's time has gone back although nobody here has asked for that."""
+
+
+class SliceStarts(NamedTuple):
+    """An event: in lockstep the ticks from `tick` to `until` (not included) are granted next."""
+
+    tick: int
+    until: int
 
 
 class DroneClock:
@@ -108,7 +118,7 @@ class DroneClock:
             await self._grant(until, deadline, inf if patience is None else min(SLICE_WALL_S, most))
 
     async def _grant(self, until: int, deadline: Deadline, still: float) -> None:
-        self._session.events.emit(SliceStarts(self.tick, until))
+        self._session.emit(SliceStarts(self.tick, until))
         slowest = still + SLOWEST_LOCKSTEP * (until - self.tick) * TICK_S
         if slowest < deadline.left:
             deadline = Deadline(slowest, f"granting time up to tick {until}", deadline.where)
@@ -151,7 +161,7 @@ class DroneClock:
         """Another number than before: in the first second of a drone its stamps do not show that it has restarted."""
         before, self._start = self._start, got.start
         if before and got.start not in (0, before) and self._session.lost is None:
-            self._session.events.emit(DroneRestarted())
+            self._session.emit(DroneRestarted())
 
     def _stamped(self, got: Any) -> None:
         self._to(self._meant(got.time_boot_ms // TICK_MS, _STAMPS))
@@ -176,7 +186,7 @@ class DroneClock:
             self._older += 1
             long = self.granting or now - self._older_since >= RESTART_SEEN_S
             if self._older >= STAMPS_OF_A_RESTART and long and self._session.lost is None:
-                self._session.events.emit(DroneRestarted())
+                self._session.emit(DroneRestarted())
         elif not self.granting:
             self.tick = tick
 

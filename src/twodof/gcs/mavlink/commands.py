@@ -66,15 +66,8 @@ class CommandSender:
         deadline = self._session.deadline(timeout, doing)
         number = number_of(command)
         turn = self._turns.setdefault(number, asyncio.Lock())
-        try:
-            async with asyncio.timeout(timeout):
-                await turn.acquire()
-        except TimeoutError as error:
-            raise deadline.error("another call of the same kind did not end in time") from error
-        try:
+        async with deadline.turn(turn, "another call of the same kind did not end in time"):
             return await self._run(number, values, deadline)
-        finally:
-            turn.release()
 
     async def _run(self, number: int, values: Sequence[float], deadline: Deadline) -> Any:
         session, spoken = self._session, self._texts.count

@@ -1,6 +1,8 @@
 """When a call ends, and how it says that it did not succeed."""
 
 import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 
 from twodof.errors import Timeout
 
@@ -23,6 +25,19 @@ class Deadline:
     def error(self, remedy: str = "ask again, or give it more time") -> Timeout:
         """What to raise once it has passed."""
         return Timeout(f"{self.doing}: no answer within {self.seconds:.3g} s", self.where, remedy)
+
+    @asynccontextmanager
+    async def turn(self, lock: asyncio.Lock, remedy: str) -> AsyncIterator[None]:
+        """Hold `lock` during the block. Raises Timeout with the `remedy` where it does not become free in time."""
+        try:
+            async with asyncio.timeout(self.left):
+                await lock.acquire()
+        except TimeoutError:
+            raise self.error(remedy) from None
+        try:
+            yield
+        finally:
+            lock.release()
 
     def check(self) -> None:
         """Raises Timeout once it has passed."""

@@ -79,7 +79,10 @@ class LeaseClient:
             if over:  # where time stands still it ends only for who asks for it
                 return
             await self._session.ask(
-                lambda attempt: self._commands.request_of("TWODOF_LEASE", attempt), _ANSWER, self._seen, deadline
+                lambda attempt: self._commands.request_of("TWODOF_LEASE", attempt),
+                _ANSWER,
+                lambda got: got.action == STATE or None,
+                deadline,
             )
 
     def _theirs(self, deadline: Deadline, how: str) -> Rejected:
@@ -118,7 +121,9 @@ class LeaseClient:
         self.stop()
         if self.ours:
             deadline = self._session.deadline(timeout, "giving up the lease")
-            await self._session.ask(lambda _: self._message(GIVE_UP), _ANSWER, self._gone, deadline)
+            await self._session.ask(
+                lambda _: self._message(GIVE_UP), _ANSWER, lambda _: not self.ours or None, deadline
+            )
 
     def stop(self) -> None:
         """Renew it no more; what we withheld ends with it."""
@@ -127,16 +132,11 @@ class LeaseClient:
             self._renewing.cancel()
             self._renewing = None
 
-    def renew(self) -> None:
-        """Renew it now."""
-        if self.wanted:
-            self._session.send(self._message(ASK))
-
     async def _renew(self) -> None:
         with suppress(LinkLost, Timeout):  # the next call says so
             while True:
                 await asyncio.sleep(RENEW_S)
-                self.renew()
+                self._session.send(self._message(ASK))
 
     def _message(self, action: int) -> Any:
         duration = DURATION_MS if action == ASK else 0
@@ -154,9 +154,3 @@ class LeaseClient:
     def _granted(self, got: Any) -> bool | None:
         """Whether it is ours, once somebody has it."""
         return self.ours if got.action == STATE and self.holder is not None else None
-
-    def _seen(self, got: Any) -> bool | None:
-        return True if got.action == STATE else None
-
-    def _gone(self, got: Any) -> bool | None:
-        return None if self.ours else True

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from twodof.errors import LogError
 from twodof.flightlog.atomic import atomic_write, check_free
@@ -71,47 +71,38 @@ class AsyncLogs:
         where = f"drone {self._session.system}, log {entry.number}"
         if not 0 < entry.size <= LARGEST:
             raise LogError(f"{entry.size} bytes", where, f"1 to {LARGEST} bytes are brought down")
-        data = await self._bytes(entry, Deadline(timeout, "bringing a log down", where), where, progress)
+        data = await self._bytes(entry, Deadline(timeout, "bringing a log down", where), progress)
         with atomic_write(path) as file:
             file.write(data)
         return Path(path)
 
-    async def _bytes(
-        self, entry: LogEntry, deadline: Deadline, where: str, progress: Callable[[int, int], None] | None
-    ) -> bytes:
-        data = bytearray(entry.size)
+    async def _bytes(self, entry: LogEntry, deadline: Deadline, progress: Callable[[int, int], None] | None) -> bytes:
+        """Asks for PIECES at once from the first that is missing on, and again where nothing more comes."""
+        session, data = self._session, bytearray(entry.size)
         missing = set(range(0, entry.size, PIECE))
         try:
-            with self._session.listen("LOG_DATA") as heard:
+            with session.listen("LOG_DATA") as heard:
+                stalled = Deadline(min(STALLED_S, deadline.left), deadline.doing, deadline.where)
                 while missing:
-                    await self._window(entry, data, missing, heard, deadline, where)
+                    first = min(missing)
+                    wanted = {at for at in missing if at < first + PIECES * PIECE}
+                    count = min(max(wanted) + PIECE, entry.size) - first
+                    session.send(message("LOG_REQUEST_DATA", id=entry.number, ofs=first, count=count, **session.target))
+                    while wanted and (got := await heard.next(min(stalled.end, session.now + RETRY_S))) is not None:
+                        if (
+                            got.id == entry.number
+                            and got.ofs in wanted
+                            and got.count == min(PIECE, entry.size - got.ofs)
+                        ):
+                            data[got.ofs : got.ofs + got.count] = bytes(got.data[: got.count])
+                            wanted.discard(got.ofs)
+                            missing.discard(got.ofs)
+                            stalled = Deadline(min(STALLED_S, deadline.left), deadline.doing, deadline.where)
+                        stalled.check()
+                    stalled.check()
                     if progress is not None:
                         progress(entry.size - sum(min(PIECE, entry.size - at) for at in missing), entry.size)
         finally:
-            if self._session.lost is None:
-                self._session.send(message("LOG_REQUEST_END", **self._session.target))
+            if session.lost is None:
+                session.send(message("LOG_REQUEST_END", **session.target))
         return bytes(data)
-
-    async def _window(
-        self, entry: LogEntry, data: bytearray, missing: set[int], heard: Any, deadline: Deadline, where: str
-    ) -> None:
-        """Ask for the pieces from the first that is missing on, until those of a window are there or nothing comes."""
-        first = min(missing)
-        wanted = {at for at in missing if at < first + PIECES * PIECE}
-        stalled = Deadline(min(STALLED_S, deadline.left), "bringing a log down", where)
-        while wanted:
-            at = min(wanted)
-            count = min(max(wanted) + PIECE, entry.size) - at
-            self._session.send(
-                message("LOG_REQUEST_DATA", id=entry.number, ofs=at, count=count, **self._session.target)
-            )
-            before = len(wanted)
-            while wanted and (got := await heard.next(min(stalled.end, self._session.now + RETRY_S))) is not None:
-                if got.id == entry.number and got.ofs in wanted and got.count == min(PIECE, entry.size - got.ofs):
-                    data[got.ofs : got.ofs + got.count] = bytes(got.data[: got.count])
-                    wanted.discard(got.ofs)
-                    missing.discard(got.ofs)
-                stalled.check()
-            if len(wanted) < before:
-                stalled = Deadline(min(STALLED_S, deadline.left), "bringing a log down", where)
-            stalled.check()

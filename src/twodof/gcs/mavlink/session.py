@@ -10,11 +10,10 @@ from collections import deque
 from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager, suppress
 from itertools import count
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from twodof.errors import LinkLost, TwodofError
 from twodof.gcs.mavlink.deadline import Deadline
-from twodof.gcs.mavlink.events import EventBus, ProgramPaused
 from twodof.link.connection import Connection, Received
 from twodof.link.mavlink.components import AUTOPILOT, NO_AUTOPILOT
 from twodof.link.mavlink.messages import message
@@ -34,18 +33,26 @@ Handler = Callable[[Any], None]
 T = TypeVar("T")
 
 
-class MessageListener:
-    """Messages of some kinds, as they came, for one call."""
+class ProgramPaused(NamedTuple):
+    """An event: this program stood still for so long [s], longer than a drone may be silent."""
 
-    def __init__(self, session: "DroneSession", names: tuple[str, ...]) -> None:
+    seconds: float
+
+
+class MessageListener:
+    """Messages of some kinds, as they came, for one call; the oldest goes, and is counted, where too many wait."""
+
+    def __init__(self, session: "DroneSession", names: tuple[str, ...] = (), size: int = MOST_WAITING) -> None:
         self._session = session
         self.names = names
-        self._messages: deque[Any] = deque(maxlen=MOST_WAITING)
+        self.lost = 0
+        self._messages: deque[Any] = deque(maxlen=size)
         self._waiter: asyncio.Future[None] | None = None
         self.since = session.now
 
     def take(self, got: Any) -> None:
         """One more."""
+        self.lost += len(self._messages) == self._messages.maxlen
         self._messages.append(got)
         self.wake()
 
@@ -93,9 +100,8 @@ class DroneSession:
         self._sought: int | None = None
         self.heard_at = self._last_heard = self._awake = self._loop.time()
         """When the vehicle was heard last, by the loop's clock [s]."""
-        self.events = EventBus()
         self._lost: LinkLost | None = None
-        self._handlers: dict[str, list[Handler]] = {}
+        self._handlers: dict[str | type, list[Handler]] = {}
         self._listeners: list[MessageListener] = []
         self._tasks = [self._loop.create_task(work) for work in (self._receive(), self._beat())]
 
@@ -158,19 +164,27 @@ class DroneSession:
                     return f": {number} frames came, of the first {verdict.value}", "set both clocks"
         return "", "start it, correct the address or the key, or look with Drone.discover()"
 
-    def on(self, handler: Handler, *names: str) -> None:
-        """Hand each message of these kinds from the vehicle to `handler`, which must be quick; none before `find`."""
-        for name in names:
-            self._handlers.setdefault(name, []).append(handler)
+    def on(self, handler: Handler, *kinds: str | type) -> None:
+        """Hand each message of these names from the vehicle, or event of these types, to `handler`.
+
+        It must be quick. No message is handed on before `find`.
+        """
+        for kind in kinds:
+            self._handlers.setdefault(kind, []).append(handler)
 
     @contextmanager
-    def handling(self, handler: Handler, name: str) -> Iterator[None]:
+    def handling(self, handler: Handler, kind: str | type) -> Iterator[None]:
         """As `on`, until the end of the block."""
-        self.on(handler, name)
+        self.on(handler, kind)
         try:
             yield
         finally:
-            self._handlers[name].remove(handler)
+            self._handlers[kind].remove(handler)
+
+    def emit(self, event: object) -> None:
+        """Hand an event to those that wait for its type."""
+        for handler in [*self._handlers.get(type(event), ())]:
+            handler(event)
 
     @contextmanager
     def listen(self, *names: str) -> Iterator[MessageListener]:
@@ -248,7 +262,7 @@ class DroneSession:
             self._last_heard = min(self.now, self._last_heard + paused - HEARTBEAT_S)
             self._awake = self.now
             if paused > SILENT_S:
-                self.events.emit(ProgramPaused(paused))
+                self.emit(ProgramPaused(paused))
 
     async def close(self) -> None:
         """End the session and close the link; a second time does nothing."""

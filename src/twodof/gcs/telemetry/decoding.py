@@ -23,18 +23,18 @@ def _pitch(q: Sequence[float]) -> float:
     return asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x))))
 
 
-def _volts(cells: Sequence[int]) -> float:
+def volts(cells: Sequence[int]) -> float:
     """Voltage of a pack [V] of its cells' [mV]; NaN where none is known."""
     known = [one for one in cells if one != 0xFFFF]
     return sum(known) / 1000.0 if known else nan
 
 
-def _share(percent: int) -> float:
+def share(percent: int) -> float:
     """A percentage as a share of 1; NaN where it is unknown (-1)."""
     return percent / 100.0 if percent >= 0 else nan
 
 
-_FUNCTIONS: Mapping[str, Callable[[Any], float]] = {"pitch": _pitch, "volts": _volts, "share": _share}
+_FUNCTIONS: Mapping[str, Callable[[Any], float]] = {"pitch": _pitch, "volts": volts, "share": share}
 """What `signals.TOPICS` calls a function of a message's field."""
 _STAMPS: Mapping[str, Callable[[Any], float]] = {
     "time_usec": lambda got: got.time_usec * 1e-6,

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from twodof.gcs.mavlink.session import DroneSession
+from twodof.gcs.telemetry.decoding import share, volts
 from twodof.link.mavlink import dialect
 from twodof.link.mavlink.modes import mode_name
 
@@ -134,13 +135,10 @@ class StateTracker:
 
     def _status(self, got: Any) -> None:
         if got.voltage_battery not in (0, 0xFFFF):
-            charge = got.battery_remaining / 100.0 if got.battery_remaining >= 0 else float("nan")
-            self._change(battery=BatteryState(got.voltage_battery / 1000.0, charge))
+            self._change(battery=BatteryState(got.voltage_battery / 1000.0, share(got.battery_remaining)))
 
     def _battery(self, got: Any) -> None:
-        cells = [one for one in got.voltages if one != 0xFFFF]
-        charge = got.battery_remaining / 100.0 if got.battery_remaining >= 0 else float("nan")
-        self._change(battery=BatteryState(sum(cells) / 1000.0 if cells else float("nan"), charge))
+        self._change(battery=BatteryState(volts(got.voltages), share(got.battery_remaining)))
 
 
 def names_of(enum: str, mask: int) -> tuple[str, ...]:

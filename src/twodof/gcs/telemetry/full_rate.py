@@ -1,29 +1,96 @@
-"""Samples at the full rate of control: one subscription of the drone serves all who want some of them."""
+"""Samples at the full rate of control, in order and each tick once: one subscription serves all who want some."""
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Callable, Iterable
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
 from functools import reduce
 from operator import or_
-from typing import Any
+from threading import RLock
+from typing import Any, Generic, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twodof.errors import LinkLost, Rejected, Timeout
 from twodof.gcs.mavlink.commands import CommandSender
 from twodof.gcs.mavlink.session import DroneSession
 from twodof.gcs.telemetry.decoding import columns_of
-from twodof.gcs.telemetry.sample_rows import SampleRows
-from twodof.link.control_period import TICK_S
+from twodof.link.control_period import TICK_S, TICK_US
 from twodof.link.mavlink import dialect
-from twodof.link.mavlink.messages import batch_rows, channel_mask
+from twodof.link.mavlink.messages import batch_rows
 
-MESSAGE = "TWODOF_BATCH"
+BATCH, TRUTH = "TWODOF_BATCH", "TWODOF_TRUTH"
 TIMEOUT_S = 5.0
 LEAVING_S = 3.0
 """What waits on board is sent before the answer to this, so it is waited for until the drone would count as lost."""
-_IN_DOUBT = -1
+MOST_ROWS = 4_000_000
+"""More than four hours; then the oldest half is let go and counted as lost."""
+_PIECE = 1024
+
+Kind = TypeVar("Kind", np.float32, np.float64)
+
+
+class SampleRows(Generic[Kind]):
+    """Rows of `columns`: `ticks` (n,) uint32 rising, `values` (n, columns) of the type `kind`. Any thread may look.
+
+    `lost` counts rows that are missing between the first and the last.
+    """
+
+    def __init__(self, columns: tuple[str, ...], kind: type[Kind]) -> None:
+        self.columns = columns
+        self.forgotten = 0
+        self._kind: type[Kind] = kind
+        self._ticks: list[NDArray[np.uint32]] = []
+        self._values: list[NDArray[Kind]] = []
+        self._count = 0
+        self._lock = RLock()
+
+    def __len__(self) -> int:
+        return len(self.ticks)
+
+    @property
+    def ticks(self) -> NDArray[np.uint32]:
+        """Tick of each row."""
+        return self._joined()[0]
+
+    @property
+    def values(self) -> NDArray[Kind]:
+        """The samples, a column for each of `columns`, in their units."""
+        return self._joined()[1]
+
+    @property
+    def time(self) -> NDArray[np.float64]:
+        """The drone's time of each row [s]."""
+        return self.ticks.astype(np.float64) * TICK_S
+
+    @property
+    def lost(self) -> int:
+        """Rows that are missing."""
+        ticks = self.ticks
+        return self.forgotten + (int(ticks[-1]) - int(ticks[0]) + 1 - len(ticks) if len(ticks) else 0)
+
+    def append(self, ticks: NDArray[np.uint32], values: NDArray[Kind]) -> None:
+        """Further rows, in any order, also some that came before."""
+        with self._lock:
+            self._ticks.append(ticks)
+            self._values.append(values)
+            self._count += len(ticks)
+            if self._count > MOST_ROWS:
+                ticks, values = self._joined()
+                half = len(ticks) // 2
+                self.forgotten += half
+                self._ticks, self._values, self._count = [ticks[half:]], [values[half:]], len(ticks) - half
+
+    def _joined(self) -> tuple[NDArray[np.uint32], NDArray[Kind]]:
+        """All in one piece, sorted, each tick once; kept so, so that asking again costs nothing."""
+        with self._lock:
+            if len(self._ticks) != 1:
+                ticks = np.concatenate([np.empty(0, np.uint32), *self._ticks])
+                values = np.concatenate([np.empty((0, len(self.columns)), self._kind), *self._values])
+                ticks, first = np.unique(ticks, return_index=True)
+                self._ticks, self._values, self._count = [ticks], [values[first]], len(ticks)
+            return self._ticks[0], self._values[0]
 
 
 class BatchRows(SampleRows[np.float32]):
@@ -40,24 +107,58 @@ class BatchRows(SampleRows[np.float32]):
             self.append(ticks, values[:, [places[column] for column in self.columns]])
 
 
-class FullRateSubscription:
-    """Subscribes the drone to the union of the columns that are wanted now."""
+class TruthRows(SampleRows[np.float64]):
+    """The true state of each tick, as the sensors measure it before the command acts."""
 
-    def __init__(self, session: DroneSession, commands: CommandSender) -> None:
-        self._session, self._commands = session, commands
+    def __init__(self) -> None:
+        super().__init__(("truth.theta", "truth.q", "truth.x", "truth.v"), np.float64)
+        self._new: list[tuple[int, float, float, float, float]] = []
+
+    def take(self, got: Any) -> None:
+        """A TWODOF_TRUTH."""
+        with self._lock:
+            self._new.append((got.step, got.theta, got.q, got.x, got.v))
+            if len(self._new) == _PIECE:  # a state alone would take ten times its room
+                self._put_away()
+
+    def _put_away(self) -> None:
+        rows = np.array(self._new, dtype=np.float64)
+        self._new = []
+        self.append(rows[:, 0].astype(np.uint32), rows[:, 1:])
+
+    def _joined(self) -> tuple[NDArray[np.uint32], NDArray[np.float64]]:
+        with self._lock:
+            if self._new:
+                self._put_away()
+            return super()._joined()
+
+
+Rows = TypeVar("Rows", BatchRows, TruthRows)
+
+
+class FullRateSubscription:
+    """Subscribes the drone to the message `name` (BATCH, TRUTH) at each tick while somebody wants it.
+
+    Of a batch the drone sends the union of the channels that are wanted.
+    """
+
+    def __init__(self, session: DroneSession, commands: CommandSender, name: str) -> None:
+        self._session, self._commands, self._name = session, commands, name
+        self._number = dialect.message_id(name)
         self._wanted: list[int] = []  # masks of channels
-        self._mask = 0
+        self._asked: list[float] | None = [self._number, -1]
 
     @asynccontextmanager
-    async def to(self, columns: Iterable[str], taker: Callable[[Any], None]) -> AsyncIterator[None]:
-        """Hands every TWODOF_BATCH with these columns (`imu.gyro_y`) to `taker` until the end of the block.
+    async def to(self, taker: Callable[[Any], None], mask: int = 1) -> AsyncIterator[None]:
+        """Hands every message with the channels of `mask` to `taker` until the end of the block.
 
-        Raises LinkError for a column that is none, Rejected, LinkLost, Timeout.
+        Where time is granted, the present true state comes first. Raises Rejected, LinkLost, Timeout.
         """
-        mask = channel_mask(list(columns))
         self._wanted.append(mask)
-        with self._session.handling(taker, MESSAGE):
+        with self._session.handling(taker, self._name):
             try:
+                if self._session.lockstep and self._name != BATCH:  # a stream begins with the tick after
+                    await self._commands.run("REQUEST_MESSAGE", [self._number], TIMEOUT_S, f"asking for {self._name}")
                 await self._subscribe(TIMEOUT_S)
                 yield
             finally:
@@ -66,18 +167,17 @@ class FullRateSubscription:
                     await self._subscribe(LEAVING_S)
 
     @asynccontextmanager
-    async def rows(self, columns: Iterable[str]) -> AsyncIterator[BatchRows]:
-        """Every row of these columns that comes during the block."""
-        rows = BatchRows(tuple(columns))
-        async with self.to(rows.columns, rows.take):
+    async def rows(self, rows: Rows, mask: int = 1) -> AsyncIterator[Rows]:
+        """Put everything that comes during the block into `rows`."""
+        async with self.to(rows.take, mask):
             yield rows
 
     async def _subscribe(self, timeout: float) -> None:
         mask = reduce(or_, self._wanted, 0)
-        if mask == self._mask:
-            return
-        period = round(TICK_S * 1e6) if mask else -1
-        values = [dialect.message_id(MESSAGE), period, mask & 0xFFFF, mask >> 16]
-        self._mask = _IN_DOUBT  # until it is acknowledged: a call that is cancelled does not know
-        await self._commands.run("SET_MESSAGE_INTERVAL", values, timeout, "subscribing to full-rate samples")
-        self._mask = mask
+        values: list[float] = [self._number, TICK_US if mask else -1]
+        if mask and self._name == BATCH:
+            values += [mask & 0xFFFF, mask >> 16]
+        if values != self._asked:
+            self._asked = None  # until it is acknowledged: a call that is cancelled does not know
+            await self._commands.run("SET_MESSAGE_INTERVAL", values, timeout, f"subscribing to {self._name}")
+            self._asked = values

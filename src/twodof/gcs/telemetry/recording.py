@@ -21,15 +21,13 @@ from twodof.flightlog.mcap.topic_stream import McapStream
 from twodof.flightlog.recorder import Recorder
 from twodof.flightlog.steps import BOOT, MESSAGE_PERIOD, shift
 from twodof.gcs.control.active_controller import ActiveController, ParameterChanges
-from twodof.gcs.mavlink.clock import OLDEST_TICKS, DroneClock
-from twodof.gcs.mavlink.session import DroneSession, Handler
+from twodof.gcs.drone_base import DroneBase
+from twodof.gcs.mavlink.clock import OLDEST_TICKS
+from twodof.gcs.mavlink.session import Handler
 from twodof.gcs.telemetry.decoding import DECODERS, Decoded, columns_of
-from twodof.gcs.telemetry.drone_state import DroneState
-from twodof.gcs.telemetry.full_rate import FullRateSubscription
 from twodof.gcs.telemetry.status_texts import StatusText
-from twodof.gcs.telemetry.truth import TruthSubscription
 from twodof.link.control_period import TICK_S, TICK_US
-from twodof.link.mavlink.messages import batch_rows
+from twodof.link.mavlink.messages import batch_rows, channel_mask
 from twodof.signals import OPEN_LOOP, TOPICS, Topic, topic
 
 SAFETY = McapStream(
@@ -116,11 +114,6 @@ class Recording:
     def lost(self) -> int:
         """Rows that are missing between the first tick and the last that came."""
         return self._last - self._first + 1 - self._rows if self._rows else 0
-
-    @property
-    def columns(self) -> list[str]:
-        """What the drone is asked for at full rate."""
-        return [column for row in self.onboard for column in row.columns]
 
     def take(self, got: Any) -> None:
         """A TWODOF_BATCH."""
@@ -302,64 +295,58 @@ def chosen(topics: Iterable[str] | None, truth: bool, ours: bool = True) -> list
     return rows
 
 
-class Recordings:
-    """Makes recordings of one drone."""
+@asynccontextmanager
+async def record(
+    drone: DroneBase,
+    path: str | Path,
+    topics: Iterable[str] | None,
+    provenance: Mapping[str, object],
+    flying: Callable[[], Awaitable[ActiveController]] | None,
+    overwrite: bool,
+) -> AsyncIterator[Recording]:
+    """Records into a new file until the end of the block: all samples of a drone of ours, what another's sends.
 
-    def __init__(
-        self,
-        session: DroneSession,
-        batches: FullRateSubscription,
-        truth: TruthSubscription,
-        clock: DroneClock,
-    ) -> None:
-        self._session, self._batches, self._truth = session, batches, truth
-        self._clock = clock
-
-    @asynccontextmanager
-    async def to(
-        self,
-        path: str | Path,
-        topics: Iterable[str] | None,
-        state: DroneState,
-        provenance: Mapping[str, object],
-        flying: Callable[[], Awaitable[ActiveController]] | None,
-        overwrite: bool = False,
-    ) -> AsyncIterator[Recording]:
-        """Records into a new file until the end of the block: all samples of a drone of ours, what another's sends.
-
-        `flying` asks a drone of ours what flies on it; None for another's.
-
-        Raises LogError for a file that exists or an unknown topic; RecordingError when the disk refuses; Rejected,
-        LinkLost, Timeout.
-        """
-        ours, session = flying is not None, self._session
-        rows = chosen(topics, state.rig.virtual and not session.on_board, ours)
-        flies = ActiveController(known=False)
-        if flying is not None:
-            with suppress(Timeout):  # it is recorded all the same
-                flies = await flying()
-        drone = provenance.get("drone")
-        about = {**provenance, "drone": {**(drone if isinstance(drone, dict) else {}), **flies.provenance()}}
-        recording = Recording(path, rows, about, session.lockstep, flies, overwrite)
-        handlers: dict[str, Handler] = {
-            "TWODOF_RIG": recording.rig,
-            "TWODOF_SAFETY": recording.safety,
-            "PARAM_VALUE": lambda got: recording.parameter(self._clock.tick, got),
-        }
-        if not ours:
-            handlers |= {name: partial(recording.telemetry, decode) for name, decode in DECODERS.items()}
-        try:
-            async with AsyncExitStack() as stack:
-                for name, handler in handlers.items():
-                    stack.enter_context(session.handling(handler, name))
-                stack.enter_context(
-                    session.events.handling(StatusText, lambda line: recording.said(self._clock.tick, line))
-                )
-                if any(not row.onboard for row in rows):
-                    await stack.enter_async_context(self._truth.to(recording.truth))
-                if ours and recording.columns:
-                    await stack.enter_async_context(self._batches.to(recording.columns, recording.take))
-                yield recording
-        finally:
-            # The writer's thread is waited for in another one: the loop goes on, heartbeats with it.
-            await asyncio.to_thread(recording.finish)
+    `flying` asks a drone of ours what flies on it; None for another's. Raises LogError for a file that exists or an
+    unknown topic; RecordingError when the disk refuses; Rejected, LinkLost, Timeout.
+    """
+    ours, session, clock, rig = flying is not None, drone.session, drone.clock, drone.state.rig
+    rows = chosen(topics, rig.virtual and not session.on_board, ours)
+    about: dict[str, object] = {
+        "autopilot": drone.state.autopilot,
+        "rig": rig.name,
+        "controller": rig.controller,
+        "diagram": f"{rig.diagram:016x}",
+        "seed": rig.seed,
+        "url": session.url,
+        "system": session.system,
+        "lockstep": rig.lockstep,
+    }
+    given = {"drone": about, **provenance}
+    flies = ActiveController(known=False)
+    if flying is not None:
+        with suppress(Timeout):  # it is recorded all the same
+            flies = await flying()
+    told = given["drone"]
+    given["drone"] = {**(told if isinstance(told, dict) else {}), **flies.provenance()}
+    recording = Recording(path, rows, given, session.lockstep, flies, overwrite)
+    handlers: dict[str | type, Handler] = {
+        StatusText: lambda line: recording.said(clock.tick, line),
+        "TWODOF_RIG": recording.rig,
+        "TWODOF_SAFETY": recording.safety,
+        "PARAM_VALUE": lambda got: recording.parameter(clock.tick, got),
+    }
+    if not ours:
+        handlers |= {name: partial(recording.telemetry, decode) for name, decode in DECODERS.items()}
+    try:
+        async with AsyncExitStack() as stack:
+            for name, handler in handlers.items():
+                stack.enter_context(session.handling(handler, name))
+            if any(not row.onboard for row in rows):
+                await stack.enter_async_context(drone.rig_truth.to(recording.truth))
+            columns = [column for row in recording.onboard for column in row.columns]
+            if ours and columns:
+                await stack.enter_async_context(drone.batches.to(recording.take, channel_mask(columns)))
+            yield recording
+    finally:
+        # The writer's thread is waited for in another one: the loop goes on, heartbeats with it.
+        await asyncio.to_thread(recording.finish)

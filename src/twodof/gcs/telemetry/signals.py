@@ -5,8 +5,6 @@ A slow consumer loses the oldest samples, which are counted, and holds up nobody
 
 from __future__ import annotations
 
-import asyncio
-from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -14,7 +12,7 @@ from typing import Any, NamedTuple
 
 from twodof.errors import Timeout
 from twodof.gcs.mavlink.deadline import Deadline
-from twodof.gcs.mavlink.session import DroneSession
+from twodof.gcs.mavlink.session import DroneSession, MessageListener
 from twodof.gcs.telemetry.decoding import DECODERS, Decoded
 from twodof.signals import TOPICS, topic
 
@@ -31,38 +29,26 @@ class TelemetrySample(NamedTuple):
 
 
 class SampleStream:
-    """Samples as they come, for `async for`; `lost` counts those that a slow reader missed."""
+    """Samples as they come, for `async for`."""
 
     def __init__(self, session: DroneSession, name: str, size: int, timeout: float) -> None:
         self._session, self._name, self._timeout = session, name, timeout
-        self._samples: deque[TelemetrySample] = deque(maxlen=size)
-        self._waiter: asyncio.Future[None] | None = None
-        self.lost = 0
+        self.heard = MessageListener(session, size=size)
 
-    def put(self, sample: TelemetrySample) -> None:
-        """One more; the oldest goes if the stream is full."""
-        self.lost += len(self._samples) == self._samples.maxlen
-        self._samples.append(sample)
-        if self._waiter is not None and not self._waiter.done():
-            self._waiter.set_result(None)
+    @property
+    def lost(self) -> int:
+        """Samples that a slow reader missed."""
+        return self.heard.lost
 
     async def next(self, timeout: float | None = None) -> TelemetrySample:
         """The next sample. Raises LinkLost, Timeout if none comes within `timeout` [s]."""
         limit = self._timeout if timeout is None else timeout
-        deadline, since = Deadline(limit, f"waiting for {self._name}", self._session.url), self._session.now
-        while not self._samples:
-            self._session.check(since)
-            if deadline.left <= 0.0:
-                raise deadline.error("the drone does not send it, or its time stands still")
-            waiter = self._waiter = asyncio.get_running_loop().create_future()
-            try:
-                async with asyncio.timeout(min(1.0, deadline.left)):
-                    await waiter
-            except TimeoutError:
-                continue
-            finally:
-                self._waiter = None
-        return self._samples.popleft()
+        deadline = Deadline(limit, f"waiting for {self._name}", self._session.url)
+        self.heard.since = self._session.now
+        sample: TelemetrySample | None = await self.heard.next(deadline.end)
+        if sample is None:
+            raise deadline.error("the drone does not send it, or its time stands still")
+        return sample
 
     def __aiter__(self) -> AsyncIterator[TelemetrySample]:
         return self
@@ -122,7 +108,7 @@ class AsyncSignal:
         self.latest = sample
         self.count += 1
         for stream in self._streams:
-            stream.put(sample)
+            stream.heard.take(sample)
         for callback in self._callbacks:
             # One that raises is reported by the event loop and harms nobody else.
             self._session.call_soon(callback, sample)
@@ -148,3 +134,35 @@ class Telemetry:
     def _take(self, decode: Callable[[Any], Decoded], got: Any) -> None:
         for name, time, value in decode(got):
             self._signals[name].take(TelemetrySample(time, value))
+
+
+class LatestEstimates:
+    """The newest estimates of the state of a drone, of which `telemetry(name)` gives the signals.
+
+    Raises LinkLost, and Timeout where none has come: `Drone` waits a while for the first, `AsyncDrone` does not.
+    """
+
+    telemetry: Any
+
+    @property
+    def theta(self) -> float:
+        """The latest estimate of the pitch [rad]."""
+        return self._scalar("estimate.theta")
+
+    @property
+    def q(self) -> float:
+        """The latest estimate of the pitch rate [rad/s]."""
+        return self._scalar("estimate.q")
+
+    @property
+    def x(self) -> float:
+        """The latest estimate of the position along the rail [m]."""
+        return self._scalar("estimate.x")
+
+    @property
+    def v(self) -> float:
+        """The latest estimate of the velocity along the rail [m/s]."""
+        return self._scalar("estimate.v")
+
+    def _scalar(self, name: str) -> float:
+        return float(self.telemetry(name).value)

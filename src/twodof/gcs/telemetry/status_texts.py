@@ -35,7 +35,7 @@ class StatusTexts:
         self._number = self._severity = 0
         self._waiting: asyncio.TimerHandle | None = None
         self._loop = asyncio.get_running_loop()
-        self._events = session.events
+        self._session = session
         session.on(self._take, "STATUSTEXT")
 
     def since(self, count: int) -> list[StatusText]:
@@ -47,7 +47,7 @@ class StatusTexts:
         line = StatusText(self.count, severity, text)
         self.lines.append(line)
         self.count += 1
-        self._events.emit(line)
+        self._session.emit(line)
 
     def _take(self, got: Any) -> None:
         piece = _bytes(got)
