@@ -160,7 +160,7 @@ async def flown(hostile: list[bytes]) -> tuple[list[object], dict[str, object]]:
         at_fcu, at_companion = await open_transport(whole.fcu), await open_transport(whole.clients)
         await whole.passes(0.5)
         (fcu,) = (one.transport for one in whole.drone.server.connections)
-        (port,) = (one.transport for one in whole.companion._ports)
+        (port,) = (one.transport for one in whole.companion.ports)
         line = whole.companion.line.transport
         assert line is not None
         points: list[tuple[Transport, Hashable]] = [(fcu, at_fcu), (fcu, line), (port, at_companion), (port, own.inner)]

@@ -16,7 +16,8 @@ from tests.fcc.scripted import Listener, Vehicle, until
 from tests.link.ends import run
 from twodof.fcc import batch_repacking
 from twodof.fcc.client import MOST_SENDERS, SILENT_S
-from twodof.fcc.companion import Companion, Serve
+from twodof.fcc.client_link import Serve
+from twodof.fcc.companion import Companion
 from twodof.fcc.router import BESIDE_S, MOST_PASSED, MOST_ROUNDS, MOVED_S
 from twodof.fcc.stream_thinning import MOST_TAPS, settled
 from twodof.link.mavlink.framing import Frame, encode
@@ -62,7 +63,7 @@ def test_who_asks_for_everything_and_goes_leaves_nothing_behind(answers: bool, r
     ends.router.remove(ends.join())
     most = len(settled()) + 2
     assert len(asking.known) <= most
-    assert len(streams.at) <= most
+    assert len(streams.granted) <= most
     assert len(streams._taps) <= most
 
 

@@ -15,19 +15,14 @@ from tests.faults.virtual_time import run_virtual
 from tests.fcc.scripted import Listener, Vehicle, until
 from tests.patience import PATIENCE_S
 from twodof.errors import LinkError
-from twodof.fcc import companion as companion_module
+from twodof.fcc import client_link
 from twodof.fcc import uplink_queue as line_module
 from twodof.fcc.client import SILENT_S
-from twodof.fcc.companion import (
-    LONGEST_BACK_OFF_S,
-    OPEN_S,
-    REMIND_S,
-    VEHICLE_SILENT_S,
-    Companion,
-    Serve,
-    px4_links,
-)
+from twodof.fcc.client_link import Serve, px4_links
+from twodof.fcc.companion import Companion
+from twodof.fcc.companion_link import LONGEST_BACK_OFF_S, OPEN_S
 from twodof.fcc.component import ACTIVE, CRITICAL
+from twodof.fcc.vehicle_link import REMIND_S, VEHICLE_SILENT_S
 from twodof.link.mavlink.framing import Parser, encode
 from twodof.link.mavlink.messages import message
 from twodof.link.signing.frame_signing import Signing, SigningVerdict
@@ -208,7 +203,7 @@ def test_a_client_on_udp_that_vanishes_is_forgotten_and_a_default_address_stays(
 
 
 def test_strangers_take_all_places_of_one_link_and_keep_nobody_from_a_kill(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(companion_module, "MOST_CLIENTS", 3)
+    monkeypatch.setattr(client_link, "MOST_CLIENTS", 3)
 
     async def work() -> None:
         serve = [Serve("memin://one", "ground"), Serve("memin://two", "ground")]

@@ -15,7 +15,8 @@ from tests.gcs.virtual import on_board
 from tests.patience import PATIENCE_S
 from tests.processes import started
 from twodof.errors import Rejected
-from twodof.fcc.companion import Companion, px4_links
+from twodof.fcc.client_link import px4_links
+from twodof.fcc.companion import Companion
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.gcs.drone import Drone
 from twodof.gcs.loop_thread import LoopThread

@@ -1,6 +1,5 @@
 """The companion as a MAVLink component of its own: its heartbeat, what it answers, how its computer is."""
 
-import struct
 from collections.abc import Callable
 from typing import Any
 
@@ -9,7 +8,7 @@ from twodof.fcc.client import CompanionClient
 from twodof.fcc.computer import ComputerStatus
 from twodof.fcc.router import Router
 from twodof.link.mavlink.components import COMPANION, NO_AUTOPILOT
-from twodof.link.mavlink.framing import Frame
+from twodof.link.mavlink.framing import Frame, decode
 from twodof.link.mavlink.messages import message, statustext
 
 ONBOARD_CONTROLLER = 18
@@ -18,7 +17,7 @@ WARNING, INFO = 4, 6
 ACCEPTED, UNSUPPORTED = 0, 3
 MAVLINK2 = 8192  # the one capability of MAV_PROTOCOL_CAPABILITY that it has
 VERSION = 1 << 24 | 255  # 1.0.0, a release
-_TIMESYNC, _PING = 111, 4
+_TIMESYNC = 111
 
 
 class CompanionComponent:
@@ -51,7 +50,7 @@ class CompanionComponent:
 
     def time(self) -> bytes:
         """A signed word to who may hear no other of us yet: a question for its time, which tells ours."""
-        return self._router.said(message("TIMESYNC", ts1=max(1, int(self._clock() * 1e9))))
+        return self._router.said(message("TIMESYNC", ts1=self._now()))
 
     def handle(self, frame: Frame, client: CompanionClient | None) -> None:
         """A frame that is for the companion, from a client or (None) from the vehicle."""
@@ -64,10 +63,12 @@ class CompanionComponent:
             if what is not None:
                 self._reply(client, what)
         elif frame.message_id == _TIMESYNC:
-            theirs, ours = struct.unpack("<qq", frame.payload.ljust(16, b"\0")[:16])
-            if not theirs:
-                now = max(1, int(self._clock() * 1e9))
-                self._reply(client, message("TIMESYNC", tc1=now, ts1=ours, **there))
+            got: Any = decode(frame)
+            if not got.tc1:
+                self._reply(client, message("TIMESYNC", tc1=self._now(), ts1=got.ts1, **there))
+
+    def _now(self) -> int:
+        return max(1, int(self._clock() * 1e9))
 
     def _asked(self, asked: frame_fields.CommandFields) -> Any | None:
         """The message that a command asks for, None if we do not have it."""

@@ -25,7 +25,6 @@ GET_MESSAGE_INTERVAL, SET_MESSAGE_INTERVAL, REQUEST_MESSAGE = 510, 511, 512
 # Fields that tell the sender's time, and how many microseconds their unit has.
 _TIMES = {"time_boot_ms": 1000, "time_usec": 1}
 _SIZES = {"char": 1, "int8_t": 1, "uint8_t": 1, "int16_t": 2, "uint16_t": 2, "int32_t": 4, "uint32_t": 4, "float": 4}
-_SYSTEM_STATUS = 7  # its place in a HEARTBEAT
 _COMMAND = struct.Struct("<7fHBB")
 
 
@@ -54,19 +53,12 @@ def places() -> dict[int, FieldOffsets]:
     return {number: _places(kind) for number, kind in dialect.load().mavlink_map.items()}
 
 
-def _starts(kind: Any) -> dict[str, int]:
-    """Where each field of a message begins in its payload."""
+def _places(kind: Any) -> FieldOffsets:
     types = dict(zip(kind.fieldnames, kind.fieldtypes, strict=True))
-    at, starts = 0, {}
+    at, starts = 0, {}  # where each field begins
     for name, count in zip(kind.ordered_fieldnames, kind.lengths, strict=True):
         starts[name] = at
         at += _SIZES.get(types[name], 8) * count
-    return starts
-
-
-def _places(kind: Any) -> FieldOffsets:
-    types = dict(zip(kind.fieldnames, kind.fieldtypes, strict=True))
-    starts = _starts(kind)
     time = next((name for name in _TIMES if name in starts), None)
     return FieldOffsets(
         starts.get("target_system", starts.get("target", -1)),
@@ -95,18 +87,6 @@ def time_us(frame: Frame) -> int:
     start = HEADER_2 if frame.version == 2 else HEADER_1
     stop = start + min(where.time_end, frame.raw[1])  # bytes that were cut are zero, and little end first
     return int.from_bytes(frame.raw[start + where.time : stop], "little") * where.microseconds
-
-
-def system_status(heartbeat: Frame) -> int:
-    """MAV_STATE of a HEARTBEAT's sender, 0 if it says none."""
-    return heartbeat.payload[_SYSTEM_STATUS] if len(heartbeat.payload) > _SYSTEM_STATUS else 0
-
-
-def lease_holder(lease: Frame) -> tuple[int, int]:
-    """System and component that have the lease by a TWODOF_LEASE, 0 for nobody."""
-    at = _starts(dialect.load().mavlink_map[LEASE])
-    payload = lease.payload.ljust(max(at.values()) + 1, b"\0")
-    return payload[at["holder_system"]], payload[at["holder_component"]]
 
 
 def command(frame: Frame) -> CommandFields | None:

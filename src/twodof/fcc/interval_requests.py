@@ -20,13 +20,12 @@ class _Pending:
 
 
 class IntervalRequests:
-    """Asks the vehicle by `send(message id, wish)`; `settled(message id, wish)` is called with what it accepted."""
+    """Asks the vehicle by `send(message id, wish)`; what it accepted is in `granted`."""
 
-    def __init__(self, send: Callable[[int, Wish], None], settled: Callable[[int, Wish], None]) -> None:
-        self.granted: dict[int, Wish] = {}
+    def __init__(self, send: Callable[[int, Wish], None], granted: dict[int, Wish]) -> None:
+        self.granted = granted
         self.unanswered = 0
         self._send = send
-        self._settled = settled
         self._pending: dict[int, _Pending] = {}
         self._asked: int | None = None
         self._wish = Wish(0)
@@ -72,7 +71,6 @@ class IntervalRequests:
         pending = self._pending.get(number)
         if result == ACCEPTED:
             self.granted[number] = self._wish
-            self._settled(number, self._wish)
         if pending is not None and (pending.wish == self._wish or result != ACCEPTED):
             del self._pending[number]
             for then in pending.waiting:

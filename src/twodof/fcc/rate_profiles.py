@@ -33,18 +33,13 @@ GROUPS = MappingProxyType(
 )
 
 
+@cache
 def profile(name: str) -> Mapping[int, int]:
     """Message id -> interval [us] (EVERY, or 1 and more) of the rates called `name`. Raises LinkError if none are."""
     if name not in _RATES:
         raise LinkError(f"no rates {shown(name)}", "companion", f"there are {listed(PROFILES)}")
     thinned = {number: interval(rate) for number, rate in _RATES[name].items() if number not in _PASSED}
     return dict.fromkeys(map(dialect.message_id, _OWN), EVERY) | thinned
-
-
-@cache
-def profiles() -> Mapping[str, Mapping[int, int]]:
-    """All of them by name."""
-    return {name: profile(name) for name in PROFILES}
 
 
 def interval(rate: float) -> int:

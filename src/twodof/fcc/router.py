@@ -3,7 +3,6 @@
 Pure of sockets and of clocks but the one it is given. What arrives are whole frames whose checksum held.
 """
 
-import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -16,7 +15,7 @@ from twodof.fcc.stream_thinning import ClientStreams
 from twodof.fcc.subscriptions import Subscriptions
 from twodof.fcc.uplink_queue import UplinkQueue
 from twodof.link.mavlink.components import AUTOPILOT, COMPANION
-from twodof.link.mavlink.framing import Frame, encode
+from twodof.link.mavlink.framing import Frame, decode, encode
 from twodof.link.mavlink.messages import message
 from twodof.link.signing.frame_signing import Signing
 
@@ -71,7 +70,7 @@ class Router:
         """Who has the lease, as the vehicle said last."""
         self.vehicle: dict[Identity, int] = {(system, AUTOPILOT): -1}  # who is behind the line -> its last sequence
         self.lost: dict[Identity, int] = {}
-        self._signing = signing
+        self.signing = signing
         self._sequence = 0
         self._time = -1
         self._beside: dict[Identity, float] = {}  # of these who is of another system -> when last heard
@@ -200,13 +199,10 @@ class Router:
             return
         self._account(frame)
         if frame.message_id == frame_fields.BATCH:
-            self.batches.take(frame, self.clients, not frame.signed or self._signing is not None)
+            self.batches.take(frame, self.clients, not frame.signed or self.signing is not None)
             return
-        if autopilot and frame.message_id == frame_fields.HEARTBEAT:
-            self.killed = frame_fields.system_status(frame) == frame_fields.TERMINATED
-        if autopilot and frame.message_id == frame_fields.LEASE:
-            holder = frame_fields.lease_holder(frame)
-            self.pilot = holder if holder[0] else None
+        if autopilot and frame.message_id in (frame_fields.HEARTBEAT, frame_fields.LEASE):
+            self._learn(decode(frame))
         if frame.message_id == frame_fields.TICK:
             self.batches.flush_all()
         if system:
@@ -221,6 +217,13 @@ class Router:
             receivers = self.answers.receivers(frame, self.clock()) or self.streams.receivers(frame)
         for client in receivers:
             self._deliver(client, frame)
+
+    def _learn(self, got: Any) -> None:
+        """A HEARTBEAT or TWODOF_LEASE of the vehicle's."""
+        if got.get_type() == "HEARTBEAT":
+            self.killed = got.system_status == frame_fields.TERMINATED
+        else:
+            self.pilot = (got.holder_system, got.holder_component) if got.holder_system else None
 
     def tell(self, sent: Any, vehicle: bool = True, clients: bool = True) -> None:
         """Say something in the companion's own name."""
@@ -299,7 +302,7 @@ class Router:
                 self.started()
 
     def _encoded(self, sent: Any, component: int, sequence: int) -> bytes:
-        signing = (self._signing.outgoing(),) if self._signing is not None else ()
+        signing = (self.signing.outgoing(),) if self.signing is not None else ()
         return encode(sent, self.system, component, sequence, *signing)
 
     def _to_vehicle(self, sent: Any) -> None:
@@ -319,8 +322,8 @@ class Router:
 
     def _for_us(self, frame: Frame) -> None:
         if frame.message_id == frame_fields.COMMAND_ACK:
-            number, result = struct.unpack("<HB", frame.payload.ljust(3, b"\0")[:3])
-            if number == frame_fields.SET_MESSAGE_INTERVAL:
-                self.subscriptions.asking.answered(result, self.clock())
+            got: Any = decode(frame)
+            if got.command == frame_fields.SET_MESSAGE_INTERVAL:
+                self.subscriptions.asking.answered(got.result, self.clock())
             return
         self.own(frame, None)

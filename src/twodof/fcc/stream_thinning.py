@@ -11,26 +11,23 @@ from functools import cache
 from twodof.fcc.batch_repacking import together
 from twodof.fcc.client import MOST_WISHES, CompanionClient, Wish
 from twodof.fcc.frame_fields import BATCH, time_us
-from twodof.fcc.rate_profiles import EVERY, OFF, profiles
+from twodof.fcc.rate_profiles import EVERY, OFF, PROFILES, profile
 from twodof.link.mavlink import dialect
 from twodof.link.mavlink.framing import Frame
 
 # What comes when it must: no rate can be asked for it.
 _EVENTS = (
+    *("HEARTBEAT", "PING", "PARAM_VALUE", "COMMAND_ACK", "TIMESYNC", "LOG_ENTRY", "LOG_DATA", "MESSAGE_INTERVAL"),
+    *("STATUSTEXT", "LOGGING_DATA", "LOGGING_DATA_ACKED", "PARAM_ERROR", "EVENT", "CURRENT_EVENT_SEQUENCE"),
     *(
-        "HEARTBEAT",
-        "PING",
-        "PARAM_VALUE",
-        "COMMAND_ACK",
-        "TIMESYNC",
-        "LOG_ENTRY",
-        "LOG_DATA",
-        "MESSAGE_INTERVAL",
-        "STATUSTEXT",
+        "RESPONSE_EVENT_ERROR",
+        "MISSION_ACK",
+        "MISSION_COUNT",
+        "TWODOF_OPENLOOP",
+        "TWODOF_EXCITE",
+        "TWODOF_EXCITE_STATUS",
     ),
-    *("LOGGING_DATA", "LOGGING_DATA_ACKED", "PARAM_ERROR", "EVENT", "CURRENT_EVENT_SEQUENCE", "RESPONSE_EVENT_ERROR"),
-    *("MISSION_ACK", "MISSION_COUNT", "TWODOF_OPENLOOP", "TWODOF_EXCITE", "TWODOF_EXCITE_STATUS", "TWODOF_TICK"),
-    *("TWODOF_GRANT", "TWODOF_LEASE", "TWODOF_PARAM_TRANSACTION"),
+    *("TWODOF_TICK", "TWODOF_GRANT", "TWODOF_LEASE", "TWODOF_PARAM_TRANSACTION"),
 )
 # More kinds of messages than any vehicle sends.
 MOST_TAPS = 1024
@@ -50,14 +47,14 @@ def settled() -> tuple[int, ...]:
 
     These are the messages with a rate, and TWODOF_TOF, which comes so often that it should not cross the line unused.
     """
-    timed = {number for rows in profiles().values() for number, one in rows.items() if one > EVERY}
+    timed = {number for name in PROFILES for number, one in profile(name).items() if one > EVERY}
     return tuple(sorted(timed | {dialect.message_id("TWODOF_TOF")}))
 
 
 @cache
 def _streamed() -> frozenset[int]:
     """Ids of the messages that only go to those who want them."""
-    unasked = {number for rows in profiles().values() for number in rows}
+    unasked = {number for name in PROFILES for number in profile(name)}
     return frozenset(unasked | {dialect.message_id(name) for name in _ON_REQUEST})
 
 
@@ -87,21 +84,17 @@ class _Tap:
 
 
 class ClientStreams:
-    """Who wants what; `at` is what the vehicle has been told, message id -> interval [us]."""
+    """Who wants what; `granted` is what the vehicle has been told, by message id."""
 
     def __init__(self) -> None:
         self.clients: list[CompanionClient] = []
-        self.at: dict[int, int] = {}
+        self.granted: dict[int, Wish] = {}
         self._taps: dict[int, list[_Tap]] = {}
 
     def changed(self) -> None:
         """A client came, went or forgot."""
         self._prune()
         self._renew([*self._taps])
-
-    def forget(self, message_id: int) -> None:
-        """Nobody asks for it any more, and the vehicle sends it or not as it likes."""
-        self.at.pop(message_id, None)
 
     def set(self, client: CompanionClient, message_id: int, wish: Wish | None) -> bool:
         """A client's wish, None for its default again; False if it has too many."""
@@ -136,7 +129,7 @@ class ClientStreams:
             if len(self._taps) >= MOST_TAPS:
                 self._prune()
             taps = self._renew([number])
-        at = self.at.get(number, OFF)
+        at = self.granted.get(number, Wish(OFF)).interval
         time = -1 if all(tap.interval <= max(at, EVERY) for tap in taps) else time_us(frame)
         found = []
         for tap in taps:

@@ -1,6 +1,5 @@
 """What clients ask about their streams, answered in the vehicle's name: commands 510, 511, 512, REQUEST_DATA_STREAM."""
 
-import struct
 from collections.abc import Callable
 from math import isfinite
 from typing import Any
@@ -13,7 +12,7 @@ from twodof.fcc.rate_profiles import EVERY, OFF, group
 from twodof.fcc.reply_routing import ReplyRouting
 from twodof.fcc.stream_thinning import ClientStreams, events, settled
 from twodof.link.control_period import TICK_US
-from twodof.link.mavlink.framing import Frame
+from twodof.link.mavlink.framing import Frame, decode
 from twodof.link.mavlink.messages import BATCH_VALUES, message
 
 ACCEPTED, TEMPORARILY_REJECTED, DENIED = 0, 1, 2
@@ -40,7 +39,7 @@ class Subscriptions:
         signs: bool,
     ) -> None:
         self.streams = streams
-        self.asking = IntervalRequests(ask, self._settled)
+        self.asking = IntervalRequests(ask, streams.granted)
         self._batches = batches
         self._answers = answers
         self._say = say
@@ -58,12 +57,10 @@ class Subscriptions:
             granted = self.asking.granted.get(number)
             if granted is None or granted.interval in (OFF, EVERY):
                 self.asking.forget(number)
-                self.streams.forget(number)
 
     def restart(self) -> None:
         """The vehicle has forgotten what it was asked for."""
         self.asking.restart()
-        self.streams.at.clear()
         self.refresh()
 
     def notice(self, client: CompanionClient, frame: Frame, asked: frame_fields.CommandFields | None) -> None:
@@ -98,10 +95,11 @@ class Subscriptions:
 
     def take_group(self, client: CompanionClient, frame: Frame) -> None:
         """REQUEST_DATA_STREAM, which ArduPilot's clients send; it has no answer."""
-        rate, _, _, number, start = struct.unpack("<HBBBB", frame.payload.ljust(6, b"\0")[:6])
+        got: Any = decode(frame)
+        rate, start = got.req_message_rate, got.start_stop
         if start and not rate:
             return
-        chosen = group(number)
+        chosen = group(got.req_stream_id)
         for each, default in client.defaults.items():
             if default > EVERY and (chosen is None or each in chosen):
                 self.streams.set(client, each, Wish(round(1e6 / rate)) if start else Wish(OFF))
@@ -148,9 +146,6 @@ class Subscriptions:
     def _acknowledge(self, client: CompanionClient, command: int, to: Identity, result: int) -> None:
         there = {"target_system": to[0], "target_component": to[1]}
         self._say(client, message("COMMAND_ACK", command=command, result=result, **there))
-
-    def _settled(self, message_id: int, wish: Wish) -> None:
-        self.streams.at[message_id] = wish.interval
 
 
 def _wish(number: int, params: tuple[float, ...]) -> tuple[bool, Wish | None]:

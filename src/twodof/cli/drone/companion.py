@@ -17,7 +17,8 @@ from twodof.cli.drone.options import Index
 from twodof.cli.output import Json, print_json_line, say_line
 from twodof.errors import LinkError
 from twodof.fcc.app_supervisor import MISTAKE, AppLimits, AppSupervisor, RestartPolicy
-from twodof.fcc.companion import Companion, Serve, px4_links
+from twodof.fcc.client_link import Serve, px4_links
+from twodof.fcc.companion import Companion
 from twodof.fleet.free_ports import MOST_DRONES
 from twodof.fleet.port_owner import with_port_owner
 from twodof.link.mavlink.components import COMPANION
