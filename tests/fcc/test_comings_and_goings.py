@@ -42,7 +42,7 @@ def test_who_asks_for_everything_and_goes_leaves_nothing_behind(answers: bool, r
     ends = Ends("onboard")
     streams, asking = ends.router.streams, ends.router.subscriptions.asking
     ends.router.streams.receivers(frame("ATTITUDE", 1, 1))
-    for generation in range(20):
+    for generation in range(8):
         client = ends.join("none")
         for number in range(200):
             ends.says(client, "COMMAND_LONG", 250, **asks(60_000 + 200 * generation + number))
@@ -55,7 +55,7 @@ def test_who_asks_for_everything_and_goes_leaves_nothing_behind(answers: bool, r
             ends.now += 1.0
             asking.poll(ends.now)
     ends.router.remove(ends.join())
-    for number in range(5000):  # nor do kinds of messages that nobody knows, from a vehicle that is none
+    for number in range(2 * MOST_TAPS):  # nor do kinds of messages that nobody knows, from a vehicle that is none
         ends.router.from_vehicle(
             Frame(b"\xfd\0\0\0\0\1\1" + number.to_bytes(3, "little"), 2, 70_000 + number, 1, 1, 0, False)
         )
@@ -93,11 +93,11 @@ def come_and_go(count: int) -> None:
     """`count` clients come by TCP, ask for something and go, some with a reset; others send from `count` UDP ports."""
 
     async def work() -> None:
-        serve = [Serve("tcpin://127.0.0.1:0"), Serve("udpin://127.0.0.1:0")]
+        serve = [Serve("tcpin://127.0.0.1:0", "none"), Serve("udpin://127.0.0.1:0", "none")]
         async with Vehicle(await open_transport("memin://fcu")) as vehicle, Companion("mem://fcu", serve) as companion:
             tcp, udp = (("127.0.0.1", parse(url).port) for url, _ in companion.urls)
-            raw = encode(message("COMMAND_LONG", **asks(ATTITUDE)), 9, 190, 0)
-            warm = (0, 0)
+            raw = encode(message("COMMAND_LONG", **asks(ATTITUDE, 1e6)), 9, 190, 0)
+            warm, vehicle.steps = (0, 0), 25
             for number in range(count):
                 _, writer = await asyncio.open_connection(*tcp)
                 writer.write(raw + b"\xfd\x20half of a frame")

@@ -132,7 +132,7 @@ def test_that_the_vehicle_is_not_there_is_said_at_once_and_then_seldom() -> None
             await asyncio.sleep(REMIND_S)
             assert said[1:] == said[:1]
             async with Vehicle(await open_transport("memin://fcu")) as vehicle:
-                vehicle.silent = True
+                vehicle.silent, vehicle.steps = True, 125
                 await asyncio.sleep(LONGEST_BACK_OFF_S + 2.0 * VEHICLE_SILENT_S)
                 assert "no heartbeat comes" in said[2]
                 vehicle.silent = False
@@ -154,6 +154,7 @@ def test_nothing_speaks_for_a_client_that_fell_silent() -> None:
             client.beats = False
             await asyncio.sleep(0.5)
             vehicle.received.clear()
+            vehicle.steps = 125
             await asyncio.sleep(10.0)
             assert {(one.frame.system, one.frame.component) for one in vehicle.received} == {(1, 191)}
             assert len(companion.clients) == 1
@@ -191,7 +192,7 @@ def test_a_client_on_udp_that_vanishes_is_forgotten_and_a_default_address_stays(
                     client.command(511, 30.0, 4000.0)
                     await until(lambda: vehicle.asked[30] == 4000.0)
                     assert len(companion.clients) == 2
-                began = asyncio.get_running_loop().time()
+                began, vehicle.steps = asyncio.get_running_loop().time(), 125
                 await until(lambda: vehicle.asked[30] > 60_000.0, 2 * SILENT_S)
                 assert asyncio.get_running_loop().time() - began == pytest.approx(SILENT_S, abs=1.5)
                 assert [client.stays for client in companion.clients] == [True]
@@ -315,7 +316,10 @@ def test_a_client_that_stops_reading_holds_nobody_up() -> None:
     async def work() -> None:
         serve = (*CLIENTS, Serve("tcpin://127.0.0.1:0"))
         async with Vehicle(await open_transport("memin://fcu")) as vehicle, Companion("mem://fcu", serve) as companion:
-            reader, writer = await asyncio.open_connection("127.0.0.1", parse(companion.urls[1][0]).port, limit=1024)
+            narrow = socket.socket()
+            narrow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)  # the system keeps little for it
+            narrow.connect(("127.0.0.1", parse(companion.urls[1][0]).port))
+            reader, writer = await asyncio.open_connection(sock=narrow, limit=1024)
             async with Listener(await open_transport("mem://clients")) as client:
                 client.command(511, 30.0, 4000.0)
                 await until(lambda: len(companion.clients) == 2 and vehicle.asked.get(30) == 4000.0)

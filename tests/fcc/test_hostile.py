@@ -17,8 +17,6 @@ from twodof.link.signing.frame_signing import Signing
 from twodof.link.signing.key import Key
 from twodof.link.signing.time_stamps import Stamps
 
-SEEDS = 4
-
 
 def hostile(chance: random.Random) -> Frame:
     """A sound frame with anything in it, often a command about streams or to the companion."""
@@ -34,7 +32,7 @@ def hostile(chance: random.Random) -> Frame:
     return Parser().feed(encode(sent, system, component, chance.randrange(256)))[0]
 
 
-@pytest.mark.parametrize("seed", range(SEEDS))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.soak) for seed in range(1, 20))])
 @pytest.mark.parametrize("keyed", [False, True], ids=["no key", "key"])
 def test_no_frame_stops_the_router_or_makes_it_grow(seed: int, keyed: bool) -> None:
     chance = random.Random(seed)

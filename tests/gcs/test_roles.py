@@ -1,19 +1,17 @@
 """One program commands, another tunes: beside each other at one drone, on the port that every program looks at."""
 
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 
 import pytest
+from typer.testing import CliRunner
 
 from tests.fcu.command.cockpit import ME, OTHER, Cockpit
 from tests.fleet.drone_numbers import free_numbers
 from tests.gcs.peer import Peer
 from tests.gcs.test_async_drone import fly
 from tests.gcs.virtual import on_board
-from tests.patience import PATIENCE_S
-from tests.processes import started
+from twodof.cli.app import app
 from twodof.errors import Rejected
 from twodof.fcc.client_link import px4_links
 from twodof.fcc.companion import Companion
@@ -21,19 +19,6 @@ from twodof.gcs.async_drone import AsyncDrone
 from twodof.gcs.drone import Drone
 from twodof.gcs.loop_thread import LoopThread
 from twodof.link.transport import ports
-
-COMMANDER = """
-import sys
-from twodof.gcs.drone import Drone
-with Drone.connect(sys.argv[1]) as drone:
-    drone.arm()
-    drone.set_pitch(0.0, thrust=0.3)
-    drone.run(0.2)
-    for wish in ("share", "withhold"):
-        drone.withhold_tuning(wish == "withhold")
-        print(wish, drone.state.armed, flush=True)
-        sys.stdin.readline()
-"""
 
 
 @contextmanager
@@ -67,14 +52,12 @@ def test_a_program_tunes_what_another_flies_until_that_one_withholds_it(
 ) -> None:
     with free_numbers(1) as index, served(index):
         url = f"udpin://127.0.0.1:{ports.ONBOARD + index}"
-        flies = [sys.executable, "-c", COMMANDER, url]
-        with started(flies, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as commander:
-            assert commander.stdout.readline() == "share True\n"
-            with Drone.connect(url, take_lease=False) as tuner:
+        with Drone.connect(url, take_lease=False) as tuner:
+            with Drone.connect(url) as commander:
+                commander.arm()
+                commander.set_pitch(0.0, thrust=0.3)
                 tuner.parameters["RATE_KP"] = 0.06
-                commander.stdin.write("\n")
-                commander.stdin.flush()
-                assert commander.stdout.readline() == "withhold True\n"
+                commander.withhold_tuning()
                 with pytest.raises(Rejected, match="holds the lease and withholds tuning"):
                     tuner.parameters["RATE_KP"] = 0.08
                 with pytest.raises(Rejected, match="holds the lease and withholds tuning"):
@@ -82,20 +65,20 @@ def test_a_program_tunes_what_another_flies_until_that_one_withholds_it(
                 with pytest.raises(Rejected, match="we do not hold the lease"):
                     tuner.withhold_tuning()
                 assert tuner.parameters["RATE_KP"] == pytest.approx(0.06)
-                commander.stdin.write("\n")
-                commander.stdin.flush()
-                assert commander.wait(PATIENCE_S) == 0
-                tuner.parameters["RATE_KP"] = 0.08  # the lease was given up, and with it what it withheld
+                commander.withhold_tuning(False)
+                tuner.parameters["RATE_KP"] = 0.07
+                commander.withhold_tuning()
+                assert commander.state.armed
+            tuner.parameters["RATE_KP"] = 0.08  # the lease was given up, and with it what it withheld
 
 
 def test_the_shell_tunes_what_another_program_flies_at_the_port_that_one_has() -> None:
     with free_numbers(1) as index, directly(index):
         url = f"udpin://127.0.0.1:{ports.ONBOARD + index}"
         with Drone.connect(url):
-            command = [sys.executable, "-m", "twodof.cli", "parameters", "RATE_KP=0.06", "--url", url]
-            done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
-            assert (done.returncode, done.stderr) == (0, "")
-            assert " 0.06 " in done.stdout
+            done = CliRunner().invoke(app, ["parameters", "RATE_KP=0.06", "--url", url])
+            assert done.exit_code == 0
+            assert " 0.06 " in done.output
 
 
 def test_what_is_withheld_is_allowed_again_with_the_next_lease() -> None:

@@ -129,5 +129,5 @@ class Companion:
 
     def _traffic(self) -> list[Traffic]:
         """The line first, then the clients' links."""
-        rows = [Traffic(self.line.counts.bytes, self._vehicle.received, self.line.rate or 0.0)]
+        rows = [Traffic(self.line.counts.bytes, self._vehicle.bytes_in, self.line.rate or 0.0)]
         return rows + [Traffic(port.transport.counts.bytes_out, port.transport.counts.bytes_in) for port in self.ports]

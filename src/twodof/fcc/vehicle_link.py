@@ -26,7 +26,7 @@ class VehicleLink(CompanionLink):
     ) -> None:
         super().__init__(url, router)
         self.lost = 0  # how often
-        self.received = 0  # bytes
+        self.bytes_in = 0  # bytes
         self._component = component
         self._tell = tell or (lambda text: None)
         self._parser = self.new_parser()
@@ -69,7 +69,7 @@ class VehicleLink(CompanionLink):
     def take(self, packet: Packet) -> None:
         """A packet of the flight controller."""
         self._fed, self._peer = self.router.clock(), packet.peer
-        self.received += len(packet.data)
+        self.bytes_in += len(packet.data)
         self._pass_on(self._parser.feed(packet.data, self.transport.whole))
         self.pump()
 

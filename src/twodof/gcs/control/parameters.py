@@ -156,28 +156,31 @@ class AsyncParameters:
         return found
 
     async def _ask_for_all(self, deadline: Deadline) -> dict[str, ParameterEntry]:
-        place = self._session.target
+        session, place = self._session, self._session.target
         found: dict[int, ParameterEntry] = {}
         total = MOST
-        with self._session.listen("PARAM_VALUE") as heard:
-            self._session.send(message("PARAM_REQUEST_LIST", **place))
-            while len(found) < total:
-                got = await heard.next(min(deadline.end, self._session.now + 0.5))
-                if got is None:
-                    deadline.check()
-                    if not found:
-                        self._session.send(message("PARAM_REQUEST_LIST", **place))
-                    for index in [index for index in range(min(total, MOST)) if index not in found][:50]:
-                        if found:
-                            self._session.send(message("PARAM_REQUEST_READ", param_index=index, **place))
-                elif got.param_id == HASH:
-                    found.clear()  # the list begins, or begins anew as it is another
-                elif got.param_index < got.param_count <= MOST:
-                    if got.param_count != total:
-                        found.clear()
-                    total = got.param_count
-                    found[got.param_index] = entry_of(got)
-                deadline.check()
+
+        def question(_: int) -> Any:
+            """For the list, or, where some of it came, for the first that are missing."""
+            missing = [index for index in range(min(total, MOST)) if found and index not in found][:50]
+            for index in missing[1:]:
+                session.send(message("PARAM_REQUEST_READ", param_index=index, **place))
+            if missing:
+                return message("PARAM_REQUEST_READ", param_index=missing[0], **place)
+            return message("PARAM_REQUEST_LIST", **place)
+
+        def accept(got: Any) -> dict[int, ParameterEntry] | None:
+            nonlocal total
+            begins = got.param_id == HASH  # or begins anew, as it is another
+            fits = not begins and got.param_index < got.param_count <= MOST
+            if begins or (fits and got.param_count != total):
+                found.clear()
+            if fits:
+                total = got.param_count
+                found[got.param_index] = entry_of(got)
+            return found if len(found) >= total else None
+
+        await session.ask(question, ("PARAM_VALUE",), accept, deadline, prolonged=True)
         return {found[index].name: found[index] for index in sorted(found)}
 
     async def _describe(self, deadline: Deadline) -> None:

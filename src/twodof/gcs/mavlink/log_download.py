@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from twodof.errors import LogError
 from twodof.flightlog.atomic import atomic_write, check_free
@@ -39,20 +39,16 @@ class AsyncLogs:
     async def list(self, timeout: float = 5.0) -> list[LogEntry]:
         """All logs on board, the oldest first. Raises LinkLost, Timeout."""
         deadline = self._session.deadline(timeout, "listing the logs on board")
+        asked = message("LOG_REQUEST_LIST", start=0, end=0xFFFF, **self._session.target)
         found: dict[int, LogEntry] = {}
-        with self._session.listen("LOG_ENTRY") as heard:
-            while True:
-                self._session.send(message("LOG_REQUEST_LIST", start=0, end=0xFFFF, **self._session.target))
-                until = min(deadline.end, self._session.now + RETRY_S)
-                while (got := await heard.next(until)) is not None:
-                    if got.num_logs == 0:
-                        return []
-                    found[got.id] = LogEntry(got.id, got.size, got.time_utc)
-                    if len(found) >= min(got.num_logs, MOST_LOGS):
-                        return [found[number] for number in sorted(found)]
-                    until = min(deadline.end, self._session.now + RETRY_S)
-                    deadline.check()
-                deadline.check()
+
+        def accept(got: Any) -> dict[int, LogEntry] | None:
+            if got.num_logs:
+                found[got.id] = LogEntry(got.id, got.size, got.time_utc)
+            return found if len(found) >= min(got.num_logs, MOST_LOGS) else None
+
+        await self._session.ask(lambda _: asked, ("LOG_ENTRY",), accept, deadline, prolonged=True)
+        return [found[number] for number in sorted(found)]
 
     async def download(
         self,

@@ -214,10 +214,12 @@ class DroneSession:
         accept: Callable[[Any], T | None],
         deadline: Deadline,
         retry_s: float = RETRY_S,
+        prolonged: bool = False,
     ) -> T:
         """Send `question(attempt)`, again every `retry_s`, until `accept` of an answer gives a value, and return that.
 
-        What `accept` raises is raised. Raises LinkLost, and Timeout at the deadline.
+        If `prolonged`, every answer prolongs the time until it is sent again: many are to come. What `accept` raises
+        is raised. Raises LinkLost, and Timeout at the deadline.
         """
         with self.listen(*answers) as heard:
             for attempt in count():
@@ -228,6 +230,8 @@ class DroneSession:
                     if found is not None:
                         return found
                     deadline.check()  # a peer that never stops talking beside the point
+                    if prolonged:
+                        until = min(deadline.end, self.now + retry_s)
                 deadline.check()
         raise deadline.error()
 
