@@ -14,7 +14,7 @@ from xml.etree import ElementTree
 
 from twodof.fcu.onboard_log.step_row import COLUMNS
 from twodof.fcu.parameters.row import VehicleParameter
-from twodof.fcu.parameters.table import own_rows
+from twodof.fcu.parameters.table import vehicle_rows
 from twodof.fcu.px4_compat.event_table import CHECKS, CRITICAL, ERROR, EVENTS, INFO, WARNING
 from twodof.fcu.px4_compat.log_topics import PX4_TOPICS
 from twodof.flight.failsafe.causes_and_actions import ACTIONS, CAUSES, NONE
@@ -222,7 +222,7 @@ def _fault(fault: str, lines: list[dict[str, str]]) -> str:
 
 
 def _vehicle() -> Iterator[str]:
-    rows = own_rows(1)
+    rows = vehicle_rows(1)
     for group in dict.fromkeys(row.group for row in rows):
         yield from ("", f"**{group}**", "")
         yield "| name | the drone's name | type | unit | default | from | to | changed | is |"

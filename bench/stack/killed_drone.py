@@ -46,7 +46,7 @@ class Kills:
         if self.pilot and not step.armed:
             holder = commander.lease.holder
             if holder not in (None, pilot):
-                commander.give_up_lease(holder)
+                commander.lease.give_up(holder)
             commander.arming.release(pilot)
             commander.arming.arm(pilot)
 

@@ -25,7 +25,7 @@ from tests.faults.whole import GROUND, NONE, Seen, Whole, run
 from twodof.excitation import Doublet
 from twodof.fcc.client_link import Serve
 from twodof.fcc.companion import Companion
-from twodof.fcu.mavlink.files.ftp import MOST_GUESTS
+from twodof.fcu.mavlink.files.ftp import MOST_CLIENTS
 from twodof.fcu.mavlink.files.ftp_client import MOST_SESSIONS
 from twodof.link.mavlink import dialect
 from twodof.link.mavlink.framing import encode
@@ -158,7 +158,7 @@ def bounded(count: int, early: Held, end: Held) -> None:
     assert end.tasks == early.tasks
     assert end.threads <= early.threads + 2  # one may have waited for its first work
     # An on-board log, an upload, and what readers of files hold open at most.
-    assert end.files <= early.files + 2 + MOST_GUESTS * MOST_SESSIONS
+    assert end.files <= early.files + 2 + MOST_CLIENTS * MOST_SESSIONS
     assert end.bytes - early.bytes < MOST_GROWN_BYTES, (early, end)
 
 

@@ -30,7 +30,7 @@ class Script:
     change: Callable[[int, ControlInput], ControlInput] = lambda tick, asked: asked
     steps: list[ControlStep] = field(default_factory=list)
 
-    def asked(self, tick: int) -> ControlInput:
+    def control_input(self, tick: int) -> ControlInput:
         """What is flown at `tick`."""
         flies = FLY_AT <= tick < self.disarm_at
         return self.change(

@@ -52,7 +52,7 @@ def test_only_who_commands_changes_what_is_not_for_tuning() -> None:
     async def work() -> None:
         async with VirtualDrone("paper", lockstep=True, controllers=["lqr-attitude"]) as drone:
             store, commander = drone.assembly.store, drone.commander
-            assert commander.ask_lease(ME).accepted
+            assert commander.lease.ask(ME).accepted
             before = dict(store)
             put(drone, OTHER[0], **SAFETY)
             assert dict(store) == before
@@ -79,7 +79,7 @@ def test_undo_takes_back_what_the_client_has_tuned_itself_or_what_it_commands() 
     async def work() -> None:
         async with VirtualDrone("paper", lockstep=True) as drone:
             store, commander = drone.assembly.store, drone.commander
-            assert commander.ask_lease(ME).accepted
+            assert commander.lease.ask(ME).accepted
             put(drone, ME[0], RATE_KP=0.03125)
             put(drone, OTHER[0], RATE_KP=0.0625)
             put(drone, OTHER[0], RATE_KP=0.07)
@@ -93,8 +93,8 @@ def test_undo_takes_back_what_the_client_has_tuned_itself_or_what_it_commands() 
             undo(drone, ME[0], 1)
             assert store["RATE_KP"] == 0.03125
             put(drone, ME[0], M_MAX=0.5)
-            assert commander.give_up_lease(ME).accepted
-            assert commander.ask_lease(OTHER).accepted
+            assert commander.lease.give_up(ME).accepted
+            assert commander.lease.ask(OTHER).accepted
             undo(drone, ME[0], 2)  # not for tuning
             assert store["M_MAX"] == 0.5
 
@@ -103,9 +103,9 @@ def test_undo_takes_back_what_the_client_has_tuned_itself_or_what_it_commands() 
 
 def test_the_holder_is_told_who_has_tuned_what() -> None:
     commander = Cockpit().commander
-    commander.tuned(OTHER, "RATE_KP = 0.06")  # nobody holds it
-    assert commander.ask_lease(ME).accepted
-    commander.tuned(ME, "RATE_KP = 0.07")
+    commander.lease.tuned(OTHER, "RATE_KP = 0.06")  # nobody holds it
+    assert commander.lease.ask(ME).accepted
+    commander.lease.tuned(ME, "RATE_KP = 0.07")
     assert commander.remarks == []
-    commander.tuned(OTHER, "RATE_KP = 0.08")
+    commander.lease.tuned(OTHER, "RATE_KP = 0.08")
     assert commander.remarks == [(6, "RATE_KP = 0.08, by system 245, component 190")]

@@ -110,21 +110,21 @@ def test_who_has_lost_the_lease_is_told_to_whom_and_withholds_nothing() -> None:
 def test_the_right_to_tune_is_everybodys_but_for_as_long_as_the_holder_withholds_it() -> None:
     cockpit = Cockpit()
     commander = cockpit.commander
-    assert commander.may_tune(OTHER).accepted
+    assert commander.lease.may_tune(OTHER).accepted
     assert commander.lease.holder is None
-    assert commander.ask_lease(ME, 1000).accepted
-    assert commander.may_tune(OTHER).accepted
+    assert commander.lease.ask(ME, 1000).accepted
+    assert commander.lease.may_tune(OTHER).accepted
     assert commander.lease.holder == ME
-    assert commander.ask_lease(ME, 1000, withhold_tuning=True).accepted
-    assert "withholds tuning" in commander.may_tune(OTHER).text
-    assert commander.may_tune(ME).accepted
-    assert not commander.ask_lease(OTHER, 1000, withhold_tuning=True).accepted
-    assert commander.ask_lease(ME, 1000).accepted
-    assert commander.may_tune(OTHER).accepted
-    commander.ask_lease(ME, 1000, withhold_tuning=True)
-    assert commander.give_up_lease(ME).accepted
-    assert commander.may_tune(OTHER).accepted
-    assert not commander.may_tune((0, 0)).accepted
+    assert commander.lease.ask(ME, 1000, withhold_tuning=True).accepted
+    assert "withholds tuning" in commander.lease.may_tune(OTHER).text
+    assert commander.lease.may_tune(ME).accepted
+    assert not commander.lease.ask(OTHER, 1000, withhold_tuning=True).accepted
+    assert commander.lease.ask(ME, 1000).accepted
+    assert commander.lease.may_tune(OTHER).accepted
+    commander.lease.ask(ME, 1000, withhold_tuning=True)
+    assert commander.lease.give_up(ME).accepted
+    assert commander.lease.may_tune(OTHER).accepted
+    assert not commander.lease.may_tune((0, 0)).accepted
 
 
 @pytest.mark.parametrize(("M", "T", "why"), [(5.0, 0.0, "M = 5 is outside -1 to 1"), (0.0, 1.5, "T = 1.5 is outside")])

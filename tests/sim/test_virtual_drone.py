@@ -10,13 +10,13 @@ import pytest
 
 from tests.fcu.flights import exhausting
 from twodof.errors import CompileError, LinkError, LogError, ParameterError
-from twodof.fcu.command.result import IN_PROGRESS
 from twodof.fcu.control import flight_code
 from twodof.fcu.control.controllers import Controllers, controller_identity
 from twodof.fcu.control.flight_code import FlightCode
 from twodof.flight.controller_store import ControllerStore
 from twodof.flight.starters import starter
 from twodof.flight.templates import ATTITUDE
+from twodof.link.mavlink.mav_enums import MavResult
 from twodof.sim.virtual_drone import VirtualDrone
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "explanation" / "flight-controller.md"
@@ -102,7 +102,7 @@ def test_a_controller_that_cannot_fly_is_not_armed_with() -> None:
     assert "fuel" in verdict.text
     drone.controller.replace(FlightCode())
     drone.controller.step()
-    assert drone.commander.arming.arm((250, 1)).result == IN_PROGRESS
+    assert drone.commander.arming.arm((250, 1)).result == MavResult.IN_PROGRESS
     asyncio.run(drone.close())
 
 

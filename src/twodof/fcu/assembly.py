@@ -21,23 +21,20 @@ from twodof.fcu.mavlink.commands.lockstep import LockstepService
 from twodof.fcu.mavlink.commands.reload import ReloadCommand
 from twodof.fcu.mavlink.commands.setpoints import SetpointService
 from twodof.fcu.mavlink.files.file_tree import FileTree
-from twodof.fcu.mavlink.files.ftp import FTP_CAPABILITY, FileTransfer
+from twodof.fcu.mavlink.files.ftp import FileTransfer
 from twodof.fcu.mavlink.files.log_download import LogDownload
-from twodof.fcu.mavlink.files.metadata import COMPONENT_METADATA, Metadata
+from twodof.fcu.mavlink.files.metadata import Metadata
 from twodof.fcu.mavlink.service import Service
 from twodof.fcu.mavlink.services import MavlinkServices
-from twodof.fcu.mavlink.status_text import TextSent
-from twodof.fcu.mavlink.storage_monitor import StorageMonitor
+from twodof.fcu.mavlink.status_text import StorageMonitor, TextSent
 from twodof.fcu.onboard_log.logger import OnboardLogger
 from twodof.fcu.parameters.parameter_store import ParameterStore
 from twodof.fcu.px4_compat.log_stream import LogStreamService
 from twodof.fcu.server import Server
 from twodof.link.control_period import TICK_MS
+from twodof.link.mavlink.mav_enums import MavSeverity
 from twodof.link.mavlink.rates import ONBOARD
 from twodof.link.signing.frame_signing import Signing
-
-WARNING = 4
-"""MAV_SEVERITY."""
 
 
 class Assembly:
@@ -88,7 +85,6 @@ class Assembly:
             lost=lambda: server.lost,
             truth=(lambda: cast(VirtualHardware, hardware).truth) if hardware.virtual else None,
             profile=rates,
-            capabilities=FTP_CAPABILITY,
         )
         self._reload = ReloadCommand(self.px4.commands, self.controller, commander, controllers, self._replaced)
         server.services += self._services(state)
@@ -100,13 +96,13 @@ class Assembly:
         px4, server, commander, log = self.px4, self.server, self.commander, self.log
         us, explain, lockstep = VehicleAddress(server.system), px4.commands.explain, self.controller.lockstep
         metadata = Metadata(self.store, lambda: TICK_MS * self.controller.tick)
-        px4.requests.on(COMPONENT_METADATA, metadata.message)
+        px4.requests.on("COMPONENT_METADATA", metadata.message)
         uploads = None if state is None else state / "controllers"
         tree = FileTree(lambda: metadata.files, log.folder if log else None, uploads)
         streamed, downloaded = [], []
         if log is not None:
-            streamed = [LogStreamService(server, us, px4.commands, log, commander.take, lockstep)]
-            downloaded = [LogDownload(server, us, log, commander.take, explain, lockstep)]
+            streamed = [LogStreamService(server, us, px4.commands, log, commander.lease.take, lockstep)]
+            downloaded = [LogDownload(server, us, log, commander.lease.take, explain, lockstep)]
         return [
             px4.services[0],
             LeaseService(server, us, commander, explain),
@@ -114,7 +110,7 @@ class Assembly:
             *px4.services[1:],
             SetpointService(us, commander, explain),
             ExcitationService(server, us, commander, explain),
-            FileTransfer(server, us, tree, commander.take, explain, lockstep),
+            FileTransfer(server, us, tree, commander.lease.take, explain, lockstep),
             StorageMonitor(self.store, log, commander.remarks),
             *downloaded,
             LockstepService(server, us, self.controller, commander, explain, px4.telemetry.rig),
@@ -129,7 +125,7 @@ class Assembly:
         self._say(self.configuration.fly_replaced())
 
     def _say(self, remarks: Iterable[str]) -> None:
-        self.commander.remarks.extend((WARNING, text) for text in remarks)
+        self.commander.remarks.extend((MavSeverity.WARNING, text) for text in remarks)
 
     def _about(self) -> dict[str, str | int]:
         """What a log says of the flight."""

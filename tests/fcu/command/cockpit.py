@@ -90,8 +90,8 @@ class Cockpit:
         """Time passes; what was asked in the last tick."""
         for _ in range(ticks):
             for source in self.talking:
-                self.commander.heard(source, True)
-            step = self.failsafe.step(self.tick, self.commander.asked(self.tick))
+                self.commander.lease.hear(source, True)
+            step = self.failsafe.step(self.tick, self.commander.control_input(self.tick))
             self.commander.seen(step)
             self.steps.append(step)
             self.tick += 1

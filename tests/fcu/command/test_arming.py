@@ -4,17 +4,16 @@ import pytest
 
 from tests.fcu.command.cockpit import COMPANION, LEVEL_FLIGHT, ME, OTHER, Cockpit, armed, offboard
 from twodof.fcu.command.arming import ArmingControl
-from twodof.fcu.command.authority import DONE, CommandAuthority
-from twodof.fcu.command.result import FAILED, IN_PROGRESS, TEMPORARILY_REJECTED, CommandResult
-from twodof.fcu.command.setpoint_manager import FRESH, SetpointManager
+from twodof.fcu.command.result import failed, rejected
+from twodof.fcu.command.setpoint_manager import FRESH
 from twodof.fcu.command.setpoints import OPENLOOP, STICKS, SetPoint
-from twodof.fcu.command.vehicle_state import VehicleState
 from twodof.fcu.control.control_input import ControlInput
 from twodof.flight.failsafe.causes_and_actions import BIT
 from twodof.flight.failsafe.state_machine import DISARMED, FLYING, LEVEL
 from twodof.flight.failsafe.state_machine import OFF as STOPPED_BY_FAILSAFE
 from twodof.flight.failsafe.state_machine import REFUSED as REFUSED_BY_FAILSAFE
 from twodof.link.mavlink import modes
+from twodof.link.mavlink.mav_enums import MavResult
 from twodof.signals import ATTITUDE, OFF, OPEN_LOOP
 
 # Arming.
@@ -23,7 +22,7 @@ from twodof.signals import ATTITUDE, OFF, OPEN_LOOP
 def test_arming_is_an_edge_that_the_failsafe_answers_in_its_tick() -> None:
     cockpit = Cockpit()
     cockpit.run(3)
-    assert cockpit.commander.arming.arm(ME).result == IN_PROGRESS
+    assert cockpit.commander.arming.arm(ME).result == MavResult.IN_PROGRESS
     assert not cockpit.commander.armed
     assert cockpit.run().arm
     assert cockpit.commander.arming.answer.accepted
@@ -44,14 +43,14 @@ def test_every_cause_that_the_failsafe_has_refuses_arming_by_its_name(cause: str
     cured = cause == "link_lost"  # the command itself is heard over the link
     if not cured:
         verdict = cockpit.commander.arming.arm(ME)
-        assert verdict.result == TEMPORARILY_REJECTED
+        assert verdict.result == MavResult.TEMPORARILY_REJECTED
         assert cause in verdict.text
     cockpit.failsafe.causes = 0
     cockpit.run()
-    assert cockpit.commander.arming.arm(ME).result == IN_PROGRESS
+    assert cockpit.commander.arming.arm(ME).result == MavResult.IN_PROGRESS
     cockpit.failsafe.causes = BIT[cause]  # it comes in the very tick
     cockpit.run()
-    assert cockpit.commander.arming.answer.result == TEMPORARILY_REJECTED
+    assert cockpit.commander.arming.answer.result == MavResult.TEMPORARILY_REJECTED
     assert cause in cockpit.commander.arming.answer.text
     assert not cockpit.run().arm
     assert cockpit.failsafe.state == DISARMED
@@ -75,8 +74,8 @@ def test_a_forced_arming_skips_nothing() -> None:
     cockpit = Cockpit()
     cockpit.failsafe.causes = BIT["tilted"]
     cockpit.run(2)
-    verdict = cockpit.commander.arming.arm(ME, force=True)
-    assert verdict.result == TEMPORARILY_REJECTED
+    verdict = cockpit.commander.arming.arm(ME)
+    assert verdict.result == MavResult.TEMPORARILY_REJECTED
     assert "tilted" in verdict.text
 
 
@@ -129,7 +128,7 @@ def test_in_offboard_what_is_streamed_flies_from_the_tick_after_it_has_armed() -
     cockpit.run(2)
     cockpit.commander.setpoint(ME, LEVEL_FLIGHT)
     assert cockpit.commander.set_mode(ME, modes.OFFBOARD).accepted
-    assert cockpit.commander.arming.arm(ME).result == IN_PROGRESS
+    assert cockpit.commander.arming.arm(ME).result == MavResult.IN_PROGRESS
     assert cockpit.run().mode == OFF
     assert cockpit.commander.arming.answer.accepted
     asked = cockpit.run()
@@ -164,7 +163,7 @@ def test_an_arming_that_was_refused_leaves_nothing_that_keeps_from_the_next() ->
     cockpit.run(2)
     cockpit.commander.setpoint(ME, LEVEL_FLIGHT)
     cockpit.commander.set_mode(ME, modes.OFFBOARD)
-    assert cockpit.commander.arming.arm(ME).result == IN_PROGRESS
+    assert cockpit.commander.arming.arm(ME).result == MavResult.IN_PROGRESS
     cockpit.failsafe.causes = BIT["tilted"]
     cockpit.run(2)
     assert "tilted" in cockpit.commander.arming.answer.text
@@ -176,25 +175,25 @@ def test_an_arming_that_was_refused_leaves_nothing_that_keeps_from_the_next() ->
 def test_a_failsafe_that_does_not_answer_ends_the_arming() -> None:
     cockpit = Cockpit()
     cockpit.run(2)
-    assert cockpit.commander.arming.arm(ME).result == IN_PROGRESS
+    assert cockpit.commander.arming.arm(ME).result == MavResult.IN_PROGRESS
     for tick in range(2, 60):
-        asked = cockpit.commander.asked(tick)
+        asked = cockpit.commander.control_input(tick)
         step = cockpit.failsafe.step(tick, ControlInput())  # deaf
         cockpit.commander.seen(step)
         if not asked.arm:
             break
     assert tick < 30
-    assert cockpit.commander.arming.answer.result == FAILED
+    assert cockpit.commander.arming.answer.result == MavResult.FAILED
 
 
 def test_asking_again_and_again_does_not_wait_for_longer() -> None:
     cockpit = Cockpit()
     cockpit.run(2)
     for tick in range(2, 60):
-        if cockpit.commander.arming.arm(ME).result == IN_PROGRESS:
-            cockpit.commander.asked(tick)
+        if cockpit.commander.arming.arm(ME).result == MavResult.IN_PROGRESS:
+            cockpit.commander.control_input(tick)
             cockpit.commander.seen(cockpit.failsafe.step(tick, ControlInput()))  # deaf
-        if cockpit.commander.arming.answer.result == FAILED:
+        if cockpit.commander.arming.answer.result == MavResult.FAILED:
             break
     assert tick < 30
 
@@ -223,7 +222,7 @@ def test_a_set_point_for_the_very_tick_in_which_it_arms_flies_from_the_next_on()
     cockpit.commander.set_mode(ME, modes.OFFBOARD)
     cockpit.commander.setpoint(ME, LEVEL_FLIGHT._replace(theta0=0.1), cockpit.tick + 1)
     cockpit.run()
-    assert cockpit.commander.arming.arm(ME).result == IN_PROGRESS
+    assert cockpit.commander.arming.arm(ME).result == MavResult.IN_PROGRESS
     cockpit.commander.setpoint(ME, LEVEL_FLIGHT._replace(theta0=0.2), cockpit.tick)
     cockpit.commander.setpoint(ME, LEVEL_FLIGHT._replace(theta0=0.3), cockpit.tick + 1)
     assert cockpit.run().mode == OFF
@@ -233,8 +232,7 @@ def test_a_set_point_for_the_very_tick_in_which_it_arms_flies_from_the_next_on()
 
 def alone() -> ArmingControl:
     """Before a flight code that the test speaks for."""
-    setpoints, authority = SetpointManager(), CommandAuthority(granted=True)
-    return ArmingControl(VehicleState(Cockpit().rig), setpoints, authority, lambda *_: DONE, str)
+    return Cockpit(lockstep=True).commander.arming
 
 
 class Said:
@@ -246,7 +244,7 @@ class Said:
 
 def test_what_the_failsafe_says_before_it_was_asked_is_no_answer() -> None:
     arming = alone()
-    assert arming.pull(10).result == IN_PROGRESS
+    assert arming.pull(10).result == MavResult.IN_PROGRESS
     for state in (FLYING, LEVEL, REFUSED_BY_FAILSAFE):
         arming.speak(9)
         assert not arming.word
@@ -272,7 +270,7 @@ def test_its_refusal_is_told_in_its_words(reason: int, causes: int, words: str) 
     arming.pull(0)
     arming.speak(0)
     arming.seen(Said(0, REFUSED_BY_FAILSAFE, reason, causes))
-    assert (arming.answer, arming.word) == (CommandResult(TEMPORARILY_REJECTED, words), False)
+    assert (arming.answer, arming.word) == (rejected(words), False)
 
 
 def test_it_is_waited_for_a_tenth_of_a_second() -> None:
@@ -283,7 +281,10 @@ def test_it_is_waited_for_a_tenth_of_a_second() -> None:
         arming.seen(Said(tick))
         assert (arming.pending, arming.word) == (True, True)
     arming.seen(Said(125))
-    assert (arming.answer, arming.word) == (CommandResult(FAILED, "not armed: the flight code did not answer"), False)
+    assert (arming.answer, arming.word) == (
+        failed("not armed: the flight code did not answer"),
+        False,
+    )
 
 
 # Disarming and the kill.
@@ -306,14 +307,14 @@ def test_a_kill_is_obeyed_whoever_asks_and_holds_until_it_is_released(source: tu
     assert not cockpit.run(5).arm
     assert cockpit.commander.system_status == modes.TERMINATED
     assert (2, f"killed by system {source[0]}, component {source[1]}") in cockpit.commander.remarks
-    assert cockpit.commander.arming.disarm(COMPANION, force=True).accepted  # a kill again
+    assert cockpit.commander.arming.kill(COMPANION).accepted  # a kill again
     assert cockpit.commander.arming.killed_by == COMPANION
     assert "killed by system 1, component 191" in cockpit.commander.arming.arm(ME).text
     assert cockpit.commander.arming.disarm(ME).accepted
     assert "killed" in cockpit.commander.arming.arm(ME).text
     assert cockpit.commander.arming.release(ME).accepted
     assert cockpit.commander.remarks[-1] == (4, "released by system 250, component 190")
-    assert (cockpit.commander.arming.killed, cockpit.commander.arming.killed_by) == (False, None)
+    assert cockpit.commander.arming.killed_by is None
     assert not cockpit.run(5).arm, "nothing arms by it"
     assert cockpit.arm().accepted
     assert cockpit.run(5).mode == OFF
@@ -341,8 +342,8 @@ def test_who_may_not_command_may_not_release_and_what_was_not_killed_needs_none(
     assert cockpit.run().arm, "a release stops nothing"
     cockpit.commander.arming.kill(OTHER)
     verdict = cockpit.commander.arming.release(OTHER)
-    assert verdict == CommandResult(TEMPORARILY_REJECTED, "release refused: system 250, component 190 holds the lease")
-    assert cockpit.commander.arming.killed
+    assert verdict == rejected("release refused: system 250, component 190 holds the lease")
+    assert cockpit.commander.arming.killed_by is not None
     assert len(cockpit.commander.remarks) == said + 1
 
 
@@ -352,7 +353,7 @@ def test_a_kill_holds_over_a_reset() -> None:
     cockpit.run()
     cockpit.commander.restart()
     cockpit.failsafe.state = DISARMED
-    assert cockpit.commander.arming.killed
+    assert cockpit.commander.arming.killed_by is not None
     cockpit.tick = 0
     cockpit.run()
     assert "killed" in cockpit.commander.arming.arm(ME).text
@@ -361,7 +362,7 @@ def test_a_kill_holds_over_a_reset() -> None:
     assert cockpit.arm().accepted
     cockpit.commander.arming.disarm(ME)
     cockpit.commander.restart()
-    assert not cockpit.commander.arming.killed, "nor does a reset kill"
+    assert not cockpit.commander.arming.killed_by, "nor does a reset kill"
 
 
 def test_after_the_failsafe_has_stopped_the_motors_it_wants_to_be_disarmed() -> None:
@@ -380,7 +381,7 @@ def test_after_the_failsafe_has_stopped_the_motors_it_wants_to_be_disarmed() -> 
 def test_disarmed_and_armed_again_between_two_ticks_the_failsafe_sees_both(lockstep: bool) -> None:
     cockpit = offboard(lockstep=lockstep)
     assert cockpit.commander.arming.disarm(ME).accepted
-    assert cockpit.commander.arming.arm(ME).result == IN_PROGRESS
+    assert cockpit.commander.arming.arm(ME).result == MavResult.IN_PROGRESS
     asked = [cockpit.run() for _ in range(2)]
     assert [one.arm for one in asked] == [False, True]
     assert cockpit.commander.arming.answer.accepted
@@ -392,7 +393,7 @@ def test_disarming_before_it_was_armed_answers_the_arming() -> None:
     cockpit.run(2)
     cockpit.commander.arming.arm(ME)
     cockpit.commander.arming.disarm(OTHER)
-    assert cockpit.commander.arming.answer.result == FAILED
+    assert cockpit.commander.arming.answer.result == MavResult.FAILED
     assert not cockpit.run(3).arm
 
 

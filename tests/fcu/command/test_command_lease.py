@@ -9,15 +9,16 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 from tests.fcu.command.cockpit import COMPANION, ME, OTHER, Cockpit, armed
 from twodof.excitation import Impulse
 from twodof.fcu.command.arming import PATIENCE
-from twodof.fcu.command.command_lease import COMMANDING, HEARD, LONGEST, CommandLease
+from twodof.fcu.command.command_lease import COMMANDING, HEARD, LONGEST
+from twodof.fcu.command.commander import Commander
 from twodof.fcu.command.excitation_player import MOST_EFFORT, PLAYING, written_out
-from twodof.fcu.command.result import DENIED, FAILED, IN_PROGRESS, TEMPORARILY_REJECTED, Source
-from twodof.fcu.command.setpoint_manager import FRESH
-from twodof.fcu.command.setpoint_queue import CAPACITY, HORIZON
-from twodof.fcu.command.setpoints import SetPoint
+from twodof.fcu.command.result import Source
+from twodof.fcu.command.setpoint_manager import CAPACITY, FRESH
+from twodof.fcu.command.setpoints import HORIZON, SetPoint
 from twodof.fcu.control.loop import MOST_GRANTED
 from twodof.flight.failsafe.state_machine import OFF
 from twodof.link.mavlink import modes
+from twodof.link.mavlink.mav_enums import MavResult
 from twodof.signals import ATTITUDE
 
 CLIENTS = (ME, OTHER, COMPANION)
@@ -25,19 +26,24 @@ MANY = 400  # one example is some milliseconds
 IMPULSE = written_out(Impulse(0.05, 0.02, settle=0.2))
 
 
+def standing(commander: Commander) -> tuple[Source | None, int, int]:
+    """Who holds the lease, for how many ticks, and the count of changes."""
+    return commander.lease.holder, commander.lease.left, commander.lease.revision
+
+
 def test_who_asks_first_gets_it_and_the_other_is_told_who_has_it() -> None:
     commander = Cockpit().commander
-    assert commander.ask_lease(ME, 10_000).accepted
+    assert commander.lease.ask(ME, 10_000).accepted
     for verdict in (
-        commander.ask_lease(OTHER, 10_000),
-        commander.take(OTHER, "arming"),
-        commander.give_up_lease(OTHER),
+        commander.lease.ask(OTHER, 10_000),
+        commander.lease.take(OTHER, "arming"),
+        commander.lease.give_up(OTHER),
     ):
-        assert verdict.result == TEMPORARILY_REJECTED
+        assert verdict.result == MavResult.TEMPORARILY_REJECTED
         assert "system 250, component 190" in verdict.text
     assert commander.lease.holder == ME
-    assert commander.give_up_lease(ME).accepted
-    assert commander.ask_lease(OTHER, 10_000).accepted
+    assert commander.lease.give_up(ME).accepted
+    assert commander.lease.ask(OTHER, 10_000).accepted
 
 
 def test_one_without_a_lease_gets_a_free_one_by_commanding() -> None:
@@ -45,7 +51,7 @@ def test_one_without_a_lease_gets_a_free_one_by_commanding() -> None:
     cockpit.run(2)
     assert cockpit.commander.set_mode(OTHER, modes.RATE).accepted
     assert cockpit.commander.lease.holder == OTHER
-    assert cockpit.commander.arming.arm(ME).result == TEMPORARILY_REJECTED
+    assert cockpit.commander.arming.arm(ME).result == MavResult.TEMPORARILY_REJECTED
 
 
 def test_disarmed_it_ends_two_seconds_after_the_last_command_however_much_its_holder_says() -> None:
@@ -53,7 +59,7 @@ def test_disarmed_it_ends_two_seconds_after_the_last_command_however_much_its_ho
     cockpit.run(2)
     cockpit.commander.set_mode(ME, modes.RATE)
     cockpit.run(COMMANDING - 1)
-    assert cockpit.commander.lease == (ME, 1, 1)
+    assert standing(cockpit.commander) == (ME, 1, 1)
     cockpit.run()
     assert cockpit.commander.lease.holder is None
 
@@ -64,10 +70,10 @@ def test_armed_it_lasts_while_its_holder_is_heard_and_three_seconds_more() -> No
     assert cockpit.commander.lease.holder == ME
     cockpit.talking = (OTHER,)
     cockpit.run(HEARD - 2)  # it was last heard before the tick that ran last
-    assert cockpit.commander.lease == (ME, 1, 1)
+    assert standing(cockpit.commander) == (ME, 1, 1)
     cockpit.run()
     assert cockpit.commander.lease.holder is None
-    assert cockpit.commander.ask_lease(OTHER).accepted
+    assert cockpit.commander.lease.ask(OTHER).accepted
 
 
 def test_who_takes_it_by_arming_and_falls_silent_at_once_has_it_for_three_seconds_too() -> None:
@@ -75,7 +81,7 @@ def test_who_takes_it_by_arming_and_falls_silent_at_once_has_it_for_three_second
     cockpit.run(1000)
     assert cockpit.arm().accepted
     cockpit.run(HEARD - 2)
-    assert cockpit.commander.lease == (ME, 1, 1)
+    assert standing(cockpit.commander) == (ME, 1, 1)
     cockpit.run()
     assert cockpit.commander.lease.holder is None
 
@@ -85,19 +91,19 @@ def test_the_times_are_those_of_the_page() -> None:
     assert (COMMANDING, HEARD, LONGEST, FRESH, HORIZON, CAPACITY) == (500, 750, 7500, 125, 15_000, 256)
     assert (PATIENCE, MOST_GRANTED, MOST_EFFORT) == (25, 25_000, 1e8)
     commander = Cockpit(talking=()).commander
-    assert commander.ask_lease(ME).accepted
+    assert commander.lease.ask(ME).accepted
     assert commander.lease.left == COMMANDING
 
 
 def test_every_change_of_holder_is_counted() -> None:
     cockpit = Cockpit(talking=())
-    cockpit.commander.ask_lease(ME, 4)
+    cockpit.commander.lease.ask(ME, 4)
     assert cockpit.commander.lease.revision == 1
-    cockpit.commander.give_up_lease(ME)
+    cockpit.commander.lease.give_up(ME)
     assert cockpit.commander.lease.revision == 2
-    cockpit.commander.ask_lease(OTHER, 4)
+    cockpit.commander.lease.ask(OTHER, 4)
     cockpit.run(5)
-    assert cockpit.commander.lease == (None, 0, 4)
+    assert standing(cockpit.commander) == (None, 0, 4)
     assert cockpit.commander.remarks == [(6, "nobody holds the lease any more")]
 
 
@@ -105,14 +111,14 @@ def test_a_restart_without_any_lease_leaves_none() -> None:
     cockpit = Cockpit(talking=())
     cockpit.run(100)
     cockpit.commander.restart()
-    assert cockpit.commander.lease == (None, 0, 0)
+    assert standing(cockpit.commander) == (None, 0, 0)
 
 
 def test_asked_for_it_lasts_its_time_and_half_a_minute_at_most() -> None:
     cockpit = Cockpit(talking=())
     cockpit.run(2)
     for asked_ms, ticks in ((10_000, 2500), (0, COMMANDING), (1, 1), (2**32 - 1, LONGEST)):
-        assert cockpit.commander.ask_lease(ME, asked_ms).accepted
+        assert cockpit.commander.lease.ask(ME, asked_ms).accepted
         assert cockpit.commander.lease.left == ticks
     cockpit.run(LONGEST - 1)
     assert cockpit.commander.lease.holder == ME
@@ -123,42 +129,34 @@ def test_asked_for_it_lasts_its_time_and_half_a_minute_at_most() -> None:
 def test_in_lockstep_the_time_that_its_holder_grants_does_not_end_it_in_flight() -> None:
     cockpit = armed(talking=(), lockstep=True)
     assert cockpit.run(5 * HEARD).link_new
-    assert cockpit.commander.lease == (ME, HEARD - 1, 1)
-
-
-def test_it_is_moved_with_the_count_of_ticks() -> None:
-    lease = CommandLease()
-    assert lease.command(ME, 1000)
-    assert (lease.end(False), lease.end(True)) == (1000 + COMMANDING, 1000 + HEARD)
-    lease.moved(-1000)
-    assert (lease.end(False), lease.end(True)) == (COMMANDING, HEARD)
+    assert standing(cockpit.commander) == (ME, HEARD - 1, 1)
 
 
 def test_its_holder_goes_on_with_it_however_long_time_stood() -> None:
-    lease = CommandLease()
-    assert lease.ask(ME, 0, LONGEST)
-    lease.stands(10 * HEARD)
-    assert lease.state(0, False) == (ME, 0, 1)
-    assert lease.command(ME, 0)
-    assert lease.state(0, False) == (ME, LONGEST, 1)
+    commander = Cockpit(lockstep=True).commander
+    assert commander.lease.ask(ME, 30_000).accepted
+    commander.lease.stands(10 * HEARD)
+    assert standing(commander) == (ME, 0, 1)
+    assert commander.lease.take(ME).accepted
+    assert standing(commander) == (ME, LONGEST, 1)
 
 
 def test_before_anybody_is_heard_there_is_no_link_and_what_was_heard_counts_for_a_tick() -> None:
     cockpit = Cockpit(talking=())
     assert not cockpit.run().link_new
-    cockpit.commander.heard(COMPANION, True)
-    cockpit.commander.heard((2, 1), False)  # another vehicle, after it
+    cockpit.commander.lease.hear(COMPANION, True)
+    cockpit.commander.lease.hear((2, 1), False)  # another vehicle, after it
     assert cockpit.run().link_new
-    cockpit.commander.heard(COMPANION, True)
+    cockpit.commander.lease.hear(COMPANION, True)
     cockpit.commander.restart()
-    assert not cockpit.commander.asked(0).link_new
+    assert not cockpit.commander.control_input(0).link_new
 
 
 def test_nobody_has_no_lease() -> None:
     commander = Cockpit().commander
     for source in ((0, 1), (0, 190), (0, 0)):
-        assert commander.take(source).result == DENIED
-        assert commander.ask_lease(source, 1000).result == DENIED
+        assert commander.lease.take(source).result == MavResult.DENIED
+        assert commander.lease.ask(source, 1000).result == MavResult.DENIED
     assert commander.lease.holder is None
 
 
@@ -176,16 +174,16 @@ def test_a_script_without_a_component_commands_like_another() -> None:
 
 def test_the_link_is_the_holders_and_with_no_holder_any_clients() -> None:
     cockpit = Cockpit(talking=())
-    cockpit.commander.heard(OTHER, True)
+    cockpit.commander.lease.hear(OTHER, True)
     assert cockpit.run().link_new
     assert not cockpit.run().link_new
-    cockpit.commander.heard((2, 1), False)  # another vehicle
+    cockpit.commander.lease.hear((2, 1), False)  # another vehicle
     assert not cockpit.run().link_new
-    cockpit.commander.ask_lease(ME, 10_000)
+    cockpit.commander.lease.ask(ME, 10_000)
     cockpit.run()
-    cockpit.commander.heard(OTHER, True)
+    cockpit.commander.lease.hear(OTHER, True)
     assert not cockpit.run().link_new
-    cockpit.commander.heard(ME, True)
+    cockpit.commander.lease.hear(ME, True)
     assert cockpit.run().link_new
 
 
@@ -196,7 +194,7 @@ def test_a_pilot_that_fell_silent_in_flight_is_not_replaced_by_who_only_listens(
     assert cockpit.commander.remarks[-1] == (4, "nobody holds the lease any more")
     assert not any(linked[1:])  # the failsafe's timer runs out
     cockpit.talking = ()
-    cockpit.commander.ask_lease(OTHER, 10_000)
+    cockpit.commander.lease.ask(OTHER, 10_000)
     assert cockpit.run().link_new
     assert not cockpit.run().link_new
     cockpit.commander.set_mode(OTHER, modes.HOLD)
@@ -205,11 +203,11 @@ def test_a_pilot_that_fell_silent_in_flight_is_not_replaced_by_who_only_listens(
 
 def test_a_pilot_that_gave_up_in_flight_is_not_replaced_by_who_only_listens_either() -> None:
     cockpit = armed(talking=(ME,))
-    assert cockpit.commander.give_up_lease(ME).accepted
+    assert cockpit.commander.lease.give_up(ME).accepted
     cockpit.talking = (ME, OTHER)
     cockpit.run()
     assert not any(cockpit.run().link_new for _ in range(2 * HEARD))
-    cockpit.commander.ask_lease(OTHER, 10_000)
+    cockpit.commander.lease.ask(OTHER, 10_000)
     assert cockpit.run().link_new
 
 
@@ -231,29 +229,29 @@ def test_nobody_is_missed_once_the_failsafe_has_stopped_the_motors() -> None:
     cockpit = armed(talking=(ME,))
     cockpit.failsafe.acts = OFF
     cockpit.run(2)
-    assert cockpit.commander.give_up_lease(ME).accepted
+    assert cockpit.commander.lease.give_up(ME).accepted
     cockpit.talking = ()
     cockpit.run(2)
-    cockpit.commander.heard(COMPANION, True)
+    cockpit.commander.lease.hear(COMPANION, True)
     assert cockpit.run().link_new
 
 
 def test_where_time_stands_who_died_gives_way_with_all_that_it_has_sent_ahead() -> None:
     """`stands` counts real time, in which only the holder could let any pass; a frame of it counts anew."""
-    for take in (lambda one: one.ask_lease(OTHER), lambda one: one.take(OTHER)):
+    for take in (lambda one: one.lease.ask(OTHER), lambda one: one.lease.take(OTHER)):
         cockpit = armed(talking=(), lockstep=True)
         commander = cockpit.commander
         for ahead in (3, 5):
             commander.setpoint(ME, SetPoint(ATTITUDE, theta0=0.1, thrust=0.4), cockpit.tick + ahead)
-        commander.stands(HEARD - 1)
-        commander.heard(ME, True)
-        commander.stands(HEARD - 1)
+        commander.lease.stands(HEARD - 1)
+        commander.lease.hear(ME, True)
+        commander.lease.stands(HEARD - 1)
         assert commander.lease.left == 1
         assert not take(commander).accepted
-        commander.stands(1)
-        assert commander.lease == (ME, 0, 1)
+        commander.lease.stands(1)
+        assert standing(commander) == (ME, 0, 1)
         assert take(commander).accepted
-        assert commander.lease[::2] == (OTHER, 2)
+        assert (commander.lease.holder, commander.lease.revision) == (OTHER, 2)
         assert commander.lease.left > 1
         assert commander.refused == {"lease": 2}
         assert cockpit.run(10).mode == 0
@@ -262,10 +260,10 @@ def test_where_time_stands_who_died_gives_way_with_all_that_it_has_sent_ahead() 
 def test_an_arming_of_who_died_while_time_stood_ends_with_its_lease() -> None:
     cockpit = Cockpit(talking=(), lockstep=True)
     cockpit.run(2)
-    assert cockpit.commander.arming.arm(ME).result == IN_PROGRESS
-    cockpit.commander.stands(HEARD)
-    assert cockpit.commander.ask_lease(OTHER).accepted
-    assert cockpit.commander.arming.answer.result == FAILED
+    assert cockpit.commander.arming.arm(ME).result == MavResult.IN_PROGRESS
+    cockpit.commander.lease.stands(HEARD)
+    assert cockpit.commander.lease.ask(OTHER).accepted
+    assert cockpit.commander.arming.answer.result == MavResult.FAILED
     assert not any(cockpit.run().arm for _ in range(5))
 
 
@@ -273,18 +271,18 @@ def test_every_loss_is_counted() -> None:
     cockpit = armed()
     for lost in (1, 2):
         cockpit.commander.setpoint(ME, SetPoint(ATTITUDE, theta0=0.1, thrust=0.4), cockpit.tick + 10)
-        cockpit.commander.give_up_lease(ME)
+        cockpit.commander.lease.give_up(ME)
         assert cockpit.commander.refused == {"lease": lost}
 
 
 def test_disarmed_any_client_keeps_the_link_again() -> None:
     cockpit = armed(talking=(ME,))
-    cockpit.commander.give_up_lease(ME)
+    cockpit.commander.lease.give_up(ME)
     cockpit.commander.arming.disarm(OTHER)
     cockpit.run(2)
     cockpit.talking = ()
     cockpit.run()
-    cockpit.commander.heard(COMPANION, True)
+    cockpit.commander.lease.hear(COMPANION, True)
     assert cockpit.run().link_new
 
 
@@ -316,7 +314,7 @@ class TwoClients(RuleBasedStateMachine):
     @rule(source=st.sampled_from(CLIENTS), ms=st.sampled_from([0, 4, 400, 5000, 2**32 - 1]))
     def ask(self, source: Source, ms: int) -> None:
         may = self._may(source)
-        verdict = self.commander.ask_lease(source, ms)
+        verdict = self.commander.lease.ask(source, ms)
         assert verdict.accepted == may
         self._checked(source, may, verdict.accepted)
         if may:
@@ -325,7 +323,7 @@ class TwoClients(RuleBasedStateMachine):
     @rule(source=st.sampled_from(CLIENTS))
     def give_up(self, source: Source) -> None:
         held = self.commander.lease.holder == source
-        assert self.commander.give_up_lease(source).accepted == held
+        assert self.commander.lease.give_up(source).accepted == held
         assert not held or self.commander.lease.holder is None
 
     @rule(source=st.sampled_from(CLIENTS), mode=st.sampled_from([*modes.BY_NUMBER]))
@@ -373,7 +371,7 @@ class TwoClients(RuleBasedStateMachine):
         asked = self.cockpit.run()
         assert (asked.arm, asked.mode) == (False, 0)
         self.killed = self.killed or kill
-        assert self.commander.arming.killed == self.killed
+        assert (self.commander.arming.killed_by is not None) == self.killed
         assert self.commander.excitation.player.state != PLAYING
 
     @rule(source=st.sampled_from(CLIENTS))
@@ -382,7 +380,7 @@ class TwoClients(RuleBasedStateMachine):
         verdict = self.commander.arming.release(source)
         self._checked(source, may, verdict.accepted)
         self.killed = self.killed and not may
-        assert self.commander.arming.killed == self.killed
+        assert (self.commander.arming.killed_by is not None) == self.killed
 
     @rule(sources=st.sets(st.sampled_from(CLIENTS)), ticks=st.sampled_from([1, 5, 300, 800]))
     def pass_time(self, sources: set[Source], ticks: int) -> None:
@@ -409,7 +407,7 @@ class TwoClients(RuleBasedStateMachine):
 
     @invariant()
     def never_armed_while_killed(self) -> None:
-        assert not (self.commander.arming.killed and self.cockpit.run().arm)
+        assert not (self.commander.arming.killed_by and self.cockpit.run().arm)
 
 
 TestTwoClients = TwoClients.TestCase

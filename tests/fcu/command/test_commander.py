@@ -8,16 +8,15 @@ from hypothesis import strategies as st
 
 from tests.fcu.command.cockpit import LEVEL_FLIGHT, ME, OTHER, Cockpit, Rig, armed, offboard
 from twodof.fcu.command.manual_control import PITCH_AT_FULL, RATE_AT_FULL, VELOCITY_AT_FULL
-from twodof.fcu.command.result import DENIED, IN_PROGRESS, TEMPORARILY_REJECTED, UNSUPPORTED
-from twodof.fcu.command.setpoint_manager import FRESH
-from twodof.fcu.command.setpoint_queue import CAPACITY, HORIZON
-from twodof.fcu.command.setpoints import SetPoint
+from twodof.fcu.command.setpoint_manager import CAPACITY, FRESH
+from twodof.fcu.command.setpoints import HORIZON, SetPoint
 from twodof.fcu.command.vehicle_state import MOST_REMARKS
 from twodof.fcu.control.control_input import ControlInput
 from twodof.flight.failsafe.causes_and_actions import BIT
 from twodof.flight.failsafe.state_machine import BRAKE, DESCEND, FLYING, LEVEL
 from twodof.flight.failsafe.state_machine import OFF as STOPPED_BY_FAILSAFE
 from twodof.link.mavlink import modes
+from twodof.link.mavlink.mav_enums import MavResult
 from twodof.signals import ATTITUDE, OFF, OPEN_LOOP, POSITION, RATE, VELOCITY
 
 # Set-points and offboard.
@@ -49,7 +48,7 @@ def test_a_number_that_is_none_changes_nothing_and_is_counted(name: str, value: 
     cockpit = offboard()
     before = cockpit.run()
     verdict = cockpit.commander.setpoint(ME, LEVEL_FLIGHT._replace(**{name: value}))
-    assert verdict.result == DENIED
+    assert verdict.result == MavResult.DENIED
     assert cockpit.run() == before
     assert cockpit.commander.refused == {"invalid": 1}
 
@@ -57,10 +56,10 @@ def test_a_number_that_is_none_changes_nothing_and_is_counted(name: str, value: 
 def test_offboard_wants_a_stream_above_2_hz() -> None:
     cockpit = armed()
     commander = cockpit.commander
-    assert commander.set_mode(ME, modes.OFFBOARD).result == TEMPORARILY_REJECTED
+    assert commander.set_mode(ME, modes.OFFBOARD).result == MavResult.TEMPORARILY_REJECTED
     commander.setpoint(ME, LEVEL_FLIGHT)
     cockpit.run(FRESH + 1)
-    assert commander.set_mode(ME, modes.OFFBOARD).result == TEMPORARILY_REJECTED
+    assert commander.set_mode(ME, modes.OFFBOARD).result == MavResult.TEMPORARILY_REJECTED
     commander.setpoint(ME, LEVEL_FLIGHT)
     cockpit.run(FRESH)
     assert commander.set_mode(ME, modes.OFFBOARD).accepted
@@ -109,10 +108,10 @@ def test_no_set_point_moves_a_locked_cart() -> None:
     cockpit = offboard(rig=Rig(rings=True))
     for setpoint in (SetPoint(VELOCITY, v0=0.1), SetPoint(POSITION, x0=0.1)):
         verdict = cockpit.commander.setpoint(ME, setpoint)
-        assert verdict.result == DENIED
+        assert verdict.result == MavResult.DENIED
         assert "rings" in verdict.text
         assert cockpit.run().mode == ATTITUDE
-    assert cockpit.commander.set_mode(ME, modes.POSITION).result == DENIED
+    assert cockpit.commander.set_mode(ME, modes.POSITION).result == MavResult.DENIED
     assert cockpit.commander.refused["rings"] == 2
 
 
@@ -143,8 +142,8 @@ def test_what_waits_is_bounded_in_number_and_time() -> None:
 def test_what_waits_of_one_who_lost_the_lease_does_not_act() -> None:
     cockpit = offboard()
     cockpit.commander.setpoint(ME, SetPoint(ATTITUDE, theta0=0.3), cockpit.tick + 10)
-    assert cockpit.commander.give_up_lease(ME).accepted
-    assert cockpit.commander.ask_lease(OTHER).accepted
+    assert cockpit.commander.lease.give_up(ME).accepted
+    assert cockpit.commander.lease.ask(OTHER).accepted
     assert cockpit.run(20).theta0 == 0.0
     assert cockpit.commander.refused["lease"] == 1
 
@@ -175,7 +174,7 @@ def test_a_hold_chosen_before_arming_starts_nothing() -> None:
 @given(number=st.integers(0, 2**32 - 1).filter(lambda number: number not in modes.BY_NUMBER))
 def test_a_mode_that_is_none_is_refused(number: int) -> None:
     cockpit = armed()
-    assert cockpit.commander.set_mode(ME, number).result == UNSUPPORTED
+    assert cockpit.commander.set_mode(ME, number).result == MavResult.UNSUPPORTED
     assert cockpit.commander.custom_mode == modes.MANUAL
 
 
@@ -288,7 +287,7 @@ def test_sticks_are_no_stream_for_offboard() -> None:
     cockpit = armed()
     cockpit.commander.set_mode(ME, modes.RATE)
     cockpit.commander.sticks(ME, 0.0, 0.4)
-    assert cockpit.commander.set_mode(ME, modes.OFFBOARD).result == TEMPORARILY_REJECTED
+    assert cockpit.commander.set_mode(ME, modes.OFFBOARD).result == MavResult.TEMPORARILY_REJECTED
 
 
 def test_open_loop_messages_keep_to_their_tick() -> None:
@@ -372,7 +371,7 @@ def test_heartbeats_numbers_follow_the_failsafe() -> None:
 def test_a_restart_forgets_all_but_the_lease() -> None:
     cockpit = offboard(talking=())
     commander = cockpit.commander
-    commander.ask_lease(ME, 20_000)
+    commander.lease.ask(ME, 20_000)
     commander.arming.disarm(ME)
     cockpit.run()
     left = commander.lease.left
@@ -381,8 +380,8 @@ def test_a_restart_forgets_all_but_the_lease() -> None:
     assert commander.lease.left == left
     assert (commander.custom_mode, commander.armed) == (modes.MANUAL, False)
     assert commander.system_status == modes.UNREADY
-    assert commander.asked(0) == ControlInput()
-    assert commander.open_loop(OTHER, 0.1, 0.1, True, True, True).result == TEMPORARILY_REJECTED
+    assert commander.control_input(0) == ControlInput()
+    assert commander.open_loop(OTHER, 0.1, 0.1, True, True, True).result == MavResult.TEMPORARILY_REJECTED
 
 
 def test_a_restart_is_a_change_of_the_open_loop_in_use() -> None:
@@ -398,8 +397,8 @@ def test_the_same_tuple_is_given_while_nothing_changes() -> None:
     """What lets 250 calls a second cost nothing: no new object is made."""
     cockpit = offboard(talking=())
     cockpit.run(2)
-    quiet = cockpit.commander.asked(cockpit.tick)
-    assert all(cockpit.commander.asked(cockpit.tick + 1 + later) is quiet for later in range(50))
+    quiet = cockpit.commander.control_input(cockpit.tick)
+    assert all(cockpit.commander.control_input(cockpit.tick + 1 + later) is quiet for later in range(50))
 
 
 def test_what_the_failsafe_does_is_said_in_words() -> None:
@@ -452,10 +451,10 @@ def test_a_link_that_is_lost_speaks_against_arming_until_somebody_is_heard() -> 
     cockpit.failsafe.causes = BIT["link_lost"]
     cockpit.run(3)
     assert cockpit.commander.system_status == modes.UNREADY
-    cockpit.commander.heard(ME, True)
+    cockpit.commander.lease.hear(ME, True)
     assert cockpit.commander.system_status == modes.STANDBY
     cockpit.run()
-    assert cockpit.commander.arming.arm(ME).result == IN_PROGRESS
+    assert cockpit.commander.arming.arm(ME).result == MavResult.IN_PROGRESS
 
 
 def test_a_flight_that_was_asked_to_end_says_nothing_of_the_failsafe() -> None:

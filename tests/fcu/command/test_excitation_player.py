@@ -295,7 +295,7 @@ def test_one_that_waits_does_not_begin_in_the_flight_of_another() -> None:
     cockpit.run(3)
     ready(cockpit=cockpit)
     assert cockpit.commander.excitation.start(ME, 7, M, 0.4, cockpit.tick + 100).accepted
-    assert cockpit.commander.give_up_lease(ME).accepted
+    assert cockpit.commander.lease.give_up(ME).accepted
     assert cockpit.arm(OTHER).accepted
     asked = [cockpit.run() for _ in range(200)]
     assert {(one.mode, one.thrust, one.M_open) for one in asked} == {(0, 0.0, 0.0)}

@@ -12,16 +12,15 @@ from tests.fcu.command.cockpit import ME, OTHER, Cockpit, Rig, armed, offboard
 from twodof import fcu
 from twodof.excitation import Impulse
 from twodof.fcu.command.excitation_player import REFUSED, STOPPED, written_out
-from twodof.fcu.command.result import FAILED, IN_PROGRESS, TEMPORARILY_REJECTED
 from twodof.fcu.command.setpoint_manager import FRESH
 from twodof.fcu.command.setpoints import SetPoint
 from twodof.fcu.mavlink.parameter_service import INT32, REAL32
 from twodof.fcu.mavlink.transactions import BEGIN, COMMIT, UNDO
 from twodof.fcu.parameters.row import VehicleParameter
-from twodof.fcu.px4_compat.storage import STORAGE
 from twodof.flight.failsafe.causes_and_actions import BIT
 from twodof.flight.failsafe.state_machine import BRAKE, DESCEND, LEVEL
 from twodof.link.mavlink import modes
+from twodof.link.mavlink.mav_enums import MavCmd, MavResult
 from twodof.link.mavlink.messages import float_of_int, message
 from twodof.parameters import FLIGHT_PARAMETERS
 from twodof.signals import ATTITUDE, OFF, OPEN_LOOP, POSITION, VELOCITY
@@ -36,8 +35,8 @@ def test_what_waits_is_forgotten_with_the_lease_and_does_not_act_when_its_sender
     """A program that was started anew under its old number knows nothing of what the one before had sent ahead."""
     cockpit = offboard()
     cockpit.commander.setpoint(ME, PITCHED, cockpit.tick + 10)
-    assert cockpit.commander.give_up_lease(ME).accepted
-    assert cockpit.commander.ask_lease(ME).accepted
+    assert cockpit.commander.lease.give_up(ME).accepted
+    assert cockpit.commander.lease.ask(ME).accepted
     assert cockpit.run(20).theta0 == 0.0
     assert cockpit.commander.refused["lease"] == 1
 
@@ -47,12 +46,12 @@ def test_an_excitation_that_waits_is_refused_when_its_starter_loses_the_lease_ev
     commander = cockpit.commander
     assert commander.excitation.define(ME, 7, PULSE).accepted
     assert commander.excitation.start(ME, 7, 0, 0.4, cockpit.tick + 10).accepted
-    assert commander.give_up_lease(ME).accepted
+    assert commander.lease.give_up(ME).accepted
     assert (commander.excitation.player.state, commander.excitation.player.reason) == (
         REFUSED,
         "who started it has lost the lease",
     )
-    assert commander.ask_lease(ME).accepted
+    assert commander.lease.ask(ME).accepted
     assert all(cockpit.run().M_open == 0.0 for _ in range(20))
 
 
@@ -61,8 +60,8 @@ def test_a_stream_of_before_is_no_reason_to_enter_offboard_after_the_lease_has_e
     cockpit = armed()
     commander = cockpit.commander
     commander.setpoint(ME, PITCHED)
-    assert commander.give_up_lease(ME).accepted
-    assert commander.set_mode(takes, modes.OFFBOARD).result == TEMPORARILY_REJECTED
+    assert commander.lease.give_up(ME).accepted
+    assert commander.set_mode(takes, modes.OFFBOARD).result == MavResult.TEMPORARILY_REJECTED
     assert cockpit.run(3).mode == OFF
 
 
@@ -72,7 +71,7 @@ def test_nor_does_it_fly_when_another_arms_in_offboard() -> None:
     commander = cockpit.commander
     commander.setpoint(ME, PITCHED)
     assert commander.set_mode(ME, modes.OFFBOARD).accepted
-    assert commander.give_up_lease(ME).accepted
+    assert commander.lease.give_up(ME).accepted
     assert cockpit.arm(OTHER).accepted
     assert cockpit.run(3).mode == OFF
 
@@ -81,9 +80,9 @@ def test_a_lease_that_is_given_up_before_the_drone_has_armed_ends_the_arming() -
     """Else it would arm with no pilot, and any listener would keep its link alive."""
     cockpit = Cockpit()
     cockpit.run(2)
-    assert cockpit.commander.arming.arm(ME).result == IN_PROGRESS
-    assert cockpit.commander.give_up_lease(ME).accepted
-    assert cockpit.commander.arming.answer.result == FAILED
+    assert cockpit.commander.arming.arm(ME).result == MavResult.IN_PROGRESS
+    assert cockpit.commander.lease.give_up(ME).accepted
+    assert cockpit.commander.arming.answer.result == MavResult.FAILED
     assert not any(cockpit.run().arm for _ in range(5))
 
 
@@ -164,7 +163,7 @@ def test_no_excitation_begins_while_the_failsafe_acts(acts: int) -> None:
     cockpit.failsafe.acts, cockpit.failsafe.causes = acts, BIT["setpoint_lost"]
     cockpit.run(2)
     verdict = commander.excitation.start(ME, 7, 0, 0.4)
-    assert verdict.result == TEMPORARILY_REJECTED
+    assert verdict.result == MavResult.TEMPORARILY_REJECTED
     assert "the failsafe acts" in verdict.text
     cockpit.failsafe.acts, cockpit.failsafe.causes = None, 0
     assert all(cockpit.run().mode == ATTITUDE for _ in range(5))
@@ -208,10 +207,10 @@ def test_nor_does_it_arm_where_the_switch_is_set_in_the_very_tick() -> None:
     rig = Rig()
     cockpit = Cockpit(rig)
     cockpit.run(2)
-    assert cockpit.commander.arming.arm(ME).result == IN_PROGRESS
+    assert cockpit.commander.arming.arm(ME).result == MavResult.IN_PROGRESS
     rig.safety_off = False
     assert not any(cockpit.run().arm for _ in range(5))
-    assert cockpit.commander.arming.answer.result == FAILED
+    assert cockpit.commander.arming.answer.result == MavResult.FAILED
 
 
 def test_a_switch_that_is_set_on_the_ground_is_no_event() -> None:
@@ -228,7 +227,7 @@ def test_a_stick_that_another_held_keeps_nobody_from_arming() -> None:
     cockpit = Cockpit()
     cockpit.run(2)
     cockpit.commander.sticks(ME, 0.5, 0.5)
-    assert cockpit.commander.give_up_lease(ME).accepted
+    assert cockpit.commander.lease.give_up(ME).accepted
     assert cockpit.arm(OTHER).accepted
     assert cockpit.run(3).mode == OFF
 
@@ -269,7 +268,7 @@ def test_in_flight_no_message_changes_a_parameter_of_the_failsafe() -> None:
         put(store.row("RATE_KP"))
         transaction(COMMIT, 2)
     transaction(UNDO)
-    drone.command(STORAGE, 2.0)
+    drone.command(MavCmd.PREFLIGHT_STORAGE, 2.0)
     drone.stream()
     drone.run(2)
     assert dict(store) == before

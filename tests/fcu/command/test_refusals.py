@@ -10,13 +10,14 @@ import pytest
 from tests.fcu.command.cockpit import LEVEL_FLIGHT, ME, OTHER, Cockpit, Rig, armed, offboard
 from twodof.excitation import Impulse
 from twodof.fcu.command.excitation_player import READY, REFUSED, written_out
-from twodof.fcu.command.result import DENIED, FAILED, TEMPORARILY_REJECTED, UNSUPPORTED, CommandResult
-from twodof.fcu.command.setpoint_queue import HORIZON
-from twodof.fcu.command.setpoints import SetPoint
+from twodof.fcu.command.result import CommandResult, failed, rejected
+from twodof.fcu.command.setpoints import HORIZON, SetPoint
 from twodof.flight.failsafe.causes_and_actions import BIT
 from twodof.link.mavlink import modes
+from twodof.link.mavlink.mav_enums import MavResult
 from twodof.signals import ATTITUDE, POSITION
 
+REJECTED = MavResult.TEMPORARILY_REJECTED
 WHO = "system 250, component 190 holds"
 PULSE = written_out(Impulse(0.1, 0.02, settle=0.4))
 PITCHING = written_out(Impulse(0.1, 0.02, unit="rad"))
@@ -86,98 +87,116 @@ def too_far() -> CommandResult:
 
 SITUATIONS: dict[str, tuple[Callable[[], CommandResult], int]] = {
     # Whoever does not hold the lease.
-    f"arming refused: {WHO} the lease": (lambda: armed().commander.arming.arm(OTHER), TEMPORARILY_REJECTED),
-    f"mode refused: {WHO} the lease": (lambda: armed().commander.set_mode(OTHER, modes.HOLD), TEMPORARILY_REJECTED),
+    f"arming refused: {WHO} the lease": (lambda: armed().commander.arming.arm(OTHER), REJECTED),
+    f"mode refused: {WHO} the lease": (
+        lambda: armed().commander.set_mode(OTHER, modes.HOLD),
+        REJECTED,
+    ),
     f"set-point refused: {WHO} the lease": (
         lambda: armed().commander.setpoint(OTHER, LEVEL_FLIGHT),
-        TEMPORARILY_REJECTED,
+        REJECTED,
     ),
     f"excitation refused: {WHO} the lease": (
         lambda: playing().commander.excitation.define(OTHER, 8, PULSE),
-        TEMPORARILY_REJECTED,
+        REJECTED,
     ),
     f"excitation refused: {WHO} the lease ": (
         lambda: ready().commander.excitation.start(OTHER, 7, 0),
-        TEMPORARILY_REJECTED,
+        REJECTED,
     ),
     f"excitation refused: {WHO} the lease  ": (
         lambda: ready().commander.excitation.stop(OTHER),
-        TEMPORARILY_REJECTED,
+        REJECTED,
     ),
-    f"command refused: {WHO} the lease": (lambda: armed().commander.take(OTHER), TEMPORARILY_REJECTED),
-    f"lease refused: {WHO} it": (lambda: armed().commander.ask_lease(OTHER), TEMPORARILY_REJECTED),
-    f"lease not given up: {WHO} it": (lambda: armed().commander.give_up_lease(OTHER), TEMPORARILY_REJECTED),
-    "lease not given up: nobody holds it": (lambda: on_the_ground().commander.give_up_lease(ME), TEMPORARILY_REJECTED),
-    "command refused: it has no sender": (lambda: on_the_ground().commander.take((0, 190)), DENIED),
-    "lease refused: it has no sender": (lambda: on_the_ground().commander.ask_lease((0, 0)), DENIED),
+    f"command refused: {WHO} the lease": (lambda: armed().commander.lease.take(OTHER), REJECTED),
+    f"lease refused: {WHO} it": (lambda: armed().commander.lease.ask(OTHER), REJECTED),
+    f"lease not given up: {WHO} it": (lambda: armed().commander.lease.give_up(OTHER), REJECTED),
+    "lease not given up: nobody holds it": (
+        lambda: on_the_ground().commander.lease.give_up(ME),
+        REJECTED,
+    ),
+    "command refused: it has no sender": (lambda: on_the_ground().commander.lease.take((0, 190)), MavResult.DENIED),
+    "lease refused: it has no sender": (lambda: on_the_ground().commander.lease.ask((0, 0)), MavResult.DENIED),
     # Arming.
-    "not armed: tilted": (lambda: on_the_ground(BIT["tilted"]).commander.arming.arm(ME), TEMPORARILY_REJECTED),
+    "not armed: tilted": (
+        lambda: on_the_ground(BIT["tilted"]).commander.arming.arm(ME),
+        REJECTED,
+    ),
     "not armed: imu_lost, tilted": (
         lambda: on_the_ground(BIT["tilted"] | BIT["imu_lost"]).commander.arming.arm(ME),
-        TEMPORARILY_REJECTED,
+        REJECTED,
     ),
-    "not armed: no sensor was heard yet": (lambda: Cockpit().commander.arming.arm(ME), TEMPORARILY_REJECTED),
-    "not armed: a controller is being built": (unfit, TEMPORARILY_REJECTED),
+    "not armed: no sensor was heard yet": (lambda: Cockpit().commander.arming.arm(ME), REJECTED),
+    "not armed: a controller is being built": (unfit, REJECTED),
     "not armed: killed by system 245, component 190: release it first (twodof kill --release)": (
         killed,
-        TEMPORARILY_REJECTED,
+        REJECTED,
     ),
-    "not armed: safety switch, press it": (switched, TEMPORARILY_REJECTED),
+    "not armed: safety switch, press it": (switched, REJECTED),
     # Modes.
-    "there is no mode main 99, sub 0": (lambda: armed().commander.set_mode(ME, 99 << 16), UNSUPPORTED),
+    "there is no mode main 99, sub 0": (lambda: armed().commander.set_mode(ME, 99 << 16), MavResult.UNSUPPORTED),
     "mode position moves the cart, and the rings lock it": (
         lambda: armed(rig=Rig(rings=True)).commander.set_mode(ME, modes.POSITION),
-        DENIED,
+        MavResult.DENIED,
     ),
     "mode offboard wants set-points above 2 Hz first": (
         lambda: armed().commander.set_mode(ME, modes.OFFBOARD),
-        TEMPORARILY_REJECTED,
+        REJECTED,
     ),
     # Set-points.
     "set-point refused: a number is not finite": (
         lambda: armed().commander.setpoint(ME, LEVEL_FLIGHT._replace(theta0=nan)),
-        DENIED,
+        MavResult.DENIED,
     ),
     "set-point refused: it moves the cart, and the rings lock it": (
         lambda: armed(rig=Rig(rings=True)).commander.setpoint(ME, SetPoint(POSITION, x0=0.1)),
-        DENIED,
+        MavResult.DENIED,
     ),
-    "set-point refused: too many wait, or it is more than a minute ahead": (too_far, DENIED),
-    "set-point refused: a stick is beyond its end": (lambda: armed().commander.sticks(ME, 0.0, 1.01), DENIED),
+    "set-point refused: too many wait, or it is more than a minute ahead": (too_far, MavResult.DENIED),
+    "set-point refused: a stick is beyond its end": (lambda: armed().commander.sticks(ME, 0.0, 1.01), MavResult.DENIED),
     # Excitations.
-    "excitation refused: another plays": (lambda: started(playing(), transfer=8), TEMPORARILY_REJECTED),
+    "excitation refused: another plays": (lambda: started(playing(), transfer=8), REJECTED),
     "excitation refused: another plays ": (
         lambda: playing().commander.excitation.define(ME, 8, PULSE),
-        TEMPORARILY_REJECTED,
+        REJECTED,
     ),
     "excitation refused: there is no definition 8, whole and not yet played": (
         lambda: started(ready(), transfer=8),
-        TEMPORARILY_REJECTED,
+        REJECTED,
     ),
     "excitation refused: there is no definition 7, whole and not yet played": (
         lambda: started(played(), loop=2),
-        TEMPORARILY_REJECTED,
+        REJECTED,
     ),
-    "excitation refused: there is no loop 5": (lambda: started(ready(), loop=5), TEMPORARILY_REJECTED),
-    "excitation refused: there is no loop -1": (lambda: started(ready(), loop=-1), TEMPORARILY_REJECTED),
-    "excitation refused: it is in '-', the loop in 'rad/s'": (lambda: started(ready(), loop=1), TEMPORARILY_REJECTED),
+    "excitation refused: there is no loop 5": (lambda: started(ready(), loop=5), REJECTED),
+    "excitation refused: there is no loop -1": (lambda: started(ready(), loop=-1), REJECTED),
+    "excitation refused: it is in '-', the loop in 'rad/s'": (
+        lambda: started(ready(), loop=1),
+        REJECTED,
+    ),
     "excitation refused: the loop moves the cart, and the rings lock it": (
         lambda: started(ready(MOVING, rig=Rig(rings=True)), loop=4),
-        TEMPORARILY_REJECTED,
+        REJECTED,
     ),
-    "excitation refused: thrust is not within 0 to 1": (lambda: started(ready(), thrust=1.01), TEMPORARILY_REJECTED),
-    "excitation refused: thrust is not within 0 to 1 ": (lambda: started(ready(), thrust=-0.01), TEMPORARILY_REJECTED),
+    "excitation refused: thrust is not within 0 to 1": (
+        lambda: started(ready(), thrust=1.01),
+        REJECTED,
+    ),
+    "excitation refused: thrust is not within 0 to 1 ": (
+        lambda: started(ready(), thrust=-0.01),
+        REJECTED,
+    ),
     "excitation refused: a closed loop without thrust": (
         lambda: started(ready(PITCHING), loop=2, thrust=0.0),
-        TEMPORARILY_REJECTED,
+        REJECTED,
     ),
     "excitation refused: tick 3 is past or more than a minute ahead, the next is 4": (
         lambda: started(ready(), ahead=-1),
-        TEMPORARILY_REJECTED,
+        REJECTED,
     ),
     f"excitation refused: tick {HORIZON + 5} is past or more than a minute ahead, the next is 4": (
         lambda: started(ready(), ahead=HORIZON + 1),
-        TEMPORARILY_REJECTED,
+        REJECTED,
     ),
 }
 """The words (spaces at the end tell equal ones apart), what is done, and MAV_RESULT."""
@@ -257,7 +276,7 @@ def test_a_start_of_another_while_one_plays_leaves_that_alone() -> None:
 
 def test_a_stick_that_is_refused_keeps_nobody_from_arming() -> None:
     cockpit = on_the_ground()
-    cockpit.commander.ask_lease(ME)
+    cockpit.commander.lease.ask(ME)
     cockpit.commander.sticks(ME, 0.0, 0.0)
     assert not cockpit.commander.sticks(OTHER, 0.5, 0.5).accepted
     cockpit.commander.set_mode(ME, modes.ATTITUDE)
@@ -270,7 +289,7 @@ def test_the_answer_to_an_arming_stays_until_the_next() -> None:
     cockpit.failsafe.causes = BIT["tilted"] | BIT["imu_lost"]
     cockpit.run()
     refused = cockpit.commander.arming.answer
-    assert refused == CommandResult(TEMPORARILY_REJECTED, "not armed: imu_lost, tilted")
+    assert refused == rejected("not armed: imu_lost, tilted")
     cockpit.run(60)
     assert cockpit.commander.arming.answer == refused
     cockpit.failsafe.causes = 0
@@ -285,7 +304,7 @@ def test_an_arming_that_was_ended_says_so() -> None:
     cockpit = on_the_ground()
     cockpit.commander.arming.arm(ME)
     cockpit.commander.arming.disarm(OTHER)
-    assert cockpit.commander.arming.answer == CommandResult(FAILED, "disarmed before it had armed")
+    assert cockpit.commander.arming.answer == failed("disarmed before it had armed")
 
 
 def test_what_is_asked_before_the_first_tick_is_asked_at_once() -> None:

@@ -164,7 +164,7 @@ class Code(services_desk.Code):
 class Arms(Script):
     """Arms, and asks for nothing."""
 
-    def asked(self, tick: int) -> ControlInput:
+    def control_input(self, tick: int) -> ControlInput:
         return ControlInput(arm=ARM_AT <= tick < self.disarm_at)
 
 

@@ -26,8 +26,8 @@ LATER = 400
 class Later(Script):
     """The same flight, `LATER` ticks later."""
 
-    def asked(self, tick: int) -> ControlInput:
-        return super().asked(tick - LATER)
+    def control_input(self, tick: int) -> ControlInput:
+        return super().control_input(tick - LATER)
 
 
 @dataclass

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from tests.fcu.mavlink.world import CLIENT, World
 from tests.fcu.parameters.tuned import tuned
-from twodof.fcu.command.result import TEMPORARILY_REJECTED, CommandResult
+from twodof.fcu.command.result import rejected
 from twodof.fcu.mavlink.parameter_service import (
     A_TICK,
     DOES_NOT_EXIST,
@@ -119,7 +119,7 @@ def test_a_client_that_goes_takes_its_list_along() -> None:
     world = World()
     ask_list(world)
     world.run()
-    world.px4.clients.gone("client")
+    world.services[0].gone("client")
     world.sent.clear()
     assert listed(world) == []
 
@@ -223,7 +223,7 @@ def test_refusals(name: str, value: float, kind: int, error: int, answered: bool
 
 def test_who_is_not_let_tune_changes_nothing() -> None:
     world = World()
-    world.commander.verdict = CommandResult(TEMPORARILY_REJECTED, "system 7 holds the lease and withholds tuning")
+    world.commander.verdict = rejected("system 7 holds the lease and withholds tuning")
     before = dict(world.store)
     set_to(world, "RATE_KP", 0.0625)
     assert [one.error for one in world.taken("PARAM_ERROR")] == [PERMISSION_DENIED]

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from tests.fcu.mavlink.world import CLIENT, World
 from tests.fcu.parameters.tuned import tuned
-from twodof.fcu.command.result import TEMPORARILY_REJECTED, CommandResult
+from twodof.fcu.command.result import rejected
 from twodof.fcu.mavlink.parameter_service import (
     DOES_NOT_EXIST,
     INT32,
@@ -169,7 +169,7 @@ def test_senders_do_not_mix() -> None:
 
 def test_who_is_not_let_tune_changes_nothing() -> None:
     world = World()
-    world.commander.verdict = CommandResult(TEMPORARILY_REJECTED, "system 7 holds the lease and withholds tuning")
+    world.commander.verdict = rejected("system 7 holds the lease and withholds tuning")
     before = dict(world.store)
     transact(world, BEGIN)
     put_all(world, GOOD)
@@ -185,7 +185,7 @@ def test_one_that_is_not_for_tuning_makes_the_whole_a_command_and_its_refusal_sa
     put_all(world, GOOD | {"M_MAX": 0.5})
     assert transact(world, COMMIT, count=4).result == NO_ERROR
     assert world.commander.asked == [("take", CLIENT, "M_MAX (not for tuning)")]
-    world.commander.verdict = CommandResult(TEMPORARILY_REJECTED, "system 7 holds the lease")
+    world.commander.verdict = rejected("system 7 holds the lease")
     transact(world, BEGIN, number=2)
     put_all(world, GOOD | {"M_MAX": 0.25})
     answer = transact(world, COMMIT, number=2, count=4)
@@ -203,7 +203,8 @@ def test_what_is_never_ended_is_forgotten() -> None:
     assert transact(world, COMMIT, count=3).result == READ_FAIL
     for system in range(2, 3 * MOST_OPEN):
         transact(world, BEGIN, source=(system, 1))
-    assert len(world.px4.transactions._open) == MOST_OPEN
+    ended = [transact(world, ROLL_BACK, source=(system, 1)).result for system in range(2, 3 * MOST_OPEN)]
+    assert ended == [READ_FAIL] * (2 * MOST_OPEN - 2) + [NO_ERROR] * MOST_OPEN, "those that began last"
 
 
 @given(st.data())

@@ -6,7 +6,7 @@ from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from twodof.fcu.command.result import ACCEPTED, CommandResult, Source
+from twodof.fcu.command.result import DONE, CommandResult, Source
 from twodof.fcu.control.control_input import ControlInput
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.control.hardware import SensorSample
@@ -22,14 +22,6 @@ SYSTEM = 1
 CLIENT = (250, 1)
 
 
-class Standing(NamedTuple):
-    """Who holds the lease."""
-
-    holder: Source | None = None
-    left: int = 0
-    revision: int = 0
-
-
 class Loop(NamedTuple):
     """An open-loop message."""
 
@@ -42,7 +34,7 @@ class Loop(NamedTuple):
     revision: int = 0
 
 
-NOBODY, CLOSED, DONE = Standing(), Loop(), CommandResult(ACCEPTED)
+CLOSED = Loop()
 
 
 @dataclass
@@ -67,24 +59,43 @@ class Control:
     lockstep: bool = False
 
 
+class Lease:
+    """Grants what its commander's `verdict` says, and notes who asked for what."""
+
+    def __init__(self, commander: Commander) -> None:
+        self.commander = commander
+        self.holder: Source | None = None
+        self.left = self.revision = 0
+        self.tuning_withheld = False
+
+    def take(self, source: Source, what: str = "") -> CommandResult:
+        return self.commander._note("take", source, what)
+
+    def may_tune(self, source: Source, what: str = "parameters") -> CommandResult:
+        return self.commander._note("tune", source, what)
+
+    def tuned(self, source: Source, what: str) -> None:
+        self.commander.remarks.append((6, what))
+
+
 @dataclass
 class Commander:
     """Grants what `verdict` says, to anyone, and notes who asked for what."""
 
     armed: bool = False
-    killed: bool = False
     killed_by: Source | None = None
     unfit: Callable[[], str] = str
     base_mode: int = 65
     custom_mode: int = modes.MANUAL
     system_status: int = 3
-    lease: Standing = NOBODY
-    tuning_withheld: bool = False
     openloop: Loop = CLOSED
     answer: CommandResult = DONE
     verdict: CommandResult = DONE
     remarks: list[tuple[int, str]] = field(default_factory=list)
     asked: list[tuple[Any, ...]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.lease = Lease(self)
 
     @property
     def arming(self) -> Commander:
@@ -95,20 +106,11 @@ class Commander:
         self.asked.append(what)
         return self.verdict
 
-    def take(self, source: Source, what: str = "") -> CommandResult:
-        return self._note("take", source, what)
+    def arm(self, source: Source) -> CommandResult:
+        return self._note("arm", source)
 
-    def may_tune(self, source: Source, what: str = "parameters") -> CommandResult:
-        return self._note("tune", source, what)
-
-    def tuned(self, source: Source, what: str) -> None:
-        self.remarks.append((6, what))
-
-    def arm(self, source: Source, force: bool = False) -> CommandResult:
-        return self._note("arm", source, force)
-
-    def disarm(self, source: Source, force: bool = False) -> CommandResult:
-        return self._note("disarm", source, force)
+    def disarm(self, source: Source) -> CommandResult:
+        return self._note("disarm", source)
 
     def kill(self, source: Source) -> CommandResult:
         return self._note("kill", source)

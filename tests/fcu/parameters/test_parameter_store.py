@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from twodof.errors import ParameterError, printable
 from twodof.fcu.parameters.parameter_store import ParametersChanged, ParameterStore
 from twodof.fcu.parameters.row import VehicleParameter
-from twodof.fcu.parameters.table import own_rows, wire_rows
+from twodof.fcu.parameters.table import vehicle_rows, wire_rows
 from twodof.parameters import FLIGHT_PARAMETERS
 
 ROWS = {row.name: row for row in wire_rows(1)}
-FREE = [row for row in own_rows(1) if not row.fixed]
+FREE = [row for row in vehicle_rows(1) if not row.fixed]
 WRONG: tuple[Any, ...] = (float("nan"), float("inf"), -float("inf"), 1e300, "1", None, True, 10**400)
 
 

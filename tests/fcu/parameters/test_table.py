@@ -3,7 +3,7 @@
 import struct
 
 from twodof.compile.program.lower import lower
-from twodof.fcu.parameters.table import own_rows, wire_rows
+from twodof.fcu.parameters.table import vehicle_rows, wire_rows
 from twodof.flight.failsafe.diagram import failsafe
 from twodof.parameters import NAME_LENGTH, PARAMETERS
 from twodof.signals import PERIOD
@@ -35,7 +35,7 @@ def test_what_qgroundcontrol_cannot_miss_is_there_with_px4s_type() -> None:
 
 
 def test_each_parameter_of_the_failsafe_is_on_the_wire_once_and_safe_from_changes_in_flight() -> None:
-    rows = [row for row in own_rows(1) if row.path.startswith("failsafe.")]
+    rows = [row for row in vehicle_rows(1) if row.path.startswith("failsafe.")]
     declared = lower(failsafe(), PERIOD).parameters
     assert sorted(row.path for row in rows) == sorted(f"failsafe.{path}" for path in declared)
     assert all(row.disarmed for row in rows)

@@ -35,7 +35,7 @@ def test_names_are_legal_unique_and_those_of_the_first_never_move(wanted: list[t
     assert len({*names, *(row.name for row in wire_rows(1))}) == len(names) + len(wire_rows(1))
     for name in names:
         assert re.fullmatch(r"[A-Z][0-9A-Z_]{0,15}", name)
-    assert {row.own for own in found for row in own.rows} == {
+    assert {row.user_path for own in found for row in own.rows} == {
         f"{kind.name}.part0.{name}" for kind, (_, own) in zip(ALL, wanted, strict=True) for name in own
     }
     assert user_parameters(reversed(diagrams)) == found
@@ -48,7 +48,7 @@ def test_names_and_bounds_are_those_of_the_module_for_px4(name: str) -> None:
     (own,) = user_parameters([starter(name)])
     module = [row for row in make_module(starter(name)).parameters if row.path and not row.fixed]
     assert [row.name for row in own.rows] == [row.name for row in module]
-    assert [row.own for row in own.rows] == [f"{own.kind}.{row.place}" for row in module]
+    assert [row.user_path for row in own.rows] == [f"{own.kind}.{row.place}" for row in module]
     for ours, theirs in zip(own.rows, module, strict=True):
         wire = [np.float32(value) for value in (ours.low, ours.default, ours.high)]
         assert wire == [np.float32(value) for value in (theirs.low, theirs.default, theirs.high)]
@@ -63,7 +63,7 @@ def test_three_of_one_name_are_told_apart() -> None:
 
 def test_types_bounds_and_texts() -> None:
     (own,) = user_parameters([tuned()])
-    rows = {row.own.removeprefix(f"{KIND}.law."): row for row in own.rows}
+    rows = {row.user_path.removeprefix(f"{KIND}.law."): row for row in own.rows}
     assert "fixed" not in rows, "what cannot change while it runs"
     assert [(row.kind, row.low, row.high) for row in (rows["steps"], rows["mask"], rows["inverted"])] == [
         ("int32", -5, 7),

@@ -116,9 +116,9 @@ def test_what_is_sent_is_read_back_by_another_parser(event: EventType, data: st.
         width = WIDTHS[argument.kind if found is None else found.kind]
         some = st.integers(0, (1 << 8 * width) - 1)
         if found is not None and not found.bits:
-            some = st.sampled_from([entry.value for entry in found.entries])
+            some = st.sampled_from([value for value, _, _ in found.entries])
         elif found is not None:
-            picked = data.draw(st.sets(st.sampled_from([entry.value for entry in found.entries])))
+            picked = data.draw(st.sets(st.sampled_from([value for value, _, _ in found.entries])))
             some = st.just(sum(picked))
         values.append(data.draw(some))
     parser = Parser()
@@ -131,7 +131,7 @@ def test_what_is_sent_is_read_back_by_another_parser(event: EventType, data: st.
     for place, argument in enumerate(event.arguments):
         found = ENUMERATIONS.get(argument.kind)
         if found is not None and found.bits and f"{{{place + 1}}}" in event.message:
-            texts = [entry.text for entry in found.entries if values[place] & entry.value]
+            texts = [text for value, _, text in found.entries if values[place] & value]
             assert "; ".join(texts) in parsed.message()
 
 

@@ -5,18 +5,19 @@ from typing import Any
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.fcu.mavlink.world import Standing, World
+from tests.fcu.mavlink.world import World
 from tests.fcu.px4_compat.event_reader import Reader
-from twodof.fcu.command.result import TEMPORARILY_REJECTED, CommandResult
+from twodof.fcu.command.result import rejected
 from twodof.fcu.px4_compat.event_definitions import definitions
-from twodof.fcu.px4_compat.events import KEPT, LOOK_TICKS, MOST_AGAIN, REPORT_TICKS
+from twodof.fcu.px4_compat.events import KEPT, LOOK_TICKS, MOST_AGAIN, REPORT_TICKS, EventService
 from twodof.flight.failsafe import state_machine
 from twodof.flight.failsafe.causes_and_actions import BIT, CAUSES, DESCEND, LEVEL, OFF
+from twodof.link.mavlink.mav_enums import MavResult
 from twodof.link.mavlink.messages import message
 
 TEXTS = {cause.name: cause.text for cause in CAUSES}
 US = {"target_system": 1, "target_component": 1}
-PILOT = Standing((250, 1), 500, 1)
+PILOT = (250, 1)
 ARM, KILL, RUN_CHECKS = 400, 185, 401
 
 
@@ -33,7 +34,7 @@ def reported(world: World) -> list[Any]:
 
 def test_what_happens_is_told_in_order_and_in_words() -> None:
     world = World()
-    world.commander.lease = PILOT
+    world.commander.lease.holder = PILOT
     world.run(3)
     world.run(1, armed=True, state=state_machine.FLYING)
     world.commander.custom_mode = 6 << 16
@@ -114,12 +115,12 @@ def test_a_refusal_to_arm_says_all_that_is_in_the_way() -> None:
     world = World()
     reader = Reader(definitions())
     world.controller.hardware.safety_off = False
-    world.commander.killed = True
+    world.commander.killed_by = PILOT
     world.commander.unfit = lambda: "a controller is being built"
     world.run(1, causes=BIT["tilted"])
     world.taken("EVENT")
-    world.commander.verdict = CommandResult(TEMPORARILY_REJECTED, "not armed: killed by system 250, component 1")
-    assert world.command(ARM, 1.0) == TEMPORARILY_REJECTED
+    world.commander.verdict = rejected("not armed: killed by system 250, component 1")
+    assert world.command(ARM, 1.0) == MavResult.TEMPORARILY_REJECTED
     (line,) = reader.shown(world.taken("EVENT", None))
     assert line.removeprefix("Arming denied: ").split("; ") == [
         "the pitch is far from level",
@@ -127,8 +128,8 @@ def test_a_refusal_to_arm_says_all_that_is_in_the_way() -> None:
         "safety switch, press it",
         "the controller has stopped, or is being built",
     ]
-    world.commander.lease = Standing((1, 1), 500, 1)
-    assert world.command(ARM, 1.0) == TEMPORARILY_REJECTED
+    world.commander.lease.holder = (1, 1)
+    assert world.command(ARM, 1.0) == MavResult.TEMPORARILY_REJECTED
     assert reader.shown(world.taken("EVENT", None)) == ["Arming denied: somebody else commands"]
 
 
@@ -136,7 +137,7 @@ def test_a_flood_of_refusals_is_told_once_in_a_while() -> None:
     world = World()
     world.run(1)
     world.taken("EVENT")
-    world.commander.verdict = CommandResult(TEMPORARILY_REJECTED, "not armed: imu_lost")
+    world.commander.verdict = rejected("not armed: imu_lost")
     for _ in range(100):
         world.command(ARM, 1.0)
     assert len(world.taken("EVENT", None)) == 1
@@ -149,12 +150,12 @@ def test_a_kill_is_told_with_who_did_it() -> None:
     world = World()
     world.run(1, armed=True, state=state_machine.FLYING)
     world.taken("EVENT")
-    world.commander.killed = True
+    world.commander.killed_by = PILOT
     world.command(KILL, 1.0)
     world.run(1)
     events = reported(world)
     assert Reader(definitions()).shown(events) == ["Killed by system 250, component 1", "Disarmed by a kill"]
-    world.commander.killed, world.commander.lease = False, PILOT
+    world.commander.killed_by, world.commander.lease.holder = None, PILOT
     world.run(1)
     assert Reader(definitions()).shown(reported(world)) == ["Released by system 250, component 1"]
 
@@ -167,7 +168,7 @@ def test_a_text_that_an_event_says_too_is_marked_as_px4_marks_it() -> None:
         "failsafe: level (setpoint_lost)\t",
         "parameters are not stored",
     ]
-    world.commander.verdict = CommandResult(TEMPORARILY_REJECTED, "not armed: imu_lost")
+    world.commander.verdict = rejected("not armed: imu_lost")
     world.command(ARM, 1.0)
     assert [one.text for one in world.taken("STATUSTEXT")] == ["not armed: imu_lost\t"]
 
@@ -220,9 +221,10 @@ def test_no_request_draws_more_than_a_handful(first: int, last: int) -> None:
 
 def test_the_number_wraps() -> None:
     world = World(profile={})
-    world.px4.events._sequence = 65534
+    (events,) = (service for service in world.services if isinstance(service, EventService))
+    events.sequence = 65534
     for armed in (True, False, True):
         world.run(1, armed=armed)
     assert [event.sequence for event in world.taken("EVENT")] == [65535, 0, 1, 2, 3]
-    events, _ = again(world, 65535, 3)
-    assert [event.sequence for event in events] == [65535, 0, 1, 2, 3]
+    repeated, _ = again(world, 65535, 3)
+    assert [event.sequence for event in repeated] == [65535, 0, 1, 2, 3]

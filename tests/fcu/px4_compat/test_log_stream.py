@@ -14,11 +14,13 @@ from tests.fcu.steps import plain_step
 from twodof.fcu.command.result import CommandResult
 from twodof.fcu.mavlink.addressing import VehicleAddress
 from twodof.fcu.onboard_log.logger import OnboardLogger
-from twodof.fcu.px4_compat.log_stream import START, STOP, LogStreamService
+from twodof.fcu.px4_compat.log_stream import LogStreamService
 from twodof.flightlog.ulog.decoder import scan_ulog
 from twodof.flightlog.ulog.format import LETTERS, MESSAGE
 from twodof.flightlog.ulog.fragments import NO_MESSAGE
 from twodof.link.mavlink.messages import message
+
+START, STOP = 2510, 2511
 
 ACCEPTED, TEMPORARILY_REJECTED, DENIED = 0, 1, 2
 ACKED = "LOGGING_DATA_ACKED"
@@ -29,7 +31,8 @@ def world_of(folder: Path) -> tuple[World, OnboardLogger]:
     log = OnboardLogger(folder, world.store, lockstep=True)
     # Before those that take what they know: it is to hear every frame.
     world.services.insert(
-        1, LogStreamService(world, VehicleAddress(1), world.px4.commands, log, world.commander.take, lockstep=True)
+        1,
+        LogStreamService(world, VehicleAddress(1), world.px4.commands, log, world.commander.lease.take, lockstep=True),
     )
     return world, log
 

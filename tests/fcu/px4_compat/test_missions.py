@@ -3,7 +3,7 @@
 import pytest
 
 from tests.fcu.mavlink.world import World
-from twodof.fcu.command.result import ACCEPTED, DENIED
+from twodof.link.mavlink.mav_enums import MavResult
 from twodof.link.mavlink.messages import message
 
 US = {"target_system": 1, "target_component": 1}
@@ -43,9 +43,9 @@ def test_whatever_is_asked_is_answered(name: str, fields: dict[str, int], result
 def test_no_item_is_in_force() -> None:
     world = World()
     world.say(message("MISSION_SET_CURRENT", seq=4, **US))
-    assert world.command(512, 42.0) == ACCEPTED
+    assert world.command(512, 42.0) == MavResult.ACCEPTED
     assert [(one.seq, one.total, one.mission_state) for one in world.taken("MISSION_CURRENT")] == [(0, 0, 1)] * 2
-    assert world.command(300) == DENIED
+    assert world.command(300) == MavResult.DENIED
 
 
 def test_others_missions_are_none_of_ours() -> None:

@@ -14,9 +14,10 @@ import pytest
 
 from tests.fcu.mavlink.world import World
 from tests.patience import PATIENCE_S, patiently
-from twodof.fcu.command.result import ACCEPTED, DENIED, FAILED, TEMPORARILY_REJECTED, UNSUPPORTED, CommandResult
+from twodof.fcu.command.result import rejected
 from twodof.fcu.parameters import parameter_store as store_module
 from twodof.fcu.parameters.parameter_store import ParameterStore
+from twodof.link.mavlink.mav_enums import MavResult
 from twodof.link.mavlink.messages import message
 
 STORAGE = 245
@@ -34,7 +35,7 @@ def changed() -> World:
 @pytest.mark.parametrize("action", [RESET_CONFIG, RESET_ALL])
 def test_all_are_set_to_their_defaults_which_is_told_to_all_and_undone_as_one(action: float) -> None:
     world = changed()
-    assert world.command(STORAGE, action, -1.0) == ACCEPTED
+    assert world.command(STORAGE, action, -1.0) == MavResult.ACCEPTED
     assert world.store.changed() == {}
     assert {"ATT_KP", "THRUST_BAR"} <= {value.param_id for value in world.taken("PARAM_VALUE", None)}
     world.store.undo()
@@ -90,9 +91,9 @@ def test_the_answer_comes_when_file_and_folder_are_on_the_disk(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, action: float
 ) -> None:
     with stored(tmp_path) as world:
-        world.commander.verdict = CommandResult(TEMPORARILY_REJECTED, "another has the lease")
+        world.commander.verdict = rejected("another has the lease")
         disk = Disk(monkeypatch)
-        assert answer(world, action) == ACCEPTED
+        assert answer(world, action) == MavResult.ACCEPTED
         assert disk.done == ["file", "rename", "folder"]
         assert ParameterStore(tmp_path / "parameters.json").changed() == {"ATT_KP": 9.0}
 
@@ -112,7 +113,7 @@ def test_the_control_loop_does_not_wait_for_the_disk(
             world.run(1)
             if acknowledged := world.taken("COMMAND_ACK"):
                 break
-        assert [one.result for one in acknowledged] == [ACCEPTED]
+        assert [one.result for one in acknowledged] == [MavResult.ACCEPTED]
         assert disk.done == ["file", "rename", "folder"]
 
 
@@ -123,13 +124,13 @@ def test_a_disk_that_refuses_is_said_and_another_try_is_one(
     with stored(tmp_path) as world:
         disk = Disk(monkeypatch)
         disk.error = error
-        assert answer(world, SAVE) == FAILED
+        assert answer(world, SAVE) == MavResult.FAILED
         said = world.texts()
         assert "parameters are not stored" in said
         assert os.strerror(error) in said
         disk.error = 0
         world.sent.clear()
-        assert answer(world, SAVE) == ACCEPTED  # though the thread itself would try only seconds later
+        assert answer(world, SAVE) == MavResult.ACCEPTED  # though the thread itself would try only seconds later
         assert ParameterStore(tmp_path / "parameters.json").changed() == {"ATT_KP": 9.0}
 
 
@@ -138,7 +139,7 @@ def test_a_disk_that_is_silent_has_not_stored(tmp_path: Path, monkeypatch: pytes
     with stored(tmp_path) as world:
         disk = Disk(monkeypatch)
         disk.answers.clear()
-        assert answer(world, SAVE) == FAILED
+        assert answer(world, SAVE) == MavResult.FAILED
         assert "the disk has not answered within 0.01 s" in world.texts()
         disk.answers.set()
 
@@ -146,7 +147,7 @@ def test_a_disk_that_is_silent_has_not_stored(tmp_path: Path, monkeypatch: pytes
 def test_where_nothing_is_kept_nothing_is_said_to_be_stored() -> None:
     for action in (LOAD, SAVE):
         world = changed()
-        assert world.command(STORAGE, action) == UNSUPPORTED
+        assert world.command(STORAGE, action) == MavResult.UNSUPPORTED
         assert "it keeps no parameters" in world.texts()
 
 
@@ -154,14 +155,19 @@ def test_not_in_flight_and_not_by_who_may_not_command() -> None:
     world = changed()
     world.commander.armed = True
     for action in (LOAD, SAVE, RESET_CONFIG, RESET_ALL):
-        assert world.command(STORAGE, action) == TEMPORARILY_REJECTED
-    world.commander.armed, world.commander.verdict = False, CommandResult(TEMPORARILY_REJECTED, "another has the lease")
-    assert world.command(STORAGE, RESET_ALL) == TEMPORARILY_REJECTED
+        assert world.command(STORAGE, action) == MavResult.TEMPORARILY_REJECTED
+    world.commander.armed, world.commander.verdict = (
+        False,
+        rejected("another has the lease"),
+    )
+    assert world.command(STORAGE, RESET_ALL) == MavResult.TEMPORARILY_REJECTED
     assert "another has the lease" in world.texts()
     assert world.store.changed() == {"ATT_KP": 9.0, "THRUST_BAR": 0.5}
 
 
-@pytest.mark.parametrize(("action", "answer"), [(RESET_SENSORS, UNSUPPORTED), (5.0, DENIED), (-1.0, DENIED)])
+@pytest.mark.parametrize(
+    ("action", "answer"), [(RESET_SENSORS, MavResult.UNSUPPORTED), (5.0, MavResult.DENIED), (-1.0, MavResult.DENIED)]
+)
 def test_what_there_is_not_is_refused(action: float, answer: int) -> None:
     assert changed().command(STORAGE, action) == answer
-    assert changed().command(STORAGE, float("nan")) == DENIED
+    assert changed().command(STORAGE, float("nan")) == MavResult.DENIED

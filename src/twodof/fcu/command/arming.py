@@ -4,57 +4,49 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from twodof.fcu.command.authority import DONE, CommandAuthority
-from twodof.fcu.command.result import ACCEPTED, FAILED, IN_PROGRESS, TEMPORARILY_REJECTED, CommandResult, Source
+from twodof.fcu.command.command_lease import CommandLease
+from twodof.fcu.command.result import DONE, CommandResult, Source, failed, rejected
 from twodof.fcu.command.setpoint_manager import SetpointManager
 from twodof.fcu.command.vehicle_state import VehicleState
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.flight.failsafe.causes_and_actions import BIT, named_causes
 from twodof.flight.failsafe.state_machine import DISARMED, MAY_TURN, REFUSED
 from twodof.link.mavlink import modes
+from twodof.link.mavlink.mav_enums import MavResult, MavSeverity
 
 PATIENCE = 25
 """Ticks within which the failsafe has answered; it does in the tick in which it is asked."""
-
-Take = Callable[[Source, str], CommandResult]
 
 
 class ArmingControl:
     """Decides whether the drone arms, and stops it for everybody who asks.
 
     `word` is what the flight code is told, `answer` the result of the last request to arm. `killed_by` is who killed
-    the drone, None: nobody. A kill holds it disarmed, over disarmings and resets, until it is released. `take` says
-    whether a source may command. `unfit` says what else speaks against arming, "" if nothing.
+    the drone, None: nobody. A kill holds it disarmed, over disarmings and resets, until it is released. `unfit` says
+    what else speaks against arming, "" if nothing.
     """
 
     def __init__(
         self,
         vehicle: VehicleState,
         setpoints: SetpointManager,
-        authority: CommandAuthority,
-        take: Take,
+        lease: CommandLease,
         unfit: Callable[[], str],
         killed_by: Source | None = None,
     ) -> None:
         self.word = False
         self.killed_by = killed_by
-        self.answer = CommandResult(ACCEPTED)
+        self.answer = DONE
         self._vehicle = vehicle
         self._setpoints = setpoints
-        self._authority = authority
-        self._take = take
+        self._lease = lease
         self._unfit = unfit
         self._from = 0
 
     @property
-    def killed(self) -> bool:
-        """Whether a kill holds it disarmed."""
-        return self.killed_by is not None
-
-    @property
     def pending(self) -> bool:
         """Whether the failsafe still owes an answer."""
-        return self.answer.result == IN_PROGRESS
+        return self.answer.in_progress
 
     @property
     def flies(self) -> bool:
@@ -67,61 +59,56 @@ class ArmingControl:
         step = self._vehicle.step
         if step is None:
             return None
-        return step.causes & ~BIT["link_lost"] if self._authority.heard else step.causes
+        return step.causes & ~BIT["link_lost"] if self._lease.link_alive else step.causes
 
-    def arm(self, source: Source, force: bool = False) -> CommandResult:
-        """Arms; IN_PROGRESS if nothing speaks against it: then `answer` tells what the failsafe said in the next tick.
-
-        `force` is understood and changes nothing: no check is skipped.
-        """
-        verdict = self._take(source, "arming")
-        if not verdict.accepted:
-            return verdict
+    def arm(self, source: Source) -> CommandResult:
+        """Arms; IN_PROGRESS if nothing speaks against it: then `answer` is what the failsafe says in the next tick."""
+        result = self._lease.take(source, "arming")
+        if not result.accepted:
+            return result
         if self.pending:
             return self.answer
         if self.flies:
             return DONE
         if against := self._against_arming() or self._unfit():
-            return CommandResult(TEMPORARILY_REJECTED, f"not armed: {against}")
+            return rejected(f"not armed: {against}")
         # The failsafe arms on an edge: where it has not seen the last disarming yet, a tick later.
         return self.pull(self._vehicle.now + (self._vehicle.failsafe != DISARMED))
 
-    def disarm(self, source: Source, force: bool = False) -> CommandResult:
-        """Stops the motors in the next tick for every source: on this rig that is the safe state. `force` is a kill."""
-        if force:
-            return self.kill(source)
-        if self._authority.holder == source:
-            self._take(source, "command")  # which renews it
+    def disarm(self, source: Source) -> CommandResult:
+        """Stops the motors in the next tick for every source: on this rig that is the safe state."""
+        if self._lease.holder == source:
+            self._lease.take(source)  # which renews it
         self.withdraw()
         self._setpoints.rest("disarmed", self._vehicle.now)
         return DONE
 
     def kill(self, source: Source) -> CommandResult:
         """Stops the motors in the next tick for every source, and holds the drone disarmed until `release`."""
-        self.withdraw()
         self.killed_by = source
+        self.withdraw()
         self._setpoints.rest("killed", self._vehicle.now)
-        self._vehicle.remark(2, f"killed by system {source[0]}, component {source[1]}")
+        self._vehicle.remark(MavSeverity.CRITICAL, f"killed by system {source[0]}, component {source[1]}")
         return DONE
 
     def release(self, source: Source) -> CommandResult:
         """Takes a kill back, which a disarming does not: it is what a program does that ends. Nothing arms by it."""
-        verdict = self._take(source, "release")
-        if verdict.accepted and self.killed:
+        result = self._lease.take(source, "release")
+        if result.accepted and self.killed_by is not None:
             self.killed_by = None
-            self._vehicle.remark(4, f"released by system {source[0]}, component {source[1]}")
-        return verdict
+            self._vehicle.remark(MavSeverity.WARNING, f"released by system {source[0]}, component {source[1]}")
+        return result
 
     def stand(self, why: str, tick: int) -> None:
         """Stops the motors without a command."""
         self.withdraw()
         self._setpoints.rest(why, tick)
-        self._vehicle.remark(2, why)
+        self._vehicle.remark(MavSeverity.CRITICAL, why)
 
     def pull(self, tick: int) -> CommandResult:
         """Asks the failsafe to arm at `tick`. It acts on an edge: until then the word is not given."""
         self._from = tick
-        self.answer = CommandResult(IN_PROGRESS)
+        self.answer = CommandResult(MavResult.IN_PROGRESS)
         return self.answer
 
     def speak(self, tick: int) -> None:
@@ -132,22 +119,22 @@ class ArmingControl:
         """Takes the word back; a client that waits for an answer to an arming gets it."""
         self.word = False
         if self.pending:
-            self.answer = CommandResult(FAILED, "disarmed before it had armed")
+            self.answer = failed("disarmed before it had armed")
 
     def seen(self, step: ControlStep) -> None:
         """Takes the failsafe's answer; called after each tick while it is pending."""
         if step.tick < self._from:
             return
         if step.state in MAY_TURN:
-            self.answer = CommandResult(ACCEPTED)
+            self.answer = DONE
         elif step.state == REFUSED:
             self.word = False
             # Without a cause only what lingers (failsafe.py: level_lasts, brake_lasts) speaks against it.
             causes = ", ".join(named_causes(step.reason or step.causes)) or "it levelled or braked a moment ago"
-            self.answer = CommandResult(TEMPORARILY_REJECTED, f"not armed: {causes}")
+            self.answer = rejected(f"not armed: {causes}")
         elif step.tick >= self._from + PATIENCE:
             self.word = False
-            self.answer = CommandResult(FAILED, "not armed: the flight code did not answer")
+            self.answer = failed("not armed: the flight code did not answer")
 
     def _against_arming(self) -> str:
         """What speaks against arming a drone that is not armed, "" if nothing does."""

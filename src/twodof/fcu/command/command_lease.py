@@ -1,10 +1,12 @@
-"""The lease: who may command. One holder at most; it ends by itself, in bounded time, when its holder falls silent."""
+"""The lease: who may command, and whether the drone hears it. The rules are those of docs/reference/protocol.md."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
 
-from twodof.fcu.command.result import Source
+from twodof.fcu.command.result import DONE, CommandResult, Source, denied, rejected
+from twodof.fcu.command.vehicle_state import VehicleState
+from twodof.link.mavlink.mav_enums import MavSeverity
 from twodof.signals import PERIOD
 
 COMMANDING = round(2.0 / PERIOD)
@@ -17,108 +19,148 @@ LONGEST = round(30.0 / PERIOD)
 """Most ticks that a lease is asked for at once."""
 
 
-class LeaseState(NamedTuple):
-    """Who holds the lease (None: nobody), for how many ticks still, and a count of the changes of holder."""
-
-    holder: Source | None
-    left: int
-    revision: int
-
-
 class CommandLease:
-    """Who holds the lease, and until when; time is a tick that only `moved` sets back.
+    """One `holder` at most (None: nobody); its lease ends by itself when it falls silent.
+
+    A sender is one whose system is not 0; its component may be, as that of many a script is, and PX4 takes those too.
+    `what` a sender wanted is named in a refusal. `revision` counts the changes of holder; `changed` is called at each.
 
     `orphaned`: the holder fell silent or gave it up while armed, and nobody took the lease since. Then no other
     client keeps the link alive: the drone is without its pilot, also where others listen.
 
-    Where time stands still until its holder grants it (`stands`), a dead holder would hold it for ever. So another may
-    take it after `HEARD` ticks of standing time without a word of the holder. Until another does, nothing changes: a
-    flight must not depend on how long a client thinks.
+    With `granted` the time that passes was granted by the holder, so the link is alive in every tick. Where time
+    stands still until then (`stands`), a dead holder would hold the lease for ever. So another may take it after
+    `HEARD` ticks of standing time without a word of the holder. Until another does, nothing changes: a flight must not
+    depend on how long a client thinks.
 
     `tuning_withheld`: nobody but the holder may change parameters.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, vehicle: VehicleState, granted: bool, changed: Callable[[], None]) -> None:
         self.holder: Source | None = None
         self.orphaned = False
         self.revision = 0
         self.tuning_withheld = False
+        self._vehicle = vehicle
+        self._granted = granted
+        self._changed = changed
+        self._link_heard = False  # in the tick that comes
         self._until = 0
-        self._heard = 0
+        self._last_heard = 0
         self._stood = 0
 
-    def end(self, armed: bool) -> int:
-        """First tick at which it is free if nothing more is heard; means nothing while nobody holds it."""
-        return max(self._until, self._heard + HEARD) if armed else self._until
+    @property
+    def link_alive(self) -> bool:
+        """Whether the link is alive in the tick that comes."""
+        return self._link_heard or self._granted
 
-    def state(self, tick: int, armed: bool) -> LeaseState:
-        """How it stands at `tick`."""
+    @property
+    def left(self) -> int:
+        """Ticks until it ends if nothing more is heard; 0 if nobody holds it."""
         if self.holder is None:
-            return LeaseState(None, 0, self.revision)
-        left = self.end(armed) - tick
-        if self._stood:
-            left = min(left, HEARD - self._stood)
-        return LeaseState(self.holder, max(0, left), self.revision)
+            return 0
+        left = self._end() - self._vehicle.now
+        return max(0, min(left, HEARD - self._stood) if self._stood else left)
 
-    def ask(self, source: Source, tick: int, ticks: int, withhold_tuning: bool = False) -> bool:
-        """Takes it, or renews it for `ticks` from now, 1 to LONGEST; False while another holds it."""
-        if not self._take(source, tick):
-            return False
-        self.tuning_withheld = withhold_tuning
-        self._until = tick + min(max(ticks, 1), LONGEST)
-        return True
+    def hear(self, source: Source, is_client: bool) -> None:
+        """Notes a frame of any kind: the holder's keeps the link alive, or while nobody holds the lease a client's.
 
-    def command(self, source: Source, tick: int) -> bool:
+        `is_client`: it is of a ground station or companion, not of a vehicle.
+        """
+        if self.holder is None:
+            self._link_heard |= is_client and not self.orphaned
+        elif self.holder == source:
+            self._last_heard, self._stood = self._vehicle.now, 0
+            self._link_heard = True
+
+    def take(self, source: Source, what: str = "command") -> CommandResult:
         """Whether `source` may command: it holds the lease, or takes a free one by commanding. Renews it."""
-        if not self._take(source, tick):
-            return False
-        self._until = max(self._until, tick + COMMANDING)
-        return True
+        if not source[0]:
+            return denied(f"{what} refused: it has no sender")
+        if not self._take(source):
+            return rejected(f"{what} refused: {self._who()} holds the lease")
+        self._until = max(self._until, self._vehicle.now + COMMANDING)
+        return DONE
 
-    def may_tune(self, source: Source) -> bool:
-        """Whether `source` may change parameters: anybody, unless the holder withholds it. Takes no lease."""
-        return not self.tuning_withheld or self.holder == source
+    def may_tune(self, source: Source, what: str = "parameters") -> CommandResult:
+        """Whether `source` may change parameters: anybody, unless the holder withholds it.
 
-    def give_up(self, source: Source, armed: bool) -> bool:
-        """Frees it; False if `source` does not hold it."""
+        It takes no lease; that of its holder it renews.
+        """
+        if not source[0]:
+            return denied(f"{what} refused: it has no sender")
+        if self.holder == source:
+            return self.take(source, what)
+        if self.tuning_withheld:
+            return rejected(f"{what} refused: {self._who()} holds the lease and withholds tuning")
+        return DONE
+
+    def tuned(self, source: Source, what: str) -> None:
+        """Has the clients told `what` was changed, where `source` is not the one that holds the lease."""
+        if self.holder not in (None, source):
+            self._vehicle.remark(MavSeverity.INFO, f"{what}, by system {source[0]}, component {source[1]}")
+
+    def ask(self, source: Source, duration_ms: int = 0, withhold_tuning: bool = False) -> CommandResult:
+        """Takes the lease, or renews it, for a time of 30 s at most (0: 2 s); refused while another holds it.
+
+        `withhold_tuning`: until it is renewed without that, or ends, nobody else may change parameters.
+        """
+        if not source[0]:
+            return denied("lease refused: it has no sender")
+        if not self._take(source):
+            return rejected(f"lease refused: {self._who()} holds it")
+        self.tuning_withheld = withhold_tuning
+        ticks = round(duration_ms * 1e-3 / PERIOD) if duration_ms else COMMANDING
+        self._until = self._vehicle.now + min(max(ticks, 1), LONGEST)
+        return DONE
+
+    def give_up(self, source: Source) -> CommandResult:
+        """Frees the lease; refused to all but its holder."""
         if self.holder != source:
-            return False
+            return rejected(f"lease not given up: {self._who()} holds it")
         self._free()
-        self.orphaned = armed
-        return True
+        return DONE
 
-    def hear(self, source: Source, tick: int) -> bool:
-        """Notes a frame of any kind; whether it is the holder's."""
-        if self.holder != source:
-            return False
-        self._heard, self._stood = tick, 0
-        return True
+    def pass_tick(self) -> None:
+        """A tick has begun: what was heard was for that one, and the lease may be over."""
+        self._link_heard = False
+        if self._granted:
+            self._last_heard, self._stood = self._vehicle.now - 1, 0
+        if self.holder is not None and self._vehicle.now >= self._end():
+            self._free()
+            severity = MavSeverity.WARNING if self.orphaned else MavSeverity.INFO
+            self._vehicle.remark(severity, "nobody holds the lease any more")
 
     def stands(self, ticks: int) -> None:
-        """Time stood still for so long, in ticks, while nothing was heard of the holder."""
+        """So much real time, in ticks, has passed in lockstep while none was granted."""
         self._stood = min(self._stood + ticks, HEARD)
 
-    def expire(self, tick: int, armed: bool) -> None:
-        """Frees it if its time is over."""
-        if self.holder is not None and tick >= self.end(armed):
-            self._free()
-            self.orphaned = armed
+    def restart(self) -> None:
+        """Time begins again at 0; who holds the lease has as much of it left."""
+        self._until -= self._vehicle.now
+        self._last_heard -= self._vehicle.now
+        self._link_heard = False
 
-    def moved(self, ticks: int) -> None:
-        """The count of ticks was changed by `ticks`: the time that is left stays the same."""
-        self._until += ticks
-        self._heard += ticks
+    def _end(self) -> int:
+        """First tick at which it is free if nothing more is heard."""
+        return max(self._until, self._last_heard + HEARD) if self._vehicle.armed else self._until
 
-    def _take(self, source: Source, tick: int) -> bool:
+    def _take(self, source: Source) -> bool:
         if self.holder is None or (self.holder != source and self._stood >= HEARD):
-            self.holder, self.orphaned, self._until = source, False, tick
-            self.tuning_withheld = False
+            self.holder, self.orphaned, self.tuning_withheld = source, False, False
+            self._until = self._vehicle.now
             self.revision += 1
+            self._changed()
         elif self.holder != source:
             return False
-        self._heard, self._stood = tick, 0
+        self._last_heard, self._stood = self._vehicle.now, 0
+        self._link_heard = True
         return True
 
     def _free(self) -> None:
-        self.holder, self.tuning_withheld = None, False
+        self.holder, self.tuning_withheld, self.orphaned = None, False, self._vehicle.armed
         self.revision += 1
+        self._changed()
+
+    def _who(self) -> str:
+        return f"system {self.holder[0]}, component {self.holder[1]}" if self.holder is not None else "nobody"

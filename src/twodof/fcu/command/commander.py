@@ -10,26 +10,26 @@ from collections import Counter
 from collections.abc import Callable
 
 from twodof.fcu.command.arming import ArmingControl
-from twodof.fcu.command.authority import DONE, CommandAuthority
-from twodof.fcu.command.command_lease import LeaseState
+from twodof.fcu.command.command_lease import CommandLease
 from twodof.fcu.command.excitation_control import ExcitationControl
 from twodof.fcu.command.excitation_player import STOPPED
 from twodof.fcu.command.manual_control import manual_setpoint
-from twodof.fcu.command.result import DENIED, TEMPORARILY_REJECTED, UNSUPPORTED, CommandResult, Source
+from twodof.fcu.command.result import DONE, CommandResult, Source, denied, rejected, unsupported
 from twodof.fcu.command.setpoint_manager import SetpointManager
-from twodof.fcu.command.setpoint_queue import HORIZON
-from twodof.fcu.command.setpoints import OPENLOOP, STICKS, TARGET, OpenLoopState, SetPoint
-from twodof.fcu.command.vehicle_state import ACTING, RigSwitches, VehicleState
+from twodof.fcu.command.setpoints import HORIZON, OPENLOOP, STICKS, TARGET, OpenLoopState, SetPoint
+from twodof.fcu.command.vehicle_state import ACTING, VehicleState
 from twodof.fcu.control.control_input import ControlInput
 from twodof.fcu.control.flight_code import ControlStep
+from twodof.fcu.control.hardware import Hardware
 from twodof.flight.failsafe.causes_and_actions import named_causes
 from twodof.flight.failsafe.state_machine import FLYING, STATES
 from twodof.link.mavlink import modes
+from twodof.link.mavlink.mav_enums import MavSeverity
 from twodof.signals import ATTITUDE, OPEN_LOOP, VELOCITY
 
 
 class Commander:
-    """Decides over one drone: here over lease, modes and set-points, in `arming` and `excitation` over those.
+    """Decides over one drone: here over modes and set-points, in `lease`, `arming` and `excitation` over those.
 
     `rig` says whether rings and safety switch are set; `level_thrust` gives the thrust of a level hold (THRUST_BAR).
     With `lockstep` the time that passes was granted by a client, so the link counts as alive in every tick.
@@ -37,37 +37,27 @@ class Commander:
     clients, taken out by the service that sends them. `refused` counts set-points that did not act, by reason.
     """
 
-    def __init__(self, rig: RigSwitches, level_thrust: Callable[[], float], lockstep: bool) -> None:
+    def __init__(self, rig: Hardware, level_thrust: Callable[[], float], lockstep: bool) -> None:
         self.lockstep = lockstep
         self.unfit: Callable[[], str] = lambda: ""
         self.refused: Counter[str] = Counter()
         self._level_thrust = level_thrust
         self._vehicle = VehicleState(rig)
-        self._authority = CommandAuthority(granted=lockstep)
-        self._served = self._authority.changes  # the change of holder whose set-points are in use
+        self.remarks = self._vehicle.remarks
+        self.lease = CommandLease(self._vehicle, lockstep, self._hand_over)
         self._begin()
 
     def _begin(self, killed_by: Source | None = None, openloop_revision: int = 0) -> None:
-        vehicle, take = self._vehicle, self.take
+        vehicle, lease = self._vehicle, self.lease
         self._setpoints = setpoints = SetpointManager(openloop_revision)
-        self.arming = ArmingControl(vehicle, setpoints, self._authority, take, lambda: self.unfit(), killed_by)
-        self.excitation = ExcitationControl(vehicle, setpoints, self.arming, take, self._level_thrust)
-        self._asked = ControlInput()
+        self.arming = ArmingControl(vehicle, setpoints, lease, lambda: self.unfit(), killed_by)
+        self.excitation = ExcitationControl(vehicle, setpoints, self.arming, lease, self._level_thrust)
+        self._input = ControlInput()
 
     @property
     def armed(self) -> bool:
         """Whether the motors may turn, as the failsafe last said."""
         return self._vehicle.armed
-
-    @property
-    def remarks(self) -> list[tuple[int, str]]:
-        """(MAV_SEVERITY, text) pairs for the clients."""
-        return self._vehicle.remarks
-
-    @property
-    def lease(self) -> LeaseState:
-        """Who may command, for how many ticks still, and a count of the changes."""
-        return self._authority.lease(self._vehicle.now, self.armed)
 
     @property
     def openloop(self) -> OpenLoopState:
@@ -87,7 +77,7 @@ class Commander:
     @property
     def system_status(self) -> int:
         """MAV_STATE, for HEARTBEAT: active, critical while the failsafe acts, standby; 0 where it would not arm."""
-        if self.arming.killed:
+        if self.arming.killed_by is not None:
             return modes.TERMINATED
         if self._vehicle.step is None:
             return modes.UNREADY
@@ -95,27 +85,23 @@ class Commander:
             return modes.CRITICAL if self._vehicle.step.action else modes.ACTIVE
         return modes.UNREADY if self.arming.missing else modes.STANDBY
 
-    def asked(self, tick: int) -> ControlInput:
+    def control_input(self, tick: int) -> ControlInput:
         """What the flight code is asked at `tick`; once a tick, before its step."""
-        vehicle, setpoints, arming, authority = self._vehicle, self._setpoints, self.arming, self._authority
+        vehicle, setpoints, arming = self._vehicle, self._setpoints, self.arming
         vehicle.now = tick + 1
-        link = authority.heard
+        link = self.lease.link_alive
         if not vehicle.rig.safety_off and (arming.word or arming.pending):
             arming.stand("safety switch: motors off", tick)
         if arming.pending:
             arming.speak(tick)
             setpoints.changed = True
-        while (due := setpoints.schedule.due(tick)) is not None:
-            setpoints.take(due.setpoint, due.kind, tick, arming.flies, due.said)
+        setpoints.take_due(tick, arming.flies)
         if setpoints.player.begins <= tick:
             self.excitation.begin(tick)
-        authority.passes(vehicle.now, vehicle.armed)
-        if authority.changes != self._served:
-            vehicle.remark(4 if authority.orphaned else 6, "nobody holds the lease any more")
-            self._hand_over()
-        if setpoints.changed or link is not self._asked.link_new:
-            self._asked = setpoints.asked(tick, arming.word, link)
-        return self._asked
+        self.lease.pass_tick()
+        if setpoints.changed or link is not self._input.link_new:
+            self._input = setpoints.control_input(tick, arming.word, link)
+        return self._input
 
     def seen(self, step: ControlStep) -> None:
         """Takes note of a step of the flight code; once a tick, after it."""
@@ -131,64 +117,21 @@ class Commander:
 
         The lease stays as it is, and so does a kill: a reset is the first that many a program asks for.
         """
-        self._authority.restart(self._vehicle.now)
+        self.lease.restart()
         self._vehicle.restart()
         self._begin(self.arming.killed_by, self.openloop.revision + 1)
 
-    def heard(self, source: Source, is_client: bool) -> None:
-        """Notes a frame of any kind; `is_client`: of a ground station or companion, not of a vehicle."""
-        self._authority.hear(source, is_client, self._vehicle.now)
-
-    def stands(self, ticks: int) -> None:
-        """So much real time, in ticks, has passed in lockstep while none was granted."""
-        self._authority.stands(ticks)
-
-    def take(self, source: Source, what: str = "command") -> CommandResult:
-        """Whether `source` may command; takes a free lease for it. `what` it wanted is named in a refusal."""
-        verdict = self._authority.take(source, what, self._vehicle.now)
-        self._hand_over()
-        return verdict
-
-    @property
-    def tuning_withheld(self) -> bool:
-        """Whether nobody but the holder of the lease may change parameters."""
-        return self._authority.tuning_withheld
-
-    def may_tune(self, source: Source, what: str = "parameters") -> CommandResult:
-        """Whether `source` may change parameters: anybody, unless the holder of the lease withholds it."""
-        return self._authority.may_tune(source, what, self._vehicle.now)
-
-    def tuned(self, source: Source, what: str) -> None:
-        """Has the clients told `what` was changed, where `source` is not the one that holds the lease."""
-        if self._authority.holder not in (None, source):
-            self._vehicle.remark(6, f"{what}, by system {source[0]}, component {source[1]}")
-
-    def ask_lease(self, source: Source, duration_ms: int = 0, withhold_tuning: bool = False) -> CommandResult:
-        """Takes the lease, or renews it, for a time of 30 s at most (0: 2 s); refused while another holds it.
-
-        `withhold_tuning`: nobody else may change parameters during that time.
-        """
-        verdict = self._authority.ask(source, duration_ms, self._vehicle.now, withhold_tuning)
-        self._hand_over()
-        return verdict
-
-    def give_up_lease(self, source: Source) -> CommandResult:
-        """Frees the lease; refused to all but its holder."""
-        verdict = self._authority.give_up(source, self.armed)
-        self._hand_over()
-        return verdict
-
     def set_mode(self, source: Source, custom_mode: int) -> CommandResult:
         """Changes the mode; offboard wants set-points above 2 Hz before."""
-        verdict = self.take(source, "mode")
-        if not verdict.accepted:
-            return verdict
+        result = self.lease.take(source, "mode")
+        if not result.accepted:
+            return result
         if custom_mode not in modes.BY_NUMBER:
-            return CommandResult(UNSUPPORTED, f"there is no mode {modes.mode_name(custom_mode)}")
+            return unsupported(f"there is no mode {modes.mode_name(custom_mode)}")
         if modes.BY_NUMBER[custom_mode].moves_cart and self._vehicle.rig.rings:
-            return CommandResult(DENIED, f"mode {modes.mode_name(custom_mode)} moves the cart, and the rings lock it")
+            return denied(f"mode {modes.mode_name(custom_mode)} moves the cart, and the rings lock it")
         if custom_mode == modes.OFFBOARD and not self._setpoints.streamed(self._vehicle.now):
-            return CommandResult(TEMPORARILY_REJECTED, "mode offboard wants set-points above 2 Hz first")
+            return rejected("mode offboard wants set-points above 2 Hz first")
         self._setpoints.enter(custom_mode, self._level_thrust(), self._vehicle.now, self.arming.flies)
         return DONE
 
@@ -211,14 +154,14 @@ class Commander:
             return self._refuse("invalid", "a number is not finite")
         if setpoint.loop is not None and setpoint.loop >= VELOCITY and self._vehicle.rig.rings:
             return self._refuse("rings", "it moves the cart, and the rings lock it")
-        verdict = self.take(source, "set-point")
-        if not verdict.accepted:
+        result = self.lease.take(source, "set-point")
+        if not result.accepted:
             self.refused["lease"] += 1
         elif at_tick <= self._vehicle.now:
             self._setpoints.take(setpoint, kind, self._vehicle.now, self.arming.flies, said)
-        elif at_tick > self._vehicle.now + HORIZON or not self._setpoints.schedule.add(at_tick, setpoint, kind, said):
+        elif at_tick > self._vehicle.now + HORIZON or not self._setpoints.queue(at_tick, setpoint, kind, said):
             return self._refuse("queue", "too many wait, or it is more than a minute ahead")
-        return verdict
+        return result
 
     def open_loop(
         self, source: Source, M: float, T: float, openloop: bool, enableM: bool, enableT: bool, at_tick: int = 0
@@ -246,17 +189,14 @@ class Commander:
             return self._refuse("invalid", "a stick is beyond its end")
         x = self._vehicle.step.x if self._vehicle.step is not None else 0.0
         setpoint = manual_setpoint(self.custom_mode, pitch, thrust, self._setpoints.values, x)
-        verdict = self.setpoint(source, setpoint, kind=STICKS)
-        if verdict.accepted:
+        result = self.setpoint(source, setpoint, kind=STICKS)
+        if result.accepted:
             self._setpoints.hold_stick(pitch, thrust, self._vehicle.now)
-        return verdict
+        return result
 
     def _hand_over(self) -> None:
-        """Where the lease has changed hands what was sent ahead is forgotten, and an arming that waits ends."""
-        if self._authority.changes == self._served:
-            return
-        self._served = self._authority.changes
-        if waiting := len(self._setpoints.schedule):
+        """The lease has changed hands: what was sent ahead is forgotten, and an arming that waits ends."""
+        if waiting := self._setpoints.waiting:
             self.refused["lease"] += waiting
         self._setpoints.forget_ahead("who started it has lost the lease")
         if self.arming.pending:
@@ -264,23 +204,23 @@ class Commander:
 
     def _refuse(self, reason: str, text: str) -> CommandResult:
         self.refused[reason] += 1
-        return CommandResult(DENIED, f"set-point refused: {text}")
+        return denied(f"set-point refused: {text}")
 
     def _failsafe_changed(self, step: ControlStep) -> None:
         vehicle, player = self._vehicle, self._setpoints.player
         acted, vehicle.failsafe = vehicle.failsafe_acts, step.state
         reasons = ", ".join(named_causes(step.reason))
         if step.state in ACTING:
-            vehicle.remark(4, f"failsafe: {STATES[step.state]} ({reasons})")
+            vehicle.remark(MavSeverity.WARNING, f"failsafe: {STATES[step.state]} ({reasons})")
             if player.playing:
                 player.finish(STOPPED, f"{STATES[step.state]}: {reasons}")
         elif acted and step.state == FLYING:
-            vehicle.remark(6, "failsafe: over, it flies what is asked again")
+            vehicle.remark(MavSeverity.INFO, "failsafe: over, it flies what is asked again")
         if vehicle.armed and not step.armed:
-            self._authority.landed()
+            self.lease.orphaned = False  # the motors stand: nobody is missed any more
             if self.arming.word:  # else a command has disarmed it, and what came since is for the next flight
                 self._setpoints.rest(f"the motors were stopped: {reasons}", vehicle.now)
-                vehicle.remark(2, f"failsafe: motors off ({reasons})")
+                vehicle.remark(MavSeverity.CRITICAL, f"failsafe: motors off ({reasons})")
         elif step.armed and not vehicle.armed:
             self._setpoints.armed(vehicle.now)
         vehicle.armed = step.armed

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from twodof.fcu.command.arming import ArmingControl, Take
-from twodof.fcu.command.authority import DONE
+from twodof.fcu.command.arming import ArmingControl
+from twodof.fcu.command.command_lease import CommandLease
 from twodof.fcu.command.excitation_player import LOOPS, REFUSED, STOPPED, OnboardPlayer, SampledExcitation
-from twodof.fcu.command.result import TEMPORARILY_REJECTED, CommandResult, Source
+from twodof.fcu.command.result import DONE, CommandResult, Source, rejected
 from twodof.fcu.command.setpoint_manager import SetpointManager
-from twodof.fcu.command.setpoint_queue import HORIZON
+from twodof.fcu.command.setpoints import HORIZON
 from twodof.fcu.command.vehicle_state import VehicleState
 from twodof.flight.failsafe.state_machine import STATES
 from twodof.signals import OPEN_LOOP, VELOCITY
 
 
 class ExcitationControl:
-    """Decides over the excitation of `setpoints.player`. `take` says whether a source may command.
+    """Decides over the excitation of `setpoints.player`.
 
     `level_thrust` gives the thrust of a level hold, with which an excitation flies where none is in use.
     """
@@ -26,13 +26,13 @@ class ExcitationControl:
         vehicle: VehicleState,
         setpoints: SetpointManager,
         arming: ArmingControl,
-        take: Take,
+        lease: CommandLease,
         level_thrust: Callable[[], float],
     ) -> None:
         self._vehicle = vehicle
         self._setpoints = setpoints
         self._arming = arming
-        self._take = take
+        self._lease = lease
         self._level_thrust = level_thrust
 
     @property
@@ -42,12 +42,12 @@ class ExcitationControl:
 
     def define(self, source: Source, transfer: int, prepared: SampledExcitation) -> CommandResult:
         """Takes a definition, whole and written out; refused while another plays. Nothing is played yet."""
-        verdict = self._take(source, "excitation")
-        if verdict.accepted and self.player.playing:
-            return CommandResult(TEMPORARILY_REJECTED, "excitation refused: another plays")
-        if verdict.accepted:
+        result = self._lease.take(source, "excitation")
+        if result.accepted and self.player.playing:
+            return rejected("excitation refused: another plays")
+        if result.accepted:
             self.player.define(transfer, prepared)
-        return verdict
+        return result
 
     def start(
         self, source: Source, transfer: int, loop: int, thrust: float | None = None, at_tick: int = 0
@@ -56,10 +56,10 @@ class ExcitationControl:
 
         `thrust` flies with it; None: that in use, or that of a level hold if there is none.
         """
-        verdict = self._take(source, "excitation")
+        result = self._lease.take(source, "excitation")
         player = self.player
-        if not verdict.accepted or (player.playing and player.transfer == transfer):
-            return verdict  # a start that comes twice is done once
+        if not result.accepted or (player.playing and player.transfer == transfer):
+            return result  # a start that comes twice is done once
         why = self._against_playing(transfer, loop, thrust, at_tick)
         if not why and not at_tick:
             why = self._against_beginning()
@@ -68,14 +68,14 @@ class ExcitationControl:
             return DONE
         if player.unit and player.transfer == transfer:
             player.finish(REFUSED, why)
-        return CommandResult(TEMPORARILY_REJECTED, f"excitation refused: {why}")
+        return rejected(f"excitation refused: {why}")
 
     def stop(self, source: Source) -> CommandResult:
         """Stops it, playing or not, and forgets it; its base is held."""
-        verdict = self._take(source, "excitation")
-        if verdict.accepted and self.player.unit:
+        result = self._lease.take(source, "excitation")
+        if result.accepted and self.player.unit:
             self.player.finish(STOPPED, "by command")
-        return verdict
+        return result
 
     def begin(self, tick: int) -> None:
         """The tick of the excitation that waits has come."""

@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 from twodof.blocks.library.waveform_laws import MAX_LINES
 from twodof.errors import ExperimentError
 from twodof.excitation import MAX_DURATION_S, MAX_PARTS, Excitation, Multisine, from_dict
-from twodof.fcu.command.setpoint_queue import NEVER
 from twodof.signals import ATTITUDE, OPEN_LOOP, PERIOD, POSITION, RATE, VELOCITY
 
 IDLE, RECEIVING, READY, PLAYING, DONE, STOPPED, REFUSED = range(7)
 """TWODOF_EXCITE_STATE."""
 
+NEVER = 1 << 62
+"""A tick that does not come."""
 
 _BEYOND = 1e9  # what no number of an excitation reaches
 

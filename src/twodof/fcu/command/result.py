@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from twodof.link.mavlink.mav_enums import MavResult
+
 Source = tuple[int, int]
 """Who sent a message: MAVLink system and component."""
 
@@ -11,14 +13,38 @@ Source = tuple[int, int]
 class CommandResult(NamedTuple):
     """The answer to a command: `result` is a MAV_RESULT, `text` says why it was refused."""
 
-    result: int
+    result: MavResult
     text: str = ""
 
     @property
     def accepted(self) -> bool:
         """Whether it was done."""
-        return self.result == ACCEPTED
+        return self.result == MavResult.ACCEPTED
+
+    @property
+    def in_progress(self) -> bool:
+        """Whether the answer comes later."""
+        return self.result == MavResult.IN_PROGRESS
 
 
-ACCEPTED, TEMPORARILY_REJECTED, DENIED, UNSUPPORTED, FAILED, IN_PROGRESS = range(6)
-"""MAV_RESULT."""
+DONE = CommandResult(MavResult.ACCEPTED)
+
+
+def denied(text: str = "") -> CommandResult:
+    """It makes no sense, now or later."""
+    return CommandResult(MavResult.DENIED, text)
+
+
+def rejected(text: str) -> CommandResult:
+    """It cannot be done now."""
+    return CommandResult(MavResult.TEMPORARILY_REJECTED, text)
+
+
+def failed(text: str = "") -> CommandResult:
+    """It was tried, and did not succeed."""
+    return CommandResult(MavResult.FAILED, text)
+
+
+def unsupported(text: str = "") -> CommandResult:
+    """It is not done here."""
+    return CommandResult(MavResult.UNSUPPORTED, text)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from bisect import insort
+from typing import NamedTuple
+
 from twodof.fcu.command.excitation_player import REFUSED, STOPPED, OnboardPlayer
 from twodof.fcu.command.manual_control import manual_setpoint
-from twodof.fcu.command.setpoint_queue import SetpointQueue
 from twodof.fcu.command.setpoints import NOTHING, OPENLOOP, STICKS, TARGET, OpenLoopState, SetPoint, SetpointValues
 from twodof.fcu.control.control_input import ControlInput
 from twodof.link.mavlink import modes
@@ -20,22 +22,34 @@ HEARD_IN: dict[int, tuple[str, ...]] = {
 }
 """Which set-points act in which mode."""
 
+CAPACITY = 256
+"""Most set-points that wait for their tick."""
+
 _LONG_AGO = -10 * FRESH
+
+
+class QueuedSetpoint(NamedTuple):
+    """A set-point that waits for `tick`; `said` is the open-loop message that it came of."""
+
+    tick: int
+    setpoint: SetPoint
+    kind: str
+    said: OpenLoopState | None
 
 
 class SetpointManager:
     """Mode, set-points in use and on offer, those that wait for their tick, and the player of excitations.
 
-    `level_thrust` is that of a level hold. `changed` says that `asked` may give something else than the last time.
+    `changed` says that `control_input` may give something else than the last time.
     """
 
     def __init__(self, openloop_revision: int = 0) -> None:
         self.custom_mode = modes.MANUAL
         self.player = OnboardPlayer()
-        self.schedule = SetpointQueue()
         self.values = SetpointValues()  # none but while armed: nothing of before flies
         self.openloop = OpenLoopState(revision=openloop_revision)
         self.changed = True
+        self._queue: list[QueuedSetpoint] = []  # by tick; those of one tick as they came
         self._on_board = False  # level hold or an excitation gives set-points, at every tick
         self._fresh = False  # one came for the next tick
         self._offer = NOTHING  # what messages have asked for since the mode was entered, for offboard
@@ -74,6 +88,24 @@ class SetpointManager:
         if armed and not self.player.playing:
             self._use(setpoint.over(self.values), tick, said)
 
+    @property
+    def waiting(self) -> int:
+        """Set-points that wait for their tick."""
+        return len(self._queue)
+
+    def queue(self, tick: int, setpoint: SetPoint, kind: str, said: OpenLoopState | None = None) -> bool:
+        """Keeps a set-point until `tick`; False if too many wait."""
+        if len(self._queue) >= CAPACITY:
+            return False
+        insort(self._queue, QueuedSetpoint(tick, setpoint, kind, said), key=lambda one: one.tick)
+        return True
+
+    def take_due(self, tick: int, armed: bool) -> None:
+        """Takes the set-points that waited for `tick` or an earlier one."""
+        while self._queue and self._queue[0].tick <= tick:
+            due = self._queue.pop(0)
+            self.take(due.setpoint, due.kind, tick, armed, due.said)
+
     def enter(self, custom_mode: int, level_thrust: float, tick: int, armed: bool) -> None:
         """Changes the mode. If armed, level hold flies from the next tick on, and offboard what is on offer."""
         if self.player.playing:
@@ -95,7 +127,7 @@ class SetpointManager:
 
     def forget_ahead(self, why: str) -> None:
         """Another steers from now on: what was sent ahead or is on offer is forgotten; what flies, flies on."""
-        self.schedule.clear()
+        self._queue.clear()
         self._offer, self._said, self._offered = NOTHING, None, _LONG_AGO
         self._latest, self._latest_at, self._stick_at = SetpointValues(), _LONG_AGO, _LONG_AGO
         if self.player.waiting:
@@ -122,10 +154,10 @@ class SetpointManager:
         self._hear_anew()
         self._offer = NOTHING
         self._on_board, self._fresh, self.changed = False, False, True
-        self.schedule.clear()
+        self._queue.clear()
         self._say(None, tick)
 
-    def asked(self, tick: int, arm: bool, link_new: bool) -> ControlInput:
+    def control_input(self, tick: int, arm: bool, link_new: bool) -> ControlInput:
         """What the flight code is asked at `tick`."""
         values = self.values
         if self.player.playing:

@@ -5,7 +5,10 @@ from __future__ import annotations
 from math import isfinite
 from typing import NamedTuple
 
-from twodof.signals import ATTITUDE, OFF, OPEN_LOOP, POSITION, RATE
+from twodof.signals import ATTITUDE, OFF, OPEN_LOOP, PERIOD, POSITION, RATE
+
+HORIZON = round(60.0 / PERIOD)
+"""Most ticks that something may be asked for ahead: a minute."""
 
 TARGET, OPENLOOP, STICKS = "target", "open loop", "sticks"
 """Where a set-point comes from: SET_ATTITUDE_TARGET and the like, TWODOF_OPENLOOP, MANUAL_CONTROL."""

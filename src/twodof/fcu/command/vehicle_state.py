@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Protocol
 
 from twodof.fcu.control.flight_code import ControlStep
+from twodof.fcu.control.hardware import Hardware
 from twodof.flight.failsafe.state_machine import BRAKE, DESCEND, DISARMED, LEVEL
 
 ACTING = (LEVEL, BRAKE, DESCEND)
@@ -15,27 +15,15 @@ MOST_REMARKS = 64
 """Remarks that are kept if nobody takes them."""
 
 
-class RigSwitches(Protocol):
-    """What is asked of the hardware."""
-
-    @property
-    def rings(self) -> bool:
-        """Whether the rings lock the cart."""
-
-    @property
-    def safety_off(self) -> bool:
-        """Whether the safety switch was pressed."""
-
-
 @dataclass
 class VehicleState:
-    """Switches of the `rig`, the last `step` (None: none yet), and what the failsafe said in it.
+    """The hardware's switches (`rig`), the last `step` (None: none yet), and what the failsafe said in it.
 
     `now` is the first tick that was not asked for yet: a command acts there. `failsafe` is the failsafe's state.
     `remarks` are (MAV_SEVERITY, text) pairs for the clients.
     """
 
-    rig: RigSwitches
+    rig: Hardware
     remarks: list[tuple[int, str]] = field(default_factory=list)
     now: int = 0
     armed: bool = False

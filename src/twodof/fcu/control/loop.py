@@ -14,9 +14,7 @@ from twodof.fcu.control.flight_code import ControlStep, FlightCode
 from twodof.fcu.control.hardware import Hardware, VirtualHardware
 from twodof.fcu.event_bus import OnboardEventBus
 from twodof.link.control_period import TICK_NS
-
-CRITICAL = 2
-"""MAV_SEVERITY."""
+from twodof.link.mavlink.mav_enums import MavSeverity
 
 REMEDY = "End other programs on the flight controller's computer, or fly a virtual drone in lockstep"
 """What helps where the processor does not keep up (`step_late`)."""
@@ -69,7 +67,7 @@ class LoopTiming:
 class ControlInputSource(Protocol):
     """Says what the flight code must fly: the commander."""
 
-    def asked(self, tick: int) -> ControlInput:
+    def control_input(self, tick: int) -> ControlInput:
         """What is asked for in this tick."""
 
     def seen(self, step: ControlStep) -> None:
@@ -124,7 +122,7 @@ class FlightController:
         began = 0 if self.lockstep else time.thread_time_ns()
         hardware = self.hardware
         sample = hardware.read()
-        asked = self.commander.asked(self.tick)
+        asked = self.commander.control_input(self.tick)
         step = self.code.step(self.tick, sample, asked, hardware.rings, self._late or self._stopped)
         if began:
             self._note_time(time.thread_time_ns() - began, step.armed)
@@ -137,7 +135,7 @@ class FlightController:
         if self.code.user_fault != self._fault:
             self._fault = self.code.user_fault
             if self._fault:
-                self.remarks.append((CRITICAL, f"controller stopped: {self._fault}"))
+                self.remarks.append((MavSeverity.CRITICAL, f"controller stopped: {self._fault}"))
         self.commander.seen(step)
         self.bus.publish(step)
         return step
@@ -147,14 +145,14 @@ class FlightController:
         late = self.timing.stepped(used, TICK_NS)
         if late and self._late and armed:
             took = f"two control periods in a row took more than {TICK_NS // 10**6} ms ({used * 1e-6:.1f} ms)"
-            self.remarks.append((CRITICAL, f"{took} of the processor: motors off. {REMEDY}"))
+            self.remarks.append((MavSeverity.CRITICAL, f"{took} of the processor: motors off. {REMEDY}"))
         self._late = late
 
     def stop(self) -> None:
         """Motors off, at once and from any thread (the watchdog's); the failsafe gives `step_late` as the reason."""
         self.hardware.stop()
         self._stopped = True
-        self.remarks.append((CRITICAL, f"the control loop hung: motors stopped. {REMEDY}"))
+        self.remarks.append((MavSeverity.CRITICAL, f"the control loop hung: motors stopped. {REMEDY}"))
 
     def grant(self, until: int) -> None:
         """Lets time run up to the tick `until`, which is not run; one that was granted already changes nothing."""

@@ -6,7 +6,6 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from queue import SimpleQueue
-from typing import NamedTuple, Self
 
 from twodof.errors import TwodofError
 
@@ -16,24 +15,30 @@ Work = Callable[[], object]
 Done = Callable[[object], None]
 
 
-class _Tried:
-    """Keeps what was raised inside, so that it can be raised in another thread; but not what ends a program."""
+class _Attempt:
+    """Work done once: what it returned, or raised, for another thread to take; but not what ends a program."""
 
-    def __init__(self) -> None:
-        self.fault: Exception | None = None
+    def __init__(self, work: Work, done: Done) -> None:
+        self._done = done
+        self._result: object = None
+        self._fault: Exception | None = None
+        with self:
+            self._result = work()
 
-    def __enter__(self) -> Self:
-        return self
+    def __enter__(self) -> None:
+        """Nothing was raised yet."""
 
     def __exit__(self, _kind: object, raised: object, _trace: object) -> bool:
-        self.fault = raised if isinstance(raised, Exception) else None
-        return self.fault is not None
+        self._fault = raised if isinstance(raised, Exception) else None
+        return self._fault is not None
 
-
-class _Fault(NamedTuple):
-    """What work raised that it must not."""
-
-    exception: Exception
+    def hand_over(self) -> None:
+        fault = self._fault
+        if fault is None or isinstance(fault, (OSError, TwodofError)):
+            self._done(self._result if fault is None else fault)
+            return
+        self._done(OSError(f"the program itself has a fault: {fault!r}"))
+        raise fault
 
 
 class BackgroundWorker:
@@ -49,14 +54,14 @@ class BackgroundWorker:
     def __init__(self, inline: bool = False) -> None:
         self._inline = inline
         self._wanted: SimpleQueue[tuple[Work, Done]] = SimpleQueue()
-        self._finished: deque[tuple[Done, object]] = deque()
+        self._finished: deque[_Attempt] = deque()
         self._waiting = 0
         self._thread: threading.Thread | None = None
 
     def submit(self, work: Work, done: Done) -> bool:
         """Has `work` done; False, and nothing is done, where too much waits already."""
         if self._inline:
-            _hand_over(done, _result(work))
+            _Attempt(work, done).hand_over()
             return True
         if self._waiting >= MOST_WAITING:
             return False
@@ -70,28 +75,9 @@ class BackgroundWorker:
     def poll(self) -> None:
         """Hands over what is finished."""
         while self._finished:
-            done, result = self._finished.popleft()
             self._waiting -= 1
-            _hand_over(done, result)
+            self._finished.popleft().hand_over()
 
     def _run(self) -> None:
         while True:
-            work, done = self._wanted.get()
-            self._finished.append((done, _result(work)))
-
-
-def _result(work: Work) -> object:
-    result: object = None
-    with _Tried() as tried:
-        result = work()
-    if tried.fault is None or isinstance(tried.fault, (OSError, TwodofError)):
-        return result if tried.fault is None else tried.fault
-    return _Fault(tried.fault)
-
-
-def _hand_over(done: Done, result: object) -> None:
-    if not isinstance(result, _Fault):
-        done(result)
-        return
-    done(OSError(f"the program itself has a fault: {result.exception!r}"))
-    raise result.exception
+            self._finished.append(_Attempt(*self._wanted.get()))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from twodof.fcu.control.flight_code import ControlStep
@@ -10,24 +11,22 @@ from twodof.fcu.event_bus import OnboardEventBus
 from twodof.fcu.mavlink.service import Service
 from twodof.link.connection import Received
 from twodof.link.mavlink.dialect import FIRST_OWN_ID, LAST_OWN_ID
+from twodof.link.mavlink.mav_enums import MavCmd
 
 SILENT_TICKS = 15_000
 """60 s without a frame: a client is forgotten."""
 MOST_CLIENTS = 64
 _SWEEP_TICKS = 250
-_COMMANDS = (75, 76)  # COMMAND_INT, COMMAND_LONG
-_ABOUT_MESSAGES = (510, 511, 512)
+_ABOUT_MESSAGES = (MavCmd.GET_MESSAGE_INTERVAL, MavCmd.SET_MESSAGE_INTERVAL, MavCmd.REQUEST_MESSAGE)
 
 
+@dataclass(slots=True)
 class ConnectedClient:
     """A peer that has spoken, and the tick at which it did so last; `ours`: it knows twodof's own messages."""
 
-    __slots__ = ("heard", "ours", "peer")
-
-    def __init__(self, peer: Hashable, tick: int) -> None:
-        self.peer = peer
-        self.heard = tick
-        self.ours = False
+    peer: Hashable
+    heard: int
+    ours: bool = False
 
 
 class ClientJoined(NamedTuple):
@@ -62,7 +61,6 @@ class Clients(Service):
         self._tick = 0
 
     def handle(self, received: Received) -> bool:
-        """Notes who spoke."""
         client = self.known.get(received.peer)
         if client is None:
             client = self._welcome(received.peer)
@@ -73,7 +71,6 @@ class Clients(Service):
         return False
 
     def after(self, step: ControlStep) -> None:
-        """Forgets who has been silent."""
         self._tick = step.tick
         if step.tick % _SWEEP_TICKS == 0 and not self._lockstep:
             for client in [*self.known.values()]:
@@ -81,13 +78,11 @@ class Clients(Service):
                     self.gone(client.peer)
 
     def gone(self, peer: Hashable) -> None:
-        """Forgets a peer whose link has closed."""
         client = self.known.pop(peer, None)
         if client is not None:
             self._bus.publish(ClientLeft(client))
 
     def restart(self) -> None:
-        """Time begins anew at tick 0."""
         self._tick = 0
         for client in self.known.values():
             client.heard = 0
@@ -103,6 +98,6 @@ class Clients(Service):
 def _knows(received: Received) -> bool:
     """Whether a message shows that its sender knows twodof's own."""
     number, got = received.frame.message_id, received.message
-    if number in _COMMANDS:
+    if got.get_type() in ("COMMAND_LONG", "COMMAND_INT"):
         return got.command in _ABOUT_MESSAGES and FIRST_OWN_ID <= got.param1 <= LAST_OWN_ID
     return FIRST_OWN_ID <= number <= LAST_OWN_ID

@@ -11,7 +11,6 @@ from __future__ import annotations
 import struct
 from collections import OrderedDict, deque
 from collections.abc import Hashable, Iterator, Mapping
-from typing import Any
 
 from twodof.errors import ParameterError, listed
 from twodof.fcu.command.commander import Commander
@@ -31,6 +30,7 @@ from twodof.parameters import UNDO_STEPS
 
 UINT32, INT32, REAL32 = 5, 6, 9
 """MAV_PARAM_TYPE."""
+_TYPES = {"int32": INT32, "float": REAL32}
 NO_ERROR, DOES_NOT_EXIST, OUT_OF_RANGE, PERMISSION_DENIED = range(4)
 READ_ONLY, TYPE_UNSUPPORTED, TYPE_MISMATCH, READ_FAIL = 5, 6, 7, 8
 """MAV_PARAM_ERROR."""
@@ -65,7 +65,7 @@ class ParameterService(Service):
         self._lists: OrderedDict[Hashable, Iterator[Packed]] = OrderedDict()
         self._tuners: deque[Source | None] = deque(maxlen=UNDO_STEPS)  # of each step to undo; None: not by tuning
         self._revision = store.revision  # after the latest of those steps
-        self._pack = Packer("PARAM_VALUE")
+        self._pack = Packer("PARAM_VALUE", "param_count", "param_index", "param_id", "param_type")
         self._takes = {
             "PARAM_REQUEST_LIST": self._list,
             "PARAM_REQUEST_READ": self._read,
@@ -76,7 +76,6 @@ class ParameterService(Service):
         store.bus.subscribe(ParametersRelisted, self._relist)
 
     def handle(self, received: Received) -> bool:
-        """Takes a question or a new value."""
         take = self._takes.get(received.message.get_type())
         if take is None:
             return False
@@ -85,31 +84,18 @@ class ParameterService(Service):
         return True
 
     def after(self, step: ControlStep) -> None:
-        """Goes on with the lists that are being sent."""
-        if self._lists:
-            for peer in [*self._lists]:
-                self._go_on(peer, A_TICK)
-
-    def value(self, row: VehicleParameter) -> Packed:
-        """PARAM_VALUE of a parameter."""
-        value = self._store[row.name]
-        if row.kind == "int32":
-            return self._packed(row.name, struct.pack("<i", int(value)), self._store.index(row.name), INT32)
-        return self._packed(row.name, struct.pack("<f", value), self._store.index(row.name), REAL32)
-
-    def hash(self) -> Packed:
-        """PARAM_VALUE of `_HASH_CHECK`."""
-        return self._packed(HASH_NAME, struct.pack("<I", self._store.hash_check()), HASH_INDEX, UINT32)
+        for peer in [*self._lists]:
+            self._go_on(peer, A_TICK)
 
     def change(self, wanted: Mapping[str, float], sender: Source) -> tuple[int, str, str]:
         """Changes all of `wanted` or nothing: MAV_PARAM_ERROR, the first parameter it is about, and why."""
         kept = next((name for name in wanted if name in self._store and not self._store.row(name).tuning), "")
         if kept:
-            verdict = self._commander.take(sender, f"{kept} (not for tuning)")
+            result = self._commander.lease.take(sender, f"{kept} (not for tuning)")
         else:
-            verdict = self._commander.may_tune(sender)
-        if not verdict.accepted:
-            return PERMISSION_DENIED, kept, verdict.text
+            result = self._commander.lease.may_tune(sender)
+        if not result.accepted:
+            return PERMISSION_DENIED, kept, result.text
         self._forget_tuners()
         try:
             self._store.update(wanted, self._commander.armed)
@@ -124,11 +110,11 @@ class ParameterService(Service):
         """Takes the latest change back: MAV_PARAM_ERROR and why."""
         self._forget_tuners()
         if self._tuners and self._tuners[-1] == sender:
-            verdict = self._commander.may_tune(sender, "undo")
+            result = self._commander.lease.may_tune(sender, "undo")
         else:
-            verdict = self._commander.take(sender, "undo (the latest change is not this client's tuning)")
-        if not verdict.accepted:
-            return PERMISSION_DENIED, verdict.text
+            result = self._commander.lease.take(sender, "undo (the latest change is not this client's tuning)")
+        if not result.accepted:
+            return PERMISSION_DENIED, result.text
         try:
             self._store.undo(self._commander.armed)
         except ParameterError as error:
@@ -144,17 +130,24 @@ class ParameterService(Service):
         name = text(got.param_id)
         if name not in self._store:
             return name, None, DOES_NOT_EXIST
+        kind = self._store.row(name).kind
+        if got.param_type not in _TYPES.values():
+            return name, None, TYPE_UNSUPPORTED
+        if got.param_type != _TYPES[kind]:
+            return name, None, TYPE_MISMATCH
         # From the frame's bytes: a float of Python does not keep those of every int32.
         raw = received.frame.payload[:4].ljust(4, b"\0")
-        kind = self._store.row(name).kind
-        if got.param_type not in (INT32, REAL32):
-            return name, None, TYPE_UNSUPPORTED
-        if got.param_type != (INT32 if kind == "int32" else REAL32):
-            return name, None, TYPE_MISMATCH
         return name, struct.unpack("<i" if kind == "int32" else "<f", raw)[0], NO_ERROR
 
-    def error(self, received: Received, name: str, error: int, index: int = -1) -> None:
-        """Answers with PARAM_ERROR."""
+    def _value(self, row: VehicleParameter) -> Packed:
+        """PARAM_VALUE of a parameter."""
+        return self._packed(row.name, row.bits(self._store[row.name]), self._store.index(row.name), _TYPES[row.kind])
+
+    def _hash(self) -> Packed:
+        """PARAM_VALUE of `_HASH_CHECK`."""
+        return self._packed(HASH_NAME, struct.pack("<I", self._store.hash_check()), HASH_INDEX, UINT32)
+
+    def _error(self, received: Received, name: str, error: int, index: int = -1) -> None:
         system, component = source(received)
         there = {"target_system": system, "target_component": component}
         sent = message("PARAM_ERROR", param_id=name.encode()[:16], param_index=index, error=error, **there)
@@ -171,9 +164,9 @@ class ParameterService(Service):
 
     def _listed(self, with_hash: bool) -> Iterator[Packed]:
         if with_hash:
-            yield self.hash()
+            yield self._hash()
         for row in self._store.rows:
-            yield self.value(row)
+            yield self._value(row)
 
     def _go_on(self, peer: Hashable, most: int) -> None:
         rows = self._lists[peer]
@@ -189,15 +182,15 @@ class ParameterService(Service):
         name = text(got.param_id)
         if got.param_index >= 0:
             if got.param_index < len(rows):
-                self._link.send(self.value(rows[got.param_index]), received.peer)
+                self._link.send(self._value(rows[got.param_index]), received.peer)
             else:
-                self.error(received, "", DOES_NOT_EXIST, got.param_index)
+                self._error(received, "", DOES_NOT_EXIST, got.param_index)
         elif name == HASH_NAME:
-            self._link.send(self.hash(), received.peer)
+            self._link.send(self._hash(), received.peer)
         elif name in self._store:
-            self._link.send(self.value(self._store.row(name)), received.peer)
+            self._link.send(self._value(self._store.row(name)), received.peer)
         else:
-            self.error(received, name, DOES_NOT_EXIST)
+            self._error(received, name, DOES_NOT_EXIST)
 
     def _set(self, received: Received) -> None:
         if text(received.message.param_id) == HASH_NAME:
@@ -205,16 +198,16 @@ class ParameterService(Service):
             return
         name, value, error = self.checked(received)
         if value is None:
-            self.error(received, name, error)
+            self._error(received, name, error)
             return
         before = self._store.revision
         error, _, why = self.change({name: value}, source(received))
         if error != NO_ERROR:
             self._commands.explain(received.peer, why)  # first: who hears of the error looks for the reason
-            self.error(received, name, error)
+            self._error(received, name, error)
         # A change was announced to everybody; what is the same as before, or stays, is told to who asked.
         if self._store.revision == before:
-            self._link.send(self.value(self._store.row(name)), received.peer)
+            self._link.send(self._value(self._store.row(name)), received.peer)
 
     def _forget_tuners(self) -> None:
         """Where the parameters were changed in another way since, nobody knows whose the steps are."""
@@ -225,16 +218,16 @@ class ParameterService(Service):
     def _tell_holder(self, sender: Source, what: str) -> None:
         """Notes that `sender` has changed parameters, and has it told where somebody else holds the lease."""
         self._revision = self._store.revision
-        self._commander.tuned(sender, what)
+        self._commander.lease.tuned(sender, what)
 
     def _announce(self, changed: ParametersChanged) -> None:
         for name in changed.values:
-            self._link.send(self.value(self._store.row(name)))
+            self._link.send(self._value(self._store.row(name)))
 
     def _relist(self, _: ParametersRelisted) -> None:
         for peer in self._lists:
             self._lists[peer] = self._listed(with_hash=True)
-        self._link.send(self.hash())
+        self._link.send(self._hash())
 
     def _blame(self, wanted: Mapping[str, float]) -> tuple[int, str]:
         """Which of the values the store would not take, and MAV_PARAM_ERROR for it."""
@@ -250,8 +243,7 @@ class ParameterService(Service):
         return PERMISSION_DENIED, locked[0] if locked else next(iter(wanted), "")
 
     def _packed(self, name: str, bits: bytes, index: int, kind: int) -> Packed:
-        value: Any = struct.unpack("<f", bits)[0]
-        packed = self._pack(value, len(self._store.rows), index, name.encode(), kind)
+        packed = self._pack(len(self._store.rows), index, name.encode(), kind)
         packed.payload = bits + packed.payload[4:]  # the very bits, those of a signalling NaN too
         return packed
 

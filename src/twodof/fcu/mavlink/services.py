@@ -16,7 +16,7 @@ from twodof.fcu.mavlink.commands.modes import ModeService
 from twodof.fcu.mavlink.parameter_service import ParameterService
 from twodof.fcu.mavlink.service import Link, Service
 from twodof.fcu.mavlink.status_text import StatusTextService
-from twodof.fcu.mavlink.telemetry.batches import BATCH, BatchService
+from twodof.fcu.mavlink.telemetry.batches import BatchService
 from twodof.fcu.mavlink.telemetry.encoders import TelemetryEncoders
 from twodof.fcu.mavlink.telemetry.heartbeat import Heartbeat
 from twodof.fcu.mavlink.telemetry.streams import ChangeDetector, StreamService
@@ -35,8 +35,7 @@ class MavlinkServices:
     `commands.on`, `requests.on` and `telemetry` are open to further services, such as log download.
 
     `restart` begins the flight controller anew (command 246). `identity` says which controller flies. `lost` counts
-    what clients did not take. `truth` is the virtual rig's state. `capabilities` are the bits of
-    MAV_PROTOCOL_CAPABILITY that further services bring.
+    what clients did not take. `truth` is the virtual rig's state.
     """
 
     def __init__(
@@ -51,41 +50,29 @@ class MavlinkServices:
         lost: Callable[[], int] = lambda: 0,
         truth: Callable[[], tuple[float, float, float, float]] | None = None,
         profile: Mapping[int, float] = ONBOARD,
-        capabilities: int = 0,
     ) -> None:
         us, bus = VehicleAddress(system), store.bus
-        self.clients = Clients(bus, controller.lockstep)
         self.commands = CommandService(link, us, bus, controller.lockstep)
         self.telemetry = TelemetryEncoders(controller, commander, identity, lost, truth)
         self.requests = MessageRequests(link, self.commands, self.telemetry)
+        VersionService(self.requests, system, controller.hardware.name)
+        ArmingCommands(self.commands, commander, bus, restart)
+        StorageCommand(self.commands, commander, store, controller.lockstep)
+        heartbeat = Heartbeat(link, bus, self.telemetry, commander)
+        modes = ModeService(us, self.commands, self.requests, self.telemetry, commander)
+        batches = BatchService(link, bus, commander)
         changes = ChangeDetector(controller, commander)
-        self.heartbeat = Heartbeat(link, bus, self.telemetry, commander)
-        self.modes = ModeService(us, self.commands, self.requests, self.telemetry, commander)
-        self.streams = StreamService(link, bus, self.commands, self.telemetry, changes, profile)
-        self.parameters = ParameterService(link, us, self.commands, controller, commander, store)
-        self.arming = ArmingCommands(self.commands, commander, bus, restart)
-        self.storage = StorageCommand(self.commands, commander, store, controller.lockstep)
-        self.versions = VersionService(self.requests, system, controller.hardware.name, capabilities)
-        self.transactions = TransactionService(link, us, self.commands, self.parameters)
-        self.batches = BatchService(link, bus, commander)
-        self.streams.elsewhere[BATCH] = self.batches
-        self.events = EventService(link, us, self.telemetry, controller, commander, bus)
-        self.missions = MissionService(link, us, self.commands, self.requests)
-        self.remarks = StatusTextService(link, bus, commander.remarks)
-
-    @property
-    def services(self) -> list[Service]:
-        """In the order in which a server asks them."""
-        return [
-            self.clients,
+        parameters = ParameterService(link, us, self.commands, controller, commander, store)
+        self.services: list[Service] = [  # in the order in which a server asks them
+            Clients(bus, controller.lockstep),
             self.commands,
-            self.transactions,
-            self.parameters,
-            self.modes,
-            self.missions,
-            self.events,
-            self.streams,
-            self.batches,
-            self.heartbeat,
-            self.remarks,
+            TransactionService(link, us, self.commands, parameters),
+            parameters,
+            modes,
+            MissionService(link, us, self.commands, self.requests),
+            EventService(link, us, self.telemetry, controller, commander, bus),
+            StreamService(link, bus, self.commands, self.telemetry, changes, batches, profile),
+            batches,
+            heartbeat,
+            StatusTextService(link, bus, commander.remarks),
         ]

@@ -1,15 +1,21 @@
-"""Remarks: what the vehicle has to say in words goes to everybody as STATUSTEXT."""
+"""Remarks: what the vehicle has to say in words goes to everybody as STATUSTEXT; and when the disk makes trouble."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
+from twodof.errors import TwodofError
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.event_bus import OnboardEventBus
 from twodof.fcu.mavlink.service import Link, Service
+from twodof.fcu.onboard_log.logger import OnboardLogger
+from twodof.fcu.parameters.parameter_store import ParameterStore
 from twodof.fcu.px4_compat.event_table import marked
 from twodof.link.connection import Received
+from twodof.link.mavlink.mav_enums import MavSeverity
 from twodof.link.mavlink.messages import statustext
+
+LOOK_TICKS = 250
 
 
 class TextSent(NamedTuple):
@@ -33,7 +39,6 @@ class StatusTextService(Service):
         return bool(received.message.get_type() == "STATUSTEXT")
 
     def after(self, step: ControlStep) -> None:
-        """Tells what there is to tell."""
         if not self._remarks:
             return
         told = self._remarks[:]
@@ -43,3 +48,30 @@ class StatusTextService(Service):
             self._number = self._number % 0xFFFF + 1
             for piece in statustext(marked(text), severity, self._number):
                 self._link.send(piece)
+
+
+class StorageMonitor(Service):
+    """Puts into `remarks` when parameters or logs cannot be written: looks once a second, tells each trouble once."""
+
+    def __init__(self, store: ParameterStore, log: OnboardLogger | None, remarks: list[tuple[int, str]]) -> None:
+        self._store, self._log, self._remarks = store, log, remarks
+        self._said: dict[str, TwodofError | None] = {}
+        self._dropped = 0
+
+    def after(self, step: ControlStep) -> None:
+        if step.tick % LOOK_TICKS:
+            return
+        self._look("parameters are not stored", self._store.failure)
+        if self._log is not None:
+            self._look("no on-board log", self._log.failure)
+            if self._log.dropped != self._dropped:
+                count, self._dropped = self._log.dropped - self._dropped, self._log.dropped
+                self._remarks.append(
+                    (MavSeverity.WARNING, f"on-board log: the disk is too slow, {count} steps are missing")
+                )
+
+    def _look(self, what: str, failure: TwodofError | None) -> None:
+        said = self._said.get(what)
+        if failure is not None and (said is None or str(said) != str(failure)):
+            self._remarks.append((MavSeverity.ERROR, f"{what}: {failure}"))
+        self._said[what] = failure

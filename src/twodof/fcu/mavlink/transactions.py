@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from twodof.fcu.command.result import Source
@@ -32,14 +33,14 @@ class TransactionAnswer(NamedTuple):
     why: str = ""
 
 
+@dataclass
 class Transaction:
     """A sender's PARAM_SETs that are kept back; `fault` is the first that cannot be."""
 
-    def __init__(self, number: int, tick: int) -> None:
-        self.number = number
-        self.begun = tick
-        self.values: dict[str, float] = {}
-        self.fault: tuple[int, str] | None = None
+    number: int
+    begun: int
+    values: dict[str, float] = field(default_factory=dict)
+    fault: tuple[int, str] | None = None
 
     @property
     def count(self) -> int:
@@ -55,24 +56,17 @@ class TransactionService(Service):
     and the client sends it again.
     """
 
-    def __init__(
-        self,
-        link: Link,
-        us: VehicleAddress,
-        commands: CommandService,
-        parameters: ParameterService,
-    ) -> None:
+    def __init__(self, link: Link, us: VehicleAddress, commands: CommandService, parameters: ParameterService) -> None:
         self._link = link
         self._us = us
         self._commands = commands
         self._parameters = parameters
         self._open: OrderedDict[Source, Transaction] = OrderedDict()
         self._answered: OrderedDict[tuple[Source, int, int], TransactionAnswer] = OrderedDict()
-        self._pack = Packer("TWODOF_PARAM_TRANSACTION")
+        self._pack = Packer("TWODOF_PARAM_TRANSACTION", "transaction", "count", "action", "result", "param_id")
         self._tick = 0
 
     def handle(self, received: Received) -> bool:
-        """Takes the beginning and end of a transaction, and what is set in between."""
         got = received.message
         kind = got.get_type()
         if kind == "PARAM_SET":
@@ -84,7 +78,6 @@ class TransactionService(Service):
         return True
 
     def after(self, step: ControlStep) -> None:
-        """Forgets what was never ended."""
         self._tick = step.tick
         while self._open:
             oldest = next(iter(self._open))
@@ -93,7 +86,6 @@ class TransactionService(Service):
             del self._open[oldest]
 
     def restart(self) -> None:
-        """Time begins anew; what was open is forgotten."""
         self._open.clear()
         self._answered.clear()
 
@@ -132,7 +124,7 @@ class TransactionService(Service):
                     self._answered.popitem(last=False)
             self._commands.explain(received.peer, answer.why)
         name = answer.name.encode()[:16]
-        self._link.send(self._pack(got.transaction, answer.have, 0, 0, got.action, answer.result, name), received.peer)
+        self._link.send(self._pack(got.transaction, answer.have, got.action, answer.result, name), received.peer)
 
     def _end(self, received: Received, sender: Source) -> TransactionAnswer:
         got = received.message

@@ -5,6 +5,7 @@ from __future__ import annotations
 from twodof.link.control_period import TICK_MS
 
 RUN_OVER = 2**32
+MASK_32 = RUN_OVER - 1
 RUN_OVER_MS = RUN_OVER // TICK_MS
 """Ticks after which a stamp in milliseconds begins anew."""
 

@@ -32,17 +32,18 @@ FORMATS: Mapping[str, str] = {STEP_TOPIC: FORMAT, **{topic.name: topic.format fo
 
 
 class LogWriter:
-    """Writes rows of steps into the logs of `folder`, as `mode` (SDLOG_MODE) says; called from one thread.
+    """Writes rows of steps into the logs of `folder`, as SDLOG_MODE says; called from one thread.
 
-    `info` and `parameters` stand at the beginning of each log. `failure` is why the last log ended or did not begin,
-    `missed` counts rows that were to be logged and are in none.
+    Each log begins with what `describe` was given and with all parameters. `failure` is why the last log ended or did
+    not begin, `missed` counts rows that were to be logged and are in none.
     """
 
     def __init__(self, folder: LogFolder, parameters: Mapping[str, float]) -> None:
-        self.folder, self.mode, self.requested = folder, LOG_ARMED, False
+        self.folder = folder
         self.failure: TwodofError | None = None
         self.missed = 0
-        self.info: Mapping[str, str | int] = {}
+        self._mode, self._requested = LOG_ARMED, False
+        self._info: Mapping[str, str | int] = {}
         self._parameters = dict(parameters)
         self._writer: ULogWriter | None = None
         self._handed: deque[tuple[int, int]] = deque()  # records accepted so far, and the steps among the last of them
@@ -59,6 +60,18 @@ class LogWriter:
     def path(self) -> Path | None:
         """The log being written."""
         return self._writer.path if self._writer is not None else None
+
+    def choose(self, mode: int) -> None:
+        """Takes another SDLOG_MODE."""
+        self._mode = mode
+
+    def request(self, wanted: bool) -> None:
+        """Logs whether armed or not from here on, or as the mode says again."""
+        self._requested = wanted
+
+    def describe(self, info: Mapping[str, str | int]) -> None:
+        """Takes the facts of the flight, for the logs that begin from here on."""
+        self._info = info
 
     def rows(self, rows: Rows) -> None:
         """Takes steps (n,), laid out as `step_row.ROW`; a tick before the last one is a restart, a new log."""
@@ -86,9 +99,8 @@ class LogWriter:
 
     def list_anew(self, values: Mapping[str, float]) -> None:
         """Takes all parameters, which are others by now; in the log being written those that are new or changed."""
-        changed = {name: value for name, value in values.items() if self._parameters.get(name) != value}
-        self._parameters = dict(values)
-        self._guarded(lambda writer: [writer.parameter(name, value, self._stamp_us) for name, value in changed.items()])
+        before, self._parameters = self._parameters, dict(values)
+        self.parameters({name: value for name, value in values.items() if before.get(name) != value})
 
     def dropped(self, count: int, lost_ms: int) -> None:
         """Notes that `count` rows did not come, over `lost_ms`."""
@@ -141,12 +153,12 @@ class LogWriter:
         ended = np.asarray((since == MARGIN + 1) & (self._was_armed | (last >= 0)))
         self._since_armed = min(int(since[-1]), 1 << 30)
         self._was_armed |= bool(armed.any())
-        if self.requested or self.mode == LOG_ALWAYS:
+        if self._requested or self._mode == LOG_ALWAYS:
             return np.ones(len(armed), dtype=np.bool_)
-        if self.mode == LOG_NEVER:
+        if self._mode == LOG_NEVER:
             return np.zeros(len(armed), dtype=np.bool_)
         near = since <= MARGIN
-        if self.mode == LOG_BOOT and not self._was_disarmed_again:
+        if self._mode == LOG_BOOT and not self._was_disarmed_again:
             near |= ~np.logical_or.accumulate(ended)
         self._was_disarmed_again |= bool(ended.any())
         return np.asarray(near)
@@ -167,7 +179,7 @@ class LogWriter:
         before, self._before = self._before, None
         first = rows if before is None else before
         start_us = int(first["timestamp"][0])
-        info: dict[str, str | int] = {**self.info, "time_ref_utc": 0, "start_utc": int(time.time())}
+        info: dict[str, str | int] = {**self._info, "time_ref_utc": 0, "start_utc": int(time.time())}
         try:
             self._writer = ULogWriter(
                 self.folder.next_path(), FORMATS, info, self._parameters, start_us=start_us, full="wait"

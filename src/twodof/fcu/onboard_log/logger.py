@@ -7,8 +7,9 @@ import threading
 from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
-from types import MappingProxyType, TracebackType
+from types import MappingProxyType
 from typing import Self
 
 import numpy as np
@@ -33,8 +34,8 @@ _AT_ONCE = 4096
 
 ABOUT = MappingProxyType({"ver_hw": "TWODOF", "ver_sw": __version__, "sys_os_name": "Linux"})
 
-Note = tuple[str, str, object]
-"""What stands between rows: kind, detail, value."""
+Note = Callable[[LogWriter], object]
+"""What stands between rows: something that the writer is to do."""
 
 
 class OnboardLogger:
@@ -60,18 +61,16 @@ class OnboardLogger:
         self.dropped = 0
         self._info = info
         self._writer = LogWriter(self.folder, {row.name: store[row.name] for row in store.rows})
-        self._writer.mode = int(store["SDLOG_MODE"])
+        self._writer.choose(int(store["SDLOG_MODE"]))
         self._queue: deque[bytes | Note] = deque()
         self._tick, self._armed = -1, False
         self._gap = (0, 0)  # rows dropped since the last one taken, tick of the first
         self._wake, self._room = threading.Event(), threading.Event()
-        self._closed = False
+        self._closed = self._ended = False
         self._thread = threading.Thread(target=self._serve, name="on-board log", daemon=True)
         self._thread.start()
         store.bus.subscribe(ParametersChanged, self._changed)
-        store.bus.subscribe(
-            ParametersRelisted, lambda _: self._put("list", "", {row.name: store[row.name] for row in store.rows})
-        )
+        store.bus.subscribe(ParametersRelisted, lambda _: self._relisted(store))
 
     @property
     def failure(self) -> TwodofError | None:
@@ -94,7 +93,7 @@ class OnboardLogger:
         """Takes a step; costs about a microsecond."""
         queue = self._queue
         if step.tick <= self._tick or (step.armed and not self._armed) or self._tick < 0:
-            queue.append(("info", "", {**ABOUT, **self._info()}))
+            queue.append(partial(LogWriter.describe, info={**ABOUT, **self._info()}))
         self._tick, self._armed = step.tick, step.armed
         if len(queue) >= LONGEST_QUEUE and not self._waited():
             self._drop(step.tick)
@@ -106,13 +105,13 @@ class OnboardLogger:
             return
         if self._gap[0]:
             count, since = self._gap
-            queue.append(("dropout", "", (count, (step.tick - since) * TICK_US // 1000)))
+            queue.append(partial(LogWriter.dropped, count=count, lost_ms=(step.tick - since) * TICK_US // 1000))
             self._gap = (0, 0)
         queue.append(row)
 
     def note(self, level: str, line: str) -> None:
         """Takes a line for the log's reader: "error", "warning", "info" or "debug"."""
-        self._put("text", level, line)
+        self._put(lambda writer: writer.text(level, line))
 
     def remark(self, severity: int, text: str) -> None:
         """Takes what the vehicle says in words, of a MAV_SEVERITY."""
@@ -120,15 +119,15 @@ class OnboardLogger:
 
     def start(self) -> None:
         """Logs from the next step on whether armed or not, until `stop`."""
-        self._put("requested", "", True)
+        self._put(lambda writer: writer.request(True))
 
     def stop(self) -> None:
         """Ends what `start` began."""
-        self._put("requested", "", False)
+        self._put(lambda writer: writer.request(False))
 
     def begin_anew(self) -> None:
         """Has what comes next logged into a new file; does not wait."""
-        self._put("anew", "", None)
+        self._put(LogWriter.end)
 
     def logs(self) -> list[StoredLog]:
         """The logs on board by rising number, also the one being written, with everything that was handed over so far.
@@ -137,7 +136,7 @@ class OnboardLogger:
         """
         if self._thread.is_alive():
             with suppress(LogError):  # a disk that is silent: what is on it is listed
-                self._ask("flush", LISTING_S)
+                self._ask(_flush, LISTING_S)
         return self.folder.logs()
 
     def erase(self) -> int:
@@ -146,41 +145,43 @@ class OnboardLogger:
 
     def flush(self, deadline_s: float = 10.0) -> None:
         """Waits until everything handed over is on the disk. Raises LogError when it is not within the deadline."""
-        self._ask("flush", deadline_s)
+        self._ask(_flush, deadline_s)
         if self.failure is not None:
             raise LogError(self.failure.what, self.failure.where, self.failure.remedy)
 
     def end(self, deadline_s: float = 10.0) -> None:
         """Ends the log being written: what comes next is in a new one. Raises LogError as `flush`."""
-        self._ask("end", deadline_s)
+        self._ask(LogWriter.end, deadline_s)
 
     def close(self, deadline_s: float = 10.0) -> None:
         """Ends the log and the thread. Raises LogError as `flush`; a second call only returns."""
         if not self._closed:
             self._closed = True
-            self._ask("close", deadline_s)
+            self._ask(self._end_all, deadline_s)
             self._thread.join(deadline_s)
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _changed(self, changed: ParametersChanged) -> None:
-        changes = changed.values
+        changes = dict(changed.values)
         if "SDLOG_MODE" in changes:
-            self._put("mode", "", int(changes["SDLOG_MODE"]))
+            self._put(lambda writer: writer.choose(int(changes["SDLOG_MODE"])))
         if "SDLOG_DIRS_MAX" in changes:
             self.folder.max_logs = int(changes["SDLOG_DIRS_MAX"])
-        self._put("parameters", "", dict(changes))
+        self._put(lambda writer: writer.parameters(changes))
 
-    def _put(self, kind: str, detail: str, value: object) -> None:
+    def _relisted(self, store: ParameterStore) -> None:
+        values = {row.name: store[row.name] for row in store.rows}
+        self._put(lambda writer: writer.list_anew(values))
+
+    def _put(self, note: Note) -> None:
         # Notes are few; when thousands wait the disk is dead.
         if len(self._queue) < 2 * LONGEST_QUEUE:
-            self._queue.append((kind, detail, value))
+            self._queue.append(note)
 
     def _drop(self, tick: int) -> None:
         self.dropped += 1
@@ -197,27 +198,35 @@ class OnboardLogger:
         self._wake.set()
         return self._room.wait(LOCKSTEP_WAIT_S)
 
-    def _ask(self, kind: str, deadline_s: float) -> None:
+    def _ask(self, note: Note, deadline_s: float) -> None:
         done = threading.Event()
-        self._queue.append((kind, "", done))
+
+        def answered(writer: LogWriter) -> None:
+            note(writer)
+            done.set()
+
+        self._queue.append(answered)
         self._wake.set()
         if not done.wait(deadline_s):
             raise LogError(
                 f"the disk has not answered within {deadline_s:g} s", str(self.folder.path), "log to another disk"
             )
 
+    def _end_all(self, writer: LogWriter) -> None:
+        writer.end()
+        self._ended = True
+
     def _serve(self) -> None:
-        closing = False
-        while not closing:
+        while not self._ended:
             self._wake.wait(_PAUSE_S)
             self._wake.clear()
-            while self._queue and not closing:
-                closing = self._take()
+            while self._queue and not self._ended:
+                self._take()
                 if len(self._queue) < LONGEST_QUEUE:
                     self._room.set()
 
-    def _take(self) -> bool:
-        """Handles some of the queue; True at its end."""
+    def _take(self) -> None:
+        """Handles some of the queue."""
         rows: list[bytes] = []
         note: Note | None = None
         while self._queue and note is None and len(rows) < _AT_ONCE:
@@ -228,30 +237,9 @@ class OnboardLogger:
                 note = item
         if rows:
             self._writer.rows(np.frombuffer(b"".join(rows), ROW))
-        return note is not None and self._handle(*note)
+        if note is not None:
+            note(self._writer)
 
-    def _handle(self, kind: str, detail: str, value: object) -> bool:
-        writer = self._writer
-        if kind == "text":
-            writer.text(detail, str(value))
-        elif kind == "parameters" and isinstance(value, dict):
-            writer.parameters(value)
-        elif kind == "list" and isinstance(value, dict):
-            writer.list_anew(value)
-        elif kind == "info" and isinstance(value, dict):
-            writer.info = value
-        elif kind == "mode" and isinstance(value, int):
-            writer.mode = value
-        elif kind == "requested":
-            writer.requested = bool(value)
-        elif kind == "anew":
-            writer.end()
-        elif kind == "dropout" and isinstance(value, tuple):
-            writer.dropped(*value)
-        elif isinstance(value, threading.Event):
-            if kind == "flush":
-                writer.flush(DEADLINE_S)
-            else:
-                writer.end()
-            value.set()
-        return kind == "close"
+
+def _flush(writer: LogWriter) -> None:
+    writer.flush(DEADLINE_S)

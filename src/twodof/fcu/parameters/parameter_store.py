@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import struct
-import time
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Any, NamedTuple, Self
 
 from twodof.errors import ParameterError, TwodofError, listed
 from twodof.fcu.event_bus import OnboardEventBus
 from twodof.fcu.parameters.row import VehicleParameter
 from twodof.fcu.parameters.store_file import StoredParameters, StoreFile, TunedController
-from twodof.fcu.parameters.table import own_rows, wire_rows
+from twodof.fcu.parameters.table import vehicle_rows, wire_rows
 from twodof.fcu.parameters.user_parameters import UserParameters
 from twodof.parameters import TUNABLES, ParameterSet, float32_decimal
 
@@ -59,10 +56,10 @@ class ParameterStore(Mapping[str, float]):
     ) -> None:
         """Raises ParameterError for `values`, which go over those of the file, as `update` does."""
         self._system = system
-        self._own: tuple[UserParameters, ...] = ()
+        self._users: tuple[UserParameters, ...] = ()
         self._tuned: dict[str, TunedController] = {}  # by identity, those that fly last
         self._list()
-        self._set = ParameterSet(table=own_rows(system))
+        self._set = ParameterSet(table=vehicle_rows(system))
         self.bus = bus or OnboardEventBus()
         self._file = StoreFile(path) if path is not None else None
         self.remarks: tuple[str, ...] = ()
@@ -117,31 +114,31 @@ class ParameterStore(Mapping[str, float]):
     @property
     def carried(self) -> tuple[UserParameters, ...]:
         """The users' controllers that fly, with their parameters."""
-        return self._own
+        return self._users
 
     def user_values(self) -> dict[str, Any]:
         """What flies in the users' controllers, by path (`attitude_control.k_q`): numbers, lists for arrays."""
-        return {path: value for own in self._own for path, value in own.flying(self._set).items()}
+        return {path: value for one in self._users for path, value in one.flying(self._set).items()}
 
-    def carry(self, own: Sequence[UserParameters]) -> tuple[str, ...]:
+    def carry(self, users: Sequence[UserParameters]) -> tuple[str, ...]:
         """Lists the parameters of these controllers, which fly from now on, in place of those of the ones before.
 
         Each controller has the values that were stored of the very same diagram, else its defaults. Returns remarks on
         that, for the clients. The others keep their values; what was done before cannot be undone any more.
         """
-        if [one.identity for one in own] == [one.identity for one in self._own]:
+        if [one.identity for one in users] == [one.identity for one in self._users]:
             return ()
         self._keep_tuned()
-        values = {row.name: self._set[row.name] for row in own_rows(self._system)}
-        self._own = tuple(own)
-        table = (*own_rows(self._system), *(row for one in own for row in one.rows))
+        values = {row.name: self._set[row.name] for row in vehicle_rows(self._system)}
+        self._users = tuple(users)
+        self._list()
+        table = (*vehicle_rows(self._system), *(row for one in users for row in one.rows))
         fresh = ParameterSet(values, table)
         remarks: list[str] = []
-        for one in own:
+        for one in users:
             remarks += self._restore(fresh, one)
         fresh.revision = self._set.revision + 1
         self._set = fresh
-        self._list()
         self.bus.publish(ParametersRelisted())
         return tuple(remarks)
 
@@ -159,8 +156,7 @@ class ParameterStore(Mapping[str, float]):
         Raises ParameterError, naming every fault: an unknown name, one parameter twice, a value of the wrong kind or
         outside its bounds. While `armed`, a parameter that only changes disarmed is a fault too.
         """
-        wanted = {name: float32_decimal(value) if self._is_float(name) else value for name, value in changes.items()}
-        good, faults = self._set.check(wanted)
+        good, faults = self._set.check(self._as_carried(changes))
         faults += self._locked(good, armed)
         if faults:
             raise ParameterError("; ".join(faults), "parameters", "nothing was changed")
@@ -182,9 +178,7 @@ class ParameterStore(Mapping[str, float]):
         """PX4's _HASH_CHECK: CRC-32 over names and values in the order of the indices, begun with 0, not inverted."""
         crc = 0xFFFFFFFF  # zlib inverts what it is given and what it gives
         for row in self.rows:
-            value = self._set[row.name]
-            raw = struct.pack("<i", int(value)) if row.kind == "int32" else struct.pack("<f", value)
-            crc = zlib.crc32(raw, zlib.crc32(row.name.encode("ascii"), crc))
+            crc = zlib.crc32(row.bits(self._set[row.name]), zlib.crc32(row.name.encode("ascii"), crc))
         return crc ^ 0xFFFFFFFF
 
     def save(self) -> Callable[[], bool] | None:
@@ -193,17 +187,7 @@ class ParameterStore(Mapping[str, float]):
         The question tells whether the values are on the disk by now. It raises ParameterError where the disk has
         refused, or was silent for `SAVE_S`.
         """
-        if self._file is None:
-            return None
-        file, number, end = self._file, self._file.ask(), time.monotonic() + SAVE_S
-
-        def stored() -> bool:
-            done = file.answered(number)
-            if not done and time.monotonic() > end:
-                raise file.silent(SAVE_S)
-            return done
-
-        return stored
+        return None if self._file is None else self._file.save(SAVE_S)
 
     def flush(self, deadline_s: float = 10.0) -> None:
         """Waits until the file holds what is here. Raises ParameterError where the disk refuses or is silent."""
@@ -218,14 +202,13 @@ class ParameterStore(Mapping[str, float]):
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _is_float(self, name: str) -> bool:
-        index = self._index.get(name)
-        return index is not None and self.rows[index].kind == "float"
+    def _as_carried(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Values as the wire and the file carry them: of a float the shortest decimal that float32 keeps."""
+        floats = {name for name in values if name in self._index and self.row(name).kind == "float"}
+        return {name: float32_decimal(value) if name in floats else value for name, value in values.items()}
 
     def _locked(self, values: Mapping[str, float], armed: bool) -> list[str]:
         """What is wrong with changing `values` (by main name) while `armed`."""
@@ -247,11 +230,8 @@ class ParameterStore(Mapping[str, float]):
         before = self._set.snapshot()
         step()
         after = self._set.snapshot()
-        changes = {
-            row.name: after[row.of or row.name]
-            for row in self.rows
-            if after[row.of or row.name] != before[row.of or row.name]
-        }
+        main = {row.name: row.of or row.name for row in self.rows}
+        changes = {name: after[key] for name, key in main.items() if after[key] != before[key]}
         if not changes:
             return
         if self._file is not None:
@@ -260,17 +240,17 @@ class ParameterStore(Mapping[str, float]):
 
     def _list(self) -> None:
         """Sorts all rows as PX4 does, by name."""
-        own = (row for one in self._own for row in one.rows)
+        users = (row for one in self._users for row in one.rows)
         self.rows: tuple[VehicleParameter, ...] = tuple(
-            sorted((*wire_rows(self._system), *own), key=lambda row: row.name)
+            sorted((*wire_rows(self._system), *users), key=lambda row: row.name)
         )
         self._index = {row.name: index for index, row in enumerate(self.rows)}
 
     def _keep_tuned(self) -> None:
         """Notes what is tuned in the controllers that fly, and forgets what was tuned longest ago."""
-        for one in self._own:
+        for one in self._users:
             self._tuned.pop(one.identity, None)
-            values = {row.own: self._set[row.name] for row in one.rows if self._set[row.name] != row.default}
+            values = {row.user_path: self._set[row.name] for row in one.rows if self._set[row.name] != row.default}
             if values:
                 self._tuned[one.identity] = TunedController(one.kind, one.name, one.identity, values)
         while len(self._tuned) > MOST_TUNED:
@@ -278,8 +258,8 @@ class ParameterStore(Mapping[str, float]):
 
     def _kept(self) -> StoredParameters:
         self._keep_tuned()
-        values = {row.name: self._set[row.name] for row in own_rows(self._system)}
-        changed = {row.name: values[row.name] for row in own_rows(self._system) if values[row.name] != row.default}
+        values = ((row, self._set[row.name]) for row in vehicle_rows(self._system))
+        changed = {row.name: value for row, value in values if value != row.default}
         return StoredParameters(changed, tuple(self._tuned.values()))
 
     def _restore(self, fresh: ParameterSet, own: UserParameters) -> list[str]:
@@ -291,9 +271,9 @@ class ParameterStore(Mapping[str, float]):
                 return []
             left = f"another diagram: {len(other[-1].values)} stored values of an earlier one are left out"
             return [f"{own.kind}: {own.name} is {left}"]
-        names = {row.own: row for row in own.rows}
-        known = {names[path].name: _restored(names[path], v) for path, v in tuned.values.items() if path in names}
-        good, faults = fresh.check(known)
+        names = {row.user_path: row for row in own.rows}
+        known = {names[path].name: value for path, value in tuned.values.items() if path in names}
+        good, faults = fresh.check(self._as_carried(known))
         fresh.update(good)
         fresh.forget()
         said = f"{own.kind}: flies as it was tuned before: {listed(good, 3)}"
@@ -302,12 +282,7 @@ class ParameterStore(Mapping[str, float]):
     def _take_over(self, found: tuple[StoredParameters, str]) -> tuple[str, ...]:
         """Takes each value of the file that is still right; returns what was not."""
         kept, remark = found
-        values = {n: float32_decimal(v) if self._is_float(n) else v for n, v in kept.values.items()}
-        good, faults = self._set.check(values)
-        self._set = ParameterSet(good, own_rows(int(self._set["MAV_SYS_ID"])))
+        good, faults = self._set.check(self._as_carried(kept.values))
+        self._set = ParameterSet(good, vehicle_rows(int(self._set["MAV_SYS_ID"])))
         self._tuned = {one.identity: one for one in kept.controllers[-MOST_TUNED:]}
         return (*((remark,) if remark else ()), *faults)
-
-
-def _restored(row: VehicleParameter, value: float) -> float:
-    return float32_decimal(value) if row.kind == "float" else value

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from dataclasses import dataclass
 
 from twodof.parameters import Parameter
@@ -13,8 +14,8 @@ class VehicleParameter(Parameter):
 
     `group` is where a ground station shows it. `disarmed`: it is changed only while disarmed; `reboot`: a change acts
     after the next start. `acts` is False for one that clients of PX4 ask for and nothing on board reads. `of` names the
-    parameter that this one is another name of. `own` is its place in a user's diagram, such as `attitude_control.k_q`,
-    with an index for an array's element. A parameter without bounds in the diagram is not `bounded`.
+    parameter that this one is another name of. `user_path` is its place in a user's diagram, such as
+    `attitude_control.k_q`, with an index for an array's element. A parameter without bounds in the diagram is not `bounded`.
     """
 
     group: str = "Flight"
@@ -22,8 +23,12 @@ class VehicleParameter(Parameter):
     reboot: bool = False
     acts: bool = True
     of: str = ""
-    own: str = ""
+    user_path: str = ""
     bounded: bool = True
+
+    def bits(self, value: float) -> bytes:
+        """The four bytes of a value, as PARAM_VALUE carries them."""
+        return struct.pack("<i", int(value)) if self.kind == "int32" else struct.pack("<f", value)
 
     @property
     def fixed(self) -> bool:

@@ -6,7 +6,7 @@ import json
 import threading
 import time
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -82,38 +82,36 @@ class StoreFile:
                 self._thread.start()
             self._changed.notify_all()
 
-    def ask(self) -> int:
-        """Has what was given written now, and returns at once a number for `answered`."""
-        with self._changed:
-            self._asked = self._wanted is not None
-            self._changed.notify_all()
-            return self._begun + 1  # one that is under way may be writing what was given before
+    def save(self, deadline_s: float) -> Callable[[], bool]:
+        """Has what was given written now, and returns at once a question: is it in the file and on the disk by now?
 
-    def answered(self, number: int) -> bool:
-        """Whether what was given before `ask` gave `number` is in the file and on the disk; False: not yet.
-
-        Raises ParameterError where the disk has refused since.
+        The question raises ParameterError where the disk has refused since, or was silent for the deadline.
         """
         with self._changed:
-            if self._wanted is None:
-                return True
-            done = self._tries >= number
+            self._asked = self._wanted is not None
+            number = self._begun + 1  # one that is under way may be writing what was given before
+            self._changed.notify_all()
+        end = time.monotonic() + deadline_s
+
+        def stored() -> bool:
+            with self._changed:
+                if self._wanted is None:
+                    return True
+                done = self._tries >= number
             if done and self.failure is not None:
                 raise ParameterError(self.failure.what, self.failure.where, "the values fly, but are not stored")
+            if not done and time.monotonic() >= end:
+                silent = f"the disk has not answered within {deadline_s:g} s"
+                raise ParameterError(silent, str(self.path), "store them on another disk")
             return done
 
-    def flush(self, deadline_s: float) -> None:
-        """Waits until what was given is written. Raises ParameterError where the disk refuses or is silent."""
-        number = self.ask()
-        with self._changed:
-            if not self._changed.wait_for(lambda: self.answered(number), deadline_s):
-                raise self.silent(deadline_s)
+        return stored
 
-    def silent(self, deadline_s: float) -> ParameterError:
-        """The error of a disk that was silent for the deadline."""
-        return ParameterError(
-            f"the disk has not answered within {deadline_s:g} s", str(self.path), "store them on another disk"
-        )
+    def flush(self, deadline_s: float) -> None:
+        """Waits until what was given is written. Raises ParameterError as the question of `save`."""
+        stored = self.save(deadline_s)
+        with self._changed:
+            self._changed.wait_for(stored, deadline_s)
 
     def close(self, deadline_s: float) -> None:
         """Writes what waits and ends the thread. Raises ParameterError as `flush`."""

@@ -11,7 +11,7 @@ from twodof.parameters import FLIGHT_PARAMETERS, PARAMETERS
 
 
 @cache
-def own_rows(system: int) -> tuple[VehicleParameter, ...]:
+def vehicle_rows(system: int) -> tuple[VehicleParameter, ...]:
     """Every parameter of the vehicle `system` once, by its main name."""
     flight = (*PARAMETERS, *(row for row in FLIGHT_PARAMETERS if row not in PARAMETERS))
     rows = (
@@ -31,7 +31,7 @@ def wire_rows(system: int) -> tuple[VehicleParameter, ...]:
 
     A parameter that the real drone has under a name of its own (FC_PARAM_4) shows under both: `of` says so.
     """
-    rows = own_rows(system)
+    rows = vehicle_rows(system)
     others = (
         replace(row, name=row.drone, drone="", of=row.name, text=f"{row.name}: {row.text}") for row in rows if row.drone
     )

@@ -66,9 +66,9 @@ def user_parameters(controllers: Iterable[Diagram]) -> tuple[UserParameters, ...
     taken = {row.name for row in wire_rows(1)}
     found = []
     for kind, diagram in sorted(by_kind(controllers).items()):
-        own = _of(kind, diagram, taken)
-        taken |= {row.name for row in own.rows}
-        found.append(own)
+        user = _of(kind, diagram, taken)
+        taken |= {row.name for row in user.rows}
+        found.append(user)
     return tuple(found)
 
 
@@ -108,7 +108,7 @@ def _row(kind: str, diagram: str, one: ExportedParameter) -> VehicleParameter:
         kind="float" if one.kind == "real" else "int32",
         tuning=True,
         group=f"Controller {diagram}",
-        own=path,
+        user_path=path,
         bounded=one.low not in (-LARGEST_FLOAT, SMALLEST_INT) or one.high not in (LARGEST_FLOAT, LARGEST_INT),
     )
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from twodof.fcu.command.commander import Commander
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.control.loop import FlightController
-from twodof.fcu.mavlink.telemetry.system_messages import hindering
+from twodof.fcu.mavlink.telemetry.encoders import hindering
 from twodof.fcu.px4_compat.event_enumerations import ABOUT, COMPONENT_INDEX, OBSTACLE_BIT
 from twodof.fcu.px4_compat.event_table import ARMING_SUMMARY, CHECKS, HEALTH_SUMMARY, EventType
 from twodof.flight.failsafe import state_machine
@@ -45,7 +45,7 @@ class ArmingReport:
     def obstacles(self, step: ControlStep | None) -> int:
         """Mask of what keeps from arming now (`obstacle_t`), in any mode; `step` is the last, None: none was yet."""
         commander = self._commander
-        found = OBSTACLE_BIT["killed"] if commander.arming.killed else 0
+        found = OBSTACLE_BIT["killed"] if commander.arming.killed_by is not None else 0
         if step is None:
             found |= OBSTACLE_BIT["unheard"]
         else:

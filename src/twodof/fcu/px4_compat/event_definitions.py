@@ -36,11 +36,9 @@ def definitions() -> bytes:
 
 
 def _enumeration(one: Enumeration) -> dict[str, Any]:
-    made: dict[str, Any] = {"type": one.kind, "description": one.text}
-    if one.bits:
-        made |= {"is_bitfield": True, "separator": one.separator}
-    entries = {str(entry.value): {"name": entry.name, "description": entry.text} for entry in one.entries}
-    return made | {"entries": entries}
+    bits = {"is_bitfield": True, "separator": "; "} if one.bits else {}
+    entries = {str(value): {"name": name, "description": text} for value, name, text in one.entries}
+    return {"type": one.kind, "description": one.text, **bits, "entries": entries}
 
 
 def _event(event: EventType) -> dict[str, Any]:
@@ -50,5 +48,5 @@ def _event(event: EventType) -> dict[str, Any]:
     if event.kind:
         made["type"] = event.kind
     if event.arguments:
-        made["arguments"] = [{"type": one.kind, "name": one.name} for one in event.arguments]
+        made["arguments"] = [{"type": kind, "name": name} for name, kind in event.arguments]
     return made

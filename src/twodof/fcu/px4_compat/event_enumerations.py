@@ -12,22 +12,16 @@ from twodof.flight.failsafe.causes_and_actions import ACTIONS, CAUSES
 from twodof.link.mavlink.modes import MODES
 
 
-class EnumerationEntry(NamedTuple):
-    """A value of an enumeration; of a bit field the bit itself. `text` is what people read."""
-
-    value: int
-    name: str
-    text: str
-
-
 class Enumeration(NamedTuple):
-    """An enumeration; `kind` is the unsigned integer that carries it. Of a bit field `separator` stands between two."""
+    """An enumeration; `kind` is the unsigned integer that carries it.
+
+    An entry is a value (of a bit field, `bits`, the bit itself), a name, and a text for people.
+    """
 
     kind: str
     text: str
-    entries: tuple[EnumerationEntry, ...]
+    entries: tuple[tuple[int, str, str], ...]
     bits: bool = False
-    separator: str = "; "
 
 
 class Obstacle(NamedTuple):
@@ -82,7 +76,7 @@ ABOUT = MappingProxyType(
 COMMANDED, KILLED, FAILED = range(3)
 """Why it was disarmed."""
 
-_CAUSE_ENTRIES = tuple(EnumerationEntry(1 << place, cause.name, cause.text) for place, cause in enumerate(CAUSES))
+_CAUSE_ENTRIES = tuple((1 << place, cause.name, cause.text) for place, cause in enumerate(CAUSES))
 
 ENUMERATIONS = MappingProxyType(
     {
@@ -92,41 +86,41 @@ ENUMERATIONS = MappingProxyType(
             "What keeps from arming: causes of the failsafe, and more.",
             (
                 *_CAUSE_ENTRIES,
-                *(EnumerationEntry(OBSTACLE_BIT[one.name], one.name, one.text) for one in OBSTACLES),
-                EnumerationEntry(LEASE_BIT, "lease", "somebody else commands"),
-                EnumerationEntry(OTHER_BIT, "other", "it did not come to it"),
+                *((OBSTACLE_BIT[one.name], one.name, one.text) for one in OBSTACLES),
+                (LEASE_BIT, "lease", "somebody else commands"),
+                (OTHER_BIT, "other", "it did not come to it"),
             ),
             True,
         ),
         "action_t": Enumeration(
             "uint8_t",
             "What the failsafe does.",
-            tuple(EnumerationEntry(place, name, name) for place, name in enumerate(ACTIONS)),
+            tuple((place, name, name) for place, name in enumerate(ACTIONS)),
         ),
         "disarmed_by_t": Enumeration(
             "uint8_t",
             "Who or what disarmed it.",
             (
-                EnumerationEntry(COMMANDED, "command", "by command"),
-                EnumerationEntry(KILLED, "kill", "by a kill"),
-                EnumerationEntry(FAILED, "failsafe", "by the failsafe"),
+                (COMMANDED, "command", "by command"),
+                (KILLED, "kill", "by a kill"),
+                (FAILED, "failsafe", "by the failsafe"),
             ),
         ),
         "mode_t": Enumeration(
             "uint32_t",
             "The modes, as HEARTBEAT.custom_mode.",
-            tuple(EnumerationEntry(mode.custom_mode, mode.name, mode.name) for mode in MODES),
+            tuple((mode.custom_mode, mode.name, mode.name) for mode in MODES),
         ),
         "navigation_mode_group_t": Enumeration(
             "uint32_t",
             "The modes again, a bit each: which of them a check is about.",
-            tuple(EnumerationEntry(1 << place, mode.name, mode.text) for place, mode in enumerate(MODES)),
+            tuple((1 << place, mode.name, mode.text) for place, mode in enumerate(MODES)),
             True,
         ),
         "health_component_t": Enumeration(
             "uint32_t",
             "What a check is about.",
-            tuple(EnumerationEntry(1 << place, name, text) for name, place, text, _ in _COMPONENTS),
+            tuple((1 << place, name, text) for name, place, text, _ in _COMPONENTS),
             True,
         ),
     }

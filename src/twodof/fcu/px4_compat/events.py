@@ -14,7 +14,7 @@ from twodof.fcu.mavlink.clients import ClientJoined
 from twodof.fcu.mavlink.commands.arming import ArmingDenied, ChecksRequested, MotorsKilled
 from twodof.fcu.mavlink.service import Link, Service
 from twodof.fcu.mavlink.telemetry.encoders import TelemetryEncoders
-from twodof.fcu.mavlink.telemetry.flight_messages import MASK_32
+from twodof.fcu.mavlink.wire_tick import MASK_32
 from twodof.fcu.px4_compat import event_table
 from twodof.fcu.px4_compat.arming_report import ArmingReport, ReportedEvent
 from twodof.fcu.px4_compat.event_enumerations import COMMANDED, FAILED, KILLED, LEASE_BIT, OTHER_BIT
@@ -25,7 +25,6 @@ from twodof.link.connection import Received
 from twodof.link.control_period import TICK_MS
 from twodof.link.mavlink.messages import message
 
-CURRENT_EVENT_SEQUENCE = 411
 KEPT = 128
 """Events that can be asked for again."""
 MOST_AGAIN = 16
@@ -56,17 +55,17 @@ class EventService(Service):
         self._commander = commander
         self._report = ArmingReport(controller, commander)
         self._kept: deque[tuple[int, Any]] = deque(maxlen=KEPT)
-        self._sequence = 0
+        self.sequence = 0
         self._tick = 0
         self._step: ControlStep | None = None
         self._armed = False
         self._action = 0
         self._mode = commander.custom_mode
-        self._killed = commander.arming.killed
+        self._killed = commander.arming.killed_by is not None
         self._answered: tuple[EventType | None, tuple[int, ...], int] = None, (), 0
         self._reported: list[ReportedEvent] = []
         self._reported_at = -REPORT_TICKS
-        telemetry.add(CURRENT_EVENT_SEQUENCE, self._current)
+        telemetry.add("CURRENT_EVENT_SEQUENCE", self._current)
         bus.subscribe(ClientJoined, self._welcome)
         bus.subscribe(ArmingDenied, self._denied)
         bus.subscribe(MotorsKilled, lambda killed: self._answer(event_table.KILL, *killed.source))
@@ -92,7 +91,7 @@ class EventService(Service):
                 self._tell(event_table.ARMED, *(self._commander.lease.holder or (0, 0)))
             else:
                 self._tell(event_table.DISARMED, self._disarmed_by(step))
-        killed = self._commander.arming.killed
+        killed = self._commander.arming.killed_by is not None
         if killed != self._killed:
             self._killed = killed
             if not killed:
@@ -139,30 +138,30 @@ class EventService(Service):
             self._tell(event_table.OVER)
 
     def _disarmed_by(self, step: ControlStep) -> int:
-        if self._commander.arming.killed:
+        if self._commander.arming.killed_by is not None:
             return KILLED
         return FAILED if step.state == state_machine.OFF else COMMANDED
 
     def _tell(self, what: EventType, *values: int) -> None:
-        self._sequence = self._sequence + 1 & 0xFFFF
+        self.sequence = self.sequence + 1 & 0xFFFF
         event = message(
             "EVENT",
             id=what.id,
             event_time_boot_ms=self._tick * TICK_MS & MASK_32,
-            sequence=self._sequence,
+            sequence=self.sequence,
             log_levels=what.levels,
             arguments=what.pack(*values),
         )
-        self._kept.append((self._sequence, event))
+        self._kept.append((self.sequence, event))
         self._link.send(event)
 
     def _current(self) -> Any:
         flags = 0 if self._kept else _RESET
-        return message("CURRENT_EVENT_SEQUENCE", sequence=self._sequence, flags=flags)
+        return message("CURRENT_EVENT_SEQUENCE", sequence=self.sequence, flags=flags)
 
     def _welcome(self, joined: ClientJoined) -> None:
         # To who comes anew the numbers begin here: it may remember those of a program that ran before.
-        self._link.send(message("CURRENT_EVENT_SEQUENCE", sequence=self._sequence, flags=_RESET), joined.client.peer)
+        self._link.send(message("CURRENT_EVENT_SEQUENCE", sequence=self.sequence, flags=_RESET), joined.client.peer)
 
     def _again(self, received: Received) -> None:
         first, last = received.message.first_sequence, received.message.last_sequence
@@ -177,6 +176,6 @@ class EventService(Service):
                     target_system=system,
                     target_component=component,
                     sequence=sequence,
-                    sequence_oldest_available=self._kept[0][0] if self._kept else self._sequence,
+                    sequence_oldest_available=self._kept[0][0] if self._kept else self.sequence,
                 )
             self._link.send(event, received.peer)

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Hashable
 from pathlib import Path
 
-from twodof.fcu.command.result import ACCEPTED, DENIED, TEMPORARILY_REJECTED, CommandResult, Source
+from twodof.fcu.command.result import DONE, CommandResult, Source, denied, rejected
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.mavlink.addressing import VehicleAddress, source, whole
 from twodof.fcu.mavlink.background import BackgroundWorker
@@ -22,9 +22,9 @@ from twodof.fcu.mavlink.service import Link, Service
 from twodof.fcu.onboard_log.logger import OnboardLogger
 from twodof.flightlog.ulog.fragments import MOST, ULogFragment, ULogFragments
 from twodof.link.connection import Received
+from twodof.link.mavlink.mav_enums import MavCmd
 from twodof.link.mavlink.messages import message
 
-START, STOP = 2510, 2511
 ULOG = 0
 A_TICK = 8
 """LOGGING_DATA in a control period: .5 MB/s, where the log is .2 MB/s."""
@@ -72,53 +72,47 @@ class LogStreamService(Service):
         self._pump = PacedSender(self._send, lockstep)
         self._stream: LogStreamClient | None = None
         self._portions = 0
-        commands.on(START, self._start)
-        commands.on(STOP, self._stop)
+        commands.on(MavCmd.LOGGING_START, self._start)
+        commands.on(MavCmd.LOGGING_STOP, self._stop)
 
     def handle(self, received: Received) -> bool:
         """Takes an answer, and notes that the client is there."""
-        if self._stream is not None and source(received) == self._stream.client:
-            self._stream.silent = 0
-        if received.message.get_type() != "LOGGING_ACK":
-            return False
-        stream = self._stream
-        if stream is not None and self._us.addressed(received.message) and source(received) == stream.client:
-            if stream.unanswered is not None and received.message.sequence == stream.sequence:
+        stream, got = self._stream, received.message
+        answer = got.get_type() == "LOGGING_ACK"
+        if stream is not None and source(received) == stream.client:
+            stream.silent = 0
+            if answer and self._us.addressed(got) and stream.unanswered and got.sequence == stream.sequence:
                 self._sent(stream)
                 self._pump.start()
-        return True
+        return bool(answer)
 
     def after(self, step: ControlStep) -> None:
-        """Goes on."""
         self._background.poll()
         self._pump.tick()
 
     def gone(self, peer: Hashable) -> None:
-        """Ends the stream to a peer whose link has closed."""
         if self._stream is not None and self._stream.peer == peer:
             self._end()
 
     def _start(self, command: ReceivedCommand) -> CommandResult:
         if whole(command.params[0], -1) != ULOG:
-            return CommandResult(DENIED, "logs are streamed as ULog: format 0")
+            return denied("logs are streamed as ULog: format 0")
         stream = self._stream
         if stream is not None and stream.client != command.source:
-            return CommandResult(
-                TEMPORARILY_REJECTED, f"the log is streamed to {stream.client[0]}/{stream.client[1]} already"
-            )
-        verdict = self._take(command.source, "log stream")
-        if not verdict.accepted:
-            return verdict
+            return rejected(f"the log is streamed to {stream.client[0]}/{stream.client[1]} already")
+        taken = self._take(command.source, "log stream")
+        if not taken.accepted:
+            return taken
         self._stream = LogStreamClient(command.peer, command.source, self._log.path)
         self._log.begin_anew()
         self._log.start()
         self._pump.start()
-        return CommandResult(ACCEPTED)
+        return DONE
 
     def _stop(self, command: ReceivedCommand) -> CommandResult:
         if self._stream is not None and self._stream.client == command.source:
             self._end()
-        return CommandResult(ACCEPTED)
+        return DONE
 
     def _end(self, why: str = "") -> None:
         stream, self._stream = self._stream, None

@@ -6,20 +6,12 @@ from collections.abc import Callable, Hashable
 
 from twodof.errors import ParameterError
 from twodof.fcu.command.commander import Commander
-from twodof.fcu.command.result import (
-    ACCEPTED,
-    DENIED,
-    FAILED,
-    IN_PROGRESS,
-    TEMPORARILY_REJECTED,
-    UNSUPPORTED,
-    CommandResult,
-)
+from twodof.fcu.command.result import DONE, CommandResult, denied, failed, rejected, unsupported
 from twodof.fcu.mavlink.addressing import whole
 from twodof.fcu.mavlink.commands.command_service import CommandService, ReceivedCommand
 from twodof.fcu.parameters.parameter_store import SAVE_S, ParameterStore
+from twodof.link.mavlink.mav_enums import MavCmd, MavResult
 
-STORAGE = 245
 LOAD, SAVE, RESET_CONFIG, RESET_SENSORS, RESET_ALL = range(5)
 """PREFLIGHT_STORAGE_PARAMETER_ACTION."""
 MOST_WAITING = 16
@@ -39,59 +31,42 @@ class StorageCommand:
         self._store = store
         self._lockstep = lockstep
         self._waiting: dict[Hashable, Callable[[], bool]] = {}
-        commands.on(STORAGE, self._act, self._stored)
+        commands.on(MavCmd.PREFLIGHT_STORAGE, self._act, self._stored)
 
     def _act(self, command: ReceivedCommand) -> CommandResult:
         action = whole(command.params[0], -1)
         if not LOAD <= action <= RESET_ALL:
-            return CommandResult(DENIED)
+            return denied()
         if action == RESET_SENSORS:
-            return CommandResult(UNSUPPORTED, "nothing of the sensors is calibrated")
+            return unsupported("nothing of the sensors is calibrated")
         if self._commander.armed:
-            return CommandResult(TEMPORARILY_REJECTED, "parameters are stored and reset while disarmed only")
+            return rejected("parameters are stored and reset while disarmed only")
         if len(self._waiting) >= MOST_WAITING:
-            return CommandResult(TEMPORARILY_REJECTED, f"{MOST_WAITING} others wait for the disk: ask again")
+            return rejected(f"{MOST_WAITING} others wait for the disk: ask again")
         if action in (RESET_CONFIG, RESET_ALL):
-            verdict = self._commander.take(command.source, "reset of the parameters")
-            verdict = self._reset() if verdict.accepted else verdict
-            if not verdict.accepted:
-                return verdict
+            taken = self._commander.lease.take(command.source, "reset of the parameters")
+            if not taken.accepted:
+                return taken
+            try:
+                self._store.reset(self._commander.armed)
+            except ParameterError as reason:
+                return failed(str(reason))
         stored = self._store.save()
         if stored is None:
-            return _UNKEPT if action in (LOAD, SAVE) else CommandResult(ACCEPTED)
-        if self._lockstep:
-            return self._flushed()
+            unkept = unsupported("it keeps no parameters: start it with a folder for its state")
+            return unkept if action in (LOAD, SAVE) else DONE
         self._waiting[command.what] = stored
         return self._stored(command)
 
     def _stored(self, command: ReceivedCommand) -> CommandResult:
         """What has become of it."""
         try:
-            if not self._waiting[command.what]():
-                return CommandResult(IN_PROGRESS)
+            if self._lockstep:
+                self._store.flush(SAVE_S)
+            elif not self._waiting[command.what]():
+                return CommandResult(MavResult.IN_PROGRESS)
         except ParameterError as reason:
             del self._waiting[command.what]
-            return _failed(reason)
+            return failed(f"parameters are not stored: {reason}")
         del self._waiting[command.what]
-        return CommandResult(ACCEPTED)
-
-    def _flushed(self) -> CommandResult:
-        try:
-            self._store.flush(SAVE_S)
-        except ParameterError as reason:
-            return _failed(reason)
-        return CommandResult(ACCEPTED)
-
-    def _reset(self) -> CommandResult:
-        try:
-            self._store.reset(self._commander.armed)
-        except ParameterError as reason:
-            return CommandResult(FAILED, str(reason))
-        return CommandResult(ACCEPTED)
-
-
-_UNKEPT = CommandResult(UNSUPPORTED, "it keeps no parameters: start it with a folder for its state")
-
-
-def _failed(reason: ParameterError) -> CommandResult:
-    return CommandResult(FAILED, f"parameters are not stored: {reason}")
+        return DONE

@@ -5,11 +5,13 @@ made once for a message and called with its values. It gives a Packed, which is 
 pymavlink is, to several peers too, with the same bytes (tests/link/mavlink/test_packing.py).
 """
 
-from itertools import chain
+import re
+from struct import Struct, calcsize
 from typing import Any
 
 from fastcrc import crc16
 
+from twodof.errors import LinkError, listed
 from twodof.link.mavlink import dialect
 
 LARGEST_FLOAT32 = float.fromhex("0x1.fffffep+127")
@@ -46,17 +48,25 @@ class Packed:
 
 
 class Packer:
-    """Packs one kind of message from its values in the order of the wire (`fields`), arrays spread out.
+    """Packs one kind of message from the values of `fields`, the others being 0; without `fields` from those of all.
+
+    Fields are named in their order on the wire (by falling size of the type), and arrays are spread out in the call.
 
     A real number beyond float32 becomes infinite, as on a processor that computes in float32. Any other value that does
-    not fit its type raises struct.error.
+    not fit its type raises struct.error. A field that is none, or out of order, raises LinkError.
     """
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, *fields: str) -> None:
         kind = dialect.load().mavlink_map[dialect.message_id(name)]
         self.name = name
-        self.fields = tuple(kind.ordered_fieldnames)
-        self._struct = kind.unpacker
+        self.fields = tuple(field for field in kind.ordered_fieldnames if field in fields or not fields)
+        if fields and self.fields != fields:
+            raise LinkError(f"has no fields {listed(fields)} in this order", name, f"give {listed(self.fields, 64)}")
+        # One code a field, such as "f", "16s" or "60f"; the bytes of those that are not given are pads.
+        codes = zip(re.findall(r"\d*[a-zA-Z]", kind.unpacker.format), kind.ordered_fieldnames, strict=True)
+        self._struct = Struct(
+            "<" + "".join(code if field in self.fields else f"{calcsize('<' + code)}x" for code, field in codes)
+        )
         self._ident = dialect.message_id(name).to_bytes(3, "little")
         self._extra = bytes([kind.crc_extra])
 
@@ -67,27 +77,6 @@ class Packer:
         except OverflowError:
             payload = self._struct.pack(*(_float32(value) for value in values))
         return Packed(self.name, self._ident, self._extra, payload.rstrip(b"\0") or b"\0")
-
-    def by_name(self, **values: Any) -> Packed:
-        """The message with values by name, the others 0 (text: empty); an array is a sequence of its whole length.
-
-        For messages that are sent now and then. Raises KeyError for a field that is none.
-        """
-        given = dict.fromkeys(self.fields) | values
-        if len(given) > len(self.fields):
-            raise KeyError(f"{self.name} has no field {', '.join(sorted(given.keys() - set(self.fields)))}")
-        kind = dialect.load().mavlink_map[int.from_bytes(self._ident, "little")]
-        rows = zip(self.fields, kind.array_lengths, strict=True)
-        types = dict(zip(kind.fieldnames, kind.fieldtypes, strict=True))
-        return self(*chain.from_iterable(_spread(given[field], types[field], length) for field, length in rows))
-
-
-def _spread(value: Any, type_name: str, length: int) -> tuple[Any, ...]:
-    if type_name == "char":
-        return (value or b"",)
-    if length:
-        return (0,) * length if value is None else tuple(value)
-    return (0 if value is None else value,)
 
 
 def _float32(value: Any) -> Any:

@@ -10,7 +10,6 @@ from twodof.errors import ParameterError
 from twodof.fcu.command.commander import Commander
 from twodof.fcu.command.result import Source
 from twodof.fcu.control.control_input import ControlInput
-from twodof.fcu.control.controllers import ControllerIdentity
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.control.hardware import SensorSample
 from twodof.fcu.control.loop import FlightController, TimeRestarted
@@ -19,7 +18,7 @@ from twodof.fcu.mavlink.commands.excitation import ExcitationService
 from twodof.fcu.mavlink.commands.lease import LeaseService
 from twodof.fcu.mavlink.commands.lockstep import LockstepService
 from twodof.fcu.mavlink.commands.setpoints import SetpointService
-from twodof.fcu.mavlink.telemetry.twodof_messages import rig
+from twodof.fcu.mavlink.telemetry.encoders import TelemetryEncoders
 from twodof.link.connection import Received
 from twodof.link.mavlink.framing import Parser, decode, encode
 from twodof.link.mavlink.messages import message
@@ -86,7 +85,7 @@ class Desk:
         us = VehicleAddress(SYSTEM)
         given = us, self.commander, self._tell
         self.excite = ExcitationService(self, *given)
-        answer = rig(self.controller, ControllerIdentity)
+        answer = TelemetryEncoders(self.controller, self.commander).rig
         self.services = [
             LeaseService(self, *given),
             SetpointService(*given),

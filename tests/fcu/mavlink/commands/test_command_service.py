@@ -7,11 +7,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.fcu.mavlink.world import CLIENT, World
-from twodof.fcu.command.result import ACCEPTED, DENIED, IN_PROGRESS, TEMPORARILY_REJECTED, UNSUPPORTED, CommandResult
+from twodof.fcu.command.result import CommandResult, denied, rejected
 from twodof.link.mavlink import modes
+from twodof.link.mavlink.mav_enums import MavResult
 from twodof.link.mavlink.messages import message
 
-REFUSED = CommandResult(TEMPORARILY_REJECTED, "somebody else holds the lease")
+REFUSED = rejected("somebody else holds the lease")
 US = {"target_system": 1, "target_component": 1}
 NUMBERS = st.floats(width=32)
 
@@ -36,7 +37,7 @@ def test_every_command_is_acknowledged_once_to_who_sent_it(number: int, params: 
 def test_what_is_not_supported_is_said_so_and_nobody_is_asked() -> None:
     world = World()
     for number in (0, 16, 20, 21, 22, 178, 192, 209, 241, 310, 420, 2500, 31010, 65535):
-        assert world.command(number) == UNSUPPORTED
+        assert world.command(number) == MavResult.UNSUPPORTED
     assert world.commander.asked == []
     assert world.texts() == ""
 
@@ -74,47 +75,47 @@ def test_a_command_that_claims_to_be_from_us_is_ignored() -> None:
 def test_but_what_stops_motors_is_obeyed_under_whatever_number_it_comes(number: int, first: float) -> None:
     world = World()
     world.say(message("COMMAND_LONG", command=number, param1=first, **US), source=(1, 1))
-    assert [one.result for one in world.taken("COMMAND_ACK")] == [ACCEPTED]
+    assert [one.result for one in world.taken("COMMAND_ACK")] == [MavResult.ACCEPTED]
     assert len(world.commander.asked) == 1
 
 
 def test_checks_run_all_the_time() -> None:
     world = World()
-    assert world.command(401) == ACCEPTED
+    assert world.command(401) == MavResult.ACCEPTED
     world.commander.armed = True
-    assert world.command(401) == ACCEPTED  # as PX4: a client that comes in flight asks, too
+    assert world.command(401) == MavResult.ACCEPTED  # as PX4: a client that comes in flight asks, too
 
 
 @pytest.mark.parametrize(
     ("params", "asked"),
     [
-        ((1.0,), ("arm", CLIENT, False)),
-        ((1.0, 21196.0), ("arm", CLIENT, True)),
-        ((0.0,), ("disarm", CLIENT, False)),
-        ((0.0, 21196.0), ("disarm", CLIENT, True)),
+        ((1.0,), ("arm", CLIENT)),
+        ((1.0, 21196.0), ("arm", CLIENT)),
+        ((0.0,), ("disarm", CLIENT)),
+        ((0.0, 21196.0), ("kill", CLIENT)),
     ],
 )
 def test_arming_is_the_commanders(params: tuple[float, ...], asked: tuple[object, ...]) -> None:
     world = World()
-    assert world.command(400, *params) == ACCEPTED
+    assert world.command(400, *params) == MavResult.ACCEPTED
     assert world.commander.asked == [asked]
 
 
 @given(value=NUMBERS.filter(lambda value: value not in (0.0, 1.0)), force=NUMBERS)
 def test_neither_arm_nor_disarm_is_denied(value: float, force: float) -> None:
     world = World()
-    assert world.command(400, value, force) == DENIED
+    assert world.command(400, value, force) == MavResult.DENIED
     assert world.commander.asked == []
 
 
 def test_a_refusal_says_why_to_who_asked() -> None:
     world = World()
     world.commander.verdict = REFUSED
-    assert world.command(400, 1.0, peer="me") == TEMPORARILY_REJECTED
+    assert world.command(400, 1.0, peer="me") == MavResult.TEMPORARILY_REJECTED
     (said,) = world.taken("STATUSTEXT", "me")
     assert said.text == REFUSED.text
     long = "x" * 120
-    world.commander.verdict = CommandResult(DENIED, long)
+    world.commander.verdict = denied(long)
     world.command(400, 1.0)
     pieces = world.taken("STATUSTEXT")
     assert "".join(piece.text for piece in pieces) == long
@@ -125,13 +126,13 @@ def test_a_refusal_says_why_to_who_asked() -> None:
 
 def test_arming_in_progress_is_answered_when_it_is_decided() -> None:
     world = World()
-    world.commander.verdict = world.commander.answer = CommandResult(IN_PROGRESS)
+    world.commander.verdict = world.commander.answer = CommandResult(MavResult.IN_PROGRESS)
     assert world.command(400, 1.0) == -1  # a tick later, in real time: nothing before
     world.run(2)
     assert world.taken("COMMAND_ACK") == []
-    world.commander.answer = CommandResult(TEMPORARILY_REJECTED, "tilted")
+    world.commander.answer = rejected("tilted")
     world.run()
-    assert [ack.result for ack in world.taken("COMMAND_ACK", "client")] == [TEMPORARILY_REJECTED]
+    assert [ack.result for ack in world.taken("COMMAND_ACK", "client")] == [MavResult.TEMPORARILY_REJECTED]
     assert world.texts() == "tilted"
     world.run(5)
     assert world.taken("COMMAND_ACK") == []
@@ -139,45 +140,45 @@ def test_arming_in_progress_is_answered_when_it_is_decided() -> None:
 
 def test_what_was_refused_in_the_end_is_not_accepted_when_it_is_repeated() -> None:
     world = World()
-    world.commander.verdict = world.commander.answer = CommandResult(IN_PROGRESS)
+    world.commander.verdict = world.commander.answer = CommandResult(MavResult.IN_PROGRESS)
     world.command(400, 1.0)
     assert world.command(400, 1.0, confirmation=1) == -1  # the same is in progress still
-    world.commander.answer = CommandResult(TEMPORARILY_REJECTED, "tilted")
+    world.commander.answer = rejected("tilted")
     world.run()
-    assert [ack.result for ack in world.taken("COMMAND_ACK")] == [TEMPORARILY_REJECTED]
-    world.commander.verdict = CommandResult(DENIED)
-    assert world.command(400, 1.0, confirmation=2) == DENIED
+    assert [ack.result for ack in world.taken("COMMAND_ACK")] == [MavResult.TEMPORARILY_REJECTED]
+    world.commander.verdict = CommandResult(MavResult.DENIED)
+    assert world.command(400, 1.0, confirmation=2) == MavResult.DENIED
     assert [one[0] for one in world.commander.asked] == ["arm", "arm"]
 
 
 @pytest.mark.parametrize("lockstep", [False, True])
 def test_disarming_does_not_wait_for_an_arming_in_progress(lockstep: bool) -> None:
     world = World(lockstep=lockstep)
-    world.commander.verdict = world.commander.answer = CommandResult(IN_PROGRESS)
+    world.commander.verdict = world.commander.answer = CommandResult(MavResult.IN_PROGRESS)
     world.command(400, 1.0)
-    world.commander.verdict = CommandResult(ACCEPTED)
-    assert world.command(400, 0.0) == ACCEPTED
+    world.commander.verdict = CommandResult(MavResult.ACCEPTED)
+    assert world.command(400, 0.0) == MavResult.ACCEPTED
     assert [one[0] for one in world.commander.asked] == ["arm", "disarm"]
 
 
 def test_in_lockstep_the_client_is_told_that_time_must_run() -> None:
     world = World(lockstep=True)
-    world.commander.verdict = world.commander.answer = CommandResult(IN_PROGRESS)
-    assert world.command(400, 1.0) == IN_PROGRESS
-    world.commander.answer = CommandResult(ACCEPTED)
+    world.commander.verdict = world.commander.answer = CommandResult(MavResult.IN_PROGRESS)
+    assert world.command(400, 1.0) == MavResult.IN_PROGRESS
+    world.commander.answer = CommandResult(MavResult.ACCEPTED)
     world.run()
-    assert [ack.result for ack in world.taken("COMMAND_ACK")] == [ACCEPTED]
+    assert [ack.result for ack in world.taken("COMMAND_ACK")] == [MavResult.ACCEPTED]
 
 
 def test_a_repetition_is_acknowledged_and_not_carried_out_again() -> None:
     world = World()
-    assert world.command(400, 1.0) == ACCEPTED
+    assert world.command(400, 1.0) == MavResult.ACCEPTED
     for confirmation in (1, 2, 3):
-        assert world.command(400, 1.0, confirmation=confirmation) == ACCEPTED
+        assert world.command(400, 1.0, confirmation=confirmation) == MavResult.ACCEPTED
     assert len(world.commander.asked) == 1
     world.run(200)
     # Half a second later it is another one.
-    assert world.command(400, 1.0, confirmation=4) == ACCEPTED
+    assert world.command(400, 1.0, confirmation=4) == MavResult.ACCEPTED
     assert len(world.commander.asked) == 2
 
 
@@ -199,7 +200,7 @@ def test_what_stops_motors_is_carried_out_as_often_as_it_comes(number: int, para
     """Another client may have armed between a kill and the same kill said again."""
     world = World()
     for confirmation in (0, 1, 2):
-        assert world.command(number, *params, confirmation=confirmation) == ACCEPTED
+        assert world.command(number, *params, confirmation=confirmation) == MavResult.ACCEPTED
     assert len(world.commander.asked) == 3
     stop = message("COMMAND_LONG", command=number, **{f"param{n}": p for n, p in enumerate(params, 1)}, **US)
     world.say(stop, sequence=7)
@@ -218,31 +219,31 @@ def test_in_lockstep_where_time_stands_equal_frames_of_two_sessions_are_two_comm
 def test_what_was_refused_is_tried_again() -> None:
     world = World()
     world.commander.verdict = REFUSED
-    assert world.command(400, 1.0) == TEMPORARILY_REJECTED
-    world.commander.verdict = CommandResult(ACCEPTED)
-    assert world.command(400, 1.0, confirmation=1) == ACCEPTED
+    assert world.command(400, 1.0) == MavResult.TEMPORARILY_REJECTED
+    world.commander.verdict = CommandResult(MavResult.ACCEPTED)
+    assert world.command(400, 1.0, confirmation=1) == MavResult.ACCEPTED
     assert len(world.commander.asked) == 2
 
 
 def test_questions_are_answered_as_often_as_they_come() -> None:
     world = World()
     for confirmation in range(3):
-        assert world.command(512, 148.0, confirmation=confirmation) == ACCEPTED
+        assert world.command(512, 148.0, confirmation=confirmation) == MavResult.ACCEPTED
     assert len(world.taken("AUTOPILOT_VERSION")) == 3
 
 
 def test_termination_is_a_kill_and_0_releases_it() -> None:
     world = World()
     for first, asked in ((1.0, "kill"), (0.51, "kill"), (math.inf, "kill"), (0.0, "release"), (-0.0, "release")):
-        assert world.command(185, first) == ACCEPTED
+        assert world.command(185, first) == MavResult.ACCEPTED
         world.run(200)
         assert world.commander.asked == [(asked, CLIENT)]
         world.commander.asked.clear()
     for first in (0.5, 0.49, -1.0, math.nan, -math.inf):
-        assert world.command(185, first) == DENIED
+        assert world.command(185, first) == MavResult.DENIED
     assert world.commander.asked == []
     world.commander.verdict = REFUSED
-    assert world.command(185, 0.0) == TEMPORARILY_REJECTED
+    assert world.command(185, 0.0) == MavResult.TEMPORARILY_REJECTED
 
 
 def test_a_release_is_for_one_drone_and_from_another() -> None:
@@ -256,38 +257,38 @@ def test_a_release_is_for_one_drone_and_from_another() -> None:
 
 def test_restart() -> None:
     world = World()
-    assert world.command(246, 0.0) == ACCEPTED
+    assert world.command(246, 0.0) == MavResult.ACCEPTED
     for other in (2.0, 3.0, 4.0):  # shut down, stay in the boot loader, power on
-        assert world.command(246, other) == UNSUPPORTED
-    assert world.command(246, 9.0) == DENIED
+        assert world.command(246, other) == MavResult.UNSUPPORTED
+    assert world.command(246, 9.0) == MavResult.DENIED
     assert world.restarts == 0
-    assert world.command(246, 1.0) == ACCEPTED
+    assert world.command(246, 1.0) == MavResult.ACCEPTED
     assert world.restarts == 1
     assert [one[0] for one in world.commander.asked] == ["take", "release"], "as after being switched on"
     world.commander.armed = True
-    assert world.command(246, 1.0) == TEMPORARILY_REJECTED
+    assert world.command(246, 1.0) == MavResult.TEMPORARILY_REJECTED
     world.commander.armed, world.commander.verdict = False, REFUSED
-    assert world.command(246, 1.0) == TEMPORARILY_REJECTED
+    assert world.command(246, 1.0) == MavResult.TEMPORARILY_REJECTED
     assert world.restarts == 1
-    assert World(restart=None).command(246, 1.0) == UNSUPPORTED
+    assert World(restart=None).command(246, 1.0) == MavResult.UNSUPPORTED
 
 
 @pytest.mark.parametrize("mode", modes.MODES, ids=lambda mode: mode.name)
 def test_a_mode_is_set_by_command_and_by_set_mode(mode: modes.FlightMode) -> None:
     world = World()
-    assert world.command(176, 1.0, mode.main, mode.sub) == ACCEPTED
+    assert world.command(176, 1.0, mode.main, mode.sub) == MavResult.ACCEPTED
     # With the bit for armed, as MAVSDK sends it.
-    assert world.command(176, 129.0, mode.main, mode.sub) == ACCEPTED
+    assert world.command(176, 129.0, mode.main, mode.sub) == MavResult.ACCEPTED
     world.say(message("SET_MODE", target_system=1, base_mode=1, custom_mode=mode.custom_mode))
     assert world.commander.asked == [("mode", CLIENT, mode.custom_mode)] * 3
-    assert world.command(512, 436.0) == ACCEPTED
+    assert world.command(512, 436.0) == MavResult.ACCEPTED
     assert world.taken("CURRENT_MODE")[0].custom_mode == mode.custom_mode
 
 
 def test_modes_that_are_none_of_px4s() -> None:
     world = World()
     for params in ((0.0, 6.0), (math.nan, 6.0), (1.0, math.nan), (1.0, 256.0), (1.0, -1.0), (1.0, 1e30)):
-        assert world.command(176, *params) == DENIED
+        assert world.command(176, *params) == MavResult.DENIED
     world.say(message("SET_MODE", target_system=1, base_mode=0, custom_mode=6 << 16))
     world.say(message("SET_MODE", target_system=2, base_mode=1, custom_mode=6 << 16))
     assert world.commander.asked == []
@@ -295,7 +296,7 @@ def test_modes_that_are_none_of_px4s() -> None:
 
 def test_set_mode_is_acknowledged_as_command_176() -> None:
     world = World()
-    for verdict in (CommandResult(ACCEPTED), REFUSED):
+    for verdict in (CommandResult(MavResult.ACCEPTED), REFUSED):
         world.commander.verdict = verdict
         world.say(message("SET_MODE", target_system=1, base_mode=1, custom_mode=6 << 16), "asks")
         assert [(ack.command, ack.result) for ack in world.taken("COMMAND_ACK", "asks")] == [(176, verdict.result)]
@@ -304,22 +305,22 @@ def test_set_mode_is_acknowledged_as_command_176() -> None:
 
 def test_standard_modes() -> None:
     world = World()
-    assert world.command(262, 1.0) == ACCEPTED
+    assert world.command(262, 1.0) == MavResult.ACCEPTED
     assert world.commander.asked == [("mode", CLIENT, modes.POSITION)]
     for standard in (0.0, 7.0, 99.0, math.nan):
-        assert world.command(262, standard) == UNSUPPORTED
+        assert world.command(262, standard) == MavResult.UNSUPPORTED
 
 
 def test_the_modes_there_are() -> None:
     world = World()
-    assert world.command(512, 435.0, 0.0) == ACCEPTED
+    assert world.command(512, 435.0, 0.0) == MavResult.ACCEPTED
     rows = world.taken("AVAILABLE_MODES")
     assert [row.custom_mode for row in rows] == [mode.custom_mode for mode in modes.MODES]
     assert [row.mode_index for row in rows] == [*range(1, len(rows) + 1)]
     assert {row.number_modes for row in rows} == {len(rows)}
-    assert world.command(512, 435.0, 2.0) == ACCEPTED
+    assert world.command(512, 435.0, 2.0) == MavResult.ACCEPTED
     assert [row.mode_name for row in world.taken("AVAILABLE_MODES")] == [modes.MODES[1].name]
-    assert world.command(512, 435.0, 99.0) == DENIED
+    assert world.command(512, 435.0, 99.0) == MavResult.DENIED
 
 
 def test_heartbeat_tells_a_new_mode_at_once_and_comes_once_a_second_to_everybody() -> None:
@@ -343,7 +344,8 @@ def test_a_new_client_is_greeted_at_once() -> None:
 
 def test_while_time_stands_heartbeat_is_sent_when_asked() -> None:
     world = World(lockstep=True)
-    world.px4.heartbeat.idle()
+    for service in world.services:
+        service.idle()
     assert len(world.taken("HEARTBEAT", None)) == 1
 
 

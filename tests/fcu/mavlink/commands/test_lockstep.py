@@ -187,7 +187,8 @@ def test_a_reset_begins_again_at_tick_0_and_keeps_the_lease() -> None:
     desk.say(reset(seed=12, x=0.1, rings=1))
     (told,) = desk.taken("TWODOF_RIG")
     assert (told.tick, told.seed, told.flags & 17) == (0, 12, 1)
-    assert desk.commander.lease == (ME, left, 1)
+    lease = desk.commander.lease
+    assert (lease.holder, lease.left, lease.revision) == (ME, left, 1)
     desk.arm()
 
 

@@ -3,8 +3,9 @@
 import pytest
 
 from tests.fcu.mavlink.world import World
-from twodof.fcu.command.result import ACCEPTED, DENIED, TEMPORARILY_REJECTED, UNSUPPORTED
+from twodof.fcu.mavlink.version import VersionService
 from twodof.link.mavlink import dialect
+from twodof.link.mavlink.mav_enums import MavResult
 from twodof.link.mavlink.messages import message
 
 AUTOPILOT_VERSION = 148
@@ -16,7 +17,7 @@ def test_what_can_be_streamed_can_be_asked_for(number: int) -> None:
     world.say(message("HEARTBEAT"))
     world.run(1, dist_new=True)
     world.sent.clear()
-    assert world.command(512, float(number), peer="asks") == ACCEPTED
+    assert world.command(512, float(number), peer="asks") == MavResult.ACCEPTED
     name = dialect.load().mavlink_map[number].msgname
     assert world.taken(name, "asks")
     assert world.taken(name, "client") == []
@@ -24,13 +25,13 @@ def test_what_can_be_streamed_can_be_asked_for(number: int) -> None:
 
 def test_what_was_not_measured_yet_is_refused_for_now() -> None:
     world = World()
-    assert world.command(512, 30.0) == TEMPORARILY_REJECTED
+    assert world.command(512, 30.0) == MavResult.TEMPORARILY_REJECTED
     assert "let time run" in world.texts()
 
 
 @pytest.mark.parametrize("number", [33, 24, 411000, -1, float("nan"), float("inf"), 1e30, 54207])
 def test_what_there_is_not_is_unsupported(number: float) -> None:
-    assert World().command(512, number) == UNSUPPORTED
+    assert World().command(512, number) == MavResult.UNSUPPORTED
 
 
 @pytest.mark.parametrize(
@@ -38,7 +39,7 @@ def test_what_there_is_not_is_unsupported(number: float) -> None:
 )
 def test_the_older_forms(command: int, name: str) -> None:
     world = World()
-    assert world.command(command, 1.0) == ACCEPTED
+    assert world.command(command, 1.0) == MavResult.ACCEPTED
     assert len(world.taken(name)) == 1
 
 
@@ -55,6 +56,7 @@ def test_the_version_claims_what_there_is() -> None:
         "PARAM_FLOAT",
         "COMMAND_INT",
         "PARAM_ENCODE_BYTEWISE",
+        "FTP",
         "SET_ATTITUDE_TARGET",
         "SET_POSITION_TARGET_LOCAL_NED",
         "FLIGHT_TERMINATION",
@@ -64,21 +66,22 @@ def test_the_version_claims_what_there_is() -> None:
     assert got.uid > 0
 
 
-def test_another_service_adds_what_it_can() -> None:
-    world = World(capabilities=32)
-    world.command(512, AUTOPILOT_VERSION)
-    assert world.taken("AUTOPILOT_VERSION")[0].capabilities & 32
-    world.px4.requests.on(397, lambda command: None if command.params[1] else [message("COMPONENT_METADATA")])
-    assert world.command(512, 397.0) == ACCEPTED
-    assert world.command(512, 397.0, 1.0) == DENIED
+def test_another_service_adds_what_it_gives() -> None:
+    world = World()
+    world.px4.requests.on(
+        "COMPONENT_METADATA", lambda command: None if command.params[1] else [message("COMPONENT_METADATA")]
+    )
+    assert world.command(512, 397.0) == MavResult.ACCEPTED
+    assert world.command(512, 397.0, 1.0) == MavResult.DENIED
 
 
 def test_each_vehicle_has_a_number_of_its_own() -> None:
     def uid(name: str) -> tuple[int, bytes]:
         world = World()
-        world.controller.hardware.name = name
-        versions = type(world.px4.versions)(world.px4.requests, 1, name)
-        return versions.uid, versions.uid2
+        VersionService(world.px4.requests, 1, name)
+        world.command(512, AUTOPILOT_VERSION)
+        (got,) = world.taken("AUTOPILOT_VERSION")
+        return got.uid, bytes(got.uid2)
 
     assert uid("a") == uid("a")
     assert uid("a") != uid("b")

@@ -16,17 +16,17 @@ from tests.patience import PATIENCE_S
 from twodof.blocks.schema.json_form import to_json
 from twodof.compile.wasm import target
 from twodof.errors import CompileError, LogError
-from twodof.fcu.command.result import ACCEPTED, FAILED, IN_PROGRESS, TEMPORARILY_REJECTED
 from twodof.fcu.control.controllers import Controllers
 from twodof.fcu.control.flight_code import FlightCode
-from twodof.fcu.mavlink.commands.reload import ASK, RELOAD
+from twodof.fcu.mavlink.commands.reload import ASK
 from twodof.flight.controller_store import ControllerStore
 from twodof.flight.starters import starter
 from twodof.link.connection import Connection
+from twodof.link.mavlink.mav_enums import MavResult
 from twodof.link.transport.open_transport import open_transport
 from twodof.sim.virtual_drone import VirtualDrone
 
-ARM = 400
+ARM, RELOAD = 400, 31010
 BUILT = "lqr_attitude"
 
 
@@ -55,7 +55,7 @@ async def being_built(state: Path, gate: Gate) -> AsyncIterator[tuple[VirtualDro
             try:
                 client.say("TWODOF_LEASE", action=1, duration_ms=30_000)
                 await client.run(50)
-                assert await client.command(RELOAD) == IN_PROGRESS
+                assert await client.command(RELOAD) == MavResult.IN_PROGRESS
                 yield drone, client
             finally:
                 gate.open.set()
@@ -77,14 +77,14 @@ def test_nobody_arms_while_a_controller_is_built(tmp_path: Path, monkeypatch: py
         gate = Gate(monkeypatch)
         async with being_built(tmp_path, gate) as (_, client):
             client.came.clear()
-            assert await client.command(ARM, 1.0) == TEMPORARILY_REJECTED
+            assert await client.command(ARM, 1.0) == MavResult.TEMPORARILY_REJECTED
             await client.run(60)
             assert after_restart(tmp_path) == []
             gate.open.set()
-            assert await answer(client) == ACCEPTED
+            assert await answer(client) == MavResult.ACCEPTED
             assert after_restart(tmp_path) == [BUILT]
-            assert await client.command(ARM, 1.0) == IN_PROGRESS
-            assert await client.command(RELOAD) == TEMPORARILY_REJECTED, "nobody builds while it arms"
+            assert await client.command(ARM, 1.0) == MavResult.IN_PROGRESS
+            assert await client.command(RELOAD) == MavResult.TEMPORARILY_REJECTED, "nobody builds while it arms"
 
     asyncio.run(session())
 
@@ -95,7 +95,7 @@ def test_the_reason_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
         async with being_built(tmp_path, gate) as (drone, client):
             assert drone.commander.arming.arm((250, 1)).text == "not armed: a controller is being built"
             gate.open.set()
-            assert await answer(client) == ACCEPTED
+            assert await answer(client) == MavResult.ACCEPTED
 
     asyncio.run(session())
 
@@ -122,7 +122,7 @@ def test_who_asks_first_is_told_all_that_is_missing_at_once_and_nothing_is_built
             async with Connection(await open_transport(f"mem://{tmp_path.name}"), 250, 1) as link:
                 client = Client(link)
                 flew = drone.controller.code
-                assert await client.command(RELOAD, ASK) == (ACCEPTED if there else FAILED)
+                assert await client.command(RELOAD, ASK) == (MavResult.ACCEPTED if there else MavResult.FAILED)
                 assert drone.commander.lease.holder is None
                 await client.run(60)
                 texts = "".join(said.text for said in client.came if said.get_type() == "STATUSTEXT")
@@ -146,8 +146,8 @@ def test_what_could_not_be_built_is_not_there_any_more(tmp_path: Path, flies: bo
             await drone.listen(f"memin://{tmp_path.name}")
             async with Connection(await open_transport(f"mem://{tmp_path.name}"), 250, 1) as link:
                 client = Client(link)
-                assert await client.command(RELOAD) == IN_PROGRESS
-                assert await answer(client) == FAILED
+                assert await client.command(RELOAD) == MavResult.IN_PROGRESS
+                assert await answer(client) == MavResult.FAILED
         assert (upload.read_text() if flies else upload.exists()) == (flies and to_json(starter("lqr-attitude")))
         assert after_restart(tmp_path) == ([BUILT] if flies else [])
 
@@ -167,8 +167,8 @@ def test_a_fault_of_the_program_leaves_no_upload_behind_either(tmp_path: Path, m
             await drone.listen(f"memin://{tmp_path.name}")
             async with Connection(await open_transport(f"mem://{tmp_path.name}"), 250, 1) as link:
                 client = Client(link)
-                assert await client.command(RELOAD) == IN_PROGRESS
-                assert await answer(client) == FAILED
+                assert await client.command(RELOAD) == MavResult.IN_PROGRESS
+                assert await answer(client) == MavResult.FAILED
         assert not upload.exists()
 
     asyncio.run(session())
@@ -184,7 +184,7 @@ def test_a_controller_that_could_not_replace_the_other_is_not_kept(
             assert latest is not None
             drone.controller.latest = replace(latest, armed=True)
             gate.open.set()
-            assert await answer(client) == FAILED
+            assert await answer(client) == MavResult.FAILED
             assert drone.controller.code.controllers == ()
         assert after_restart(tmp_path) == []
 

@@ -14,10 +14,10 @@ from pymavlink.mavftp import MAVFTP
 from tests.fcu.mavlink.world import CLIENT, World
 from tests.fcu.steps import plain_step
 from tests.patience import PATIENCE_S, patiently
-from twodof.fcu.command.result import TEMPORARILY_REJECTED, CommandResult
+from twodof.fcu.command.result import rejected
 from twodof.fcu.mavlink.addressing import VehicleAddress
 from twodof.fcu.mavlink.files.file_tree import MAX_UPLOAD, MOST_UPLOADS, FileTree, mavlink_crc32
-from twodof.fcu.mavlink.files.ftp import MOST_GUESTS, UPLOAD_S, FileTransfer
+from twodof.fcu.mavlink.files.ftp import MOST_CLIENTS, UPLOAD_S, FileTransfer
 from twodof.fcu.mavlink.files.ftp_client import BURST_BYTES, MOST_SESSIONS
 from twodof.fcu.onboard_log.log_folder import LogFolder
 from twodof.fcu.onboard_log.logger import OnboardLogger
@@ -41,7 +41,7 @@ class Server(World):
         self.made = dict(MADE)
         tree = FileTree(lambda: self.made, LogFolder(folder / "log"), self.controllers)
         self.now = 100.0
-        given = self, VehicleAddress(1), tree, self.commander.take, self.px4.commands.explain, lockstep
+        given = self, VehicleAddress(1), tree, self.commander.lease.take, self.px4.commands.explain, lockstep
         self.ftp = FileTransfer(*given, clock=lambda: self.now)
         self.services.append(self.ftp)
         self.sequence = 0
@@ -275,7 +275,7 @@ def test_uploads_that_nobody_goes_on_with_make_room(server: Server) -> None:
 
 def test_writing_needs_the_lease_and_reading_does_not(server: Server) -> None:
     session = server.one(FtpOperation.CREATE, b"/controllers/a.json").session
-    server.commander.verdict = CommandResult(TEMPORARILY_REJECTED, "another holds the lease")
+    server.commander.verdict = rejected("another holds the lease")
     assert server.fault(FtpOperation.CREATE, b"/controllers/b.json") == FtpError.PROTECTED
     assert server.fault(FtpOperation.REMOVE, b"/controllers/a.json") == FtpError.PROTECTED
     assert server.fault(FtpOperation.TERMINATE, session=session) == FtpError.PROTECTED
@@ -367,11 +367,11 @@ def test_sessions_and_clients_are_bounded_and_files_are_let_go(server: Server, t
     for _ in range(3 * MOST_SESSIONS):
         assert server.one(FtpOperation.OPEN_RO, log).op == FtpOperation.ACK
     assert server.ftp.sessions == MOST_SESSIONS
-    for client in range(3 * MOST_GUESTS):
+    for client in range(3 * MOST_CLIENTS):
         server.ask(FtpOperation.OPEN_RO, log, peer=f"client {client}")
-    assert server.ftp.sessions <= MOST_GUESTS + MOST_SESSIONS
-    assert 0 < open_files(tmp_path) <= MOST_GUESTS + MOST_SESSIONS
-    for client in range(3 * MOST_GUESTS):
+    assert server.ftp.sessions <= MOST_CLIENTS + MOST_SESSIONS
+    assert 0 < open_files(tmp_path) <= MOST_CLIENTS + MOST_SESSIONS
+    for client in range(3 * MOST_CLIENTS):
         server.ftp.gone(f"client {client}")
     server.ftp.gone("client")
     assert (server.ftp.sessions, open_files(tmp_path)) == (0, 0)

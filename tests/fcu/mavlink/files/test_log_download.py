@@ -13,7 +13,7 @@ from tests.faults.virtual_time import run_virtual
 from tests.fcu.mavlink.world import CLIENT, World
 from tests.fcu.steps import plain_step
 from tests.patience import patiently
-from twodof.fcu.command.result import TEMPORARILY_REJECTED, CommandResult
+from twodof.fcu.command.result import CommandResult, rejected
 from twodof.fcu.mavlink.addressing import VehicleAddress
 from twodof.fcu.mavlink.files.log_download import A_TICK_ARMED, MOST_READERS, PART, LogDownload
 from twodof.fcu.onboard_log.logger import OnboardLogger
@@ -26,7 +26,8 @@ MAVSDK_CHUNK = 512 * PART
 
 def world_of(log: OnboardLogger, lockstep: bool = True) -> World:
     world = World(lockstep=lockstep)
-    download = LogDownload(world, VehicleAddress(1), log, world.commander.take, world.px4.commands.explain, lockstep)
+    take, explain = world.commander.lease.take, world.px4.commands.explain
+    download = LogDownload(world, VehicleAddress(1), log, take, explain, lockstep)
     world.services.append(download)
     return world
 
@@ -176,7 +177,7 @@ def test_erasing_needs_the_lease_and_keeps_what_is_being_written(tmp_path: Path)
     log.step(plain_step(0, armed=True))
     log.flush()
     world = world_of(log)
-    world.commander.verdict = CommandResult(TEMPORARILY_REJECTED, "another holds the lease")
+    world.commander.verdict = rejected("another holds the lease")
     world.say(message("LOG_ERASE", **US))
     assert (len(log.logs()), world.texts()) == (3, "another holds the lease")
     world.commander.verdict = CommandResult(0)

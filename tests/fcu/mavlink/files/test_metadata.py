@@ -7,10 +7,10 @@ from typing import Any
 
 from tests.fcu.mavlink.files.test_ftp import Server
 from twodof.fcu.mavlink.files.file_tree import mavlink_crc32
-from twodof.fcu.mavlink.files.metadata import COMPONENT_METADATA, Metadata
+from twodof.fcu.mavlink.files.metadata import Metadata
 from twodof.link.mavlink.ftp import FtpOperation
 
-REQUEST_MESSAGE = 512
+REQUEST_MESSAGE, COMPONENT_METADATA = 512, 397
 
 
 def fetched(server: Server, uri: str) -> bytes:
@@ -30,7 +30,7 @@ def metadata(tmp_path: Path) -> tuple[Server, Any]:
     server = Server(tmp_path)
     made = Metadata(server.store, lambda: 4 * server.controller.tick)
     server.made.update(made.files)
-    server.px4.requests.on(COMPONENT_METADATA, made.message)
+    server.px4.requests.on("COMPONENT_METADATA", made.message)
     assert server.command(REQUEST_MESSAGE, COMPONENT_METADATA) == 0
     (told,) = server.taken("COMPONENT_METADATA")
     return server, told

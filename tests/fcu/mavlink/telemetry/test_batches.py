@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.fcu.mavlink.world import World
-from twodof.fcu.command.result import ACCEPTED, DENIED
 from twodof.fcu.mavlink.telemetry.batches import BATCH, LATEST_TICKS, channel_readers, published
 from twodof.flightlog.steps import is_published
+from twodof.link.mavlink.mav_enums import MavResult
 from twodof.link.mavlink.messages import batch_rows, channel_bits, channel_mask
 from twodof.signals import TOPICS
 
@@ -39,7 +39,7 @@ def test_there_is_a_reader_for_every_channel_and_a_channel_for_every_number_on_b
 def test_no_sample_is_lost_or_late(mask: int, every: int, begin: int) -> None:
     world = World(profile={})
     world.run(begin)
-    assert subscribe(world, mask, 4000.0 * every) == ACCEPTED
+    assert subscribe(world, mask, 4000.0 * every) == MavResult.ACCEPTED
     world.sent.clear()
     seen: list[int] = []
     for _ in range(300):
@@ -105,7 +105,7 @@ def test_position_and_velocity_are_new_where_the_estimator_has_published() -> No
 
 def test_all_channels_fill_a_message_with_whole_rows() -> None:
     world = World(profile={})
-    assert subscribe(world, ALL) == ACCEPTED
+    assert subscribe(world, ALL) == MavResult.ACCEPTED
     world.run(250)
     got = world.taken("TWODOF_BATCH")
     assert len(got) == 125
@@ -127,7 +127,7 @@ def test_what_waits_is_sent_at_the_end() -> None:
     subscribe(world, channel_mask(["estimate.q"]))
     world.run(7)
     assert world.taken("TWODOF_BATCH") == []
-    assert subscribe(world, 0, -1.0) == ACCEPTED
+    assert subscribe(world, 0, -1.0) == MavResult.ACCEPTED
     assert rows(world)[0].tolist() == [*range(7)]
     world.run(100)
     assert world.taken("TWODOF_BATCH") == []
@@ -148,7 +148,7 @@ def test_time_that_begins_anew_does_not_mix_two_times() -> None:
 def test_a_client_that_goes_gets_no_more() -> None:
     world = World(profile={})
     subscribe(world, channel_mask(["estimate.q"]))
-    world.px4.clients.gone("client")
+    world.services[0].gone("client")
     world.run(100)
     assert world.taken("TWODOF_BATCH") == []
 
@@ -166,7 +166,7 @@ def test_a_client_that_goes_gets_no_more() -> None:
     ],
 )
 def test_subscriptions_that_make_no_sense(params: tuple[float, ...]) -> None:
-    assert World().command(511, BATCH, *params) == DENIED
+    assert World().command(511, BATCH, *params) == MavResult.DENIED
 
 
 def test_the_interval_is_told() -> None:

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 from tests.fcu.mavlink.world import World, step
 from twodof.fcu.control.controllers import ControllerIdentity
-from twodof.fcu.mavlink.telemetry.system_messages import FENCE, PREARM, PRESENT
-from twodof.fcu.mavlink.telemetry.twodof_messages import deciding
+from twodof.fcu.mavlink.telemetry.encoders import FENCE, PREARM, PRESENT, deciding
 from twodof.flight.failsafe.causes_and_actions import BIT, CAUSES
 from twodof.link.mavlink.framing import Parser, decode, encode
 from twodof.signals import MODES

@@ -221,7 +221,7 @@ def test_rig_lease_and_open_loop_are_told_at_each_change() -> None:
     world.run(2)
     world.sent.clear()
     world.controller.hardware.rings = True
-    world.commander.lease = world.commander.lease._replace(holder=(250, 1), left=500)
+    world.commander.lease.holder, world.commander.lease.left = (250, 1), 500
     world.commander.openloop = world.commander.openloop._replace(revision=1, M=0.25, openloop=True)
     world.run()
     assert world.taken("TWODOF_RIG")[0].flags & 1
@@ -241,7 +241,7 @@ def test_one_change_is_told_by_one_message(which: str) -> None:
     if which == "rig":
         world.controller.hardware.safety_off = False
     elif which == "lease":
-        world.commander.lease = world.commander.lease._replace(holder=(250, 1))
+        world.commander.lease.holder = (250, 1)
     else:
         world.commander.openloop = world.commander.openloop._replace(revision=1)
     world.run()
@@ -254,7 +254,7 @@ def test_a_silent_client_is_forgotten_and_a_closed_one_at_once() -> None:
     world.say(HELLO, "silent")
     world.say(HELLO, "closed")
     world.run(1)
-    world.px4.clients.gone("closed")
+    world.services[0].gone("closed")
     world.sent.clear()
     world.run(250)
     assert {to for _, to in world.sent} == {"silent", None}

@@ -6,22 +6,14 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from twodof.fcu.command.commander import Commander
-from twodof.fcu.command.result import (
-    ACCEPTED,
-    DENIED,
-    IN_PROGRESS,
-    TEMPORARILY_REJECTED,
-    UNSUPPORTED,
-    CommandResult,
-    Source,
-)
+from twodof.fcu.command.result import DONE, CommandResult, Source, denied, rejected, unsupported
 from twodof.fcu.event_bus import OnboardEventBus
 from twodof.fcu.mavlink.addressing import whole
 from twodof.fcu.mavlink.commands.command_service import CommandService, ReceivedCommand
+from twodof.link.mavlink.mav_enums import MavCmd
 
-ARM_DISARM, TERMINATE, REBOOT, RUN_CHECKS = 400, 185, 246, 401
 FORCE = 21196
-"""Second parameter of command 400: disarm in flight, too."""
+"""Second parameter of command 400: a disarming with it is a kill."""
 MOST_CODE, REBOOT_AUTOPILOT = 4, 1
 """REBOOT_SHUTDOWN_ACTION."""
 
@@ -58,59 +50,60 @@ class ArmingCommands:
         self._commander = commander
         self._restart = restart
         self._bus = bus
-        commands.on(ARM_DISARM, self._arm_or_disarm, self._armed)
-        commands.on(TERMINATE, self._terminate)
-        commands.on(REBOOT, self._reboot)
-        commands.on(RUN_CHECKS, self._check)
+        commands.on(MavCmd.COMPONENT_ARM_DISARM, self._arm_or_disarm, self._armed)
+        commands.on(MavCmd.DO_FLIGHTTERMINATION, self._terminate)
+        commands.on(MavCmd.PREFLIGHT_REBOOT_SHUTDOWN, self._reboot)
+        commands.on(MavCmd.RUN_PREARM_CHECKS, self._check)
 
     def _arm_or_disarm(self, command: ReceivedCommand) -> CommandResult:
-        wanted, force = command.params[0], whole(command.params[1]) == FORCE
-        if wanted == 1.0:
+        if command.params[0] == 1.0:  # with FORCE too no check is skipped
             holder = self._commander.lease.holder
-            verdict = self._commander.arming.arm(command.source, force)
-            return self._told(verdict, holder not in (None, command.source))
-        if wanted == 0.0:
-            verdict = self._commander.arming.disarm(command.source, force)
-            return self._told_of_kill(command.source, verdict) if force else verdict
-        return CommandResult(DENIED, "arm is 1, disarm is 0")
+            result = self._commander.arming.arm(command.source)
+            return self._told(result, by_lease=holder not in (None, command.source))
+        if command.params[0] != 0.0:
+            return denied("arm is 1, disarm is 0")
+        if whole(command.params[1]) == FORCE:
+            return self._kill(command.source)
+        return self._commander.arming.disarm(command.source)
 
     def _armed(self, _command: ReceivedCommand) -> CommandResult:
         """What became of it, once that is known."""
         return self._told(self._commander.arming.answer, by_lease=False)
 
-    def _told(self, verdict: CommandResult, by_lease: bool) -> CommandResult:
-        if verdict.result not in (ACCEPTED, IN_PROGRESS):
+    def _told(self, result: CommandResult, by_lease: bool) -> CommandResult:
+        if not result.accepted and not result.in_progress:
             self._bus.publish(ArmingDenied(by_lease))
-        return verdict
+        return result
 
     def _check(self, _command: ReceivedCommand) -> CommandResult:
         """The failsafe checks at every tick; events, SYS_STATUS and TWODOF_SAFETY tell what it finds."""
         self._bus.publish(ChecksRequested())
-        return CommandResult(ACCEPTED)
+        return DONE
 
-    def _told_of_kill(self, who: Source, verdict: CommandResult) -> CommandResult:
-        self._bus.publish(MotorsKilled(who))
-        return verdict
+    def _kill(self, source: Source) -> CommandResult:
+        result = self._commander.arming.kill(source)
+        self._bus.publish(MotorsKilled(source))
+        return result
 
     def _terminate(self, command: ReceivedCommand) -> CommandResult:
         if command.params[0] == 0.0:
             return self._commander.arming.release(command.source)
         if not command.params[0] > 0.5:
-            return CommandResult(DENIED, "a kill is 1, its release 0")
-        return self._told_of_kill(command.source, self._commander.arming.kill(command.source))
+            return denied("a kill is 1, its release 0")
+        return self._kill(command.source)
 
     def _reboot(self, command: ReceivedCommand) -> CommandResult:
         action = whole(command.params[0], -1)
         if not 0 <= action <= MOST_CODE:
-            return CommandResult(DENIED)
+            return denied()
         if action == 0:
-            return CommandResult(ACCEPTED)
+            return DONE
         if self._restart is None or action != REBOOT_AUTOPILOT:  # it has no boot loader, and is not shut down
-            return CommandResult(UNSUPPORTED)
+            return unsupported()
         if self._commander.armed:
-            return CommandResult(TEMPORARILY_REJECTED, "no restart while armed: disarm first")
-        verdict = self._commander.take(command.source, "restart")
-        if verdict.accepted:
+            return rejected("no restart while armed: disarm first")
+        result = self._commander.lease.take(command.source, "restart")
+        if result.accepted:
             self._commander.arming.release(command.source)  # it begins as after being switched on
             self._restart()
-        return verdict
+        return result

@@ -6,7 +6,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from typing import Any, NamedTuple
 
-from twodof.fcu.command.result import ACCEPTED, IN_PROGRESS, UNSUPPORTED, CommandResult, Source
+from twodof.fcu.command.result import DONE, CommandResult, Source, unsupported
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.event_bus import OnboardEventBus
 from twodof.fcu.mavlink.addressing import VehicleAddress, source
@@ -14,14 +14,24 @@ from twodof.fcu.mavlink.service import Link, Service
 from twodof.fcu.mavlink.status_text import TextSent
 from twodof.fcu.px4_compat.event_table import marked
 from twodof.link.connection import Received
+from twodof.link.mavlink.mav_enums import MavCmd, MavResult, MavSeverity
 from twodof.link.mavlink.messages import message, statustext
 
-WARNING = 4
+_QUESTIONS = frozenset(
+    {
+        MavCmd.GET_HOME_POSITION,
+        MavCmd.GET_MESSAGE_INTERVAL,
+        MavCmd.REQUEST_MESSAGE,
+        MavCmd.REQUEST_PROTOCOL_VERSION,
+        MavCmd.REQUEST_AUTOPILOT_CAPABILITIES,
+    }
+)
+_ANSWERED_AGAIN = _QUESTIONS | {MavCmd.SET_MESSAGE_INTERVAL}
+"""They are answered as often as they come."""
 
-_ARM, _TERMINATE = 400, 185
-_QUESTIONS = frozenset({410, 510, 512, 519, 520})
-# They are answered as often as they come.
-_ANSWERED_AGAIN = _QUESTIONS | {511}
+LATEST_TICKS = 125
+"""Half a second: what comes again later is another command."""
+MOST_REMEMBERED = 64
 
 
 class ReceivedCommand(NamedTuple):
@@ -43,12 +53,6 @@ class CommandHandled(NamedTuple):
 
 
 Handler = Callable[[ReceivedCommand], CommandResult]
-Poll = Callable[[ReceivedCommand], CommandResult]
-
-
-LATEST_TICKS = 125
-"""Half a second: what comes again later is another command."""
-MOST_REMEMBERED = 64
 
 
 class DuplicateFilter:
@@ -76,10 +80,6 @@ class DuplicateFilter:
         while len(self._accepted) > MOST_REMEMBERED:
             self._accepted.popitem(last=False)
 
-    def clear(self) -> None:
-        """Forgets everything: time begins anew."""
-        self._accepted.clear()
-
 
 class CommandService(Service):
     """Dispatches commands to those that registered for them, and acknowledges every one.
@@ -94,15 +94,14 @@ class CommandService(Service):
         self._us = us
         self._lockstep = lockstep
         self._handlers: dict[int, Handler] = {}
-        self._repetitions = DuplicateFilter(lockstep)
-        self._polls: dict[int, Poll] = {}
-        self._pending: dict[Hashable, tuple[ReceivedCommand, int]] = {}
+        self._polls: dict[int, Handler] = {}
         self._slow: set[int] = set()
         self._tick = 0
         self.refused = 0
+        self.restart()
 
-    def on(self, number: int, handler: Handler, poll: Poll | None = None, slow: bool = False) -> None:
-        """Registers who carries out the command `number` (a MAV_CMD).
+    def on(self, number: MavCmd, handler: Handler, poll: Handler | None = None, slow: bool = False) -> None:
+        """Registers who carries out a command.
 
         A handler may answer IN_PROGRESS. Then `poll` is asked after each control period, until it gives another
         result. In lockstep the client is told IN_PROGRESS, so that it lets time run. For a `slow` command, which may
@@ -128,16 +127,16 @@ class CommandService(Service):
         # What comes under our own number is our own, come round, and ignored as in PX4. We send no stop.
         from_others = sender != tuple(self._us) or _stops(got.command, got.param1)
         if from_others and self._us.addressed(got, everybody=_for_everybody(got)):
-            last = (got.param5, got.param6) if name == "COMMAND_LONG" else (float(got.x), float(got.y))
-            final = got.param7 if name == "COMMAND_LONG" else got.z
-            params = (got.param1, got.param2, got.param3, got.param4, *last, final)
+            last = (
+                (got.param5, got.param6, got.param7) if name == "COMMAND_LONG" else (float(got.x), float(got.y), got.z)
+            )
+            params = (got.param1, got.param2, got.param3, got.param4, *last)
             command = ReceivedCommand(got.command, params, sender, received.peer)
-            self._answer(command, self._verdict(command, received))
+            self.acknowledge(command, self._carried_out(command, received))
             self._bus.publish(CommandHandled())
         return True
 
     def after(self, step: ControlStep) -> None:
-        """Answers what was still in progress."""
         self._tick = step.tick
         if self._pending:
             self.poll()
@@ -145,60 +144,56 @@ class CommandService(Service):
     def poll(self) -> None:
         """Answers what was in progress and is done."""
         for what, (command, sequence) in [*self._pending.items()]:
-            verdict = self._polls[command.number](command)
-            if verdict.result != IN_PROGRESS:
+            result = self._polls[command.number](command)
+            if not result.in_progress:
                 del self._pending[what]
-                if verdict.accepted:
+                if result.accepted:
                     self._repetitions.accepted(what, sequence, self._tick)
-                self._answer(command, verdict)
+                self.acknowledge(command, result)
 
     def restart(self) -> None:
-        """Time begins anew."""
         self._tick = 0
-        self._repetitions.clear()
-        self._pending.clear()
+        self._repetitions = DuplicateFilter(self._lockstep)
+        self._pending: dict[Hashable, tuple[ReceivedCommand, int]] = {}
 
-    def acknowledge(self, command: ReceivedCommand, verdict: CommandResult) -> None:
-        """Answers a command that was carried out already, also one that came in another message."""
-        self._answer(command, verdict)
+    def acknowledge(self, command: ReceivedCommand, result: CommandResult) -> None:
+        """Answers a command that was carried out, also one that came in another message."""
+        if command.what in self._pending and not self._lockstep and command.number not in self._slow:
+            return
+        system, component = command.source
+        there = {"target_system": system, "target_component": component}
+        self._link.send(message("COMMAND_ACK", command=command.number, result=result.result, **there), command.peer)
+        if not result.accepted and not result.in_progress:
+            self.explain(command.peer, result.text)
 
     def explain(self, peer: Hashable, why: str) -> None:
         """Tells a peer in words why something was refused."""
         self.refused += 1
         if not why:
             return
-        self._bus.publish(TextSent(WARNING, why))
-        for piece in statustext(marked(why), WARNING, self.refused % 0xFFFF + 1):
+        self._bus.publish(TextSent(MavSeverity.WARNING, why))
+        for piece in statustext(marked(why), MavSeverity.WARNING, self.refused % 0xFFFF + 1):
             self._link.send(piece, peer)
 
-    def _verdict(self, command: ReceivedCommand, received: Received) -> CommandResult:
+    def _carried_out(self, command: ReceivedCommand, received: Received) -> CommandResult:
         handler = self._handlers.get(command.number)
         if handler is None:
-            return CommandResult(UNSUPPORTED)
+            return unsupported()
         what, sequence = command.what, received.frame.sequence
         if what in self._pending:
-            return CommandResult(IN_PROGRESS)
+            return CommandResult(MavResult.IN_PROGRESS)
         confirmation = getattr(received.message, "confirmation", 0)
         # What stops motors is carried out as often as it comes: somebody may have armed in between.
         if not _stops(command.number, command.params[0]) and self._repetitions.known(
             what, confirmation, sequence, self._tick
         ):
-            return CommandResult(ACCEPTED)
-        verdict = handler(command)
-        if verdict.result == IN_PROGRESS and command.number in self._polls:
+            return DONE
+        result = handler(command)
+        if result.in_progress and command.number in self._polls:
             self._pending[what] = command, sequence
-        elif verdict.accepted and command.number not in _ANSWERED_AGAIN:
+        elif result.accepted and command.number not in _ANSWERED_AGAIN:
             self._repetitions.accepted(what, sequence, self._tick)
-        return verdict
-
-    def _answer(self, command: ReceivedCommand, verdict: CommandResult) -> None:
-        if command.what in self._pending and not self._lockstep and command.number not in self._slow:
-            return
-        system, component = command.source
-        there = {"target_system": system, "target_component": component}
-        self._link.send(message("COMMAND_ACK", command=command.number, result=verdict.result, **there), command.peer)
-        if verdict.result not in (ACCEPTED, IN_PROGRESS):
-            self.explain(command.peer, verdict.text)
+        return result
 
 
 def _for_everybody(got: Any) -> bool:
@@ -211,4 +206,6 @@ def _for_everybody(got: Any) -> bool:
 
 def _stops(number: int, first: float) -> bool:
     """Whether a command stops motors: a kill, or a disarming."""
-    return (number == _TERMINATE and first > 0.5) or (number == _ARM and first == 0.0)
+    if number == MavCmd.DO_FLIGHTTERMINATION:
+        return first > 0.5
+    return number == MavCmd.COMPONENT_ARM_DISARM and first == 0.0

@@ -6,14 +6,15 @@ from collections.abc import Callable, Hashable
 from math import isnan
 from typing import Any, NamedTuple
 
+from twodof.fcu.command import result
 from twodof.fcu.command.commander import Commander
 from twodof.fcu.command.excitation_player import DONE, RECEIVING, REFUSED, SampledExcitation, prepare
-from twodof.fcu.command.result import ACCEPTED, DENIED, CommandResult, Source
+from twodof.fcu.command.result import CommandResult, Source, denied
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.mavlink.addressing import VehicleAddress, source
 from twodof.fcu.mavlink.background import BackgroundWorker
 from twodof.fcu.mavlink.service import Link, Service
-from twodof.fcu.mavlink.wire_tick import acts_at
+from twodof.fcu.mavlink.wire_tick import MASK_32, acts_at
 from twodof.link.connection import Received
 from twodof.link.mavlink.messages import ExcitationReceiver, message
 
@@ -22,7 +23,6 @@ PIECE, START, STOP = range(3)
 
 STATUS_TICKS = 250
 REASON_BYTES = 80
-MASK_32 = 0xFFFFFFFF
 
 
 class ExcitationDefinition(NamedTuple):
@@ -48,10 +48,7 @@ class ExcitationService(Service):
         self._commander = commander
         self._tell = tell
         self._background = BackgroundWorker(inline=commander.lockstep)
-        self._receiver = ExcitationReceiver()
-        self._coming: ExcitationDefinition | None = None
-        self._whole = False  # all pieces of it have come
-        self._refused = ""  # why it was refused then
+        self._begin(None)
         self._tick = 0
         self._revision = 0
 
@@ -59,10 +56,10 @@ class ExcitationService(Service):
         """Takes pieces, starts and stops."""
         got, name = received.message, received.message.get_type()
         if name == "TWODOF_EXCITE" and self._us.addressed(got) and source(received) != tuple(self._us):
-            verdict = self._act(got, source(received), received.peer)
-            if not verdict.accepted:
-                self._tell(received.peer, verdict.text)
-                self._send(received.peer, got.transfer, REFUSED, verdict.text)
+            answer = self._act(got, source(received), received.peer)
+            if not answer.accepted:
+                self._tell(received.peer, answer.text)
+                self._send(received.peer, got.transfer, REFUSED, answer.text)
             self._tell_changes()
         return bool(name in ("TWODOF_EXCITE", "TWODOF_EXCITE_STATUS"))
 
@@ -77,9 +74,15 @@ class ExcitationService(Service):
             self._tell_player(None)
 
     def restart(self) -> None:
-        """Time begins anew at tick 0: no definition is there any more."""
-        self._receiver, self._coming, self._whole, self._refused = ExcitationReceiver(), None, False, ""
+        self._begin(None)
         self._tick, self._revision = 0, self._commander.excitation.player.revision
+
+    def _begin(self, coming: ExcitationDefinition | None) -> None:
+        """Waits for the pieces of this definition; None: of any."""
+        self._coming = coming
+        self._receiver = ExcitationReceiver()
+        self._whole = False  # all pieces of it have come
+        self._refused = ""  # why it was refused then
 
     def _act(self, got: Any, sender: Source, peer: Hashable) -> CommandResult:
         if got.action == PIECE:
@@ -89,21 +92,21 @@ class ExcitationService(Service):
             if player.transfer == got.transfer and player.state == DONE:
                 # A start that comes once more, since its answer was lost: it was played, and is not played twice.
                 self._tell_player(peer)
-                return CommandResult(ACCEPTED)
+                return result.DONE
             thrust = None if isnan(got.thrust) else got.thrust
             at_tick = acts_at(got.tick, self._tick)
             return self._commander.excitation.start(sender, got.transfer, got.loop, thrust, at_tick)
         if got.action == STOP:
             return self._commander.excitation.stop(sender)
-        return CommandResult(DENIED, f"excitation refused: there is no action {got.action}")
+        return denied(f"excitation refused: there is no action {got.action}")
 
     def _piece(self, got: Any, sender: Source, peer: Hashable) -> CommandResult:
-        verdict = self._commander.take(sender, "excitation")
-        if not verdict.accepted:
-            return verdict
+        taken = self._commander.lease.take(sender, "excitation")
+        if not taken.accepted:
+            return taken
         definition = ExcitationDefinition(sender, got.transfer, got.crc, got.total)
         if definition != self._coming:
-            self._receiver, self._coming, self._whole, self._refused = ExcitationReceiver(), definition, False, ""
+            self._begin(definition)
         if not self._whole:
             before = self._receiver.received
             data = self._receiver.take(got)
@@ -115,7 +118,7 @@ class ExcitationService(Service):
             self._send(peer, got.transfer, REFUSED, self._refused)
         else:  # a piece that comes once more: what became of the definition is asked for
             self._tell_player(peer)
-        return verdict
+        return taken
 
     def _write_out(self, definition: ExcitationDefinition, data: bytes) -> None:
         self._whole = True
@@ -126,9 +129,9 @@ class ExcitationService(Service):
         if not isinstance(made, SampledExcitation):
             self._refuse(definition, str(made))
             return
-        verdict = self._commander.excitation.define(definition.sender, definition.transfer, made)
-        if not verdict.accepted:
-            self._refuse(definition, verdict.text)
+        answer = self._commander.excitation.define(definition.sender, definition.transfer, made)
+        if not answer.accepted:
+            self._refuse(definition, answer.text)
 
     def _refuse(self, definition: ExcitationDefinition, reason: str) -> None:
         if definition == self._coming:

@@ -31,7 +31,7 @@ class LeaseService(Service):
     ) -> None:
         self._link = link
         self._us = us
-        self._commander = commander
+        self._lease = commander.lease
         self._tell = tell
         self._vehicles: OrderedDict[Source, None] = OrderedDict()
 
@@ -43,32 +43,30 @@ class LeaseService(Service):
         name = got.get_type()
         if name == "HEARTBEAT":
             self._note(sender, vehicle=got.autopilot != NO_AUTOPILOT)
-        self._commander.heard(sender, sender not in self._vehicles)
+        self._lease.hear(sender, sender not in self._vehicles)
         if name != "TWODOF_LEASE":
             return False
         if self._us.addressed(got):
             if got.action == ASK:
-                self._answer(received, self._commander.ask_lease(sender, got.duration_ms, bool(got.tuning_withheld)))
+                self._answer(received, self._lease.ask(sender, got.duration_ms, bool(got.tuning_withheld)))
             elif got.action == GIVE_UP:
-                self._answer(received, self._commander.give_up_lease(sender))
+                self._answer(received, self._lease.give_up(sender))
         return True
 
     def idle(self) -> None:
-        """Time stands still, and nobody grants any."""
-        self._commander.stands(IDLE_TICKS)
+        self._lease.stands(IDLE_TICKS)
 
-    def _answer(self, received: Received, verdict: CommandResult) -> None:
-        if not verdict.accepted:
-            self._tell(received.peer, verdict.text)
-        now = self._commander.lease
-        system, component = now.holder or (0, 0)
+    def _answer(self, received: Received, result: CommandResult) -> None:
+        if not result.accepted:
+            self._tell(received.peer, result.text)
+        system, component = self._lease.holder or (0, 0)
         self._link.send(
             message(
                 "TWODOF_LEASE",
-                duration_ms=now.left * TICK_MS,
+                duration_ms=self._lease.left * TICK_MS,
                 holder_system=system,
                 holder_component=component,
-                tuning_withheld=int(self._commander.tuning_withheld),
+                tuning_withheld=int(self._lease.tuning_withheld),
             ),
             received.peer,
         )

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from bisect import insort
 from collections.abc import Callable, Hashable
 from typing import Any, NamedTuple
 
 from twodof.errors import TwodofError
 from twodof.fcu.command.commander import Commander
-from twodof.fcu.command.result import DENIED, UNSUPPORTED, CommandResult
+from twodof.fcu.command.result import DONE, CommandResult, denied, unsupported
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.control.loop import FlightController
 from twodof.fcu.mavlink.addressing import VehicleAddress, source
 from twodof.fcu.mavlink.service import Link, Service
-from twodof.fcu.mavlink.wire_tick import meant
+from twodof.fcu.mavlink.wire_tick import MASK_32, meant
 from twodof.link.connection import Received
 from twodof.link.mavlink.messages import message
 
@@ -61,65 +62,59 @@ class LockstepService(Service):
         if name not in ("TWODOF_GRANT", "TWODOF_RIG_RESET"):
             return False
         if self._us.addressed(got) and source(received) != tuple(self._us):
-            verdict = self._grant(received) if name == "TWODOF_GRANT" else self._reset(received)
-            if not verdict.accepted:
-                self._tell(received.peer, verdict.text)
+            result = self._grant(received) if name == "TWODOF_GRANT" else self._reset(received)
+            if not result.accepted:
+                self._tell(received.peer, result.text)
         return True
 
     def after(self, step: ControlStep) -> None:
         """Answers the grants that have run."""
-        if self._waiting and self._controller.tick >= self._waiting[0].until:
-            tick = self._controller.tick
-            done = [grant for grant in self._waiting if grant.until <= tick]
-            self._waiting = [grant for grant in self._waiting if grant.until > tick]
-            for grant in done:
-                self._answer(grant.number, grant.peer)
+        while self._waiting and self._controller.tick >= self._waiting[0].until:
+            grant = self._waiting.pop(0)
+            self._answer(grant.number, grant.peer)
 
     def restart(self) -> None:
-        """Time begins anew at tick 0: what was granted is void, and answered."""
-        waiting, self._waiting = self._waiting, []
-        for grant in waiting:
+        while self._waiting:  # what was granted is void, and answered
+            grant = self._waiting.pop(0)
             self._answer(grant.number, grant.peer)
 
     def gone(self, peer: Hashable) -> None:
-        """Nobody waits for these answers any more."""
         self._waiting = [grant for grant in self._waiting if grant.peer != peer]
 
     def _grant(self, received: Received) -> CommandResult:
         got, controller = received.message, self._controller
         if not controller.lockstep:
-            return CommandResult(UNSUPPORTED, "grant refused: time runs by itself")
-        verdict = self._commander.take(source(received), "grant")
-        if verdict.accepted:
+            return unsupported("grant refused: time runs by itself")
+        result = self._commander.lease.take(source(received), "grant")
+        if result.accepted:
             until = meant(got.until, controller.tick)
             controller.grant(until)
             grant = Grant(min(until, controller.granted), got.number, received.peer)
             if grant.until <= controller.tick:
                 self._answer(grant.number, grant.peer)
             elif len(self._waiting) < MOST_GRANTS:
-                self._waiting = sorted([*self._waiting, grant], key=lambda one: one.until)
+                insort(self._waiting, grant, key=lambda one: one.until)
         else:
             self._answer(got.number, received.peer)
-        return verdict
+        return result
 
     def _answer(self, number: int, peer: Hashable) -> None:
         controller = self._controller
-        until = max(controller.granted, controller.tick) & 0xFFFFFFFF
-        self._link.send(message("TWODOF_TICK", tick=controller.tick & 0xFFFFFFFF, until=until, number=number), peer)
+        until = max(controller.granted, controller.tick) & MASK_32
+        self._link.send(message("TWODOF_TICK", tick=controller.tick & MASK_32, until=until, number=number), peer)
 
     def _reset(self, received: Received) -> CommandResult:
-        got = received.message
-        verdict = self._commander.take(source(received), "reset")
-        if verdict.accepted:
-            verdict = self._begin_again(got)
-        self._link.send(self._rig(0 if verdict.accepted else REFUSED_FLAG), received.peer)
-        return verdict
+        result = self._commander.lease.take(source(received), "reset")
+        if result.accepted:
+            result = self._begin_again(received.message)
+        self._link.send(self._rig(0 if result.accepted else REFUSED_FLAG), received.peer)
+        return result
 
     def _begin_again(self, got: Any) -> CommandResult:
         if got.seed >= MOST_SEEDS:
-            return CommandResult(DENIED, f"reset refused: seed {got.seed} is above {MOST_SEEDS - 1}")
+            return denied(f"reset refused: seed {got.seed} is above {MOST_SEEDS - 1}")
         try:
             self._controller.reset(got.seed, got.x, got.noise, got.rings != 0)
         except TwodofError as reason:
-            return CommandResult(DENIED, f"reset refused: {reason}")
-        return CommandResult(0)
+            return denied(f"reset refused: {reason}")
+        return DONE

@@ -6,24 +6,18 @@ from collections.abc import Iterable
 from typing import Any
 
 from twodof.fcu.command.commander import Commander
-from twodof.fcu.command.result import DENIED, UNSUPPORTED, CommandResult
+from twodof.fcu.command.result import CommandResult, denied, unsupported
 from twodof.fcu.mavlink.addressing import VehicleAddress, source, whole
 from twodof.fcu.mavlink.commands.command_service import CommandService, ReceivedCommand
 from twodof.fcu.mavlink.commands.message_requests import MessageRequests
 from twodof.fcu.mavlink.service import Service
 from twodof.fcu.mavlink.telemetry.encoders import TelemetryEncoders
 from twodof.link.connection import Received
+from twodof.link.mavlink.mav_enums import MavCmd
 from twodof.link.mavlink.messages import message
-from twodof.link.mavlink.modes import MODES
+from twodof.link.mavlink.modes import BY_NUMBER, MODES
 
-DO_SET_MODE, DO_SET_STANDARD_MODE = 176, 262
-AVAILABLE_MODES, CURRENT_MODE, AVAILABLE_MODES_MONITOR = 435, 436, 437
 _CUSTOM = 1  # MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
-
-
-def custom_mode(main: int, sub: int) -> int:
-    """PX4's number of a mode."""
-    return (main & 0xFF) << 16 | (sub & 0xFF) << 24
 
 
 class ModeService(Service):
@@ -40,12 +34,12 @@ class ModeService(Service):
         self._us = us
         self._commands = commands
         self._commander = commander
-        commands.on(DO_SET_MODE, self._set)
-        commands.on(DO_SET_STANDARD_MODE, self._set_standard)
-        requests.on(AVAILABLE_MODES, self._available)
-        telemetry.add(CURRENT_MODE, self.current)
+        commands.on(MavCmd.DO_SET_MODE, self._set)
+        commands.on(MavCmd.DO_SET_STANDARD_MODE, self._set_standard)
+        requests.on("AVAILABLE_MODES", self._available)
+        telemetry.add("CURRENT_MODE", self._current)
         # The list is the same for as long as the flight controller runs.
-        telemetry.add(AVAILABLE_MODES_MONITOR, lambda: message("AVAILABLE_MODES_MONITOR", seq=0))
+        telemetry.add("AVAILABLE_MODES_MONITOR", lambda: message("AVAILABLE_MODES_MONITOR", seq=0))
 
     def handle(self, received: Received) -> bool:
         """Takes SET_MODE, which is acknowledged as command 176, as in PX4."""
@@ -55,45 +49,43 @@ class ModeService(Service):
         if got.target_system == self._us.system and got.base_mode & _CUSTOM:
             number = got.custom_mode
             params = (float(got.base_mode), float(number >> 16 & 0xFF), float(number >> 24), *(0.0,) * 4)
-            command = ReceivedCommand(DO_SET_MODE, params, source(received), received.peer)
+            command = ReceivedCommand(MavCmd.DO_SET_MODE, params, source(received), received.peer)
             self._commands.acknowledge(command, self._commander.set_mode(command.source, number))
         return True
 
-    def current(self) -> Any:
-        """CURRENT_MODE."""
+    def _current(self) -> Any:
         number = self._commander.custom_mode
-        standard = next((row.standard_mode for row in MODES if row.custom_mode == number), 0)
+        standard = BY_NUMBER[number].standard_mode if number in BY_NUMBER else 0
         return message("CURRENT_MODE", standard_mode=standard, custom_mode=number, intended_custom_mode=number)
 
     def _set(self, command: ReceivedCommand) -> CommandResult:
         base, main, sub = (whole(value, -1) for value in command.params[:3])
         if base < 0 or not base & _CUSTOM or not 0 <= main <= 255:
-            return CommandResult(DENIED, "a mode is asked for with base mode 1 and PX4's main and sub mode")
-        return self._commander.set_mode(command.source, custom_mode(main, max(sub, 0)))
+            return denied("a mode is asked for with base mode 1 and PX4's main and sub mode")
+        return self._commander.set_mode(command.source, main << 16 | (max(sub, 0) & 0xFF) << 24)
 
     def _set_standard(self, command: ReceivedCommand) -> CommandResult:
         wanted = whole(command.params[0])
         for row in MODES:
             if wanted > 0 and row.standard_mode == wanted:
                 return self._commander.set_mode(command.source, row.custom_mode)
-        return CommandResult(UNSUPPORTED)
+        return unsupported()
 
     def _available(self, command: ReceivedCommand) -> Iterable[Any] | None:
         """All modes, or the one whose number from 1 is the second parameter."""
-        rows = [*enumerate(MODES, start=1)]
         wanted = whole(command.params[1])
-        if not 0 <= wanted <= len(rows):
+        if not 0 <= wanted <= len(MODES):
             return None
         return [
             message(
                 "AVAILABLE_MODES",
-                number_modes=len(rows),
+                number_modes=len(MODES),
                 mode_index=place,
                 standard_mode=row.standard_mode,
                 custom_mode=row.custom_mode,
                 properties=row.properties,
                 mode_name=row.name.encode()[:34],
             )
-            for place, row in rows
+            for place, row in enumerate(MODES, start=1)
             if wanted in (0, place)
         ]

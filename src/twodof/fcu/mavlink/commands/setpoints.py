@@ -7,7 +7,7 @@ from collections.abc import Callable, Hashable
 from typing import Any
 
 from twodof.fcu.command.commander import Commander
-from twodof.fcu.command.result import DENIED, CommandResult, Source
+from twodof.fcu.command.result import CommandResult, Source, denied
 from twodof.fcu.command.setpoints import SetPoint
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.mavlink.addressing import VehicleAddress, source
@@ -25,8 +25,6 @@ MOST_TOLD = 16
 FULL_STICK = 1000
 """MANUAL_CONTROL's largest value."""
 
-_NOTHING = CommandResult(DENIED, "set-point refused: it asks for nothing that is flown here")
-
 
 class SetpointService(Service):
     """Hands set-points to the commander, and tells a client why one is refused.
@@ -42,8 +40,8 @@ class SetpointService(Service):
         self._tick = 0
         self._told: OrderedDict[Source, int] = OrderedDict()  # when each was told last, the oldest first
         self._readers: dict[str, Callable[[Any, Source], CommandResult]] = {
-            "SET_ATTITUDE_TARGET": self._attitude,
-            "SET_POSITION_TARGET_LOCAL_NED": self._position,
+            "SET_ATTITUDE_TARGET": lambda got, sender: self._target(read_attitude(got), got, sender),
+            "SET_POSITION_TARGET_LOCAL_NED": lambda got, sender: self._target(read_position(got), got, sender),
             "TWODOF_OPENLOOP": self._open_loop,
             "MANUAL_CONTROL": self._sticks,
         }
@@ -56,17 +54,15 @@ class SetpointService(Service):
             return False
         ours = got.target in (self._us.system, 0) if read == self._sticks else self._us.addressed(got, everybody=True)
         if ours and sender != tuple(self._us):
-            verdict = read(got, sender)
-            if not verdict.accepted and self._may_tell(sender):
-                self._tell(received.peer, verdict.text)
+            result = read(got, sender)
+            if not result.accepted and self._may_tell(sender):
+                self._tell(received.peer, result.text)
         return True
 
     def after(self, step: ControlStep) -> None:
-        """Notes the time."""
         self._tick = step.tick
 
     def restart(self) -> None:
-        """Time begins anew at tick 0."""
         self._tick = 0
         self._told.clear()
 
@@ -79,16 +75,10 @@ class SetpointService(Service):
         self._told[sender] = self._tick
         return True
 
-    def _attitude(self, got: Any, sender: Source) -> CommandResult:
-        return self._target(read_attitude(got), got, sender)
-
-    def _position(self, got: Any, sender: Source) -> CommandResult:
-        return self._target(read_position(got), got, sender)
-
     def _target(self, target: SetpointTarget | None, got: Any, sender: Source) -> CommandResult:
         if target is None:
             self._commander.refused["nothing"] += 1
-            return _NOTHING
+            return denied("set-point refused: it asks for nothing that is flown here")
         thrust = target.thrust
         forward = 0.0 if target.feed_forward is None else target.feed_forward
         setpoint = SetPoint(None, thrust=thrust)

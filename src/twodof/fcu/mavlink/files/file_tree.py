@@ -18,6 +18,7 @@ from typing import NamedTuple
 from twodof.errors import LogError
 from twodof.fcu.onboard_log.log_folder import LogFolder
 from twodof.flightlog.atomic import atomic_write, make_folder, sync_folder
+from twodof.link.mavlink.ftp import FtpError
 
 EXTRAS, LOGS, CONTROLLERS = "/etc/extras", "/log", "/controllers"
 MAX_UPLOAD = 8 << 20
@@ -28,14 +29,11 @@ _CARD = "/fs/microsd"
 """Where PX4 has the card: /fs/microsd/log is /log here."""
 _PIECE = 1 << 20
 
-NOT_FOUND, PROTECTED, EXISTS, FAILED = 10, 9, 8, 1
-"""Errors of MAVLink FTP."""
-
 
 class FileFault(LogError):
     """A file cannot be had or written; `code` is the error of MAVLink FTP."""
 
-    def __init__(self, code: int, what: str, where: str = "") -> None:
+    def __init__(self, code: FtpError, what: str, where: str = "") -> None:
         super().__init__(what, where)
         self.code = code
 
@@ -92,7 +90,7 @@ class FileTree:
         if inside:
             return [FolderEntry(name, None) for name in sorted(inside)]
         if place not in folders:
-            raise FileFault(NOT_FOUND, "no such folder", place)
+            raise FileFault(FtpError.NOT_FOUND, "no such folder", place)
         if place == EXTRAS:
             return [FolderEntry(name, len(content)) for name, content in sorted(self._made().items())]
         if place == LOGS and self._logs is not None:
@@ -109,7 +107,7 @@ class FileTree:
         try:
             descriptor = os.open(found, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK)
         except OSError as refusal:
-            raise FileFault(NOT_FOUND, f"cannot be read: {refusal.strerror}", path) from refusal
+            raise FileFault(FtpError.NOT_FOUND, f"cannot be read: {refusal.strerror}", path) from refusal
         return OpenFile(descriptor, os.fstat(descriptor).st_size)
 
     def checksum(self, path: str) -> int:
@@ -123,18 +121,16 @@ class FileTree:
         finally:
             file.close()
 
-    def check_upload(self, path: str, replace: bool = True) -> Path:
+    def check_upload(self, path: str) -> Path:
         """Where an upload to `path` goes. Raises FileFault for a place where none may go."""
         folder, _, name = _normal(path).rpartition("/")
         if folder != CONTROLLERS or self._controllers is None:
-            raise FileFault(PROTECTED, "diagrams are sent to /controllers, nothing else is written", path)
+            raise FileFault(FtpError.PROTECTED, "diagrams are sent to /controllers, nothing else is written", path)
         if not _UPLOADED.fullmatch(name):
-            raise FileFault(PROTECTED, "a diagram is called NAME.json, of letters, digits, _ and -", path)
+            raise FileFault(FtpError.PROTECTED, "a diagram is called NAME.json, of letters, digits, _ and -", path)
         there = {one.name for one in self._uploads()}
-        if name in there and not replace:
-            raise FileFault(EXISTS, "is there already", path)
         if name not in there and len(there) >= MOST_UPLOADS:
-            raise FileFault(FAILED, f"{MOST_UPLOADS} diagrams are there, remove one", path)
+            raise FileFault(FtpError.FAIL, f"{MOST_UPLOADS} diagrams are there, remove one", path)
         return self._controllers / name
 
     def upload(self, path: str, content: bytes) -> None:
@@ -143,9 +139,9 @@ class FileTree:
         try:
             make_folder(target.parent)
         except OSError as refusal:
-            raise FileFault(FAILED, f"cannot be written: {refusal.strerror}", path) from refusal
+            raise FileFault(FtpError.FAIL, f"cannot be written: {refusal.strerror}", path) from refusal
         if target.is_symlink():
-            raise FileFault(PROTECTED, "is a link", path)
+            raise FileFault(FtpError.PROTECTED, "is a link", path)
         with atomic_write(target) as file:
             file.write(content)
 
@@ -153,12 +149,12 @@ class FileTree:
         """Deletes an upload, on the disk too when it returns. Raises FileFault, LogError."""
         folder, _, name = _normal(path).rpartition("/")
         if folder != CONTROLLERS:
-            raise FileFault(PROTECTED, "only diagrams in /controllers are removed", path)
+            raise FileFault(FtpError.PROTECTED, "only diagrams in /controllers are removed", path)
         found = self._find(folder, name)
         try:
             found.unlink()
         except OSError as refusal:
-            raise FileFault(FAILED, f"cannot be removed: {refusal.strerror}", path) from refusal
+            raise FileFault(FtpError.FAIL, f"cannot be removed: {refusal.strerror}", path) from refusal
         sync_folder(found.parent)
 
     def _find(self, folder: str, name: str) -> Path:
@@ -170,7 +166,7 @@ class FileTree:
             for path in self._uploads():
                 if path.name == name:
                     return path
-        raise FileFault(NOT_FOUND, "no such file", f"{folder}/{name}")
+        raise FileFault(FtpError.NOT_FOUND, "no such file", f"{folder}/{name}")
 
     def _uploads(self) -> list[Path]:
         if self._controllers is None or not self._controllers.is_dir():
@@ -192,5 +188,5 @@ def _normal(path: str) -> str:
     """A path from the root, without a slash at its end; `..` is refused, empty names are left out. Raises FileFault."""
     names = [name for name in path.removeprefix(_CARD).split("/") if name not in ("", ".")]
     if ".." in names or "\0" in path:
-        raise FileFault(NOT_FOUND, "no such file", path[:100])
+        raise FileFault(FtpError.NOT_FOUND, "no such file", path[:100])
     return "/" + "/".join(names)

@@ -18,16 +18,14 @@ from twodof.fcu.command.result import CommandResult, Source
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.mavlink.addressing import VehicleAddress, source
 from twodof.fcu.mavlink.background import BackgroundWorker
-from twodof.fcu.mavlink.files.file_tree import EXISTS, MAX_UPLOAD, FileFault, FileTree, OpenFile
-from twodof.fcu.mavlink.files.ftp_client import BURST_BYTES, MOST_WAITING, Burst, FtpClient, FtpSession
+from twodof.fcu.mavlink.files.file_tree import MAX_UPLOAD, FileFault, FileTree, OpenFile
+from twodof.fcu.mavlink.files.ftp_client import BURST_BYTES, MOST_WAITING, FtpClient, FtpSession, burst_packets
 from twodof.fcu.mavlink.paced_sender import PacedSender, shares
 from twodof.fcu.mavlink.service import Link, Service
 from twodof.link.connection import Received
 from twodof.link.mavlink.ftp import MOST_DATA, FtpError, FtpOperation, FtpPacket, packed, read_packet
 
-FTP_CAPABILITY = 32
-"""MAV_PROTOCOL_CAPABILITY_FTP."""
-MOST_GUESTS = 32
+MOST_CLIENTS = 32
 A_TICK, A_TICK_ARMED = 16, 2
 """Packets of bursts that are sent in a control period, to all clients: .9 MB/s, and little while it flies."""
 
@@ -40,6 +38,14 @@ _ONCE = (
     FtpOperation.REMOVE,
 )
 """Not carried out again when they come again; what only reads is."""
+
+_REFUSED = (
+    FtpOperation.CREATE_FOLDER,
+    FtpOperation.REMOVE_FOLDER,
+    FtpOperation.OPEN_WO,
+    FtpOperation.TRUNCATE,
+    FtpOperation.RENAME,
+)
 
 MOST_UPLOADING = 2
 """Uploads that wait in memory at once, of all clients."""
@@ -69,11 +75,11 @@ class FileTransfer(Service):
         self._link, self._us, self._take, self._explain = link, us, take, explain
         self._background = BackgroundWorker(inline=lockstep)
         self._pump = PacedSender(self._send_bursts, lockstep)
-        self._guests: OrderedDict[Hashable, FtpClient] = OrderedDict()
+        self._clients: OrderedDict[Hashable, FtpClient] = OrderedDict()
         self._armed = False
         self._turn = 0
         self._does: dict[int, Callable[[FtpClient, FtpPacket], None]] = {
-            FtpOperation.NONE: lambda guest, asked: self._answer(guest, asked, asked.ack()),
+            FtpOperation.NONE: lambda client, request: self._answer(client, request, request.ack()),
             FtpOperation.TERMINATE: self._terminate,
             FtpOperation.RESET: self._reset,
             FtpOperation.LIST: self._list,
@@ -91,266 +97,253 @@ class FileTransfer(Service):
         if received.message.get_type() != "FILE_TRANSFER_PROTOCOL":
             return False
         if self._us.addressed(received.message, everybody=True):
-            asked = read_packet(bytes(received.message.payload))
-            if asked.op not in (FtpOperation.ACK, FtpOperation.NAK):
-                self._take_in(self._guest(received), asked)
+            request = read_packet(bytes(received.message.payload))
+            if request.op not in (FtpOperation.ACK, FtpOperation.NAK):
+                self._take_in(self._client(received), request)
         return True
 
     def after(self, step: ControlStep) -> None:
-        """Hands over what was read and goes on with bursts."""
         self._armed = step.armed
         self._background.poll()
         self._pump.tick()
 
     def gone(self, peer: Hashable) -> None:
-        """Forgets the sessions of a peer whose link has closed."""
-        for key in [key for key, guest in self._guests.items() if guest.peer == peer]:
-            self._dismiss(self._guests.pop(key))
+        for key in [key for key, client in self._clients.items() if client.peer == peer]:
+            self._dismiss(self._clients.pop(key))
 
     @property
     def sessions(self) -> int:
         """Sessions that are open, of all clients."""
-        return sum(len(guest.sessions) for guest in self._guests.values())
+        return sum(len(client.sessions) for client in self._clients.values())
 
-    @property
-    def _uploads(self) -> int:
-        return sum(one.file is None for guest in self._guests.values() for one in guest.sessions.values())
-
-    def _guest(self, received: Received) -> FtpClient:
+    def _client(self, received: Received) -> FtpClient:
         key = (received.peer, source(received))
-        guest = self._guests.get(key)
-        if guest is None:
-            guest = self._guests[key] = FtpClient(received.peer, source(received))
-            if len(self._guests) > MOST_GUESTS:
-                self._dismiss(self._guests.popitem(last=False)[1])
-        else:
-            self._guests.move_to_end(key)
-        return guest
+        if key not in self._clients:
+            self._clients[key] = FtpClient(*key)
+            if len(self._clients) > MOST_CLIENTS:
+                self._dismiss(self._clients.popitem(last=False)[1])
+        self._clients.move_to_end(key)
+        return self._clients[key]
 
-    def _take_in(self, guest: FtpClient, asked: FtpPacket) -> None:
-        if guest.busy:
-            if len(guest.waiting) < MOST_WAITING and asked != guest.asked and asked not in guest.waiting:
-                guest.waiting.append(asked)
+    def _take_in(self, client: FtpClient, request: FtpPacket) -> None:
+        if client.busy:
+            if len(client.waiting) < MOST_WAITING and request != client.request and request not in client.waiting:
+                client.waiting.append(request)
             return
-        if asked == guest.asked and asked.op in _ONCE:  # its answer got lost
-            if guest.answer is not None:
-                self._send(guest, guest.answer)
+        if request == client.request and request.op in _ONCE:  # its answer got lost
+            if client.answer is not None:
+                self._send(client, client.answer)
             return
-        guest.asked, guest.answer = asked, None
-        does = self._does.get(asked.op)
-        if asked.size > MOST_DATA:
-            self._answer(guest, asked, asked.nak(FtpError.DATA_SIZE))
+        client.request, client.answer = request, None
+        does = self._does.get(request.op)
+        if request.size > MOST_DATA:
+            self._answer(client, request, request.nak(FtpError.DATA_SIZE))
         elif does is not None:
-            does(guest, asked)
+            does(client, request)
         else:
-            known = asked.op in (
-                FtpOperation.CREATE_FOLDER,
-                FtpOperation.REMOVE_FOLDER,
-                FtpOperation.OPEN_WO,
-                FtpOperation.TRUNCATE,
-                FtpOperation.RENAME,
+            self._answer(
+                client, request, request.nak(FtpError.PROTECTED if request.op in _REFUSED else FtpError.UNKNOWN)
             )
-            self._answer(guest, asked, asked.nak(FtpError.PROTECTED if known else FtpError.UNKNOWN))
 
-    def _list(self, guest: FtpClient, asked: FtpPacket) -> None:
-        def listed(entries: list[tuple[str, int | None]]) -> FtpPacket:
+    def _list(self, client: FtpClient, request: FtpPacket) -> None:
+        def listed() -> FtpPacket:
             data = b""
-            for name, size in entries[asked.offset :]:
+            for name, size in self.tree.entries(request.text)[request.offset :]:
                 line = (f"D{name}" if size is None else f"F{name}\t{size}").encode() + b"\0"
                 if len(data) + len(line) > MOST_DATA:
                     break
                 data += line
-            return asked.ack(data) if data else asked.nak(FtpError.END)
+            return request.ack(data) if data else request.nak(FtpError.END)
 
-        self._later(guest, asked, lambda: listed([*self.tree.entries(asked.text)]))
+        self._later(client, request, listed)
 
-    def _open(self, guest: FtpClient, asked: FtpPacket) -> None:
+    def _open(self, client: FtpClient, request: FtpPacket) -> None:
         def opened(found: object) -> FtpPacket:
             if not isinstance(found, OpenFile):
-                return self._refused(asked, found)
-            number = guest.open(FtpSession(found), asked.session, self._close)
+                return _refused(request, found)
+            number = client.open(FtpSession(found), request.session, self._close)
             if number is None:
                 self._close(found)
-                return asked.nak(FtpError.NO_SESSIONS)
-            return asked.ack(struct.pack("<I", found.size), session=number)
+                return request.nak(FtpError.NO_SESSIONS)
+            return request.ack(struct.pack("<I", found.size), session=number)
 
-        self._work(guest, asked, lambda: self.tree.open(asked.text), opened)
+        self._work(client, request, lambda: self.tree.open(request.text), opened)
 
-    def _read(self, guest: FtpClient, asked: FtpPacket) -> None:
-        session = guest.sessions.get(asked.session)
+    def _file(self, client: FtpClient, request: FtpPacket) -> OpenFile | None:
+        """The file that the request's session reads; else the client is told that there is none."""
+        session = client.sessions.get(request.session)
         if session is None or session.file is None:
-            self._answer(guest, asked, asked.nak(FtpError.SESSION))
+            self._answer(client, request, request.nak(FtpError.SESSION))
+            return None
+        return session.file
+
+    def _read(self, client: FtpClient, request: FtpPacket) -> None:
+        file = self._file(client, request)
+        if file is None:
             return
-        file, most = session.file, asked.size or MOST_DATA
 
         def read() -> FtpPacket:
-            data = file.read(asked.offset, most)
-            return asked.ack(data) if data else asked.nak(FtpError.END)
+            data = file.read(request.offset, request.size or MOST_DATA)
+            return request.ack(data) if data else request.nak(FtpError.END)
 
-        self._later(guest, asked, read)
+        self._later(client, request, read)
 
-    def _burst(self, guest: FtpClient, asked: FtpPacket) -> None:
-        session = guest.sessions.get(asked.session)
-        if session is None or session.file is None:
-            self._answer(guest, asked, asked.nak(FtpError.SESSION))
+    def _burst(self, client: FtpClient, request: FtpPacket) -> None:
+        file = self._file(client, request)
+        if file is None:
             return
-        file, most = session.file, asked.size or MOST_DATA
-        count = BURST_BYTES // most * most
+        most = request.size or MOST_DATA
 
         def ready(data: object) -> FtpPacket | None:
             if not isinstance(data, bytes):
-                return self._refused(asked, data)
-            guest.burst = Burst(asked, data, most, ends=asked.offset + len(data) >= file.size)
+                return _refused(request, data)
+            client.burst = burst_packets(request, data, most, ends=request.offset + len(data) >= file.size)
             self._pump.start()
             return None
 
-        self._work(guest, asked, lambda: file.read(asked.offset, count), ready)
+        self._work(client, request, lambda: file.read(request.offset, BURST_BYTES // most * most), ready)
 
-    def _create(self, guest: FtpClient, asked: FtpPacket) -> None:
-        if not self._may_write(guest, asked):
+    def _create(self, client: FtpClient, request: FtpPacket) -> None:
+        if not self._may_write(client, request):
             return
 
         def created(found: object) -> FtpPacket:
             if isinstance(found, Exception):
-                return self._refused(asked, found)
-            self._forget_abandoned()
-            if self._uploads >= MOST_UPLOADING:
-                return asked.nak(FtpError.NO_SESSIONS)
-            number = guest.open(FtpSession(None, asked.text, self._clock()), asked.session, self._close)
-            return asked.nak(FtpError.NO_SESSIONS) if number is None else asked.ack(session=number)
+                return _refused(request, found)
+            if not self._room_for_upload():
+                return request.nak(FtpError.NO_SESSIONS)
+            number = client.open(FtpSession(None, request.text, self._clock()), request.session, self._close)
+            return request.nak(FtpError.NO_SESSIONS) if number is None else request.ack(session=number)
 
-        self._work(guest, asked, lambda: self.tree.check_upload(asked.text), created)
+        self._work(client, request, lambda: self.tree.check_upload(request.text), created)
 
-    def _write(self, guest: FtpClient, asked: FtpPacket) -> None:
-        session = guest.sessions.get(asked.session)
+    def _write(self, client: FtpClient, request: FtpPacket) -> None:
+        session = client.sessions.get(request.session)
         if session is None or session.file is not None:
-            answer = asked.nak(FtpError.SESSION)
-        elif asked.offset > len(session.upload) or asked.offset + asked.size > MAX_UPLOAD:
-            answer = asked.nak(FtpError.FAIL)
+            answer = request.nak(FtpError.SESSION)
+        elif request.offset > len(session.upload) or request.offset + request.size > MAX_UPLOAD:
+            answer = request.nak(FtpError.FAIL)
             session.failed = True
         else:
             session.used = self._clock()
-            session.upload[asked.offset : asked.offset + asked.size] = asked.data[: asked.size]
-            answer = asked.ack()
-        self._answer(guest, asked, answer)
+            session.upload[request.offset : request.offset + request.size] = request.data[: request.size]
+            answer = request.ack()
+        self._answer(client, request, answer)
 
-    def _terminate(self, guest: FtpClient, asked: FtpPacket) -> None:
-        session = guest.sessions.pop(asked.session, None)
-        if guest.burst is not None and guest.burst.asked.session == asked.session:
-            guest.burst = None
+    def _terminate(self, client: FtpClient, request: FtpPacket) -> None:
+        session = client.sessions.pop(request.session, None)
+        if client.burst and client.burst[0].session == request.session:
+            client.burst.clear()
         if session is None:
-            self._answer(guest, asked, asked.nak(FtpError.SESSION))
+            self._answer(client, request, request.nak(FtpError.SESSION))
         elif session.file is not None:
             self._close(session.file)
-            self._answer(guest, asked, asked.ack())
+            self._answer(client, request, request.ack())
         elif session.failed:
-            self._answer(guest, asked, asked.nak(FtpError.FAIL))
-        elif self._may_write(guest, asked):
+            self._answer(client, request, request.nak(FtpError.FAIL))
+        elif self._may_write(client, request):
             path, content = session.path, bytes(session.upload)
 
             def written() -> FtpPacket:
                 self.tree.upload(path, content)
-                return asked.ack()
+                return request.ack()
 
-            self._later(guest, asked, written)
+            self._later(client, request, written)
 
-    def _reset(self, guest: FtpClient, asked: FtpPacket) -> None:
-        self._dismiss(guest)
-        self._answer(guest, asked, asked.ack())
+    def _reset(self, client: FtpClient, request: FtpPacket) -> None:
+        self._dismiss(client)
+        self._answer(client, request, request.ack())
 
-    def _remove(self, guest: FtpClient, asked: FtpPacket) -> None:
-        if not self._may_write(guest, asked):
-            return
-
+    def _remove(self, client: FtpClient, request: FtpPacket) -> None:
         def removed() -> FtpPacket:
-            self.tree.remove(asked.text)
-            return asked.ack()
+            self.tree.remove(request.text)
+            return request.ack()
 
-        self._later(guest, asked, removed)
+        if self._may_write(client, request):
+            self._later(client, request, removed)
 
-    def _checksum(self, guest: FtpClient, asked: FtpPacket) -> None:
-        self._later(guest, asked, lambda: asked.ack(struct.pack("<I", self.tree.checksum(asked.text))))
+    def _checksum(self, client: FtpClient, request: FtpPacket) -> None:
+        self._later(client, request, lambda: request.ack(struct.pack("<I", self.tree.checksum(request.text))))
 
-    def _may_write(self, guest: FtpClient, asked: FtpPacket) -> bool:
+    def _may_write(self, client: FtpClient, request: FtpPacket) -> bool:
         """Whether the client has the lease, or gets it; else it is told."""
-        verdict = self._take(guest.source, "upload")
-        if not verdict.accepted:
-            self._answer(guest, asked, asked.nak(FtpError.PROTECTED))
-            self._explain(guest.peer, verdict.text)
-        return verdict.accepted
+        taken = self._take(client.source, "upload")
+        if not taken.accepted:
+            self._answer(client, request, request.nak(FtpError.PROTECTED))
+            self._explain(client.peer, taken.text)
+        return taken.accepted
 
-    def _later(self, guest: FtpClient, asked: FtpPacket, work: Callable[[], FtpPacket]) -> None:
+    def _later(self, client: FtpClient, request: FtpPacket, work: Callable[[], FtpPacket]) -> None:
         """Answers with what `work` gives, done in the background."""
-        self._work(guest, asked, work, lambda made: made if isinstance(made, FtpPacket) else self._refused(asked, made))
+
+        def answer(made: object) -> FtpPacket:
+            return made if isinstance(made, FtpPacket) else _refused(request, made)
+
+        self._work(client, request, work, answer)
 
     def _work(
         self,
-        guest: FtpClient,
-        asked: FtpPacket,
+        client: FtpClient,
+        request: FtpPacket,
         work: Callable[[], object],
         answer: Callable[[object], FtpPacket | None],
     ) -> None:
         def done(result: object) -> None:
-            guest.busy = False
+            client.busy = False
             made = answer(result)
             if made is not None:
-                self._answer(guest, asked, made)
-            while guest.waiting and not guest.busy:
-                self._take_in(guest, guest.waiting.popleft())
+                self._answer(client, request, made)
+            while client.waiting and not client.busy:
+                self._take_in(client, client.waiting.popleft())
 
-        guest.busy = True
+        client.busy = True
         if not self._background.submit(work, done):
-            guest.busy, guest.asked = False, None  # too much waits: it may ask again
-            guest.waiting.clear()
+            client.busy, client.request = False, None  # too much waits: it may ask again
+            client.waiting.clear()
 
-    def _refused(self, asked: FtpPacket, fault: object) -> FtpPacket:
-        if isinstance(fault, FileFault):
-            return asked.nak(fault.code if fault.code != EXISTS else FtpError.EXISTS)
-        if isinstance(fault, OSError):
-            return asked.nak(FtpError.ERRNO, fault.errno or 0)
-        return asked.nak(FtpError.FAIL)
+    def _answer(self, client: FtpClient, request: FtpPacket, answer: FtpPacket) -> None:
+        if client.request == request:
+            client.answer = answer
+        self._send(client, answer)
 
-    def _answer(self, guest: FtpClient, asked: FtpPacket, answer: FtpPacket) -> None:
-        if guest.asked == asked:
-            guest.answer = answer
-        self._send(guest, answer)
-
-    def _send(self, guest: FtpClient, packet: FtpPacket) -> None:
-        self._link.send(packed(packet, *guest.source), guest.peer)
+    def _send(self, client: FtpClient, packet: FtpPacket) -> None:
+        self._link.send(packed(packet, *client.source), client.peer)
 
     def _send_bursts(self) -> bool:
         most = A_TICK_ARMED if self._armed else A_TICK
-        bursting = [guest for guest in self._guests.values() if guest.burst is not None]
+        bursting = [client for client in self._clients.values() if client.burst]
         self._turn += most
-        for guest, share in shares(most, bursting, self._turn):
-            burst = guest.burst
-            if burst is not None:
-                for packet in burst.next(share):
-                    self._send(guest, packet)
-                if burst.done and guest.burst is burst:
-                    guest.burst = None
-        return any(guest.burst is not None for guest in bursting)
+        for client, share in shares(most, bursting, self._turn):
+            for _ in range(min(share, len(client.burst))):
+                self._send(client, client.burst.popleft())
+        return any(client.burst for client in bursting)
 
-    def _forget_abandoned(self) -> None:
-        """Ends the uploads that are not gone on with; only who uploads waits for room, so this is looked at then."""
-        since = self._clock() - UPLOAD_S
-        for guest in self._guests.values():
-            for number in [n for n, one in guest.sessions.items() if one.file is None and one.used < since]:
-                del guest.sessions[number]
+    def _room_for_upload(self) -> bool:
+        """Whether another upload may wait, once those that are not gone on with have ended."""
+        since, waiting = self._clock() - UPLOAD_S, 0
+        for client in self._clients.values():
+            for number in [n for n, one in client.sessions.items() if one.file is None and one.used < since]:
+                del client.sessions[number]
+            waiting += sum(one.file is None for one in client.sessions.values())
+        return waiting < MOST_UPLOADING
 
-    def _dismiss(self, guest: FtpClient) -> None:
-        guest.burst = None
-        for session in guest.sessions.values():
+    def _dismiss(self, client: FtpClient) -> None:
+        client.burst.clear()
+        for session in client.sessions.values():
             if session.file is not None:
                 self._close(session.file)
-        guest.sessions.clear()
+        client.sessions.clear()
 
     def _close(self, file: OpenFile) -> None:
         # In order with what is still being read of it.
-        if not self._background.submit(file.close, _ignore):
+        if not self._background.submit(file.close, lambda _: None):
             with suppress(OSError, TwodofError):
                 file.close()
 
 
-def _ignore(_result: object) -> None:
-    """Nobody waits for it."""
+def _refused(request: FtpPacket, fault: object) -> FtpPacket:
+    if isinstance(fault, FileFault):
+        return request.nak(fault.code)
+    if isinstance(fault, OSError):
+        return request.nak(FtpError.ERRNO, fault.errno or 0)
+    return request.nak(FtpError.FAIL)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, field
 
 from twodof.fcu.command.result import Source
 from twodof.fcu.mavlink.files.file_tree import OpenFile
@@ -17,73 +18,55 @@ BURST_BYTES = 35_000
 """Most that answers one burst request, as in PX4."""
 
 
+@dataclass(slots=True)
 class FtpSession:
-    """A file being read, or an upload to `path` that waits in memory; `used`, by the clock, when it last was."""
+    """A file being read, or an upload to `path` that waits in memory; `used`, by the clock, when it last was.
 
-    __slots__ = ("failed", "file", "path", "upload", "used")
+    `failed`: a write was refused, so what is here is not what was to be sent.
+    """
 
-    def __init__(self, file: OpenFile | None, path: str = "", used: float = 0.0) -> None:
-        self.file = file
-        self.path = path
-        self.used = used
-        self.upload = bytearray()
-        self.failed = False  # a write was refused: what is here is not what was to be sent
+    file: OpenFile | None
+    path: str = ""
+    used: float = 0.0
+    upload: bytearray = field(default_factory=bytearray)
+    failed: bool = False
 
 
-class Burst:
+def burst_packets(request: FtpPacket, data: bytes, most: int, ends: bool) -> deque[FtpPacket]:
     """The answer to a burst request: `data` in packets of `most` bytes, then, if the file `ends` there, its end."""
-
-    def __init__(self, asked: FtpPacket, data: bytes, most: int, ends: bool) -> None:
-        self.asked = asked
-        self.done = False
-        self._data, self._most, self._ends = data, most, ends
-        self._at = self._number = 0
-
-    def next(self, count: int) -> Iterator[FtpPacket]:
-        """The next packets, at most `count`."""
-        for _ in range(count):
-            if self.done:
-                return
-            part = self._data[self._at : self._at + self._most]
-            if not part:
-                self.done = True
-                end = self.asked.nak(FtpError.END)
-                yield end._replace(
-                    sequence=(self.asked.sequence + 1 + self._number) & 0xFFFF,
-                    offset=self.asked.offset + self._at,
-                )
-                return
-            last = self._at + len(part) >= len(self._data) and not self._ends
-            yield self.asked.part(self._number, self.asked.offset + self._at, part, last)
-            self._at += len(part)
-            self._number += 1
-            self.done = last
+    packets = deque(
+        request.part(number, request.offset + at, data[at : at + most], last=not ends and at + most >= len(data))
+        for number, at in enumerate(range(0, len(data), most))
+    )
+    if ends or not data:
+        sequence = (request.sequence + 1 + len(packets)) & 0xFFFF
+        packets.append(request.nak(FtpError.END)._replace(sequence=sequence, offset=request.offset + len(data)))
+    return packets
 
 
+@dataclass(slots=True)
 class FtpClient:
     """A client of the server, at `peer`. What it asks while it is `busy` waits: requests are carried out in order."""
 
-    __slots__ = ("answer", "asked", "burst", "busy", "peer", "sessions", "source", "waiting")
-
-    def __init__(self, peer: Hashable, source: Source) -> None:
-        self.peer = peer
-        self.source = source
-        self.sessions: dict[int, FtpSession] = {}
-        self.burst: Burst | None = None
-        self.asked: FtpPacket | None = None
-        self.answer: FtpPacket | None = None
-        self.busy = False
-        self.waiting: deque[FtpPacket] = deque()
+    peer: Hashable
+    source: Source
+    sessions: dict[int, FtpSession] = field(default_factory=dict)
+    burst: deque[FtpPacket] = field(default_factory=deque)
+    request: FtpPacket | None = None
+    answer: FtpPacket | None = None
+    busy: bool = False
+    waiting: deque[FtpPacket] = field(default_factory=deque)
 
     def open(self, session: FtpSession, wanted: int, close: Callable[[OpenFile], None]) -> int | None:
         """Opens a session, with the number `wanted` if that is free; None if only uploads are open already."""
         if len(self.sessions) >= MOST_SESSIONS:
-            oldest = next((number for number, one in self.sessions.items() if one.file is not None), None)
-            if oldest is None:
+            for number, oldest in self.sessions.items():
+                if oldest.file is not None:
+                    close(oldest.file)
+                    del self.sessions[number]
+                    break
+            else:
                 return None
-            file = self.sessions.pop(oldest).file
-            if file is not None:
-                close(file)
         number = wanted if wanted not in self.sessions else min({*range(256)} - self.sessions.keys())
         self.sessions[number] = session
         return number

@@ -12,13 +12,12 @@ from types import MappingProxyType
 from typing import Any
 
 from twodof.fcu.mavlink.files.file_tree import EXTRAS, mavlink_crc32
-from twodof.fcu.mavlink.telemetry.flight_messages import MASK_32
+from twodof.fcu.mavlink.wire_tick import MASK_32
 from twodof.fcu.parameters.parameter_store import ParametersRelisted, ParameterStore
 from twodof.fcu.parameters.row import VehicleParameter
 from twodof.fcu.px4_compat.event_definitions import EVENTS_FILE, EVENTS_TYPE, definitions
 from twodof.link.mavlink.messages import message
 
-COMPONENT_METADATA = 397
 GENERAL, PARAMETERS = "component_general.json", "parameters.json"
 _PARAMETER_TYPE = 1
 """COMP_METADATA_TYPE_PARAMETER."""
@@ -72,7 +71,7 @@ def metadata_files(rows: Sequence[VehicleParameter]) -> Mapping[str, bytes]:
 
 
 def _parameter(row: VehicleParameter) -> dict[str, Any]:
-    text = row.text if row.own else row.text[0].upper() + row.text[1:] if row.text else row.name
+    text = row.text if row.user_path else row.text[0].upper() + row.text[1:] if row.text else row.name
     made: dict[str, Any] = {
         "name": row.name,
         "type": _KINDS[row.kind],
@@ -86,8 +85,8 @@ def _parameter(row: VehicleParameter) -> dict[str, Any]:
     }
     if row.bounded:
         made |= {"min": row.kept(row.low), "max": row.kept(row.high)}
-    if row.own:
-        made["path"] = row.own  # no key of the schema's, which allows others: by this our own clients find it
+    if row.user_path:
+        made["path"] = row.user_path  # no key of the schema's, which allows others: by this our own clients find it
     if said := _conditions(row):
         made["longDesc"] = said
     if row.kind == "float":

@@ -9,7 +9,7 @@ from types import MappingProxyType
 from typing import Any
 
 from twodof.fcu.command.commander import Commander
-from twodof.fcu.command.result import ACCEPTED, DENIED, CommandResult
+from twodof.fcu.command.result import DONE, CommandResult, denied
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.control.hardware import SensorSample
 from twodof.fcu.event_bus import OnboardEventBus
@@ -17,7 +17,7 @@ from twodof.fcu.mavlink.addressing import whole
 from twodof.fcu.mavlink.clients import ClientLeft
 from twodof.fcu.mavlink.commands.command_service import ReceivedCommand
 from twodof.fcu.mavlink.service import Link, Service
-from twodof.fcu.mavlink.telemetry.flight_messages import MASK_32
+from twodof.fcu.mavlink.wire_tick import MASK_32
 from twodof.link.control_period import TICK_US
 from twodof.link.mavlink.messages import BATCH_VALUES, channel_bits
 from twodof.link.mavlink.packing import Packer
@@ -70,16 +70,13 @@ def channel_readers(commander: Commander) -> dict[str, Callable[[ControlStep], f
 class BatchSubscription:
     """The channels of one client, and the rows that wait to be sent."""
 
-    __slots__ = ("begun", "every", "mask", "most", "peer", "read", "rows", "values", "width")
-
     def __init__(self, peer: Hashable, mask: int, every: int, read: list[Callable[[ControlStep], float]]) -> None:
         self.peer = peer
         self.mask = mask
         self.every = every
         self.read = read
-        self.width = len(read)
         # As many rows as fit, but no more than are due within the longest wait.
-        self.most = max(1, min(BATCH_VALUES // self.width, LATEST_TICKS // every + 1))
+        self.most = max(1, min(BATCH_VALUES // len(read), LATEST_TICKS // every + 1))
         self.values: list[float] = []
         self.rows = 0
         self.begun = 0
@@ -99,10 +96,9 @@ class BatchService(Service):
         self._readers = sorted((bit, read[name]) for name, bit in channel_bits().items())
         self._all = sum(bit for bit, _ in self._readers)
         self._subscriptions: dict[Hashable, BatchSubscription] = {}
-        bus.subscribe(ClientLeft, self._leave)
+        bus.subscribe(ClientLeft, lambda left: self._subscriptions.pop(left.client.peer, None))
 
     def after(self, step: ControlStep) -> None:
-        """Adds a row to each subscription, and sends what is full."""
         for subscription in self._subscriptions.values():
             if step.tick % subscription.every:
                 continue
@@ -114,7 +110,6 @@ class BatchService(Service):
                 self._flush(subscription)
 
     def restart(self) -> None:
-        """Time begins anew: what waits is sent before."""
         for subscription in self._subscriptions.values():
             self._flush(subscription)
 
@@ -125,16 +120,16 @@ class BatchService(Service):
         if old is not None:
             self._flush(old)
         if interval < 0.0:
-            return CommandResult(ACCEPTED)
+            return DONE
         every = max(1, round(interval / TICK_US)) if isfinite(interval) else 0
         if not 0 <= low <= LARGEST_HALF or not 0 <= high <= LARGEST_HALF or not 1 <= every <= 0xFF:
-            return CommandResult(DENIED, "a batch wants an interval up to 255 ticks and two halves of a mask")
+            return denied("a batch wants an interval up to 255 ticks and two halves of a mask")
         mask = low | high << 16
         if not mask or mask & ~self._all:
-            return CommandResult(DENIED, "a batch wants channels, and only those there are")
+            return denied("a batch wants channels, and only those there are")
         read = [one for bit, one in self._readers if mask & bit]
         self._subscriptions[command.peer] = BatchSubscription(command.peer, mask, every, read)
-        return CommandResult(ACCEPTED)
+        return DONE
 
     def interval(self, peer: Hashable) -> int:
         """Interval [us] of a client's samples, -1 without a subscription."""
@@ -150,6 +145,3 @@ class BatchService(Service):
         subscription.values = []
         subscription.rows = 0
         self._link.send(sent, subscription.peer)
-
-    def _leave(self, left: ClientLeft) -> None:
-        self._subscriptions.pop(left.client.peer, None)

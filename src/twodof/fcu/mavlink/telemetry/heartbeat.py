@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Hashable
 
 from twodof.fcu.command.commander import Commander
 from twodof.fcu.control.flight_code import ControlStep
@@ -24,30 +24,27 @@ class Heartbeat(Service):
         self._telemetry = telemetry
         self._commander = commander
         self._said: tuple[int, int, int] | None = None
-        bus.subscribe(ClientJoined, lambda joined: self._link.send(self._beat(), joined.client.peer))
-        bus.subscribe(CommandHandled, lambda _: self.check())
+        bus.subscribe(ClientJoined, lambda joined: self._send(joined.client.peer))
+        bus.subscribe(CommandHandled, lambda _: self._send_if_changed())
 
     def handle(self, received: Received) -> bool:
         """Takes other components' heartbeats, which need no answer."""
         return bool(received.message.get_type() == "HEARTBEAT")
 
     def after(self, step: ControlStep) -> None:
-        """Sends it when it is due or says something new."""
         if step.tick % PERIOD_TICKS == 0:
             self._said = None
-        self.check()
+        self._send_if_changed()
 
-    def check(self) -> None:
-        """Sends it if it says something new."""
+    def idle(self) -> None:
+        self._send()
+
+    def _send_if_changed(self) -> None:
         c = self._commander
         says = (c.base_mode, c.custom_mode, c.system_status)
         if says != self._said:
             self._said = says
-            self._link.send(self._beat())
+            self._send()
 
-    def idle(self) -> None:
-        """Called about once a second of real time while simulated time stands still."""
-        self._link.send(self._beat())
-
-    def _beat(self) -> Any:
-        return self._telemetry.standing[HEARTBEAT]()
+    def _send(self, peer: Hashable | None = None) -> None:
+        self._link.send(self._telemetry.message(HEARTBEAT), peer)

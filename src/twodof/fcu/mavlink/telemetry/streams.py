@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
 from math import isfinite
-from typing import Any, Protocol
+from typing import Any
 
 from twodof.fcu.command.commander import Commander
-from twodof.fcu.command.result import ACCEPTED, DENIED, FAILED, UNSUPPORTED, CommandResult
+from twodof.fcu.command.result import DONE, CommandResult, denied, failed, unsupported
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.control.loop import FlightController
 from twodof.fcu.event_bus import OnboardEventBus
@@ -20,15 +20,15 @@ from twodof.fcu.mavlink.addressing import whole
 from twodof.fcu.mavlink.clients import ClientJoined, ClientLeft, ClientRecognised
 from twodof.fcu.mavlink.commands.command_service import CommandService, ReceivedCommand
 from twodof.fcu.mavlink.service import Link, Service
-from twodof.fcu.mavlink.telemetry.encoders import HEARTBEAT, LEASE, OPENLOOP, RIG, SAFETY, TelemetryEncoders
-from twodof.fcu.mavlink.telemetry.sensor_messages import TOF
+from twodof.fcu.mavlink.telemetry.batches import BATCH, BatchService
+from twodof.fcu.mavlink.telemetry.encoders import HEARTBEAT, LEASE, OPENLOOP, RIG, SAFETY, TOF, TelemetryEncoders
 from twodof.link.connection import Received
 from twodof.link.control_period import TICK_NS
 from twodof.link.mavlink.dialect import FIRST_OWN_ID
+from twodof.link.mavlink.mav_enums import MavCmd
 from twodof.link.mavlink.messages import message
 from twodof.link.mavlink.rates import ONBOARD
 
-GET_INTERVAL, SET_INTERVAL = 510, 511
 STOPPED, WITH_NEWS = -1, 0
 """Intervals that are none: not sent; sent with each news and at no other time."""
 LONGEST_NS = 2**31 * 1000
@@ -67,7 +67,7 @@ class ChangeDetector:
         self._safety: tuple[Any, ...] = ()
         self._causes = 0
         self._told = -FLAG_TICKS
-        self._slow: tuple[Any, ...] = ()
+        self._before: dict[int, tuple[Any, ...]] = {}
 
     def seen(self, step: ControlStep) -> list[int]:
         """Ids of the messages that have news in this step."""
@@ -77,27 +77,15 @@ class ChangeDetector:
             self._safety, self._causes, self._told = safety, step.causes, step.tick
             found.append(SAFETY)
         hardware, commander = self._controller.hardware, self._commander
-        lease = commander.lease.holder, commander.tuning_withheld
-        slow = (hardware.rings, hardware.safety_off, hardware.seed, lease, commander.openloop.revision)
-        if slow != self._slow:
-            if slow[:3] != self._slow[:3]:
-                found.append(RIG)
-            if slow[3:4] != self._slow[3:4]:
-                found.append(LEASE)
-            if slow[4:] != self._slow[4:]:
-                found.append(OPENLOOP)
-            self._slow = slow
+        now = {
+            RIG: (hardware.rings, hardware.safety_off, hardware.seed),
+            LEASE: (commander.lease.holder, commander.lease.tuning_withheld),
+            OPENLOOP: (commander.openloop.revision,),
+        }
+        if now != self._before:
+            found += [number for number, facts in now.items() if facts != self._before.get(number)]
+            self._before = now
         return found
-
-
-class OtherSender(Protocol):
-    """The sender of a message that is not a stream of this kind."""
-
-    def subscribe(self, command: ReceivedCommand) -> CommandResult:
-        """Command 511 for it."""
-
-    def interval(self, peer: Hashable) -> int:
-        """A client's interval of it [us], -1: none."""
 
 
 class StreamService(Service):
@@ -115,28 +103,28 @@ class StreamService(Service):
         commands: CommandService,
         telemetry: TelemetryEncoders,
         changes: ChangeDetector,
+        batches: BatchService,
         profile: Mapping[int, float] = ONBOARD,
     ) -> None:
         self._link = link
         self._telemetry = telemetry
         self._changes = changes
+        self._batches = batches
         self._profile = profile
         self._streams: dict[Hashable, dict[int, MessageStream]] = {}
-        self.elsewhere: dict[int, OtherSender] = {}
         self._calendar: dict[int, list[MessageStream]] = {}
         self._tick = -1
         bus.subscribe(ClientJoined, self._join)
         bus.subscribe(ClientRecognised, self._recognise)
         bus.subscribe(ClientLeft, self._leave)
-        commands.on(SET_INTERVAL, self._set)
-        commands.on(GET_INTERVAL, self._get)
+        commands.on(MavCmd.SET_MESSAGE_INTERVAL, self._set)
+        commands.on(MavCmd.GET_MESSAGE_INTERVAL, self._get)
 
     def handle(self, received: Received) -> bool:
         """Takes REQUEST_DATA_STREAM, which does nothing here as in PX4: its groups of messages are ArduPilot's."""
         return bool(received.message.get_type() == "REQUEST_DATA_STREAM")
 
     def after(self, step: ControlStep) -> None:
-        """Sends what is due."""
         tick = step.tick
         if tick <= self._tick:
             self.restart()
@@ -164,7 +152,6 @@ class StreamService(Service):
                 self._plan(stream, tick)
 
     def restart(self) -> None:
-        """Time begins anew at tick 0."""
         self._tick = -1
         self._telemetry.restart()
         for streams in self._streams.values():
@@ -172,10 +159,10 @@ class StreamService(Service):
                 stream.sent = -1
         self._plan_all(-1)
 
-    def set(self, peer: Hashable, message_id: int, interval: int | None) -> bool:
-        """Sets a client's interval [ns] of a message, None: the profile's. False if either is unknown."""
+    def _change(self, peer: Hashable, message_id: int, interval: int | None) -> bool:
+        """Sets a client's interval [ns] of a message, None: the profile's. False if the client is unknown."""
         streams = self._streams.get(peer)
-        if streams is None or message_id == HEARTBEAT or message_id not in self._telemetry.messages:
+        if streams is None:
             return False
         if interval is None:
             interval = self._default(message_id)
@@ -187,11 +174,6 @@ class StreamService(Service):
         stream.interval, stream.due = interval, -1
         self._plan(stream, self._tick)
         return True
-
-    def interval(self, peer: Hashable, message_id: int) -> int:
-        """A client's interval [ns] of a message, STOPPED if it does not get it."""
-        stream = self._streams.get(peer, {}).get(message_id)
-        return stream.interval if stream is not None else STOPPED
 
     def _default(self, message_id: int) -> int:
         rate = self._profile.get(message_id)
@@ -244,33 +226,31 @@ class StreamService(Service):
     def _set(self, command: ReceivedCommand) -> CommandResult:
         message_id, interval = whole(command.params[0], -1), command.params[1]
         if message_id == HEARTBEAT:
-            return CommandResult(FAILED, "HEARTBEAT comes once a second")
-        if message_id in self.elsewhere:
-            return self.elsewhere[message_id].subscribe(command)
+            return failed("HEARTBEAT comes once a second")
+        if message_id == BATCH:
+            return self._batches.subscribe(command)
         if message_id not in self._telemetry.messages:
-            return CommandResult(UNSUPPORTED)
+            return unsupported()
         if not isfinite(interval):
-            return CommandResult(DENIED, "an interval is a number of microseconds, 0 or -1")
+            return denied("an interval is a number of microseconds, 0 or -1")
         wanted = STOPPED if interval < 0.0 else round(min(interval, 2.0**31) * 1000.0) or None
-        return CommandResult(ACCEPTED if self.set(command.peer, message_id, wanted) else FAILED)
+        return DONE if self._change(command.peer, message_id, wanted) else failed()
 
     def _get(self, command: ReceivedCommand) -> CommandResult:
         message_id = whole(command.params[0], -1)
         if not 0 <= message_id <= 0xFFFF:
-            return CommandResult(DENIED)
-        self._link.send(
-            message("MESSAGE_INTERVAL", message_id=message_id, interval_us=self._told(command.peer, message_id)),
-            command.peer,
-        )
-        return CommandResult(ACCEPTED)
+            return denied()
+        interval_us = self._interval_us(command.peer, message_id)
+        self._link.send(message("MESSAGE_INTERVAL", message_id=message_id, interval_us=interval_us), command.peer)
+        return DONE
 
-    def _told(self, peer: Hashable, message_id: int) -> int:
+    def _interval_us(self, peer: Hashable, message_id: int) -> int:
         """MESSAGE_INTERVAL's number [us]: -1 for a message that is not sent at any interval, 0 for one there is not."""
         if message_id == HEARTBEAT:
             return 10**6
-        if message_id in self.elsewhere:
-            return self.elsewhere[message_id].interval(peer)
+        if message_id == BATCH:
+            return self._batches.interval(peer)
         if message_id not in self._telemetry.messages:
             return 0
-        interval = self.interval(peer, message_id)
-        return max(1, round(interval / 1000)) if interval > 0 else -1
+        stream = self._streams.get(peer, {}).get(message_id)
+        return max(1, round(stream.interval / 1000)) if stream is not None and stream.interval > 0 else -1
