@@ -260,7 +260,7 @@ def _onboard() -> Iterator[str]:
     yield "| topic | fields | is |"
     yield "|---|---|---|"
     for topic in PX4_TOPICS:
-        fields = ", ".join(f"`{field.strip()}`" for field in topic.description.split(";") if field)
+        fields = ", ".join(f"`{field}`" for field in topic.fields)
         yield f"| `{topic.name}` | {fields} | {topic.text} |"
 
 
