@@ -15,7 +15,7 @@ class VehicleParameter(Parameter):
     `group` is where a ground station shows it. `disarmed`: it is changed only while disarmed; `reboot`: a change acts
     after the next start. `acts` is False for one that clients of PX4 ask for and nothing on board reads. `of` names the
     parameter that this one is another name of. `user_path` is its place in a user's diagram, such as
-    `attitude_control.k_q`, with an index for an array's element. A parameter without bounds in the diagram is not `bounded`.
+    `attitude_control.k_q`, with an index for an array's element. One without bounds in the diagram is not `bounded`.
     """
 
     group: str = "Flight"
