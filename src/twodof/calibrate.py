@@ -181,17 +181,26 @@ def calibrate(
     loop = resimulation_loop()
     start = np.array([u.mean for u in UNKNOWNS])
     runs = 1 + (len(flights) if leave_one_out and len(flights) > 1 else 0)
-    work = _Work(progress, runs)
-    work.begin("all flights")
-    best = _solve(loop, logged, start, work)
+
+    def solve(run: int, what: str, on: Mapping[CalibrationFlight, LoggedFlight], start: Array) -> _Solution:
+        """The minimisation number `run`; it tells how far all have come by its own iterations."""
+
+        def tell(part: float) -> None:
+            if progress is not None:
+                progress(what, min(1.0, (run + part) / runs))
+
+        tell(0.0)
+        return _solve(loop, on, start, tell)
+
+    best = solve(0, "all flights", logged, start)
     rig = to_rig(_named(best.x))
     left_out: dict[str, Mapping[str, float]] = {}
-    for flight in flights if runs > 1 else ():
-        work.begin(f"without {flight.name}")
+    for run, flight in enumerate(flights[: runs - 1], 1):
         others = {f: data for f, data in logged.items() if f is not flight}
-        without = _solve(loop, others, best.x, work)
+        without = solve(run, f"without {flight.name}", others, best.x)
         left_out[flight.name] = logged[flight].compare(loop, _whole(to_rig(_named(without.x)))).fit
-    work.end()
+    if progress is not None:
+        progress("compare", 1.0)
     values = ParameterSet(rig | _untouched(), TABLE)
     return Calibration(
         rig=values,
@@ -219,29 +228,6 @@ def _whole(rig: Mapping[str, float]) -> dict[str, float]:
     return ParameterSet(dict(rig), TABLE).snapshot()
 
 
-class _Work:
-    """Progress over `runs` minimisations; each tells how far it has come by its iterations."""
-
-    def __init__(self, progress: CalibrationProgress | None, runs: int) -> None:
-        self._progress = progress
-        self._runs = runs
-        self._done = -1
-        self._what = ""
-
-    def begin(self, what: str) -> None:
-        self._done += 1
-        self._what = what
-        self.share(0.0)
-
-    def share(self, part: float) -> None:
-        if self._progress is not None:
-            self._progress(self._what, min(1.0, (self._done + part) / self._runs))
-
-    def end(self) -> None:
-        self._done = self._runs
-        self.share(0.0)
-
-
 @dataclass(frozen=True)
 class _Solution:
     x: Array
@@ -250,8 +236,13 @@ class _Solution:
     converged: bool
 
 
-def _solve(loop: ClosedLoop, logged: Mapping[CalibrationFlight, LoggedFlight], start: Array, work: _Work) -> _Solution:
-    """Least squares in units of the priors' standard deviations."""
+def _solve(
+    loop: ClosedLoop,
+    logged: Mapping[CalibrationFlight, LoggedFlight],
+    start: Array,
+    tell: Callable[[float], None],
+) -> _Solution:
+    """Least squares in units of the priors' standard deviations; `tell` is given the share that is done."""
     mean = np.array([u.mean for u in UNKNOWNS])
     unit = np.array([u.deviation for u in UNKNOWNS])
     spread = {
@@ -265,7 +256,7 @@ def _solve(loop: ClosedLoop, logged: Mapping[CalibrationFlight, LoggedFlight], s
     def residual(z: Array) -> Array:
         nonlocal calls
         calls += 1
-        work.share(calls / (calls + expected))
+        tell(calls / (calls + expected))
         rig = _whole(to_rig(_named(mean + unit * z)))
         parts = [PRIOR_WEIGHT * z]
         for flight, data in logged.items():

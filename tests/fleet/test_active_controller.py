@@ -8,7 +8,7 @@ import pytest
 
 from twodof.errors import DiagramError
 from twodof.fcu.control.controllers import Controllers
-from twodof.fleet.active_controller import controller_in_words
+from twodof.fleet.local_drone import controller_in_words
 from twodof.flight.controller_store import ControllerStore
 from twodof.flight.starters import starter
 from twodof.sim.virtual_drone import VirtualDrone

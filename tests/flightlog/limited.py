@@ -84,7 +84,6 @@ def _child(arguments: list[str], said: Path) -> int:
 def _serve(lines: Iterable[str]) -> None:
     import twodof.cli.logs.identify
     import twodof.cli.logs.log
-    import twodof.cli.logs.plot
     import twodof.cli.logs.replay
     import twodof.cli.simulate
     import twodof.report.plots.flight_plot  # noqa: F401

@@ -126,17 +126,8 @@ def run(arguments: Sequence[str]) -> int:
     except TwodofError as error:
         print_error(error)
         if "--json" in arguments:
-            kind = type(error).__name__
-            print_json(
-                {
-                    "error": {
-                        "kind": kind,
-                        "what": error.what,
-                        "where": error.where,
-                        "remedy": remedy_in_shell(error.remedy),
-                    }
-                }
-            )
+            said = {"what": error.what, "where": error.where, "remedy": remedy_in_shell(error.remedy)}
+            print_json({"error": {"kind": type(error).__name__, **said}})
         return status_of(error)
     except SystemExit as end:
         return end.code if isinstance(end.code, int) else FINE if end.code is None else WENT_WRONG

@@ -126,20 +126,14 @@ def _complete(machine: CharacterisedMachine) -> bool:
 
 
 def _parameters(machine: CharacterisedMachine) -> dict[str, dict[str, Any]]:
-    return {
-        row.key: {
-            "unit": row.unit,
-            "paper": row.paper,
-            "paper_greybox": row.paper_greybox,
-            "truth": row.truth,
-            "simple": None if row.simple is None else row.simple.value,
-            "simple_sigma": None if row.simple is None else row.simple.sigma,
-            "greybox": None if row.greybox is None else row.greybox.value,
-            "greybox_sigma": None if row.greybox is None else row.greybox.sigma,
-            "greybox_spread": row.greybox_spread,
-        }
-        for row in rows(machine)
-    }
+    found: dict[str, dict[str, Any]] = {}
+    for row in rows(machine):
+        found[row.key] = {name: getattr(row, name) for name in ("unit", "paper", "paper_greybox", "truth")}
+        for name, estimate in (("simple", row.simple), ("greybox", row.greybox)):
+            found[row.key][name] = None if estimate is None else estimate.value
+            found[row.key][f"{name}_sigma"] = None if estimate is None else estimate.sigma
+        found[row.key]["greybox_spread"] = row.greybox_spread
+    return found
 
 
 def _print(machines: list[CharacterisedMachine], logs: int, out: Path, seconds: float) -> None:

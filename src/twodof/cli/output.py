@@ -22,19 +22,13 @@ Force = Annotated[bool, typer.Option("--force", help="Replace a file that is the
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else on stdout.")]
 
 
-def print_json(document: Any) -> None:
-    """One JSON document on stdout; a number that JSON lacks (NaN, infinity) becomes null."""
-    try:
-        sys.stdout.write(json.dumps(_plain(document), indent=2, allow_nan=False) + "\n")
-        sys.stdout.flush()
-    except BrokenPipeError:
-        reader_has_left()
+def print_json(document: Any, indent: int | None = 2) -> None:
+    """One JSON document on stdout; a number that JSON lacks (NaN, infinity) becomes null.
 
-
-def print_json_line(document: Any) -> None:
-    """One JSON document as a line on stdout, for who reads it while the program goes on."""
+    `indent` None writes it as one line, for who reads it while the program goes on.
+    """
     try:
-        sys.stdout.write(json.dumps(_plain(document), allow_nan=False) + "\n")
+        sys.stdout.write(json.dumps(_plain(document), indent=indent, allow_nan=False) + "\n")
         sys.stdout.flush()
     except BrokenPipeError:
         reader_has_left()

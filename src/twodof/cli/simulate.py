@@ -10,8 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from twodof.blocks import Diagram
-from twodof.cli.diagrams.argument import DIAGRAM_HELP, read_diagram
-from twodof.cli.logs.plot import Plot, draw
+from twodof.cli.flown import DIAGRAM_HELP, Out, Plot, check_places, keep, print_checks
 from twodof.cli.output import Force, Json, print_json, say_line, table_console
 from twodof.errors import ParameterError
 from twodof.experiment.experiments import EXPERIMENTS
@@ -19,10 +18,10 @@ from twodof.experiment.experiments import experiment as named_experiment
 from twodof.experiment.flight import Laboratory
 from twodof.flight.controller_store import simulator_controllers
 from twodof.flight.gains import load_gains
-from twodof.flightlog.files import check_place, read_log, write_log
+from twodof.flight.starters import load_diagram
+from twodof.flightlog.files import read_log
 from twodof.flightlog.log import FlightLog
 from twodof.flightlog.public_data import PUBLIC_LOGS, PublicLog
-from twodof.report.plots.flight_view import check_place as check_plot
 from twodof.rig.parameters import load_rig
 from twodof.sim.resimulation import resimulate
 
@@ -60,7 +59,7 @@ def simulate(
     seed: Annotated[
         int, typer.Option(min=0, max=2**32 - 1, help="Seed of the noise; the same seed gives the same flight.")
     ] = 1,
-    out: Annotated[Path | None, typer.Option(help="Write the flight's log (.mat, .mcap, .parquet, .csv).")] = None,
+    out: Out = None,
     plot: Plot = None,
     force: Force = False,
     json: Json = False,
@@ -80,10 +79,7 @@ def simulate(
     elif window is not None:
         raise typer.BadParameter("--window goes with --like")
     elif experiment is not None:
-        if out is not None:
-            check_place(out, force)
-        if plot is not None:
-            check_plot(plot, force)
+        check_places(out, plot, force)
         diagrams = _controllers(controller or [])
         laboratory = Laboratory(
             rig, load_gains(gains or "default"), controllers=diagrams, tuning=_tuning(tune or []), precision=precision
@@ -126,7 +122,7 @@ def _controllers(named: list[str]) -> list[Diagram]:
     found: list[Diagram] = []
     for text in named:
         if text != "flashed":
-            found.append(read_diagram(text))
+            found.append(load_diagram(text))
             continue
         slot = simulator_controllers()
         flashed = slot.flashed()
@@ -166,36 +162,17 @@ def _fly(
     laboratory: Laboratory, experiment: str, seed: int, out: Path | None, plot: Path | None, force: bool, json: bool
 ) -> None:
     flight = laboratory.fly(named_experiment(experiment), seed)
-    if out is not None:
-        write_log(flight.log, out, overwrite=force)
-    if plot is not None:
-        draw(flight.log, plot, title=f"{experiment} on {laboratory.rig_name}", force=force)
     rig, controllers = laboratory.rig_name, laboratory.described_controllers()
+    document = keep(flight, rig, out, plot, force)
     if json:
-        print_json(
-            {
-                "experiment": experiment,
-                "rig": rig,
-                "seed": seed,
-                "x_start_m": flight.x_start,
-                "good": flight.good,
-                "checks": [{"name": c.name, "passed": c.passed, "seen": c.seen} for c in flight.checks],
-                "controllers": controllers,
-                "precision": laboratory.precision,
-                "file": None if out is None else str(out),
-                "plot": None if plot is None else str(plot),
-            }
-        )
+        print_json(document | {"controllers": controllers, "precision": laboratory.precision})
     else:
         console = table_console()
         console.print(f"{experiment} on the rig {rig}, seed {seed}, start x = {flight.x_start:+.3f} m")
         for kind, made in controllers.items():
             console.print(f"{kind}: {made['name']}, in place of the stock one; its parameters:")
             _print_parameters(console, laboratory, kind)
-        for check in flight.checks:
-            console.print(f"  {'ok    ' if check.passed else 'FAILED'} {check.name}: {check.seen}")
-        for path in filter(None, (out, plot)):
-            console.print(f"written: {path}")
+        print_checks(flight, out, plot)
     if not flight.good:
         raise typer.Exit(1)
 

@@ -30,16 +30,13 @@ from twodof.flightlog.provenance import versions
 from twodof.parameters import ParameterSet
 from twodof.rig.parameters import load_rig
 from twodof.sim.closed_loop import ClosedLoop
-from twodof.sim.initial_state import InitialState
+from twodof.sim.initial_state import SEEDS, InitialState
 
 MARGIN = 0.02
 """Rail kept free at each end [m]."""
 
 PITCH_MARGIN = np.radians(2.0)
 """Pitch kept free before each stop [rad]."""
-
-SEEDS = 2**32
-"""Seeds of the noise are integers from 0 up to this, it excluded."""
 
 _LONG_RAIL = 5.0
 

@@ -100,12 +100,11 @@ def flash(
     costs = controller_costs(diagram, precision)
     remarks = tuple(f"{r.where}: {r.what} ({r.remedy})" for r in check_diagram(diagram, PERIOD).remarks)
     warnings = () if px4 is None else _checked(diagram, px4)
-    with open_target(to, out, key) as there:
-        before, origin = there.before(kind)
-        place = there.name(kind)
+    with open_target(to, kind, out, key) as there:
         if not dry_run:
-            there.put(kind, diagram)
-    return FlashReport(diagram, kind, costs, origin, difference(before, diagram), remarks, warnings, place)
+            there.put(diagram)
+    changes = difference(there.before, diagram)
+    return FlashReport(diagram, kind, costs, there.origin, changes, remarks, warnings, there.place)
 
 
 def _checked(diagram: Diagram, px4: Path) -> tuple[str, ...]:

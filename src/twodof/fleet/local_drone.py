@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from twodof.errors import LinkError
-from twodof.fleet.active_controller import STOCK
+from twodof.errors import LinkError, printable
 from twodof.link.connection import Connection
 from twodof.link.mavlink.components import AUTOPILOT
 from twodof.link.mavlink.dialect import message_id
@@ -24,11 +23,29 @@ REQUEST_MESSAGE = 512
 _PROBE = 240  # system of who only listens whether a drone is there; none of those that clients use
 
 
+STOCK = "stock"
+FLIES = "flies "
+
+
 class ControllerReport(NamedTuple):
     """What a drone flies: its controller, and how many parameters differ from their defaults."""
 
     controller: str = STOCK
     changed: int = 0
+
+
+def controller_in_words(controller: str, changed: int) -> str:
+    """`flies my_attitude; 3 parameters differ from their defaults`; `controller` as TWODOF_RIG names it.
+
+    Somebody else may have left a controller on the drone, or other parameters.
+    """
+    what = "the stock controllers" if controller == STOCK else printable(controller)
+    if not changed:
+        return f"{FLIES}{what}; all parameters are at their defaults"
+    differ = (
+        "1 parameter differs from its default" if changed == 1 else f"{changed} parameters differ from their defaults"
+    )
+    return f"{FLIES}{what}; {differ}"
 
 
 @dataclass(frozen=True)

@@ -2,22 +2,99 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from types import TracebackType
-from typing import Self
+import asyncio
+import signal
+import sys
+from collections import deque
+from collections.abc import AsyncIterator, Callable, Coroutine, Sequence
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, field
+from typing import Any, Self
 
-from twodof.fleet.local_drone import ControllerReport, LocalDrone, wait_until_heard
-from twodof.fleet.supervisor import ChildProcess, ProcessSupervisor
+from twodof.errors import LinkError
+from twodof.fleet.child_output import child_error, indented_lines
+from twodof.fleet.local_drone import FLIES, ControllerReport, LocalDrone, wait_until_heard
 from twodof.link.signing.key import Key
+
+MOST_RESTARTS = 3
+"""A program that ends more often than this within `WITHIN_S` is not restarted again: all end."""
+
+WITHIN_S = 60.0
+AGAIN_S = 0.5
+"""Before a program is started again [s]."""
 
 ANSWER_S = 60.0
 """How long a program may take until it is heard [s]: the first one compiles the flight code and the rig."""
+
+END_S = 10.0
+"""What programs have to end when they are asked to [s], with logs to write; then they are killed."""
+
+_LAST_LINES = 8
+
+
+@dataclass
+class ChildProcess:
+    """One of a drone's programs, reached at `url`: its command line is `twodof ...` by this very Python.
+
+    `listening` is set once it has said that it does, and `said` is what it last said since.
+    """
+
+    name: str
+    arguments: Sequence[str]
+    url: str
+    drone: LocalDrone
+    process: asyncio.subprocess.Process | None = None
+    ended: deque[float] = field(default_factory=lambda: deque(maxlen=MOST_RESTARTS + 1))
+    said: deque[str] = field(default_factory=lambda: deque(maxlen=_LAST_LINES))
+    listening: asyncio.Event = field(default_factory=asyncio.Event)
+
+    async def start(self) -> None:
+        """Starts it. Its standard input is a pipe from here, what it says is kept in `said`."""
+        self.said.clear()
+        self.listening.clear()
+        self.process = await asyncio.create_subprocess_exec(
+            sys.executable,
+            "-m",
+            "twodof.fleet.child",
+            *self.arguments,
+            stdin=asyncio.subprocess.PIPE,
+            stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.STDOUT,
+            limit=1 << 20,
+            start_new_session=True,  # Ctrl-C in the terminal is for us, who end them in order
+        )
+
+    async def wait(self) -> int:
+        """Its exit status, once it has ended. Until then it takes in what the process says."""
+        if self.process is None or self.process.stdout is None:
+            return 0
+        while line := await self.process.stdout.readline():
+            text = line.decode(errors="replace").rstrip()[:500]
+            if text.startswith("listening on"):
+                self.listening.set()
+                self.said.clear()
+            elif not text.startswith(FLIES):  # what it says at its start is no reason for its end
+                self.said.append(text)
+        return await self.process.wait()
+
+    async def end(self) -> None:
+        """Asks it to end, and kills it if it still runs after `END_S`."""
+        process = self.process
+        if process is None or process.returncode is not None:
+            return
+        process.terminate()
+        try:
+            await asyncio.wait_for(process.wait(), END_S)
+        except TimeoutError:
+            process.kill()
+            await process.wait()
 
 
 class LocalFleet:
     """`drones`, whose flight controllers are started with the options `given` of `twodof fcu`; for `async with`.
 
-    `reports` say what each drone, by index, flies. `tell` is called with a line for people where a program ends.
+    A program that ends is started again after `AGAIN_S`, `MOST_RESTARTS` times within `WITHIN_S`; after that all are to
+    end. `tell` is called with a line for people at each such event. `reports` say what each drone, by index, flies.
     """
 
     def __init__(
@@ -25,38 +102,82 @@ class LocalFleet:
     ) -> None:
         self.reports: dict[int, ControllerReport] = {}
         self._key = key
-        self._of: dict[str, tuple[str, LocalDrone]] = {}
-        programs = []
+        self._tell = tell
+        self._children: list[ChildProcess] = []
         for drone in drones:
-            for name, url, arguments in (
-                (f"flight controller {drone.system}", drone.fcu, ["fcu", *drone.options, *drone.own, *given]),
-                (f"companion {drone.system}", drone.companion, ["companion", *drone.options]),
-            ):
-                self._of[name] = (url, drone)
-                programs.append(ChildProcess(name, arguments))
-        self._supervisor = ProcessSupervisor(programs, tell, self._answers)
+            fcu, companion = ["fcu", *drone.options, *drone.own, *given], ["companion", *drone.options]
+            self._children += [
+                ChildProcess(f"flight controller {drone.system}", fcu, drone.fcu, drone),
+                ChildProcess(f"companion {drone.system}", companion, drone.companion, drone),
+            ]
 
     async def __aenter__(self) -> Self:
         return self
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        await self._supervisor.end()
+    async def __aexit__(self, *_: object) -> None:
+        await asyncio.gather(*(child.end() for child in reversed(self._children)))
 
     async def start(self) -> None:
         """Starts all, and waits until all answer. Raises LinkError for the first that does not."""
-        await self._supervisor.start()
+        async with _tasks(*map(self._begin, self._children)) as starting:
+            await asyncio.gather(*starting)
 
     async def run(self) -> None:
         """Keeps all running; returns once one cannot be kept."""
-        await self._supervisor.run()
+        async with _tasks(*map(self._keep, self._children)) as keeping:
+            await _first(keeping)
+
+    async def _begin(self, child: ChildProcess) -> None:
+        await child.start()
+        async with _tasks(self._answers(child), child.wait()) as (answering, ending):
+            if await _first([answering, ending]) is ending:
+                raise child_error(list(child.said), child.name, ending.result())
 
     async def _answers(self, child: ChildProcess) -> None:
         await child.listening.wait()  # else it might be another one at the same port that is heard
-        url, drone = self._of[child.name]
-        found = await wait_until_heard(url, drone.system, ANSWER_S, self._key)
-        if url == drone.fcu:
-            self.reports[drone.index] = found
+        found = await wait_until_heard(child.url, child.drone.system, ANSWER_S, self._key)
+        if child.url == child.drone.fcu:
+            self.reports[child.drone.index] = found
             # Fresh once: one that is started again flies what was sent to it meanwhile.
             child.arguments = [one for one in child.arguments if one != "--fresh"]
+
+    async def _keep(self, child: ChildProcess) -> None:
+        clock = asyncio.get_running_loop()
+        while True:
+            status = await child.wait()
+            child.ended.append(clock.time())
+            # Who was killed from outside said nothing of it.
+            last = f"; it last said:{indented_lines(child.said)}" if child.said and status != -signal.SIGKILL else ""
+            often = len(child.ended) > MOST_RESTARTS and child.ended[-1] - child.ended[0] < WITHIN_S
+            if often:
+                self._tell(f"{child.name} ended with status {status}; too often, all end{last}")
+                return
+            self._tell(f"{child.name} ended with status {status}; it is started again{last}")
+            await asyncio.sleep(AGAIN_S)
+            try:
+                await self._begin(child)
+            except LinkError as error:
+                self._tell(str(error))
+                await child.end()
+            else:
+                self._tell(f"{child.name} answers again")
+
+
+@asynccontextmanager
+async def _tasks(*work: Coroutine[Any, Any, Any]) -> AsyncIterator[list[asyncio.Task[Any]]]:
+    """The work as tasks, which have ended when the block has."""
+    tasks = [asyncio.create_task(one) for one in work]
+    try:
+        yield tasks
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+
+async def _first(tasks: Sequence[asyncio.Task[Any]]) -> asyncio.Task[Any]:
+    """The first of `tasks` that ended, in their order. Raises its error."""
+    await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+    first = next(task for task in tasks if task.done())
+    first.result()
+    return first

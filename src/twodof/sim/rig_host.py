@@ -16,13 +16,10 @@ from twodof.fcu.control.hardware import SensorSample
 from twodof.parameters import ParameterSet
 from twodof.rig.parameters import lab
 from twodof.rig.rig import BASE_DT, MEASUREMENTS, SAMPLE, TRUTH, rig
-from twodof.sim.initial_state import SETTLE_STEPS, InitialState, covariances
+from twodof.sim.initial_state import SEEDS, SETTLE_STEPS, InitialState, covariances
 
 TICKS = SAMPLE[0]
 """Base ticks in a control period."""
-
-SEEDS = 2**32
-"""Seeds of the noise are integers from 0 up to this, it excluded."""
 
 MOST_SETTLED = 16
 """Rigs and estimators whose covariances are kept."""

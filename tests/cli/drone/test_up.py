@@ -24,7 +24,7 @@ from twodof.cli.app import run
 from twodof.cli.drone.up import LocalDrone, say
 from twodof.errors import Rejected
 from twodof.fleet.child_output import child_error
-from twodof.fleet.supervisor import MOST_RESTARTS
+from twodof.fleet.local_fleet import MOST_RESTARTS
 from twodof.gcs.drone import Drone
 from twodof.link.signing.key import Key, write_key
 

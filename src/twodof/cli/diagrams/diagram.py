@@ -13,7 +13,7 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from twodof.cli.diagrams.argument import DIAGRAM_HELP, read_diagram
+from twodof.cli.flown import DIAGRAM_HELP
 from twodof.cli.output import Force, Json, print_json, table_console
 from twodof.compile.builder import emit_program
 from twodof.compile.c.source_map import SourceLine, SourceMap, source_map
@@ -22,7 +22,7 @@ from twodof.compile.linear.linearize import linearize as linearize_diagram
 from twodof.compile.program.check import Findings
 from twodof.compile.program.check import check as check_diagram
 from twodof.errors import DiagramError, LogError
-from twodof.flight.starters import new_diagram
+from twodof.flight.starters import load_diagram, new_diagram
 from twodof.flightlog.atomic import atomic_write
 from twodof.flightlog.files import check_folder
 from twodof.report.drawing.diagram_svg import find, to_svg
@@ -70,7 +70,7 @@ def new(
 @app.command()
 def check(diagram: Which, dt: Tick = 0.004, json: Json = False) -> None:
     """Name all problems of a diagram, or its sizes and what is odd about it; exit status 1 if it does not compile."""
-    found = check_diagram(read_diagram(diagram), dt)
+    found = check_diagram(load_diagram(diagram), dt)
     if json:
         print_json(
             {
@@ -136,7 +136,7 @@ def code(
     """Show the generated C beside the paths of the blocks that it came from."""
     for path in filter(None, (out, html)):
         check_folder(path, force)
-    shown = read_diagram(diagram)
+    shown = load_diagram(diagram)
     emitted = emit_program(shown, dt, precision.value)
     found = source_map(emitted.flat, emitted.source, emitted.layout)
     if block is not None and block not in found.blocks:
@@ -198,7 +198,7 @@ def render(
         if out.suffix.lower() != ".svg":
             raise LogError(f"the drawing is an SVG; {out.name} does not say so", "--out", f"name it {out.stem}.svg")
         check_folder(out, force)
-    picture = to_svg(find(read_diagram(diagram), path), depth)
+    picture = to_svg(find(load_diagram(diagram), path), depth)
     if out is None:
         typer.echo(picture, nl=False)
         return
@@ -230,7 +230,7 @@ def linearize(
 ) -> None:
     """Give the exact A, B, C, D of a diagram at a point."""
     found = linearize_diagram(
-        read_diagram(diagram), dt, _at(at), inputs or None, outputs or None, trim, free or (), time.value, keep_all
+        load_diagram(diagram), dt, _at(at), inputs or None, outputs or None, trim, free or (), time.value, keep_all
     )
     if json:
         print_json(found.to_json())

@@ -10,14 +10,14 @@ from rich.console import Console
 
 from twodof.blocks.difference import Difference
 from twodof.blocks.schema.json_form import to_json
-from twodof.cli.diagrams.argument import DIAGRAM_HELP, read_diagram
 from twodof.cli.drone.connect import lease_refusals
+from twodof.cli.flown import DIAGRAM_HELP
 from twodof.cli.output import Json, print_json, table_console
 from twodof.fleet.flash import ControllerCosts
 from twodof.fleet.flash import flash as flash_controller
 from twodof.fleet.flash_target import FCU, PX4, SIM
 from twodof.flight.controller_store import STOCK
-from twodof.flight.starters import starter
+from twodof.flight.starters import load_diagram, starter
 from twodof.gcs.async_drone import DEFAULT_URL
 from twodof.signals import PERIOD
 
@@ -63,7 +63,7 @@ def flash(
         raise typer.BadParameter("--px4 goes with --to px4-dir")
     if key is not None and to in (SIM, PX4):
         raise typer.BadParameter("--key goes with a drone")
-    new = read_diagram(diagram)
+    new = load_diagram(diagram)
     url = DEFAULT_URL if to == FCU else to
     with lease_refusals(url):
         found = flash_controller(new, to, out, px4, precision, key, dry_run)

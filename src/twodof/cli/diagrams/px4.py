@@ -8,11 +8,12 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from twodof.cli.diagrams.argument import DIAGRAM_HELP, read_diagram
+from twodof.cli.flown import DIAGRAM_HELP
 from twodof.cli.output import Json, print_json, table_console
 from twodof.compile.px4 import export as export_module
 from twodof.compile.px4.airframe import airframe_id
 from twodof.compile.px4.checkout.check import check as check_module
+from twodof.flight.starters import load_diagram
 
 app = typer.Typer(
     help="Make a module for PX4 of a diagram, and see whether a PX4 fits it.",
@@ -42,7 +43,7 @@ def export(
 
     The same diagram gives the same bytes. README.md in the folder says how it is built and started.
     """
-    module = export_module(read_diagram(diagram), out_dir, log or (), prefix, force)
+    module = export_module(load_diagram(diagram), out_dir, log or (), prefix, force)
     if json:
         print_json(
             {

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-import signal
 import sys
-from collections.abc import AsyncIterator, Awaitable
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,7 +13,8 @@ from typing import Annotated
 import typer
 
 from twodof.cli.drone.options import Index
-from twodof.cli.output import Json, print_json_line, say_line
+from twodof.cli.drone.until_told import until_told
+from twodof.cli.output import Json, print_json, say_line
 from twodof.errors import LinkError
 from twodof.fcc.app_supervisor import MISTAKE, AppLimits, AppSupervisor, RestartPolicy
 from twodof.fcc.client_link import Serve, px4_links
@@ -51,7 +51,7 @@ class _Asked:
         signing = None
         if self.key is not None:
             signing = Signing(read_key(self.key), Stamps(f"{self.key}.{self.system}.companion.stamps"), LINK_ID)
-        return Companion(self.vehicle, self.serve, self.system, signing, self.line_rate, _log)
+        return Companion(self.vehicle, self.serve, self.system, signing, self.line_rate, say_line)
 
 
 @app.callback(invoke_without_command=True)
@@ -101,7 +101,7 @@ def companion(
     asked = _Asked(fcu or f"tcp://127.0.0.1:{FLIGHT_CONTROLLER + index}", serve, index + 1, key, line_rate, json)
     context.obj = asked
     if context.invoked_subcommand is None:
-        raise typer.Exit(asyncio.run(_until_told(_route(asked))))
+        raise typer.Exit(asyncio.run(until_told(_route(asked))) or 0)
 
 
 @app.command()
@@ -118,22 +118,7 @@ def run(
     Exit status: 0 it ended by itself, 1 it crashed too often, 2 it is not an app.
     """
     supervised = (program, RestartPolicy(most=restarts), AppLimits(memory=memory * MIB))
-    raise typer.Exit(asyncio.run(_until_told(_fly(context.obj, *supervised))))
-
-
-async def _until_told(work: Awaitable[int]) -> int:
-    """What `work` returns; 0 if SIGINT or SIGTERM ends it."""
-    loop, ended = asyncio.get_running_loop(), asyncio.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, ended.set)
-    working, waiting = asyncio.ensure_future(work), asyncio.ensure_future(ended.wait())
-    await asyncio.wait({working, waiting}, return_when=asyncio.FIRST_COMPLETED)
-    waiting.cancel()
-    if working.done():
-        return working.result()
-    working.cancel()
-    await asyncio.wait({working})
-    return 0
+    raise typer.Exit(asyncio.run(until_told(_fly(context.obj, *supervised))) or 0)
 
 
 @asynccontextmanager
@@ -165,7 +150,7 @@ async def _fly(asked: _Asked, program: Path, restarts: RestartPolicy, limits: Ap
         command = [sys.executable, "-u", "-m", "twodof.gcs.app", str(program), "--url", url]
         command += ["--key", str(asked.key)] if asked.key is not None else []
         supervised = asyncio.ensure_future(
-            AppSupervisor(command, _log, limits, restarts, killed=lambda: made.killed).run()
+            AppSupervisor(command, say_line, limits, restarts, killed=lambda: made.killed).run()
         )
         routing = asyncio.ensure_future(made.run())
         try:
@@ -184,12 +169,8 @@ def _tell(asked: _Asked, made: Companion) -> None:
     """Say where it may be reached, now that it may be."""
     if asked.json:
         rows = [{"url": url, "rates": rates} for url, rates in made.urls]
-        print_json_line({"fcu": asked.vehicle, "system": asked.system, "serve": rows})
+        print_json({"fcu": asked.vehicle, "system": asked.system, "serve": rows}, indent=None)
     else:
         sys.stdout.write(f"flight controller {asked.vehicle}, system {asked.system}\n")
         sys.stdout.writelines(f"listening on {url} ({rates} rates)\n" for url, rates in made.urls)
     sys.stdout.flush()
-
-
-def _log(line: str) -> None:
-    say_line(line)

@@ -10,7 +10,7 @@ import typer
 from rich.table import Table
 
 from twodof.cli.output import Json, print_json, table_console
-from twodof.fleet.active_controller import controller_in_words
+from twodof.fleet.local_drone import controller_in_words
 from twodof.gcs.discovery import LOOPBACK, discover
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)

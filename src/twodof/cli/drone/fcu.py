@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import asyncio
-import signal
 import sys
-from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from twodof.cli.diagrams.argument import DIAGRAM_HELP
 from twodof.cli.drone import options
-from twodof.cli.output import Json, print_json_line
+from twodof.cli.drone.until_told import until_told
+from twodof.cli.flown import DIAGRAM_HELP
+from twodof.cli.output import Json, print_json
 from twodof.errors import LinkError
-from twodof.fleet.active_controller import controller_in_words
+from twodof.fleet.local_drone import controller_in_words
 from twodof.fleet.port_owner import with_port_owner
 from twodof.flight.controller_store import data_folder
 from twodof.link.signing.frame_signing import Signing
@@ -91,14 +90,12 @@ def fcu(
         rate=rate,
         fresh=fresh,
     )
-    asyncio.run(serve(drone, listen or [f"tcpin://127.0.0.1:{FLIGHT_CONTROLLER + index}"], json))
+    urls = listen or [f"tcpin://127.0.0.1:{FLIGHT_CONTROLLER + index}"]
+    asyncio.run(until_told(serve(drone, urls, json)))
 
 
 async def serve(drone: VirtualDrone, urls: list[str], json: bool) -> None:
-    """Runs the drone, reached at `urls`, until SIGINT or SIGTERM; says where it listens."""
-    loop, end = asyncio.get_running_loop(), asyncio.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, end.set)
+    """Runs the drone, reached at `urls`, until it is cancelled; says where it listens."""
     async with drone:
         try:
             opened = [await drone.listen(url) for url in urls]
@@ -108,16 +105,10 @@ async def serve(drone: VirtualDrone, urls: list[str], json: bool) -> None:
         if json:
             lockstep = drone.controller.lockstep
             flies = {"controller": what.controller, "changed": what.changed}
-            print_json_line({"system": drone.server.system, "lockstep": lockstep, "listening": opened} | flies)
+            said = {"system": drone.server.system, "lockstep": lockstep, "listening": opened} | flies
+            print_json(said, indent=None)
         else:
             sys.stdout.writelines(f"listening on {url}\n" for url in opened)
             sys.stdout.write(f"{controller_in_words(what.controller, what.changed)}\n")
             sys.stdout.flush()
-        running, ended = asyncio.ensure_future(drone.wait()), asyncio.ensure_future(end.wait())
-        await asyncio.wait((running, ended), return_when=asyncio.FIRST_COMPLETED)
-        ended.cancel()
-        if running.done():
-            running.result()
-        running.cancel()
-        with suppress(asyncio.CancelledError):
-            await running
+        await drone.wait()

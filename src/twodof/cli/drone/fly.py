@@ -11,19 +11,18 @@ from typing import Annotated
 import typer
 
 from twodof.cli.drone.connect import connect
-from twodof.cli.logs.plot import Plot, draw
+from twodof.cli.flown import Out, Plot, check_places, keep, print_checks
 from twodof.cli.output import Force, Json, print_json, progress, say_line, table_console
 from twodof.errors import LinkLost
 from twodof.experiment.experiments import EXPERIMENTS
 from twodof.experiment.experiments import experiment as named_experiment
 from twodof.experiment.flight import Flight, Laboratory
 from twodof.experiment.fly import fly as fly_experiment
-from twodof.fleet.active_controller import controller_in_words
+from twodof.fleet.local_drone import controller_in_words
 from twodof.fleet.virtual_drone import virtual_drone
-from twodof.flightlog.files import check_place, write_log
+from twodof.flightlog.files import write_log
 from twodof.gcs.async_drone import DEFAULT_URL
 from twodof.gcs.drone import Drone
-from twodof.report.plots.flight_view import check_place as check_plot
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
@@ -48,7 +47,7 @@ def fly(
     withhold_tuning: Annotated[
         bool, typer.Option("--withhold-tuning", help="Let no other program change parameters meanwhile.")
     ] = False,
-    out: Annotated[Path | None, typer.Option(help="Write the flight's log (.mat, .mcap, .parquet, .csv).")] = None,
+    out: Out = None,
     plot: Plot = None,
     force: Force = False,
     json: Json = False,
@@ -64,16 +63,13 @@ def fly(
         raise typer.BadParameter("--url and --rig name two drones: give one of them")
     if controller and rig is None:
         raise typer.BadParameter("--controller goes with --rig: another drone flies what it was given")
-    if out is not None:
-        check_place(out, force)  # before anything moves: a flight is not flown for nothing
-    if plot is not None:
-        check_plot(plot, force)
+    check_places(out, plot, force)
     with ExitStack() as stack:
-        where = (
+        at = (
             url or DEFAULT_URL if rig is None else stack.enter_context(virtual_drone(rig, controllers=controller or ()))
         )
         report = stack.enter_context(progress())
-        there = stack.enter_context(connected(where, key, drone))
+        there = stack.enter_context(connected(at, key, drone))
         if withhold_tuning:
             there.withhold_tuning()
         stands = there.state.rig
@@ -98,29 +94,14 @@ def fly(
             interrupted=interrupted,
         )
         machine = there.state.rig
-        if out is not None:
-            write_log(flight.log, out, overwrite=force)
-        if plot is not None:
-            draw(flight.log, plot, title=f"{experiment} on {machine.name}", force=force)
+        document = keep(flight, machine.name, out, plot, force)
     if json:
-        print_json(
-            {
-                "experiment": experiment,
-                "rig": machine.name,
-                "virtual": machine.virtual,
-                "controller": stands.controller,
-                "changed": stands.changed,
-                "seed": flight.seed,
-                "x_start_m": flight.x_start,
-                "good": flight.good,
-                "reason": flight.reason or None,
-                "checks": [{"name": c.name, "passed": c.passed, "seen": c.seen} for c in flight.checks],
-                "file": None if out is None else str(out),
-                "plot": None if plot is None else str(plot),
-            }
-        )
+        flown = {"controller": stands.controller, "changed": stands.changed}
+        print_json(document | flown | {"virtual": machine.virtual, "reason": flight.reason or None})
     else:
-        _print(flight, machine.name, out, plot)
+        where = f"seed {flight.seed}, start x = {flight.x_start:+.3f} m"
+        table_console().print(f"{experiment} flown on {machine.name}, {where}")
+        print_checks(flight, out, plot)
     if not flight.good:
         raise typer.Exit(1)
 
@@ -134,12 +115,3 @@ def connected(url: str, key: Path | None, system: int | None) -> Iterator[Drone]
     finally:
         with suppress(LinkLost):
             drone.close()
-
-
-def _print(flight: Flight, rig: str, *written: Path | None) -> None:
-    console = table_console()
-    console.print(f"{flight.experiment.name} flown on {rig}, seed {flight.seed}, start x = {flight.x_start:+.3f} m")
-    for check in flight.checks:
-        console.print(f"  {'ok    ' if check.passed else 'FAILED'} {check.name}: {check.seen}")
-    for path in filter(None, written):
-        console.print(f"written: {path}")

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from twodof.sim.rig_host import SEEDS
+from twodof.sim.initial_state import SEEDS
 
 _SYSTEMS = 199
 """A client may be system 200 and above."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import signal
 import sys
 from collections.abc import Mapping
 from datetime import datetime
@@ -14,16 +13,15 @@ from typing import Annotated
 import typer
 
 from twodof.cli.drone import options
+from twodof.cli.drone.until_told import until_told
 from twodof.cli.interrupts import INTERRUPTED
-from twodof.cli.output import Json, print_json_line, say_line
-from twodof.fleet.active_controller import controller_in_words
+from twodof.cli.output import Json, print_json, say_line
 from twodof.fleet.free_ports import MOST_DRONES, check_ports_free
-from twodof.fleet.local_drone import ControllerReport, LocalDrone
-from twodof.fleet.local_fleet import LocalFleet
-from twodof.fleet.supervisor import MOST_RESTARTS, WITHIN_S
+from twodof.fleet.local_drone import ControllerReport, LocalDrone, controller_in_words
+from twodof.fleet.local_fleet import MOST_RESTARTS, WITHIN_S, LocalFleet
 from twodof.flight.controller_store import data_folder
 from twodof.link.signing.key import read_key
-from twodof.sim.rig_host import SEEDS
+from twodof.sim.initial_state import SEEDS
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
@@ -89,33 +87,28 @@ def up(
 
 async def _run(fleet: LocalFleet, places: list[LocalDrone], lockstep: bool, json: bool) -> int:
     """The exit status, once all have ended."""
-    stopped, all_up = asyncio.Event(), asyncio.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        asyncio.get_running_loop().add_signal_handler(number, stopped.set)
+    all_up = False
 
-    async def keep() -> None:
-        await fleet.start()
-        all_up.set()
-        say(places, lockstep, json, fleet.reports)
-        await fleet.run()
+    async def keep() -> int:
+        nonlocal all_up
+        async with fleet:
+            try:
+                await fleet.start()
+                all_up = True
+                say(places, lockstep, json, fleet.reports)
+                await fleet.run()
+            except asyncio.CancelledError:
+                if not json:
+                    sys.stdout.write("ending all\n")
+                    sys.stdout.flush()
+                raise
+        return 1
 
-    async with fleet:
-        ending, running = asyncio.ensure_future(stopped.wait()), asyncio.ensure_future(keep())
-        try:
-            await asyncio.wait((ending, running), return_when=asyncio.FIRST_COMPLETED)
-            if running.done():
-                running.result()
-                return 1
-            if not json:
-                sys.stdout.write("ending all\n")
-                sys.stdout.flush()
-        finally:
-            for task in (ending, running):
-                task.cancel()
-            await asyncio.gather(ending, running, return_exceptions=True)
+    if status := await until_told(keep()):
+        return status
     if not json:
         sys.stdout.write("all have ended\n")
-    return 0 if all_up.is_set() else INTERRUPTED
+    return 0 if all_up else INTERRUPTED
 
 
 def _tell(line: str) -> None:
@@ -128,7 +121,7 @@ def say(
     """Say where the drones are: to people, or as one line of JSON."""
     rows = [place.described(lockstep) | flown.get(place.index, ControllerReport())._asdict() for place in places]
     if json:
-        print_json_line({"drones": rows, "lockstep": lockstep})
+        print_json({"drones": rows, "lockstep": lockstep}, indent=None)
         return
     for row in rows:
         key = f', key="{row["key"]}"' if row["key"] else ""

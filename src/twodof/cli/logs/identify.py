@@ -275,16 +275,17 @@ def _check_request(
 
 
 def _structure(experiment: ExperimentChoice, model: Model) -> Structure:
-    made = {
-        Model.pitch_rate: pitch_rate,
-        Model.pitch_rate_lag: lambda: pitch_rate(lag=True),
-        Model.free_response: free_response,
-        Model.velocity: velocity,
-        Model.rail: rail,
-    }
-    if model is Model.auto:
-        return rail(thrust=True) if experiment is ExperimentChoice.velocity else pitch_rate()
-    return made[model]()
+    match model:
+        case Model.auto:
+            return rail(thrust=True) if experiment is ExperimentChoice.velocity else pitch_rate()
+        case Model.pitch_rate | Model.pitch_rate_lag:
+            return pitch_rate(lag=model is Model.pitch_rate_lag)
+        case Model.free_response:
+            return free_response()
+        case Model.velocity:
+            return velocity()
+        case Model.rail:
+            return rail()
 
 
 def _numbers(pairs: Sequence[str]) -> dict[str, float]:

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from twodof.cli.logs.plot import draw
+from twodof.cli.flown import draw
 from twodof.cli.output import Force, Json, one_line, print_json, table_console
 from twodof.errors import LogError
 from twodof.flightlog.atomic import check_free

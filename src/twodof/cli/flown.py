@@ -1,0 +1,79 @@
+"""What commands do with a flight: write its log, draw it, say how good its data are; and the options for that."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from twodof.cli.output import table_console
+from twodof.experiment.flight import Flight
+from twodof.flight.starters import STARTERS
+from twodof.flightlog.files import check_place, write_log
+from twodof.flightlog.log import FlightLog
+from twodof.report.plots.flight_view import SUFFIXES, flight_view
+from twodof.report.plots.flight_view import check_place as check_plot
+
+DIAGRAM_HELP = f"A diagram's JSON file, or a starter diagram: {', '.join(STARTERS)}."
+
+Out = Annotated[Path | None, typer.Option(help="Write the flight's log (.mat, .mcap, .parquet, .csv).")]
+Plot = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help=f"Draw the flight into a picture or a page ({', '.join(SUFFIXES)})."),
+]
+
+
+def check_places(out: Path | None, plot: Path | None, force: bool) -> None:
+    """Before anything moves: a flight is not flown for nothing. Raises LogError for a place that cannot be written."""
+    if out is not None:
+        check_place(out, force)
+    if plot is not None:
+        check_plot(plot, force)
+
+
+def keep(flight: Flight, rig: str, out: Path | None, plot: Path | None, force: bool) -> dict[str, Any]:
+    """Writes and draws what is asked for; returns what --json says of any flight."""
+    name = flight.experiment.name
+    if out is not None:
+        write_log(flight.log, out, overwrite=force)
+    if plot is not None:
+        draw(flight.log, plot, title=f"{name} on {rig}", force=force)
+    return {
+        "experiment": name,
+        "rig": rig,
+        "seed": flight.seed,
+        "x_start_m": flight.x_start,
+        "good": flight.good,
+        "checks": [{"name": c.name, "passed": c.passed, "seen": c.seen} for c in flight.checks],
+        "file": None if out is None else str(out),
+        "plot": None if plot is None else str(plot),
+    }
+
+
+def print_checks(flight: Flight, *written: Path | None) -> None:
+    """How good its data are, and which files were written."""
+    console = table_console()
+    for check in flight.checks:
+        console.print(f"  {'ok    ' if check.passed else 'FAILED'} {check.name}: {check.seen}")
+    for path in filter(None, written):
+        console.print(f"written: {path}")
+
+
+def draw(
+    log: FlightLog,
+    path: Path,
+    topics: Iterable[str] = (),
+    window: tuple[float, float] | None = None,
+    title: str = "",
+    force: bool = False,
+) -> tuple[str, ...]:
+    """Draws a log, and returns what the picture leaves out. What draws is loaded here and not before.
+
+    Raises LogError, as `flight_view` and `write_plot`.
+    """
+    view = flight_view(log, topics, window, title)
+    importlib.import_module("twodof.report.plots.flight_plot").write_plot(view, path, force)
+    return view.notes
