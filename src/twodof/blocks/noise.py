@@ -14,6 +14,9 @@ from typing import Any
 from twodof.blocks.elementary.functions import cos_octant, log, sin_octant
 from twodof.blocks.expressions.expr import multiply_high, sqrt, to_int32, to_real, uint32
 
+SEEDS = 2**32
+"""Seeds of the noise are integers from 0 up to this, it excluded."""
+
 ROUNDS = 10
 MULTIPLIERS = (0xD2511F53, 0xCD9E8D57)
 KEY_STEPS = (0x9E3779B9, 0xBB67AE85)  # golden ratio and sqrt(3) - 1, as fractions of 2^32

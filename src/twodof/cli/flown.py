@@ -1,4 +1,4 @@
-"""What commands do with a flight: write its log, draw it, say how good its data are; and the options for that."""
+"""What commands do with a flight: write its log, draw it, say how good its data are."""
 
 from __future__ import annotations
 
@@ -11,13 +11,10 @@ import typer
 
 from twodof.cli.output import table_console
 from twodof.experiment.flight import Flight
-from twodof.flight.starters import STARTERS
 from twodof.flightlog.files import check_place, write_log
 from twodof.flightlog.log import FlightLog
 from twodof.report.plots.flight_view import SUFFIXES, flight_view
 from twodof.report.plots.flight_view import check_place as check_plot
-
-DIAGRAM_HELP = f"A diagram's JSON file, or a starter diagram: {', '.join(STARTERS)}."
 
 Out = Annotated[Path | None, typer.Option(help="Write the flight's log (.mat, .mcap, .parquet, .csv).")]
 Plot = Annotated[

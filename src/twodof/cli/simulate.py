@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from twodof.blocks import Diagram
-from twodof.cli.flown import DIAGRAM_HELP, Out, Plot, check_places, keep, print_checks
+from twodof.cli.flown import Out, Plot, check_places, keep, print_checks
 from twodof.cli.output import Force, Json, print_json, say_line, table_console
 from twodof.errors import ParameterError
 from twodof.experiment.experiments import EXPERIMENTS
@@ -18,7 +18,7 @@ from twodof.experiment.experiments import experiment as named_experiment
 from twodof.experiment.flight import Laboratory
 from twodof.flight.controller_store import simulator_controllers
 from twodof.flight.gains import load_gains
-from twodof.flight.starters import load_diagram
+from twodof.flight.starters import DIAGRAM_HELP, load_diagram
 from twodof.flightlog.files import read_log
 from twodof.flightlog.log import FlightLog
 from twodof.flightlog.public_data import PUBLIC_LOGS, PublicLog

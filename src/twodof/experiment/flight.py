@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twodof.blocks import Diagram
+from twodof.blocks.noise import SEEDS
 from twodof.blocks.schema.json_form import to_json
 from twodof.errors import ExperimentError, ParameterError
 from twodof.experiment.checks import FlightCheck, commanded, data_checks
@@ -30,7 +31,7 @@ from twodof.flightlog.provenance import versions
 from twodof.parameters import ParameterSet
 from twodof.rig.parameters import load_rig
 from twodof.sim.closed_loop import ClosedLoop
-from twodof.sim.initial_state import SEEDS, InitialState
+from twodof.sim.initial_state import InitialState
 
 MARGIN = 0.02
 """Rail kept free at each end [m]."""

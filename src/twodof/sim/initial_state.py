@@ -16,9 +16,6 @@ from twodof.rig.rig import BASE_DT, SAMPLE
 from twodof.rig.rotors import RING
 from twodof.signals import HOVER
 
-SEEDS = 2**32
-"""Seeds of the noise are integers from 0 up to this, it excluded."""
-
 SETTLE_STEPS = 25_000
 """Steps at rest after which the estimator's covariances stand: the gyro's bias settles within some tens of seconds."""
 

@@ -7,6 +7,7 @@ import operator
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from twodof.blocks.noise import SEEDS
 from twodof.compile import CompiledProgram, build
 from twodof.compile.stepper import Stepper
 from twodof.errors import CompileError, ExperimentError, ParameterError
@@ -16,7 +17,7 @@ from twodof.fcu.control.hardware import SensorSample
 from twodof.parameters import ParameterSet
 from twodof.rig.parameters import lab
 from twodof.rig.rig import BASE_DT, MEASUREMENTS, SAMPLE, TRUTH, rig
-from twodof.sim.initial_state import SEEDS, SETTLE_STEPS, InitialState, covariances
+from twodof.sim.initial_state import SETTLE_STEPS, InitialState, covariances
 
 TICKS = SAMPLE[0]
 """Base ticks in a control period."""
@@ -82,8 +83,8 @@ class VirtualRig:
     def settle(self, code: FlightCode) -> None:
         """Finds the covariances to which the estimator of `code` settles on this rig at rest; then both begin at rest.
 
-        It runs 100 s of the rig with the motors off, in some tenths of a second, the first time in a process for this
-        rig and estimator; `reset` then starts from there.
+        It runs 100 s of the rig with the motors off the first time in a process for this rig and estimator; `reset`
+        then starts from there.
         """
         states = code.machine.program.states
         self._position_filter, self._flight_states = code.position_filter, frozenset(states)
@@ -109,13 +110,13 @@ class VirtualRig:
         code.reset(self._begin(InitialState()))
 
     def _at_rest(self, code: FlightCode, paths: list[str]) -> Mapping[str, Any]:
+        """The rig first, whose sensors tell nothing of the flight code while the motors are off; then that code."""
         self.machine.reset()
-        self._look()
         code.reset()
-        asked = ControlInput()
-        for tick in range(SETTLE_STEPS):
-            code.step(tick, self.read(), asked)
-            self.drive(0.0, 0.0)
+        seen = self.machine.run(SETTLE_STEPS * TICKS, {"fore": 0.0, "aft": 0.0})
+        given: dict[str, Any] = {name: seen[name][::TICKS] for name in (*MEASUREMENTS, "voltage")}
+        given |= {"imu_new": True, "rings": False, "step_late": False, "own_late": False}
+        code.machine.run(SETTLE_STEPS, given | ControlInput()._asdict())
         return {path: code.machine.state(path) for path in paths}
 
     def reset(

@@ -13,7 +13,6 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from twodof.cli.flown import DIAGRAM_HELP
 from twodof.cli.output import Force, Json, print_json, table_console
 from twodof.compile.builder import emit_program
 from twodof.compile.c.source_map import SourceLine, SourceMap, source_map
@@ -22,7 +21,7 @@ from twodof.compile.linear.linearize import linearize as linearize_diagram
 from twodof.compile.program.check import Findings
 from twodof.compile.program.check import check as check_diagram
 from twodof.errors import DiagramError, LogError
-from twodof.flight.starters import load_diagram, new_diagram
+from twodof.flight.starters import DIAGRAM_HELP, load_diagram, new_diagram
 from twodof.flightlog.atomic import atomic_write
 from twodof.flightlog.files import check_folder
 from twodof.report.drawing.diagram_svg import find, to_svg

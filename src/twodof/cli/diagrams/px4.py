@@ -8,12 +8,11 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from twodof.cli.flown import DIAGRAM_HELP
 from twodof.cli.output import Json, print_json, table_console
 from twodof.compile.px4 import export as export_module
 from twodof.compile.px4.airframe import airframe_id
 from twodof.compile.px4.checkout.check import check as check_module
-from twodof.flight.starters import load_diagram
+from twodof.flight.starters import DIAGRAM_HELP, load_diagram
 
 app = typer.Typer(
     help="Make a module for PX4 of a diagram, and see whether a PX4 fits it.",

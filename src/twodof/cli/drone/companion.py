@@ -12,8 +12,8 @@ from typing import Annotated
 
 import typer
 
-from twodof.cli.drone.options import Index
 from twodof.cli.drone.until_told import until_told
+from twodof.cli.options import Index
 from twodof.cli.output import Json, print_json, say_line
 from twodof.errors import LinkError
 from twodof.fcc.app_supervisor import MISTAKE, AppLimits, AppSupervisor, RestartPolicy

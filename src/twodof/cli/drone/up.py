@@ -12,7 +12,8 @@ from typing import Annotated
 
 import typer
 
-from twodof.cli.drone import options
+from twodof.blocks.noise import SEEDS
+from twodof.cli import options
 from twodof.cli.drone.until_told import until_told
 from twodof.cli.interrupts import INTERRUPTED
 from twodof.cli.output import Json, print_json, say_line
@@ -21,7 +22,6 @@ from twodof.fleet.local_drone import ControllerReport, LocalDrone, controller_in
 from twodof.fleet.local_fleet import MOST_RESTARTS, WITHIN_S, LocalFleet
 from twodof.flight.controller_store import data_folder
 from twodof.link.signing.key import read_key
-from twodof.sim.initial_state import SEEDS
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
 

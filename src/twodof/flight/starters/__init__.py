@@ -27,6 +27,9 @@ STARTERS: Mapping[str, Callable[[], Diagram]] = MappingProxyType(
 )
 """What makes each starter diagram."""
 
+DIAGRAM_HELP = f"A diagram's JSON file, or a starter diagram: {', '.join(STARTERS)}."
+"""What `load_diagram` takes, in words."""
+
 
 def starter(name: str) -> Diagram:
     """The starter diagram called `name`, a fresh one at each call. Raises DiagramError for another name."""

@@ -1,4 +1,4 @@
-"""Options that several commands share who run a virtual drone: one name, one meaning, one help line."""
+"""Options that several commands share: one name, one meaning, one help line."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from twodof.sim.initial_state import SEEDS
+from twodof.blocks.noise import SEEDS
 
 _SYSTEMS = 199
 """A client may be system 200 and above."""
