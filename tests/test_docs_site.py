@@ -13,6 +13,7 @@ from tools import cli_docs, site
 PAGE = '<a href="https://a.b/">a</a><script src="https://c.d/e.js"></script><img src="pictures/f.png">'
 
 
+@pytest.mark.soak
 def test_the_site_is_built_with_all_pages_and_stands_alone(tmp_path: Path) -> None:
     if importlib.util.find_spec("zensical") is None:
         lacking("zensical is missing: `make docs` installs it")

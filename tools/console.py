@@ -5,6 +5,8 @@ not necessarily all. A block ```python title="FILE" is a file that the reader sa
 `$LOGS` is the folder of the real drone's logs; where there is none, the commands that need it are passed over.
 """
 
+import contextlib
+import io
 import os
 import re
 import shlex
@@ -14,6 +16,8 @@ import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+
+from twodof.cli import app
 
 PROJECT = Path(__file__).resolve().parents[1]
 PAGES = [page for page in sorted((PROJECT / "docs").rglob("*.md")) if "```console" in page.read_text(encoding="utf-8")]
@@ -63,6 +67,8 @@ def run(command: Command, folder: Path) -> tuple[int, str] | None:
     if "$LOGS" in command.line and not logs.is_dir():
         return None
     program, *arguments = shlex.split(command.line.replace("$LOGS", str(logs)))
+    if program == "twodof":
+        return _in_this_process(arguments, folder)
     done = subprocess.run(
         [str(Path(sys.executable).with_name(program)), *arguments],
         cwd=folder,
@@ -73,6 +79,14 @@ def run(command: Command, folder: Path) -> tuple[int, str] | None:
         check=False,
     )
     return done.returncode, done.stdout + done.stderr
+
+
+def _in_this_process(arguments: list[str], folder: Path) -> tuple[int, str]:
+    """A command of ours without the second that a process takes to begin."""
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.chdir(folder), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        status = app.run(arguments)
+    return status, out.getvalue() + err.getvalue()
 
 
 def paired(shown: list[str], output: str) -> Iterator[tuple[str, str | None]]:

@@ -96,6 +96,13 @@ def test_the_large_diagram_has_as_many_blocks_as_asked_for() -> None:
     assert len(start_up.large_diagram(900).parts) == 900
 
 
+def test_a_benchmark_runs_and_writes_its_results(tmp_path: Path) -> None:
+    assert main(["greybox", "--quick", "--out", str(tmp_path)]) == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["greybox.json"]
+    assert json.loads((tmp_path / "greybox.json").read_text())["figures"]
+
+
+@pytest.mark.soak
 def test_all_benchmarks_run_and_write_their_results(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--quick", "--out", str(tmp_path)]) == 0
     printed = capsys.readouterr().out

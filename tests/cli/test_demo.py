@@ -1,22 +1,39 @@
-"""The demo, once, as a user runs it: the table, the report, and that the methods find what is true."""
+"""The demo: the table, the report, and that the methods find what is true.
+
+Its flights are simulated here, which gives the samples of those over MAVLink (tests/experiment/test_fly.py). In the
+soak it flies as a user's does.
+"""
 
 import json
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from twodof.cli.app import run
+from twodof.experiment.flight import Laboratory
+from twodof.experiment.flight_series import SeriesFlight
 
 KEYS = ["w_n", "xi", "mu", "tau", "k_v", "p_v"]
 
 
-@pytest.fixture(scope="module")
-def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], str]:
+def simulated(rigs: Iterable[str], names: list[str], seeds: Iterable[int]) -> Iterator[SeriesFlight]:
+    """What `fly_series` gives, from the simulator."""
+    for rig in rigs:
+        laboratory = Laboratory(rig)
+        for seed in seeds:
+            yield from ((rig, name, seed, laboratory.fly(name, seed)) for name in names)
+
+
+@pytest.fixture(scope="module", params=["simulated", pytest.param("flown", marks=pytest.mark.soak)])
+def demo(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], str]:
     """The JSON document and the report's text; the real logs are left out, other tests are about them."""
     folder = tmp_path_factory.mktemp("demo")
     report = folder / "report.html"
     with pytest.MonkeyPatch.context() as patch:
+        if request.param == "simulated":
+            patch.setattr("twodof.cli.demo.fly_series", simulated)
         patch.setenv("TWODOF_FLIGHT_DATA", str(folder))
         patch.setenv("XDG_CACHE_HOME", str(folder))
         written: list[str] = []

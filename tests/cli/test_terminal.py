@@ -1,7 +1,10 @@
 """What files and the wire say reaches a terminal as text: no escape sequence, no markup, no turned line."""
 
 import io
+import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -10,6 +13,7 @@ import pytest
 from rich.table import Table
 
 from tests.flightlog.synthetic import attitude_steps
+from tests.patience import PATIENCE_S
 from twodof.cli.app import run, show_warning
 from twodof.cli.output import print_error, progress, say_line, table_console
 from twodof.errors import LinkError, LogError, TwodofError
@@ -100,6 +104,19 @@ def test_colour_is_still_ours(monkeypatch: pytest.MonkeyPatch) -> None:
     said = file.getvalue()
     assert "\x1b[1;31m" in said
     clean(said.replace("\x1b[1;31m", "").replace("\x1b[0m", ""))
+
+
+@pytest.mark.parametrize("more", [[], ["--json"]], ids=["people", "json"])
+def test_a_reader_that_leaves_does_not_make_a_failure_of_it(more: list[str], tmp_path: Path) -> None:
+    """As `twodof ... | head` does: nobody reads the pipe from the start."""
+    ours, theirs = os.pipe()
+    os.close(ours)
+    command = [sys.executable, "-m", "twodof.cli", "key", str(tmp_path / "key"), *more]
+    try:
+        done = subprocess.run(command, stdout=theirs, stderr=subprocess.PIPE, timeout=PATIENCE_S, check=False)
+    finally:
+        os.close(theirs)
+    assert (done.returncode, done.stderr) == (0, b"")
 
 
 def test_an_error_of_ours_as_text() -> None:

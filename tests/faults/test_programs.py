@@ -165,6 +165,7 @@ def test_a_companion_that_is_killed_in_flight(stack: Stack) -> None:
         assert again.state.armed
 
 
+@pytest.mark.soak
 def test_a_users_program_that_is_killed_in_mid_experiment(stack: Stack) -> None:
     """What plays on board plays on, but is not a link: 3 s after the last word it descends. Both logs are whole."""
     recorded = stack.folder / "killed.mcap"

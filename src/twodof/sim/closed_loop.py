@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterable, Iterator, Mapping
 from types import MappingProxyType
 from typing import Any
@@ -96,6 +97,16 @@ def closed_loop(
     return d
 
 
+def _built(
+    position_filter: str, controllers: tuple[Diagram, ...], failsafe: bool, precision: str, log: tuple[str, ...]
+) -> tuple[Diagram, CompiledProgram | Reference]:
+    diagram = closed_loop(position_filter=position_filter, controllers=controllers, failsafe=failsafe)
+    return diagram, build(diagram, BASE_DT, precision, log=log)
+
+
+_stock = functools.cache(_built)  # the user's diagrams may be changed between two loops
+
+
 class ClosedLoop:
     """A compiled closed loop with one rig and one set of gains, to be flown again and again.
 
@@ -123,8 +134,9 @@ class ClosedLoop:
         failsafe: bool = False,
     ) -> None:
         # Gains are parameters: one program, compiled once, flies them all.
-        diagram = closed_loop(position_filter=position_filter, controllers=controllers, failsafe=failsafe)
-        self.program: CompiledProgram | Reference = build(diagram, BASE_DT, precision, log=log)
+        flown = tuple(controllers)
+        make = _built if flown else _stock
+        diagram, self.program = make(position_filter, flown, failsafe, precision, log)
         self.machine = self.program.machine()
         self.controllers = {
             name.removeprefix(CASCADE).removeprefix(FLIGHT): name

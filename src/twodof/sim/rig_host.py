@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import operator
 from collections.abc import Callable, Mapping
 from typing import Any
 
 from twodof.blocks.noise import SEEDS
+from twodof.blocks.reference.interpreter import Reference
 from twodof.compile import CompiledProgram, build
 from twodof.compile.stepper import Stepper
 from twodof.errors import CompileError, ExperimentError, ParameterError
@@ -30,6 +32,11 @@ _settled: dict[str, Mapping[str, Any]] = {}  # what was run once need not be run
 _OUTPUTS = (*MEASUREMENTS, "voltage", "charge", *TRUTH)
 
 
+@functools.cache
+def _program(precision: str) -> CompiledProgram | Reference:
+    return build(rig(), BASE_DT, precision)
+
+
 class VirtualRig:
     """A rig from `twodof.rig.parameters` (None: `lab`) as a `VirtualHardware`, with the bits of `ClosedLoop`.
 
@@ -48,7 +55,7 @@ class VirtualRig:
         name: str = "lab",
         safety_off: bool = True,
     ) -> None:
-        program = build(rig(), BASE_DT, precision)
+        program = _program(precision)
         if not isinstance(program, CompiledProgram):
             raise CompileError("there is no C compiler", "rig", "install gcc, or the wheel ziglang")
         self.name = name

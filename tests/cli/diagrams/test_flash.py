@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from tests.experiment.drones import drone_thread
 from tests.fcu.program import twodof_fcu
-from tests.patience import PATIENCE_S
 from tests.toolchains import need
 from twodof.blocks.schema.json_form import to_json
 from twodof.cli.app import run
@@ -181,9 +178,9 @@ def test_a_drone_flies_what_is_flashed_and_keeps_it_over_a_restart(
 
 
 def test_a_drone_that_is_flown_refuses_in_words_for_the_shell(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    capfd: pytest.CaptureFixture[str],
 ) -> None:
-    with twodof_fcu("--rings", "--state", str(tmp_path)) as url, Drone.connect(url):
+    with drone_thread() as url, Drone.connect(url):
         assert run(["flash", "pid-attitude", "--to", url]) == 2
     said = capfd.readouterr().err
     assert "holds the lease" in said
@@ -206,19 +203,6 @@ def test_what_is_wrong_changes_nothing(folder: Path, capfd: pytest.CaptureFixtur
     for arguments in (["--to", "px4-dir"], ["--to", "sim", "--out", "x"], ["--to", "sim", "--px4", "x"], ["--to", "x"]):
         assert run(["flash", "pid-attitude", *arguments]) == 2
     assert (folder / "data/flashed/sim/attitude_control.json").read_bytes() == before
-
-
-@pytest.mark.parametrize("more", [[], ["--json"]], ids=["people", "json"])
-def test_a_reader_that_leaves_does_not_make_a_failure_of_it(more: list[str], folder: Path) -> None:
-    """As `twodof flash ... | head` does: nobody reads the pipe from the start."""
-    ours, theirs = os.pipe()
-    os.close(ours)
-    command = [sys.executable, "-m", "twodof.cli", "flash", "stock-attitude", "--to", "sim", *more]
-    try:
-        done = subprocess.run(command, stdout=theirs, stderr=subprocess.PIPE, timeout=PATIENCE_S, check=False)
-    finally:
-        os.close(theirs)
-    assert (done.returncode, done.stderr) == (0, b"")
 
 
 @pytest.mark.parametrize("name", ["empty-attitude", "stock-attitude"])

@@ -60,10 +60,9 @@ def test_it_routes_where_it_says_and_ends_when_it_is_told() -> None:
 @pytest.mark.parametrize(
     ("text", "status", "words"),
     [
-        ("print('I fly')", 0, "I fly"),
-        ("import os; os._exit(9)", 1, "crashed 1 times"),
+        pytest.param("print('I fly')", 0, "I fly", id="ends", marks=pytest.mark.soak),
+        pytest.param("import os; print('I fly', flush=True); os._exit(9)", 1, "crashed 1 times", id="crashes"),
     ],
-    ids=["ends", "crashes"],
 )
 def test_an_app_runs_with_a_drone_and_its_status_is_told(tmp_path: Path, text: str, status: int, words: str) -> None:
     file = tmp_path / "app.py"
@@ -78,6 +77,7 @@ def test_an_app_runs_with_a_drone_and_its_status_is_told(tmp_path: Path, text: s
             _, said = await asyncio.wait_for(process.communicate(), PATIENCE_S)
             assert process.returncode == status, said.decode()
             assert words in said.decode()
+            assert "I fly" in said.decode()
         finally:
             await _gone(process)
             await vehicle.close()

@@ -31,10 +31,6 @@ def test_what_cannot_be_flown_is_said(capfd: pytest.CaptureFixture[str]) -> None
     assert "no experiment called 'doublt'" in capfd.readouterr().err
     assert run(["fly", "doublet", "--rig", "paper", "--url", "tcp://127.0.0.1:5790"]) == 2
     assert "two drones" in capfd.readouterr().err
-    assert run(["fly", "velocity-doublet", "--rig", "paper", "--start", "5"]) == 2
-    said = capfd.readouterr().err
-    assert "x = 5 m is not a place to start at" in said
-    assert "of the rail's middle" in said
     assert run(["fly", "doublet", "--rig", "no-such-rig.json"]) == 2
     assert "no-such-rig.json" in capfd.readouterr().err
 
