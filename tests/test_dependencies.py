@@ -7,18 +7,27 @@ import re
 import subprocess
 import sys
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from importlib.metadata import packages_distributions
 from pathlib import Path
 
 PROJECT = Path(__file__).resolve().parents[1]
 
 
+def statements(body: Iterable[ast.AST]) -> Iterator[ast.AST]:
+    """Those of a module, at any depth; what stands within an expression is no import."""
+    for node in body:
+        yield node
+        for part in ("body", "orelse", "handlers", "finalbody"):
+            inside = getattr(node, part, None)
+            yield from statements(inside if isinstance(inside, list) else ())
+
+
 def imported(files: Iterable[Path]) -> dict[str, Path]:
     """Top-level modules of others that `files` import, each with a file that does."""
     found = {}
     for path in files:
-        for node in ast.walk(ast.parse(path.read_text())):
+        for node in statements(ast.parse(path.read_text()).body):
             names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             if isinstance(node, ast.ImportFrom) and not node.level and node.module:
                 names = [node.module]

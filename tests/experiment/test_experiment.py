@@ -10,11 +10,11 @@ from twodof.errors import ExperimentError, ParameterError
 from twodof.excitation import Doublet
 from twodof.experiment.experiments import EXPERIMENTS, IDENTIFICATION, Experiment, experiment
 from twodof.experiment.flight import Laboratory
-from twodof.experiment.record import BOOT
 from twodof.experiment.script import script
 from twodof.flight.gains import DEFAULT, STUDENT
 from twodof.flightlog.contents import describe
 from twodof.flightlog.files import read_log, write_log
+from twodof.flightlog.steps import BOOT
 from twodof.signals import PERIOD
 from twodof.sim.replay import replay
 

@@ -21,13 +21,13 @@ from twodof.errors import ExperimentError, ParameterError
 from twodof.experiment.checks import FlightCheck, commanded, data_checks
 from twodof.experiment.experiments import EXPERIMENTS, Experiment
 from twodof.experiment.experiments import experiment as named_experiment
-from twodof.experiment.record import flight_log
 from twodof.experiment.script import Script, script
 from twodof.flight.gains import DEFAULT, Gains, load_gains
 from twodof.flight.starters import load_diagram
 from twodof.flight.templates import by_kind
 from twodof.flightlog.log import FlightLog
 from twodof.flightlog.provenance import versions
+from twodof.flightlog.steps import step_channels
 from twodof.parameters import ParameterSet
 from twodof.rig.parameters import load_rig
 from twodof.sim.closed_loop import ClosedLoop
@@ -218,6 +218,14 @@ class Laboratory:
         loop.configure(machine | {"rings": experiment.rings, "ring_place": x_start} | conditions)
         loop.start(InitialState(x=x_start))
         return loop.fly(plan.steps, {**plan.setpoints, **({"arm": plan.arm} if loop.failsafe else {})})
+
+
+def flight_log(out: Mapping[str, NDArray[Any]], mode: NDArray[np.int32], provenance: dict[str, Any]) -> FlightLog:
+    """The drone's log of a flight whose signals at the control steps are `out`, as `ClosedLoop.fly` gives them.
+
+    Samples that are not finite, which a user's controller may give, are left out: the channel has a gap there.
+    """
+    return FlightLog(step_channels(np.arange(len(mode), dtype=np.int64), out, mode), provenance)
 
 
 def _checked_seed(seed: int) -> int:

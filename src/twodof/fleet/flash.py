@@ -3,22 +3,36 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from twodof.blocks import Diagram
 from twodof.blocks.difference import Difference, difference
+from twodof.blocks.schema.json_form import from_json, to_json
 from twodof.compile import CompiledProgram, build
 from twodof.compile.cortex_m7.report import measure
 from twodof.compile.program.check import check as check_diagram
 from twodof.compile.px4 import export
 from twodof.compile.px4.checkout.check import ERROR
 from twodof.compile.px4.checkout.check import check as check_module
-from twodof.errors import CompileError
-from twodof.fleet.flash_target import check_target, open_target
+from twodof.errors import CompileError, DiagramError, LinkError, Rejected, shown
+from twodof.flight.controller_store import STOCK, simulator_controllers
+from twodof.flight.starters import load_diagram, starter
 from twodof.flight.templates import check_template
+from twodof.gcs.async_drone import DEFAULT_URL
+from twodof.gcs.drone import Drone
 from twodof.signals import PERIOD
+
+SYSTEM = 252
+"""What we call ourselves to a drone: another one than a script's `Drone`, so that its lease keeps us out."""
+
+FLYING = "/etc/extras"
+"""Where a drone shows the diagrams that fly, by template."""
+
+SIM, FCU, PX4 = "sim", "fcu", "px4-dir"
 
 _STEPS = 250  # run on the emulated processor to count instructions: a second of flight
 
@@ -117,3 +131,68 @@ def _checked(diagram: Diagram, px4: Path) -> tuple[str, ...]:
         errors = "; ".join(f"{row.where}: {row.what} ({row.remedy})" for row in found.rows if row.level == ERROR)
         raise CompileError(f"{found.module} does not fit it: {errors}", str(px4), "nothing was written")
     return tuple(f"{row.where}: {row.what} ({row.remedy})" for row in found.rows)
+
+
+class FlashTarget(NamedTuple):
+    """Somewhere that one controller of a template can be put.
+
+    `before` is what is there now, or else the stock controller, and `origin` says which. `place` is for people. `put`
+    puts a diagram there; where that fails, what was there stays.
+    """
+
+    before: Diagram
+    origin: str
+    place: str
+    put: Callable[[Diagram], object]
+
+
+def check_target(to: str) -> None:
+    """That `to` names a place or looks like a URL, asked before a controller is compiled. Raises LinkError."""
+    if to not in (SIM, FCU, PX4) and "/" not in to and ":" not in to:
+        raise LinkError(
+            f"{shown(to)} is not {SIM}, {PX4}, {FCU} or a URL", "--to", f"a drone's URL is such as {DEFAULT_URL}"
+        )
+
+
+@contextmanager
+def open_target(to: str, kind: str, out: Path | None, key: Path | None) -> Iterator[FlashTarget]:
+    """The place that `to` names for a controller of the template `kind`.
+
+    `to` is `SIM`, `PX4` with the folder `out`, `FCU` or a drone's URL, reached with `key`. Raises LinkError for what is
+    not a URL, LinkLost where no drone answers, Rejected where somebody else has its lease. `put` raises DiagramError,
+    CompileError, LogError, and Rejected with the drone's reason.
+    """
+    if to == SIM:
+        slot = simulator_controllers()
+        yield FlashTarget(*slot.flies(kind), str(slot.file(kind)), slot.flash)
+    elif out is not None:
+        yield FlashTarget(*_exported(out / "diagram.json", kind), str(out), lambda diagram: export(diagram, out))
+    else:
+        with Drone.connect(DEFAULT_URL if to == FCU else to, system=SYSTEM, key=key) as drone:
+            place = f"drone {drone.there.session.system} at {drone.url}, /controllers/{kind}.json"
+            yield FlashTarget(
+                *_flying(drone, kind), place, lambda diagram: drone.fly_controller(kind, to_json(diagram))
+            )
+
+
+def _exported(file: Path, kind: str) -> tuple[Diagram, str]:
+    if not file.exists():
+        return _stock(kind)
+    try:
+        return load_diagram(file), str(file)
+    except DiagramError as damage:
+        return _stock(kind, f", as what is there is damaged: {damage}")
+
+
+def _flying(drone: Drone, kind: str) -> tuple[Diagram, str]:
+    try:
+        diagram = from_json(drone.files.read(f"{FLYING}/{kind}.json"))
+    except Rejected:  # it has no such file: no controller of a user's flies there
+        return _stock(kind)
+    except DiagramError as damage:
+        return _stock(kind, f", as what flies cannot be read: {damage}")
+    return diagram, f"{diagram.name}, which flies on drone {drone.there.session.system}"
+
+
+def _stock(kind: str, why: str = "") -> tuple[Diagram, str]:
+    return starter(STOCK[kind]), f"the stock controller ({STOCK[kind]}){why}"

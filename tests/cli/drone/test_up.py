@@ -104,7 +104,9 @@ def gone(processes: dict[int, str]) -> bool:
     return not any(map(alive, processes))
 
 
-def test_two_drones_answer_where_it_says_and_all_ends_at_ctrl_c(first: int, tmp_path: Path) -> None:
+def test_two_drones_answer_where_it_says_and_all_ends_at_ctrl_c(
+    first: int, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     write_key(tmp_path / "key", Key.fresh())
     options = ("--rings", "--rig", "paper", "--seed", "41", "--key", "key", "--state", "kept", "--no-safety-switch")
     with up(first, tmp_path, "--drones", "2", *options) as program:
@@ -120,12 +122,11 @@ def test_two_drones_answer_where_it_says_and_all_ends_at_ctrl_c(first: int, tmp_
             assert (row["controller"], row["changed"]) == ("stock", 0)
             assert Path(row["state"]) == tmp_path / "kept" / f"drone-{row['index']}"
             assert (Path(row["state"]) / "stamps.json").is_file()  # it signs
-        with up(first, tmp_path, "--rig", "paper") as second:
-            assert second.ended() == 2
-            said = "".join(second.said)
-            taken = f"TCP port {5790 + first}, where the flight controller of drone {first + 1} listens, is in use"
-            assert f"{taken}; process {program.process.pid} (" in said  # who started it, not its child
-            assert re.search(r"--first [0-9]\b", said)
+        assert run(["up", "--first", str(first), "--rig", "paper"]) == 2
+        said = capfd.readouterr().err
+        taken = f"TCP port {5790 + first}, where the flight controller of drone {first + 1} listens, is in use"
+        assert f"{taken}; process {program.process.pid} (" in said  # who started it, not its child
+        assert re.search(r"--first [0-9]\b", said)
         children = program.children()
         assert len(children) == 4
         program.process.send_signal(signal.SIGINT)
@@ -189,14 +190,17 @@ def test_a_program_that_dies_again_and_again_ends_all(first: int, tmp_path: Path
         assert gone(children)
 
 
-def test_a_program_that_cannot_start_is_named_with_what_it_says(first: int, tmp_path: Path) -> None:
-    with up(first, tmp_path, "--rig", "no-such-rig.json") as program:
-        assert program.ended() == 2
-        error = json.loads("".join(program.out))["error"]
-        assert error["what"] == "cannot be read: No such file or directory"
-        assert error["where"] == f"flight controller {first + 1}, no-such-rig.json"
-        assert error["remedy"].startswith("name a JSON file")
-        assert "".join(program.said).count("remedy:") == 1
+def test_a_program_that_cannot_start_is_named_with_what_it_says(
+    first: int, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    asked = ["up", "--json", "--first", str(first), "--state", str(tmp_path), "--rig", "no-such-rig.json"]
+    assert run(asked) == 2
+    said = capfd.readouterr()
+    error = json.loads(said.out)["error"]
+    assert error["what"] == "cannot be read: No such file or directory"
+    assert error["where"] == f"flight controller {first + 1}, no-such-rig.json"
+    assert error["remedy"].startswith("name a JSON file")
+    assert said.err.count("remedy:") == 1
 
 
 def test_interrupted_before_all_are_up_it_says_so_by_its_status(first: int, tmp_path: Path) -> None:

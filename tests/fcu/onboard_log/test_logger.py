@@ -18,7 +18,7 @@ from tests.fcu.onboard_log.logging_child import FLUSHED_EACH
 from tests.fcu.steps import any_step, numbers_of, plain_step
 from tests.patience import PATIENCE_S
 from twodof.errors import LogError
-from twodof.experiment.record import flight_log
+from twodof.experiment.flight import flight_log
 from twodof.fcu.control.flight_code import ControlStep, FlightCode
 from twodof.fcu.onboard_log import logger
 from twodof.fcu.onboard_log.log_writer import MARGIN, LogWriter

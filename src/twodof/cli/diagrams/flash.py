@@ -12,9 +12,8 @@ from twodof.blocks.difference import Difference
 from twodof.blocks.schema.json_form import to_json
 from twodof.cli.drone.connect import lease_refusals
 from twodof.cli.output import Json, print_json, table_console
-from twodof.fleet.flash import ControllerCosts
+from twodof.fleet.flash import FCU, PX4, SIM, ControllerCosts
 from twodof.fleet.flash import flash as flash_controller
-from twodof.fleet.flash_target import FCU, PX4, SIM
 from twodof.flight.controller_store import STOCK
 from twodof.flight.starters import DIAGRAM_HELP, load_diagram, starter
 from twodof.gcs.async_drone import DEFAULT_URL

@@ -19,8 +19,7 @@ from twodof.errors import LinkError
 from twodof.fcc.app_supervisor import MISTAKE, AppLimits, AppSupervisor, RestartPolicy
 from twodof.fcc.client_link import Serve, px4_links
 from twodof.fcc.companion import Companion
-from twodof.fleet.free_ports import MOST_DRONES
-from twodof.fleet.port_owner import with_port_owner
+from twodof.fleet.local_ports import MOST_DRONES, with_port_owner
 from twodof.link.mavlink.components import COMPANION
 from twodof.link.signing.frame_signing import Signing
 from twodof.link.signing.key import read_key

@@ -14,7 +14,7 @@ from twodof.cli.drone.until_told import until_told
 from twodof.cli.output import Json, print_json
 from twodof.errors import LinkError
 from twodof.fleet.local_drone import controller_in_words
-from twodof.fleet.port_owner import with_port_owner
+from twodof.fleet.local_ports import with_port_owner
 from twodof.flight.controller_store import data_folder
 from twodof.flight.starters import DIAGRAM_HELP
 from twodof.link.signing.frame_signing import Signing

@@ -17,9 +17,9 @@ from twodof.cli import options
 from twodof.cli.drone.until_told import until_told
 from twodof.cli.interrupts import INTERRUPTED
 from twodof.cli.output import Json, print_json, say_line
-from twodof.fleet.free_ports import MOST_DRONES, check_ports_free
 from twodof.fleet.local_drone import ControllerReport, LocalDrone, controller_in_words
 from twodof.fleet.local_fleet import MOST_RESTARTS, WITHIN_S, LocalFleet
+from twodof.fleet.local_ports import MOST_DRONES, check_ports_free
 from twodof.flight.controller_store import data_folder
 from twodof.link.signing.key import read_key
 

@@ -1,22 +1,74 @@
-"""Who has a port of this machine: the process to end, or whose owner to ask. Only Linux tells (/proc)."""
+"""Whether the ports of a virtual drone are free on this machine, and who has one that is not.
+
+That is the process to end, or whose owner to ask. Only Linux tells (/proc).
+"""
 
 from __future__ import annotations
 
+import errno
 import pwd
+import socket
 from collections.abc import Iterator
-from contextlib import suppress
+from contextlib import closing, suppress
 from pathlib import Path
 from types import MappingProxyType
 
 from twodof.errors import LinkError
+from twodof.link.transport import ports
 from twodof.link.transport.url import parse
 
+MOST_DRONES = ports.GROUND_STATION - ports.ONBOARD
+"""The next one's port for clients on board is QGroundControl's."""
+
+_LOOPBACK = "127.0.0.1"
+# What is listened at, with drone 0's port (docs/reference/protocol.md).
+_LISTENED = (
+    ("TCP", ports.FLIGHT_CONTROLLER, "the flight controller"),
+    ("TCP", ports.COMPANION_TCP, "the companion"),
+    ("UDP", ports.COMPANION_ONBOARD, "the companion"),
+    ("UDP", ports.COMPANION_GROUND, "the companion, for ground stations"),
+)
 _PROC = Path("/proc")
 _TABLES = MappingProxyType({"TCP": ("tcp", "tcp6"), "UDP": ("udp", "udp6")})
 _CHILD = "twodof.fleet.child"
 _LISTENING = "0A"
 _PORT, _STATE, _USER, _INODE = 1, 3, 7, 9  # columns of /proc/net/tcp; the first is that of the local address
 _MOST_SHOWN = 100
+
+
+def port_in_use(index: int) -> str:
+    """The first port of the drone `index` that somebody has, in words; "" if all are free."""
+    for kind, first, whose in _LISTENED:
+        port = first + index
+        with closing(socket.socket(type=socket.SOCK_STREAM if kind == "TCP" else socket.SOCK_DGRAM)) as probe:
+            if kind == "TCP":
+                # As who listens there will set it: connections that were closed lately do not hold the port.
+                probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind((_LOOPBACK, port))
+                if kind == "TCP":
+                    probe.listen(1)
+            except OSError as refusal:
+                if refusal.errno != errno.EADDRINUSE:
+                    raise LinkError(f"cannot be opened: {refusal.strerror}", f"{kind} port {port}") from refusal
+                who = port_owner(kind, port)
+                has = f"; {who} has it" if who else ""
+                return f"{kind} port {port}, where {whose} of drone {index + 1} listens, is in use{has}"
+    return ""
+
+
+def check_ports_free(first: int, drones: int) -> None:
+    """That `drones` from number `first` on find their ports free. Raises LinkError, which names one that is not."""
+    for index in range(first, first + drones):
+        if found := port_in_use(index):
+            free = (number for number in range(MOST_DRONES - drones + 1) if _all_free(number, drones))
+            other = next(free, None)
+            rest = "" if other is None else f", or take other numbers: --first {other}"
+            raise LinkError(found, "this machine", f"end that program, or ask who started it{rest}")
+
+
+def _all_free(first: int, drones: int) -> bool:
+    return not any(map(port_in_use, range(first, first + drones)))
 
 
 def port_owner(kind: str, port: int) -> str:
@@ -55,9 +107,9 @@ def _sockets(kind: str, port: int) -> Iterator[tuple[str, int]]:
                     yield columns[_INODE], int(columns[_USER])
 
 
-def _process(socket: str) -> str:
+def _process(link: str) -> str:
     """The process that holds a socket, "" if it is not one that we may see."""
-    wanted = Path(socket)
+    wanted = Path(link)
     for folder in _PROC.glob("[0-9]*"):
         with suppress(OSError):
             if any(_link(one) == wanted for one in (folder / "fd").iterdir()):
