@@ -21,6 +21,8 @@ from twodof.report.content import (
     Uncertain,
 )
 
+HOSTILE = "real drone <script>alert(1)</script> & co"
+
 
 def subject(name: str, seed: int, truth: bool) -> Subject:
     generator = np.random.default_rng(seed)
@@ -90,7 +92,7 @@ def content() -> Content:
         "The 2DoF Drone, characterised",
         "Made up for a test.",
         ["<b>μ 357.9 ± 1.3</b> where 358.5 is true", "FIT 96 %"],
-        [subject("virtual rig, paper", 1, True), subject("real drone", 2, False)],
+        [subject("virtual rig, paper", 1, True), subject(HOSTILE, 2, False)],
         [Erratum("Equation 6", "c = 2ξω<sub>n</sub>/J", "c = 2ξω<sub>n</sub>J")],
         [ReportTable("replay", "Replayed", "What was seen.", ["flight", "M"], [["steps <1>", "1e-7"]])],
         {"seed": "1", "sum": str(math.fsum([0.1] * 10))},

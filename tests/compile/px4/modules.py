@@ -1,4 +1,4 @@
-"""The two small diagrams whose modules are golden files, and which the other tests take apart."""
+"""Small diagrams: two whose modules are golden files, and others whose modules fly on the bench."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from typing import Any
 
 from twodof.blocks import Block, Diagram, Param, Port, State, int32, to_real, where
 from twodof.blocks import library as lib
+from twodof.flight.starters import starter
 
 
 class Damper(Block):
@@ -95,4 +96,32 @@ def overflowing() -> Diagram:
     d.add("sum", lib.Sum("++"), a="gain", b="zero")
     d.connect("sum", "grow.u")
     d.output("M", "sum")
+    return d
+
+
+def both() -> Diagram:
+    """The stock position controller above the stock attitude controller, in one diagram."""
+    d = Diagram("both")
+    above, below = starter("stock-position"), starter("stock-attitude")
+    for part in (above, below):
+        for name, port in part.inputs.items():
+            if name != "theta_0":
+                d.input(name, port.kind, port.width, port.unit)
+    d.add("above", above, inputs={name: name for name in above.inputs})
+    d.add("below", below, inputs={n: "above.theta_0" if n == "theta_0" else n for n in below.inputs})
+    d.output("M", "below.M")
+    d.output("thrust", "above.thrust")
+    d.output("theta_0", "above.theta_0")
+    return d
+
+
+def motors() -> Diagram:
+    """fore = thrust_0 + M_0, aft = thrust_0 - M_0."""
+    d = Diagram("mixer")
+    for name, unit in (("M_0", ""), ("thrust_0", ""), ("acc_z", "m/s2"), ("gyro_y", "rad/s")):
+        d.input(name, unit=unit)
+    d.add("fore", lib.Sum("++"), a="thrust_0", b="M_0")
+    d.add("aft", lib.Sum("+-"), a="thrust_0", b="M_0")
+    for n, source in enumerate(("fore", "aft", "fore", "aft"), 1):
+        d.output(f"motor_{n}", source)
     return d

@@ -36,7 +36,7 @@ def test_a_starter_fits_its_stack_and_needs_no_library(name: str, tmp_path: Path
     assert set(compile_for_the_board(starter(name), tmp_path).split()) <= {"U", "memcpy", "memset"}
 
 
-@pytest.mark.parametrize("seed", range(800, 806))
+@pytest.mark.parametrize("seed", [800, *(pytest.param(n, marks=pytest.mark.soak) for n in range(801, 812))])
 def test_a_random_diagram_fits_its_stack(seed: int, tmp_path: Path) -> None:
     compile_for_the_board(random_cases([seed], 1)[0].diagram, tmp_path)
 

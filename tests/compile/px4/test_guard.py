@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
 from tests.compile.px4.build import Bench, Events
 from tests.compile.px4.flown import NOT_FINITE, PERIOD, SHARED, STALE, fly, mode
-from tests.compile.px4.modules import overflowing, rail
-from twodof.compile.px4.export import make_module
 
 DISARM, FORCED = 400, 21196
 COMMANDS = ("vehicle_thrust_setpoint", "vehicle_torque_setpoint")
@@ -215,9 +215,9 @@ def test_an_attitude_that_stays_away_is_told_and_px4_is_asked_to_disarm(bench: B
 
 
 def test_single_commands_that_are_not_finite_are_told_once_and_do_not_disarm(
-    tmp_path_factory: pytest.TempPathFactory,
+    benches: Callable[[str], Bench],
 ) -> None:
-    bench = Bench(make_module(overflowing()), tmp_path_factory.mktemp("module"))
+    bench = benches("overflow")
     bench.command("start")
     mode(bench)
     fly(bench, 400)
@@ -228,9 +228,9 @@ def test_single_commands_that_are_not_finite_are_told_once_and_do_not_disarm(
 
 
 def test_a_position_module_leaves_the_attitude_set_point_to_the_others_when_it_ends(
-    tmp_path_factory: pytest.TempPathFactory,
+    benches: Callable[[str], Bench],
 ) -> None:
-    bench = Bench(make_module(rail()), tmp_path_factory.mktemp("module"))
+    bench = benches("rail")
     bench.publish("vehicle_attitude_setpoint")  # mavlink does in Offboard, and goes on
     bench.command("start")
     bench.command("stop")

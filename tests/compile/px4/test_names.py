@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from twodof.compile.px4.names import field_names, harmless, module_names, parameter_names
@@ -27,6 +27,7 @@ def snake_in_python(name: str) -> str:
     return re.sub(r"(?<!^)(?=[A-Z])", "_", name).lower()
 
 
+@settings(max_examples=30)
 @given(NAMES)
 def test_both_of_px4s_ways_to_name_a_topic_agree(name: str) -> None:
     names = module_names(name)
@@ -65,6 +66,7 @@ def test_the_variants_of_a_diagram_have_prefixes_of_their_own() -> None:
     assert all(re.fullmatch(r"T[A-Z0-9]{1,4}", prefix) for prefix in prefixes)
 
 
+@settings(max_examples=30)
 @given(NAMES)
 def test_every_diagram_has_a_legal_prefix(name: str) -> None:
     prefix = module_names(name).prefix
@@ -82,6 +84,7 @@ def test_a_prefix_that_is_none_is_refused(prefix: str) -> None:
         module_names("pitch", prefix)
 
 
+@settings(max_examples=30)
 @given(st.lists(st.tuples(PATHS, st.none() | st.integers(0, 31)), unique=True, max_size=20))
 def test_parameters_have_legal_names_that_differ(paths: list[tuple[str, int | None]]) -> None:
     made = parameter_names("TPI", paths, ["TPI_LIVE"])
@@ -119,6 +122,7 @@ def test_a_new_parameter_renames_others_only_if_they_would_be_alike() -> None:
     assert all(name.startswith("TPI_A_B_C_") for name in alike[:3])
 
 
+@settings(max_examples=30)
 @given(st.lists(PATHS, max_size=20))
 def test_fields_have_legal_names_that_differ(paths: list[str]) -> None:
     made = field_names("log", paths)
@@ -129,6 +133,7 @@ def test_fields_have_legal_names_that_differ(paths: list[str]) -> None:
         assert len(name) <= 60
 
 
+@settings(max_examples=30)
 @given(st.text(max_size=200))
 def test_a_users_text_means_nothing_in_any_language(text: str) -> None:
     made = harmless(text, 70)

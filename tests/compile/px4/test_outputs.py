@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
-import pytest
 
 from tests.compile.differential import same
 from tests.compile.px4.build import Bench
@@ -20,17 +20,13 @@ from tests.compile.px4.flown import (
     quaternion,
     replayed,
 )
-from tests.compile.px4.modules import overflowing, rail
-from twodof.blocks import Diagram
-from twodof.blocks import library as lib
-from twodof.compile.px4.export import make_module
-from twodof.flight.starters import starter
+from tests.compile.px4.modules import both, rail
 
 
 def test_a_command_that_is_not_finite_stops_the_motors_and_the_controller_starts_again(
-    tmp_path_factory: pytest.TempPathFactory,
+    benches: Callable[[str], Bench],
 ) -> None:
-    bench = Bench(make_module(overflowing()), tmp_path_factory.mktemp("module"))
+    bench = benches("overflow")
     bench.command("start")
     mode(bench)
     fly(bench, 12)
@@ -47,9 +43,9 @@ def test_a_command_that_is_not_finite_stops_the_motors_and_the_controller_starts
 
 
 def test_a_position_module_commands_attitude_and_thrust_only_along_the_rail(
-    tmp_path_factory: pytest.TempPathFactory,
+    benches: Callable[[str], Bench],
 ) -> None:
-    bench = Bench(make_module(rail()), tmp_path_factory.mktemp("module"))
+    bench = benches("rail")
     bench.command("start")
     yaw = 0.4
     for along in (False, True):
@@ -75,8 +71,8 @@ def test_a_position_module_commands_attitude_and_thrust_only_along_the_rail(
     assert np.array_equal(attitude["thrust_body"], np.tile(np.float32([0.0, 0.0, -0.4]), (10, 1)))
 
 
-def test_without_a_valid_position_there_is_no_thrust(tmp_path_factory: pytest.TempPathFactory) -> None:
-    bench = Bench(make_module(rail()), tmp_path_factory.mktemp("module"))
+def test_without_a_valid_position_there_is_no_thrust(benches: Callable[[str], Bench]) -> None:
+    bench = benches("rail")
     bench.command("start")
     mode(bench, rail=True)
     for k in range(6):
@@ -92,24 +88,8 @@ def test_without_a_valid_position_there_is_no_thrust(tmp_path_factory: pytest.Te
     assert np.array_equal(events.topic("vehicle_attitude_setpoint")["q_d"][3:, 2], np.zeros(3))
 
 
-def both() -> Diagram:
-    """The stock position controller above the stock attitude controller, in one diagram."""
-    d = Diagram("both")
-    above, below = starter("stock-position"), starter("stock-attitude")
-    for part in (above, below):
-        for name, port in part.inputs.items():
-            if name != "theta_0":
-                d.input(name, port.kind, port.width, port.unit)
-    d.add("above", above, inputs={name: name for name in above.inputs})
-    d.add("below", below, inputs={n: "above.theta_0" if n == "theta_0" else n for n in below.inputs})
-    d.output("M", "below.M")
-    d.output("thrust", "above.thrust")
-    d.output("theta_0", "above.theta_0")
-    return d
-
-
-def test_position_and_attitude_in_one_module(tmp_path_factory: pytest.TempPathFactory) -> None:
-    bench = Bench(make_module(both()), tmp_path_factory.mktemp("both"))
+def test_position_and_attitude_in_one_module(benches: Callable[[str], Bench]) -> None:
+    bench = benches("both")
     bench.command("start")
     for along in (True, False):
         mode(bench, rail=along)
@@ -131,22 +111,10 @@ def test_position_and_attitude_in_one_module(tmp_path_factory: pytest.TempPathFa
     assert set(rows["faults"]) == {0}
 
 
-def motors() -> Diagram:
-    """fore = thrust_0 + M_0, aft = thrust_0 - M_0."""
-    d = Diagram("mixer")
-    for name, unit in (("M_0", ""), ("thrust_0", ""), ("acc_z", "m/s2"), ("gyro_y", "rad/s")):
-        d.input(name, unit=unit)
-    d.add("fore", lib.Sum("++"), a="thrust_0", b="M_0")
-    d.add("aft", lib.Sum("+-"), a="thrust_0", b="M_0")
-    for n, source in enumerate(("fore", "aft", "fore", "aft"), 1):
-        d.output(f"motor_{n}", source)
-    return d
-
-
 def test_a_motor_module_commands_the_four_motors_and_stops_them_by_nan(
-    tmp_path_factory: pytest.TempPathFactory,
+    benches: Callable[[str], Bench],
 ) -> None:
-    bench = Bench(make_module(motors()), tmp_path_factory.mktemp("module"))
+    bench = benches("mixer")
     bench.command("start")
     for armed in (False, True):
         mode(bench, armed=armed)

@@ -58,8 +58,9 @@ def test_the_spread_over_repetitions_is_that_of_the_noise(found: Characterisatio
 
 def test_a_claim_that_the_repetitions_do_not_bear_out_is_a_doubt(found: Characterisation) -> None:
     wild = replace(found, spreads={**found.spreads, "mu": Spread(5.0 * found.greybox["mu"].sigma, 3)})
-    assert "believe the spread" not in to_html(content([CharacterisedMachine("rig", "", found, {})], {}))
-    assert "believe the spread" in to_html(content([CharacterisedMachine("rig", "", wild, {})], {}))
+    for one, said in ((found, False), (wild, True)):
+        (subject,) = content([CharacterisedMachine("rig", "", one, {})], {}).subjects
+        assert any("believe the spread" in doubt for doubt in subject.doubts) == said
 
 
 def test_the_headline_measures_by_the_spread_where_that_is_larger(found: Characterisation) -> None:
@@ -75,7 +76,6 @@ def test_the_headline_measures_by_the_spread_where_that_is_larger(found: Charact
     (text,) = content([CharacterisedMachine("rig", "", wild, truth)], {}).findings
     assert "1 of 1" in text
     assert "1.0 σ off (" in text
-    assert "+1.0 σ" not in to_html(content([CharacterisedMachine("rig", "", wild, truth)], {}))
 
 
 def test_the_headline_says_what_is_far_off_though_its_sigma_covers_it(found: Characterisation) -> None:
@@ -134,8 +134,6 @@ def test_figure_6_is_a_block_diagram_with_the_values_that_were_found(found: Char
     assert "T_att" in figure.picture
     assert f"\N{MINUS SIGN}{k_v}<" in figure.picture
     assert f"s + {p_v}<" in figure.picture
-    page = to_html(content([CharacterisedMachine("rig", "", found, {})], {}))
-    assert page.index('id="figure-5"') < page.index('<svg class="diagram"') < page.index('id="figure-7"')
 
 
 def test_data_figures_show_the_flight_around_what_identified(found: Characterisation) -> None:
@@ -166,10 +164,11 @@ def test_the_whole_report_names_machine_figures_and_errata(found: Characterisati
     )
     for text in ("rig one", "Figure 3", "Figure 8", "Errata of the paper", "within 3 σ of the truth", "6.88"):
         assert text in page, text
+    assert page.index('id="figure-5"') < page.index('<svg class="diagram"') < page.index('id="figure-7"')
 
 
 def test_what_was_not_flown_is_left_out_and_nothing_else() -> None:
-    bare = characterise(replace(flights(), velocities=()), dry_friction=False)
+    bare = characterise(replace(flights(repetitions=1), velocities=()), dry_friction=False)
     assert [figure.number for figure in figures(bare)] == [3, 4, 5]
     table = {row.key: row for row in rows(CharacterisedMachine("rig", "", bare, {}))}
     assert table["k_v"].greybox is None
@@ -182,4 +181,5 @@ def test_a_flight_that_tells_nothing_is_a_doubt_and_not_a_crash() -> None:
     found = characterise(ExperimentRecords([silent], [silent], ()), dry_friction=False)
     assert found.refusals
     assert any("no edge" in refusal for refusal in found.refusals)
-    assert "no edge" in to_html(content([CharacterisedMachine("rig", "", found, {})], {}))
+    (subject,) = content([CharacterisedMachine("rig", "", found, {})], {}).subjects
+    assert any("no edge" in doubt for doubt in subject.doubts)

@@ -163,12 +163,13 @@ def _on(p: tuple[float, float], s: tuple[float, float, float, float]) -> bool:
     return min(s[0], s[2]) <= p[0] <= max(s[0], s[2]) and min(s[1], s[3]) <= p[1] <= max(s[1], s[3])
 
 
-def test_a_thousand_blocks_are_drawn_in_seconds() -> None:
-    """Four here; what grows with the cube of the wires took eighteen."""
+@pytest.mark.parametrize("parts", [50, pytest.param(1000, marks=pytest.mark.soak)])
+def test_many_blocks_are_drawn_in_seconds_and_always_alike(parts: int) -> None:
+    """A thousand take four here; what grows with the cube of the wires took eighteen."""
     start = time.process_time()
-    to_svg(wired(1, 1000))
+    drawn = to_svg(wired(1, parts))
     assert time.process_time() - start < 15.0
-    assert to_svg(wired(1, 50)) == to_svg(wired(1, 50))
+    assert to_svg(wired(1, parts)) == drawn
 
 
 def test_the_author_decides_where_blocks_stand() -> None:

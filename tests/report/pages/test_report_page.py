@@ -7,8 +7,8 @@ from xml.etree import ElementTree
 
 import pytest
 
-from tests.report.made_up import content
-from twodof.report.content import Content, Subject
+from tests.report.made_up import HOSTILE, content
+from twodof.report.content import Content, Figure, Subject
 from twodof.report.pages.report_page import to_html
 
 VOID = {"meta", "br", "hr", "img", "link", "input"}
@@ -66,8 +66,10 @@ def test_it_needs_nothing_from_outside(page: str) -> None:
     assert not re.findall(r"@import|url\((?!#)", page)
 
 
-def test_the_same_content_gives_the_same_bytes(page: str) -> None:
-    assert to_html(content()) == page
+def test_the_same_content_gives_the_same_bytes() -> None:
+    made = content()
+    one = replace(made.subjects[0], figures=made.subjects[0].figures[:1])
+    assert len({to_html(replace(made, subjects=[one])) for _ in range(2)}) == 1
 
 
 def test_figures_take_the_colours_of_the_page(page: str) -> None:
@@ -92,10 +94,10 @@ def test_a_caption_ties_numbers_to_their_units(page: str) -> None:
     assert "M = 0.1 for 0.2\N{NO-BREAK SPACE}s, then free. Period 1.83\N{NO-BREAK SPACE}s" in page
 
 
-def test_names_are_text_and_not_markup() -> None:
-    made = content()
-    hostile = replace(made.subjects[0], name="<script>alert(1)</script> & co")
-    assert "<script" not in to_html(replace(made, subjects=[hostile]))
+def test_names_are_text_and_not_markup(page: str) -> None:
+    assert HOSTILE in [subject.name for subject in content().subjects]
+    assert "<script" not in page
+    assert HOSTILE in parsed(page).text
 
 
 def test_without_checks_errata_and_doubts_their_sections_are_left_out() -> None:
@@ -107,8 +109,8 @@ def test_without_checks_errata_and_doubts_their_sections_are_left_out() -> None:
     assert not {"residuals", "doubts", "errata", "provenance", "figure-3"} & set(ids)
 
 
-@pytest.mark.parametrize("count", [1, 2, 3])
+@pytest.mark.parametrize("count", [1, 3])
 def test_cards_stand_in_as_many_columns_as_there_are_machines(count: int) -> None:
-    one = content().subjects[0]
+    one = replace(content().subjects[0], figures=[Figure(6, "loop", "", picture="<svg/>")], checks=())
     page = to_html(replace(content(), subjects=[replace(one, name=f"rig {k}") for k in range(count)]))
     assert set(re.findall(r'class="grid ([^"]*)"', page)) == {f"of-{count}"}

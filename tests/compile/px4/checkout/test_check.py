@@ -97,11 +97,18 @@ def px4(source: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(source, tmp_path / "PX4"))
 
 
-@pytest.fixture
-def exported(tmp_path: Path) -> Path:
+@pytest.fixture(scope="session")
+def fresh(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The module of `pitch`."""
-    export(pitch(), tmp_path / "out", PITCH_LOG)
-    return tmp_path / "out"
+    folder = tmp_path_factory.mktemp("fresh") / "out"
+    export(pitch(), folder, PITCH_LOG)
+    return folder
+
+
+@pytest.fixture
+def exported(fresh: Path, tmp_path: Path) -> Path:
+    """A copy of it."""
+    return Path(shutil.copytree(fresh, tmp_path / "out"))
 
 
 def said(found: CheckoutFindings, level: str) -> str:
