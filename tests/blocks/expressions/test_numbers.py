@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.blocks.same_bits import same_bits
 from twodof.blocks.expressions import numbers
-from twodof.blocks.expressions.numbers import Int32, UInt32, Vector, same_bits
+from twodof.blocks.expressions.numbers import Int32, UInt32, Vector
 from twodof.errors import DiagramError
 
 INT = st.integers(-(2**31), 2**31 - 1) | st.sampled_from([-(2**31), -1, 0, 1, 2**31 - 1])

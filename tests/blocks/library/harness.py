@@ -4,10 +4,14 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from hypothesis import settings
 
 from twodof.blocks.block import Block
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.reference.interpreter import Reference
+
+few = settings(max_examples=20)
+"""For properties of blocks: each example is hundreds of steps on the reference."""
 
 
 def alone(block: Block) -> Diagram:

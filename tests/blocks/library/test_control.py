@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import signal
 
-from tests.blocks.library.harness import assert_close, noise, run, run_y
+from tests.blocks.library.harness import assert_close, few, noise, run, run_y
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.library import FirstOrder, Integrator, Pid, Step, Sum
 from twodof.blocks.reference.interpreter import Reference
@@ -134,6 +134,7 @@ def test_anti_windup_lowers_the_overshoot() -> None:
     assert overshoot("back-calculation") < 0.3 * none
 
 
+@few
 @given(st.lists(st.floats(-5, 5), min_size=1, max_size=60), st.sampled_from(["clamping", "back-calculation"]))
 def test_within_the_limits_anti_windup_does_nothing(values: list[float], anti_windup: str) -> None:
     e = np.array(values)

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import linalg
 
-from tests.blocks.library.harness import alone, assert_close, noise, run, run_y
+from tests.blocks.library.harness import alone, assert_close, few, noise, run, run_y
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.library import (
     Delay,
@@ -28,6 +28,7 @@ def shifted(u: np.ndarray, samples: int, initial: float) -> np.ndarray:
     return np.concatenate((np.full(samples, initial), u))[: len(u)]
 
 
+@few
 @given(st.lists(st.floats(-10, 10), min_size=1, max_size=30), st.integers(1, 8), st.integers(0, 5), st.floats(-2, 2))
 def test_a_delay_shifts(values: list[float], samples: int, spare: int, initial: float) -> None:
     u = np.array(values)
@@ -100,6 +101,7 @@ def delayed_into(plant: Any, tau: float, direct: bool = True) -> Diagram:
     return d
 
 
+@few
 @given(st.floats(0.0, 1.5), st.integers(0, 3))
 def test_the_integral_of_a_delayed_signal_is_exact(tau: float, seed: int) -> None:
     dt, u = 0.1, noise(25, seed)

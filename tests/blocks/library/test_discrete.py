@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import signal
 
-from tests.blocks.library.harness import alone, assert_close, noise, run, run_y
+from tests.blocks.library.harness import alone, assert_close, few, noise, run, run_y
 from twodof.blocks.library import (
     DiscreteDerivative,
     DiscreteFilter,
@@ -65,6 +65,7 @@ def test_a_derivative_is_a_difference() -> None:
     assert_close(run_y(DiscreteDerivative(2.0, initial=u[0]), u, DT), 2.0 * np.diff(u, prepend=u[0]) / DT)
 
 
+@few
 @given(coefficients, coefficients, st.floats(0.5, 2))
 def test_a_filter_is_lfilter(b: list[float], a: list[float], a0: float) -> None:
     # Poles stay within |z| <= 1.2 or so: a is at most 1 beside a0; a growing response is compared relatively.
@@ -93,6 +94,7 @@ def test_coefficients_can_be_tuned_while_it_runs() -> None:
     assert_close(np.concatenate((first, second)), expected)
 
 
+@few
 @given(coefficients, coefficients)
 def test_a_transfer_function_is_dlsim(numerator: list[float], denominator: list[float]) -> None:
     bottom = [1.0, *denominator]

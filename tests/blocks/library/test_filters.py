@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import signal
 
-from tests.blocks.library.harness import assert_close, noise, run_y
+from tests.blocks.library.harness import assert_close, few, noise, run_y
 from twodof.blocks.library import HighPass, LeadLag, LowPass, LowPass2, Notch
 
 DT = 0.004
@@ -22,6 +22,7 @@ def test_a_low_pass_is_its_rule(method: str, name: str, cutoff: float) -> None:
     assert_close(run_y(LowPass(cutoff, method), u, DT), signal.lfilter(np.ravel(b), a, u))
 
 
+@few
 @given(st.floats(0.1, 120.0))
 def test_trapezoidal_filters_are_butterworth(cutoff: float) -> None:
     u = noise(100)
@@ -35,6 +36,7 @@ def test_trapezoidal_filters_are_butterworth(cutoff: float) -> None:
         assert_close(run_y(block, u, DT), signal.lfilter(b, a, u), 1e-9)
 
 
+@few
 @given(st.floats(0.01, 2.0))
 def test_a_damped_low_pass_is_the_bilinear_transform(damping: float) -> None:
     cutoff = 30.0
@@ -44,6 +46,7 @@ def test_a_damped_low_pass_is_the_bilinear_transform(damping: float) -> None:
     assert_close(run_y(LowPass2(cutoff, damping), u, DT), signal.lfilter(b, a, u))
 
 
+@few
 @given(st.floats(1.0, 120.0), st.floats(0.01, 0.7))
 def test_a_notch_is_iirnotch(frequency: float, width: float) -> None:
     centre = 2 * np.pi * frequency * DT
@@ -63,6 +66,7 @@ def test_a_shallow_notch_has_its_depth_at_its_frequency() -> None:
     assert_close(np.sqrt(2 * np.mean(tail**2)), 0.25, 1e-9)
 
 
+@few
 @given(st.floats(1e-3, 0.5), st.floats(1e-3, 0.5), st.floats(0.1, 3))
 def test_a_lead_lag_is_the_bilinear_transform(lead: float, lag: float, gain: float) -> None:
     b, a = signal.bilinear([gain * lead, gain], [lag, 1.0], FS)

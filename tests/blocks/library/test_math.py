@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.blocks.library.harness import assert_close, noise, run, run_y
+from tests.blocks.library.harness import assert_close, few, noise, run, run_y
 from twodof.blocks.block import Block
 from twodof.blocks.library import (
     Abs,
@@ -153,6 +153,7 @@ def test_integers_wrap_and_truncate() -> None:
     assert largest.tolist() == [2, 2**32 - 1]
 
 
+@few
 @given(st.floats(width=64), st.floats(width=64))
 def test_extremes_mean_what_the_language_says(a: float, b: float) -> None:
     inputs = {"a": [a], "b": [b]}

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.blocks.library.harness import alone, assert_close, noise, run, run_y
+from tests.blocks.library.harness import alone, assert_close, few, noise, run, run_y
 from twodof.blocks.library import (
     Backlash,
     Bitwise,
@@ -49,6 +49,7 @@ def test_a_dead_zone_is_what_a_saturation_leaves() -> None:
     assert_close(run_y(DeadZone(-0.5, 1.0), U), U - np.clip(U, -0.5, 1.0))
 
 
+@few
 @given(signals, st.floats(0.01, 3))
 def test_a_quantiser_is_at_most_half_a_step_off(values: list[float], step: float) -> None:
     y = run_y(Quantiser(step), np.array(values))
@@ -57,6 +58,7 @@ def test_a_quantiser_is_at_most_half_a_step_off(values: list[float], step: float
     assert run_y(Quantiser(0.0), np.array(values)).tolist() == values
 
 
+@few
 @given(signals, st.floats(0, 20), st.floats(0, 20))
 def test_a_rate_limit_limits_the_rate_and_no_more(values: list[float], rising: float, falling: float) -> None:
     u = np.array(values)
@@ -108,6 +110,7 @@ def test_bits() -> None:
     assert run(Bitwise("left"), 2, inputs={"a": [1, 3], "b": [31, 31]})["y"].tolist() == [2**31, 2**31]
 
 
+@few
 @given(flags, st.booleans())
 def test_edges(values: list[bool], initial: bool) -> None:
     before = [initial, *values[:-1]]
@@ -117,6 +120,7 @@ def test_edges(values: list[bool], initial: bool) -> None:
     assert run_y(EdgeDetector("either", initial), values).tolist() == [b != v for b, v in pairs]
 
 
+@few
 @given(st.lists(st.tuples(st.booleans(), st.booleans()), min_size=1, max_size=30), st.integers(0, 4))
 def test_a_counter_counts(rows: list[tuple[bool, bool]], modulus: int) -> None:
     count, expected = 0, []
@@ -134,6 +138,7 @@ def test_a_flip_flop_remembers() -> None:
     assert run(FlipFlop("set", True), 6, inputs=inputs)["y"].tolist() == [True, True, True, False, True, True]
 
 
+@few
 @given(flags, st.integers(0, 5))
 def test_a_timer_measures_how_long(values: list[bool], duration: int) -> None:
     rows = run(Timer(duration * 0.02), len(values), 0.02, {"u": values})

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import interp1d
 
-from tests.blocks.library.harness import assert_close, run, run_y
+from tests.blocks.library.harness import assert_close, few, run, run_y
 from twodof.blocks.library import Lookup, Playback, Table
 from twodof.errors import DiagramError
 
@@ -15,6 +15,7 @@ DT = 0.01
 grids = st.lists(st.integers(-200, 200), min_size=2, max_size=17, unique=True).map(sorted)
 
 
+@few
 @given(grids, st.lists(st.floats(-30, 30), min_size=1, max_size=20), st.integers(0, 9))
 def test_a_look_up_is_linear_interpolation(grid: list[int], points: list[float], seed: int) -> None:
     b = [0.1 * g for g in grid]
@@ -32,6 +33,7 @@ def test_a_look_up_keeps_nan_and_bounds_infinity() -> None:
     assert y[1:].tolist() == [5.0, -1.0]
 
 
+@few
 @given(st.lists(st.integers(0, 60), min_size=2, max_size=9, unique=True).map(sorted))
 def test_a_table_holds_or_interpolates(ticks: list[int]) -> None:
     times = [k * DT for k in ticks]

@@ -61,7 +61,15 @@ def tunable_reals(blocks: dict[str, Block]) -> dict[str, float]:
     }
 
 
-@pytest.mark.parametrize(("precision", "rate"), [("float64", (1, 0)), ("float32", (1, 0)), ("float64", (3, 1))])
+@pytest.mark.parametrize(
+    ("precision", "rate"),
+    [
+        ("float64", (1, 0)),
+        ("float32", (3, 1)),
+        pytest.param("float32", (1, 0), marks=pytest.mark.soak),
+        pytest.param("float64", (3, 1), marks=pytest.mark.soak),
+    ],
+)
 @pytest.mark.parametrize("name", [n for n in ROOMS if n != "continuous"])
 def test_compiled_blocks_give_the_same_bits(name: str, precision: str, rate: tuple[int, int]) -> None:
     compare(room(name, rate), precision)

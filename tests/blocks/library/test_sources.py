@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import signal
 
-from tests.blocks.library.harness import alone, assert_close, run
+from tests.blocks.library.harness import alone, assert_close, few, run
 from twodof import excitation
 from twodof.blocks.block import Block
 from twodof.blocks.diagram import Diagram
@@ -64,6 +64,7 @@ def test_a_slower_source_keeps_base_time() -> None:
 
 
 @pytest.mark.parametrize("precision", ["float64", "float32"])
+@few
 @given(ticks=st.integers(0, 100_000), dt=st.sampled_from([0.001, 0.002, 0.004, 1 / 250, 0.01, 1 / 3000]))
 def test_a_time_falls_on_its_tick(precision: str, ticks: int, dt: float) -> None:
     machine = Reference(alone(Step(ticks * dt)), dt, precision).machine()
@@ -93,6 +94,7 @@ def test_waves_are_what_the_ground_means_by_them() -> None:
     assert_close(y_of(block, 400), multisine.at(t[:400]))
 
 
+@few
 @given(st.integers(3, 9), st.integers(1, 600), st.integers(1, 5))
 def test_a_prbs_is_what_the_ground_means_by_it(order: int, seed: int, hold: int) -> None:
     seed = seed % (2**order - 1) + 1
@@ -136,6 +138,7 @@ def test_seed_zero_is_taken_as_one() -> None:
     assert y_of(PrbsSource(DT, order=4, seed=16), 15).tolist() == y_of(PrbsSource(DT, order=4, seed=1), 15).tolist()
 
 
+@few
 @given(st.floats(0.0, 120.0), st.floats(-3, 3))
 def test_a_sine_is_a_sine(frequency: float, phase: float) -> None:
     t = DT * np.arange(100)
@@ -173,6 +176,7 @@ def test_a_sweep_ends() -> None:
     assert np.any(y[50:300] != 0.3)
 
 
+@few
 @given(st.integers(1, 900), st.lists(st.integers(1, 40), min_size=1, max_size=4))
 def test_a_multisine_is_its_sum_and_repeats_exactly(length: int, harmonics: list[int]) -> None:
     amplitudes = [1.0 / (k + 1) for k in range(len(harmonics))]

@@ -159,13 +159,16 @@ def gains(count: int) -> bytes:
 WIDE = {"name": "u", "width": 10**6}
 
 
-def too_large() -> dict[str, tuple[bytes, str]]:
-    """Files that are refused for their size; made when they are asked for, as they are hundreds of megabytes."""
+def too_large(share: int) -> dict[str, tuple[bytes, str]]:
+    """Files that are refused for their size; made when they are asked for, as they are tens of megabytes.
+
+    Those whose refusal takes time in proportion to their size have a `share`-th of it.
+    """
     return {
         "a delay of 10^9 steps": (library("delay", samples=10**9, bound=10**9), "within 1 .. "),
         "a state of 10^9 values": (custom(states=[{"name": "ring", "width": 10**9}]), "more than 1000000 values"),
         "a state of 10^39 values": (custom(states=[{"name": "ring", "width": 10**39}]), "more than 1000000 values"),
-        "10^6 blocks": (gains(10**6), "bytes of diagram"),
+        "150,000 blocks in a row": (gains(150_000), "bytes of diagram"),
         "120,000 blocks": (
             file(parts=[{"name": f"g{k}", "block": {"type": "gain"}} for k in range(120_000)]),
             "more than 10000 parts",
@@ -183,7 +186,10 @@ def too_large() -> dict[str, tuple[bytes, str]]:
         "a matrix of 90,000 numbers": (library("matrix_gain", K=[[1] * 300] * 300), "more than 1000000 operations"),
         "a delay of wide samples": (library("delay", samples=4, width=70_000), "too many operations"),
         "wide arrays side by side": (library("concatenate", widths=[150_000] * 3), "too many operations"),
-        "100,000 inputs": (custom(inputs=[{"name": f"u{k}"} for k in range(100_000)]), "at most 1000|more than 100000"),
+        "100,000 inputs": (
+            custom(inputs=[{"name": "u"}, *({"name": f"u{k}"} for k in range(100_000 // share))]),
+            "at most 1000|more than 100000",
+        ),
         "90,000 inputs of a diagram": (
             file(inputs=[{"name": f"u{k}"} for k in range(110_000)]),
             "more than 100000 ports",
@@ -196,10 +202,16 @@ def too_large() -> dict[str, tuple[bytes, str]]:
             "more than 1000000 values|used twice",
         ),
         "lists within lists": (library("lookup", values=[[[[[[[1]]]]]]]), "more than 4 lists"),
-        "empty lists": (raw('{"name": "d", "parts": [' + "[]," * 2_700_000 + "[]]}"), "more than 10000 parts"),
-        "empty objects": (raw('{"name": "d", "parts": [' + "{}," * 2_700_000 + "{}]}"), "more than 10000 parts"),
+        "empty lists": (
+            raw('{"name": "d", "parts": [' + "[]," * (2_700_000 // share) + "[]]}"),
+            "more than 10000 parts",
+        ),
+        "empty objects": (
+            raw('{"name": "d", "parts": [' + "{}," * (2_700_000 // share) + "{}]}"),
+            "more than 10000 parts",
+        ),
         "an object of a million keys": (
-            raw('{"name": "d", ' + ", ".join(f'"{k:x}":0' for k in range(700_000)) + "}"),
+            raw('{"name": "d", ' + ", ".join(f'"{k:x}":0' for k in range(700_000 // share)) + "}"),
             "unknown key",
         ),
         "a name of 8 MB": (file(name="a" * 8_000_000), "is not a name"),
@@ -218,20 +230,27 @@ def too_large() -> dict[str, tuple[bytes, str]]:
     }
 
 
-ENDLESS: dict[str, tuple[bytes, str]] = {
-    "loops that share loops": (shared_loops(400), "nested more than 8|more than 50000 operations"),
-    "seven loops of a million": (loops([10**6 - 1] * 7), "a step of more than 1000000 operations"),
-    "two loops of a million": (loops([10**6 - 1] * 2), "a step of more than 1000000 operations"),
-    "a loop of 10^9": (loops([10**9]), "is not in 0"),
-    "loops 9 deep": (loops([1] * 9, lambda k: k % 8), "nested more than 8"),
-    "loops 8,000 deep": (loops([1] * 8_000, lambda k: 0), "nested more than 8"),
-    "eight loops of 100": (loops([100] * 8), "a step of more than 1000000 operations"),
-    "20,000 variables of no loop": (many_variables(20_000), "outside its loop"),
-    "5,000 stores into 10^6 values": (stores(5000, 10**6), "operations"),
-    "1,000 outputs of 40,000 nodes": (shared_outputs(1000, 40_000), "more than 50000 operations"),
-    "500 edges inside a step": (many_edges(500), "a step of more than 1000000 operations"),
-    "200,000 nodes": (doubling(200_000), "more than 50000"),
-}
+def endless(share: int) -> dict[str, tuple[bytes, str]]:
+    """Files that are small and would compute without end; of those that are large, a `share`-th."""
+    return {
+        "loops that share loops": (shared_loops(400), "nested more than 8|more than 50000 operations"),
+        "seven loops of a million": (loops([10**6 - 1] * 7), "a step of more than 1000000 operations"),
+        "two loops of a million": (loops([10**6 - 1] * 2), "a step of more than 1000000 operations"),
+        "a loop of 10^9": (loops([10**9]), "is not in 0"),
+        "loops 9 deep": (loops([1] * 9, lambda k: k % 8), "nested more than 8"),
+        "loops 8,000 deep": (loops([1] * (8_000 // share), lambda k: 0), "nested more than 8"),
+        "eight loops of 100": (loops([100] * 8), "a step of more than 1000000 operations"),
+        "20,000 variables of no loop": (many_variables(20_000 // share), "outside its loop"),
+        "5,000 stores into 10^6 values": (stores(5000 // share, 10**6), "operations"),
+        "1,000 outputs of 40,000 nodes": (
+            shared_outputs(1000 // share, 40_000 // share),
+            "more than 50000 operations",
+        ),
+        "500 edges inside a step": (many_edges(500), "a step of more than 1000000 operations"),
+        "200,000 nodes": (doubling(200_000), "more than 50000"),
+    }
+
+
 # Names as they could come in to run as code or to pass for another name.
 NAMES = {
     "C code": "x; system(1)",
@@ -362,8 +381,8 @@ MALFORMED: dict[str, tuple[bytes, str]] = {
     "a rate of a half": (file(parts=[{"name": "g", "block": {"type": "gain"}, "rate": [0.5, 0]}]), "write .divider"),
     "the argument self": (library("gain", self=1), "cannot be made"),
     "an argument that is no argument": (library("gain", __class__=1), "cannot be made"),
-    "a table in a table": (custom(params=[{"name": "k", "width": 2, "value": [[1], [2]]}]), "'value' is"),
-    "an object for a number": (custom(params=[{"name": "k", "value": {"a": 1}}]), "'value' is"),
+    "a table in a table": (custom(params=[{"name": "k", "width": 2, "value": [[1], [2]]}]), "a real is expected"),
+    "an object for a number": (custom(params=[{"name": "k", "value": {"a": 1}}]), "a real is expected"),
     "a connection in a circle": (
         file(
             inputs=[{"name": "u"}],
@@ -382,14 +401,14 @@ MALFORMED: dict[str, tuple[bytes, str]] = {
 
 
 @cache
-def large() -> dict[str, bytes]:
-    """What is allowed, and large: it must stay bounded too."""
+def large(share: int = 1) -> dict[str, bytes]:
+    """What is allowed, and large: it must stay bounded too. With `share` each has that part of its size."""
     return {
-        "a chain of 45,000 doublings": doubling(45_000),
-        "10,000 gains": gains(10_000),
-        "a loop of 140,000 rounds": loops([140_000]),
+        "a chain of 45,000 doublings": doubling(45_000 // share),
+        "10,000 gains": gains(10_000 // share),
+        "a loop of 140,000 rounds": loops([140_000 // share]),
         "64 sub-diagrams": file(**nested(60)),
-        "a table of 90,000 numbers": library("playback", values=[0.1, 0.2] * 45_000, period=0.01),
+        "a table of 90,000 numbers": library("playback", values=[0.1, 0.2] * (45_000 // share), period=0.01),
         "a state of 900,000 values": custom(states=[{"name": "ring", "width": 900_000}]),
-        "300 outputs of one graph": shared_outputs(300, 100),
+        "300 outputs of one graph": shared_outputs(300 // share, 100),
     }

@@ -27,9 +27,9 @@ def check(rows: list[dict[str, object]], names: list[str]) -> int:
     return sum(row["stage"] != "refused" for row in rows)
 
 
-@pytest.mark.parametrize("every", [4, pytest.param(1, marks=pytest.mark.soak)])
+@pytest.mark.parametrize("every", [11, pytest.param(1, marks=pytest.mark.soak)])
 def test_every_argument_of_every_block_is_bounded(every: int, tmp_path: Path) -> None:
-    """Each day with every fourth value of each argument."""
+    """Each day with every eleventh of all pairs of an argument and a value."""
     names, texts = map(list, zip(*[*constructions()][::every], strict=True))
     loaded = check(judge_many(texts, tmp_path / "files", 300), names)
     assert len(texts) / 10 < loaded < len(texts)
@@ -42,8 +42,8 @@ def fuzz(count: int, seed: int, file: Path, seconds: float) -> None:
     assert count / 100 < loaded < count / 2
 
 
-def test_two_thousand_mutated_files_load_or_are_refused(tmp_path: Path) -> None:
-    fuzz(2000, 0, tmp_path / "files", 300)
+def test_mutated_files_load_or_are_refused(tmp_path: Path) -> None:
+    fuzz(600, 0, tmp_path / "files", 300)
 
 
 @pytest.mark.soak

@@ -5,13 +5,19 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from tests.blocks.schema.door import MEMORY, SECONDS, judge
-from tests.blocks.schema.hostile import ENDLESS, MALFORMED, NAMES, large, named, too_large
+import pytest
+
+from tests.blocks.schema.door import MEMORY, SECONDS, judge, judge_many
+from tests.blocks.schema.hostile import MALFORMED, NAMES, endless, large, named, too_large
+
+each_day = pytest.mark.parametrize("share", [10, pytest.param(1, marks=pytest.mark.soak)])
+"""A tenth of the size where a file's time is in proportion to it; the soak takes all of it."""
 
 
-def test_a_hostile_file_is_refused_with_a_reason_in_two_seconds_and_a_gigabyte(tmp_path: Path) -> None:
+@each_day
+def test_a_hostile_file_is_refused_with_a_reason_in_two_seconds_and_a_gigabyte(share: int, tmp_path: Path) -> None:
     """The largest takes half of it. A busy machine adds to processor time too: what is over is measured again."""
-    refused = {**too_large(), **ENDLESS, **MALFORMED}
+    refused = {**too_large(share), **endless(share), **MALFORMED}
     found = judge({name: data for name, (data, _) in refused.items()}, tmp_path)
     wrong = []
     for name, row in found.items():
@@ -33,12 +39,14 @@ def least_seconds(data: bytes, first: float, folder: Path) -> float:
     return least
 
 
-def test_what_is_large_and_allowed_stays_bounded(tmp_path: Path) -> None:
-    found = judge(large(), tmp_path)
+@each_day
+def test_what_is_large_and_allowed_stays_bounded(share: int, tmp_path: Path) -> None:
+    found = judge(large(share), tmp_path)
     assert not [(name, row) for name, row in found.items() if row["stage"] != "compiled" or row["bytes"] > MEMORY]
 
 
 def test_no_name_but_an_identifier_comes_in_anywhere(tmp_path: Path) -> None:
     files = {f"{name} as {place}": data for name, text in NAMES.items() for place, data in named(text).items()}
-    found = judge(files, tmp_path)
-    assert not [(name, row) for name, row in found.items() if row["error"] != "DiagramError" or row["long"] > 1000]
+    found = judge_many([data.decode() for data in files.values()], tmp_path / "files", 300)
+    rows = zip(files, found, strict=True)
+    assert not [(name, row) for name, row in rows if row["error"] != "DiagramError" or row["long"] > 1000]

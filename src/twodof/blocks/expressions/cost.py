@@ -46,10 +46,12 @@ class CostMeter:
     def measure(self, roots: Iterable[Expr]) -> ExpressionCost:
         """The effort of evaluating `roots` once. Raises DiagramError if it is beyond what any diagram may cost."""
         roots = list(roots)
-        for loop in walk(roots):  # inner loops come before those around them
+        nodes = self._walk(roots)
+        new = any(n.op in ("build", "fold") and id(n) not in self._loops for n in nodes)
+        for loop in walk(roots) if new else ():  # inner loops come before those around them
             if loop.op not in ("build", "fold") or id(loop) in self._loops:
                 continue
-            effort, depth = self._sum(loop.args[len(outside(loop)) :])
+            effort, depth = self._sum(self._walk(loop.args[len(outside(loop)) :]))
             if self.most is not None and depth + 1 > MAX_LOOP_DEPTH:
                 raise DiagramError(
                     f"loops are nested more than {MAX_LOOP_DEPTH} deep", "", "use fewer loops within one another"
@@ -57,13 +59,23 @@ class CostMeter:
             length = loop.data[0]
             self._loops[id(loop)] = (ExpressionCost(1 + effort.size, 1 + length * (1 + effort.operations)), depth + 1)
             self._kept.append(loop)
-        return self._sum(roots)[0]
+        return self._sum(nodes)[0]
 
-    def _sum(self, roots: Iterable[Expr]) -> tuple[ExpressionCost, int]:
-        """The effort of every node below `roots`, a loop as one of them, and how deep loops are nested."""
-        nodes = walk(roots, loops=False)
+    def _walk(self, roots: Iterable[Expr]) -> list[Expr]:
+        """Every node below `roots` once, loops not entered: as `walk`, in any order and so in half the time."""
+        nodes: dict[int, Expr] = {}
+        stack = list(roots)
+        while stack:
+            item = stack.pop()
+            if id(item) not in nodes:
+                nodes[id(item)] = item
+                stack.extend(outside(item))
         self._visited += len(nodes)
         self._check(self._visited // 10)  # the sum of all bodies: this bounds the time of measuring itself
+        return list(nodes.values())
+
+    def _sum(self, nodes: Iterable[Expr]) -> tuple[ExpressionCost, int]:
+        """The effort of `nodes`, a loop as one of them, and how deep loops are nested."""
         size = operations = depth = 0
         for item in nodes:
             if item.op in ("build", "fold"):

@@ -247,28 +247,15 @@ class Loader:
 
 
 _NUMBERS = ("initial", "value", "low", "high")
-_FIELD_TYPES: dict[str, tuple[type, ...]] = {
-    "name": (str,),
-    "kind": (str,),
-    "width": (int, type(None)),
-    "unit": (str,),
-    "text": (str,),
-    "tunable": (bool,),
-    "continuous": (bool,),
-    "low": (int, float),
-    "high": (int, float),
-    "value": (bool, int, float, list),
-    "initial": (bool, int, float, list, str),
-}
+_PLAIN_FIELDS: dict[str, type] = {"name": str, "unit": str, "text": str, "tunable": bool, "continuous": bool}
 
 
 def _typed(cls: type, given: Mapping[str, Any], where: str) -> Any:
-    for key, value in given.items():
-        flat = not isinstance(value, list) or all(isinstance(v, (bool, int, float)) for v in value)
-        if not flat or not isinstance(value, _FIELD_TYPES[key]):
-            raise DiagramError(f"{key!r} is {shown(value)}", where, "see docs/explanation/language.md, section 5")
     if "name" not in given:
         raise DiagramError("a declaration has no name", where, "name it")
+    for key, kind in _PLAIN_FIELDS.items():  # the declaration itself checks its type, width, bounds and numbers
+        if key in given and not isinstance(given[key], kind):
+            raise DiagramError(f"{key!r} is {shown(given[key])}", where, "see docs/explanation/language.md, section 5")
     _visible(given.get("unit", ""), given.get("text", ""), where)
     name = given["name"] if NAME.fullmatch(given["name"]) else ""
     with located(f"{where}.{name}".rstrip(".")):
