@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from twodof.blocks.block import Block
-from twodof.blocks.declarations import Param
+from twodof.blocks.declarations import Param, shape
 from twodof.blocks.diagram import Diagram, Part
 from twodof.blocks.schema.traced_block import TracedBlock, graph_to_json
 
@@ -62,11 +62,11 @@ def difference(before: Diagram, after: Diagram) -> Difference:
     that was renamed is one removed and one added. Custom blocks are compared by their traced expressions. Raises
     DiagramError for a connection whose source is not there.
     """
-    old, new = _Listing(before), _Listing(after)
-    moved = old.blocks ^ new.blocks
+    old, new = _listing(before), _listing(after)
+    moved = old["block"].keys() ^ new["block"].keys()
     changes: list[Change] = []
     for what in WHATS:
-        was, now = old.rows[what], new.rows[what]
+        was, now = old[what], new[what]
         for path in sorted({*was, *now}):
             a, b = was.get(path, ""), now.get(path, "")
             # What is inside a part that came or went does so with it; only its own connections are news.
@@ -83,37 +83,31 @@ def _above(path: str) -> Iterator[str]:
         yield path
 
 
-class _Listing:
+def _listing(diagram: Diagram) -> dict[str, dict[str, str]]:
     """Everything in a diagram: how it reads, by what it is and by path."""
+    rows: dict[str, dict[str, str]] = {what: {} for what in WHATS}
 
-    def __init__(self, diagram: Diagram) -> None:
-        self.rows: dict[str, dict[str, str]] = {what: {} for what in WHATS}
-        self._open(diagram, "")
-        self.blocks = frozenset(self.rows["block"])
-
-    def _open(self, diagram: Diagram, prefix: str) -> None:
+    def enter(diagram: Diagram, prefix: str) -> None:
         for port in diagram.inputs.values():
-            width = "" if port.width is None else f"[{port.width}]"
-            self.rows["input"][f"{prefix}{port.name}"] = f"{port.kind}{width} {port.unit}".rstrip()
+            rows["input"][f"{prefix}{port.name}"] = f"{shape(port)} {port.unit}".rstrip()
         for name, source in diagram.outputs.items():
-            self.rows["output"][f"{prefix}{name}"] = f"from {_full(diagram, source, prefix)}"
+            rows["output"][f"{prefix}{name}"] = f"from {_full(diagram, source, prefix)}"
         for param in diagram.params.values():
-            self.rows["parameter"][f"{prefix}{param.name}"] = _parameter(param)
+            rows["parameter"][f"{prefix}{param.name}"] = _parameter(param)
         for part in diagram.parts.values():
-            self._part(part, prefix)
+            path = f"{prefix}{part.name}"
+            what = "sub-diagram" if isinstance(part.item, Diagram) else _block(part.item)
+            rows["block"][path] = f"{what}{_settings(part, prefix)}"
+            if isinstance(part.item, Diagram):
+                enter(part.item, f"{path}.")
+                continue
+            free = (param for param in part.item.params if param.name not in part.params)
+            rows["parameter"] |= {f"{path}.{param.name}": _parameter(param) for param in free}
         for (name, port_name), source in diagram.connections.items():
-            self.rows["connection"][f"{prefix}{name}.{port_name}"] = f"from {_full(diagram, source, prefix)}"
+            rows["connection"][f"{prefix}{name}.{port_name}"] = f"from {_full(diagram, source, prefix)}"
 
-    def _part(self, part: Part, prefix: str) -> None:
-        path = f"{prefix}{part.name}"
-        if isinstance(part.item, Diagram):
-            self.rows["block"][path] = f"sub-diagram{_settings(part, prefix)}"
-            self._open(part.item, f"{path}.")
-            return
-        self.rows["block"][path] = f"{_block(part.item)}{_settings(part, prefix)}"
-        for param in part.item.params:
-            if param.name not in part.params:
-                self.rows["parameter"][f"{path}.{param.name}"] = _parameter(param)
+    enter(diagram, "")
+    return rows
 
 
 def _full(diagram: Diagram, source: str | None, prefix: str) -> str:

@@ -7,7 +7,7 @@ from functools import partial
 from typing import Any
 
 from twodof.blocks.block import Block, Clock
-from twodof.blocks.declarations import Port
+from twodof.blocks.declarations import Param, Port
 from twodof.blocks.expressions.arrays import build, fold
 from twodof.blocks.expressions.expr import Expr, int32, maximum, minimum, where
 from twodof.blocks.expressions.numbers import Vector
@@ -103,11 +103,11 @@ def matrix(rows: Any, height: int | None, width: int | None, block: str, argumen
     return found
 
 
-def limits_of(limits: Sequence[float] | None, block: str) -> tuple[float, float] | None:
-    """The pair (low, high), low <= high, or None; else DiagramError."""
+def limit_params(limits: Sequence[float] | None, block: str, unit: str) -> list[Param]:
+    """The parameters low and high of the pair `limits`, low <= high, or none of None; else DiagramError."""
     if limits is None:
-        return None
+        return []
     pair = reals(limits, block, "limits", 2)
     if len(pair) != 2 or not pair[0] <= pair[1]:
         raise DiagramError(f"limits={limits!r:.80}", block, "give [low, high] with low <= high, or None")
-    return pair[0], pair[1]
+    return [Param("low", pair[0], unit=unit), Param("high", pair[1], unit=unit)]

@@ -56,6 +56,12 @@ def plain(value: Value) -> Any:
 
 
 _PARTIAL: dict[str, Callable[..., tuple[float, ...]]] = {
+    "add": lambda a, b, y: (1.0, 1.0),
+    "sub": lambda a, b, y: (1.0, -1.0),
+    "mul": lambda a, b, y: (b, a),
+    "div": lambda a, b, y: (1.0 / b, -y / b),
+    "neg": lambda x, y: (-1.0,),
+    "sqrt": lambda x, y: (0.5 / y,),
     "sin": lambda x, y: (math.cos(x),),
     "cos": lambda x, y: (-math.sin(x),),
     "sin_octant": lambda x, y: (math.cos(x),),
@@ -71,7 +77,7 @@ _PARTIAL: dict[str, Callable[..., tuple[float, ...]]] = {
     "tanh": lambda x, y: (1.0 - y * y,),
     "hypot": lambda a, b, y: (a / y, b / y),
 }
-"""The derivatives of the elementary functions by their arguments, from these and the result."""
+"""The derivatives of operations and elementary functions by their arguments, from these and the result."""
 
 _STEPS: dict[str, Callable[[float], float]] = {"floor": math.floor, "ceil": math.ceil, "trunc": math.trunc}
 _NEVER = math.nan
@@ -143,23 +149,16 @@ class Tangent:
         op = item.op
         if op == "where":
             return d[1] if d[0].value else d[2]
-        value = self._number(item, [a.value for a in d])
-        if op in ("add", "sub"):
-            return Dual(value, _sum(d[0].slope, 1.0, d[1].slope, 1.0 if op == "add" else -1.0))
-        if op == "mul":
-            return Dual(value, _sum(d[0].slope, d[1].value, d[1].slope, d[0].value))
-        if op == "div":
-            return Dual(value, _sum(d[0].slope, 1.0 / d[1].value, d[1].slope, -value / d[1].value))
-        if op == "neg":
-            return Dual(value, _scaled(d[0].slope, -1.0))
+        values = [a.value for a in d]
+        value = self._number(item, values)
         if op == "abs":
             return Dual(value, _scaled(d[0].slope, self._sign(d[0])))
-        if op == "sqrt":
-            return Dual(value, _scaled(d[0].slope, 0.5 / value))
-        if op != "call":
-            raise DiagramError(f"{op} has no derivative", self.block, "use the functions of twodof.blocks")
+        name = item.data if op == "call" else op
+        if name not in _PARTIAL:
+            raise DiagramError(f"{name} has no derivative", self.block, "use the functions of twodof.blocks")
         try:
-            partial: tuple[float, ...] = _PARTIAL[item.data](*(float(a.value) for a in d), float(value))
+            # By operators numpy's numbers may become infinite; where a function has no slope, Python's raise.
+            partial = _PARTIAL[name](*(map(float, values) if op == "call" else values), value)
         except (ValueError, ZeroDivisionError, OverflowError):
             partial = (_NEVER,) * len(d)
         return Dual(value, _sum(d[0].slope, partial[0], d[1].slope if len(d) > 1 else None, partial[-1]))
@@ -189,9 +188,7 @@ class Tangent:
                 return found
             return np.bool_(side < 0.0 if item.op in ("lt", "le") else item.op == "ne")
         x, slope = float(values[0]), d[0].slope
-        name = {"call": item.data, "convert": "trunc", "bits": "bits"}.get(item.op, "")
-        if name == "bits":
-            raise DiagramError("bit patterns have no derivative", self.block, "use the functions of twodof.blocks")
+        name = {"call": item.data, "convert": "trunc"}.get(item.op, "")
         if name not in _STEPS or slope is None or not math.isfinite(x) or x != math.floor(x):
             return found
         side = self._side("a number that is rounded is whole", slope)

@@ -344,17 +344,12 @@ def convert(x: Any, kind: str) -> Any:
         if x.kind == "bool":
             return where(x, const(1, kind), const(0, kind))
         return node("convert", kind, (x,))
-    found = numbers.kind_of(x)
+    if numbers.kind_of(x) != "real":
+        return numbers.scalar_types()[kind](x.value if isinstance(x, Integer) else bool(x))
     if kind == "real":
-        if found == "real":
-            return numbers.cast(x, "real")
-        return numbers.real_type()(x.value if isinstance(x, Integer) else bool(x))
+        return numbers.cast(x, "real")
     integer = Int32 if kind == "int32" else UInt32
-    if found == "real":
-        if x != x:
-            return integer(0)
-        return integer(int(min(max(float(x), float(integer.low)), float(integer.low + 2**32 - 1))))
-    return integer(x.value if isinstance(x, Integer) else bool(x))
+    return integer(0 if x != x else int(min(max(float(x), float(integer.low)), float(integer.low + 2**32 - 1))))
 
 
 def multiply_high(a: Any, b: Any) -> Any:

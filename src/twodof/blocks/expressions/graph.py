@@ -76,56 +76,43 @@ def evaluate(
     `leaf_value` gives the value of an input, state, param, tick or dt leaf; `functions` the elementary functions by
     name. Under `tracing`, loops are recorded as loops; otherwise they are run.
     """
-    return _evaluate(roots, leaf_value, functions, {})
 
+    def values_of(roots: Sequence[Expr], bound: Mapping[Any, Any]) -> list[Any]:
+        values: dict[int, Any] = {}
+        for item in walk(roots, loops=False):
+            values[id(item)] = compute(item, [values[id(a)] for a in outside(item)], bound)
+        return [values[id(r)] for r in roots]
 
-def _evaluate(
-    roots: Sequence[Expr],
-    leaf_value: Callable[[Expr], Any],
-    functions: Mapping[str, Callable[..., Any]],
-    bound: dict[Any, Any],
-) -> list[Any]:
-    values: dict[int, Any] = {}
-    for item in walk(roots, loops=False):
-        args = [values[id(a)] for a in outside(item)]
-        values[id(item)] = _compute(item, args, leaf_value, functions, bound)
-    return [values[id(r)] for r in roots]
+    def compute(item: Expr, args: list[Any], bound: Mapping[Any, Any]) -> Any:
+        op = item.op
+        if op in OPERATIONS:
+            return OPERATIONS[op](*args)
+        if op == "const":
+            return item if recording() else numbers.cast(item.data, item.kind)
+        if op == "bound":
+            return bound[item.data]
+        if op == "convert":
+            return convert(args[0], item.kind)
+        if op == "bits":
+            return bits_of(args[0], item.data)
+        if op == "call":
+            return functions[item.data](*args)
+        if op == "vector":
+            return vector(args)
+        if op == "build":
+            length, depth = item.data
+            return build(length, lambda i: values_of(item.args, {**bound, (depth, 0): i})[0])
+        if op == "fold":
+            length, depth, which = item.data
+            bodies = item.args[len(args) :]
 
+            def step(*values: Any) -> list[Any]:
+                return values_of(bodies, {**bound, **{(depth, j): v for j, v in enumerate(values)}})
 
-def _compute(
-    item: Expr,
-    args: list[Any],
-    leaf_value: Callable[[Expr], Any],
-    functions: Mapping[str, Callable[..., Any]],
-    bound: dict[Any, Any],
-) -> Any:
-    op = item.op
-    if op in OPERATIONS:
-        return OPERATIONS[op](*args)
-    if op == "const":
-        return item if recording() else numbers.cast(item.data, item.kind)
-    if op == "bound":
-        return bound[item.data]
-    if op == "convert":
-        return convert(args[0], item.kind)
-    if op == "bits":
-        return bits_of(args[0], item.data)
-    if op == "call":
-        return functions[item.data](*args)
-    if op == "vector":
-        return vector(args)
-    if op == "build":
-        length, depth = item.data
-        return build(length, lambda i: _evaluate(item.args, leaf_value, functions, {**bound, (depth, 0): i})[0])
-    if op == "fold":
-        length, depth, which = item.data
-        bodies = item.args[len(args) :]
+            return fold(length, args, step)[which]
+        return leaf_value(item)
 
-        def step(*values: Any) -> list[Any]:
-            return _evaluate(bodies, leaf_value, functions, {**bound, **{(depth, j): v for j, v in enumerate(values)}})
-
-        return fold(length, args, step)[which]
-    return leaf_value(item)
+    return values_of(roots, {})
 
 
 def free_bounds(roots: Sequence[Expr]) -> dict[int, frozenset[tuple[int, int, str]]]:

@@ -7,7 +7,7 @@ from typing import Any
 
 from twodof.blocks.block import Block, Clock, library_block
 from twodof.blocks.declarations import Param, Port, State
-from twodof.blocks.elementwise import clamp, dot, elementwise, limits_of, reals
+from twodof.blocks.elementwise import clamp, dot, elementwise, limit_params, reals
 from twodof.blocks.expressions.arrays import vector
 from twodof.blocks.library.discrete import MAX_ORDER, LinearStateSpace
 from twodof.errors import DiagramError
@@ -29,13 +29,11 @@ class Integrator(Block):
         width: int | None = None,
         unit: str = "",
     ) -> None:
-        pair = limits_of(limits, "Integrator")
-        self.limited = pair is not None
+        bounds = limit_params(limits, "Integrator", unit)
+        self.limited = bool(bounds)
         self.inputs = [Port("u", width=width)]
         self.outputs = [Port("y", width=width, unit=unit)]
-        self.params = [Param("initial", initial, width=width, unit=unit)]
-        if pair is not None:
-            self.params += [Param("low", pair[0], unit=unit), Param("high", pair[1], unit=unit)]
+        self.params = [Param("initial", initial, width=width, unit=unit), *bounds]
         self.states = [State("x", "initial", width=width, unit=unit, continuous=True)]
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:

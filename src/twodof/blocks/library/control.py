@@ -7,7 +7,7 @@ from typing import Any
 
 from twodof.blocks.block import Block, Clock, library_block
 from twodof.blocks.declarations import Param, Port, State
-from twodof.blocks.elementwise import clamp, limits_of, one_of
+from twodof.blocks.elementwise import clamp, limit_params, one_of
 from twodof.blocks.expressions.expr import where
 from twodof.blocks.library.discrete import METHODS
 from twodof.errors import DiagramError
@@ -58,8 +58,8 @@ class Pid(Block):
         self.derivative_rule = one_of(derivative, METHODS, "Pid", "derivative")
         self.anti_windup = one_of(anti_windup, ANTI_WINDUP, "Pid", "anti_windup")
         self.resets = one_of(reset, RESETS, "Pid", "reset")
-        pair = limits_of(limits, "Pid")
-        self.limited = pair is not None
+        bounds = limit_params(limits, "Pid", output_unit)
+        self.limited = bool(bounds)
         if anti_windup != "none" and not self.limited:
             raise DiagramError("anti-windup without limits", "Pid", "give limits=[low, high]")
         self.inputs = [Port("e", unit=unit), *([Port("clear", "bool")] if reset != "none" else [])]
@@ -71,9 +71,8 @@ class Pid(Block):
             Param("N", N, unit="rad/s", low=0.0),
             Param("initial_integral", 0.0, unit=output_unit),
             Param("initial_filter", 0.0, text="initial f"),
+            *bounds,
         ]
-        if pair is not None:
-            self.params += [Param("low", pair[0], unit=output_unit), Param("high", pair[1], unit=output_unit)]
         if anti_windup == "back-calculation":
             self.params += [Param("Kb", Kb, unit="1/s", low=0.0, text="1/Kb is the tracking time")]
         self.derived = [Port("integral_gain"), Port("derivative_gain")]

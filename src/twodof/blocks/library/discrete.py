@@ -7,7 +7,7 @@ from typing import Any
 
 from twodof.blocks.block import Block, Clock, library_block
 from twodof.blocks.declarations import Param, Port, State
-from twodof.blocks.elementwise import clamp, count, dot, elementwise, limits_of, matrix, one_of, reals
+from twodof.blocks.elementwise import clamp, count, dot, elementwise, limit_params, matrix, one_of, reals
 from twodof.blocks.expressions.arrays import build, fold, store, vector
 from twodof.blocks.expressions.expr import int32, where
 from twodof.errors import DiagramError
@@ -48,13 +48,11 @@ class DiscreteIntegrator(Block):
         unit: str = "",
     ) -> None:
         self.method = one_of(method, METHODS, "DiscreteIntegrator", "method")
-        pair = limits_of(limits, "DiscreteIntegrator")
-        self.limited, self.resets = pair is not None, reset
+        bounds = limit_params(limits, "DiscreteIntegrator", unit)
+        self.limited, self.resets = bool(bounds), reset
         self.inputs = [Port("u", width=width), *([Port("clear", "bool")] if reset else [])]
         self.outputs = [Port("y", width=width, unit=unit)]
-        self.params = [Param("gain", gain), Param("initial", initial, width=width, unit=unit)]
-        if pair is not None:
-            self.params += [Param("low", pair[0], unit=unit), Param("high", pair[1], unit=unit)]
+        self.params = [Param("gain", gain), Param("initial", initial, width=width, unit=unit), *bounds]
         self.derived = [Port("step", unit="s")]
         self.states = [State("x", "initial", width=width, unit=unit)]
 
@@ -107,17 +105,13 @@ class DiscreteDerivative(Block):
 
 
 class _Rational(Block):
-    """y = (b0 + b1 z^-1 + ... + bn z^-n) / (1 + a1 z^-1 + ... + an z^-n) u in transposed direct form II.
-
-    y = b0 u + s1, s_i' = b_i u - a_i y + s_(i+1). `numerator` and `denominator` are given in descending powers of z or
-    ascending powers of z^-1 and divided by the first coefficient of the denominator.
-    """
+    """A quotient of polynomials in z^-1, in transposed direct form II; `lead` is how many zeros b begins with."""
 
     def _declare(self, numerator: list[float], denominator: list[float], lead: int, initial: Any, unit: str) -> None:
         name = type(self).__name__
         if denominator[0] == 0.0:
             raise DiagramError("the first coefficient of the denominator is 0", name, "leave zeros out")
-        self.lead = lead  # b_i = 0 for i < lead
+        self.lead = lead
         self.order = max(len(denominator) - 1, len(numerator) - 1 + lead, 1)
         self.lengths = len(numerator), len(denominator)
         if self.order > MAX_ORDER:

@@ -118,6 +118,13 @@ class _PatternSource(Block):
 
     pattern: ClassVar[tuple[int, ...]]
 
+    def declare(self, start: float, unit_time: Param, amplitude: float, bias: float, unit: str) -> None:
+        """Declare the output and the parameters; `unit_time` is that from which the unit of time is made."""
+        self.outputs = [Port("y", unit=unit)]
+        self.params = [start_param(start), unit_time, Param("amplitude", amplitude, unit=unit)]
+        self.params += [Param("bias", bias, unit=unit)]
+        self.derived = [Port("first", "uint32"), Port("unit_ticks", "uint32")]
+
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         since, end, up = t.tick - p.first, 0, None
         for times in self.pattern:
@@ -150,9 +157,7 @@ class DoubletSource(_PatternSource):
         bias: float = 0.0,
         unit: str = "",
     ) -> None:
-        self.outputs = [Port("y", unit=unit)]
-        self.params = _pattern_params(start, Param("period", period, unit="s", low=0.0), amplitude, bias, unit)
-        self.derived = [Port("first", "uint32"), Port("unit_ticks", "uint32")]
+        self.declare(start, Param("period", period, unit="s", low=0.0), amplitude, bias, unit)
 
     def prepare(self, p: Any, t: Clock) -> Any:
         return {"first": ticks(p.start, t), "unit_ticks": ticks(0.5 * p.period, t)}
@@ -175,13 +180,7 @@ class ThreeTwoOneOneSource(_PatternSource):
         bias: float = 0.0,
         unit: str = "",
     ) -> None:
-        self.outputs = [Port("y", unit=unit)]
-        self.params = _pattern_params(start, Param("step", step, unit="s", low=0.0), amplitude, bias, unit)
-        self.derived = [Port("first", "uint32"), Port("unit_ticks", "uint32")]
+        self.declare(start, Param("step", step, unit="s", low=0.0), amplitude, bias, unit)
 
     def prepare(self, p: Any, t: Clock) -> Any:
         return {"first": ticks(p.start, t), "unit_ticks": ticks(p.step, t)}
-
-
-def _pattern_params(start: float, unit_time: Param, amplitude: float, bias: float, unit: str) -> list[Param]:
-    return [start_param(start), unit_time, Param("amplitude", amplitude, unit=unit), Param("bias", bias, unit=unit)]

@@ -7,7 +7,6 @@ System Identification, chapter 2; Golomb, Shift Register Sequences.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from types import MappingProxyType
 from typing import Any
 
 LAWS = ("linear", "logarithmic")
@@ -17,28 +16,26 @@ MAX_LINES = 500
 MAX_HARMONIC = 10_000
 """Of a multisine."""
 
-PATTERNS: Mapping[str, tuple[int, ...]] = MappingProxyType({"doublet": (1, -1), "3-2-1-1": (3, -2, 1, -1)})
+PATTERNS: Mapping[str, tuple[int, ...]] = {"doublet": (1, -1), "3-2-1-1": (3, -2, 1, -1)}
 """Signals that are held at plus or minus their amplitude: for how many times the unit of time, with the sign."""
 
 # Feedback taps of the primitive polynomials of lowest weight: the register runs through all 2^order - 1 states.
-TAPS: Mapping[int, tuple[int, ...]] = MappingProxyType(
-    {
-        3: (3, 2),
-        4: (4, 3),
-        5: (5, 3),
-        6: (6, 5),
-        7: (7, 6),
-        8: (8, 6, 5, 4),
-        9: (9, 5),
-        10: (10, 7),
-        11: (11, 9),
-        12: (12, 6, 4, 1),
-        13: (13, 4, 3, 1),
-        14: (14, 5, 3, 1),
-        15: (15, 14),
-        16: (16, 15, 13, 4),
-    }
-)
+TAPS: Mapping[int, tuple[int, ...]] = {
+    3: (3, 2),
+    4: (4, 3),
+    5: (5, 3),
+    6: (6, 5),
+    7: (7, 6),
+    8: (8, 6, 5, 4),
+    9: (9, 5),
+    10: (10, 7),
+    11: (11, 9),
+    12: (12, 6, 4, 1),
+    13: (13, 4, 3, 1),
+    14: (14, 5, 3, 1),
+    15: (15, 14),
+    16: (16, 15, 13, 4),
+}
 """By the order of a pseudo-random binary sequence."""
 
 

@@ -220,18 +220,14 @@ class Hierarchy:
 
     def _check_states(self) -> None:
         for cell in self.cells:
-            if cell.continuous and cell.rate != BASE:
-                raise DiagramError(
-                    f"continuous states at the rate {tuple(cell.rate)}",
-                    cell.path,
-                    "keep them at the base rate",
-                )
-            if cell.block.trace.edges and cell.rate != BASE:
-                raise DiagramError(
-                    f"an edge inside the step at the rate {tuple(cell.rate)}",
-                    cell.path,
-                    "keep it at the base rate",
-                )
+            for what, there in (
+                ("continuous states", cell.continuous),
+                ("an edge inside the step", cell.block.trace.edges),
+            ):
+                if there and cell.rate != BASE:
+                    raise DiagramError(
+                        f"{what} at the rate {tuple(cell.rate)}", cell.path, "keep the block at the base rate"
+                    )
 
     def _needs(self, item: PortOf) -> list[PortOf]:
         cell = item.cell
