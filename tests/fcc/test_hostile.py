@@ -42,7 +42,7 @@ def test_no_frame_stops_the_router_or_makes_it_grow(seed: int, keyed: bool) -> N
         ends.router = Router(SYSTEM, ends.line, lambda: ends.now, Signing(Key.fresh(), Stamps(None)))
         for client in clients:
             ends.router.add(client)
-    CompanionComponent(ends.router, lambda: ends.now, ComputerStatus())
+    CompanionComponent(ends.router, ComputerStatus())
     for number in range(3000):
         ends.now += chance.random() * 0.02
         if chance.random() < 0.5:

@@ -81,7 +81,6 @@ class BatchRepacker:
         for client in clients:
             wish = client.wishes.get(BATCH)
             if wish is None or wish.interval == OFF:
-                client.counts.thinned += 1
                 continue
             chosen = wish.mask & mask
             same = chosen == mask and ticks(wish.interval) == every and not self._waits(client)

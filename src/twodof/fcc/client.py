@@ -1,6 +1,7 @@
 """A client of the companion: who is there, what it wants, what it was sent."""
 
 from collections.abc import Hashable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 from twodof.errors import LinkLost
@@ -23,17 +24,6 @@ SILENT_S = 30.0
 def is_ours(message_id: int) -> bool:
     """Whether a message is one of twodof's own."""
     return FIRST_OWN_ID <= message_id <= LAST_OWN_ID
-
-
-@dataclass(slots=True)
-class ClientCounts:
-    """Frames from and to one client; of the former what did not reach the flight controller, by cause."""
-
-    received: int = 0
-    sent: int = 0
-    thinned: int = 0
-    crowded_out: int = 0
-    impostors: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +55,6 @@ class CompanionClient:
     wishes: dict[int, Wish] = field(default_factory=dict)
     due_once: dict[int, int] = field(default_factory=dict)  # message -> how many it has asked for by 512
     knows_ours: bool = False  # twodof's own messages; to others they would be losses
-    counts: ClientCounts = field(default_factory=ClientCounts)
     _sequences: dict[Identity, int] = field(default_factory=dict)
 
     def __repr__(self) -> str:
@@ -117,8 +106,5 @@ class CompanionClient:
 
     def write(self, raw: bytes) -> None:
         """Hand bytes to its transport, which drops and counts them if the client does not read."""
-        try:
+        with suppress(LinkLost):
             self.transport.send(raw, self.peer)
-        except LinkLost:
-            return
-        self.counts.sent += 1

@@ -56,7 +56,7 @@ class Companion:
     async def __aenter__(self) -> Self:
         loop = asyncio.get_running_loop()
         self.router = Router(self._system, self.line, loop.time, self._signing)
-        self.component = CompanionComponent(self.router, loop.time, ComputerStatus(self._traffic, loop.time))
+        self.component = CompanionComponent(self.router, ComputerStatus(self._traffic, loop.time))
         self._vehicle = VehicleLink(self.vehicle, self.router, self.component, self._tell)
         try:
             for one in self.serve:

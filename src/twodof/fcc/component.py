@@ -21,12 +21,11 @@ _TIMESYNC = 111
 
 
 class CompanionComponent:
-    """What the companion says of itself, through `router`. `clock` gives seconds."""
+    """What the companion says of itself, through `router`."""
 
-    def __init__(self, router: Router, clock: Callable[[], float], computer: ComputerStatus) -> None:
+    def __init__(self, router: Router, computer: ComputerStatus) -> None:
         self.state = BOOTING
         self._router = router
-        self._clock = clock
         self._computer = computer
         self._texts = 0
         router.own = self.handle
@@ -68,7 +67,7 @@ class CompanionComponent:
                 self._reply(client, message("TIMESYNC", tc1=self._now(), ts1=got.ts1, **there))
 
     def _now(self) -> int:
-        return max(1, int(self._clock() * 1e9))
+        return max(1, int(self._router.clock() * 1e9))
 
     def _asked(self, asked: frame_fields.CommandFields) -> Any | None:
         """The message that a command asks for, None if we do not have it."""

@@ -24,7 +24,6 @@ class IntervalRequests:
 
     def __init__(self, send: Callable[[int, Wish], None], granted: dict[int, Wish]) -> None:
         self.granted = granted
-        self.unanswered = 0
         self._send = send
         self._pending: dict[int, _Pending] = {}
         self._asked: int | None = None
@@ -83,7 +82,6 @@ class IntervalRequests:
             if self._tries < TRIES:
                 self._ask(self._asked, now)
                 return
-            self.unanswered += 1
             pending = self._pending.get(self._asked)
             if pending is not None:
                 pending.waiting.clear()  # who asked hears nothing, as from a vehicle that is not there

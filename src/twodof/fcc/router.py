@@ -33,14 +33,12 @@ _HALF = 128  # of the range of a sequence number: what is further ahead is behin
 
 @dataclass(slots=True)
 class RouterCounts:
-    """Frames that ended here, by cause, and frames of the vehicle that were lost on the way to us."""
+    """Frames of the vehicle, frames that ended here, by cause, and starts of the vehicle anew."""
 
     from_vehicle: int = 0
-    from_clients: int = 0
     nobody: int = 0
     impostors: int = 0
     echoes: int = 0
-    lost: int = 0
     restarts: int = 0
 
 
@@ -139,11 +137,8 @@ class Router:
     def from_client(self, client: CompanionClient, frame: Frame) -> None:
         """A frame that a client sent."""
         now = self.clock()
-        self.counts.from_clients += 1
-        client.counts.received += 1
         identity = (frame.system, frame.component)
         if not self._may_say(frame, client.on_board):
-            client.counts.impostors += 1
             self.counts.impostors += 1
             return
         client.known_as(identity, now)
@@ -177,8 +172,7 @@ class Router:
                 if other is not client:
                     self._deliver(other, frame)
         self.answers.asked(client, frame, now)
-        if not self.line.offer(client, frame.raw, now, urgent):
-            client.counts.crowded_out += 1
+        self.line.offer(client, frame.raw, now, urgent)
 
     def from_stranger(self, frame: Frame) -> None:
         """A frame of a sender that found no place among the clients: only what stops motors passes."""
@@ -227,10 +221,9 @@ class Router:
 
     def tell(self, sent: Any, vehicle: bool = True, clients: bool = True) -> None:
         """Say something in the companion's own name."""
-        identity = (self.system, COMPANION)
         if clients:
             for client in self.clients:
-                client.write(self._encoded(sent, COMPANION, client.number(identity)))
+                self.answer(client, sent)
         if vehicle:
             self._to_vehicle(sent)
 
@@ -287,7 +280,6 @@ class Router:
         self.vehicle[identity] = frame.sequence
         if 0 < ahead < _HALF:
             self.lost[identity] = self.lost.get(identity, 0) + ahead
-            self.counts.lost += ahead
         if identity != (self.system, AUTOPILOT):
             return
         self._jumped = self._jumped or ahead > 0

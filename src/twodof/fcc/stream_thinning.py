@@ -135,10 +135,7 @@ class ClientStreams:
         for tap in taps:
             if (tap.interval != OFF and tap.passes(time, at)) or number in tap.client.due_once:
                 found.append(tap.client)
-            else:
-                tap.client.counts.thinned += 1
-                continue
-            tap.client.due_once.pop(number, None)
+                tap.client.due_once.pop(number, None)
         return found
 
     def _prune(self) -> None:

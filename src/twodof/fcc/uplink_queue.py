@@ -35,7 +35,6 @@ class UplinkCounts:
 
     sent: int = 0
     bytes: int = 0
-    urgent: int = 0
     crowded_out: int = 0
     stale: int = 0
     cut: int = 0
@@ -97,11 +96,6 @@ class UplinkQueue:
             self._gathers = False
             self._hand_over()
 
-    def queued(self, source: Hashable) -> int:
-        """Bytes of `source` that wait."""
-        queue = self._queues.get(source)
-        return queue.size if queue is not None else 0
-
     def offer(self, source: Hashable, raw: bytes, now: float, urgent: Hashable | None = None) -> bool:
         """Send a frame of `source` now or in its turn; False if it was dropped.
 
@@ -129,7 +123,6 @@ class UplinkQueue:
     def pump(self, now: float) -> float | None:
         """Send what may go now; in how many seconds to call again, None if nothing waits."""
         while self._urgent and self._room(now):
-            self.counts.urgent += 1
             self._send(self._urgent.pop(next(iter(self._urgent))), now)
         while self._queues and not self._urgent and self._room(now):
             source, queue = next(iter(self._queues.items()))

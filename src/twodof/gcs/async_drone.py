@@ -126,7 +126,7 @@ class AsyncDrone(FlyingDrone):
         if not isinstance(excitation, Excitation):
             what = f"{shown(excitation)} is no excitation"
             raise ExperimentError(what, "excite", "give one of twodof.excitation, such as Doublet(0.03, 0.6)")
-        self._not_killed(self._deadline(timeout, "excite"))
+        self._not_killed(self.session.deadline(timeout, "excite"))
         playback = await self.exciter.start(excitation, loop, thrust, at, timeout)
         return await self.exciter.finish(playback) if wait else playback
 
@@ -161,7 +161,9 @@ class AsyncDrone(FlyingDrone):
         Raises LinkLost, Timeout.
         """
         self._needs_ours("what flies", "folder of controllers")
-        return await read_active_controller(self.parameters, self.files, self._deadline(timeout, "asking what flies"))
+        return await read_active_controller(
+            self.parameters, self.files, self.session.deadline(timeout, "asking what flies")
+        )
 
     def record(
         self,
@@ -192,7 +194,7 @@ class AsyncDrone(FlyingDrone):
         Raises Rejected for a real one, while armed, or where the drone says so.
         """
         self._needs_ours("a reset", "TWODOF_RIG_RESET")
-        deadline = self._deadline(timeout, "resetting the rig")
+        deadline = self.session.deadline(timeout, "resetting the rig")
         self.setpoints.stop()
         spoken = self.texts.count
         asked = message(
@@ -223,7 +225,7 @@ class AsyncDrone(FlyingDrone):
         self._needs_ours("controllers of one's own", "folder of controllers")
         path = f"/controllers/{template}.json"
         content = diagram.encode() if isinstance(diagram, str) else diagram
-        deadline = self._deadline(timeout, "sending a controller")
+        deadline = self.session.deadline(timeout, "sending a controller")
         self.session.check(self.session.now)  # what is known of a drone that is lost says nothing
         if self.state.armed:
             raise Rejected("it is armed", deadline.where, "disarm it first")

@@ -132,13 +132,12 @@ async def _look(url: str, timeout: float, heard: dict[tuple[int, str], FoundDron
     with suppress(LinkError):
         transport, _ = await open_link(url, timeout)
         async with Connection(transport, system=SYSTEM, component=GROUND_STATION) as connection:
-            while loop.time() < end:
-                with suppress(LinkLost):
-                    connection.send(message("HEARTBEAT", type=6, autopilot=NO_AUTOPILOT, system_status=4))
-                turn = min(end, loop.time() + 1.0)
-                while (received := await connection.receive(max(0.0, turn - loop.time()))) is not None:
-                    got, frame = received.message, received.frame
-                    if frame.component == AUTOPILOT:
-                        _note(heard, connection, url, frame.system, got)
-                    if loop.time() >= turn:
-                        break
+            beats = loop.time()
+            while (now := loop.time()) < end:
+                if now >= beats:
+                    beats += 1.0
+                    with suppress(LinkLost):
+                        connection.send(message("HEARTBEAT", type=6, autopilot=NO_AUTOPILOT, system_status=4))
+                received = await connection.receive(min(end, beats) - now)
+                if received is not None and received.frame.component == AUTOPILOT:
+                    _note(heard, connection, url, received.frame.system, received.message)

@@ -102,7 +102,7 @@ class DroneBase(LatestEstimates):
 
         Raises Rejected where it does not tell, LinkLost, Timeout.
         """
-        deadline = self._deadline(timeout, "asking for its version")
+        deadline = self.session.deadline(timeout, "asking for its version")
         got = await self.commands.request("AUTOPILOT_VERSION", deadline)
         if got is None:
             raise Rejected("it does not tell its version", deadline.where, "look at its state for what it is")
@@ -154,9 +154,6 @@ class DroneBase(LatestEstimates):
                 missing, f"drone {self.session.system}", "docs/how-to/connect-clients.md says what works there"
             )
 
-    def _deadline(self, timeout: float, doing: str) -> Deadline:
-        return self.session.deadline(timeout, doing)
-
     async def __aenter__(self) -> Self:
         return self
 
@@ -173,7 +170,7 @@ class DroneBase(LatestEstimates):
             return
         self._closed = True
         self.setpoints.stop()
-        deadline = self._deadline(timeout, "leaving")
+        deadline = self.session.deadline(timeout, "leaving")
         try:
             others = self.lease.holder is not None and not self.lease.ours  # it is theirs to disarm
             if self.commanding and not others and (self.state.armed or self._may_be_armed):
@@ -188,7 +185,7 @@ class DroneBase(LatestEstimates):
 
     async def disarm(self, timeout: float = TIMEOUT_S) -> None:
         """Disarm it, and see that it is; set-points are sent no more. Needs no lease."""
-        deadline = self._deadline(timeout, "disarming")
+        deadline = self.session.deadline(timeout, "disarming")
         self.setpoints.stop()
         self._last_thrust = None
         await self.commands.run("COMPONENT_ARM_DISARM", [0.0], timeout, "disarming")
@@ -201,11 +198,11 @@ class DroneBase(LatestEstimates):
         It holds the drone disarmed until `release`. Raises Timeout, LinkLost if it is not seen: the drone's own
         failsafe then acts on the lost link.
         """
-        await self._insist(_FORCE, self._deadline(timeout, "killing"))
+        await self._insist(_FORCE, self.session.deadline(timeout, "killing"))
 
     async def release(self, timeout: float = TIMEOUT_S) -> None:
         """Let it be armed again after a kill, by us or by others. Raises Rejected where somebody else has the lease."""
-        deadline = self._deadline(timeout, "releasing a kill")
+        deadline = self.session.deadline(timeout, "releasing a kill")
         await self.commands.run("DO_FLIGHTTERMINATION", [0.0], timeout, deadline.doing)
         await self._see(lambda: not self.state.killed, deadline)
 
@@ -221,7 +218,7 @@ class DroneBase(LatestEstimates):
                 await self.disarm(timeout=timeout / 3)
             except (Rejected, Timeout, LinkLost):
                 # Its heartbeat comes once a second.
-                await self._insist(force, self._deadline(timeout / 2, "disarming"))
+                await self._insist(force, self.session.deadline(timeout / 2, "disarming"))
         except asyncio.CancelledError:
             with suppress(LinkLost):
                 for attempt in range(_LAST_WORDS):

@@ -28,7 +28,7 @@ class FlyingDrone(DroneBase):
 
     async def arm(self, timeout: float = TIMEOUT_S) -> None:
         """Arm it, and see that it is. Raises Rejected with what speaks against it."""
-        deadline = self._deadline(timeout, "arming")
+        deadline = self.session.deadline(timeout, "arming")
         self.session.check(self.session.now)
         self._may_be_armed = True
         await self.commands.run("COMPONENT_ARM_DISARM", [1.0], timeout, "arming")
@@ -36,7 +36,7 @@ class FlyingDrone(DroneBase):
 
     async def set_mode(self, mode: str, timeout: float = TIMEOUT_S) -> None:
         """Change the mode (manual, rate, attitude, position, hold, offboard), and see that it is changed."""
-        deadline = self._deadline(timeout, f"changing to the mode {mode}")
+        deadline = self.session.deadline(timeout, f"changing to the mode {mode}")
         number = custom_mode(mode)
         await self._switch(number, deadline)
         remedy = (
@@ -57,25 +57,25 @@ class FlyingDrone(DroneBase):
         """Fly a normalised pitch moment (-1 to 1) about the trim, no loop closed; `thrust` 0 to 1, None: as it is."""
         setpoint = setpoints.moment(M, thrust)
         self._needs_ours("a moment without a loop", "TWODOF_OPENLOOP")
-        await self._follow(setpoint, self._deadline(timeout, _FOLLOWING))
+        await self._follow(setpoint, self.session.deadline(timeout, _FOLLOWING))
 
     async def set_pitch(self, theta: float, thrust: float | None = None, timeout: float = TIMEOUT_S) -> None:
         """Follow a pitch [rad]; `thrust` 0 to 1, None: the last one given, at first the parameter THRUST_BAR."""
-        deadline = self._deadline(timeout, _FOLLOWING)
+        deadline = self.session.deadline(timeout, _FOLLOWING)
         await self._follow(setpoints.pitch(theta, await self._thrust(thrust, deadline)), deadline)
 
     async def set_pitch_rate(self, q: float, thrust: float | None = None, timeout: float = TIMEOUT_S) -> None:
         """Follow a pitch rate [rad/s]; `thrust` as in `set_pitch`."""
-        deadline = self._deadline(timeout, _FOLLOWING)
+        deadline = self.session.deadline(timeout, _FOLLOWING)
         await self._follow(setpoints.pitch_rate(q, await self._thrust(thrust, deadline)), deadline)
 
     async def set_velocity(self, v: float, acceleration: float | None = None, timeout: float = TIMEOUT_S) -> None:
         """Follow a velocity along the rail [m/s], with an acceleration [m/s^2] fed forward."""
-        await self._follow(setpoints.velocity(v, acceleration), self._deadline(timeout, _FOLLOWING))
+        await self._follow(setpoints.velocity(v, acceleration), self.session.deadline(timeout, _FOLLOWING))
 
     async def set_position(self, x: float, acceleration: float | None = None, timeout: float = TIMEOUT_S) -> None:
         """Follow a position along the rail [m], with an acceleration [m/s^2] fed forward."""
-        await self._follow(setpoints.position(x, acceleration), self._deadline(timeout, _FOLLOWING))
+        await self._follow(setpoints.position(x, acceleration), self.session.deadline(timeout, _FOLLOWING))
 
     async def withhold_tuning(self, withhold: bool = True, timeout: float = TIMEOUT_S) -> None:
         """Let nobody else change parameters while we command, or (`withhold` False) let them again, as at first.
@@ -204,4 +204,4 @@ class FlyingDrone(DroneBase):
         await self.clock.run_until(tick, condition if self.clock.granting else done, within, patience)
         if killed():
             self.setpoints.stop()
-            self._not_killed(self._deadline(0.0, "flying"))
+            self._not_killed(self.session.deadline(0.0, "flying"))

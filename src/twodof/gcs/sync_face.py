@@ -28,21 +28,14 @@ class SyncFace:
     @contextmanager
     def _within(self, manager: AbstractAsyncContextManager[Any]) -> Iterator[Any]:
         """An asynchronous context as one for `with`."""
-
-        async def enter() -> Any:
-            return await manager.__aenter__()
-
-        async def leave(*reason: Any) -> None:
-            await manager.__aexit__(*reason)
-
-        entered = self._runner.run(enter())
+        entered = self._runner.run(manager.__aenter__())
         try:
             yield entered
         except BaseException as error:
             with suppress(TwodofError):  # what went wrong in the block says more
-                self._runner.run(leave(type(error), error, error.__traceback__))
+                self._runner.run(manager.__aexit__(type(error), error, error.__traceback__))
             raise
-        self._runner.run(leave(None, None, None))
+        self._runner.run(manager.__aexit__(None, None, None))
 
 
 def synchronous(there: type) -> Callable[[Kind], Kind]:

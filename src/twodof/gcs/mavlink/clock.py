@@ -64,11 +64,6 @@ class DroneClock:
         session.on(self._started, "TWODOF_RIG")
         session.on(self._ticked, *_TICKED)
 
-    @property
-    def seconds(self) -> float:
-        """The drone's time since it started [s]."""
-        return self.tick * TICK_S
-
     async def begin_granting(self, timeout: float) -> None:
         """From now on its time is ours to grant: learn how far it has come. Raises LinkLost, Timeout."""
         self.granting = True

@@ -92,7 +92,6 @@ class DroneSession:
         self.component = AUTOPILOT
         self.lockstep = False
         self.taken = 0  # messages of the vehicle's
-        self.faults = 0  # handlers that raised
         self.signed_frames = 0  # of the vehicle's; before it was found, of everybody's
         self._kind = _ON_BOARD if on_board else _GROUND
         self._loop = asyncio.get_running_loop()
@@ -326,7 +325,6 @@ class DroneSession:
                 handler(got)
             except (ArithmeticError, LookupError, TypeError, ValueError, TwodofError) as fault:
                 # A peer may put anything into a field: its message is not taken, and the session goes on.
-                self.faults += 1
                 self._loop.call_exception_handler({"message": f"a {name} was not taken", "exception": fault})
         for heard in self._listeners:
             if name in heard.names:

@@ -64,7 +64,6 @@ class AsyncSignal:
         self.row = topic(name)
         self.name = self.row.name
         self.latest: TelemetrySample | None = None
-        self.count = 0
         self._session = session
         self._streams: list[SampleStream] = []
         self._callbacks: list[Callback] = []
@@ -106,7 +105,6 @@ class AsyncSignal:
     def take(self, sample: TelemetrySample) -> None:
         """One more sample."""
         self.latest = sample
-        self.count += 1
         for stream in self._streams:
             stream.heard.take(sample)
         for callback in self._callbacks:
