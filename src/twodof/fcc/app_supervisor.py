@@ -99,16 +99,11 @@ class AppSupervisor:
                 return status
             self._log(f"app: {_ended(status)}; started again in {wait:g} s")
             await asyncio.sleep(wait)
-            await self._released()
+            if self._killed():  # who did it does not want the app to fly on
+                self._log("app: the drone was killed; started again once it is released (twodof kill --release)")
+            while self._killed():
+                await asyncio.sleep(LOOK_S)
             wait = min(2.0 * wait, self._restarts.longest)
-
-    async def _released(self) -> None:
-        """Wait while the drone is killed: who did it does not want the app to fly on."""
-        if not self._killed():
-            return
-        self._log("app: the drone was killed; started again once it is released (twodof kill --release)")
-        while self._killed():
-            await asyncio.sleep(LOOK_S)
 
     async def _once(self) -> int:
         """One run of it, from start to the last of its processes."""

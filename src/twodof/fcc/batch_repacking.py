@@ -83,7 +83,9 @@ class BatchRepacker:
             if wish is None or wish.interval == OFF:
                 continue
             chosen = wish.mask & mask
-            same = chosen == mask and ticks(wish.interval) == every and not self._waits(client)
+            packing = self._packings.get(client)
+            waits = packing is not None and bool(packing.rows)
+            same = chosen == mask and ticks(wish.interval) == every and not waits
             if same or not own_words:
                 self._deliver(client, frame)
             elif chosen:
@@ -108,10 +110,6 @@ class BatchRepacker:
     def forget(self, client: CompanionClient) -> None:
         """A client has gone."""
         self._packings.pop(client, None)
-
-    def _waits(self, client: CompanionClient) -> bool:
-        packing = self._packings.get(client)
-        return packing is not None and bool(packing.rows)
 
     def _repack(
         self, client: CompanionClient, chosen: int, every: int, mask: int, tick: int, step: int, values: bytes

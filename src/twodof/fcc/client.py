@@ -60,13 +60,11 @@ class CompanionClient:
     def __repr__(self) -> str:
         return f"<client {self.name}>"
 
-    def known_as(self, identity: Identity, now: float) -> bool:
-        """It spoke as `identity`; False where it has too many faces to remember one more."""
+    def known_as(self, identity: Identity, now: float) -> None:
+        """It spoke as `identity`, which is remembered unless it has too many."""
         self.heard = now
-        if identity not in self.identities and len(self.identities) >= MOST_IDENTITIES:
-            return False
-        self.identities[identity] = now
-        return True
+        if identity in self.identities or len(self.identities) < MOST_IDENTITIES:
+            self.identities[identity] = now
 
     def forget(self) -> None:
         """It has been silent for so long that the next one to speak there is somebody else."""

@@ -38,14 +38,10 @@ class CompanionComponent:
     def link(self, stands: bool, why: str) -> None:
         """The link to the vehicle was cut, or stands again: said at once."""
         self.state = ACTIVE if stands else CRITICAL
-        self.say(why, INFO if stands else WARNING)
-        self._router.tell(self._heartbeat())
-
-    def say(self, text: str, severity: int = INFO) -> None:
-        """A line of text to the clients."""
         self._texts = self._texts % 65535 + 1
-        for part in statustext(text, severity, self._texts):
+        for part in statustext(why, INFO if stands else WARNING, self._texts):
             self._router.tell(part, vehicle=False)
+        self._router.tell(self._heartbeat())
 
     def time(self) -> bytes:
         """A signed word to who may hear no other of us yet: a question for its time, which tells ours."""

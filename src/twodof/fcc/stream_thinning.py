@@ -94,7 +94,8 @@ class ClientStreams:
     def changed(self) -> None:
         """A client came, went or forgot."""
         self._prune()
-        self._renew([*self._taps])
+        for number in self._taps:
+            self._renew(number)
 
     def set(self, client: CompanionClient, message_id: int, wish: Wish | None) -> bool:
         """A client's wish, None for its default again; False if it has too many."""
@@ -104,7 +105,7 @@ class ClientStreams:
             client.wishes[message_id] = wish
         else:
             return False
-        self._renew([message_id])
+        self._renew(message_id)
         return True
 
     def chosen(self, message_id: int) -> bool:
@@ -128,7 +129,7 @@ class ClientStreams:
         if taps is None:
             if len(self._taps) >= MOST_TAPS:
                 self._prune()
-            taps = self._renew([number])
+            taps = self._renew(number)
         at = self.granted.get(number, Wish(OFF)).interval
         time = -1 if all(tap.interval <= max(at, EVERY) for tap in taps) else time_us(frame)
         found = []
@@ -142,17 +143,13 @@ class ClientStreams:
         """Forget who gets what all get alike: it is found out again when it comes."""
         self._taps = {number: taps for number, taps in self._taps.items() if self.chosen(number)}
 
-    def _renew(self, numbers: Sequence[int]) -> list[_Tap]:
-        """Find out anew who gets these messages, what was thinned out so far kept in mind; the last one's taps."""
-        taps: list[_Tap] = []
-        for number in numbers:
-            before = {tap.client: tap for tap in self._taps.get(number, ())}
-            choose = self.chosen(number)
-            taps = []
-            for client in self.clients:
-                untouched = EVERY if client.understands(number) else OFF
-                interval = client.wish(number) if choose else untouched
-                old = before.get(client)
-                taps.append(old if old is not None and old.interval == interval else _Tap(client, interval))
-            self._taps[number] = taps
+    def _renew(self, number: int) -> list[_Tap]:
+        """Find out anew who gets a message, what was thinned out so far kept in mind."""
+        before = {(tap.client, tap.interval): tap for tap in self._taps.get(number, ())}
+        chosen, taps = self.chosen(number), []
+        for client in self.clients:
+            untouched = EVERY if client.understands(number) else OFF
+            interval = client.wish(number) if chosen else untouched
+            taps.append(before.get((client, interval)) or _Tap(client, interval))
+        self._taps[number] = taps
         return taps

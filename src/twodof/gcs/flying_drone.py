@@ -92,13 +92,11 @@ class FlyingDrone(DroneBase):
     async def _thrust(self, thrust: float | None, deadline: Deadline) -> float:
         if thrust is not None:
             self._last_thrust = thrust
-        elif self._last_thrust is None and self.ours:
-            return await self.parameters.read(HOVER, deadline.left)
-        elif self._last_thrust is None:
-            raise ParameterError("nothing says which thrust lets it hover", "set-point", "give thrust=")
-        else:
+        if self._last_thrust is not None:
             return self._last_thrust
-        return thrust
+        if not self.ours:
+            raise ParameterError("nothing says which thrust lets it hover", "set-point", "give thrust=")
+        return await self.parameters.read(HOVER, deadline.left)
 
     async def _follow(self, setpoint: Setpoint, deadline: Deadline) -> None:
         """Stream it, and switch to a mode in which it is followed; refusals are tried again while it streams."""

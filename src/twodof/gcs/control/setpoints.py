@@ -51,22 +51,22 @@ def moment(M: float, thrust: float | None) -> Setpoint:
 
 def pitch(theta: float, thrust: float) -> Setpoint:
     """Pitch [rad]; thrust 0 to 1."""
-    return _attitude(attitude_target, _angle("theta", theta, MOST_PITCH, "rad", "deg"), thrust)
+    return _attitude(attitude_target, _within("theta", theta, MOST_PITCH, "rad"), thrust)
 
 
 def pitch_rate(q: float, thrust: float) -> Setpoint:
     """Pitch rate [rad/s]; thrust 0 to 1."""
-    return _attitude(rate_target, _angle("q", q, MOST_RATE, "rad/s", "deg/s"), thrust)
+    return _attitude(rate_target, _within("q", q, MOST_RATE, "rad/s"), thrust)
 
 
 def velocity(v: float, acceleration: float | None) -> Setpoint:
     """Velocity along the rail [m/s], with an acceleration [m/s^2] fed forward if it is given."""
-    return _along_rail(velocity_target, _length("v", v, MOST_SPEED, "m/s"), acceleration)
+    return _along_rail(velocity_target, _within("v", v, MOST_SPEED, "m/s"), acceleration)
 
 
 def position(x: float, acceleration: float | None) -> Setpoint:
     """Position along the rail [m], with an acceleration [m/s^2] fed forward if it is given."""
-    return _along_rail(position_target, _length("x", x, MOST_WAY, "m"), acceleration)
+    return _along_rail(position_target, _within("x", x, MOST_WAY, "m"), acceleration)
 
 
 def _attitude(make: Callable[..., Any], value: float, thrust: float) -> Setpoint:
@@ -92,25 +92,16 @@ def _fraction(name: str, value: float, least: float) -> float:
     return found
 
 
-def _angle(name: str, value: float, most: float, unit: str, degrees_unit: str) -> float:
+def _within(name: str, value: float, most: float, unit: str) -> float:
     found = _number(name, value)
-    if abs(found) > most:
-        raise ParameterError(
-            f"angles are in radians: {name} = {found:g} {unit} is {degrees(found):.0f} {degrees_unit}, "
-            f"beyond {degrees(most):.0f}",
-            "set-point",
-            f"write radians({found:g}) if that was meant; nothing was sent",
-        )
-    return found
-
-
-def _length(name: str, value: float, most: float, unit: str) -> float:
-    found = _number(name, value)
-    if abs(found) > most:
-        raise ParameterError(
-            f"{name} = {found:g} {unit} is beyond {most:g} {unit}", "set-point", f"it is in {unit}; nothing was sent"
-        )
-    return found
+    if abs(found) <= most:
+        return found
+    what, remedy = f"{name} = {found:g} {unit} is beyond {most:g} {unit}", f"it is in {unit}"
+    if unit.startswith("rad"):
+        in_degrees = f"{degrees(found):.0f} {unit.replace('rad', 'deg')}, beyond {degrees(most):.0f}"
+        what = f"angles are in radians: {name} = {found:g} {unit} is {in_degrees}"
+        remedy = f"write radians({found:g}) if that was meant"
+    raise ParameterError(what, "set-point", f"{remedy}; nothing was sent")
 
 
 def _number(name: str, value: float) -> float:

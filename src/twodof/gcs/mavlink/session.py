@@ -310,7 +310,8 @@ class DroneSession:
     def _take(self, received: Received) -> None:
         got, frame = received.message, received.frame
         name = got.get_type()
-        if not self.system and name == "HEARTBEAT" and self._is_sought(got):
+        flies = name == "HEARTBEAT" and frame.component == AUTOPILOT and got.autopilot != NO_AUTOPILOT
+        if not self.system and flies and self._sought in (None, frame.system):
             # At once: what others say behind it, in the same packet perhaps, is none of this vehicle's.
             self.system = frame.system
         if self.system:
@@ -329,11 +330,6 @@ class DroneSession:
         for heard in self._listeners:
             if name in heard.names:
                 heard.take(got)
-
-    def _is_sought(self, beat: Any) -> bool:
-        """Whether it is the heartbeat of the vehicle that `find` waits for."""
-        flies = beat.get_srcComponent() == AUTOPILOT and beat.autopilot != NO_AUTOPILOT
-        return flies and self._sought in (None, beat.get_srcSystem())
 
     def end(self, reason: LinkLost) -> None:
         """The vehicle is lost: every call that waits or comes later raises `reason`; the first one stays."""

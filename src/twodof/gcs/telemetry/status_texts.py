@@ -50,7 +50,7 @@ class StatusTexts:
         self._session.emit(line)
 
     def _take(self, got: Any) -> None:
-        piece = _bytes(got)
+        piece = bytes(got._text_raw).split(b"\0")[0]  # UTF-8, where pymavlink's own field has only what is ASCII
         if got.id != self._number or (got.id == 0 and got.chunk_seq == 0):
             self._end()
             self._number = got.id
@@ -74,9 +74,3 @@ class StatusTexts:
             text = line.decode("utf-8", "replace")
             severity = SEVERITIES[self._severity] if self._severity < len(SEVERITIES) else "info"
             self.note(severity, "".join(c if c.isprintable() else " " for c in text).strip())
-
-
-def _bytes(got: Any) -> bytes:
-    """The text as it was sent: UTF-8, where pymavlink's own field has only what is ASCII."""
-    raw = getattr(got, "_text_raw", got.text)
-    return (raw.encode() if isinstance(raw, str) else bytes(raw)).split(b"\0")[0]
