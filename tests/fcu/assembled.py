@@ -6,6 +6,7 @@ from collections.abc import Hashable
 from typing import Any
 
 from tests.fcu.command.cockpit import ME
+from tests.fcu.sent_message import SentMessage
 from twodof.fcu.command.result import Source
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.link.connection import Received
@@ -86,5 +87,4 @@ class Assembled:
         return " / ".join(one.text for one in self.sent if one.get_type() == "STATUSTEXT")
 
     def _send(self, sent: Any, peer: Hashable | None = None) -> None:
-        (frame,) = Parser().feed(encode(sent, 1, 1, 0))
-        self.sent.append(decode(frame))
+        self.sent.append(SentMessage(sent))

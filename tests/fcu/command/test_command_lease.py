@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
@@ -411,4 +412,11 @@ class TwoClients(RuleBasedStateMachine):
 
 
 TestTwoClients = TwoClients.TestCase
-TestTwoClients.settings = settings(max_examples=MANY // 4, stateful_step_count=40, deadline=None)
+TestTwoClients.settings = settings(max_examples=MANY // 16, stateful_step_count=40, deadline=None)
+
+
+@pytest.mark.soak
+class TestTwoClientsAtLength(TwoClients.TestCase):
+    """The same, many times."""
+
+    settings = settings(max_examples=MANY, stateful_step_count=40, deadline=None)

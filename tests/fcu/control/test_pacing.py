@@ -22,14 +22,17 @@ async def paced(stalls: dict[int, float], wakes: int) -> tuple[list[int], list[i
     What may have passed: those up to just before the last wait, and up to just after it, however long it took.
     """
     pacer = Pacer(PERIOD_NS)
-    counts, missed, before = [], [], 0
+    counts, missed, before, begins = [], [], 0, [time.monotonic_ns()]
     for number in range(wakes):
         before = time.monotonic_ns()
-        counts.append(await pacer.wait())
+        wait = asyncio.ensure_future(pacer.wait())
+        await asyncio.sleep(0)  # it begins with the first wait
+        begins.append(time.monotonic_ns())
+        counts.append(await wait)
         missed.append(pacer.missed)
         assert pacer.late_ns >= 0, "never early"
         time.sleep(stalls.get(number, 0.0))
-    passed = range((before - pacer._begin) // PERIOD_NS, (time.monotonic_ns() - pacer._begin) // PERIOD_NS + 1)
+    passed = range((before - begins[1]) // PERIOD_NS, (time.monotonic_ns() - begins[0]) // PERIOD_NS + 1)
     pacer.close()
     return counts, missed, passed
 

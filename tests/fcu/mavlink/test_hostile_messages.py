@@ -3,11 +3,13 @@
 import random
 from itertools import count
 
+import pytest
+
 from tests.fcu.mavlink.world import World
 from tests.link.mavlink.test_framing import NAMES, random_message
 from twodof.link.mavlink.messages import message
 
-EACH = 20
+EACH, EACH_IN_THE_SOAK = 5, 40
 
 
 def aimed(name: str, chance: random.Random) -> object:
@@ -22,11 +24,15 @@ def aimed(name: str, chance: random.Random) -> object:
     return sent
 
 
-def test_nothing_raises_and_every_client_is_still_served() -> None:
+LENGTHS = [pytest.param(EACH), pytest.param(EACH_IN_THE_SOAK, marks=pytest.mark.soak)]
+
+
+@pytest.mark.parametrize("each", LENGTHS)
+def test_nothing_raises_and_every_client_is_still_served(each: int) -> None:
     world = World(truth=lambda: (0.0, 0.0, 0.0, 0.0))
     chance, tick = random.Random(1), count()
     for name in NAMES:
-        for _ in range(EACH):
+        for _ in range(each):
             source = (chance.randrange(256), chance.randrange(256))
             world.say(aimed(name, chance), f"peer {chance.randrange(200)}", source)
             if next(tick) % 5 == 0:
@@ -37,10 +43,11 @@ def test_nothing_raises_and_every_client_is_still_served() -> None:
     assert len(world.taken("ATTITUDE", "honest")) == 100
 
 
-def test_random_messages_change_no_parameter() -> None:
+@pytest.mark.parametrize("each", LENGTHS)
+def test_random_messages_change_no_parameter(each: int) -> None:
     world = World(profile={})
     before, chance = dict(world.store), random.Random(2)
     for name in NAMES:
-        for _ in range(EACH):
+        for _ in range(each):
             world.say(random_message(name, chance))
     assert dict(world.store) == before

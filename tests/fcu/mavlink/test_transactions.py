@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.fcu.mavlink.world import CLIENT, World
@@ -207,6 +207,7 @@ def test_what_is_never_ended_is_forgotten() -> None:
     assert ended == [READ_FAIL] * (2 * MOST_OPEN - 2) + [NO_ERROR] * MOST_OPEN, "those that began last"
 
 
+@settings(max_examples=30)
 @given(st.data())
 def test_any_order_of_anything_leaves_a_whole_set(data: st.DataObject) -> None:
     """Whatever two senders do, what is in force is always what some prefix of whole changes gives."""

@@ -6,6 +6,7 @@ from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
+from tests.fcu.sent_message import SentMessage
 from twodof.fcu.command.result import DONE, CommandResult, Source
 from twodof.fcu.control.control_input import ControlInput
 from twodof.fcu.control.flight_code import ControlStep
@@ -159,8 +160,7 @@ class World:
 
     def send(self, sent: Any, peer: Hashable | None = None) -> None:
         """The services' link: through bytes and back, as it goes over a real one."""
-        (frame,) = Parser().feed(encode(sent, SYSTEM, 1, 0))
-        self.sent.append((decode(frame), peer))
+        self.sent.append((SentMessage(sent), peer))
 
     def say(self, sent: Any, peer: Hashable = "client", source: Source = CLIENT, sequence: int | None = None) -> bool:
         """A client says something; whether any service took it."""

@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
+from functools import cache
 from types import MappingProxyType
 from typing import Any
 
 from twodof.blocks import Diagram
+from twodof.blocks.reference.interpreter import Reference
 from twodof.compile import CompiledProgram, build
 from twodof.compile.machine import CompiledMachine
 from twodof.compile.stepper import Stepper
@@ -103,10 +105,10 @@ class FlightCode:
             Sandbox(self.controllers, position_filter, precision, fuel) if self.controllers and not trusted else None
         )
         outside = self.sandbox is not None
-        diagram = core(position_filter=position_filter, controllers=inside, failsafe=True, outside=outside)
-        program = build(diagram, PERIOD, precision)
+        make = _program.__wrapped__ if inside else _program
+        program = make(position_filter, precision, outside, inside)
         if not isinstance(program, CompiledProgram):
-            raise CompileError("there is no C compiler", diagram.name, "install gcc, or the wheel ziglang")
+            raise CompileError("there is no C compiler", "flight", "install gcc, or the wheel ziglang")
         self.machine: CompiledMachine = program.machine()
         self._stepper = Stepper(
             self.machine, (*INPUTS, *(OWN if outside else ())), (*OUTPUTS, *(("own",) if outside else ()))
@@ -246,6 +248,15 @@ class FlightCode:
             M_open=_within(asked.M_open, 1.0),
             ax0=asked.ax0 if math.isfinite(asked.ax0) else 0.0,
         )
+
+
+@cache
+def _program(
+    position_filter: str, precision: str, outside: bool, controllers: tuple[Diagram, ...]
+) -> CompiledProgram | Reference:
+    """The flight code as a program. Kept where no diagram of a user is part of it, as many virtual drones fly it."""
+    diagram = core(position_filter=position_filter, controllers=controllers, failsafe=True, outside=outside)
+    return build(diagram, PERIOD, precision)
 
 
 def _path(name: str) -> str:

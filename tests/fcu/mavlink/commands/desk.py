@@ -6,6 +6,7 @@ from collections.abc import Hashable, Mapping
 from typing import Any
 
 from tests.fcu.command.cockpit import ME, Failsafe
+from tests.fcu.sent_message import SentMessage
 from twodof.errors import ParameterError
 from twodof.fcu.command.commander import Commander
 from twodof.fcu.command.result import Source
@@ -97,8 +98,7 @@ class Desk:
 
     def send(self, sent: Any, peer: Hashable | None = None) -> None:
         """The services' link: through bytes and back, as it goes over a real one."""
-        (frame,) = Parser().feed(encode(sent, SYSTEM, 1, 0))
-        self.sent.append((decode(frame), peer))
+        self.sent.append((SentMessage(sent), peer))
 
     def say(self, sent: Any, source: Source = ME, peer: Hashable = "client") -> bool:
         """A client says something; whether a service took it."""

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.fcu.command.cockpit import ME, OTHER
@@ -193,6 +193,7 @@ ANY = st.builds(
 )
 
 
+@settings(max_examples=30)
 @given(sent=st.lists(ANY, max_size=15))
 def test_nothing_that_is_sent_plays_what_was_not_defined_or_arms(sent: list[Any]) -> None:
     desk = Desk(lockstep=True)

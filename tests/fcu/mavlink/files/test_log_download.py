@@ -83,7 +83,7 @@ def run(work: Callable[[], Coroutine[Any, Any, None]]) -> None:
 
 @pytest.mark.parametrize("loss", [0.0, 0.3])
 def test_every_byte_comes_whatever_gets_lost(tmp_path: Path, loss: float) -> None:
-    log = written(tmp_path)
+    log = written(tmp_path, (40, 200))
     world = world_of(log)
 
     async def work() -> None:

@@ -86,18 +86,18 @@ def test_what_a_tick_carries_does_not_depend_on_when_the_client_came() -> None:
     assert sent(0) == sent(1) == sent(617)
 
 
-@settings(max_examples=25)
+@settings(max_examples=10)
 @given(micros=st.one_of(st.integers(1, 2_000_000), st.floats(1.0, 2e6, width=32)))
 def test_an_interval_asked_for_is_kept_exactly(micros: float) -> None:
     world = World(profile={})
     assert world.command(511, ATTITUDE, micros) == 0
     ticks = []
-    for tick in range(1500):
+    for tick in range(1100):
         world.run()
         if world.taken("ATTITUDE"):
             ticks.append(tick)
     asked = max(micros, 4000.0)  # not more than one a tick
-    assert len(ticks) == pytest.approx(1500 * 4000.0 / asked, abs=1.0)
+    assert len(ticks) == pytest.approx(1100 * 4000.0 / asked, abs=1.0)
     gaps = {later - earlier for earlier, later in pairwise(ticks)}
     assert all(abs(gap * 4000.0 - asked) < 4000.0 for gap in gaps)
 
@@ -258,7 +258,8 @@ def test_a_silent_client_is_forgotten_and_a_closed_one_at_once() -> None:
     world.sent.clear()
     world.run(250)
     assert {to for _, to in world.sent} == {"silent", None}
-    world.run(SILENT_TICKS)
+    world.controller.tick += SILENT_TICKS
+    world.run(250)
     world.sent.clear()
     world.run(250)
     assert {to for _, to in world.sent} == {None}  # HEARTBEAT alone

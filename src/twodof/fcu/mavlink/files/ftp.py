@@ -74,7 +74,7 @@ class FileTransfer(Service):
         self._clock = clock
         self._link, self._us, self._take, self._explain = link, us, take, explain
         self._background = BackgroundWorker(inline=lockstep)
-        self._pump = PacedSender(self._send_bursts, lockstep)
+        self._pump = PacedSender(self.send_bursts, lockstep)
         self._clients: OrderedDict[Hashable, FtpClient] = OrderedDict()
         self._armed = False
         self._turn = 0
@@ -309,7 +309,8 @@ class FileTransfer(Service):
     def _send(self, client: FtpClient, packet: FtpPacket) -> None:
         self._link.send(packed(packet, *client.source), client.peer)
 
-    def _send_bursts(self) -> bool:
+    def send_bursts(self) -> bool:
+        """Sends some packets of bursts; whether there are more. `PacedSender` calls it."""
         most = A_TICK_ARMED if self._armed else A_TICK
         bursting = [client for client in self._clients.values() if client.burst]
         self._turn += most

@@ -1,0 +1,31 @@
+"""A message that went out as bytes, as over a real link; it is read back where a test looks at a field."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+from twodof.link.mavlink.framing import Parser, decode, encode
+
+
+class SentMessage:
+    """What a client gets of `sent`. Most messages that a test draws are never looked at, and reading costs most."""
+
+    def __init__(self, sent: Any) -> None:
+        self._name = sent.get_type()
+        self._frame = encode(sent, 1, 1, 0)
+
+    def get_type(self) -> str:
+        """The message's name."""
+        return str(self._name)
+
+    @cached_property
+    def _read(self) -> Any:
+        (frame,) = Parser().feed(self._frame)
+        return decode(frame)
+
+    def __getattr__(self, field: str) -> Any:
+        return getattr(self._read, field)
+
+    def __str__(self) -> str:
+        return str(self._read)
