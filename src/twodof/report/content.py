@@ -50,6 +50,16 @@ class ParameterRow:
         own = math.nan if self.greybox is None else self.greybox.sigma
         return own if self.greybox_spread is None else max(own, self.greybox_spread)
 
+    @property
+    def greybox_error(self) -> float:
+        """How far the grey-box estimate is off the truth, as a share of it; NaN where one of them is not known."""
+        return abs(self.greybox.value / self.truth - 1.0) if self.greybox and self.truth else math.nan
+
+    @property
+    def greybox_sigmas(self) -> float:
+        """The same in `greybox_sigma`."""
+        return self.greybox_error * abs(self.truth or math.nan) / self.greybox_sigma
+
 
 @dataclass(frozen=True, eq=False)
 class FigureLine:

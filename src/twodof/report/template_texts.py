@@ -3,13 +3,27 @@
 from __future__ import annotations
 
 import functools
+import tomllib
 from importlib import resources
 from string import Template
+from typing import Any
 
 
 def fill(template: str, **fields: object) -> str:
     """The text of a file in `templates/`. Raises KeyError for a field of it that is not given."""
     return Template(text(template)).substitute(**fields)
+
+
+def say(key: str, **fields: object) -> str:
+    """A text of `words.toml` with its fields filled in."""
+    words: str = table("words.toml")[key]
+    return words.format(**fields)
+
+
+@functools.cache
+def table(name: str) -> dict[str, Any]:
+    """The tables of a TOML file in `templates/`."""
+    return tomllib.loads(text(name))
 
 
 @functools.cache

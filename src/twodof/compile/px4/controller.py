@@ -91,13 +91,8 @@ def _own(names: ModuleNames, rows: Sequence[ExportedParameter]) -> str:
 
 
 def _members(members: Sequence[MessageField]) -> str:
-    lines = [f"    {f.c_declaration}{_remark(f)}" for f in members]
+    lines = [f"    {f.c_declaration} /* {harmless(f.described, 90)} */" for f in members]
     return "\n".join(lines or ["    uint8_t none;"])
-
-
-def _remark(field: MessageField) -> str:
-    unit = f" [{field.unit}]" if field.unit else ""
-    return f" /* {harmless(field.path + unit, 90)} */"
 
 
 def source(names: ModuleNames, found: MessageFields, rows: Sequence[ExportedParameter], made: ControllerCode) -> str:

@@ -54,6 +54,11 @@ class MessageField:
         return f"{_C_TYPES[self.kind]} {self.name}{'' if self.width is None else f'[{self.width}]'};"
 
     @property
+    def described(self) -> str:
+        """Its path and unit, for people."""
+        return f"{self.path} [{self.unit}]" if self.unit else self.path
+
+    @property
     def words(self) -> int:
         """32-bit words in a row of a recorded sequence."""
         return self.width or 1
@@ -109,8 +114,7 @@ def message(names: ModuleNames, found: MessageFields) -> str:
         lines += ["", f"# {title}"]
         for f in members:
             array = "" if f.width is None else f"[{f.width}]"
-            unit = f" [{f.unit}]" if f.unit else ""
-            lines.append(_line(TYPES[f.kind] + array, f.name, f"{f.path}{unit}"))
+            lines.append(_line(TYPES[f.kind] + array, f.name, f.described))
     return "\n".join(lines) + "\n"
 
 

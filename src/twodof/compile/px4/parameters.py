@@ -93,10 +93,11 @@ def exported(
     if torque:
         scale = float32(math.sqrt(2.0))
         own.append(ExportedParameter(f"{names.prefix}_{TORQUE}", "real", scale, 0.0, 10.0, "", _TORQUE_TEXT))
-    wanted, kept = _wanted(program)
+    wanted, _ = _wanted(program)
     if len(wanted) > MOST:
         raise DiagramError(f"{len(wanted)} parameters for PX4", program.name, f"{MOST} at most; bind or remove some")
-    return [*_rows(program, names.prefix, wanted), *own], kept
+    rows, kept = diagram_rows(program, names.prefix)
+    return [*rows, *own], kept
 
 
 def diagram_rows(
@@ -113,7 +114,10 @@ def diagram_rows(
     kept += [KeptParameter(path, f"beyond the first {MOST} numbers") for path in beyond]
     # An array is shown whole or not at all.
     shown = [(path, index) for path, index in wanted[:MOST] if path not in beyond]
-    return _rows(program, prefix, shown, elsewhere, part), kept
+    # Both are kept free even where a module has no torque, so that a name does not depend on what it is part of.
+    module = [f"{prefix}_{LIVE}", f"{prefix}_{TORQUE}"]
+    made = parameter_names(prefix, shown, module, elsewhere, part)
+    return [_row(program, name, path, index) for name, (path, index) in zip(made, shown, strict=True)], kept
 
 
 def _wanted(program: FlatProgram) -> tuple[list[tuple[str, int | None]], list[KeptParameter]]:
@@ -132,19 +136,6 @@ def _wanted(program: FlatProgram) -> tuple[list[tuple[str, int | None]], list[Ke
         else:
             wanted += [(path, None)] if d.width is None else [(path, i) for i in range(d.width)]
     return wanted, kept
-
-
-def _rows(
-    program: FlatProgram,
-    prefix: str,
-    wanted: Sequence[tuple[str, int | None]],
-    elsewhere: Iterable[str] = (),
-    part: str = "",
-) -> list[ExportedParameter]:
-    # Both are kept free even where a module has no torque, so that a name does not depend on what it is part of.
-    module = [f"{prefix}_{LIVE}", f"{prefix}_{TORQUE}"]
-    made = parameter_names(prefix, wanted, module, elsewhere, part)
-    return [_row(program, name, path, index) for name, (path, index) in zip(made, wanted, strict=True)]
 
 
 def float32(value: float) -> float:

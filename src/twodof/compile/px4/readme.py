@@ -28,7 +28,7 @@ def readme(
     ]
     signals = (*found.inputs, *found.outputs)
     fields = [(f"`{name}`", _cell(text)) for _, name, text in HEAD]
-    fields += [(f"`{f.name}`", _cell(f"{f.path} {'[' + f.unit + ']' if f.unit else ''}")) for f in signals]
+    fields += [(f"`{f.name}`", _cell(f.described)) for f in signals]
     faults = [(str(bit), name, _cell(text)) for bit, name, text in FAULTS]
     return fill(
         "readme.md",

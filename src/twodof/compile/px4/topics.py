@@ -64,13 +64,7 @@ _COMMANDING = {name: Commanding(**_frozen(row)) for name, row in _TABLES["comman
 MOTORS = _COMMANDING["motors"].finite
 
 # A module of PX4 -> the topic that it alone advertises, from its start to its end.
-SIGNS: Mapping[str, str] = MappingProxyType(
-    {
-        "mc_rate_control": "rate_ctrl_status",
-        "mc_pos_control": "takeoff_status",
-        "control_allocator": "actuator_motors",
-    }
-)
+SIGNS: Mapping[str, str] = MappingProxyType(_TABLES["signs"])
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from twodof.report.characterisation.errata import errata
 from twodof.report.characterisation.paper_figures import figures
 from twodof.report.content import Content, FitCheck, ParameterRow, ReportTable, Subject, Uncertain
 from twodof.report.numbers import plain, with_sigma
+from twodof.report.template_texts import say
 
 _PAPER = (
     ParameterRow("w_n", "ω<sub>n</sub>", "natural frequency", "rad/s", PAPER_PITCH_RATE.w_n),
@@ -95,37 +96,24 @@ def _checks(found: Characterisation) -> list[FitCheck]:
 
 def _note(estimate: Estimate) -> str:
     if estimate.white:
-        return "White residuals: the standard deviations are the Cramér-Rao bound at the estimate."
+        return say("white")
     shared = [label for label in estimate.labels if label not in estimate.local]
     wider = max(estimate.sigma(label) / estimate.cramer_rao(label) for label in shared)
-    return (
-        "The residuals are coloured, so the standard deviations given are the robust ones, at most "
-        f"{wider:.1f} times those that white noise would leave."
-    )
+    return say("coloured", wider=wider)
 
 
 def _doubts(found: Characterisation) -> list[str]:
     said = [escape(text) for text in found.refusals]
     if found.forced is not None:
-        said.append(
-            "Doublet: the poles. It is over before they show, so ω<sub>n</sub> and ξ are those of the free response, "
-            "flown without thrust; friction falls when the rotors run, and the doublet cannot say by how much."
-        )
+        said.append(say("poles"))
     if found.travel is not None:
-        said.append(
-            "Velocity: dry friction on the bars. In one doublet it acts much as viscous friction does, so only "
-            "p<sub>v</sub> is estimated and takes on both."
-        )
+        said.append(say("friction"))
     for name, estimate in found.fits.items():
         said.extend(f"{name.capitalize()}: {text}" for text in _unsure(estimate))
     for row in _PAPER:
         claimed, spread = found.greybox.get(row.key), found.spreads.get(row.key)
         if claimed is not None and spread is not None and spread.exceeds(claimed.sigma):
-            said.append(
-                f"{row.symbol}: repeated flights spread {spread.value / claimed.sigma:.1f} times as far as the "
-                "standard deviation claimed from one. What differs from flight to flight acts on the drone and not on "
-                "the sensor, where output error looks for it: believe the spread."
-            )
+            said.append(say("spread", symbol=row.symbol, times=spread.value / claimed.sigma))
     return said
 
 
@@ -139,11 +127,8 @@ def _unsure(estimate: Estimate) -> Iterator[str]:
     strongest, i, j = max(pairs, default=(0.0, 0, 0))
     if strongest > _CORRELATED:
         sense = "more" if estimate.correlation[i, j] > 0.0 else "less"
-        yield (
-            f"{_symbol(estimate.labels[i])} and {_symbol(estimate.labels[j])} are told apart badly: their errors "
-            f"correlate by {plain(estimate.correlation[i, j], 2)}, so more of one with {sense} of the other fits "
-            "almost as well."
-        )
+        one, other = (_symbol(estimate.labels[k]) for k in (i, j))
+        yield say("apart", one=one, other=other, correlation=plain(estimate.correlation[i, j], 2), sense=sense)
     for k in own:
         label = estimate.labels[k]
         share = estimate.sigma(label) / abs(estimate.values[k])
@@ -157,10 +142,10 @@ def _unsure(estimate: Estimate) -> Iterator[str]:
 def _symbol(label: str) -> str:
     """An estimate's label as HTML: Table 1's symbol, else what stands behind `_` as a subscript."""
     known = {row.key: row.symbol for row in (*_PAPER, *_DRY)}
+    if label in known:
+        return known[label]
     stem, below, index = label.partition("_")
-    return known.get(label) or (
-        f"{escape(_GREEK.get(stem, stem))}<sub>{escape(index)}</sub>" if below else escape(stem)
-    )
+    return f"{escape(_GREEK.get(stem, stem))}<sub>{escape(index)}</sub>" if below else escape(stem)
 
 
 def _in_symbols(text: str, labels: Sequence[str]) -> str:
@@ -177,8 +162,7 @@ def content(
     """The whole report about several machines; `tables` are sections of their own."""
     return Content(
         "The 2DoF Drone, characterised",
-        "The paper’s three identification experiments, flown through compiled flight code, evaluated by hand as the "
-        "paper does and by output error, and compared with its Table 1.",
+        say("lead"),
         [finding for machine in machines for finding in _findings(machine)],
         [subject(machine) for machine in machines],
         errata(),
@@ -189,44 +173,26 @@ def content(
 
 def _findings(machine: CharacterisedMachine) -> list[str]:
     """One sentence about a machine: the gain and the worst deviation from the truth, or what stands for it."""
-    table = {row.key: row for row in rows(machine)}
-    name = escape(machine.name)
-    known = [
-        row for row in table.values() if row.truth is not None and row.greybox is not None and row.greybox.sigma > 0.0
-    ]
+    table, name = rows(machine), escape(machine.name)
+    known = [row for row in table if row.truth and row.greybox is not None and row.greybox.sigma > 0.0]
     if known:
-        worst = max(known, key=lambda row: _sigmas(row))
-        inside = sum(_sigmas(row) <= 3.0 for row in known)
-        value = with_sigma(worst.greybox or Uncertain(0.0))
-        unit = f" {worst.unit}" if worst.unit else ""
-        spread = any(row.greybox_spread is not None for row in known)
-        measure = " (σ: claimed, or the spread over repeated flights where that is larger)" if spread else ""
-        text = (
-            f"<b>{name}</b>: {inside} of {len(known)} grey-box estimates lie within 3 σ of the truth; the farthest is "
-            f"<i>{worst.symbol}</i> = {value}{unit} where {plain(worst.truth or 0.0)}{unit} is true, "
-            f"{_sigmas(worst):.1f} σ off{measure}."
+        worst = max(known, key=lambda row: row.greybox_sigmas)
+        repeated = any(row.greybox_spread is not None for row in known)
+        text = say(
+            "farthest",
+            name=name,
+            inside=sum(row.greybox_sigmas <= 3.0 for row in known),
+            count=len(known),
+            worst=worst,
+            value=with_sigma(worst.greybox or Uncertain(0.0)),
+            unit=f" {worst.unit}" if worst.unit else "",
+            truth=plain(worst.truth or 0.0),
+            measure=say("measure") if repeated else "",
         )
-        coarse = [row for row in known if _share(row) > _ROUGH]
-        if coarse:
-            listed = ", ".join(f"<i>{row.symbol}</i> {100.0 * _share(row):.0f} %" for row in coarse)
-            text += f" Within 3 σ is not near: off the truth by more than a tenth are {listed}."
-        return [text]
-    shown = [
-        f"<i>{row.symbol}</i> = {with_sigma(row.greybox)} {row.unit}".strip()
-        for row in table.values()
-        if row.greybox is not None
-    ]
+        coarse = [
+            f"<i>{row.symbol}</i> {100.0 * row.greybox_error:.0f} %" for row in known if row.greybox_error > _ROUGH
+        ]
+        return [text + (say("coarse", listed=", ".join(coarse)) if coarse else "")]
+    found = [(row, row.greybox) for row in table if row.greybox is not None]
+    shown = [f"<i>{row.symbol}</i> = {with_sigma(value)} {row.unit}".strip() for row, value in found]
     return [f"<b>{name}</b>: {', '.join(shown[:6])}."] if shown else []
-
-
-def _share(row: ParameterRow) -> float:
-    """How far the grey-box estimate is from the truth, as a share of it."""
-    if not row.truth or row.greybox is None:
-        return 0.0
-    return abs(row.greybox.value / row.truth - 1.0)
-
-
-def _sigmas(row: ParameterRow) -> float:
-    if row.truth is None or row.greybox is None:
-        return 0.0
-    return abs(row.greybox.value - row.truth) / row.greybox_sigma

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
@@ -20,7 +19,7 @@ from twodof.report.characterisation.characterise import FORCED, ExperimentRecord
 from twodof.report.characterisation.compose import CharacterisedMachine
 from twodof.report.content import ReportTable
 from twodof.report.numbers import plain, power_of_ten
-from twodof.report.template_texts import text
+from twodof.report.template_texts import table
 from twodof.rig.parameters import lab, load_rig
 from twodof.rig.steady_state import model_parameters
 from twodof.sim.replay import replay
@@ -34,7 +33,7 @@ REPETITIONS = 10
 
 _PAPER_EXPERIMENT = {"impulse": "impulse", "doublet": "doublet", "velocity": "velocity-doublet"}
 
-_TEXTS = tomllib.loads(text("demonstration.toml"))
+_TEXTS = table("demonstration.toml")
 
 Fly = Callable[[Experiment, int], Flight]
 """Flies an experiment with the noise of a seed."""

@@ -24,6 +24,7 @@ from twodof.report.characterisation.characterise import Characterisation
 from twodof.report.content import Figure, FigureBand, FigureLine, FigurePoint, Panel, Span
 from twodof.report.drawing.diagram_svg import to_inline_svg
 from twodof.report.numbers import plain
+from twodof.report.template_texts import say
 
 Array = NDArray[np.float64]
 
@@ -51,13 +52,13 @@ def _figure_3(found: Characterisation) -> Figure:
     whole = _whole_flight(found, record)
     lines = [_measured(whole, "q", zero)]
     fit = found.dry or found.free
-    caption = "M = 0.1 for 0.2 s, then free. "
+    caption = say("impulse")
     if fit is not None:
         lines.append(_simulated(fit.identification[0], zero))
         kind = "with dry friction and a hardening spring" if found.dry else "linear"
-        caption += f"The grey-box model ({kind}) reaches a FIT of {fit.identification[0].fit_percent:.1f} %"
+        caption += say("impulse_fit", kind=kind, fit=fit.identification[0].fit_percent)
         if found.dry and found.free:
-            caption += f", the paper’s linear one {found.free.identification[0].fit_percent:.1f} %"
+            caption += say("impulse_linear", fit=found.free.identification[0].fit_percent)
         caption += ". "
     marks: list[Span | FigureBand] = []
     if found.pitch is not None:
@@ -67,35 +68,21 @@ def _figure_3(found: Characterisation) -> Figure:
         band = SETTLED * abs(float(free.peaks[0]))
         marks.append(FigureBand(-band, band, "1 % of the first peak"))
         late = " (extrapolated)" if free.extrapolated else ""
-        caption += (
-            f"By hand: period {free.period:.3f} s gives ω<sub>n</sub> = {plain(free.w_n)} rad/s; settled after "
-            f"{free.settling_time:.1f} s{late}, which gives ξ = {plain(free.xi, 3)}. The paper read 1.83 s and 16 s."
-        )
-    return Figure(
-        3,
-        "response to the impulse-like signal",
-        caption,
-        [_input_panel(record, whole, zero), Panel(_Q, lines, marks, 1.7)],
-    )
+        caption += say("impulse_hand", free=free, w_n=plain(free.w_n), late=late, xi=plain(free.xi, 3))
+    panels = [_input_panel(record, whole, zero), Panel(_Q, lines, marks, 1.7)]
+    return Figure(3, "response to the impulse-like signal", caption, panels)
 
 
 def _figure_4(found: Characterisation) -> Figure:
     record = found.flights.doublets[0]
     zero = _first_edge(record, "M")
     whole = _whole_flight(found, record)
-    marks, caption = [], "Open loop, rotors on. "
+    marks, caption = [], say("doublet")
     if found.pitch is not None:
         one = found.pitch.doublet
-        marks = [
-            FigurePoint(
-                one.peak_time - zero, one.rest + math.copysign(one.peak, one.amplitude), f"{one.peak:.2f} rad/s"
-            )
-        ]
-        caption += (
-            f"The first peak is {one.peak:.2f} rad/s above the rest and would be {1e3 * one.unit_peak:.2f}·10<sup>−3"
-            f"</sup> rad/s with μ = 1: μ = {one.mu:.1f} rad/s² (paper: 2.40, 6.68·10<sup>−3</sup>, 358.5). The "
-            f"response lies {one.shift} samples, {1e3 * one.tau:.0f} ms, behind the input."
-        )
+        top = one.rest + math.copysign(one.peak, one.amplitude)
+        marks = [FigurePoint(one.peak_time - zero, top, f"{one.peak:.2f} rad/s")]
+        caption += say("doublet_hand", one=one, unit_peak=1e3 * one.unit_peak, tau=1e3 * one.tau)
     panels = [_input_panel(record, whole, zero), Panel(_Q, [_measured(whole, "q", zero)], marks, 1.7)]
     return Figure(4, "doublet, identification data", caption, panels)
 
@@ -139,11 +126,7 @@ def _figure_6(found: Characterisation) -> Figure:
     model.output("theta", "T_att.theta")
     model.output("v", "G_v")
     model.output("x", "G_x")
-    caption = (
-        "The attitude loop T<sub>att</sub> turns the set-point θ<sub>d</sub> into the pitch θ, which drives the "
-        "velocity v and the position x. G<sub>v</sub> = −k<sub>v</sub> / (s + p<sub>v</sub>) with the values "
-        f"{method}: k<sub>v</sub> = {plain(k_v)} m/s², p<sub>v</sub> = {plain(p_v)} 1/s."
-    )
+    caption = say("cascade", method=method, k_v=plain(k_v), p_v=plain(p_v))
     title = "cascaded attitude and translation dynamics"
     return Figure(6, title, caption, picture=to_inline_svg(model, title))
 
@@ -157,17 +140,20 @@ def _figure_7(found: Characterisation) -> Figure:
         FigureLine("set-point", time, np.degrees(whole.inputs["theta0"])),
         FigureLine("measured", time, np.degrees(whole.inputs["theta"])),
     ]
-    caption, marks = "Pitch set-point and pitch above, velocity below. ", []
+    caption, marks = say("velocity"), []
     if found.velocity is not None:
         step = found.velocity.step
         marks = [FigurePoint(step.peak_time - zero, step.rest + step.peak, f"{step.peak:.2f} m/s")]
-        caption += (
-            f"By hand: the slope of {plain(step.slope, 3)} m/s² at {math.degrees(step.theta_bar):.0f}° gives "
-            f"k<sub>v</sub> = {plain(step.k_v)} m/s²; the peak, {step.peak_time - step.start:.2f} s after the start, "
-            f"gives p<sub>v</sub> = {plain(step.p_v)} 1/s."
+        caption += say(
+            "velocity_hand",
+            slope=plain(step.slope, 3),
+            theta=math.degrees(step.theta_bar),
+            after=step.peak_time - step.start,
+            k_v=plain(step.k_v),
+            p_v=plain(step.p_v),
         )
     else:
-        caption += "The velocity loop was closed, so there is no doublet of pitch to read by hand."
+        caption += say("velocity_closed")
     panels = [
         Panel("θ [°]", pitch, _used(record, whole, zero), 1.1),
         Panel(_V, [_measured(whole, "v", zero)], marks, 1.3),
@@ -179,21 +165,16 @@ def _figure_8(found: Characterisation) -> Figure:
     record = found.flights.velocities[0]
     zero = _first_edge(record, "theta0")
     lines, panels = [_measured(record, "v", zero)], []
-    caption = "Above, the velocity as the on-board filter estimates it. "
+    caption = say("travel")
     if found.velocity is not None:
         lines.append(_by_hand(velocity_pair(found.velocity.model, record), record, "v", zero))
         hand = [found.velocity.identification, *found.velocity.validation]
         flights = f", {len(hand)} flights, the first is drawn" if len(hand) > 1 else ""
-        caption += f"FIT of v by hand{flights}: {', '.join(f'{value:.1f} %' for _, value in hand)}. "
+        caption += say("travel_hand", flights=flights, fits=", ".join(f"{value:.1f} %" for _, value in hand))
     if found.travel is not None:
         velocity = _velocity(found.travel, record)
         lines.append(FigureLine("grey-box", record.output_time("v") - zero, velocity))
-        caption += (
-            f"FIT of v of the grey-box model: {fit_percent(record.outputs['v'].value, velocity):.1f} % in the flight "
-            "drawn. "
-            "Below, the position as the range sensor sees it: the grey-box model goes from the gyro to the range, so "
-            "that the filter’s errors do not become the model’s. FIT of x: "
-        )
+        caption += say("travel_fit", fit=fit_percent(record.outputs["v"].value, velocity))
         drawn = {"identification": found.travel.identification[:1], "validation": found.travel.validation[:1]}
         caption += ", ".join(f"{one.fit_percent:.1f} % ({word})" for word, ones in drawn.items() for one in ones)
         for one in (*drawn["identification"], *drawn["validation"]):

@@ -176,10 +176,7 @@ def _nets(
             item = diagram.parts[part].item
             names = [p.name for p in item.outputs] if isinstance(item, Block) else list(item.outputs)
             pin = place[part, ""], names.index(port)
-            about[pin] = (
-                f"{part}.{port}",
-                next(p for p in item.outputs if p.name == port) if isinstance(item, Block) else _carried(item, port),
-            )
+            about[pin] = f"{part}.{port}", _carried(item, port)
         sinks.setdefault(pin, []).append(to)
 
     for part in diagram.parts.values():
@@ -196,19 +193,18 @@ def _nets(
     return [Net(pin, tuple(sinks[pin])) for pin in ordered], [about[pin] for pin in ordered]
 
 
-def _carried(diagram: Diagram, output: str) -> Port | None:
-    """What comes out of a sub-diagram's output; None if that leads nowhere."""
+def _carried(item: Block | Diagram, output: str) -> Port | None:
+    """What comes out of an output; None if that leads nowhere in a sub-diagram."""
     for _ in range(64):
-        source = diagram.outputs.get(output)
+        if isinstance(item, Block):
+            return next(p for p in item.outputs if p.name == output)
+        source = item.outputs.get(output)
         if source is None:
             return None
-        part, port = diagram.source(source)
+        part, port = item.source(source)
         if part is None:
-            return diagram.inputs[port]
-        item = diagram.parts[part].item
-        if isinstance(item, Block):
-            return next(p for p in item.outputs if p.name == port)
-        diagram, output = item, port
+            return item.inputs[port]
+        item, output = item.parts[part].item, port
     return None
 
 
@@ -223,19 +219,17 @@ def _frame(part: Part, diagram: Diagram, shown: Drawing) -> BlockSymbol:
     corners = shown.placed.corners
     left = [header + corners[i][1] + 0.5 * TERMINAL for i in range(first)]
     right = [header + corners[last + i][1] + 0.5 * TERMINAL for i in range(len(diagram.outputs))]
-    shapes = [f'<rect class="frame" width="{width:g}" height="{height:g}" rx="6"/>']
-    shapes += [f'<path class="wire" d="M0 {y:g}H{corners[i][0]:g}"/>' for i, y in enumerate(left)]
+    wires = [f'<path class="wire" d="M0 {y:g}H{corners[i][0]:g}"/>' for i, y in enumerate(left)]
     for i, y in enumerate(right):
         edge = corners[last + i][0] + shown.symbols[last + i].box.width
-        shapes.append(f'<path class="wire" d="M{edge:g} {y:g}H{width:g}"/>')
+        wires.append(f'<path class="wire" d="M{edge:g} {y:g}H{width:g}"/>')
     texts = [SymbolText(10.0, 18.0, name, 13.0, "start", "name")]
-    extra = [what for what in ("enable", "reset") if getattr(part, what)]
-    for what in extra:
-        y = height + 10.0
-        height += 18.0
-        left.append(y)
-        texts.append(SymbolText(7.0, y + 4.0, what, 11.0, "start", "italic"))
-    shapes[0] = f'<rect class="frame" width="{width:g}" height="{height:g}" rx="6"/>'
+    for what in ("enable", "reset"):
+        if getattr(part, what):
+            left.append(height + 10.0)
+            texts.append(SymbolText(7.0, height + 14.0, what, 11.0, "start", "italic"))
+            height += 18.0
+    shapes = [f'<rect class="frame" width="{width:g}" height="{height:g}" rx="6"/>', *wires]
     made = BlockSymbol(Box(width, height, left, right, "", part.position), shapes, texts, part.name)
     made.heads = [True] * len(left)
     return made

@@ -323,7 +323,8 @@ class _Layered:
             channels[self.rank[a] + 1].left.append(Pin(k, self.item_of[a].y + self.boxes[a].right[pin]))
             for b, p in net.sinks:
                 channels[self.rank[b]].right.append(Pin(k, self.item_of[b].y + self.boxes[b].left[p]))
-        for (k, r), item in (*self.lanes.items(), *self.returns.items()):
+        passing = (*self.lanes.items(), *self.returns.items())
+        for (k, r), item in passing:
             channels[r].right.append(Pin(k, item.y))
             channels[r + 1].left.append(Pin(k, item.y))
         x = MARGIN
@@ -348,29 +349,20 @@ class _Layered:
             for k, segments in channel.segments().items():
                 wires[k] += segments
             joints += channel.joints()
-        self._stubs(corners, starts, ends, wires)
+        # From boxes to the edges of their columns, and across the columns that a wire passes.
+        for k, net in enumerate(self.nets):
+            a, pin = net.source
+            y = corners[a][1] + self.boxes[a].right[pin]
+            wires[k].append((corners[a][0] + self.boxes[a].width, y, ends[self.rank[a]], y))
+            for b, p in net.sinks:
+                y = corners[b][1] + self.boxes[b].left[p]
+                wires[k].append((starts[self.rank[b]], y, corners[b][0], y))
+        for (k, r), item in passing:
+            wires[k].append((starts[r], item.y, ends[r], item.y))
         bottom = [i.y + i.height for column in self.columns for i in column]
         bottom += [item.y for item in self.returns.values()]
         bottom += [max(y1, y2) for wire in wires for _, y1, _, y2 in wire]
         return GraphLayout(corners, wires, joints, x + MARGIN, max(bottom) + MARGIN)
-
-    def _stubs(
-        self,
-        corners: list[tuple[float, float]],
-        starts: list[float],
-        ends: list[float],
-        wires: list[list[Segment]],
-    ) -> None:
-        """Pieces from boxes to the edges of their columns, and across the columns that a wire passes."""
-        for k, net in enumerate(self.nets):
-            box, pin = net.source
-            y = corners[box][1] + self.boxes[box].right[pin]
-            wires[k].append((corners[box][0] + self.boxes[box].width, y, ends[self.rank[box]], y))
-            for b, p in net.sinks:
-                y = corners[b][1] + self.boxes[b].left[p]
-                wires[k].append((starts[self.rank[b]], y, corners[b][0], y))
-        for (k, r), item in (*self.lanes.items(), *self.returns.items()):
-            wires[k].append((starts[r], item.y, ends[r], item.y))
 
 
 def _settle(column: Sequence[_Item], offsets: Sequence[float], wants: dict[_Item, list[tuple[float, float]]]) -> None:

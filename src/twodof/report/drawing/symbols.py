@@ -160,19 +160,19 @@ def _rectangle(
         y += LINE
         texts.append(SymbolText(0.5 * width, y, t, SMALL, "middle", "soft"))
     top = y + 17.0
-    rows = max(len(inputs), len(outputs))
-    height = top + ROW * rows - 5.0
-    pins_left = [top + ROW * i - 4.0 for i in range(len(inputs))]
-    pins_right = [top + ROW * i - 4.0 for i in range(len(outputs))]
+    rows = [top + ROW * i for i in range(max(len(inputs), len(outputs)))]
+    height = top + ROW * len(rows) - 5.0
     wired = len(inputs) - sum(1 for what in ("enable", "reset") if getattr(part, what))
-    for i, n in enumerate(inputs):
-        texts.append(SymbolText(7.0, top + ROW * i, n, PORT, "start", "" if i < wired else "italic"))
-    texts += [SymbolText(width - 7.0, top + ROW * i, n, PORT, "end") for i, n in enumerate(named)]
+    for i, (at, n) in enumerate(zip(rows, inputs, strict=False)):
+        texts.append(SymbolText(7.0, at, n, PORT, "start", "" if i < wired else "italic"))
+    texts += [SymbolText(width - 7.0, at, n, PORT, "end") for at, n in zip(rows, named, strict=False)]
     shapes = [f'<rect class="{style}" width="{width:g}" height="{height:g}" rx="4"/>']
     rule = top - 14.0
     if rows:
         shapes.append(f'<path class="rule" d="M0 {rule:g}H{width:g}"/>')
-    return BlockSymbol(Box(width, height, pins_left, pins_right), shapes, texts, f"{part.name}: {kind}".rstrip(": "))
+    pins = [at - 4.0 for at in rows]
+    box = Box(width, height, pins[: len(inputs)], pins[: len(outputs)])
+    return BlockSymbol(box, shapes, texts, f"{part.name}: {kind}".rstrip(": "))
 
 
 def _rate(part: Part) -> list[str]:

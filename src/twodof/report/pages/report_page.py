@@ -12,6 +12,7 @@ from twodof.report.content import Content, Erratum, Figure, FitCheck, ParameterR
 from twodof.report.numbers import deviation, plain, with_sigma
 from twodof.report.plots.canvas import page
 from twodof.report.plots.time_figures import correlation_figure, estimates_figure, time_figure
+from twodof.report.template_texts import say
 
 _KEY = {
     "measured": "measured",
@@ -46,14 +47,7 @@ def to_html(content: Content) -> str:
 
 
 def _table_section(subjects: Sequence[Subject]) -> Iterator[str]:
-    yield (
-        '<p class="text">By hand as the paper does it (simple) and by output error (grey-box), each with one standard '
-        "deviation; below an estimate, how far it is from the truth, for the grey-box also in the larger of its "
-        "standard deviation and its spread over repeated flights. In the figure the upright bar is the truth where it "
-        "is known, dashed lines are the paper’s values: one column has those read by hand, the other, of the velocity "
-        "only, those of MATLAB’s estimator “greyest”. The last column is the spread of the grey-box estimate over "
-        "repeated flights: a standard deviation claimed from one flight has to stand up to it.</p>"
-    )
+    yield f'<p class="text">{say("table_1")}</p>'
     yield _key(("simple", "grey-box"), "marks")
     yield f'<figure class="wide">{estimates_figure(subjects, "Estimates and paper side by side")}</figure>'
     for subject in subjects:
@@ -142,11 +136,7 @@ def _residual_section(subjects: Sequence[Subject]) -> Iterator[str]:
     checks = [(subject, check) for subject in subjects for check in subject.checks]
     if not checks:
         return
-    yield (
-        '<p class="text">If a model explains everything but white noise, its residuals correlate neither with '
-        "themselves nor with the input: bars stay inside the shaded 99 % band, but for the few that chance "
-        "allows. FIT is 100 (1 − ‖y − ŷ‖ / ‖y − mean y‖).</p>"
-    )
+    yield f'<p class="text">{say("residuals")}</p>'
     heads = ("Machine", "Experiment", "Output", "FIT", "VAF", "RMSE", "FIT, validation", "White", "Free of the input")
     lines = []
     for subject, check in checks:

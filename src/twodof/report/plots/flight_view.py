@@ -17,7 +17,7 @@ from twodof.flight.failsafe.causes_and_actions import ACTIONS, CAUSES, named_cau
 from twodof.flightlog.contents import excitations
 from twodof.flightlog.events import MAX_EVENTS, modes
 from twodof.flightlog.files import check_folder
-from twodof.flightlog.log import Channel, FlightLog
+from twodof.flightlog.log import FlightLog
 from twodof.report.content import Span
 from twodof.signals import BY_MAT, BY_NAME
 
@@ -172,12 +172,8 @@ def _own(log: FlightLog, name: str, flown: Sequence[Span], span: tuple[float, fl
         Curve(printable(label), channel, *_cut(log, channel, there.time, values[:, k], span), held)
         for k, label in enumerate(labels)
     )
-    unit = f" [{_unit(there)}]" if _unit(there) else ""
+    unit = f" [{'–' if there.unit == '-' else there.unit}]" if there.unit else ""
     return View(printable(f"{row.name if row else channel}{unit}"), curves)
-
-
-def _unit(channel: Channel) -> str:
-    return "–" if channel.unit == "-" else channel.unit
 
 
 def _panel(log: FlightLog, name: str, flown: Sequence[Span], span: tuple[float, float]) -> View:
@@ -187,20 +183,17 @@ def _panel(log: FlightLog, name: str, flown: Sequence[Span], span: tuple[float, 
         if channel not in log or not len(log[channel]):
             continue
         time, value = log[channel].time, scale * log[channel].value
-        if channel in _FOLLOWED:
-            value = _where(time, value, [band for band in flown if band.label in _FOLLOWED[channel]] if flown else None)
-        curve = Curve(
-            label, channel, *_cut(log, channel, time, value, span), held=channel in _FOLLOWED or name == "motors"
-        )
-        if np.isfinite(curve.value).any():
-            curves.append(curve)
+        followed = channel in _FOLLOWED
+        if followed and flown:
+            value = _where(time, value, [band for band in flown if band.label in _FOLLOWED[channel]])
+        time, value = _cut(log, channel, time, value, span)
+        if np.isfinite(value).any():
+            curves.append(Curve(label, channel, time, value, held=followed or name == "motors"))
     return View(f"{name} {_SYMBOL[name]} [{unit}]", tuple(curves))
 
 
-def _where(time: Array, value: Array, bands: Sequence[Span] | None) -> Array:
-    """The values within the bands (None: everywhere), NaN elsewhere."""
-    if bands is None:
-        return value
+def _where(time: Array, value: Array, bands: Sequence[Span]) -> Array:
+    """The values within the bands, NaN elsewhere."""
     inside = np.zeros(time.shape, dtype=bool)
     edges = np.searchsorted(time, np.array([(band.start, band.stop) for band in bands]).reshape(-1, 2))
     for start, stop in edges:
