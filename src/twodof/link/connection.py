@@ -9,10 +9,11 @@ import time
 from collections import OrderedDict, deque
 from collections.abc import Callable, Hashable
 from contextlib import suppress
+from dataclasses import asdict
 from typing import Any, NamedTuple, Self
 
 from twodof.errors import LinkError, LinkLost
-from twodof.link.mavlink.framing import Frame, Parser, decode, encode
+from twodof.link.mavlink.framing import Frame, FramingCounts, Parser, decode, encode
 from twodof.link.mavlink.messages import message
 from twodof.link.signing.frame_signing import Signing, SigningVerdict
 from twodof.link.statistics import LinkStatistics
@@ -63,7 +64,7 @@ class Connection:
         self.statistics = LinkStatistics()
         self._clock = clock
         self._parsers: OrderedDict[Hashable, Parser] = OrderedDict()
-        self._finished: list[int] = [0, 0, 0, 0, 0]  # counts of parsers that were let go
+        self._counts = FramingCounts()  # of all parsers
         self._sequences: OrderedDict[Hashable, int] = OrderedDict()
         self._frames: deque[tuple[Frame, Hashable]] = deque()
         self._rest: Packet | None = None  # of a stream, not looked through yet
@@ -88,12 +89,7 @@ class Connection:
     @property
     def framing(self) -> dict[str, int]:
         """Counts over all peers: frames, unknown, bad_checksum, mavlink1_refused, rubbish_bytes."""
-        names = ("frames", "unknown", "bad_checksum", "mavlink1_refused", "rubbish_bytes")
-        counts = [parser.counts for parser in self._parsers.values()]
-        return {
-            name: before + sum(getattr(one, name) for one in counts)
-            for name, before in zip(names, self._finished, strict=True)
-        }
+        return asdict(self._counts)
 
     def send(self, sent: Any, to: Hashable | None = None) -> None:
         """Send a message to one peer, or to all; each has a sequence of its own, so that its losses can be counted.
@@ -209,12 +205,12 @@ class Connection:
         key: Hashable = None if self.transport.whole else peer  # datagrams leave nothing behind
         parser = self._parsers.get(key)
         if parser is None:
-            parser = self._parsers[key] = Parser(mavlink1=self.signing is None)
+            parser = self._parsers[key] = Parser(self.signing is None, self._counts)
             if len(self._parsers) > MOST_PARSERS:
-                self._forget(self._parsers.popitem(last=False)[1])
+                self._parsers.popitem(last=False)
         else:
             self._parsers.move_to_end(key)
-        bad, again = parser.counts.bad_checksum, self._again.get(peer)
+        bad, again = self._counts.bad_checksum, self._again.get(peer)
         for frame in parser.feed(data, whole):
             if again and frame.raw in again:
                 again.remove(frame.raw)
@@ -222,7 +218,7 @@ class Connection:
                 self._frames.append((frame, peer))
         if again == []:
             del self._again[peer]
-        return parser.counts.bad_checksum - bad
+        return self._counts.bad_checksum - bad
 
     def _take_ahead(self, packet: Packet) -> None:
         """A frame that stops motors, before everything that came earlier."""
@@ -256,27 +252,20 @@ class Connection:
             with suppress(LinkError):  # it is gone, or we have no stamps left
                 self.ping(peer)
 
-    def _forget(self, parser: Parser) -> None:
-        counts = parser.counts
-        rows = (counts.frames, counts.unknown, counts.bad_checksum, counts.mavlink1_refused, counts.rubbish_bytes)
-        self._finished = [before + row for before, row in zip(self._finished, rows, strict=True)]
-
     def _answer(self, frame: Frame, peer: Hashable) -> bool:
         """Answer a question about time that is ours to answer, take an answer to ours; False for what is others'."""
         got = decode(frame)
         if got is None:
             return False
         now = self._clock()
-        mine = (self.system, self.component)
         target = (getattr(got, "target_system", 0), getattr(got, "target_component", 0))
+        there = {"target_system": frame.system, "target_component": frame.component}
         answer = None
-        if frame.message_id == _TIMESYNC and target in ((0, 0), mine, (self.system, 0)):
+        if frame.message_id == _TIMESYNC and target in ((0, 0), (self.system, 0), (self.system, self.component)):
             if got.tc1:
                 return self.statistics.round_trips.answered(got.ts1, now, got.tc1 * 1e-9) is not None
-            there = {"target_system": frame.system, "target_component": frame.component}
             answer = message("TIMESYNC", tc1=max(1, int(now * 1e9)), ts1=got.ts1, **there)
         elif frame.message_id == _PING and target == (0, 0):
-            there = {"target_system": frame.system, "target_component": frame.component}
             answer = message("PING", time_usec=got.time_usec, seq=got.seq, **there)
         if answer is None:
             return False

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.io import loadmat, savemat
@@ -57,6 +57,7 @@ def test_real_logs_round_trip_to_the_bit(flight_data: Path, tmp_path: Path) -> N
                 assert before.tobytes() == after.tobytes()
 
 
+@settings(max_examples=30)
 @given(
     st.dictionaries(st.from_regex(r"[A-Za-z]\w{0,8}", fullmatch=True).filter(str.isascii), st.integers(0, 9)),
     st.data(),

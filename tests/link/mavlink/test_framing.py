@@ -259,23 +259,23 @@ def fuzz(count: int, seed: int) -> int:
 
 def test_fuzz_raises_nothing() -> None:
     # Half of the mutants have a right checksum again; most of those are frames.
-    assert fuzz(100_000, seed=20) > 20_000
+    assert fuzz(25_000, seed=20) > 5_000
 
 
 def test_fuzz_leaves_nothing_behind() -> None:
-    fuzz(2_000, seed=30)  # what is made once is made
+    fuzz(1_000, seed=30)  # what is made once is made
     gc.collect()
     tracemalloc.start()
     try:
-        fuzz(3_000, seed=31)
+        fuzz(500, seed=31)
         gc.collect()
         before, _ = tracemalloc.get_traced_memory()
-        fuzz(10_000, seed=32)
+        fuzz(3_000, seed=32)
         gc.collect()
         after, most = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    assert after - before < 20_000  # two bytes a frame; a kept frame has hundreds
+    assert after - before < 20_000  # seven bytes a frame; a kept frame has hundreds
     assert most - before < 2_000_000
 
 

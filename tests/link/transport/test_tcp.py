@@ -33,7 +33,6 @@ def test_a_tcp_peer_that_does_not_read_costs_bounded_memory() -> None:
                 assert time.monotonic() - start < SOON  # it never waits: nobody will ever read
                 assert there.counts.dropped_out > 0
                 (stream,) = there._streams
-                assert stream.socket is not None
                 assert stream.socket.get_write_buffer_size() <= bounds.MOST_OUT_BYTES
             # The deaf one is gone with a reset; the server goes on.
             async with await open_transport(f"tcp://127.0.0.1:{there.port}") as here:
@@ -118,7 +117,6 @@ def test_a_tcp_client_that_floods_keeps_no_other_waiting() -> None:
                 other.sendall(b"kill")
                 name = f"127.0.0.1:{other.getsockname()[1]}"
                 (stream,) = [stream for stream in there._streams if stream.name == name]
-                assert stream.socket is not None
                 # It has arrived before the first is taken, however late the system delivers it.
                 assert select.select([stream.socket.get_extra_info("socket")], [], [], SOON)[0]
                 ahead = 0

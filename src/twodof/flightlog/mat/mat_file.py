@@ -5,6 +5,7 @@ bit for bit; one more variable, the text `provenance`, says as JSON where the lo
 """
 
 import re
+from collections.abc import Mapping
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from twodof.errors import LogError
 from twodof.flightlog import provenance
 from twodof.flightlog.atomic import atomic_write
 from twodof.flightlog.log import Channel, FlightLog
-from twodof.flightlog.mat.structure_check import Variable, variables
+from twodof.flightlog.mat.variables import variables
 from twodof.flightlog.memory_budget import MemoryBudget
 from twodof.signals import BY_MAT
 
@@ -35,37 +36,26 @@ def read_mat(path: str | Path) -> FlightLog:
     """
     data = provenance.read_bytes(path)
     where = str(path)
-    from scipy.io.matlab import MatReadError, loadmat  # imported late: most commands start without it
-
     budget = MemoryBudget(len(data), where)
     held = variables(data, where, budget)
-    wanted = [variable for variable in held if _is_channel(variable, where)]
-    if not wanted:
+    channels = {}
+    for name, _, fields in held:
+        if fields and "timestamp" in fields and len(fields) > 1:
+            channels[name] = _channel(name, fields, f"{where}: {name}")
+        elif name in BY_MAT:
+            what = f"channel {name!r} is not a struct {{timestamp, value}} of real numbers"
+            raise LogError(what, where, "export the log again")
+    if not channels:
         names = ", ".join(variable.name for variable in held) or "nothing"
         raise LogError(
             f"no struct {{timestamp, value}} in the file, which holds: {names}", where, "give a log of the drone"
         )
-    texts = [variable.name for variable in held if variable.text and variable.name == _NOTE]
-    chosen = [*(variable.name for variable in wanted), *texts]
-    for variable in held:
-        if variable.name in chosen:
-            # Inflated once more, and a float64 of each number, before it becomes samples; letters are four bytes.
-            budget.take(16 * (variable.numbers + variable.letters))
-            budget.samples(variable.numbers, 0)
-    try:
-        loaded = loadmat(BytesIO(data), mat_dtype=True, chars_as_strings=True, variable_names=chosen)
-    except (MatReadError, ValueError, TypeError, KeyError, OSError, OverflowError) as reason:
-        raise LogError(f"cannot be read: {reason}", where, "export it again as a MATLAB v7 file") from reason
-    note = loaded[_NOTE] if texts else np.empty(0)
-    kept = provenance.from_json(str(note[0]), where, budget) if note.size else {}
+    notes = {variable.name: variable.text for variable in held if variable.text and variable.name == _NOTE}
+    kept = provenance.from_json(notes[_NOTE], where, budget) if notes else {}
     kept["file"] = provenance.of_file(path, data, "mat")
-    ignored = [variable.name for variable in held if variable.name not in chosen]
+    ignored = [variable.name for variable in held if variable.name not in (*channels, *notes)]
     if ignored:
         kept["ignored"] = ignored
-    channels = {
-        variable.name: _channel(variable.name, loaded[variable.name][0, 0], f"{where}: {variable.name}")
-        for variable in wanted
-    }
     return FlightLog(channels, kept)
 
 
@@ -86,28 +76,15 @@ def write_mat(log: FlightLog, path: str | Path) -> None:
         file.write(buffer.getbuffer())
 
 
-def _is_channel(variable: Variable, where: str) -> bool:
-    fields = variable.fields or {}
-    if "timestamp" in fields and len(fields) > 1:
-        return True
-    if variable.name in BY_MAT:
-        raise LogError(
-            f"channel {variable.name!r} is not a struct {{timestamp, value}} of real numbers",
-            where,
-            "export the log again",
-        )
-    return False
-
-
-def _channel(name: str, struct: Any, where: str) -> Channel:
+def _channel(name: str, struct: Mapping[str, NDArray[np.float64]], where: str) -> Channel:
     stamps = struct["timestamp"]
     if stamps.size and 1 not in stamps.shape:
         raise LogError(f"timestamp is {stamps.shape}, not a column", where, "export the log again")
-    time = np.asarray(stamps, dtype=np.float64).ravel()
+    time = stamps.ravel()
     row = BY_MAT.get(name)
     parts = {
-        field: _column(struct[field], len(time), f"{where}.{field}")
-        for field in struct.dtype.names
+        field: _column(values, len(time), f"{where}.{field}")
+        for field, values in struct.items()
         if field != "timestamp"
     }
     if set(parts) == {"value"} and name not in _SPREAD:
@@ -123,7 +100,7 @@ def _channel(name: str, struct: Any, where: str) -> Channel:
     return Channel(time, table, row.unit if row else "", names, where)
 
 
-def _column(array: NDArray[Any], samples: int, where: str) -> NDArray[np.float64]:
+def _column(array: NDArray[np.float64], samples: int, where: str) -> NDArray[np.float64]:
     """(n,) from n x 1 or 1 x n, else (n, k). It must have n samples."""
     if samples == 0 and array.size == 0:
         return np.empty(0)
@@ -131,7 +108,7 @@ def _column(array: NDArray[Any], samples: int, where: str) -> NDArray[np.float64
         array = array.T
     if len(array) != samples:
         raise LogError(f"{len(array)} samples for {samples} time stamps", where, "record or export the log again")
-    return np.asarray(array[:, 0] if array.shape[1] == 1 else array, dtype=np.float64)
+    return array[:, 0] if array.shape[1] == 1 else array
 
 
 def _parts(name: str, channel: Channel, where: str) -> dict[str, NDArray[Any]]:

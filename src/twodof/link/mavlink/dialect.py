@@ -78,9 +78,8 @@ def _generate(files: Mapping[str, str], made: Path) -> None:
     try:
         done = subprocess.run(command, capture_output=True, timeout=BUILD_SECONDS, check=False, cwd=made.parent)
     except (subprocess.TimeoutExpired, OSError) as error:
-        raise LinkError(
-            f"it was not generated: {error}", "MAVLink dialect", "try again when the machine is less busy"
-        ) from error
+        what = f"it was not generated: {error}"
+        raise LinkError(what, "MAVLink dialect", "try again when the machine is less busy") from error
     if done.returncode or not source.is_file():
         said = (done.stderr or done.stdout).decode("utf-8", "replace").strip()[-1000:]
         raise LinkError(f"the generator refused: {said}", "MAVLink dialect", "check that pymavlink is installed whole")

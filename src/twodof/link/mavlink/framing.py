@@ -12,6 +12,8 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from itertools import accumulate
+from types import SimpleNamespace
 from typing import Any
 
 from fastcrc import crc16
@@ -72,11 +74,11 @@ def crc_extras() -> dict[int, bytes]:
 class Parser:
     """Cuts a stream or datagrams into frames.
 
-    `mavlink1` false refuses, and counts, frames of MAVLink 1, which cannot be signed.
+    `mavlink1` false refuses, and counts, frames of MAVLink 1, which cannot be signed. Several may share `counts`.
     """
 
-    def __init__(self, mavlink1: bool = True) -> None:
-        self.counts = FramingCounts()
+    def __init__(self, mavlink1: bool = True, counts: FramingCounts | None = None) -> None:
+        self.counts = counts or FramingCounts()
         self._mavlink1 = mavlink1
         self._pending = b""
         self._extras = crc_extras()
@@ -131,22 +133,15 @@ class Parser:
 
     def _frame(self, data: bytes, start: int, stop: int, aligned: bool) -> Frame | None:
         """The frame in data[start:stop], or None where it does not hold."""
-        if data[start] == MARKER_1:
-            version, signed, checked = 1, False, stop - CHECKSUM
-            sequence, system, component, number = data[start + 2 : start + 6]
-        else:
-            version, signed = 2, data[start + 2] == SIGNED
-            checked = stop - CHECKSUM - (SIGNATURE if signed else 0)
-            sequence, system, component, low, middle, high = data[start + 4 : start + 10]
-            number = low | middle << 8 | high << 16
-        extra = self._extras.get(number)
-        if extra is None:
+        version, signed, number = self._head(data, start)
+        sequence, system, component = data[start + 4 : start + 7] if version == 2 else data[start + 2 : start + 5]
+        if number not in self._extras:
             # Its checksum cannot be known; it stands where a frame should, one or nothing follows, and none is in it.
             vouched = version == 2 and aligned and data[stop : stop + 1] in (b"", b"\xfd", b"\xfe")
             if not vouched or self._frame_within(data, start + 1, stop):
                 return None
             self.counts.unknown += 1
-        elif crc16.mcrf4xx(data[start + 1 : checked] + extra) != data[checked] | data[checked + 1] << 8:
+        elif not self._holds(data, start, stop):
             self.counts.bad_checksum += 1
             return None
         elif version == 1 and not self._mavlink1:
@@ -154,23 +149,29 @@ class Parser:
             return None
         return Frame(data[start:stop], version, number, system, component, sequence, signed)
 
+    def _head(self, data: bytes, start: int) -> tuple[int, bool, int]:
+        """Version, whether it is signed, and message number of the frame at `start`."""
+        if data[start] == MARKER_1:
+            return 1, False, data[start + HEADER_1 - 1]
+        return 2, data[start + 2] == SIGNED, int.from_bytes(data[start + HEADER_2 - 3 : start + HEADER_2], "little")
+
+    def _holds(self, data: bytes, start: int, stop: int) -> bool:
+        """Whether the checksum of the frame in data[start:stop], of a known message, is right."""
+        _, signed, number = self._head(data, start)
+        checked = stop - CHECKSUM - (SIGNATURE if signed else 0)
+        return crc16.mcrf4xx(data[start + 1 : checked] + self._extras[number]) == data[checked] | data[checked + 1] << 8
+
     def _frame_within(self, data: bytes, at: int, stop: int) -> bool:
         """Whether a frame of a known message begins in data[at:stop], be it cut off at the end of `data`."""
         while found := _MARKER.search(data, at, stop):
             start, at = found.start(), found.start() + 1
             length = self._length(data, start, len(data))
-            first = start + (HEADER_2 - 3 if data[start] == MARKER_2 else HEADER_1 - 1)
-            number = int.from_bytes(data[first : first + (3 if data[start] == MARKER_2 else 1)], "little")
-            extra = self._extras.get(number)
-            if not length or extra is None or len(data) - start < HEADER_2:
+            if not length or len(data) - start < HEADER_2 or self._head(data, start)[2] not in self._extras:
                 continue
-            checked = start + length - CHECKSUM
-            if data[start] == MARKER_2 and data[start + 2] == SIGNED:
-                checked -= SIGNATURE
             if start + length > len(data):
                 if data[start] == MARKER_2:  # by chance one in 10^5; with MAVLink 1's short header every third
                     return True
-            elif crc16.mcrf4xx(data[start + 1 : checked] + extra) == data[checked] | data[checked + 1] << 8:
+            elif self._holds(data, start, start + length):
                 return True
         return False
 
@@ -179,13 +180,8 @@ class Parser:
 def _plan(number: int) -> tuple[Any, int, tuple[tuple[int, int], ...]]:
     """Class, size on the wire, and per field (by the constructor's order) its place among the unpacked values."""
     kind = dialect.load().mavlink_map[number]
-    lengths = [
-        1 if kind.fieldtypes[kind.fieldnames.index(name)] == "char" else kind.lengths[place]
-        for place, name in enumerate(kind.ordered_fieldnames)
-    ]
-    starts = [sum(lengths[:place]) for place in range(len(lengths))]
-    places = tuple((starts[order], kind.lengths[order]) for order in kind.orders)
-    return kind, kind.unpacker.size, places
+    starts = [0, *accumulate(kind.lengths)]
+    return kind, kind.unpacker.size, tuple((starts[order], kind.lengths[order]) for order in kind.orders)
 
 
 def decode(frame: Frame) -> Any | None:
@@ -231,12 +227,7 @@ class _Sender:
     signing: Any
 
 
-@dataclass(frozen=True, slots=True)
-class _Unsigned:
-    sign_outgoing: bool = False
-
-
-_UNSIGNED = _Unsigned()
+_UNSIGNED = SimpleNamespace(sign_outgoing=False)
 
 
 def encode(message: Any, system: int, component: int, sequence: int, signing: Any = _UNSIGNED) -> bytes:
@@ -250,30 +241,17 @@ def encode(message: Any, system: int, component: int, sequence: int, signing: An
 def _culprit(message: Any) -> str:
     """Which field does not fit, and its value."""
     kind = type(message)
+    letters = dict(zip(kind.ordered_fieldnames, kind.native_format[1:].decode(), strict=True))
     counts = dict(zip(kind.ordered_fieldnames, kind.array_lengths, strict=True))
     for name, type_name in zip(kind.fieldnames, kind.fieldtypes, strict=True):
         value, count = getattr(message, name), counts[name]
-        letter = _LETTERS.get(type_name)
+        values: Sequence[Any] = value if isinstance(value, Sequence) else [value]
+        if type_name == "char":
+            continue
         try:
-            if letter:
-                values: Sequence[Any] = value if isinstance(value, Sequence) else [value]
-                struct.pack(f"<{len(values)}{letter}", *values)
+            struct.pack(f"<{len(values)}{letters[name]}", *values)
         except (struct.error, TypeError, OverflowError):
             return f"{name} = {shown(value)} is no {type_name}"
-        if isinstance(value, Sequence) and not isinstance(value, str | bytes) and count and len(value) < count:
-            return f"{name} has {len(value)} numbers, not {count}"
+        if count and len(values) < count:
+            return f"{name} has {len(values)} numbers, not {count}"
     return "a value does not fit its type"
-
-
-_LETTERS = {
-    "float": "f",
-    "double": "d",
-    "int8_t": "b",
-    "uint8_t": "B",
-    "int16_t": "h",
-    "uint16_t": "H",
-    "int32_t": "i",
-    "uint32_t": "I",
-    "int64_t": "q",
-    "uint64_t": "Q",
-}

@@ -68,48 +68,30 @@ class FtpPacket(NamedTuple):
         """The path that a request carries, up to a zero."""
         return self.data[: self.size].split(b"\0")[0].decode("utf-8", "replace")
 
-    def ack(self, data: bytes = b"", session: int | None = None, offset: int | None = None) -> FtpPacket:
-        """The answer to this request: done."""
-        return self._answer(FtpOperation.ACK, data, session, offset)
+    def ack(self, data: bytes = b"", **changed: Any) -> FtpPacket:
+        """The answer to this request: done; `changed` are fields other than the request's."""
+        return self._answer(FtpOperation.ACK, data, **changed)
 
     def nak(self, fault: int, errno: int = 0) -> FtpPacket:
         """The answer to this request: refused."""
-        return self._answer(
-            FtpOperation.NAK, bytes((fault, errno & 0xFF)) if fault == FtpError.ERRNO else bytes((fault,))
-        )
+        return self._answer(FtpOperation.NAK, bytes((fault, errno & 0xFF) if fault == FtpError.ERRNO else (fault,)))
 
     def part(self, number: int, offset: int, data: bytes, last: bool) -> FtpPacket:
         """A part of the answer to this burst request, the `number`-th from 0."""
-        sequence = (self.sequence + 1 + number) & 0xFFFF
-        return FtpPacket(sequence, self.session, FtpOperation.ACK, len(data), self.op, int(last), offset, data)
+        return self._answer(FtpOperation.ACK, data, number, offset=offset, complete=int(last))
 
-    def _answer(self, op: int, data: bytes, session: int | None = None, offset: int | None = None) -> FtpPacket:
-        return FtpPacket(
-            (self.sequence + 1) & 0xFFFF,
-            self.session if session is None else session,
-            op,
-            len(data),
-            self.op,
-            0,
-            self.offset if offset is None else offset,
-            data,
-        )
+    def _answer(self, op: int, data: bytes, number: int = 0, **changed: Any) -> FtpPacket:
+        sequence = (self.sequence + 1 + number) & 0xFFFF
+        answer = self._replace(sequence=sequence, op=op, size=len(data), asked=self.op, complete=0, data=data)
+        return answer._replace(**changed)
 
 
 def read_packet(payload: bytes) -> FtpPacket:
     """The packet that 251 bytes of a message hold; `size` may say anything."""
-    sequence, session, op, size, asked, complete, offset = _HEADER.unpack_from(payload)
-    return FtpPacket(sequence, session, op, size, asked, complete, offset, payload[_HEADER.size : _PAYLOAD])
+    return FtpPacket._make((*_HEADER.unpack_from(payload), payload[_HEADER.size : _PAYLOAD]))
 
 
 def packed(packet: FtpPacket, system: int, component: int) -> Any:
     """The message with a packet for that client."""
-    head = _HEADER.pack(
-        packet.sequence, packet.session, packet.op, packet.size, packet.asked, packet.complete, packet.offset
-    )
-    return message(
-        "FILE_TRANSFER_PROTOCOL",
-        target_system=system,
-        target_component=component,
-        payload=head + packet.data,
-    )
+    payload = _HEADER.pack(*packet[:-1]) + packet.data
+    return message("FILE_TRANSFER_PROTOCOL", target_system=system, target_component=component, payload=payload)

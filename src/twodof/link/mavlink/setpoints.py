@@ -55,25 +55,16 @@ def attitude_target(theta: float, thrust: float, **where: int) -> Any:
 
 def rate_target(q: float, thrust: float, **where: int) -> Any:
     """SET_ATTITUDE_TARGET for a pitch rate [rad/s]."""
-    return message(
-        "SET_ATTITUDE_TARGET",
-        type_mask=NO_ATTITUDE,
-        q=[1.0, 0.0, 0.0, 0.0],
-        body_pitch_rate=q,
-        thrust=thrust,
-        **where,
-    )
+    return _without_attitude(0, thrust=thrust, body_pitch_rate=q, **where)
 
 
 def thrust_target(thrust: float, **where: int) -> Any:
     """SET_ATTITUDE_TARGET that sets the thrust alone."""
-    return message(
-        "SET_ATTITUDE_TARGET",
-        type_mask=ALL_RATES | NO_ATTITUDE,
-        q=[1.0, 0.0, 0.0, 0.0],
-        thrust=thrust,
-        **where,
-    )
+    return _without_attitude(ALL_RATES, thrust=thrust, **where)
+
+
+def _without_attitude(ignored: int, **fields: Any) -> Any:
+    return message("SET_ATTITUDE_TARGET", type_mask=ignored | NO_ATTITUDE, q=quaternion(0.0), **fields)
 
 
 def position_target(x: float, acceleration: float = NAN, **where: int) -> Any:

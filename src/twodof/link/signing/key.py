@@ -50,11 +50,8 @@ class Key:
         under SHORTEST_PASSPHRASE characters.
         """
         if len(passphrase) < SHORTEST_PASSPHRASE:
-            raise LinkError(
-                f"a passphrase of {len(passphrase)} characters is guessed",
-                "key",
-                f"take {SHORTEST_PASSPHRASE} or more, such as five random words",
-            )
+            what = f"a passphrase of {len(passphrase)} characters is guessed"
+            raise LinkError(what, "key", f"take {SHORTEST_PASSPHRASE} or more, such as five random words")
         return cls(hashlib.sha256(passphrase.encode()).digest())
 
 
@@ -63,27 +60,33 @@ def read_key(path: str | Path) -> Key:
 
     Raises LinkError if the file cannot be read, holds no key, or could be read or written by anybody but its owner.
     """
-    try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-    except OSError as error:
-        raise LinkError(
-            f"the key cannot be read: {error.strerror}", str(path), f"make one: twodof key {path}"
-        ) from error
-    with os.fdopen(descriptor, "rb") as file:
-        found = os.fstat(descriptor)
-        if not stat.S_ISREG(found.st_mode):
-            raise LinkError("the key is not a file", str(path), "name a file")
-        if found.st_uid != os.geteuid():
-            raise LinkError("the key's file belongs to another user", str(path), "copy it to a file of your own")
-        if found.st_mode & 0o077:
-            shown = f"{stat.S_IMODE(found.st_mode):04o}"
-            raise LinkError(
-                f"others may read or write the key (mode {shown})", str(path), f"chmod 600 {path}, and change the key"
-            )
-        data = file.read(200)
+    data = read_guarded(Path(path), 200, 0o077, "the key", "and change the key", f"make one: twodof key {path}")
     if not _HEX.fullmatch(data):
         raise LinkError("holds no key of 64 hexadecimal digits", str(path), f"make one: twodof key {path}")
     return Key(bytes.fromhex(data.decode("ascii").strip()))
+
+
+def read_guarded(path: Path, most: int, forbidden: int, what: str, beside: str, remedy: str) -> bytes:
+    """At most `most` bytes of a file of ours, `what`, of which nobody else has the `forbidden` rights.
+
+    Raises LinkError for any other, with `beside` what to do once the rights are mended; `remedy` if it cannot be read.
+    """
+    try:
+        # A pipe would wait for who writes to it.
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    except OSError as error:
+        raise LinkError(f"{what} cannot be read: {error.strerror}", str(path), remedy) from error
+    with os.fdopen(descriptor, "rb") as file:
+        found = os.fstat(descriptor)
+        if not stat.S_ISREG(found.st_mode):
+            raise LinkError(f"{what}: is not a file", str(path), "name a file")
+        if found.st_uid != os.geteuid():
+            raise LinkError(f"{what}: the file belongs to another user", str(path), "copy it to a file of your own")
+        if found.st_mode & forbidden:
+            rights = "read or write" if forbidden & 0o044 else "write"
+            said = f"others may {rights} {what} (mode {stat.S_IMODE(found.st_mode):04o})"
+            raise LinkError(said, str(path), f"chmod 600 {path}, {beside}")
+        return file.read(most)
 
 
 def write_key(path: str | Path, key: Key) -> None:

@@ -8,7 +8,6 @@ units of 10 us since 2015-01-01 (https://mavlink.io/en/guide/message_signing.htm
 import fcntl
 import json
 import os
-import stat
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -17,6 +16,7 @@ from typing import Any
 
 from twodof.errors import LinkError, LogError
 from twodof.flightlog.atomic import atomic_write
+from twodof.link.signing.key import read_guarded
 
 PER_SECOND = 100_000
 EPOCH_S = 1_420_070_400
@@ -163,27 +163,17 @@ class Stamps:
 
 def _read(path: Path) -> dict[str, int]:
     """The stamps in a file that nobody but its owner, us, can have set back."""
-    try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-    except FileNotFoundError:
+    if not path.exists():
         return {}
-    except OSError as error:
-        raise LinkError(f"cannot be read: {error.strerror}", str(path), "make it readable") from error
-    with os.fdopen(descriptor, "rb") as file:
-        found_at = os.fstat(descriptor)
-        if not stat.S_ISREG(found_at.st_mode):
-            raise LinkError("the time stamps are not a file", str(path), "name a file")
-        if found_at.st_uid != os.geteuid() or found_at.st_mode & 0o022:
-            what = f"others may write the time stamps (mode {stat.S_IMODE(found_at.st_mode):04o})"
-            raise LinkError(what, str(path), f"chmod 600 {path}, and change the key: old packets could come back")
-        data = file.read(MOST_FILE_BYTES + 1)
+    beside = "and change the key: old packets could come back"
+    data = read_guarded(path, MOST_FILE_BYTES + 1, 0o022, "the time stamps", beside, "make it readable")
     try:
         found: Any = json.loads(data) if len(data) <= MOST_FILE_BYTES else None
     except (ValueError, RecursionError):
         found = None
     sound = isinstance(found, dict) and len(found) <= MOST_STREAMS
     if not sound or not all(type(value) is int and 0 <= value <= HIGHEST for value in found.values()):
-        raise LinkError("holds no time stamps", str(path), "remove it and change the key: old packets could come back")
+        raise LinkError("holds no time stamps", str(path), f"remove it {beside}")
     return {str(stream): value for stream, value in found.items()}
 
 

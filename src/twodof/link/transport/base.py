@@ -10,8 +10,8 @@ import asyncio
 from abc import ABC, abstractmethod
 from collections import Counter, deque
 from collections.abc import Callable, Hashable
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, field
+from typing import NamedTuple, TypeVar
 
 from twodof.errors import LinkLost
 
@@ -24,6 +24,7 @@ READ_BYTES = 65_536
 TURN_BYTES, LEAST_BYTES = 280, 32
 # Frames of one peer that go before all turns at once.
 MOST_AHEAD = 4
+_Given = TypeVar("_Given")
 
 
 class Packet(NamedTuple):
@@ -50,6 +51,15 @@ class TransportCounts:
     errors: int = 0
 
 
+@dataclass(slots=True)
+class _Queue:
+    """What waits of one peer, its bytes, and bytes left of its turn: below 0 it has had too much."""
+
+    packets: deque[bytes] = field(default_factory=deque)
+    size: int = 0
+    credit: int = 0
+
+
 class Inbox:
     """Packets that arrived and were not taken: bounded, the oldest dropped and counted; put from any thread.
 
@@ -60,9 +70,7 @@ class Inbox:
     def __init__(self, counts: TransportCounts) -> None:
         self._loop = asyncio.get_running_loop()
         self._counts = counts
-        self._queues: dict[Hashable, deque[bytes]] = {}  # by peer, in the order of their turns; none is empty
-        self._of: dict[Hashable, int] = {}  # bytes that wait, by peer
-        self._credit: dict[Hashable, int] = {}  # bytes left of a peer's turn; below 0 it has had too much
+        self._queues: dict[Hashable, _Queue] = {}  # by peer, in the order of their turns; none is empty
         self._packets = self._bytes = 0
         self._ahead: deque[Packet] = deque()
         self._ahead_of: Counter[Hashable] = Counter()
@@ -70,10 +78,9 @@ class Inbox:
         self._waiter: asyncio.Future[None] | None = None
         self._end: LinkLost | None = None
         self.stops_first = False
-        self.on_room: Callable[[], None] | None = None
         self.on_taken: Callable[[Hashable], None] | None = None
-        self.taker: Callable[[Packet], None] | None = None
-        self.on_end: Callable[[LinkLost], None] | None = None
+        self._taker: Callable[[Packet], None] | None = None
+        self._on_end: Callable[[LinkLost], None] | None = None
 
     @property
     def full(self) -> bool:
@@ -85,20 +92,19 @@ class Inbox:
         data, peer, _ = packet
         self._counts.packets_in += 1
         self._counts.bytes_in += len(data)
-        if self.taker is not None:
-            self.taker(packet)
+        if self._taker is not None:
+            self._taker(packet)
             return
-        queue = self._queues.setdefault(peer, deque())
-        queue.append(data)
-        if len(queue) > len(self._queues.get(self._fullest, ())):
+        queue = self._queues.setdefault(peer, _Queue())
+        queue.packets.append(data)
+        queue.size += len(data)
+        if self._waiting(peer) > self._waiting(self._fullest):
             self._fullest = peer
-        self._of[peer] = self._of.get(peer, 0) + len(data)
         self._packets += 1
         self._bytes += len(data)
         while self._packets > 1 and (self._bytes > MOST_BYTES or self._packets > MOST_PACKETS):
             first = next(iter(self._queues))
-            more = len(self._queues.get(self._fullest, ())) > len(self._queues[first])
-            self._oldest(self._fullest if more else first)
+            self._oldest(self._fullest if self._waiting(self._fullest) > self._waiting(first) else first)
             self._counts.dropped_in += 1
         self._wake()
 
@@ -121,81 +127,75 @@ class Inbox:
 
     def waits_of(self, peer: Hashable) -> int:
         """Bytes of `peer` that wait."""
-        return self._of.get(peer, 0)
+        return self._queues[peer].size if peer in self._queues else 0
+
+    def _waiting(self, peer: Hashable) -> int:
+        """Packets of `peer` that wait."""
+        return len(self._queues[peer].packets) if peer in self._queues else 0
 
     def _next(self) -> Hashable:
         """The peer whose turn it is: one that has used up its bytes waits for as many turns as it has had too much."""
         while True:
-            peer = next(iter(self._queues))
-            credit = self._credit.get(peer, 0)
-            if credit > 0:
+            peer, queue = next(iter(self._queues.items()))
+            if queue.credit > 0:
                 return peer
-            self._credit[peer] = credit + TURN_BYTES
-            if credit + TURN_BYTES <= 0:
+            queue.credit += TURN_BYTES
+            if queue.credit <= 0:
                 self._queues[peer] = self._queues.pop(peer)
 
     def _oldest(self, peer: Hashable) -> Packet:
         """Take the oldest packet of `peer`; its turn is over once it has used up its bytes."""
         queue = self._queues[peer]
-        packet = Packet(queue.popleft(), peer)
-        size = len(packet.data)
+        data = queue.packets.popleft()
         self._packets -= 1
-        self._bytes -= size
-        if queue:
-            self._of[peer] -= size
-            self._credit[peer] = self._credit.get(peer, 0) - max(size, LEAST_BYTES)
-            if self._credit[peer] <= 0:
-                self._queues[peer] = self._queues.pop(peer)
-        else:
-            del self._queues[peer], self._of[peer]
-            self._credit.pop(peer, None)
-        return packet
-
-    def put_from_anywhere(self, packet: Packet) -> None:
-        """Add a packet from any thread or loop; nothing happens once the loop is gone."""
-        if _running_loop() is self._loop:
-            self.put(packet)
-        elif not self._loop.is_closed():
-            self._loop.call_soon_threadsafe(self.put, packet)
+        self._bytes -= len(data)
+        queue.size -= len(data)
+        queue.credit -= max(len(data), LEAST_BYTES)
+        if not queue.packets:
+            del self._queues[peer]
+        elif queue.credit <= 0:
+            self._queues[peer] = self._queues.pop(peer)
+        return Packet(data, peer)
 
     def end(self, reason: LinkLost) -> None:
         """No more will come; the first reason stays."""
         if self._end is None:
             self._end = reason
-            if self.on_end is not None:
-                self.on_end(reason)
+            if self._on_end is not None:
+                self._on_end(reason)
         self._wake()
 
-    def end_from_anywhere(self, reason: LinkLost) -> None:
-        """`end` from any thread or loop."""
+    def from_anywhere(self, call: Callable[[_Given], None], given: _Given) -> None:
+        """`put` or `end`, from any thread or loop; nothing happens once the loop is gone."""
         if _running_loop() is self._loop:
-            self.end(reason)
+            call(given)
         elif not self._loop.is_closed():
-            self._loop.call_soon_threadsafe(self.end, reason)
+            self._loop.call_soon_threadsafe(call, given)
 
-    @property
-    def ended(self) -> LinkLost | None:
-        """Why no more will come; None while more may."""
-        return self._end
-
-    def waiting(self) -> Packet | None:
-        """The oldest packet, None if there is none now."""
-        return self.take() if self._queues or self._ahead else None
+    def hand_to(self, taker: Callable[[Packet], None], on_end: Callable[[LinkLost], None]) -> None:
+        """Hand what waits and each further packet to `taker`, and the end to `on_end`."""
+        while self._queues or self._ahead:
+            taker(self._take())
+        self._taker, self._on_end = taker, on_end
+        if self._end is not None:
+            on_end(self._end)
 
     def take(self) -> Packet | None:
         """The oldest packet, None if there is none now. Raises LinkLost if none will come."""
-        if self._ahead:
-            return self.take_ahead()
-        if self._queues:
-            packet = self._oldest(self._next())
-            if self.on_taken is not None:
-                self.on_taken(packet.peer)
-            if self.on_room is not None and not self._queues:
-                self.on_room()
-            return packet
+        if self._queues or self._ahead:
+            return self._take()
         if self._end is not None:
             raise LinkLost(self._end.what, self._end.where, self._end.remedy)
         return None
+
+    def _take(self) -> Packet:
+        """The oldest packet, where there is one."""
+        packet = self.take_ahead()
+        if packet is None:
+            packet = self._oldest(self._next())
+            if self.on_taken is not None:
+                self.on_taken(packet.peer)
+        return packet
 
     async def wait(self, timeout: float) -> Packet | None:
         """The oldest packet, waiting up to `timeout` [s] for one; None when that has passed. Raises LinkLost."""
@@ -318,11 +318,7 @@ class Transport(ABC):
         It spares a router waking a task for each packet. `on_end` is called once when the link is closed or lost, at
         once if it is. Neither may raise.
         """
-        while (packet := self._inbox.waiting()) is not None:
-            taker(packet)
-        self._inbox.taker, self._inbox.on_end = taker, on_end
-        if self._inbox.ended is not None:
-            on_end(self._inbox.ended)
+        self._inbox.hand_to(taker, on_end)
 
     async def close(self) -> None:
         """Close it, now; a second time does nothing. Whoever waits in `receive` gets LinkLost."""
@@ -335,7 +331,7 @@ class Transport(ABC):
         if not self._closed:
             self._closed = True
             self._release()
-        self._inbox.end_from_anywhere(LinkLost(what, self.url, remedy))
+        self._inbox.from_anywhere(self._inbox.end, LinkLost(what, self.url, remedy))
 
     @abstractmethod
     def _send(self, data: bytes, peer: Hashable) -> bool:

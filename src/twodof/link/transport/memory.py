@@ -42,7 +42,7 @@ class MemoryTransport(Transport):
     def _send(self, data: bytes, peer: Hashable) -> bool:
         if not isinstance(peer, MemoryTransport) or peer not in self._ends:
             return False
-        peer._inbox.put_from_anywhere(Packet(bytes(data), self))
+        peer._inbox.from_anywhere(peer._inbox.put, Packet(bytes(data), self))
         return True
 
     def _release(self) -> None:

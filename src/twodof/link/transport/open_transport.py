@@ -2,7 +2,7 @@
 
 import asyncio
 
-from twodof.errors import LinkError, LinkLost
+from twodof.errors import LinkLost
 from twodof.link.transport.base import Transport
 from twodof.link.transport.memory import open_memory
 from twodof.link.transport.serial_port import open_serial
@@ -29,19 +29,13 @@ async def open_transport(url: str, timeout: float = 5.0) -> Transport:
                 except ConnectionRefusedError:
                     await asyncio.sleep(RETRY_S)
     except TimeoutError as error:
-        raise LinkLost(
-            f"nobody answered within {timeout:g} s", str(address), "start the other side, or correct the address"
-        ) from error
+        what = f"nobody answered within {timeout:g} s"
+        raise LinkLost(what, str(address), "start the other side, or correct the address") from error
 
 
 async def _open(address: Address) -> Transport:
-    match address.kind:
-        case "udp" | "udpin" | "udpbcast":
-            return await open_udp(address)
-        case "tcp" | "tcpin":
-            return await open_tcp(address)
-        case "serial":
-            return open_serial(address)
-        case "mem" | "memin":
-            return open_memory(address)
-    raise LinkError("is not a kind of link", str(address), "use another")
+    if address.kind.startswith("udp"):
+        return await open_udp(address)
+    if address.kind.startswith("tcp"):
+        return await open_tcp(address)
+    return open_serial(address) if address.kind == "serial" else open_memory(address)

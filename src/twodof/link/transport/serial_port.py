@@ -23,9 +23,9 @@ class SerialTransport(Transport):
         self._descriptor = descriptor
         self._out = bytearray()
         self._loop = asyncio.get_running_loop()
-        self._inbox.on_room = self._resume
+        self._inbox.on_taken = self._resume
         self._reading = False
-        self._resume()
+        self._resume(self._peer)
 
     @property
     def peers(self) -> tuple[Hashable, ...]:
@@ -37,8 +37,8 @@ class SerialTransport(Transport):
         """Bytes that still wait for the line's driver."""
         return len(self._out)
 
-    def _resume(self) -> None:
-        if not self._reading and not self._closed:
+    def _resume(self, _: Hashable) -> None:
+        if not self._reading and not self._closed and not self._inbox.full:
             self._reading = True
             self._loop.add_reader(self._descriptor, self._readable)
 

@@ -42,11 +42,12 @@ _OPTIONS = (
 class _Stream(asyncio.BufferedProtocol):
     """One connection, of a client or to a server; itself the peer."""
 
+    socket: asyncio.Transport  # once it stands
+
     def __init__(self, owner: "TcpTransport") -> None:
         self._owner = owner
         self._buffer = memoryview(bytearray(ROUND_BYTES))
         self._tail = b""  # the last bytes, in which a stop may have begun
-        self.socket: asyncio.Transport | None = None
         self.name = self.address = ""
         self.paused = self.rests = False
         self.came, self.sound = 0.0, -1.0  # when it came, when it last said something sound
@@ -114,12 +115,11 @@ class TcpTransport(Transport):
     @property
     def backlog(self) -> int:
         """Bytes that wait for the slowest reader."""
-        return max((one.socket.get_write_buffer_size() for one in self._streams if one.socket is not None), default=0)
+        return max((one.socket.get_write_buffer_size() for one in self._streams), default=0)
 
     def confirm(self, peer: Hashable) -> None:
         """It has its place, and is not the first to lose it."""
-        stream = cast(_Stream, peer)
-        stream.sound = self._loop.time()
+        cast(_Stream, peer).sound = self._loop.time()
 
     def _accepts(self, one: socket.socket) -> None:
         """Take in who waits at a listening socket, one at a time."""
@@ -168,8 +168,7 @@ class TcpTransport(Transport):
         if not losers:
             return False
         self._forget(losers[0])
-        if losers[0].socket is not None:
-            losers[0].socket.abort()
+        losers[0].socket.abort()
         return True
 
     def _forget(self, stream: _Stream) -> None:
@@ -182,8 +181,7 @@ class TcpTransport(Transport):
         stream.came = self._loop.time()
         if len(self._streams) >= MOST_CLIENTS or self._closed:
             self.counts.errors += 1
-            if stream.socket is not None:
-                stream.socket.abort()
+            stream.socket.abort()
         else:
             self._streams[stream] = None
             self._addresses[stream.address] += 1
@@ -204,11 +202,7 @@ class TcpTransport(Transport):
         for raw in stream.find_stop_frames(data) if self._inbox.stops_first else ():
             self._inbox.put_ahead(raw, stream)
         self._inbox.put(Packet(data, stream))
-        if (
-            self._inbox.waits_of(stream) >= WINDOW_SHARES * self._share(stream)
-            and not stream.paused
-            and stream.socket is not None
-        ):
+        if self._inbox.waits_of(stream) >= WINDOW_SHARES * self._share(stream) and not stream.paused:
             stream.paused = True
             stream.socket.pause_reading()
         if len(data) >= self._share(stream):
@@ -217,7 +211,7 @@ class TcpTransport(Transport):
     def _rest(self, stream: _Stream) -> None:
         now = stream.filled = self._loop.time()
         others = sum(now - one.filled < FILLED_S for one in self._streams) - 1
-        if others > 0 and stream.socket is not None and not stream.rests:
+        if others > 0 and not stream.rests:
             stream.rests = True
             stream.socket.pause_reading()
             self._loop.call_later(REST_S * others, self._rested, stream)
@@ -233,13 +227,12 @@ class TcpTransport(Transport):
             self._go_on(stream)
 
     def _go_on(self, stream: _Stream) -> None:
-        going = stream.socket is not None and not stream.socket.is_closing() and not self._closed
-        if going and not stream.paused and not stream.rests and stream.socket is not None:
+        if not (stream.paused or stream.rests or stream.socket.is_closing() or self._closed):
             stream.socket.resume_reading()
 
     def _send(self, data: bytes, peer: Hashable) -> bool:
         stream = cast(_Stream, peer)
-        if stream not in self._streams or stream.socket is None or stream.socket.is_closing():
+        if stream not in self._streams or stream.socket.is_closing():
             return False
         if stream.socket.get_write_buffer_size() + len(data) > MOST_OUT_BYTES:
             return False
@@ -252,12 +245,11 @@ class TcpTransport(Transport):
             one.close()
         self._listening.clear()
         for stream in [*self._streams]:
-            if stream.socket is not None:
-                # Flushes what the system takes at once; `close` alone would wait for a peer that does not read.
-                if stream.socket.get_write_buffer_size():
-                    stream.socket.abort()
-                else:
-                    stream.socket.close()
+            # Flushes what the system takes at once; `close` alone would wait for a peer that does not read.
+            if stream.socket.get_write_buffer_size():
+                stream.socket.abort()
+            else:
+                stream.socket.close()
         self._streams.clear()
         self._addresses.clear()
 

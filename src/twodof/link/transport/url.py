@@ -81,13 +81,10 @@ def parse(url: str) -> Address:
     kind = _ALIASES.get(parts.scheme, parts.scheme)
     if kind == "serial":
         return _serial(url, parts)
-    bind_name, bind_port = "", 0
-    if kind in ("udp", "udpbcast") and parts.query and parts.hostname:
-        bind_name, bind_port = _bound(url, parts.query, parts.hostname)
-    elif parts.query:
+    listens_too = kind in ("udp", "udpbcast") and bool(parts.query and parts.hostname)
+    if parts.fragment or parts.path.strip("/") or parts.username is not None or (parts.query and not listens_too):
         raise LinkError("has parts that this kind of link does not take", url, f"use {FORMS}")
-    if parts.fragment or parts.path.strip("/") or parts.username is not None:
-        raise LinkError("has parts that this kind of link does not take", url, f"use {FORMS}")
+    bind_name, bind_port = _bound(url, parts.query, parts.hostname or "") if listens_too else ("", 0)
     if kind in ("mem", "memin"):
         if not _MEMORY_NAME.fullmatch(parts.netloc):
             raise LinkError("has no name of letters, digits, '_', '.', '-'", url, "such as mem://drone-1")
@@ -103,9 +100,8 @@ def parse(url: str) -> Address:
         usual = {"udp": ports.COMPANION_ONBOARD, "tcp": ports.COMPANION_TCP}.get(kind, ports.GROUND_STATION)
         raise LinkError("has no port", url, f"write {kind}://{host or LOOPBACK}:{usual}")
     if kind in ("udp", "udpbcast", "tcp") and host in ANY:
-        raise LinkError(
-            f"{host} is not a host to send to", url, f"to listen on every interface write {kind}in://{host}:{port}"
-        )
+        what = f"{host} is not a host to send to"
+        raise LinkError(what, url, f"to listen on every interface write {kind}in://{host}:{port}")
     return Address(kind, host or LOOPBACK, port, bind_name=bind_name, bind_port=bind_port)
 
 
@@ -134,9 +130,8 @@ def _bound(url: str, query: str, host: str) -> tuple[str, int]:
     if port is None or parts.path or parts.query or parts.fragment or parts.username is not None:
         raise LinkError(f"{shown(text)} is not a place to listen at", url, "write ?bind=PORT or ?bind=HOST:PORT")
     if not parts.hostname and host not in HERE:
-        raise LinkError(
-            f"listens on this machine only and cannot send to {host}", url, f"write ?bind=0.0.0.0:{port} to be open"
-        )
+        what = f"listens on this machine only and cannot send to {host}"
+        raise LinkError(what, url, f"write ?bind=0.0.0.0:{port} to be open")
     return parts.hostname or ("::1" if ":" in host else LOOPBACK), port
 
 
