@@ -14,7 +14,7 @@ from types import TracebackType
 from typing import Literal, Self
 
 from twodof.errors import LogError, RecordingError
-from twodof.flightlog.atomic import REPLACE, partial_of
+from twodof.flightlog.atomic import create, partial_of, sync_folder
 
 Full = Literal["drop", "wait"]
 MAX_CAPACITY_BYTES = 1 << 24
@@ -65,7 +65,7 @@ class AppendOnlyFile(ABC):
         self._asked = 0
         self._closing = self._ended = self._fine = False
         self._failure: RecordingError | None = None
-        self._descriptor = self._open()
+        self._descriptor = create(self._begun, self.path)  # never in the place of another recording
         self._thread = threading.Thread(target=self._run, name=f"spool {self.path.name}", daemon=True)
 
     @abstractmethod
@@ -76,16 +76,14 @@ class AppendOnlyFile(ABC):
     def _encode(self, taken: object) -> bytes:
         """The next bytes of the file. Called without the lock."""
 
-    @abstractmethod
     def _ending(self) -> bytes:
         """The last bytes of the file."""
+        return b""
 
-    @abstractmethod
-    def _kept(self) -> None:
+    def _kept(self) -> None:  # noqa: B027
         """Told when everything encoded so far is on the disk."""
 
-    @abstractmethod
-    def _undone(self) -> None:
+    def _undone(self) -> None:  # noqa: B027
         """Told when what was encoded since the last `_kept` is not in the file."""
 
     @property
@@ -148,9 +146,8 @@ class AppendOnlyFile(ABC):
             raise RecordingError("the recording is closed", str(self.path), "start another one")
         if self._waiting_bytes + size > self._capacity:
             if size > self._capacity:
-                raise LogError(
-                    f"{size} bytes at once, {self._capacity} may wait", str(self.path), "give them in smaller parts"
-                )
+                what = f"{size} bytes at once, {self._capacity} may wait"
+                raise LogError(what, str(self.path), "give them in smaller parts")
             if self._full == "drop":
                 return False
             self._changed.notify_all()
@@ -176,34 +173,18 @@ class AppendOnlyFile(ABC):
             "record to another disk",
         )
 
-    def _open(self) -> int:
-        try:
-            # A recording never takes the place of another one.
-            return os.open(self._begun, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
-        except FileExistsError as there:
-            raise LogError("is there already", str(self.path), REPLACE) from there
-        except OSError as refusal:
-            raise LogError(
-                f"cannot be written: {refusal.strerror}", str(self.path), "choose a folder that exists and is writable"
-            ) from refusal
-
     def _start(self, head: bytes) -> None:
         """Writes the head and the folder's entry through to the disk, then begins. Raises RecordingError."""
         try:
             self._write(head)
             if self._begun != self.path:
                 self._begun.replace(self.path.resolve())
-            folder = os.open(self.path.resolve().parent, os.O_RDONLY)
-            try:
-                os.fsync(folder)
-            finally:
-                os.close(folder)
-        except OSError as refusal:
+            sync_folder(self.path.resolve().parent)
+        except (OSError, LogError) as refusal:
             os.close(self._descriptor)
             self._begun.unlink(missing_ok=True)
-            raise RecordingError(
-                f"cannot be written: {refusal.strerror}", str(self.path), "nothing was recorded"
-            ) from refusal
+            why = refusal.strerror if isinstance(refusal, OSError) else refusal.what
+            raise RecordingError(f"cannot be written: {why}", str(self.path), "nothing was recorded") from refusal
         self._acknowledged = Acknowledged(len(head), 0)
         self._kept()
         self._thread.start()

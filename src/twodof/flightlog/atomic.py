@@ -41,6 +41,18 @@ def partial_of(path: str | Path) -> Path:
     return target.with_name(f".{target.name}.{secrets.token_hex(6)}.tmp")
 
 
+def create(begun: Path, path: str | Path) -> int:
+    """The descriptor of a new file `begun`, which becomes `path`. Raises LogError, also if it is there."""
+    try:
+        # os.open, and not tempfile, so that the user's umask decides who may read the result.
+        return os.open(begun, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
+    except FileExistsError as there:
+        raise LogError("is there already", str(path), REPLACE) from there
+    except OSError as refusal:
+        what = f"cannot be written: {refusal.strerror}"
+        raise LogError(what, str(path), "choose a folder that exists and is writable") from refusal
+
+
 @contextmanager
 def atomic_write(path: str | Path, mode: Literal["wb", "w"] = "wb") -> Iterator[IO[Any]]:
     """Opens a file for writing that takes the place of `path` only when the block ends well.
@@ -50,13 +62,7 @@ def atomic_write(path: str | Path, mode: Literal["wb", "w"] = "wb") -> Iterator[
     file, then of its folder). Raises LogError where the file system refuses.
     """
     target, partial = Path(path).resolve(), partial_of(path)
-    try:
-        # os.open, and not tempfile, so that the user's umask decides who may read the result.
-        descriptor = os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
-    except OSError as refusal:
-        raise LogError(
-            f"cannot be written: {refusal.strerror}", str(path), "choose a folder that exists and is writable"
-        ) from refusal
+    descriptor = create(partial, path)
     encoding, newline = ("utf-8", "\n") if mode == "w" else (None, None)
     try:
         with os.fdopen(descriptor, str(mode), encoding=encoding, newline=newline) as file:
@@ -66,9 +72,8 @@ def atomic_write(path: str | Path, mode: Literal["wb", "w"] = "wb") -> Iterator[
         partial.replace(target)
     except OSError as refusal:
         partial.unlink(missing_ok=True)
-        raise LogError(
-            f"cannot be written: {refusal.strerror or refusal}", str(path), "nothing was changed"
-        ) from refusal
+        what = f"cannot be written: {refusal.strerror or refusal}"
+        raise LogError(what, str(path), "nothing was changed") from refusal
     except BaseException:
         partial.unlink(missing_ok=True)
         raise
@@ -98,6 +103,5 @@ def sync_folder(folder: Path) -> None:
     except OSError as refusal:
         if refusal.errno in (errno.EINVAL, errno.ENOTSUP):  # a file system that cannot sync folders
             return
-        raise LogError(
-            f"was changed, but may not outlast a power cut: {refusal.strerror}", str(folder), "write to another disk"
-        ) from refusal
+        what = f"was changed, but may not outlast a power cut: {refusal.strerror}"
+        raise LogError(what, str(folder), "write to another disk") from refusal

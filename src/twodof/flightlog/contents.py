@@ -1,13 +1,12 @@
 """What a log holds, in one table: channels, gaps, stretches with thrust, events, and which experiment it looks like."""
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from itertools import islice, pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from twodof.errors import LogError
 from twodof.flightlog.events import (
@@ -47,6 +46,11 @@ class DetectedExcitation:
     edges: tuple[float, ...]
     window: tuple[float, float]
 
+    @property
+    def duration(self) -> float:
+        """From the first to the last edge [s]."""
+        return self.edges[-1] - self.edges[0]
+
 
 def excitations(log: FlightLog) -> list[DetectedExcitation]:
     """Every excitation found in a log, in order of time. Raises LogError if `T`, `q0` or `theta0` is missing."""
@@ -75,7 +79,7 @@ def find_excitation(log: FlightLog, name: str) -> DetectedExcitation:
     if not named:
         there = ", ".join(dict.fromkeys(one.name for one in found)) or "none"
         raise LogError(f"no excitation {name!r}", log.source, f"the log has: {there}")
-    return max(named, key=_length)
+    return max(named, key=lambda one: one.duration)
 
 
 def describe(log: FlightLog) -> dict[str, Any]:
@@ -87,7 +91,8 @@ def describe(log: FlightLog) -> dict[str, Any]:
     (the longest excitation, or None). What a log lacks the channels for is an empty list.
     """
     gaps = {name: log.gap_table(name) for name in log}
-    listed = [Gap(name, *row) for name, table in gaps.items() for row in islice(_rows(table), MAX_LISTED)][:MAX_LISTED]
+    rows = ((name, zip(*(column[:MAX_LISTED].tolist() for column in gaps[name]), strict=True)) for name in gaps)
+    listed = list(islice((Gap(name, *row) for name, table in rows for row in table), MAX_LISTED))
     start, end = log.span
     channels = []
     for name, channel in log.channels.items():
@@ -127,16 +132,8 @@ def describe(log: FlightLog) -> dict[str, Any]:
         "modes_unclear": unclear,
         "events": [asdict(event) for event in _events(log, found)],
         "excitations": [asdict(excitation) for excitation in found],
-        "experiment": asdict(max(found, key=_length)) if found else None,
+        "experiment": asdict(max(found, key=lambda one: one.duration)) if found else None,
     }
-
-
-def _rows(table: tuple[NDArray[Any], ...]) -> Iterator[tuple[Any, ...]]:
-    return zip(*(column[:MAX_LISTED].tolist() for column in table), strict=True)
-
-
-def _length(excitation: DetectedExcitation) -> float:
-    return excitation.edges[-1] - excitation.edges[0]
 
 
 def _events(log: FlightLog, found: Sequence[DetectedExcitation]) -> list[Event]:
@@ -150,8 +147,8 @@ def _events(log: FlightLog, found: Sequence[DetectedExcitation]) -> list[Event]:
 
 def _open_loop(log: FlightLog, stretch: Stretch, edges: Sequence[Event]) -> DetectedExcitation | None:
     # The message that opened the loop is up to 20 ms older than the first M made from it.
-    first = bisect_left(edges, stretch.t0 - 0.02, key=_time)
-    last = bisect_right(edges, stretch.t1, key=_time)
+    first = bisect_left(edges, stretch.t0 - 0.02, key=lambda event: event.time)
+    last = bisect_right(edges, stretch.t1, key=lambda event: event.time)
     steps = [event for event in edges[first:last] if event.channel == "lmnf.M"]
     if not steps:
         return None
@@ -159,10 +156,6 @@ def _open_loop(log: FlightLog, stretch: Stretch, edges: Sequence[Event]) -> Dete
     bounds = window(log, steps)
     # What follows an impulse is what it was flown for.
     return _excitation("open-loop", shape, steps, (bounds[0], stretch.t1) if shape == "impulse" else bounds)
-
-
-def _time(event: Event) -> float:
-    return event.time
 
 
 def _closed_loop(log: FlightLog, stretch: Stretch) -> DetectedExcitation | None:

@@ -57,16 +57,13 @@ def thrust_edges(log: FlightLog) -> list[Event]:
     channel = log["T"]
     edges = np.flatnonzero(np.diff((channel.value > 0.0).astype(np.int8))) + 1
     _check_count(edges.size, "changes of the thrust", f"{log.source}: T")
-    return [
-        Event(
-            float(channel.time[k]),
-            "thrust on" if channel.value[k] > 0.0 else "thrust off",
-            "T",
-            float(channel.value[k - 1]),
-            float(channel.value[k]),
-        )
-        for k in edges
-    ]
+    kinds = ["thrust on" if on else "thrust off" for on in channel.value[edges] > 0.0]
+    return [_event(channel.time, channel.value, kind, "T", k) for kind, k in zip(kinds, edges, strict=True)]
+
+
+def _event(time: NDArray[np.float64], value: NDArray[np.float64], kind: str, name: str, at: np.intp) -> Event:
+    """The change to sample `at` from the one before it."""
+    return Event(float(time[at]), kind, name, float(value[at - 1]), float(value[at]))
 
 
 def setpoint_steps(log: FlightLog, name: str, held_s: float = 0.1, minimum: float = 0.0) -> list[Event]:
@@ -104,9 +101,7 @@ def openloop_edges(log: FlightLog) -> list[Event]:
         value = channel.field(part)
         changed = np.flatnonzero(opened[1:] & opened[:-1] & (value[1:] != value[:-1])) + 1
         _check_count(changed.size, "steps", f"{log.source}: lmnf")
-        found += [
-            Event(float(channel.time[k]), "step", f"lmnf.{part}", float(value[k - 1]), float(value[k])) for k in changed
-        ]
+        found += [_event(channel.time, value, "step", f"lmnf.{part}", k) for k in changed]
     return sorted(found, key=lambda event: event.time)
 
 

@@ -2,8 +2,10 @@
 
 import os
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
+from typing import TypeVar
 
 from twodof.errors import LogError
 from twodof.flightlog.atomic import check_free
@@ -13,6 +15,7 @@ from twodof.flightlog.mcap.mcap_file import read_mcap, write_mcap
 from twodof.flightlog.table.table_file import read_csv, read_parquet, write_csv, write_parquet
 from twodof.flightlog.ulog.ulog_file import read_ulog
 
+_Function = TypeVar("_Function")
 _READERS: Mapping[str, Callable[[str | Path], FlightLog]] = MappingProxyType(
     {".mat": read_mat, ".mcap": read_mcap, ".parquet": read_parquet, ".csv": read_csv, ".ulg": read_ulog}
 )
@@ -20,13 +23,14 @@ _WRITERS: Mapping[str, Callable[[FlightLog, str | Path], None]] = MappingProxyTy
     {".mat": write_mat, ".mcap": write_mcap, ".parquet": write_parquet, ".csv": write_csv}
 )
 
-_TABLES: Mapping[str, Callable[..., None]] = MappingProxyType({".parquet": write_parquet, ".csv": write_csv})
+_TABLES: Mapping[str, Callable[[FlightLog, str | Path], None]] = MappingProxyType(
+    {".parquet": partial(write_parquet, wide=True), ".csv": partial(write_csv, wide=True)}
+)
 
 
 def read_log(path: str | Path) -> FlightLog:
     """Reads a log from a .mat, .mcap, .parquet, .csv or .ulg file. Raises LogError."""
-    _check(path, _READERS)
-    return _READERS[Path(path).suffix.lower()](path)
+    return _check(path, _READERS)(path)
 
 
 def write_log(log: FlightLog, path: str | Path, wide: bool = False, overwrite: bool = False) -> None:
@@ -35,12 +39,9 @@ def write_log(log: FlightLog, path: str | Path, wide: bool = False, overwrite: b
     `wide` writes a table (.parquet, .csv) with one row for each time stamp and a column for each signal, in place of
     one row for each number.
     """
-    _check(path, _TABLES if wide else _WRITERS)
+    write = _check(path, _TABLES if wide else _WRITERS)
     check_free(path, overwrite)
-    if wide:
-        _TABLES[Path(path).suffix.lower()](log, path, wide=True)
-    else:
-        _WRITERS[Path(path).suffix.lower()](log, path)
+    write(log, path)
 
 
 def check_place(path: str | Path, overwrite: bool = False) -> None:
@@ -78,13 +79,14 @@ def convert(src: str | Path, dst: str | Path, wide: bool = False, overwrite: boo
     return log
 
 
-def _check(path: str | Path, known: Mapping[str, object]) -> None:
+def _check(path: str | Path, known: Mapping[str, _Function]) -> _Function:
+    """What `known` has for the suffix of a name. Raises LogError."""
     suffix = Path(path).suffix.lower()
     if known is _TABLES and suffix in _WRITERS and suffix not in known:
-        raise LogError(
-            f"{suffix} logs are not tables", str(path), f"write {', '.join(known)}, or leave the wide form out"
-        )
+        what = f"{suffix} logs are not tables"
+        raise LogError(what, str(path), f"write {', '.join(known)}, or leave the wide form out")
     if suffix in _READERS and suffix not in known:
         raise LogError(f"{suffix} logs are read, not written", str(path), f"write {', '.join(known)}")
     if suffix not in known:
         raise LogError(f"no log format has the suffix {Path(path).suffix!r}", str(path), f"use {', '.join(known)}")
+    return known[suffix]

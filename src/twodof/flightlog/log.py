@@ -63,11 +63,8 @@ class Channel:
         value = _floats(self.value, f"{self.name or 'channel'}.value")
         where = self.name or "channel"
         if time.ndim != 1 or value.ndim not in (1, 2) or len(value) != len(time):
-            raise LogError(
-                f"shapes do not match: time {time.shape}, value {value.shape}",
-                where,
-                "time is (n,), value (n,) or (n, k)",
-            )
+            what = f"shapes do not match: time {time.shape}, value {value.shape}"
+            raise LogError(what, where, "time is (n,), value (n,) or (n, k)")
         if len(time) > MAX_SAMPLES:
             raise LogError(f"{len(time)} samples", where, f"at most {MAX_SAMPLES} are accepted")
         if value.ndim == 2 and value.shape[1] == 1:
@@ -80,11 +77,8 @@ class Channel:
         backward = np.flatnonzero(np.diff(time) <= 0.0)
         if backward.size:
             k = int(backward[0])
-            raise LogError(
-                f"time does not increase: sample {k + 1} at {time[k + 1]!s} s follows {time[k]!s} s",
-                where,
-                "sort the samples and remove repeated stamps",
-            )
+            what = f"time does not increase: sample {k + 1} at {time[k + 1]!s} s follows {time[k]!s} s"
+            raise LogError(what, where, "sort the samples and remove repeated stamps")
         object.__setattr__(self, "time", time)
         object.__setattr__(self, "value", value)
         object.__setattr__(self, "fields", tuple(self.fields))
@@ -95,9 +89,8 @@ class Channel:
     def field(self, name: str) -> NDArray[np.float64]:
         """One named column, (n,), such as `log["lmnf"].field("M")`. Raises LogError if there is none."""
         if name not in self.fields:
-            raise LogError(
-                f"no field {name!r}", self.name or "channel", f"there are: {', '.join(self.fields) or 'none'}"
-            )
+            what = f"no field {name!r}"
+            raise LogError(what, self.name or "channel", f"there are: {', '.join(self.fields) or 'none'}")
         return self.value if self.value.ndim == 1 else self.value[:, self.fields.index(name)]
 
     def period(self) -> float:
@@ -198,9 +191,8 @@ class FlightLog:
             raise LogError(f"window {t0!s} to {t1!s} s is empty", self.source, "give t0 < t1, in seconds")
         cut = {name: channel.slice(t0, t1) for name, channel in self.channels.items()}
         if not any(len(channel) for channel in cut.values()):
-            raise LogError(
-                f"no sample between {t0:g} and {t1:g} s", self.source, f"the log spans {start:g} to {end:g} s"
-            )
+            what = f"no sample between {t0:g} and {t1:g} s"
+            raise LogError(what, self.source, f"the log spans {start:g} to {end:g} s")
         return FlightLog(cut, {**self.provenance, "slice_s": [float(t0), float(t1)]})
 
     def resample(self, name: str, t: ArrayLike, how: How = "hold", max_age: float | None = None) -> NDArray[np.float64]:
@@ -219,20 +211,14 @@ class FlightLog:
         unpaired = np.flatnonzero((low < 0) | (high < 0))
         if unpaired.size:
             span = f"{channel.time[0]!s} to {channel.time[-1]!s} s" if len(channel) else "no time: it is empty"
-            raise LogError(
-                f"no sample for t = {at[unpaired[0]]!s} s with {how!r} ({unpaired.size} of {at.size} times)",
-                f"{self.source}: {name}",
-                f"the channel spans {span}",
-            )
+            what = f"no sample for t = {at[unpaired[0]]!s} s with {how!r} ({unpaired.size} of {at.size} times)"
+            raise LogError(what, f"{self.source}: {name}", f"the channel spans {span}")
         if max_age is not None and at.size:
             age = np.maximum(np.abs(at - channel.time[low]), np.abs(at - channel.time[high]))
             if age.max() > max_age:
                 k = int(np.argmax(age))
-                raise LogError(
-                    f"the sample for t = {at[k]!s} s is {age[k]:.4g} s away, more than {max_age:g} s",
-                    f"{self.source}: {name}",
-                    "leave the gap out or allow a larger max_age",
-                )
+                what = f"the sample for t = {at[k]!s} s is {age[k]:.4g} s away, more than {max_age:g} s"
+                raise LogError(what, f"{self.source}: {name}", "leave the gap out or allow a larger max_age")
         if how != "linear":
             return channel.value[low]
         reach = channel.time[high] - channel.time[low]

@@ -39,9 +39,8 @@ class MemoryBudget:
         """`size` bytes of memory."""
         self._left -= size
         if self._left < 0:
-            raise LogError(
-                f"asks for more than {self._all >> 20} MiB of memory", self._where, "this is not a flight log"
-            )
+            what = f"asks for more than {self._all >> 20} MiB of memory"
+            raise LogError(what, self._where, "this is not a flight log")
 
     def record(self, count: int = 1) -> None:
         """The reading of `count` small parts of a file."""

@@ -5,7 +5,7 @@ import json
 import os
 import platform
 import stat
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -81,9 +81,8 @@ def kept_json(entries: Mapping[str, Any], where: str) -> str:
     try:
         return json.dumps(kept, allow_nan=False)
     except (TypeError, ValueError) as reason:
-        raise LogError(
-            f"provenance is not JSON: {reason}", where, "keep numbers, text, lists and dicts in it"
-        ) from reason
+        what = f"provenance is not JSON: {reason}"
+        raise LogError(what, where, "keep numbers, text, lists and dicts in it") from reason
 
 
 def from_json(text: str, where: str, budget: MemoryBudget) -> dict[str, Any]:
@@ -97,11 +96,8 @@ def from_json(text: str, where: str, budget: MemoryBudget) -> dict[str, Any]:
         raise LogError("the provenance kept in the file is not a table of entries", where)
     level: list[Any] = [kept]
     for _ in range(MAX_DEPTH):
-        level = [inner for one in level if isinstance(one, list | dict) for inner in _members(one)]
+        level = [list(one.values()) if isinstance(one, dict) else one for one in level]
+        level = [inner for one in level if isinstance(one, list) for inner in one]
     if level:
         raise LogError(f"the provenance kept in the file is nested over {MAX_DEPTH} deep", where)
     return kept
-
-
-def _members(one: list[Any] | dict[str, Any]) -> Iterable[Any]:
-    return one.values() if isinstance(one, dict) else one

@@ -7,7 +7,6 @@ else downloaded; its checksum is verified each time.
 
 import hashlib
 import os
-import queue
 import threading
 import time
 import urllib.request
@@ -126,12 +125,7 @@ def find(name: str, deadline_s: float = 60.0) -> Path:
     row = PUBLIC_LOGS.get(name.removesuffix(".mat"))
     if row is None:
         raise LogError("no such public log", name, f"there are: {', '.join(PUBLIC_LOGS)}")
-    for folder in _folders():
-        path = folder / f"{row.name}.mat"
-        if path.is_file():
-            _verify(path.read_bytes(), row, path)
-            return path
-    return download(row, cache_folder(), deadline_s)
+    return _at_hand(row) or download(row, cache_folder(), deadline_s)
 
 
 def available() -> dict[str, Path]:
@@ -139,15 +133,15 @@ def available() -> dict[str, Path]:
 
     Raises LogError for a file that bears a log's name but not its checksum.
     """
-    found = {}
-    for row in _ROWS:
-        for folder in _folders():
-            path = folder / f"{row.name}.mat"
-            if path.is_file():
-                _verify(path.read_bytes(), row, path)
-                found[row.name] = path
-                break
-    return found
+    found = {name: _at_hand(row) for name, row in PUBLIC_LOGS.items()}
+    return {name: path for name, path in found.items() if path is not None}
+
+
+def _at_hand(row: PublicLog) -> Path | None:
+    path = next((path for folder in _folders() if (path := folder / f"{row.name}.mat").is_file()), None)
+    if path is not None:
+        _verify(path.read_bytes(), row, path)
+    return path
 
 
 def cache_folder() -> Path:
@@ -161,45 +155,43 @@ def download(row: PublicLog, folder: Path, deadline_s: float) -> Path:
     Raises DownloadError where that does not succeed within `deadline_s` seconds.
     """
     remedy = f"set {VARIABLE} to a folder that holds {row.name}.mat, or try again with a network"
-    answer: queue.SimpleQueue[bytes | Exception] = queue.SimpleQueue()
+    received: list[bytes | Exception] = []
     # A thread, because looking up a host's name has no deadline of its own.
-    threading.Thread(target=_receive, args=(row.url, deadline_s, answer), daemon=True).start()
-    try:
-        data = answer.get(timeout=deadline_s)
-    except queue.Empty:
-        data = TimeoutError()
+    thread = threading.Thread(target=lambda: received.append(_receive(row.url, deadline_s)), daemon=True)
+    thread.start()
+    thread.join(deadline_s)
+    data = received.pop() if received else TimeoutError()
     if isinstance(data, TimeoutError):
         raise DownloadError(f"no answer within {deadline_s:g} s from {row.url}", row.name, remedy)
     if isinstance(data, Exception):
         raise DownloadError(f"cannot be downloaded from {row.url}: {data}", row.name, remedy) from data
     _verify(data, row, Path(row.url))
+    path = folder / f"{row.name}.mat"
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as refusal:
         raise LogError(f"the cache cannot be made: {refusal.strerror}", str(folder), remedy) from refusal
-    path = folder / f"{row.name}.mat"
     with atomic_write(path) as file:
         file.write(data)
     return path
 
 
-def _receive(url: str, deadline_s: float, answer: "queue.SimpleQueue[bytes | Exception]") -> None:
+def _receive(url: str, deadline_s: float) -> bytes | Exception:
+    """What the address holds, or why not."""
+    data = bytearray()
     end = time.monotonic() + deadline_s
-    parts, size = [], 0
     try:
         with urllib.request.urlopen(url, timeout=deadline_s) as reply:
             while part := reply.read(_CHUNK):
-                parts.append(part)
-                size += len(part)
-                if size > MAX_BYTES:
-                    raise ValueError(f"more than {MAX_BYTES} bytes")
+                data += part
+                if len(data) > MAX_BYTES:
+                    return ValueError(f"more than {MAX_BYTES} bytes")
                 if time.monotonic() > end:
-                    raise TimeoutError
+                    return TimeoutError()
     except (OSError, ValueError) as reason:  # URLError, HTTP errors and time-outs are kinds of OSError
         cause = getattr(reason, "reason", None)  # of a URLError: of a connection that did not come in time, say
-        answer.put(cause if isinstance(cause, TimeoutError) else reason)
-    else:
-        answer.put(b"".join(parts))
+        return cause if isinstance(cause, TimeoutError) else reason
+    return bytes(data)
 
 
 def _folders() -> list[Path]:
@@ -216,6 +208,5 @@ def _folders() -> list[Path]:
 def _verify(data: bytes, row: PublicLog, path: Path) -> None:
     seen = hashlib.sha256(data).hexdigest()
     if seen != row.sha256:
-        raise LogError(
-            f"its sha256 is {seen[:12]}..., not {row.sha256[:12]}...", str(path), "remove the file and try again"
-        )
+        what = f"its sha256 is {seen[:12]}..., not {row.sha256[:12]}..."
+        raise LogError(what, str(path), "remove the file and try again")

@@ -138,9 +138,8 @@ class Recorder(AppendOnlyFile):
         try:
             return self._slots[topic]
         except (KeyError, TypeError):
-            raise LogError(
-                f"{shown(topic)} is not recorded", str(self.path), f"recorded are {listed(self._slots)}"
-            ) from None
+            what = f"{shown(topic)} is not recorded"
+            raise LogError(what, str(self.path), f"recorded are {listed(self._slots)}") from None
 
     def _misfit(self, topic: str, what: str) -> LogError:
         return LogError(what, f"{self.path}: {topic}", "give whole nanoseconds from 0 and a number for each field")

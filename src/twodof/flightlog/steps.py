@@ -103,12 +103,9 @@ def _published(tick: NDArray[np.int64]) -> tuple[NDArray[np.intp], NDArray[np.in
 
 
 def _channel(name: str, time: NDArray[np.float64], values: NDArray[Any]) -> Channel:
-    return _finite(time + shift(name), np.asarray(values, dtype=np.float64), name)
-
-
-def _finite(time: NDArray[np.float64], values: NDArray[np.float64], name: str) -> Channel:
+    values = np.asarray(values, dtype=np.float64)
     good = np.isfinite(values) if values.ndim == 1 else np.isfinite(values).all(axis=1)
-    return Channel(time[good], values[good], topic(name).unit, topic(name).fields, name)
+    return Channel(time[good] + shift(name), values[good], topic(name).unit, topic(name).fields, name)
 
 
 def _messages(time: NDArray[np.float64], out: Mapping[str, NDArray[Any]], mode: NDArray[np.int32]) -> Channel:

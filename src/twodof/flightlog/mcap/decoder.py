@@ -64,13 +64,11 @@ class McapContents:
     def joined(self, stream: int) -> McapSamples:
         """All samples of a stream, in the order of the file."""
         parts = self.samples.get(stream, [])
-        stamped = self.streams[stream].stamped
+        stamps = [part.stamp for part in parts if part.stamp is not None]
         return McapSamples(
-            np.concatenate([part.time_ns for part in parts] or [np.empty(0, np.uint64)]),
-            np.concatenate([part.value for part in parts] or [np.empty((0, self.streams[stream].width))]),
-            np.concatenate([part.stamp for part in parts if part.stamp is not None] or [np.empty(0)])
-            if stamped
-            else None,
+            np.concatenate([np.empty(0, np.uint64), *(part.time_ns for part in parts)]),
+            np.concatenate([np.empty((0, self.streams[stream].width)), *(part.value for part in parts)]),
+            np.concatenate([np.empty(0), *stamps]) if self.streams[stream].stamped else None,
         )
 
 
@@ -213,7 +211,8 @@ class McapDecoder:
         elif op == McapOpcode.FOOTER:
             self._footer(inside, end)
         elif self._salvage and op == McapOpcode.HEADER and at == len(MAGIC):
-            inside.skip_texts(2)
+            inside.text()
+            inside.text()
             inside.end()
         elif self._salvage and op in (McapOpcode.HEADER, McapOpcode.MESSAGE_INDEX):
             # An index is not used, but what passes for one may be something else that a changed bit hides.
@@ -242,7 +241,8 @@ class McapDecoder:
     def _schema(self, inside: RecordCursor, start: int, end: int) -> None:
         number, name = inside.number(2), inside.text()
         if self._salvage:
-            inside.skip_texts(2)
+            inside.text()
+            inside.text()
             inside.end()
         if number not in self._schemas:
             self._schemas[number] = name, bytes(self._data[start + 2 : end])
@@ -334,23 +334,17 @@ class McapDecoder:
 
     def _run(self, body: memoryview, at: int, number: int, stream: McapStream, where: str) -> int:
         """Reads messages of one stream that follow each other as one table; returns their bytes."""
-        size, head = stream.record_bytes, bytes(body[at : at + RECORD_HEAD.size + 2])
+        size, head = stream.record_bytes, np.frombuffer(body, "u1", RECORD_HEAD.size + 2, at)
         most = (len(body) - at) // size
-        count, step = 1, 1
+        count = step = 1
+        same = True
         # Doubled as long as all match: the cost stays in proportion to what is found.
-        while count < most:
+        while same and count < most:
             step = min(2 * step, most - count)
-            if step <= 2:
-                same = int(bytes(body[at + count * size :][: len(head)]) == head)
-                step = 1
-            else:
-                rows = np.frombuffer(body, "u1", step * size, at + count * size).reshape(step, size)[:, : len(head)]
-                differ = np.flatnonzero((rows != np.frombuffer(head, "u1")).any(axis=1))
-                same = int(differ[0]) if differ.size else step
-            count += same
-            if same < step:
-                break
-            step = max(step, 2)
+            rows = np.frombuffer(body, "u1", step * size, at + count * size).reshape(step, size)
+            differ = np.flatnonzero((rows[:, : len(head)] != head).any(axis=1))
+            same = not differ.size
+            count += step if same else int(differ[0])
         self._budget.take(RUN_BYTES)
         # The table that is read, and the channel that is made of it.
         self._budget.take(8 * count * (1 + stream.width + stream.stamped))

@@ -46,12 +46,10 @@ class Attachment:
 
 @dataclass(frozen=True)
 class _Written:
-    """What has been made: bytes, their checksum, index records, messages of each channel, times."""
+    """What has been made: bytes, their checksum, messages of each channel, times."""
 
     position: int = 0
     crc: int = 0
-    metadata: tuple[bytes, ...] = ()
-    attachments: tuple[bytes, ...] = ()
     messages: Mapping[int, int] = field(default_factory=dict)
     start: int = 0
     end: int = 0
@@ -66,10 +64,14 @@ class McapEncoder:
     def __init__(self, streams: Sequence[McapStream]) -> None:
         self._streams = tuple(streams)
         self._dtypes = tuple(stream.row for stream in self._streams)
-        self._now = self._kept = _Written()
-        # Appended to in place, since a recording of hours has 10^5 of them; `_kept` remembers how many hold.
-        self._chunks: list[bytes] = []
-        self._kept_chunks = 0
+        self._now = _Written()
+        # Appended to in place, since a recording of hours has 10^5 of them; `keep` remembers how many hold.
+        self._indexes: dict[McapOpcode, list[bytes]] = {
+            McapOpcode.CHUNK_INDEX: [],
+            McapOpcode.ATTACHMENT_INDEX: [],
+            McapOpcode.METADATA_INDEX: [],
+        }
+        self.keep()
 
     def head(self, metadata: Mapping[str, Mapping[str, str]], attachments: Sequence[Attachment] = ()) -> bytes:
         """Everything before the first sample."""
@@ -85,8 +87,7 @@ class McapEncoder:
     def metadata(self, name: str, rows: Mapping[str, str]) -> bytes:
         """A table of texts, with its checksum: what a crash or a bad disk leaves of the file has no other."""
         made = record(McapOpcode.METADATA, text(name) + mapping(checked(text(name), rows)))
-        index = record(McapOpcode.METADATA_INDEX, _INDEX.pack(self._now.position, len(made)) + text(name))
-        self._now = replace(self._now, metadata=(*self._now.metadata, index))
+        self._index(McapOpcode.METADATA_INDEX, _INDEX.pack(self._now.position, len(made)) + text(name))
         return self._made(made)
 
     def chunk(self, samples: Mapping[int, McapSamples]) -> bytes:
@@ -126,9 +127,9 @@ class McapEncoder:
             sum(now.messages.values()),
             len(self._streams),
             len(self._streams),
-            len(now.attachments),
-            len(now.metadata),
-            len(self._chunks),
+            len(self._indexes[McapOpcode.ATTACHMENT_INDEX]),
+            len(self._indexes[McapOpcode.METADATA_INDEX]),
+            len(self._indexes[McapOpcode.CHUNK_INDEX]),
             now.start,
             now.end,
         ) + counts({stream + 1: count for stream, count in now.messages.items()})
@@ -136,9 +137,7 @@ class McapEncoder:
             (McapOpcode.SCHEMA, b"".join(map(self._schema, range(len(self._streams))))),
             (McapOpcode.CHANNEL, b"".join(map(self._channel, range(len(self._streams))))),
             (McapOpcode.STATISTICS, record(McapOpcode.STATISTICS, statistics)),
-            (McapOpcode.CHUNK_INDEX, b"".join(self._chunks)),
-            (McapOpcode.ATTACHMENT_INDEX, b"".join(now.attachments)),
-            (McapOpcode.METADATA_INDEX, b"".join(now.metadata)),
+            *((op, b"".join(made)) for op, made in self._indexes.items()),
         ]
         summary, offsets = b"", b""
         for op, group in groups:
@@ -151,12 +150,16 @@ class McapEncoder:
 
     def keep(self) -> None:
         """What was returned so far is in the file."""
-        self._kept, self._kept_chunks = self._now, len(self._chunks)
+        self._kept = self._now, {op: len(made) for op, made in self._indexes.items()}
 
     def undo(self) -> None:
         """What was returned since the last `keep` is not in the file."""
-        self._now = self._kept
-        del self._chunks[self._kept_chunks :]
+        self._now, counts = self._kept
+        for op, count in counts.items():
+            del self._indexes[op][count:]
+
+    def _index(self, op: McapOpcode, content: bytes) -> None:
+        self._indexes[op].append(record(op, content))
 
     def _made(self, part: bytes) -> bytes:
         crc = zlib.crc32(part, self._now.crc)
@@ -188,16 +191,9 @@ class McapEncoder:
             offsets[stream + 1] = at
             parts.append(record(McapOpcode.MESSAGE_INDEX, index))
             at += len(parts[-1])
-        self._chunks.append(
-            record(
-                McapOpcode.CHUNK_INDEX,
-                Struct("<QQQQ").pack(start, end, where, len(chunk))
-                + counts(offsets)
-                + (at - where - len(chunk)).to_bytes(8, "little")
-                + text(CODEC)
-                + _INDEX.pack(len(packed), len(plain)),
-            )
-        )
+        lengths = (at - where - len(chunk)).to_bytes(8, "little") + text(CODEC) + _INDEX.pack(len(packed), len(plain))
+        times = Struct("<QQQQ").pack(start, end, where, len(chunk))
+        self._index(McapOpcode.CHUNK_INDEX, times + counts(offsets) + lengths)
         return b"".join(parts)
 
     def _attachment(self, kept: Attachment) -> bytes:
@@ -206,7 +202,7 @@ class McapEncoder:
         content = times + names + len(kept.data).to_bytes(8, "little") + kept.data
         made = record(McapOpcode.ATTACHMENT, content + zlib.crc32(content).to_bytes(4, "little"))
         index = _INDEX.pack(self._now.position, len(made)) + times + len(kept.data).to_bytes(8, "little") + names
-        self._now = replace(self._now, attachments=(*self._now.attachments, record(McapOpcode.ATTACHMENT_INDEX, index)))
+        self._index(McapOpcode.ATTACHMENT_INDEX, index)
         return self._made(made)
 
     def _channels(self) -> bytes:

@@ -122,8 +122,7 @@ def check_size(size: int, where: str) -> None:
 
 
 def inflate(codec: str, packed: memoryview, size: int, crc: int, where: str) -> bytes:
-    """The plain bytes of a chunk: exactly `size`, at most MAX_CHUNK_BYTES. Raises LogError."""
-    check_size(size, where)
+    """The plain bytes of a chunk, exactly `size`, which `check_size` has seen. Raises LogError."""
     if codec == "":
         plain = bytes(packed)
     elif codec not in CODECS:
@@ -146,10 +145,13 @@ def deflate(codec: str, plain: bytes) -> bytes:
 
 
 class RecordCursor:
-    """Reads the parts of one record's content in order; every length is held against what is there."""
+    """Reads the parts of one record's content in order; `at` is the byte that is read next.
+
+    Every length is held against what is there.
+    """
 
     def __init__(self, data: memoryview, start: int, end: int, where: str, budget: MemoryBudget) -> None:
-        self._data, self._at, self._end, self._where, self._budget = data, start, end, where, budget
+        self._data, self.at, self._end, self._where, self._budget = data, start, end, where, budget
 
     def number(self, size: int) -> int:
         """An unsigned integer of `size` bytes. Raises LogError."""
@@ -157,57 +159,44 @@ class RecordCursor:
 
     def raw(self, size: int) -> memoryview:
         """The next `size` bytes. Raises LogError."""
-        if size > self._end - self._at:
-            raise LogError(f"a part of {size} bytes at byte {self._at} passes its record's end", self._where, RECOVER)
-        part = self._data[self._at : self._at + size]
-        self._at += size
+        if size > self._end - self.at:
+            raise LogError(f"a part of {size} bytes at byte {self.at} passes its record's end", self._where, RECOVER)
+        part = self._data[self.at : self.at + size]
+        self.at += size
         return part
 
     def text(self) -> str:
         """A string. Raises LogError for one that is not UTF-8 or longer than MAX_TEXT_BYTES."""
         size = self.number(4)
         if size > MAX_TEXT_BYTES:
-            raise LogError(f"a text of {size} bytes at byte {self._at}", self._where, "this is not a flight log")
+            raise LogError(f"a text of {size} bytes at byte {self.at}", self._where, "this is not a flight log")
         self._budget.text(size)
         try:
             return str(self.raw(size), "utf-8")
         except UnicodeDecodeError as reason:
-            raise LogError(f"a text before byte {self._at} is not UTF-8", self._where, RECOVER) from reason
-
-    def skip_texts(self, count: int) -> None:
-        """Passes over texts that are not used. Raises LogError for one that is not sound."""
-        for _ in range(count):
-            self.text()
+            raise LogError(f"a text before byte {self.at} is not UTF-8", self._where, RECOVER) from reason
 
     def mapping(self) -> dict[str, str]:
         """A map of strings. Raises LogError."""
-        size = self.number(4)
-        end = self._at + size
-        inner = RecordCursor(
-            self._data, self._at, end if size <= self._end - self._at else self._end, self._where, self._budget
-        )
+        start, size = self.at + 4, self.number(4)
         self.raw(size)
+        inner = RecordCursor(self._data, start, self.at, self._where, self._budget)
         rows = {}
         while inner.left:
             key = inner.text()
             rows[key] = inner.text()
         return rows
 
-    @property
-    def at(self) -> int:
-        """The byte that is read next."""
-        return self._at
-
     def since(self, at: int) -> bytes:
         """The bytes from byte `at` to the one that is read next."""
-        return bytes(self._data[at : self._at])
+        return bytes(self._data[at : self.at])
 
     def end(self) -> None:
         """Raises LogError if the record goes on."""
         if self.left:
-            raise LogError(f"{self.left} bytes too many at byte {self._at}", self._where, RECOVER)
+            raise LogError(f"{self.left} bytes too many at byte {self.at}", self._where, RECOVER)
 
     @property
     def left(self) -> int:
         """Bytes of the content that are not read yet."""
-        return self._end - self._at
+        return self._end - self.at

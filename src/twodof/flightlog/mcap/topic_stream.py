@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twodof.errors import LogError, listed, shown
-from twodof.flightlog.log import Channel, FlightLog
+from twodof.flightlog.log import MAX_NAME, Channel, FlightLog
 from twodof.flightlog.mcap.records import MESSAGE_HEAD, RECORD_HEAD
 from twodof.flightlog.memory_budget import MemoryBudget
 from twodof.flightlog.sanitise import RECOVER
@@ -29,7 +29,6 @@ PACKAGE = "twodof_msgs/msg"
 KEY = "twodof"
 CDR_LITTLE_ENDIAN = 0x0100  # bytes 00 01 00 00: representation CDR_LE, no options
 MAX_WIDTH = 1000
-MAX_NAME = 1000
 MAX_CHANNELS = 1000
 
 
@@ -48,6 +47,11 @@ class McapStream:
     width: int = 1
     stamped: bool = False
     about: str = ""
+
+    @property
+    def fits(self) -> bool:
+        """Whether what is written of it can be read again."""
+        return 1 <= self.width <= MAX_WIDTH and len(self.fields) in (0, self.width) and 0 < len(self.mat) <= MAX_NAME
 
     @property
     def row(self) -> np.dtype[np.void]:
@@ -112,8 +116,7 @@ def named(streams: Iterable[str | Topic | McapStream]) -> dict[str, McapStream]:
         made = row if isinstance(row, McapStream) else stream_of(row)
         if name in found or any(made.topic == one.topic or made.mat == one.mat for one in found.values()):
             raise LogError("is recorded twice", name, "name each topic and channel once")
-        sound = 1 <= made.width <= MAX_WIDTH and len(made.fields) in (0, made.width)
-        if not sound or not 0 < len(made.mat) <= MAX_NAME or len(found) >= MAX_CHANNELS:
+        if not made.fits or len(found) >= MAX_CHANNELS:
             raise LogError(
                 f"{made.width} columns, fields {listed(made.fields)}, channel {shown(made.mat)}",
                 name,
@@ -131,7 +134,7 @@ def streams_of(log: FlightLog) -> dict[str, McapStream]:
     for k, (name, channel) in enumerate(log.channels.items()):
         width = 1 if channel.value.ndim == 1 else channel.value.shape[1]
         known = BY_MAT.get(name)
-        if len(name) > MAX_NAME or width > MAX_WIDTH or len(channel.unit) > MAX_NAME:
+        if width > MAX_WIDTH:
             raise LogError(f"{width} columns, name {shown(name)}", log.source, f"at most {MAX_WIDTH} columns")
         if known and (known.fields, known.unit, known.width) == (channel.fields, channel.unit, width):
             stream = stream_of(known)
@@ -152,22 +155,19 @@ def parse(
     if KEY not in metadata or encoding != "cdr":
         return None
     budget.json(len(metadata[KEY]))
+    damaged = LogError(f"the description of topic {shown(topic_name)} is damaged", where, RECOVER)
     try:
         kept = json.loads(metadata[KEY])
         name, unit, fields, width = (kept[key] for key in ("name", "unit", "fields", "width"))
         stamped, about, schema = kept["stamped"], kept["about"], kept.get("schema", schema)
+        sound = type(fields) is list and type(width) is int and type(stamped) is bool
+        sound = sound and all(isinstance(one, str) for one in (name, unit, about, schema, *fields))
+        stream = McapStream(topic_name, schema, name, unit, tuple(fields), width, stamped, about)
     except (ValueError, KeyError, TypeError, RecursionError) as reason:
-        raise LogError(f"the description of topic {shown(topic_name)} is damaged", where, RECOVER) from reason
-    sound = (
-        all(isinstance(one, str) for one in (name, unit, about, schema))
-        and isinstance(fields, list)
-        and all(isinstance(one, str) for one in fields)
-        and type(width) is int
-        and type(stamped) is bool
-    )
-    if not sound or not 1 <= width <= MAX_WIDTH or len(fields) not in (0, width) or not 0 < len(name) <= MAX_NAME:
-        raise LogError(f"the description of topic {shown(topic_name)} is damaged", where, RECOVER)
-    return McapStream(topic_name, schema, name, unit, tuple(fields), width, stamped, about)
+        raise damaged from reason
+    if not sound or not stream.fits:
+        raise damaged
+    return stream
 
 
 def ros_names(fields: Iterable[str]) -> list[str]:

@@ -48,14 +48,17 @@ def channels_of_long(table: pa.Table, described: Mapping[str, dict[str, Any]], w
     time, value = stamps(table, "time", where), numbers(table, "value", where)
     channel_code, channel_names = _codes(table, "channel", where)
     field_code, field_names = _codes(table, "field", where)
+    group = channel_code * len(field_names) + field_code
+    order = np.argsort(group, kind="stable")
+    rows_of: dict[str, dict[str, NDArray[np.intp]]] = {name: {} for name in (*described, *channel_names)}
+    for rows in np.split(order, np.flatnonzero(np.diff(group[order])) + 1):
+        if rows.size:
+            rows_of[channel_names[channel_code[rows[0]]]][field_names[field_code[rows[0]]]] = rows
     found = {}
-    of_channel = dict(zip(channel_names, _groups(channel_code, len(channel_names)), strict=True))
-    for name in dict.fromkeys([*described, *channel_names]):
-        rows = of_channel.get(name, np.empty(0, np.intp))
-        of_field = zip(field_names, _groups(field_code[rows], len(field_names)), strict=True)
-        columns = {label: rows[at] for label, at in sorted(of_field, key=_first) if at.size}
+    for name, of_field in rows_of.items():
+        columns = dict(sorted(of_field.items(), key=lambda item: int(item[1][0])))
         unit, fields = _unit_and_fields(name, set(columns), described)
-        chosen = [columns.pop(label, rows[:0]) for label in fields or tuple(columns) or ("",)]
+        chosen = [columns.pop(label, order[:0]) for label in fields or tuple(columns) or ("",)]
         shared = time[chosen[0]]
         if columns or any(not np.array_equal(time[one], shared) for one in chosen):
             raise LogError(f"the fields of {name!r} differ in their time stamps", where, "write it again")
@@ -89,13 +92,3 @@ def _codes(table: pa.Table, column: str, where: str) -> tuple[NDArray[np.intp], 
     if len(names) > MAX_NAMES or len(set(names)) < len(names):
         raise LogError(f"more than {MAX_NAMES} names in column {column!r}", where, "this is not a flight log")
     return np.asarray(coded.indices, dtype=np.intp), names
-
-
-def _groups(codes: NDArray[np.intp], count: int) -> list[NDArray[np.intp]]:
-    """For each code from 0 to `count` - 1 the places where it stands, in order."""
-    order = np.argsort(codes, kind="stable")
-    return np.split(order, np.searchsorted(codes[order], np.arange(1, count))) if count else []
-
-
-def _first(field: tuple[str, NDArray[np.intp]]) -> int:
-    return int(field[1][0]) if field[1].size else -1

@@ -21,7 +21,10 @@ _PLAIN, _DELTA_BYTE_ARRAY = 0, 7
 # Fields of PageHeader, and the field `encoding` in the heads of its kinds: data, dictionary, data of version 2.
 _INFLATED, _PACKED = 2, 3
 _ENCODINGS = ((5, 2), (7, 2), (8, 4))
-_STOP, _TRUE, _FALSE, _BYTE, _INTEGERS, _DOUBLE, _BINARY, _LISTS, _STRUCT = 0, 1, 2, 3, (4, 5, 6), 7, 8, (9, 10), 12
+# Kinds of values; those of a fixed size with it: true and false have none, but in a list.
+_STOP, _INTEGERS, _BINARY, _LISTS, _STRUCT = 0, (4, 5, 6), 8, (9, 10), 12
+_TRUE, _FALSE = 1, 2
+_FIXED = {_TRUE: 0, _FALSE: 0, 3: 1, 7: 8}
 _MAX_DEPTH = 8
 
 
@@ -107,14 +110,10 @@ class _Compact:
     def _value(self, kind: int, depth: int) -> Any:
         if depth <= 0:
             raise LogError(f"the page's head before byte {self.at} is nested too deep", self._where, _REMEDY)
-        if kind in (_TRUE, _FALSE):
-            return None
-        if kind == _BYTE:
-            return self._skip(1)
+        if kind in _FIXED:
+            return self._skip(_FIXED[kind])
         if kind in _INTEGERS:
             return self._integer()
-        if kind == _DOUBLE:
-            return self._skip(8)
         if kind == _BINARY:
             return self._skip(self._varint())
         if kind == _STRUCT:

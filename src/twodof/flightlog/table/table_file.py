@@ -114,9 +114,8 @@ def read_csv(path: str | Path) -> FlightLog:
             ),
         )
     except (pa.ArrowException, UnicodeDecodeError) as reason:
-        raise LogError(
-            f"is not a table of numbers: {first_line(reason)}", where, "give a header line and numbers below it"
-        ) from reason
+        what = f"is not a table of numbers: {first_line(reason)}"
+        raise LogError(what, where, "give a header line and numbers below it") from reason
     return _log(table, meta, provenance.of_file(path, data, "csv"), where, budget)
 
 
@@ -145,15 +144,13 @@ def _log(table: pa.Table, meta: bytes | None, file: dict[str, Any], where: str, 
     elif is_wide(names):
         channels = channels_of_wide(table, described, where, budget)
     else:
-        raise LogError(
-            f"no column 'time' among: {', '.join(names)[:200]}", where, "name the column of time stamps 'time'"
-        )
+        what = f"no column 'time' among: {', '.join(names)[:200]}"
+        raise LogError(what, where, "name the column of time stamps 'time'")
     for name, row in described.items():
         count = len(channels[name]) if name in channels else 0
         if count != row["samples"]:
-            raise LogError(
-                f"truncated: {count} of {row['samples']} samples of {name!r} are there", where, "write it again"
-            )
+            what = f"truncated: {count} of {row['samples']} samples of {name!r} are there"
+            raise LogError(what, where, "write it again")
     return FlightLog(channels, {**kept, "file": file})
 
 

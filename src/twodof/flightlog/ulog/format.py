@@ -67,23 +67,12 @@ def fields_of(description: str, where: str) -> list[ULogField]:
 
 
 def record_type(
-    name: str, formats: Mapping[str, Sequence[ULogField]], where: str, budget: MemoryBudget
+    name: str, formats: Mapping[str, Sequence[ULogField]], where: str, budget: MemoryBudget, depth: int = 0
 ) -> np.dtype[np.void]:
-    """The layout of the records called `name`, without padding at their end. Raises LogError."""
+    """The layout of the records called `name`, `depth` deep in others, without padding at its end. Raises LogError."""
     fields = list(formats.get(name, ()))
-    while fields and fields[-1][2].startswith("_padding"):
+    while not depth and fields and fields[-1][2].startswith("_padding"):
         fields.pop()
-    return _layout(name, fields, formats, where, budget, 0)
-
-
-def _layout(
-    name: str,
-    fields: Sequence[ULogField],
-    formats: Mapping[str, Sequence[ULogField]],
-    where: str,
-    budget: MemoryBudget,
-    depth: int,
-) -> np.dtype[np.void]:
     budget.record(1 + len(fields))
     if not fields:
         raise LogError(f"no format {shown(name)}", where, RECOVER)
@@ -92,11 +81,8 @@ def _layout(
     parts: list[tuple[str, np.dtype[np.generic], tuple[int, ...]]] = []
     size = 0
     for kind, count, field in fields:
-        one = (
-            np.dtype(BASIC[kind])
-            if kind in BASIC
-            else _layout(kind, formats.get(kind, ()), formats, where, budget, depth + 1)
-        )
+        known = kind in BASIC
+        one = np.dtype(BASIC[kind]) if known else record_type(kind, formats, where, budget, depth + 1)
         if kind == "char" and count:
             one, count = np.dtype(f"S{count}"), 0
         size += one.itemsize * max(count, 1)

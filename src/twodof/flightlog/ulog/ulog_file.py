@@ -208,9 +208,8 @@ def _of_steps(steps: Logged, where: str) -> dict[str, Channel]:
         channels = step_channels(ticks[rising], out, rows[f"{ASKED}mode"].astype(np.int32))
         return channels | _safety(ticks[rising], rows)
     except (KeyError, ValueError, TypeError) as reason:
-        raise LogError(
-            f"{STEP_TOPIC} is not laid out as it is now: {reason}", where, "read it with the twodof that wrote it"
-        ) from reason
+        what = f"{STEP_TOPIC} is not laid out as it is now: {reason}"
+        raise LogError(what, where, "read it with the twodof that wrote it") from reason
 
 
 def _safety(ticks: NDArray[np.int64], rows: _Rows) -> dict[str, Channel]:

@@ -20,7 +20,6 @@ from twodof.flightlog.ulog.format import (
     BASIC,
     HEADER,
     MAGIC,
-    MAX_RECORD,
     MESSAGE,
     SYNC,
     ULogField,
@@ -30,19 +29,6 @@ from twodof.flightlog.ulog.format import (
 from twodof.flightlog.ulog.ulog_file import OWN
 from twodof.signals import TOPICS, Topic
 
-_LETTERS = {
-    "int8_t": "b",
-    "uint8_t": "B",
-    "int16_t": "h",
-    "uint16_t": "H",
-    "int32_t": "i",
-    "uint32_t": "I",
-    "int64_t": "q",
-    "uint64_t": "Q",
-    "float": "f",
-    "double": "d",
-    "bool": "B",
-}
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}")
 _MAX_DROPOUT_MS = 65_535
 _MARK = MESSAGE.pack(len(SYNC), ord("S")) + SYNC
@@ -78,16 +64,16 @@ class ULogWriter(AppendOnlyFile):
     ) -> None:
         described = dict(topic_format(topic) for topic in TOPICS if topic.onboard) if formats is None else dict(formats)
         self._where = str(path)
-        self._records: dict[str, tuple[int, Struct, int]] = {}
+        self._records: dict[str, tuple[int, Struct]] = {}
         self._layouts: dict[str, np.dtype[np.void]] = {}
         head = HEADER.pack(MAGIC, 1, _whole(start_us, 64, self._where)) + _message("B", bytes(40))
         added = b""
         for number, (name, description) in enumerate(described.items()):
             head += _message("F", f"{name}:{description}".encode("ascii", "replace"))
             added += _message("A", Struct("<BH").pack(0, number) + name.encode())
-            self._records[name] = (number, *_layout(name, description, self._where))
-            fields = {name: fields_of(description, self._where)}
-            self._layouts[name] = record_type(name, fields, self._where, MemoryBudget(0, self._where))
+            fields = _fields(name, description, self._where)
+            self._records[name] = (number, _packing(fields))
+            self._layouts[name] = record_type(name, {name: fields}, self._where, MemoryBudget(0, self._where))
         for key, value in {"sys_name": OWN, **(info or {})}.items():
             head += self._info(key, value)
         head += b"".join(self._parameter(name, value) for name, value in (parameters or {}).items())
@@ -108,10 +94,9 @@ class ULogWriter(AppendOnlyFile):
         Raises LogError for a name without a format or values that do not fit it, RecordingError after a failure.
         """
         try:
-            number, layout, _ = self._records[name]
-            payload = layout.pack(number, timestamp_us, *values)
-        except KeyError:
-            raise LogError(f"no topic {shown(name)}", self._where, "describe it when the log is opened") from None
+            self.layout(name)
+            number, packing = self._records[name]
+            payload = packing.pack(number, timestamp_us, *values)
         except (error, TypeError, OverflowError) as reason:
             raise LogError(f"{shown(values)} at {shown(timestamp_us)}: {reason}", f"{self._where}: {name}") from reason
         return self._put(_message("D", payload), timestamp_us)
@@ -191,23 +176,21 @@ class ULogWriter(AppendOnlyFile):
     def _ending(self) -> bytes:
         return b""
 
-    def _kept(self) -> None:
-        """Nothing is kept beside the bytes."""
 
-    def _undone(self) -> None:
-        """Nothing is kept beside the bytes."""
-
-
-def _layout(name: str, description: str, where: str) -> tuple[Struct, int]:
-    """The packing of a record, its number first. Raises LogError."""
+def _fields(name: str, description: str, where: str) -> list[ULogField]:
+    """The fields of a topic's records. Raises LogError for what cannot be written."""
     _named(name, where)
-    fields: list[ULogField] = fields_of(description, f"{where}: {name}")
-    if fields[0] != ("uint64_t", 0, "timestamp") or any(kind not in _LETTERS for kind, _, _ in fields):
+    fields = fields_of(description, f"{where}: {name}")
+    if fields[0] != ("uint64_t", 0, "timestamp") or any(kind not in BASIC or kind == "char" for kind, _, _ in fields):
         raise LogError(f"format {description[:80]!r}", where, f"begin with uint64_t timestamp; types: {list(BASIC)}")
-    layout = Struct("<H" + "".join(f"{max(count, 1)}{_LETTERS[kind]}" for kind, count, _ in fields))
-    if layout.size > MAX_RECORD:
-        raise LogError(f"a record of {layout.size} bytes", f"{where}: {name}", f"at most {MAX_RECORD}")
-    return layout, layout.size
+    return fields
+
+
+def _packing(fields: Sequence[ULogField]) -> Struct:
+    """The packing of a record, its number first."""
+    # numpy's letters are those of struct, but where C's long is of 8 bytes.
+    letters = (max(count, 1) * np.dtype(BASIC[kind]).char for kind, count, _ in fields)
+    return Struct("<H" + "".join(letters).replace("l", "q").replace("L", "Q"))
 
 
 def _named(name: str, where: str) -> None:
