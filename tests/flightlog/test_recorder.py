@@ -169,11 +169,11 @@ def test_an_error_in_the_block_leaves_a_complete_file(tmp_path: Path) -> None:
     assert len(read_mcap(tmp_path / "a.mcap")["q"]) == 1
 
 
-def test_a_minute_of_every_topic_costs_little(tmp_path: Path) -> None:
+def test_a_quarter_of_a_minute_of_every_topic_costs_little(tmp_path: Path) -> None:
     """The whole stack may use half of a core; the recorder is given a tenth of that and measured at a fifth of it."""
     rates = {row.name: row.rate_hz or 50.0 for row in TOPICS}
     widths = {row.name: row.width for row in TOPICS}
-    events = sorted((round(k * 1e9 / rate), name) for name, rate in rates.items() for k in range(int(60 * rate)))
+    events = sorted((round(k * 1e9 / rate), name) for name, rate in rates.items() for k in range(int(15 * rate)))
     rows = {name: [0.25] * width if width > 1 else 0.25 for name, width in widths.items()}
     spent = time.process_time()
     with Recorder(tmp_path / "a.mcap", TOPICS) as recorder:
@@ -184,11 +184,11 @@ def test_a_minute_of_every_topic_costs_little(tmp_path: Path) -> None:
                 due += 250_000_000
             assert recorder.write(name, stamp, rows[name])
     spent = time.process_time() - spent
-    assert recorder.acknowledged.samples == len(events) > 250_000
+    assert recorder.acknowledged.samples == len(events) > 60_000
     assert recorder.dropped == {}
-    assert spent < 0.05 * 60.0
+    assert spent < 0.05 * 15.0
     log = read_mcap(tmp_path / "a.mcap")
-    assert {row.name: len(log[row.mat]) for row in TOPICS} == {name: int(60 * rate) for name, rate in rates.items()}
+    assert {row.name: len(log[row.mat]) for row in TOPICS} == {name: int(15 * rate) for name, rate in rates.items()}
 
 
 def start(kind: str, path: Path) -> subprocess.Popen[str]:
@@ -244,7 +244,7 @@ def rewritten(found: Any, path: Path) -> Any:
 
 
 def test_killed_while_recording(tmp_path: Path) -> None:
-    killed_while_recording(tmp_path, 4, seed=1)
+    killed_while_recording(tmp_path, 2, seed=1)
 
 
 @pytest.mark.soak

@@ -143,9 +143,10 @@ def test_ros_reads_every_topic(tmp_path: Path) -> None:
     assert seen == 2 * len(streams)
 
 
-def test_wide_samples_are_read_again(tmp_path: Path) -> None:
-    log = FlightLog({"wide": Channel(np.arange(9000.0), np.arange(9_000_000.0).reshape(9000, 1000))})
-    write_mcap(log, tmp_path / "a.mcap")  # 72 MB, more than a chunk may hold
+def test_wide_samples_are_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(records, "MAX_CHUNK_BYTES", 1 << 23)
+    log = FlightLog({"wide": Channel(np.arange(1200.0), np.arange(1_200_000.0).reshape(1200, 1000))})
+    write_mcap(log, tmp_path / "a.mcap")  # 9.6 MB, more than a chunk may hold
     same_bits(log, read_mcap(tmp_path / "a.mcap"))
     for channels in ({"w": Channel([0.0], np.zeros((1, 1001)))}, {f"c{k}": Channel([], []) for k in range(1001)}):
         with pytest.raises(LogError, match="at most 1000"):

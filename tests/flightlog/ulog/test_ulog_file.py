@@ -356,7 +356,7 @@ def test_damaged_logs_are_log_errors_or_logs(tmp_path: Path) -> None:
     whole, path = px4_log(12), tmp_path / "fuzz.ulg"
     chance = np.random.default_rng(6)
     outcomes = {"read": 0, "refused": 0}
-    for _ in range(1000):
+    for _ in range(250):
         path.write_bytes(damaged(whole, chance))
         for way in (read_ulog, recover):
             try:
@@ -364,5 +364,5 @@ def test_damaged_logs_are_log_errors_or_logs(tmp_path: Path) -> None:
                 outcomes["read"] += 1
             except LogError as reason:
                 outcomes["refused"] += path.name in reason.where
-    assert sum(outcomes.values()) == 2000
-    assert min(outcomes.values()) > 200
+    assert sum(outcomes.values()) == 500
+    assert min(outcomes.values()) > 50
