@@ -60,11 +60,14 @@ class AppendOnlyFile(ABC):
         self._flush_s, self._capacity, self._full, self._part_bytes = flush_s, capacity_bytes, full, part_bytes
         self._changed = threading.Condition()
         self._waiting_bytes = 0
-        self._accepted = 0
-        self._acknowledged = Acknowledged()
+        self.accepted = 0
+        """Samples taken so far; those not acknowledged yet wait in memory."""
+        self.acknowledged = Acknowledged()
+        """What is on the disk now, and stays readable from now on."""
+        self.failure: RecordingError | None = None
+        """Why the recording ended before it was closed; None while it goes on."""
         self._asked = 0
         self._closing = self._ended = self._fine = False
-        self._failure: RecordingError | None = None
         self._descriptor = create(self._begun, self.path)  # never in the place of another recording
         self._thread = threading.Thread(target=self._run, name=f"spool {self.path.name}", daemon=True)
 
@@ -86,45 +89,30 @@ class AppendOnlyFile(ABC):
     def _undone(self) -> None:  # noqa: B027
         """Told when what was encoded since the last `_kept` is not in the file."""
 
-    @property
-    def acknowledged(self) -> Acknowledged:
-        """What is on the disk now, and stays readable from now on."""
-        return self._acknowledged
-
-    @property
-    def accepted(self) -> int:
-        """Samples taken so far; those not acknowledged yet wait in memory."""
-        return self._accepted
-
-    @property
-    def failure(self) -> RecordingError | None:
-        """Why the recording ended before it was closed; None while it goes on."""
-        return self._failure
-
     def flush(self, deadline_s: float = DEADLINE_S) -> Acknowledged:
         """Waits until everything accepted so far is on the disk. Raises RecordingError, at the deadline at last."""
         with self._changed:
-            goal = self._accepted
+            goal = self.accepted
             self._asked = max(self._asked, goal)
             self._changed.notify_all()
-            self._changed.wait_for(lambda: self._ended or self._acknowledged.samples >= goal, deadline_s)
+            self._changed.wait_for(lambda: self._ended or self.acknowledged.samples >= goal, deadline_s)
             self._check()
-            if self._acknowledged.samples < goal:
+            if self.acknowledged.samples < goal:
                 raise self._silent(deadline_s)
-            return self._acknowledged
+            return self.acknowledged
 
     def close(self, deadline_s: float = DEADLINE_S) -> Acknowledged:
         """Writes what waits and the file's end. Raises RecordingError; a second call only returns."""
         with self._changed:
             if self._closing:
-                return self._acknowledged
+                return self.acknowledged
             self._closing = True
             self._changed.notify_all()
         self._thread.join(deadline_s)
         if self._thread.is_alive():
             raise self._silent(deadline_s)
         self._check()
-        return self._acknowledged
+        return self.acknowledged
 
     def __enter__(self) -> Self:
         return self
@@ -162,12 +150,12 @@ class AppendOnlyFile(ABC):
         return True
 
     def _check(self) -> None:
-        if self._failure is not None:
-            raise RecordingError(self._failure.what, self._failure.where, self._failure.remedy)
+        if self.failure is not None:
+            raise RecordingError(self.failure.what, self.failure.where, self.failure.remedy)
 
     def _silent(self, deadline_s: float) -> RecordingError:
         return RecordingError(
-            f"the disk has not answered within {deadline_s:g} s; {self._acknowledged.samples} of {self._accepted} "
+            f"the disk has not answered within {deadline_s:g} s; {self.acknowledged.samples} of {self.accepted} "
             "samples are on it",
             str(self.path),
             "record to another disk",
@@ -185,7 +173,7 @@ class AppendOnlyFile(ABC):
             self._begun.unlink(missing_ok=True)
             why = refusal.strerror if isinstance(refusal, OSError) else refusal.what
             raise RecordingError(f"cannot be written: {why}", str(self.path), "nothing was recorded") from refusal
-        self._acknowledged = Acknowledged(len(head), 0)
+        self.acknowledged = Acknowledged(len(head), 0)
         self._kept()
         self._thread.start()
 
@@ -195,10 +183,8 @@ class AppendOnlyFile(ABC):
         finally:
             os.close(self._descriptor)
             with self._changed:
-                if self._failure is None and not self._fine:
-                    self._failure = RecordingError(
-                        "the writer ended by a fault of its own", str(self.path), "report it"
-                    )
+                if self.failure is None and not self._fine:
+                    self.failure = RecordingError("the writer ended by a fault of its own", str(self.path), "report it")
                 self._ended = True
                 self._changed.notify_all()
 
@@ -208,7 +194,7 @@ class AppendOnlyFile(ABC):
             with self._changed:
                 self._changed.wait_for(self._is_urgent, max(0.0, due - time.monotonic()))
                 closing = self._closing
-                taken, samples = self._take(), self._accepted
+                taken, samples = self._take(), self.accepted
                 self._waiting_bytes = 0
                 self._changed.notify_all()
             due = time.monotonic() + self._flush_s
@@ -227,13 +213,13 @@ class AppendOnlyFile(ABC):
         return (
             self._closing
             or self._waiting_bytes >= min(self._part_bytes, self._capacity)
-            or self._asked > self._acknowledged.samples
+            or self._asked > self.acknowledged.samples
         )
 
     def _append(self, part: bytes, samples: int) -> None:
         self._write(part)
         with self._changed:
-            self._acknowledged = Acknowledged(self._acknowledged.position + len(part), samples)
+            self.acknowledged = Acknowledged(self.acknowledged.position + len(part), samples)
             self._kept()
             self._changed.notify_all()
 
@@ -245,7 +231,7 @@ class AppendOnlyFile(ABC):
 
     def _fail(self, refusal: OSError, samples: int) -> None:
         """Takes back the part that did not fit and, where the disk allows it, gives the file a proper end."""
-        there = self._acknowledged
+        there = self.acknowledged
         failure = RecordingError(
             f"the disk refused: {refusal.strerror}; {there.samples} of {samples} samples are in the file",
             str(self.path),
@@ -261,5 +247,5 @@ class AppendOnlyFile(ABC):
                 continue  # the second round only takes back what the first one wrote
             break
         with self._changed:
-            self._failure = failure
+            self.failure = failure
             self._changed.notify_all()

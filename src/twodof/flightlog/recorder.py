@@ -101,7 +101,7 @@ class Recorder(AppendOnlyFile):
                 return False
             slot.times.append(stamp)
             slot.values.extend(row)
-            self._accepted += 1
+            self.accepted += 1
         return True
 
     def write_many(self, topic: str, time_ns: ArrayLike, values: ArrayLike) -> bool:
@@ -123,7 +123,7 @@ class Recorder(AppendOnlyFile):
                 return False
             slot.times.frombytes(times.astype(np.uint64).tobytes())
             slot.values.frombytes(rows.astype(np.float64).tobytes())
-            self._accepted += len(times)
+            self.accepted += len(times)
         return True
 
     def note(self, name: str, value: object) -> None:

@@ -134,21 +134,16 @@ def ulog_to_log(found: ULog, file: dict[str, Any], where: str, budget: MemoryBud
         there = ", ".join(sorted({one.name for one in found.topics})[:20]) or "none"
         remedy = "log those that docs/reference/logs.md names"
         raise LogError(f"no topic in it becomes a channel; topics: {there}", where, remedy)
-    kept: dict[str, Any] = {"ulog": {"start_s": found.start_us / 1e6, "info": _plain(found.info)}}
-    kept["parameters"] = _plain(found.parameters)
+    kept: dict[str, Any] = {
+        "ulog": {"start_s": found.start_us / 1e6, "info": {name: _plain(one) for name, one in found.info.items()}}
+    }
+    kept["parameters"] = {name: _plain(value) for name, value in found.parameters.items()}
     if own and found.changes:
-        kept["changes"] = [
-            [_on_board(stamp), name, *_plain({"": value}).values()] for stamp, name, value in found.changes
-        ]
+        kept["changes"] = [[_on_board(stamp), name, _plain(value)] for stamp, name, value in found.changes]
     if own and found.texts:
-        kept["texts"] = [
-            [
-                _on_board(stamp),
-                SEVERITIES[level - ord("0")] if 0 <= level - ord("0") < len(SEVERITIES) else "info",
-                text,
-            ]
-            for level, stamp, text in found.texts[:MAX_OWN_FIELDS]
-        ]
+        known = dict(zip(range(ord("0"), 256), SEVERITIES, strict=False))
+        texts = found.texts[:MAX_OWN_FIELDS]
+        kept["texts"] = [[_on_board(stamp), known.get(level, "info"), text] for level, stamp, text in texts]
     ignored = sorted({one.name for one in found.topics} - used)
     if ignored:
         kept["ignored"] = ignored
@@ -236,12 +231,7 @@ def _stamps(rows: _Rows) -> NDArray[np.float64]:
     return np.asarray(stamp, dtype=np.float64) / 1e6
 
 
-def _plain(rows: Mapping[str, Any]) -> dict[str, Any]:
-    """Values that JSON has: a NaN or infinity as text."""
-    return {key: value if _is_json(value) else repr(value) for key, value in rows.items()}
-
-
-def _is_json(value: Any) -> bool:
-    return all(
-        not isinstance(one, float) or np.isfinite(one) for one in (value if isinstance(value, list) else [value])
-    )
+def _plain(value: Any) -> Any:
+    """A value that JSON has: a NaN or infinity as text."""
+    numbers = value if isinstance(value, list) else [value]
+    return value if all(np.isfinite(one) for one in numbers if isinstance(one, float)) else repr(value)

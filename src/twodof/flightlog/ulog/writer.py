@@ -79,14 +79,10 @@ class ULogWriter(AppendOnlyFile):
         head += b"".join(self._parameter(name, value) for name, value in (parameters or {}).items())
         self._buffer = bytearray()
         self._dropped_since: int | None = None
-        self._dropped = 0
+        self.dropped = 0
+        """Records, texts and changes that were not taken because the disk was too slow."""
         super().__init__(path, flush_s, capacity_bytes, full)
         self._start(head + added + _MARK)
-
-    @property
-    def dropped(self) -> int:
-        """Records, texts and changes that were not taken because the disk was too slow."""
-        return self._dropped
 
     def write(self, name: str, timestamp_us: int, values: Sequence[float]) -> bool:
         """Takes a record: one number for each element after `timestamp`; False if it was dropped.
@@ -140,14 +136,14 @@ class ULogWriter(AppendOnlyFile):
     def _put(self, made: bytes, stamp_us: int, count: int = 1) -> bool:
         with self._changed:
             if not self._admit(len(made)):
-                self._dropped += count
+                self.dropped += count
                 self._dropped_since = stamp_us if self._dropped_since is None else self._dropped_since
                 return False
             if self._dropped_since is not None:
                 self._buffer += _dropout((stamp_us - self._dropped_since) // 1000)
                 self._dropped_since = None
             self._buffer += made
-            self._accepted += count
+            self.accepted += count
         return True
 
     def _info(self, key: str, value: str | int) -> bytes:
@@ -155,12 +151,12 @@ class ULogWriter(AppendOnlyFile):
         if isinstance(value, str):
             raw = value.encode()[:10_000]
             return _keyed("I", f"char[{max(len(raw), 1)}] {key}", raw or b"\0")
-        return _keyed("I", f"int64_t {key}", Struct("<q").pack(_signed(value, 64, self._where)))
+        return _keyed("I", f"int64_t {key}", Struct("<q").pack(_whole(value, 64, self._where, signed=True)))
 
     def _parameter(self, name: str, value: float) -> bytes:
         _named(name, self._where)
         if isinstance(value, int):
-            return _keyed("P", f"int32_t {name}", Struct("<i").pack(_signed(value, 32, self._where)))
+            return _keyed("P", f"int32_t {name}", Struct("<i").pack(_whole(value, 32, self._where, signed=True)))
         try:
             return _keyed("P", f"float {name}", Struct("<f").pack(value))
         except (error, OverflowError, TypeError) as reason:
@@ -210,13 +206,9 @@ def _keyed(letter: str, key: str, value: bytes) -> bytes:
     return _message(letter, bytes((len(key),)) + key.encode() + value)
 
 
-def _whole(value: int, bits: int, where: str) -> int:
-    if not isinstance(value, int) or not 0 <= value < 1 << bits:
-        raise LogError(f"{shown(value)} is not a whole number of {bits} bits", where, "give whole microseconds from 0")
-    return value
-
-
-def _signed(value: int, bits: int, where: str) -> int:
-    if not isinstance(value, int) or not -(1 << (bits - 1)) <= value < 1 << (bits - 1):
-        raise LogError(f"{shown(value)} is not a whole number of {bits} bits", where, "give a smaller one")
+def _whole(value: int, bits: int, where: str, signed: bool = False) -> int:
+    low = -(1 << (bits - 1)) if signed else 0
+    if not isinstance(value, int) or not low <= value < low + (1 << bits):
+        what = f"{shown(value)} is not a whole number of {bits} bits"
+        raise LogError(what, where, "give a smaller one" if signed else "give whole microseconds from 0")
     return value

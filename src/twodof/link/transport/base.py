@@ -244,18 +244,14 @@ class Transport(ABC):
         self._inbox = Inbox(self.counts)
         self.keeps: Callable[[Hashable], bool] = lambda peer: False
         """Whether a peer's place goes to nobody else: the pilot's."""
-        self._closed = False
+        self.closed = False
+        """Whether it was closed or lost."""
 
     async def __aenter__(self) -> "Transport":
         return self
 
     async def __aexit__(self, *_: object) -> None:
         await self.close()
-
-    @property
-    def closed(self) -> bool:
-        """Whether it was closed or lost."""
-        return self._closed
 
     @property
     @abstractmethod
@@ -284,7 +280,7 @@ class Transport(ABC):
 
         Raises LinkLost once the transport is closed or lost.
         """
-        if self._closed:
+        if self.closed:
             raise LinkLost("the link is closed", self.url, "open it again")
         for peer in self.peers if to is None else (to,):
             if self._send(data, peer):
@@ -328,8 +324,8 @@ class Transport(ABC):
 
     def _lose(self, what: str, remedy: str = "open it again") -> None:
         """The link has ended, by us or by the other side."""
-        if not self._closed:
-            self._closed = True
+        if not self.closed:
+            self.closed = True
             self._release()
         self._inbox.from_anywhere(self._inbox.end, LinkLost(what, self.url, remedy))
 

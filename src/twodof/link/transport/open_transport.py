@@ -2,7 +2,7 @@
 
 import asyncio
 
-from twodof.errors import LinkLost
+from twodof.errors import LinkError, LinkLost
 from twodof.link.transport.base import Transport
 from twodof.link.transport.memory import open_memory
 from twodof.link.transport.serial_port import open_serial
@@ -31,6 +31,10 @@ async def open_transport(url: str, timeout: float = 5.0) -> Transport:
     except TimeoutError as error:
         what = f"nobody answered within {timeout:g} s"
         raise LinkLost(what, str(address), "start the other side, or correct the address") from error
+    except OSError as error:
+        bound = address.listens or address.bind_name
+        remedy = "choose another port, or end who has it" if bound else "check the host's name"
+        raise LinkError(f"cannot be opened: {error.strerror or error}", str(address), remedy) from error
 
 
 async def _open(address: Address) -> Transport:

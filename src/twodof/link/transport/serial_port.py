@@ -38,7 +38,7 @@ class SerialTransport(Transport):
         return len(self._out)
 
     def _resume(self, _: Hashable) -> None:
-        if not self._reading and not self._closed and not self._inbox.full:
+        if not self._reading and not self.closed and not self._inbox.full:
             self._reading = True
             self._loop.add_reader(self._descriptor, self._readable)
 
@@ -66,7 +66,7 @@ class SerialTransport(Transport):
         self._out += data
         if idle:
             self._writable()
-            if self._out and not self._closed:
+            if self._out and not self.closed:
                 self._loop.add_writer(self._descriptor, self._writable)
         return True
 

@@ -7,7 +7,6 @@ from collections.abc import Hashable
 from contextlib import suppress
 from typing import cast
 
-from twodof.errors import LinkError
 from twodof.link.transport.base import MOST_OUT_BYTES, Packet, Transport
 from twodof.link.transport.stop_frames import LONGEST, find_stop_frames
 from twodof.link.transport.url import Address
@@ -140,7 +139,7 @@ class TcpTransport(Transport):
         task.add_done_callback(self._tasks.discard)
 
     def _accepts_again(self, one: socket.socket) -> None:
-        if not self._closed:
+        if not self.closed:
             self._loop.add_reader(one, self._accepts, one)
 
     async def _take_in(self, came: socket.socket) -> None:
@@ -179,7 +178,7 @@ class TcpTransport(Transport):
 
     def _connected(self, stream: _Stream) -> None:
         stream.came = self._loop.time()
-        if len(self._streams) >= MOST_CLIENTS or self._closed:
+        if len(self._streams) >= MOST_CLIENTS or self.closed:
             self.counts.errors += 1
             stream.socket.abort()
         else:
@@ -227,7 +226,7 @@ class TcpTransport(Transport):
             self._go_on(stream)
 
     def _go_on(self, stream: _Stream) -> None:
-        if not (stream.paused or stream.rests or stream.socket.is_closing() or self._closed):
+        if not (stream.paused or stream.rests or stream.socket.is_closing() or self.closed):
             stream.socket.resume_reading()
 
     def _send(self, data: bytes, peer: Hashable) -> bool:
@@ -255,10 +254,7 @@ class TcpTransport(Transport):
 
 
 async def open_tcp(address: Address) -> TcpTransport:
-    """A connection to `address`, or a socket that listens there.
-
-    Raises LinkError where the system refuses, ConnectionRefusedError where nobody listens (yet).
-    """
+    """A connection to `address`, or a socket that listens there. Raises OSError where the system refuses."""
     loop = asyncio.get_running_loop()
     listening: list[socket.socket] = []
     transport = TcpTransport(address, listening)
@@ -277,10 +273,7 @@ async def open_tcp(address: Address) -> TcpTransport:
                 loop.add_reader(one, transport._accepts, one)
         else:
             await loop.create_connection(lambda: _Stream(transport), address.name, address.port)
-    except ConnectionRefusedError:
-        raise
-    except OSError as error:
+    except OSError:
         transport._release()
-        remedy = "choose another port, or end who has it" if address.listens else "check the host's name"
-        raise LinkError(f"cannot be opened: {error.strerror or error}", str(address), remedy) from error
+        raise
     return transport

@@ -10,7 +10,6 @@ from collections.abc import Hashable
 from contextlib import suppress
 from typing import Any, cast
 
-from twodof.errors import LinkError
 from twodof.link.transport.base import Packet, Transport
 from twodof.link.transport.flood_filter import FloodFilter
 from twodof.link.transport.stop_frames import find_stop_frames
@@ -58,7 +57,7 @@ class UdpTransport(Transport):
     @property
     def port(self) -> int:
         """The port it listens on or sends from; 0 once it is closed."""
-        return 0 if self._closed else int(self._socket.getsockname()[1])
+        return 0 if self.closed else int(self._socket.getsockname()[1])
 
     def confirm(self, peer: Hashable) -> None:
         """Make room for `peer` if need be, by forgetting one that has been silent for SILENT_S."""
@@ -106,7 +105,7 @@ class UdpTransport(Transport):
                 for raw in find_stop_frames(data) if self._inbox.stops_first else ():
                     self._inbox.put_ahead(raw, peer)
                 self._inbox.put(Packet(data, peer))
-            if self._closed:
+            if self.closed:
                 return
 
     def _send(self, data: bytes, peer: Hashable) -> bool:
@@ -129,13 +128,12 @@ class UdpTransport(Transport):
 
 
 async def open_udp(address: Address) -> UdpTransport:
-    """A UDP socket that listens at or sends to `address`, or does both. Raises LinkError where the system refuses."""
+    """A UDP socket that listens at or sends to `address`, or does both. Raises OSError where the system refuses."""
     loop = asyncio.get_running_loop()
-    opened: socket.socket | None = None
+    places = await loop.getaddrinfo(address.name, address.port, type=socket.SOCK_DGRAM)
+    family, kind, protocol, _, place = places[0]
+    opened = socket.socket(family, kind, protocol)
     try:
-        places = await loop.getaddrinfo(address.name, address.port, type=socket.SOCK_DGRAM)
-        family, kind, protocol, _, place = places[0]
-        opened = socket.socket(family, kind, protocol)
         opened.setblocking(False)
         opened.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, int(address.kind == "udpbcast"))
         if address.listens:
@@ -145,12 +143,9 @@ async def open_udp(address: Address) -> UdpTransport:
             opened.bind(own[0][4])
         elif address.kind == "udp":
             opened.connect(place)
-    except OSError as error:
-        if opened is not None:
-            opened.close()
-        bound = address.listens or address.bind_name
-        remedy = "choose another port, or end who has it" if bound else "check the host's name"
-        raise LinkError(f"cannot be opened: {error.strerror or error}", str(address), remedy) from error
+    except OSError:
+        opened.close()
+        raise
     anybody = address.listens or address.bind_name
     for option, size in (
         (socket.SO_RCVBUF, LISTENING_BUFFER if anybody else SOCKET_BUFFER),
