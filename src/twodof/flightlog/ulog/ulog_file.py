@@ -141,9 +141,9 @@ def ulog_to_log(found: ULog, file: dict[str, Any], where: str, budget: MemoryBud
     if own and found.changes:
         kept["changes"] = [[_on_board(stamp), name, _plain(value)] for stamp, name, value in found.changes]
     if own and found.texts:
-        known = dict(zip(range(ord("0"), 256), SEVERITIES, strict=False))
+        severities = dict(zip(range(ord("0"), 256), SEVERITIES, strict=False))
         texts = found.texts[:MAX_OWN_FIELDS]
-        kept["texts"] = [[_on_board(stamp), known.get(level, "info"), text] for level, stamp, text in texts]
+        kept["texts"] = [[_on_board(stamp), severities.get(level, "info"), text] for level, stamp, text in texts]
     ignored = sorted({one.name for one in found.topics} - used)
     if ignored:
         kept["ignored"] = ignored
