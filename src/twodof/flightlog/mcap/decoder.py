@@ -334,17 +334,15 @@ class McapDecoder:
 
     def _run(self, body: memoryview, at: int, number: int, stream: McapStream, where: str) -> int:
         """Reads messages of one stream that follow each other as one table; returns their bytes."""
-        size, head = stream.record_bytes, np.frombuffer(body, "u1", RECORD_HEAD.size + 2, at)
+        size, head = stream.record_bytes, body[at : at + RECORD_HEAD.size + 2]
         most = (len(body) - at) // size
         count = step = 1
-        same = True
         # Doubled as long as all match: the cost stays in proportion to what is found.
-        while same and count < most:
+        while count < most and body[at + count * size :][: len(head)] == head:
             step = min(2 * step, most - count)
             rows = np.frombuffer(body, "u1", step * size, at + count * size).reshape(step, size)
-            differ = np.flatnonzero((rows[:, : len(head)] != head).any(axis=1))
-            same = not differ.size
-            count += step if same else int(differ[0])
+            differ = np.flatnonzero((rows[:, : len(head)] != np.frombuffer(head, "u1")).any(axis=1))
+            count += int(differ[0]) if differ.size else step
         self._budget.take(RUN_BYTES)
         # The table that is read, and the channel that is made of it.
         self._budget.take(8 * count * (1 + stream.width + stream.stamped))
