@@ -23,8 +23,8 @@ COPIED = ("src", "tools", "docs", "tests/fmea")
 def copied(folder: Path) -> Path:
     """A copy of what a step may change, in `folder`."""
     for name in COPIED:
-        ignored = shutil.ignore_patterns("__pycache__", "node_modules")
-        shutil.copytree(PROJECT / name, folder / name, ignore=ignored)
+        # With what is compiled, which counts for a copy of the same age: each step would compile all of it again.
+        shutil.copytree(PROJECT / name, folder / name, ignore=shutil.ignore_patterns("node_modules"))
     shutil.copy(PROJECT / "tests" / "test_layers.py", folder / "tests")  # a page has a table of its rows
     return folder
 

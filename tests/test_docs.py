@@ -15,6 +15,8 @@ SOURCE = PROJECT / "src" / "twodof"
 PAGES = sorted([*PROJECT.glob("*.md"), *(PROJECT / "docs").rglob("*.md")])
 EXAMPLES = sorted((PROJECT / "examples").glob("*.py"))
 EXAMPLE_LINES = 60
+LONG = ("s1_identify", "s3_attitude")
+"""Examples that fly for minutes, for the soak; the tutorial and the page on tuning do the same with shorter flights."""
 
 
 def undocumented(name: str, tree: ast.Module) -> Iterator[str]:
@@ -105,7 +107,10 @@ def run(code: Path, folder: Path) -> None:
                 raise
 
 
-@pytest.mark.parametrize("example", EXAMPLES, ids=lambda example: example.name)
+@pytest.mark.parametrize(
+    "example",
+    [pytest.param(path, id=path.name, marks=[pytest.mark.soak] if path.stem in LONG else []) for path in EXAMPLES],
+)
 def test_an_example_is_short_and_runs(example: Path, tmp_path: Path) -> None:
     assert len(example.read_text().splitlines()) <= EXAMPLE_LINES
     run(example, tmp_path)

@@ -51,7 +51,7 @@ class Flown:
     precision: str
 
 
-@pytest.fixture(scope="module", params=CASES)
+@pytest.fixture(scope="module", params=["sandbox, float32", pytest.param("inside, float64", marks=pytest.mark.soak)])
 def flown(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Flown]:
     trusted, precision = CASES[request.param]
     state = tmp_path_factory.mktemp("drone")

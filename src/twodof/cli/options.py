@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from twodof.blocks.noise import SEEDS
+
+
+class RealType(StrEnum):
+    """The reals of compiled code."""
+
+    float64 = "float64"
+    float32 = "float32"
+
 
 _SYSTEMS = 199
 """A client may be system 200 and above."""

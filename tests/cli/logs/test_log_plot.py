@@ -68,6 +68,6 @@ def test_a_simulated_flight_is_drawn_at_once(tmp_path: Path) -> None:
 def test_a_place_that_cannot_be_is_refused_before_anything_flies(
     command: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("twodof.cli.simulate._fly", lambda *_: pytest.fail("it was flown"))
+    monkeypatch.setattr("twodof.cli.simulate.Laboratory", lambda *_, **__: pytest.fail("it was flown"))
     monkeypatch.setattr("twodof.cli.drone.fly.fly_experiment", lambda *_, **__: pytest.fail("it was flown"))
     assert run([*command, "--plot", "/nowhere/a.png"]) == 2

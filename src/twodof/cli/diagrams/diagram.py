@@ -13,6 +13,7 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
+from twodof.cli.options import RealType
 from twodof.cli.output import Force, Json, print_json, table_console
 from twodof.compile.builder import emit_program
 from twodof.compile.c.source_map import SourceLine, SourceMap, source_map
@@ -38,13 +39,6 @@ MAX_AT_BYTES = 2**20
 
 Which = Annotated[str, typer.Argument(metavar="DIAGRAM", help=DIAGRAM_HELP)]
 Tick = Annotated[float, typer.Option("--dt", metavar="SECONDS", help="Base tick.")]
-
-
-class Precision(StrEnum):
-    """The type of a real."""
-
-    DOUBLE = "float64"
-    SINGLE = "float32"
 
 
 class TimeDomain(StrEnum):
@@ -125,7 +119,7 @@ def _print_findings(found: Findings, dt: float) -> None:
 def code(
     diagram: Which,
     dt: Tick = 0.004,
-    precision: Annotated[Precision, typer.Option(help="The type of a real.")] = Precision.DOUBLE,
+    precision: Annotated[RealType, typer.Option(help="The type of a real.")] = RealType.float64,
     block: Annotated[str | None, typer.Option(metavar="PATH", help="Only what this block became.")] = None,
     html: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a page that shows both sides.")] = None,
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the C itself.")] = None,

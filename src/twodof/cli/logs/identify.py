@@ -30,17 +30,9 @@ from twodof.report.characterisation.characterise import TRAVEL
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
 
-class ExperimentChoice(StrEnum):
-    """The paper's experiments."""
-
-    impulse = "impulse"
-    doublet = "doublet"
-    velocity = "velocity"
-
-
 # What the ready-made experiments of those kinds are called when they are flown.
-_FLOWN_AS = {"velocity-doublet": ExperimentChoice.velocity}
-_KNOWN = (*(one.value for one in ExperimentChoice), *_FLOWN_AS)
+_FLOWN_AS = {"velocity-doublet": "velocity"}
+_KNOWN = (*KINDS, *_FLOWN_AS)
 
 # What a free response tells and a doublet hardly does: it is over before the poles show.
 _SWING = ("w_n", "xi", "coulomb", "hardening")
@@ -108,10 +100,10 @@ def identify(
     kinds = [_experiment(experiment, log) for log in logs]
     asked = kinds[0]
     if experiment is None and "experiment" not in logs[0].provenance:
-        say_line(f"note: the log looks like the experiment '{asked.value}'; --experiment names another")
+        say_line(f"note: the log looks like the experiment '{asked}'; --experiment names another")
     _check_options(method, asked, model, estimate, value, impulse)
     _check_several(method, kinds, files, validate)
-    kind = KINDS[asked.value]
+    kind = KINDS[asked]
     if window is not None:
         for log in logs:
             _check_window(log, window)
@@ -129,7 +121,7 @@ def identify(
         converged = found.converged
     text, document = found.table(), json_text.loads(found.to_json())
     if json:
-        print_json({"experiment": asked.value, "method": method.value, **document})
+        print_json({"experiment": asked, "method": method.value, **document})
     else:
         table_console().print(text)
     if not converged:
@@ -137,7 +129,7 @@ def identify(
         raise typer.Exit(1)
 
 
-def _experiment(name: str | None, log: FlightLog) -> ExperimentChoice:
+def _experiment(name: str | None, log: FlightLog) -> str:
     """The experiment that is asked for, else the one that the log names, else the one that is found in it.
 
     Raises ParameterError for an experiment that is not ours, LogError for a log in which none is found.
@@ -151,12 +143,12 @@ def _experiment(name: str | None, log: FlightLog) -> ExperimentChoice:
             log.source if name is None else "--experiment",
             f"{'say what it is' if name is None else 'there are'}: --experiment {'|'.join(_KNOWN)}",
         )
-    return _FLOWN_AS.get(said) or ExperimentChoice(said)
+    return _FLOWN_AS.get(said, said)
 
 
 def _check_options(
     method: Method,
-    experiment: ExperimentChoice,
+    experiment: str,
     model: Model,
     estimate: Sequence[str] | None,
     value: Sequence[str] | None,
@@ -171,16 +163,16 @@ def _check_options(
                 " ".join(idle),
                 "leave it out, or take --method grey-box",
             )
-    if impulse is not None and experiment is not ExperimentChoice.doublet:
+    if impulse is not None and experiment != "doublet":
         raise ParameterError(
             "the impulse's log is of use to a doublet only",
-            f"--impulse, --experiment {experiment.value}",
+            f"--impulse, --experiment {experiment}",
             "leave it out, or give it with --experiment doublet",
         )
 
 
 def _check_several(
-    method: Method, kinds: Sequence[ExperimentChoice], files: Sequence[Path], validate: Sequence[Path] | None
+    method: Method, kinds: Sequence[str], files: Sequence[Path], validate: Sequence[Path] | None
 ) -> None:
     """Raises ParameterError for several logs that are not repetitions of one experiment, or cannot be treated so."""
     if len(kinds) == 1:
@@ -210,11 +202,11 @@ def _check_window(log: FlightLog, window: tuple[float, float]) -> None:
 
 
 def _by_hand(
-    experiment: ExperimentChoice, record: Record, others: Sequence[Record], free: Record | None
+    experiment: str, record: Record, others: Sequence[Record], free: Record | None
 ) -> SimplePitch | SimpleVelocity:
-    if experiment is ExperimentChoice.velocity:
+    if experiment == "velocity":
         return identify_velocity([record, *others])
-    if experiment is ExperimentChoice.impulse:
+    if experiment == "impulse":
         raise ParameterError(
             "by hand, the impulse gives only the poles",
             "--method simple",
@@ -226,7 +218,7 @@ def _by_hand(
 
 
 def _by_output_error(
-    experiment: ExperimentChoice,
+    experiment: str,
     model: Model,
     records: Sequence[Record],
     others: Sequence[Record],
@@ -242,7 +234,7 @@ def _by_output_error(
         held = {name: swing[name] for name in _SWING if name in swing.labels and name not in (estimate or ())}
         values = {**held, **values}
         wanted = wanted or tuple(name for name in structure.estimate if name not in held)
-    if experiment is ExperimentChoice.velocity:
+    if experiment == "velocity":
         # From the on-board pitch to the on-board velocity, as in the paper, or from the gyro to the range sensor.
         output = "v" if model is Model.velocity else "x"
         records, others = [only(one, output) for one in records], [only(other, output) for other in others]
@@ -253,14 +245,14 @@ def _by_output_error(
 
 
 def _check_request(
-    structure: Structure, experiment: ExperimentChoice, model: Model, estimate: Sequence[str], values: dict[str, float]
+    structure: Structure, experiment: str, model: Model, estimate: Sequence[str], values: dict[str, float]
 ) -> None:
     """Raises ParameterError for a model of another experiment, a wrong unknown, or a value out of its bounds."""
-    kind = KINDS[experiment.value]
+    kind = KINDS[experiment]
     if not set(structure.inputs) <= set(kind.inputs):
         raise ParameterError(
             f"this model is driven by {', '.join(structure.inputs)}, the experiment by {', '.join(kind.inputs)}",
-            f"--model {model.value} --experiment {experiment.value}",
+            f"--model {model.value} --experiment {experiment}",
             "leave --model out",
         )
     unknowns = structure.unknowns
@@ -274,10 +266,10 @@ def _check_request(
             raise ParameterError(f"{number:g} is out of bounds", f"--value {name}", f"{low:g} to {high:g} is possible")
 
 
-def _structure(experiment: ExperimentChoice, model: Model) -> Structure:
+def _structure(experiment: str, model: Model) -> Structure:
     match model:
         case Model.auto:
-            return rail(thrust=True) if experiment is ExperimentChoice.velocity else pitch_rate()
+            return rail(thrust=True) if experiment == "velocity" else pitch_rate()
         case Model.pitch_rate | Model.pitch_rate_lag:
             return pitch_rate(lag=model is Model.pitch_rate_lag)
         case Model.free_response:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 from rich.table import Table
 
+from twodof.cli.options import RealType
 from twodof.cli.output import Json, one_line, print_json, say_line, table_console
 from twodof.flight.gains import load_gains
 from twodof.flightlog.files import read_log
@@ -23,13 +23,6 @@ app = typer.Typer(add_completion=False, rich_markup_mode=None)
 _OTHER_GAINS = 1e-3
 # Of what the failsafe did.
 _SHOWN = 5
-
-
-class RealType(StrEnum):
-    """The reals of the compiled code."""
-
-    float32 = "float32"
-    float64 = "float64"
 
 
 @app.command()
