@@ -15,8 +15,8 @@ SOURCE = PROJECT / "src" / "twodof"
 PAGES = sorted([*PROJECT.glob("*.md"), *(PROJECT / "docs").rglob("*.md")])
 EXAMPLES = sorted((PROJECT / "examples").glob("*.py"))
 EXAMPLE_LINES = 60
-LONG = ("s1_identify", "s3_attitude")
-"""Examples that fly for minutes, for the soak; the tutorial and the page on tuning do the same with shorter flights."""
+LONG = ("fly_experiment", "s1_identify", "s3_attitude")
+"""Examples for the soak: a tutorial and the page on tuning fly the same, or the like with shorter flights."""
 
 
 def undocumented(name: str, tree: ast.Module) -> Iterator[str]:

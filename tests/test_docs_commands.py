@@ -8,8 +8,14 @@ import pytest
 
 from tools.console import PAGES, Command, commands, files, paired, run, save_files
 
+SAME = "fly-an-experiment.md"
+"""Its commands are those of the first tutorial, which are run each day."""
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+
+@pytest.mark.parametrize(
+    "page",
+    [pytest.param(page, id=page.name, marks=[pytest.mark.soak] if page.name == SAME else []) for page in PAGES],
+)
 def test_the_commands_of_a_page_do_what_it_says(page: Path, tmp_path: Path) -> None:
     """Each page, the tutorials among them: from an empty folder, in its order, with the files that it has one save."""
     text = page.read_text(encoding="utf-8")
