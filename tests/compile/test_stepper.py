@@ -14,9 +14,9 @@ from twodof.compile.machine import CompiledMachine
 from twodof.compile.stepper import Stepper
 from twodof.errors import DiagramError
 from twodof.flight.core import OUTPUTS, core
+from twodof.flight.declarations import FAILSAFE_INPUTS as SAFETY_INPUTS
+from twodof.flight.declarations import INPUTS
 from twodof.flight.failsafe.diagram import OUTPUTS as SAFETY_OUTPUTS
-from twodof.flight.ports import FAILSAFE_INPUTS as SAFETY_INPUTS
-from twodof.flight.ports import INPUTS
 from twodof.signals import PERIOD
 
 KINDS = {name: kind for name, kind, *_ in (*INPUTS, *SAFETY_INPUTS)}

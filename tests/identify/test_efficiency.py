@@ -15,7 +15,7 @@ from twodof.models import Structure, longitudinal, pitch_and_velocity, pitch_rat
 
 Array = NDArray[np.float64]
 
-EACH_DAY, LONG = 50, 200  # repetitions
+EACH_DAY, LONG = 25, 200  # repetitions
 SURE = 0.999
 """What lies outside a binomial interval of this probability is not chance."""
 

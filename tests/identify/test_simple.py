@@ -24,10 +24,10 @@ IMPULSE = np.concatenate([np.zeros(125), np.full(50, 0.1), np.zeros(4825)])
 
 
 def test_pitch_figures_come_back_from_noisy_records() -> None:
-    # Ten flights with the noise of the motors idle (impulse) and hovering (doublets).
+    # Four flights with the noise of the motors idle (impulse) and hovering (doublets).
     rng = np.random.default_rng(0)
     weak = PitchRate(3.437, 0.0836, 130.0, 0.020)
-    for _ in range(10):
+    for _ in range(4):
         impulse = pitch_record(weak, IMPULSE, 0.0017, rng)
         doublets = [
             pitch_record(PAPER_PITCH_RATE, doublet(750, 0.5, 0.6, 0.03), 0.06, rng, -0.0103, f"doublet {i}")

@@ -14,9 +14,9 @@ from twodof.blocks import Block, Diagram, Param, Port, State, where
 from twodof.blocks.library.delays import ZeroOrderHold
 from twodof.compile import build
 from twodof.flight.core import OUTPUTS, core
+from twodof.flight.declarations import FAILSAFE_INPUTS as SAFETY_INPUTS
+from twodof.flight.declarations import INPUTS
 from twodof.flight.failsafe.diagram import OUTPUTS as SAFETY_OUTPUTS
-from twodof.flight.ports import FAILSAFE_INPUTS as SAFETY_INPUTS
-from twodof.flight.ports import INPUTS
 from twodof.flight.templates import ATTITUDE
 from twodof.rig.parameters import lab
 from twodof.rig.rig import BASE_DT, MEASUREMENTS, SAMPLE, TRUTH, rig

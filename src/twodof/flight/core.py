@@ -9,12 +9,22 @@ from twodof.errors import DiagramError
 from twodof.flight.control.cascade import cascade
 from twodof.flight.control.level_hold import ArmingReset, LevelHold
 from twodof.flight.control.mixer import FiniteCommands, Mixer, MotorFlags, RotorPairs
+from twodof.flight.declarations import (
+    COMMANDS,
+    FAILSAFE_INPUTS,
+    IMU,
+    INPUTS,
+    OWN_INPUTS,
+    RANGE,
+    SET_POINTS,
+    add_inputs,
+    ports,
+)
 from twodof.flight.estimator.diagram import estimator
 from twodof.flight.failsafe.diagram import OUTPUTS as FAILSAFE_OUTPUTS
 from twodof.flight.failsafe.diagram import failsafe as failsafe_diagram
 from twodof.flight.failsafe.output_selector import StandbyReset
 from twodof.flight.gains import DEFAULT, Gains
-from twodof.flight.ports import COMMANDS, FAILSAFE_INPUTS, IMU, INPUTS, OWN_INPUTS, RANGE, SET_POINTS, add_inputs, ports
 from twodof.flight.templates import ATTITUDE, MOTOR, POSITION, by_kind
 
 OUTPUTS: tuple[tuple[str, str, str], ...] = (
@@ -76,7 +86,7 @@ def core(
     stock ones, computed at every step as `stock...` with their integrals in reset, stand ready to replace them.
 
     `outside` is for a user's controllers that are not trusted and run elsewhere, such as a whole core of theirs in a
-    sandbox. Their commands come in as `flight.ports.OWN_INPUTS` and are watched in the same way. The output
+    sandbox. Their commands come in as `flight.declarations.OWN_INPUTS` and are watched in the same way. The output
     `own` says whether they were to fly in this tick.
 
     Raises ParameterError for an unknown position filter, DiagramError for a diagram that fits no template, and for

@@ -42,7 +42,6 @@ class InputDelay(Block):
         return {"y": (p.fraction, self._ago(p.whole, u, x, p))}
 
     def update(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
-        """Keep the input."""
         return {"past": store(x.past, x.step % self.ring, u.u), "step": x.step + 1}
 
     def _ago(self, steps: Any, u: Any, x: Any, p: Any) -> Any:
@@ -62,5 +61,4 @@ class Offset(Block):
         self.params = (Param("offset", 0.0, unit=unit, text="constant part"),)
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        """The sum."""
         return u.u + self.sign * p.offset

@@ -59,7 +59,6 @@ class PitchPendulum(Block):
     )
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
-        """The states."""
         return {"theta": x.theta, "q": x.q}
 
     def derivative(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
@@ -96,11 +95,9 @@ class Lift(Block):
     derived = (Port("per_hover"),)
 
     def prepare(self, p: Any, t: Clock) -> dict[str, Any]:
-        """One over the thrust at hover."""
         return {"per_hover": 0.5 / self._pair(p.hover, p)}
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        """The two pairs."""
         fore, aft = (maximum(0.0, minimum(1.0, command)) for command in (u.T + u.M, u.T - u.M))
         return (self._pair(fore, p) + self._pair(aft, p)) * p.per_hover
 
@@ -136,7 +133,6 @@ class Rail(Block):
     )
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
-        """The states."""
         return {"theta": x.theta, "x": x.x, "v": x.v}
 
     def derivative(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:

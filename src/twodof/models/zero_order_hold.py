@@ -106,7 +106,6 @@ class ZohPlant(Block):
         }
 
     def update(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
-        """One exact step."""
         old, new = self._delayed(u, x, p)
         names = [name for name, _ in self.plant_states]
         result: dict[str, Any] = {
@@ -242,7 +241,6 @@ class ZohVelocity(ZohPlant):
     )
 
     def matrices(self, p: Any) -> tuple[Matrix, Sequence[Any]]:
-        """Paper equation (9)."""
         return ((0.0, 1.0), (0.0, -p.p_v)), (0.0, -p.k_v)
 
 
@@ -282,7 +280,6 @@ class ZohLongitudinal(ZohPlant):
     )
 
     def matrices(self, p: Any) -> tuple[Matrix, Sequence[Any]]:
-        """The course's A and B."""
         return ((p.X_u, p.X_q, -GRAVITY), (p.M_u, p.M_q, 0.0), (0.0, 1.0, 0.0)), (p.X_d, p.M_d, 0.0)
 
     def readout(self, p: Any) -> tuple[Matrix, Sequence[Any]]:

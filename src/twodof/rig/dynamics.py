@@ -1,11 +1,17 @@
-"""Dynamics: pitch about the bearing and the cart on its rail, coupled by the thrust and the drone's offset centre."""
+"""Dynamics: pitch about the bearing and the cart on its rail, coupled by the thrust and the drone's offset centre.
 
+Sliding friction acts as an impulse at the end of the step, clamped so that it stops the motion and never reverses it.
+The speed that it takes away within the step also takes away half of the way, as the force was there all along. What is
+at rest is held in `derivative`: its acceleration is exactly 0 as long as the load stays within the friction or presses
+against a stop. So a body at rest stays there to the bit.
+"""
+
+import math
 from typing import Any
 
-from twodof.blocks import Block, Param, Port, State, where
+from twodof.blocks import Block, Param, Port, State, maximum, minimum, where
 from twodof.blocks.block import Clock
 from twodof.blocks.elementary.functions import cos_octant, sin_octant
-from twodof.rig.contact import after_friction, after_stops, stays_at_rest
 from twodof.signals import GRAVITY
 
 SLOW_PITCH = 0.02
@@ -19,6 +25,33 @@ def sine_cosine(angle: Any) -> tuple[Any, Any]:
     """(sin, cos) of a pitch angle, |angle| <= pi/2, by the half angle, which needs no reduction."""
     s, c = sin_octant(0.5 * angle), cos_octant(0.5 * angle)
     return 2.0 * s * c, 1.0 - 2.0 * s * s
+
+
+def stays_at_rest(speed: Any, load: Any, friction: Any, place: Any, low: Any, high: Any) -> Any:
+    """Whether a body at `place` with `speed` stays at rest under `load`: stuck, or pressed against a stop."""
+    # A stop bears any load that presses against it, friction at most its own either way.
+    up = where(place >= high, math.inf, friction)
+    down = where(place <= low, math.inf, friction)
+    return (speed == 0.0) & (load <= up) & (-down <= load)
+
+
+def after_friction(place: Any, speed: Any, loss: Any, dt: Any) -> tuple[Any, Any]:
+    """(place, speed) after friction that can take `loss` of speed within the step."""
+    lost = maximum(-loss, minimum(loss, speed))
+    return place - (0.5 * dt) * lost, speed - lost
+
+
+def after_stops(place: Any, speed: Any, low: Any, high: Any, restitution: Any, rest: Any) -> tuple[Any, Any]:
+    """(place, speed) after the stops: a body that went beyond one comes back with `restitution` of its speed.
+
+    A rebound slower than `rest` ends on the stop.
+    """
+    stop = where(place > high, high, low)
+    hit = ((place > high) & (speed > 0.0)) | ((place < low) & (speed < 0.0))
+    back = -restitution * speed
+    ends = abs(back) < rest
+    after_place = where(ends, stop, stop - restitution * (place - stop))
+    return where(hit, after_place, place), where(hit, where(ends, 0.0, back), speed)
 
 
 class Dynamics(Block):

@@ -7,7 +7,7 @@ from types import MappingProxyType
 from twodof.errors import LogError, ParameterError
 from twodof.flightlog.atomic import atomic_write, check_free
 from twodof.flightlog.provenance import read_bytes
-from twodof.models.plant import PAPER_PITCH_RATE, PAPER_VELOCITY_GREYBOX
+from twodof.models.plant import PAPER_PITCH_RATE, PAPER_VELOCITY_GREYBOX, thrust_curve
 from twodof.parameters import Parameter, ParameterSet
 from twodof.rig.rig import rig_params
 from twodof.rig.rotors import lift
@@ -41,10 +41,8 @@ _FULL = 1e9  # a battery that does not sag
 
 def _paper() -> dict[str, tuple[float, str]]:
     pitch, cart = PAPER_PITCH_RATE, PAPER_VELOCITY_GREYBOX
-    # mu = 2 b (1 - a + 2 a T) at T = .4 and b (1 - a + a M) at T = 0, M = .1, b = arm * pair_thrust / inertia.
     mu_idle, pulse = 130.0, 0.1
-    ratio = pitch.mu / mu_idle
-    curve = (2.0 - ratio) / (2.0 - 4.0 * HOVER - ratio * (1.0 - pulse))
+    curve = thrust_curve(mu_idle, pitch.mu, pulse, HOVER)
     pair_thrust = cart.k_v * _MASS / (2.0 * lift(HOVER, curve))
     inertia = 0.1 * pair_thrust / (mu_idle / (1.0 - curve + curve * pulse))
     viscous = 2.0 * pitch.xi * pitch.w_n * inertia
@@ -81,55 +79,34 @@ _BY_ARM = "calibrate.py on the seven logs, for an arm of 0.1 m: a flight shows a
 CALIBRATED: Mapping[str, str] = MappingProxyType(
     {
         "pair_thrust": "calibrate.py on the seven logs, for the masses as weighed",
-        "curve": _CALIBRATED,
         "delay": _CALIBRATED + "; with the .4 ms that a gyro sample is old when M is computed",
-        "lag": _CALIBRATED,
-        "inertia": _BY_ARM,
-        "offset": _BY_ARM,
-        "hardening": _BY_ARM,
-        "viscous_idle": _BY_ARM,
-        "viscous_run": _BY_ARM,
-        "coulomb_idle": _BY_ARM,
-        "coulomb_run": _BY_ARM,
-        "rail_viscous": _CALIBRATED,
-        "rail_coulomb": _CALIBRATED,
-        "trim_start": _CALIBRATED,
-        "wake_lag": _CALIBRATED,
-        "tof_age": _CALIBRATED,
-        "imu_below": _CALIBRATED,
+        **dict.fromkeys(("inertia", "offset", "hardening", "viscous_idle", "viscous_run"), _BY_ARM),
+        **dict.fromkeys(("coulomb_idle", "coulomb_run"), _BY_ARM),
+        **dict.fromkeys(("curve", "lag", "rail_viscous", "rail_coulomb"), _CALIBRATED),
+        **dict.fromkeys(("trim_start", "wake_lag", "tof_age", "imu_below"), _CALIBRATED),
     }
 )
 """The parameters that the calibration finds, and how; the file lab.json keeps them."""
 
 _SHARED = MappingProxyType(
     {
-        "mass_drone": "weighed",
-        "mass_cart": "weighed",
+        **dict.fromkeys(("mass_drone", "mass_cart"), "weighed"),
+        **dict.fromkeys(("rail_bounce", "ring_play", "resistance"), "assumed"),
+        **dict.fromkeys(("pitch_stop", "pitch_bounce"), "logs: doublet-0.03 after 245.8 s"),
+        **dict.fromkeys(("voltage_full", "voltage_empty"), "three lithium-polymer cells"),
+        **dict.fromkeys(("acc_x_idle", "acc_z_idle", "gyro_idle", "tof_noise"), "logs, motors idle"),
+        **dict.fromkeys(("acc_x_hover", "acc_z_hover"), "logs, level holds"),
+        **dict.fromkeys(("vibration_hz", "vibration_r2"), "logs, level holds: spectrum of acc"),
         "arm": "assumed: only arm / inertia shows in a flight",
-        "pitch_stop": "logs: doublet-0.03 after 245.8 s",
-        "pitch_bounce": "logs: doublet-0.03 after 245.8 s",
         "rail_stop": "paper section 2: stroke of about 80 cm",
-        "rail_bounce": "assumed",
-        "ring_play": "assumed",
         "capacity": "assumed: a three-cell pack of 1.3 A h",
-        "voltage_full": "three lithium-polymer cells",
-        "voltage_empty": "three lithium-polymer cells",
-        "resistance": "assumed",
         "hover_current": "assumed: about 13 minutes in hover",
-        "acc_x_idle": "logs, motors idle",
-        "acc_z_idle": "logs, motors idle",
-        "gyro_idle": "logs, motors idle",
-        "acc_x_hover": "logs, level holds",
-        "acc_z_hover": "logs, level holds",
         "gyro_hover": "logs, level holds: differences from sample to sample",
-        "vibration_hz": "logs, level holds: spectrum of acc",
-        "vibration_r2": "logs, level holds: spectrum of acc",
         "acc_scale": "logs: in 1DoF a gain error would show as a velocity in proportion to the pitch, and none does",
         "gyro_scale": "logs: as acc_scale",
         "acc_step": "assumed: 16 bits over +-8 g",
         "gyro_step": "assumed: 16 bits over +-2000 deg/s",
         "tof_rate": "logs",
-        "tof_noise": "logs, motors idle",
         "tof_stamp": "logs: a range's stamp is that of its arrival",
         "tof_step": "the sensor counts millimetres",
         "wake_lag": "not in the paper",

@@ -17,10 +17,10 @@ from twodof.blocks.reference.interpreter import Reference
 from twodof.compile import CompiledProgram, build
 from twodof.errors import ExperimentError
 from twodof.flight.core import OUTPUTS, core
+from twodof.flight.declarations import FAILSAFE_INPUTS, INPUTS
 from twodof.flight.failsafe.diagram import OUTPUTS as FAILSAFE_OUTPUTS
 from twodof.flight.failsafe.state_machine import FLYING
 from twodof.flight.gains import DEFAULT, Gains
-from twodof.flight.ports import FAILSAFE_INPUTS, INPUTS
 from twodof.flight.templates import TEMPLATES
 from twodof.parameters import ParameterSet
 from twodof.rig.parameters import lab

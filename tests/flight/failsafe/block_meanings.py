@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 
 from twodof.blocks import Block
+from twodof.flight.declarations import COMMANDS, SET_POINTS
 from twodof.flight.failsafe.causes_and_actions import BIT, CAUSES
 from twodof.flight.failsafe.consistency import ForceConsistency, RateConsistency
 from twodof.flight.failsafe.flags import BatteryFlags, PlaceFlags, SensorFlags, SetPointFlags, StuckCommands
 from twodof.flight.failsafe.output_selector import OutputSelector, StandbyReset
 from twodof.flight.failsafe.safe_setpoints import SafeSetPoints
 from twodof.flight.failsafe.state_machine import BRAKE, DESCEND, DISARMED, FLYING, LEVEL, OFF, REFUSED, Reasons
-from twodof.flight.ports import COMMANDS, SET_POINTS
 
 NAN, INF = math.nan, math.inf
 Row = Mapping[str, Any]

@@ -16,13 +16,13 @@ from twodof.compile.cortex_m7.report import measure
 from twodof.compile.lanes.lanes_program import build_lanes
 from twodof.errors import DiagramError
 from twodof.flight.core import OUTPUTS, core
+from twodof.flight.declarations import FAILSAFE_INPUTS as SAFETY_INPUTS
+from twodof.flight.declarations import INPUTS
 from twodof.flight.failsafe.causes_and_actions import BIT, BRAKE, CAUSES, DESCEND, LEVEL, NONE, OFF, named_causes
 from twodof.flight.failsafe.diagram import OUTPUTS as SAFETY_OUTPUTS
 from twodof.flight.failsafe.diagram import STATES, failsafe
 from twodof.flight.failsafe.state_machine import DISARMED, FLYING, MAY_TURN
 from twodof.flight.failsafe.state_machine import OFF as OFF_STATE
-from twodof.flight.ports import FAILSAFE_INPUTS as SAFETY_INPUTS
-from twodof.flight.ports import INPUTS
 from twodof.flight.starters import starter
 from twodof.flight.templates import PERIOD as TEMPLATE_PERIOD
 from twodof.signals import PERIOD

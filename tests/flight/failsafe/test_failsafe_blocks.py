@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,13 @@ def cases(meaning: Meaning) -> dict[str, NDArray[Any]]:
     """Cases drawn from the values of each input, state and parameter; states are called `last_NAME`."""
     rng = np.random.default_rng(1)
     return {name: np.array(values)[rng.integers(len(values), size=CASES)] for name, values in meaning.values.items()}
+
+
+@functools.cache
+def table(index: int) -> tuple[dict[str, NDArray[Any]], dict[str, NDArray[Any]]]:
+    """The cases of a row of MEANINGS, and what is expected in them."""
+    drawn = cases(MEANINGS[index])
+    return drawn, expected(MEANINGS[index], drawn)
 
 
 def columns_of(meaning: Meaning, drawn: dict[str, NDArray[Any]]) -> dict[tuple[str, str], NDArray[Any]]:
@@ -54,8 +62,7 @@ def differing(out: dict[str, NDArray[Any]], wanted: dict[str, NDArray[Any]]) -> 
 
 @pytest.mark.parametrize("meaning", MEANINGS, ids=IDS)
 def test_a_block_does_what_is_meant_at_and_beside_every_threshold(meaning: Meaning) -> None:
-    drawn = cases(meaning)
-    wanted = expected(meaning, drawn)
+    drawn, wanted = table(MEANINGS.index(meaning))
     assert differing(on_arrays(graph_of(meaning.block), columns_of(meaning, drawn)), wanted) == []
     for name, values in wanted.items():
         assert len(np.unique(values)) > 1 or name == "output.own_given", f"{name} is always the same: more cases"
@@ -90,8 +97,8 @@ def test_the_compiled_block_does_the_same(meaning: Meaning) -> None:
 
 @pytest.mark.parametrize("meaning", MEANINGS, ids=IDS)
 def test_no_mutant_of_a_block_survives_but_those_explained(meaning: Meaning) -> None:
-    drawn = cases(meaning)
-    wanted, columns = expected(meaning, drawn), columns_of(meaning, drawn)
+    drawn, wanted = table(MEANINGS.index(meaning))
+    columns = columns_of(meaning, drawn)
     survivors = {
         what.partition(" ")[2]
         for what, graph in mutants(graph_of(meaning.block))

@@ -57,7 +57,7 @@ class OpenLoopState(NamedTuple):
 class SetPoint(NamedTuple):
     """What one message asks for: the loop (an index into `signals.MODES`; None: thrust alone) and its numbers.
 
-    A number that is None keeps its last value. Units as in `flight.ports.INPUTS`.
+    A number that is None keeps its last value. Units as in `flight.declarations.INPUTS`.
     """
 
     loop: int | None

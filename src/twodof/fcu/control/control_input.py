@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 
 class ControlInput(NamedTuple):
-    """Inputs of the flight code that are not measured; names and units as in `flight.ports.INPUTS`."""
+    """Inputs of the flight code that are not measured; names and units as in `flight.declarations.INPUTS`."""
 
     mode: int = 0
     arm: bool = False

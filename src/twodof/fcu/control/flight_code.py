@@ -20,7 +20,7 @@ from twodof.fcu.control.hardware import SensorSample
 from twodof.fcu.control.sandbox import Sandbox
 from twodof.fcu.parameters.user_parameters import UserParameters, user_parameters
 from twodof.flight.core import core
-from twodof.flight.ports import OWN_INPUTS
+from twodof.flight.declarations import OWN_INPUTS
 from twodof.flight.templates import MOTOR, TEMPLATES
 from twodof.parameters import FLIGHT_PARAMETERS
 from twodof.signals import PERIOD

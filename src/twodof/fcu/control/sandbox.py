@@ -14,7 +14,7 @@ from twodof.errors import CompileError, ControllerFault
 from twodof.fcu.control.control_input import ControlInput
 from twodof.fcu.control.hardware import SensorSample
 from twodof.flight.core import core
-from twodof.flight.ports import INPUTS as CORE_INPUTS
+from twodof.flight.declarations import INPUTS as CORE_INPUTS
 from twodof.signals import PERIOD
 
 BUDGET_NS = 2_000_000

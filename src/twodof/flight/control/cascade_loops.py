@@ -7,9 +7,8 @@ from typing import Any
 
 from twodof.blocks import Block, Port, State, maximum, minimum, where
 from twodof.blocks.elementary.functions import atan, cos
-from twodof.flight.block_parameters import tunables
+from twodof.flight.declarations import ports, tunables
 from twodof.flight.finite import finite
-from twodof.flight.ports import ports
 
 
 def limited(value: Any, limit: Any) -> Any:

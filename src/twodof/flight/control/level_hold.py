@@ -3,8 +3,7 @@
 from typing import Any
 
 from twodof.blocks import Block, Port, State, int32, maximum, minimum, to_int32, to_real, where
-from twodof.flight.block_parameters import tunables
-from twodof.flight.ports import ports
+from twodof.flight.declarations import ports, tunables
 from twodof.signals import ATTITUDE, RATE, VELOCITY
 
 

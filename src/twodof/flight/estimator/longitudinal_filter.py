@@ -4,9 +4,8 @@ from typing import Any
 
 from twodof.blocks import Block, Port, State, where
 from twodof.blocks.elementary.functions import atan2, cos, sin
-from twodof.flight.block_parameters import tunables
+from twodof.flight.declarations import IMU, RANGE, ports, tunables
 from twodof.flight.finite import restarted
-from twodof.flight.ports import IMU, RANGE, ports
 from twodof.signals import RAIL_CENTRE
 
 STATES = ("theta", "bias", "x", "v")

@@ -7,9 +7,8 @@ from typing import Any
 
 from twodof.blocks import Block, Port, State, where
 from twodof.blocks.elementary.functions import cos, sin
-from twodof.flight.block_parameters import tunables
+from twodof.flight.declarations import RANGE, ports, tunables
 from twodof.flight.finite import restarted
-from twodof.flight.ports import RANGE, ports
 from twodof.signals import RAIL_CENTRE
 
 

@@ -5,8 +5,7 @@ from operator import or_
 from typing import Any
 
 from twodof.blocks import Block, Port, State, minimum, where
-from twodof.flight.block_parameters import tunables
-from twodof.flight.ports import ports
+from twodof.flight.declarations import ports, tunables
 from twodof.signals import GRAVITY
 
 FORCE_SUMS = ("forth", "back", "up", "down")

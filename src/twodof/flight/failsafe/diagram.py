@@ -5,7 +5,17 @@ from types import MappingProxyType
 from twodof.blocks import Diagram
 from twodof.blocks.library.functions import Trigonometry
 from twodof.blocks.library.logic import Logic
-from twodof.flight.block_parameters import tunable
+from twodof.flight.declarations import (
+    COMMANDS,
+    ESTIMATED,
+    FAILSAFE_INPUTS,
+    IMU,
+    OWN_INPUTS,
+    RANGE,
+    SET_POINTS,
+    add_inputs,
+    tunable,
+)
 from twodof.flight.failsafe.causes_and_actions import ACTIONS, CAUSES, RequestedActions
 from twodof.flight.failsafe.consistency import ForceConsistency, RateConsistency
 from twodof.flight.failsafe.flags import BatteryFlags, PlaceFlags, SensorFlags, SetPointFlags, StuckCommands
@@ -13,7 +23,6 @@ from twodof.flight.failsafe.output_selector import OutputSelector
 from twodof.flight.failsafe.safe_setpoints import SafeSetPoints
 from twodof.flight.failsafe.state_machine import STATES, FailsafeStateMachine, Reasons
 from twodof.flight.failsafe.timers import OffDelay, WatchdogTimer
-from twodof.flight.ports import COMMANDS, ESTIMATED, FAILSAFE_INPUTS, IMU, OWN_INPUTS, RANGE, SET_POINTS, add_inputs
 
 __all__ = ["ACTIONS", "CAUSES", "OUTPUTS", "STATES", "TIMERS", "failsafe"]
 
@@ -49,11 +58,11 @@ _SAME = MappingProxyType({name: name for name in SET_POINTS})
 def failsafe() -> Diagram:
     """The failsafe, made for 250 Hz.
 
-    Inputs: `ports.FAILSAFE_INPUTS`; the measurements and estimates; `mode` and the set-points as given; the stock
-    commands `fore`, `aft`, `M`, `T`; and the user's `own_fore`, ..., if `own_given` is true. Outputs: the mode and
-    set-points for the controllers (`safe_mode`, `safe_x0`, ...) and `own`, which both depend on nothing behind the
-    controllers; `range_taken`, whether the range may correct the estimates, and `range_age`, which depend on no
-    estimate of this tick; `fore`, `aft`, `M`, `T` as they fly; and `OUTPUTS`.
+    Inputs: `FAILSAFE_INPUTS`; the measurements and estimates; `mode` and the set-points as given; the stock commands
+    `fore`, `aft`, `M`, `T`; and the user's `own_fore`, ..., if `own_given` is true. Outputs: the mode and set-points
+    for the controllers (`safe_mode`, `safe_x0`, ...) and `own`, which both depend on nothing behind the controllers;
+    `range_taken`, whether the range may correct the estimates, and `range_age`, which depend on no estimate of this
+    tick; `fore`, `aft`, `M`, `T` as they fly; and `OUTPUTS`.
     """
     d = Diagram("failsafe", "flags, timers, state machine, and the last gate to the motors")
     add_inputs(d, *(name for name, *_ in FAILSAFE_INPUTS), *IMU, *RANGE, *ESTIMATED, "mode", *SET_POINTS, "ax0")

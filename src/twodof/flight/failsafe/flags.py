@@ -5,9 +5,8 @@ from operator import and_, or_
 from typing import Any
 
 from twodof.blocks import Block, Port, State, int32, where
-from twodof.flight.block_parameters import tunables
+from twodof.flight.declarations import ESTIMATED, IMU, RANGE, SET_POINTS, ports, tunables
 from twodof.flight.finite import finite
-from twodof.flight.ports import ESTIMATED, IMU, RANGE, SET_POINTS, ports
 from twodof.signals import OFF, POSITION, RAIL_CENTRE, RATE, VELOCITY
 
 

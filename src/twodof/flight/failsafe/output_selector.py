@@ -3,8 +3,8 @@
 from typing import Any
 
 from twodof.blocks import Block, Port, maximum, minimum, where
+from twodof.flight.declarations import COMMANDS, ports
 from twodof.flight.finite import finite
-from twodof.flight.ports import COMMANDS, ports
 
 
 class OutputSelector(Block):

@@ -3,11 +3,10 @@
 from typing import Any
 
 from twodof.blocks import Block, Port, State, int32, maximum, minimum, to_real, where
-from twodof.flight.block_parameters import tunable, tunables
+from twodof.flight.declarations import SET_POINTS, ports, tunable, tunables
 from twodof.flight.failsafe.state_machine import BRAKE, DESCEND, FLYING, LEVEL
 from twodof.flight.failsafe.timers import ticks
 from twodof.flight.finite import finite
-from twodof.flight.ports import SET_POINTS, ports
 from twodof.signals import ATTITUDE, OFF, POSITION
 
 

@@ -1,6 +1,12 @@
-"""Ports of the flight code: its inputs, and the type and unit that a name has in all of its blocks."""
+"""What the blocks of the flight code declare: ports by their names, and parameters by their rows.
 
-from twodof.blocks import Diagram, Port
+A name has one type and unit in all of the blocks.
+"""
+
+from typing import Any
+
+from twodof.blocks import Diagram, Param, Port
+from twodof.parameters import TUNABLES
 
 INPUTS: tuple[tuple[str, str, str, str], ...] = (
     ("acc_x", "real", "m/s2", "specific force along the body's x axis"),
@@ -79,3 +85,22 @@ def add_inputs(d: Diagram, *names: str) -> None:
     """Declares inputs of a diagram that have these names."""
     for port in ports(*names):
         d.input(port.name, port.kind, unit=port.unit)
+
+
+def tunable(path: str, value: float | None = None) -> Param:
+    """The parameter whose row is at `path` ("cascade.rate.kp"), with its default or another `value`."""
+    row = TUNABLES[path]
+    default = row.default if value is None else value
+    unit = "" if row.unit == "-" else row.unit
+    name = path.rpartition(".")[2]
+    if isinstance(row.default, bool):
+        return Param(name, default, "bool", unit=unit, text=row.text)
+    kind = "int32" if isinstance(row.default, int) else "real"
+    return Param(name, default, kind, unit=unit, low=row.low, high=row.high, text=row.text)
+
+
+def tunables(block: str, *names: str, **values: Any) -> tuple[Param, ...]:
+    """The parameters of a block of the flight code; `names` chooses some of its rows, `values` are other defaults."""
+    prefix = f"{block}."
+    own = [path.removeprefix(prefix) for path in TUNABLES if path.startswith(prefix)]
+    return tuple(tunable(prefix + name, values.get(name)) for name in names or own)
