@@ -96,12 +96,11 @@ class Gains:
         """
         if not isinstance(data, Mapping) or set(data) != {"rate", "attitude", "velocity", "position"}:
             raise ParameterError("not a set of gains", where, f"give {_SHAPE}")
-        kp, ki, kd = _numbers(data["rate"], 3, f"{where}: rate")
-        velocity_kp, velocity_ki = _numbers(data["velocity"], 2, f"{where}: velocity")
-        (attitude,) = _numbers([data["attitude"]], 1, f"{where}: attitude")
-        (position,) = _numbers([data["position"]], 1, f"{where}: position")
+        numbers: list[float] = []
+        for name, count in (("rate", 3), ("attitude", 1), ("velocity", 2), ("position", 1)):
+            numbers += _numbers(data[name] if count > 1 else [data[name]], count, f"{where}: {name}")
         try:
-            return cls((kp, ki, kd), attitude, (velocity_kp, velocity_ki), position)
+            return cls._of(dict(zip(_ROWS, numbers, strict=True)))
         except ParameterError as error:
             raise ParameterError(error.what, where, error.remedy) from error
 

@@ -33,6 +33,10 @@ class Template:
     outputs: tuple[TemplatePort, ...]
 
 
+def _ports(*rows: tuple[str, str, str, str]) -> tuple[TemplatePort, ...]:
+    return tuple(TemplatePort(*row) for row in rows)
+
+
 _RESET = "the integrals are to be held in reset: no thrust, just armed, or the mode does not use this controller"
 _ATTITUDE = "the pitch loop is closed: follow theta_0; false in rate mode: follow q_0"
 _THETA = "estimated pitch, nose-up positive, as of the sample before: the estimator publishes after the controller"
@@ -42,74 +46,68 @@ _VX = "estimated velocity along the rail, published at 100 Hz and held"
 ATTITUDE = Template(
     "attitude_control",
     "pitch and pitch-rate loops: set-points and estimates in, normalised pitch moment out",
-    (
-        TemplatePort("theta_0", "real", "rad", "pitch set-point, in use while FLAG_ATTITUDE_ENABLED"),
-        TemplatePort("q_0", "real", "rad/s", "pitch-rate set-point, in use while not FLAG_ATTITUDE_ENABLED"),
-        TemplatePort("theta", "real", "rad", _THETA),
-        TemplatePort("q", "real", "rad/s", "estimated pitch rate of this sample"),
-        TemplatePort("FLAG_RESET_INT", "bool", "", _RESET),
-        TemplatePort("FLAG_ATTITUDE_ENABLED", "bool", "", _ATTITUDE),
+    _ports(
+        ("theta_0", "real", "rad", "pitch set-point, in use while FLAG_ATTITUDE_ENABLED"),
+        ("q_0", "real", "rad/s", "pitch-rate set-point, in use while not FLAG_ATTITUDE_ENABLED"),
+        ("theta", "real", "rad", _THETA),
+        ("q", "real", "rad/s", "estimated pitch rate of this sample"),
+        ("FLAG_RESET_INT", "bool", "", _RESET),
+        ("FLAG_ATTITUDE_ENABLED", "bool", "", _ATTITUDE),
     ),
-    (TemplatePort("M", "real", "", "normalised pitch moment, -1 to 1; M > 0 raises the nose"),),
+    _ports(("M", "real", "", "normalised pitch moment, -1 to 1; M > 0 raises the nose")),
 )
 
 POSITION = Template(
     "position_control",
     "position and velocity loops: set-points and estimates in, thrust and pitch set-point out",
-    (
-        TemplatePort("x_0", "real", "m", "position set-point, in use while FLAG_POSITION_ENABLED"),
-        TemplatePort("vx_0", "real", "m/s", "velocity set-point, in use while not FLAG_POSITION_ENABLED"),
-        TemplatePort("x", "real", "m", _X),
-        TemplatePort("vx", "real", "m/s", _VX),
-        TemplatePort(
-            "ax_0", "real", "m/s2", "acceleration set-point along the rail, a feed-forward; 0 if none is given"
-        ),
-        TemplatePort("FLAG_RESET_INT_VEL", "bool", "", _RESET),
-        TemplatePort(
+    _ports(
+        ("x_0", "real", "m", "position set-point, in use while FLAG_POSITION_ENABLED"),
+        ("vx_0", "real", "m/s", "velocity set-point, in use while not FLAG_POSITION_ENABLED"),
+        ("x", "real", "m", _X),
+        ("vx", "real", "m/s", _VX),
+        ("ax_0", "real", "m/s2", "acceleration set-point along the rail, a feed-forward; 0 if none is given"),
+        ("FLAG_RESET_INT_VEL", "bool", "", _RESET),
+        (
             "FLAG_POSITION_ENABLED",
             "bool",
             "",
             "the position loop is closed: follow x_0; false in velocity mode: follow vx_0",
         ),
     ),
-    (
-        TemplatePort("thrust", "real", "", "normalised thrust, 0 to 1; the drone hovers at 0.4"),
-        TemplatePort("theta_0", "real", "rad", "pitch set-point for the attitude controller; theta > 0 drives to -x"),
+    _ports(
+        ("thrust", "real", "", "normalised thrust, 0 to 1; the drone hovers at 0.4"),
+        ("theta_0", "real", "rad", "pitch set-point for the attitude controller; theta > 0 drives to -x"),
     ),
 )
 
 MOTOR = Template(
     "motor_control",
     "the lowest level: measurements, estimates and set-points in, the commands of the single motors out",
-    (
-        TemplatePort("M_0", "real", "", "normalised pitch moment that the level above asks for (open loop: given)"),
-        TemplatePort("thrust_0", "real", "", "normalised thrust that the level above asks for"),
-        TemplatePort("theta_0", "real", "rad", "pitch set-point in use, 0 if none is"),
-        TemplatePort("q_0", "real", "rad/s", "pitch-rate set-point in use, 0 if none is"),
-        TemplatePort("x_0", "real", "m", "position set-point in use, 0 if none is"),
-        TemplatePort("vx_0", "real", "m/s", "velocity set-point in use, 0 if none is"),
-        TemplatePort("theta", "real", "rad", _THETA),
-        TemplatePort("q", "real", "rad/s", "estimated pitch rate of this sample"),
-        TemplatePort("x", "real", "m", _X),
-        TemplatePort("vx", "real", "m/s", _VX),
-        TemplatePort("acc_x", "real", "m/s2", "measured specific force along the body's x axis (forward)"),
-        TemplatePort("acc_z", "real", "m/s2", "measured specific force along the body's z axis (down): -9.81 at rest"),
-        TemplatePort("gyro_y", "real", "rad/s", "measured pitch rate, its bias still in it"),
-        TemplatePort("FLAG_RESET_INT", "bool", "", _RESET),
-        TemplatePort(
-            "FLAG_RATE_ENABLED", "bool", "", "some loop is closed; false in open loop, where M_0 is to be flown"
-        ),
-        TemplatePort(
-            "FLAG_ATTITUDE_ENABLED", "bool", "", "the pitch is controlled: attitude, velocity or position mode"
-        ),
-        TemplatePort("FLAG_VELOCITY_ENABLED", "bool", "", "the velocity is controlled: velocity or position mode"),
-        TemplatePort("FLAG_POSITION_ENABLED", "bool", "", "the position is controlled: position mode"),
+    _ports(
+        ("M_0", "real", "", "normalised pitch moment that the level above asks for (open loop: given)"),
+        ("thrust_0", "real", "", "normalised thrust that the level above asks for"),
+        ("theta_0", "real", "rad", "pitch set-point in use, 0 if none is"),
+        ("q_0", "real", "rad/s", "pitch-rate set-point in use, 0 if none is"),
+        ("x_0", "real", "m", "position set-point in use, 0 if none is"),
+        ("vx_0", "real", "m/s", "velocity set-point in use, 0 if none is"),
+        ("theta", "real", "rad", _THETA),
+        ("q", "real", "rad/s", "estimated pitch rate of this sample"),
+        ("x", "real", "m", _X),
+        ("vx", "real", "m/s", _VX),
+        ("acc_x", "real", "m/s2", "measured specific force along the body's x axis (forward)"),
+        ("acc_z", "real", "m/s2", "measured specific force along the body's z axis (down): -9.81 at rest"),
+        ("gyro_y", "real", "rad/s", "measured pitch rate, its bias still in it"),
+        ("FLAG_RESET_INT", "bool", "", _RESET),
+        ("FLAG_RATE_ENABLED", "bool", "", "some loop is closed; false in open loop, where M_0 is to be flown"),
+        ("FLAG_ATTITUDE_ENABLED", "bool", "", "the pitch is controlled: attitude, velocity or position mode"),
+        ("FLAG_VELOCITY_ENABLED", "bool", "", "the velocity is controlled: velocity or position mode"),
+        ("FLAG_POSITION_ENABLED", "bool", "", "the position is controlled: position mode"),
     ),
-    (
-        TemplatePort("motor_1", "real", "", "command of the fore right motor, 0 to 1"),
-        TemplatePort("motor_2", "real", "", "command of the aft left motor, 0 to 1"),
-        TemplatePort("motor_3", "real", "", "command of the fore left motor, 0 to 1"),
-        TemplatePort("motor_4", "real", "", "command of the aft right motor, 0 to 1"),
+    _ports(
+        ("motor_1", "real", "", "command of the fore right motor, 0 to 1"),
+        ("motor_2", "real", "", "command of the aft left motor, 0 to 1"),
+        ("motor_3", "real", "", "command of the fore left motor, 0 to 1"),
+        ("motor_4", "real", "", "command of the aft right motor, 0 to 1"),
     ),
 )
 

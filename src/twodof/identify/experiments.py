@@ -42,25 +42,19 @@ class ExperimentKind:
     outputs: tuple[str, ...]
 
 
-KINDS: Mapping[str, ExperimentKind] = MappingProxyType(
-    {
-        kind.name: kind
-        for kind in (
-            ExperimentKind("impulse", "free response to an impulse of M", ("open-loop",), ("impulse",), ("M",), ("q",)),
-            ExperimentKind(
-                "doublet", "doublet of M, open loop", ("open-loop",), ("doublet", "doublets"), ("M",), ("q",)
-            ),
-            ExperimentKind(
-                "velocity",
-                "motion along the rail: pitch to velocity",
-                ("attitude", "velocity", "position"),
-                ("doublet", "doublets", "sweep", "steps"),
-                ("theta0", "theta", "q", "M", "T"),
-                ("v", "x"),
-            ),
-        )
-    }
+_KINDS = (
+    ExperimentKind("impulse", "free response to an impulse of M", ("open-loop",), ("impulse",), ("M",), ("q",)),
+    ExperimentKind("doublet", "doublet of M, open loop", ("open-loop",), ("doublet", "doublets"), ("M",), ("q",)),
+    ExperimentKind(
+        "velocity",
+        "motion along the rail: pitch to velocity",
+        ("attitude", "velocity", "position"),
+        ("doublet", "doublets", "sweep", "steps"),
+        ("theta0", "theta", "q", "M", "T"),
+        ("v", "x"),
+    ),
 )
+KINDS: Mapping[str, ExperimentKind] = MappingProxyType({kind.name: kind for kind in _KINDS})
 
 
 def cut(

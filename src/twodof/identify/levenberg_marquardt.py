@@ -19,21 +19,18 @@ Jacobian = Callable[[Array, Array], Array]
 
 @dataclass(frozen=True, eq=False)
 class LeastSquaresMinimum:
-    """Where the sum of squares ended: `cost` is half of it, `at_bound` marks the unknowns held by a bound.
-
-    `shift` is how far the next Gauss-Newton step would go, in standard deviations of the estimate.
-    """
+    """Where the sum of squares ended: `cost` is half of it, `at_bound` marks the unknowns held by a bound."""
 
     x: Array
     residual: Array
     cost: float
     iterations: int
-    evaluations: int
     converged: bool
-    shift: float
     at_bound: NDArray[np.bool_]
 
 
+# A trial too far out may overflow; its cost is then infinite or NaN, and it is stepped back from.
+@np.errstate(over="ignore", invalid="ignore")
 def minimise(
     residual: Residual,
     jacobian: Jacobian,
@@ -52,19 +49,12 @@ def minimise(
     move the estimate by less than a twentieth of its standard deviation, however the search ended. A residual that is
     not finite at `x0` is returned as it is, not converged.
     """
-    # A trial too far out may overflow; its cost is then infinite or NaN, and it is stepped back from.
-    with np.errstate(over="ignore", invalid="ignore"):
-        return _minimise(residual, jacobian, np.clip(x0, lower, upper), lower, upper, tolerance, iterations)
-
-
-def _minimise(
-    residual: Residual, jacobian: Jacobian, x: Array, lower: Array, upper: Array, tolerance: float, iterations: int
-) -> LeastSquaresMinimum:
+    x = np.clip(x0, lower, upper)
     r = residual(x)
     cost = 0.5 * float(r @ r)
     if not math.isfinite(cost):
-        return LeastSquaresMinimum(x, r, cost, 0, 1, False, math.nan, np.zeros(x.shape, dtype=bool))
-    evaluations, damping, growth = 1, 1e-3, 2.0
+        return LeastSquaresMinimum(x, r, cost, 0, False, np.zeros(x.shape, dtype=bool))
+    damping, growth = 1e-3, 2.0
     scale = np.zeros_like(x)
     held = np.zeros(x.shape, dtype=bool)
     for iteration in range(1, iterations + 1):
@@ -82,9 +72,9 @@ def _minimise(
             small = bool(np.all(np.abs(step) <= 1e-14 * (np.abs(x) + 1e-14)))
             # A step cut by a bound may promise nothing although a shorter one would.
             if small or (promised <= tolerance * cost and not clipped):
-                return _minimum(x, r, cost, iteration, evaluations, gradient, normal, free, held)
+                converged = _converged(r, cost, gradient, normal, free)
+                return LeastSquaresMinimum(x, r, cost, iteration, converged, held)
             r_trial = residual(trial)
-            evaluations += 1
             cost_trial = 0.5 * float(r_trial @ r_trial)
             gain = (cost - cost_trial) / promised if promised > 0.0 else -1.0
             if gain > 1e-4:
@@ -96,7 +86,7 @@ def _minimise(
             growth *= 2.0
     jac = jacobian(x, r)
     free = np.flatnonzero(~held)
-    return _minimum(x, r, cost, iterations, evaluations, jac.T @ r, jac.T @ jac, free, held)
+    return LeastSquaresMinimum(x, r, cost, iterations, _converged(r, cost, jac.T @ r, jac.T @ jac, free), held)
 
 
 def _bounded_step(
@@ -122,17 +112,8 @@ def _bounded_step(
     return step, open_.size < free.size
 
 
-def _minimum(
-    x: Array,
-    r: Array,
-    cost: float,
-    iterations: int,
-    evaluations: int,
-    gradient: Array,
-    normal: Array,
-    free: NDArray[np.int64],
-    held: NDArray[np.bool_],
-) -> LeastSquaresMinimum:
+def _converged(r: Array, cost: float, gradient: Array, normal: Array, free: NDArray[np.int64]) -> bool:
+    """Whether the next Gauss-Newton step would go less than a twentieth of the estimate's standard deviation."""
     g = gradient[free]
     length = np.sqrt(np.diag(normal)[free])
     length = np.where(length > 0.0, length, 1.0)
@@ -141,4 +122,4 @@ def _minimum(
     shift = math.sqrt(max(reach, 0.0) * r.size / (2.0 * cost)) if cost > 0.0 else 0.0
     # Residuals that are all rounding errors have no standard deviation worth comparing with.
     exact = cost < 1e-16 * r.size
-    return LeastSquaresMinimum(x, r, cost, iterations, evaluations, exact or shift < 0.05, shift, held)
+    return exact or shift < 0.05

@@ -14,6 +14,8 @@ from twodof.blocks.block import Clock
 from twodof.blocks.elementary.functions import cos_octant, sin_octant
 from twodof.signals import GRAVITY
 
+COORDINATES = (("theta", "rad"), ("q", "rad/s"), ("x", "m"), ("v", "m/s"))
+
 SLOW_PITCH = 0.02
 """A rebound from an end stop slower than this [rad/s] ends there."""
 
@@ -70,12 +72,7 @@ class Dynamics(Block):
     """
 
     inputs = (Port("thrust", unit="N"), Port("moment", unit="N*m"), Port("gust", unit="N*m"), Port("running"))
-    outputs = (
-        Port("theta", unit="rad"),
-        Port("q", unit="rad/s"),
-        Port("x", unit="m"),
-        Port("v", unit="m/s"),
-    )
+    outputs = tuple(Port(name, unit=unit) for name, unit in COORDINATES)
     params = (
         Param("mass_drone", 0.374, unit="kg", low=0.01, high=10.0),
         Param("mass_cart", 0.160, unit="kg", low=0.01, high=10.0),
@@ -103,10 +100,7 @@ class Dynamics(Block):
         Param("v_start", 0.0, unit="m/s", low=-10.0, high=10.0),
     )
     states = (
-        State("theta", "theta_start", unit="rad", continuous=True),
-        State("q", "q_start", unit="rad/s", continuous=True),
-        State("x", "x_start", unit="m", continuous=True),
-        State("v", "v_start", unit="m/s", continuous=True),
+        *(State(name, f"{name}_start", unit=unit, continuous=True) for name, unit in COORDINATES),
         State("sine", "sine_start", continuous=True),
         State("cosine", "cosine_start", continuous=True),
     )
@@ -142,7 +136,7 @@ class Dynamics(Block):
         }
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return {"theta": x.theta, "q": x.q, "x": x.x, "v": x.v}
+        return {name: x[name] for name, _ in COORDINATES}
 
     def derivative(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         viscous = p.viscous_idle + (p.viscous_run - p.viscous_idle) * u.running

@@ -50,17 +50,7 @@ def rig() -> Diagram:
     d = Diagram("rig", "fore and aft rotor pairs, pitch, cart, battery and sensors")
     d.input("fore")
     d.input("aft")
-    for name, param in rig_params().items():
-        d.param(
-            name,
-            param.value,
-            kind=param.kind,
-            unit=param.unit,
-            low=param.low,
-            high=param.high,
-            text=param.text,
-            tunable=param.tunable,
-        )
+    d.params.update(rig_params())
     for name, block, rate in PARTS:
         d.add(name, block(), rate=rate, params={param.name: param.name for param in block.params})
     # Held here, so that the rotors and the dynamics are continuous and see their inputs at each stage of a step.

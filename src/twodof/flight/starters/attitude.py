@@ -17,7 +17,7 @@ from twodof.blocks.library import (
 )
 from twodof.flight.control.cascade_loops import AttitudeLoop, RateLoop
 from twodof.flight.gains import DEFAULT, Gains
-from twodof.flight.starters.build import pitch_loop, tuned, with_ports
+from twodof.flight.starters.build import pitch_loop, rate_gains, tuned, with_ports
 from twodof.flight.templates import ATTITUDE
 from twodof.models.lqr import LqrGains, attitude_lqr, rate_lqr
 
@@ -156,10 +156,7 @@ def lqr_attitude(attitude: LqrGains | None = None, rate: LqrGains | None = None)
 
 def _rate_pid(d: Diagram, gains: Gains, limit: float, anti_windup: str) -> None:
     """M from the rate's `error`, within +-`limit`."""
-    kp, ki, kd = gains.rate
-    tuned(d, "q_kp", kp, "s/rad", 0.0, 1.0, "rate P")
-    tuned(d, "q_ki", ki, "1/rad", 0.0, 5.0, "rate I")
-    tuned(d, "q_kd", kd, "s2/rad", 0.0, 0.05, "rate D")
+    kp, ki, kd = rate_gains(d, gains)
     tuned(d, "q_n", 100.0, "rad/s", 1.0, 1000.0, "corner of the derivative's filter")
     _limits(d, limit)
     bound = {"Kp": "q_kp", "Ki": "q_ki", "Kd": "q_kd", "N": "q_n", "low": "M_low", "high": "M_high"}

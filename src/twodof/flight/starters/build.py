@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 from twodof.blocks import Diagram
 from twodof.blocks.library import Gain, Saturation, Sum, Switch
+from twodof.flight.gains import Gains
 from twodof.flight.templates import Template
 
 
@@ -17,10 +18,25 @@ def with_ports(template: Template, name: str, text: str) -> Diagram:
 
 def tuned(d: Diagram, name: str, value: float | Sequence[float], unit: str, low: float, high: float, text: str) -> None:
     """Declares a tunable parameter of the diagram, a number or an array, to which its parts bind theirs."""
-    if isinstance(value, (int, float)):
-        d.param(name, value, unit=unit, low=low, high=high, text=text)
-    else:
-        d.param(name, list(value), width=len(value), unit=unit, low=low, high=high, text=text)
+    width = len(value) if isinstance(value, Sequence) else None
+    d.param(
+        name,
+        list(value) if isinstance(value, Sequence) else value,
+        width=width,
+        unit=unit,
+        low=low,
+        high=high,
+        text=text,
+    )
+
+
+def rate_gains(d: Diagram, gains: Gains) -> tuple[float, float, float]:
+    """Declares the gains of the rate loop as parameters q_kp, q_ki, q_kd; returns their values."""
+    kp, ki, kd = gains.rate
+    tuned(d, "q_kp", kp, "s/rad", 0.0, 1.0, "rate P")
+    tuned(d, "q_ki", ki, "1/rad", 0.0, 5.0, "rate I")
+    tuned(d, "q_kd", kd, "s2/rad", 0.0, 0.05, "rate D")
+    return kp, ki, kd
 
 
 def pitch_loop(d: Diagram, kp: float) -> None:

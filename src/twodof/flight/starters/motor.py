@@ -4,7 +4,7 @@ motors, and an empty one."""
 from twodof.blocks import Diagram
 from twodof.blocks.library import Abs, Constant, DynamicSaturation, Gain, Pid, Saturation, Sum, Switch
 from twodof.flight.gains import DEFAULT, Gains
-from twodof.flight.starters.build import pitch_loop, tuned, with_ports
+from twodof.flight.starters.build import pitch_loop, rate_gains, with_ports
 from twodof.flight.templates import AFT_MOTORS, FORE_MOTORS, MOTOR
 
 
@@ -23,10 +23,7 @@ def direct_motor(gains: Gains = DEFAULT) -> Diagram:
     """
     d = with_ports(MOTOR, "direct_motor", "attitude P, rate PID on the gyro, and a mixer that keeps the moment")
     pitch_loop(d, gains.attitude)
-    kp, ki, kd = gains.rate
-    tuned(d, "q_kp", kp, "s/rad", 0.0, 1.0, "rate P")
-    tuned(d, "q_ki", ki, "1/rad", 0.0, 5.0, "rate I")
-    tuned(d, "q_kd", kd, "s2/rad", 0.0, 0.05, "rate D")
+    kp, ki, kd = rate_gains(d, gains)
     d.add("error", Sum("+-", unit="rad/s"), a="q_0_used", b="gyro_y", position=(640.0, 60.0))
     d.add(
         "pid",
