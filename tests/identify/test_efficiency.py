@@ -15,7 +15,9 @@ from twodof.models import Structure, longitudinal, pitch_and_velocity, pitch_rat
 
 Array = NDArray[np.float64]
 
-EACH_DAY, LONG = 25, 200  # repetitions
+LONG = 200
+EACH_DAY = {"G_q": 50, "G_v": 50, "both": 25, "longitudinal": 25}
+"""Repetitions."""
 SURE = 0.999
 """What lies outside a binomial interval of this probability is not chance."""
 
@@ -59,8 +61,10 @@ CASES: dict[str, tuple[Structure, Array, Mapping[str, float], Mapping[str, float
 }
 
 
-@pytest.mark.parametrize("repetitions", [EACH_DAY, pytest.param(LONG, marks=pytest.mark.soak)])
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize(
+    ("case", "repetitions"),
+    [*EACH_DAY.items(), *(pytest.param(case, LONG, marks=pytest.mark.soak) for case in CASES)],
+)
 def test_the_bound_is_attained_and_the_intervals_cover(case: str, repetitions: int) -> None:
     structure, u, truth, noise = CASES[case]
     inputs = {structure.inputs[0]: u}
