@@ -57,7 +57,7 @@ def check(files: int, seed: int, least: int) -> None:
 
 
 def test_mutated_files_that_load_run_within_their_fuel() -> None:
-    check(60, 1, least=8)
+    check(24, 1, least=4)
 
 
 @pytest.mark.soak

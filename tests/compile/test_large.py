@@ -56,12 +56,14 @@ def processor_time() -> float:
     )
 
 
-@pytest.mark.parametrize("target", ["native", "wasm"])
-def test_900_blocks_are_emitted_compiled_and_cached(
-    target: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("target", "blocks"), [("native", 300), ("wasm", 900), pytest.param("native", 900, marks=pytest.mark.soak)]
+)
+def test_many_blocks_are_emitted_compiled_and_cached(
+    target: str, blocks: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("TWODOF_CACHE", str(tmp_path))
-    d = chain(900)
+    d = chain(blocks)
     start = processor_time()
     program = build(d, 0.001, target=target)
     first = processor_time() - start

@@ -27,7 +27,9 @@ def machine(request: pytest.FixtureRequest) -> CompiledMachine:
 
 
 def derived(machine: CompiledMachine) -> tuple[float, float]:
-    return float(machine._p["pendulum_stiffness"][0]), float(machine._p["pendulum_damping"][0])
+    return float(machine.instance.structs["P"]["pendulum_stiffness"][0]), float(
+        machine.instance.structs["P"]["pendulum_damping"][0]
+    )
 
 
 def test_a_change_between_two_steps_counts_from_the_next_one(machine: CompiledMachine) -> None:
@@ -47,7 +49,7 @@ def test_all_change_in_one_step_or_none_does(machine: CompiledMachine) -> None:
     machine.run(STEPS, {"r": 0.4})
     machine.set_many({"pendulum.omega": 3.0, "pendulum.zeta": 0.25})
     assert derived(machine) == (9.0, 1.5)
-    before = machine._p.tobytes()
+    before = machine.instance.structs["P"].tobytes()
     refused: tuple[tuple[dict[str, Any], str], ...] = (
         ({"pendulum.omega": 4.0, "k": 10.5}, r"k: 10.5 is outside 0 to 10"),
         ({"pendulum.omega": 4.0, "sum.limit": -1e-9}, r"sum.limit: -1e-09 is outside 0 to inf rad"),
@@ -59,7 +61,7 @@ def test_all_change_in_one_step_or_none_does(machine: CompiledMachine) -> None:
     for values, said in refused:
         with pytest.raises(ParameterError, match=said):
             machine.set_many(values)
-        assert machine._p.tobytes() == before
+        assert machine.instance.structs["P"].tobytes() == before
     twin = machine.program.machine()
     twin.run(STEPS, {"r": 0.4})
     twin.set_many({"pendulum.omega": 3.0, "pendulum.zeta": 0.25})

@@ -1,4 +1,4 @@
-"""The same bits on every target: random diagrams, every block of the library, the flight core.
+"""The same bits on every target: every operator, random diagrams, every block of the library, the flight core.
 
 See docs/explanation/targets.md.
 
@@ -17,6 +17,7 @@ import pytest
 
 from tests.blocks.library import samples
 from tests.compile.differential import (
+    DT,
     EMULATED_STEPS,
     KINDS,
     STEPS,
@@ -28,10 +29,15 @@ from tests.compile.differential import (
     reference_run,
     same,
 )
+from tests.compile.every_operator import every_operator
 from tests.compile.lanes.lanes_differential import lane_programs
 from tests.compile.whole_library import library_cases, room, strange_inputs
 from tests.toolchains import missing, need
+from twodof.blocks.elementary.functions import ARGUMENTS
+from twodof.blocks.expressions.graph import walk
+from twodof.compile.c.operators import OPERATORS, row
 from twodof.compile.lanes.lanes_program import SIMD, best_simd
+from twodof.compile.program.lower import lower
 from twodof.compile.target import EmittedProgram
 from twodof.flight.core import core
 from twodof.sim.closed_loop import closed_loop
@@ -56,34 +62,45 @@ def whole_loop(steps: int) -> list[Case]:
     return [Case(d, [], strange_inputs(d, steps, 2), {})]
 
 
-@dataclass(frozen=True)
-class Extent:
-    """How many diagrams a group has, and how many steps they run."""
-
-    small: int
-    large: int
-    steps: int
-    more: int
-    loop: int
-
-    def groups(self) -> dict[str, tuple[Callable[[], list[Case]], str]]:
-        """What makes the diagrams of a group, and the integrator; by name."""
-        made: dict[str, tuple[Callable[[], list[Case]], str]] = {
-            f"small-{k}": (partial(cheap_cases, 1000 + 100 * k, self.small, self.steps), "rk4") for k in range(8)
-        }
-        for k, rooms in ROOMS.items():
-            made[f"library-{k}"] = (partial(library_cases, rooms, self.steps, False), "rk4")
-            made[f"library-{k}-more"] = (partial(library_cases, rooms, self.more, True), "rk4")
-        made["large-rk4"] = (partial(random_cases, range(self.large), 200), "rk4")
-        made["large-euler"] = (partial(random_cases, range(20, 20 + self.large), 200), "euler")
-        made["flight-core"] = (partial(flight_core, self.steps), "rk4")
-        made["closed-loop"] = (partial(whole_loop, self.loop), "rk4")
-        return made
+Group = tuple[Callable[[], list[Case]], str]
+"""What makes the diagrams of a group, and the integrator."""
 
 
-EACH_DAY = Extent(small=7, large=10, steps=1_500, more=600, loop=800)
-LONG = Extent(small=13, large=20, steps=STEPS, more=EMULATED_STEPS, loop=2_500)
-GROUPS, LONG_GROUPS = EACH_DAY.groups(), LONG.groups()
+def operators() -> list[Case]:
+    """Every operation of the language with all pairs of special values."""
+    return [every_operator()]
+
+
+def mixed(first: int, small: int, steps: int, large: int) -> list[Case]:
+    """A few small random diagrams of many steps, and a few large ones of few."""
+    return [*cheap_cases(1000 + first, small, steps), *random_cases(range(first, first + large), 100)]
+
+
+def library_groups(steps: int, more: int) -> dict[str, Group]:
+    """Each block of the library with its default arguments, and with others."""
+    made: dict[str, Group] = {}
+    for name, rooms in ROOMS.items():
+        made[f"library-{name}"] = (partial(library_cases, rooms, steps, False), "rk4")
+        made[f"library-{name}-more"] = (partial(library_cases, rooms, more, True), "rk4")
+    return made
+
+
+GROUPS: dict[str, Group] = {
+    "operators": (operators, "rk4"),
+    "random-rk4": (partial(mixed, 0, 3, 400, 3), "rk4"),
+    "random-euler": (partial(mixed, 20, 3, 400, 3), "euler"),
+    **library_groups(300, 150),
+    "flight-core": (partial(flight_core, 250), "rk4"),
+    "closed-loop": (partial(whole_loop, 200), "rk4"),
+}
+LONG_GROUPS: dict[str, Group] = {
+    **{f"small-{k}": (partial(cheap_cases, 1000 + 100 * k, 13, STEPS), "rk4") for k in range(8)},
+    **library_groups(STEPS, EMULATED_STEPS),
+    "large-rk4": (partial(random_cases, range(20), 200), "rk4"),
+    "large-euler": (partial(random_cases, range(20, 40), 200), "euler"),
+    "flight-core": (partial(flight_core, STEPS), "rk4"),
+    "closed-loop": (partial(whole_loop, 2_500), "rk4"),
+}
 PRECISIONS = ("float64", "float32")
 
 
@@ -119,18 +136,30 @@ class InLanes:
 
 WIDTHS = list(SIMD)[list(SIMD).index(best_simd()) :]
 ALL = {**KINDS, **{f"lanes-{simd}": InLanes(simd) for simd in WIDTHS}}
-FIRST = ("gcc-O3-native", "wasm", "m7-gcc")
-OTHERS = tuple(name for name in ALL if name not in FIRST)
+FLYING = {
+    "operators": {"float64": ("gcc-O3-native", "wasm", "m7-gcc"), "float32": ("gcc-O3-native", "wasm", "m7-gcc")},
+    "random": {"float64": ("gcc-O3-native", "wasm", "m7-gcc"), "float32": ("gcc-O3-native", "wasm", "m7-gcc")},
+    "library": {"float64": ("gcc-O3-native",), "float32": ()},
+    "flight": {"float64": ("gcc-O3-native", "wasm"), "float32": ("m7-gcc",)},
+    "closed": {"float64": ("gcc-O3-native", "wasm"), "float32": ("m7-gcc",)},
+}
+"""By sort of diagram and precision, the targets on which its groups run each day whatever their turn."""
+BLOCKS = {"float64": ("gcc-O3-native", "wasm"), "float32": ("m7-gcc",)}
+"""The same for every block of the library with its default arguments."""
+ONCE = {"random-rk4": "float64", "random-euler": "float32"}
+SLOTS = [(group, precision) for group in GROUPS for precision in PRECISIONS if ONCE.get(group, precision) == precision]
 
 
 def kinds_for(group: str, precision: str) -> list[str]:
-    """The targets on which a group runs each day: the three that fly, and the others by turns."""
-    if group in ("flight-core", "closed-loop"):
-        return [*ALL]
+    """The targets on which a group runs each day: those that fly, and each other one in its turn."""
     sort = group.partition("-")[0]
-    alike = [name for name in GROUPS if name.startswith(sort)]
-    turn = alike.index(group) + PRECISIONS.index(precision)
-    return [*FIRST, *(name for k, name in enumerate(OTHERS) if (k - turn) % min(4, len(alike)) == 0)]
+    alike = [slot for slot in SLOTS if slot[0].startswith(sort)]
+    turn = alike.index((group, precision))
+    dealt = [name for k, name in enumerate(ALL) if k % len(alike) == turn and sort != "closed"]
+    always = FLYING[sort][precision]
+    if sort == "library" and not group.endswith("more"):
+        always = BLOCKS[precision]
+    return [name for name in ALL if name in dealt or name in always]
 
 
 def compare(cases: list[Case], precision: str, integrator: str, kinds: Sequence[str] = tuple(ALL)) -> None:
@@ -155,27 +184,42 @@ def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TWODOF_CACHE", str(tmp_path / "cache"))
 
 
-@pytest.mark.parametrize("precision", PRECISIONS)
-@pytest.mark.parametrize("group", GROUPS)
+@pytest.mark.parametrize(("group", "precision"), [slot for slot in SLOTS if kinds_for(*slot)])
 def test_every_target_gives_the_bits_of_the_reference(group: str, precision: str) -> None:
     make, integrator = GROUPS[group]
     compare(make(), precision, integrator, kinds_for(group, precision))
 
 
 def test_the_groups_hold_what_they_promise() -> None:
-    """104 random diagrams of 20,000 steps in the long version, and every block of the library in each."""
-    assert LONG.small * sum(name.startswith("small") for name in LONG_GROUPS) >= 100
+    """104 small random diagrams in the long version, and every block of the library in both."""
+    small = [make for name, (make, _) in LONG_GROUPS.items() if name.startswith("small")]
+    assert sum(make.args[1] for make in small if isinstance(make, partial)) >= 100
     rooms = {room for names in ROOMS.values() for room in names}
     assert rooms == set(samples.ROOMS)
-    for name in samples.LIBRARY:
-        part = f"{name}_0"
-        assert any(part in room(r, extra=False).parts for r in rooms), name
+    parts = {part for r in rooms for part in room(r, extra=False).parts}
+    assert {f"{name}_0" for name in samples.LIBRARY} <= parts
 
 
-@pytest.mark.parametrize("precision", PRECISIONS)
-@pytest.mark.parametrize("sort", ["small", "library", "large"])
-def test_by_turns_every_target_runs_each_sort_of_diagram(sort: str, precision: str) -> None:
-    assert {kind for name in GROUPS if name.startswith(sort) for kind in kinds_for(name, precision)} == set(ALL)
+def test_every_operator_is_compared() -> None:
+    """On its own; the rest of OPERATORS is never recorded: bool has no order, and nothing is made what it is."""
+    program = lower(every_operator().diagram, DT)
+    found = {e for n in program.nodes for e in walk(n.trace.outputs.values()) if e.args}
+    rows = {row(e, e.args[0].kind) for e in found if e.op != "call"}
+    never = {"le_bool", "lt_bool", *(f"{kind}_to_{kind}" for kind in ("bool", "int32", "uint32"))}
+    never |= {f"bool_to_{kind}" for kind in ("real", "int32", "uint32")} | {"int32_to_bool", "uint32_to_bool"}
+    assert OPERATORS.keys() - rows == never
+    assert {e.data for e in found if e.op == "call"} == ARGUMENTS.keys()
+
+
+@pytest.mark.parametrize("sort", ["operators", "random", "library", "flight"])
+def test_by_turns_every_target_runs_each_sort_of_diagram(sort: str) -> None:
+    assert {kind for slot in SLOTS if slot[0].startswith(sort) for kind in kinds_for(*slot)} == set(ALL)
+
+
+@pytest.mark.parametrize("target", ["gcc-O3-native", "wasm", "m7-gcc"])
+def test_what_flies_runs_every_block_and_the_closed_loop(target: str) -> None:
+    run = {group for group, precision in SLOTS if target in kinds_for(group, precision)}
+    assert run >= {"closed-loop", *(f"library-{name}" for name in ROOMS)}
 
 
 @pytest.mark.soak

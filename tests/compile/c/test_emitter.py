@@ -80,7 +80,7 @@ def test_reading_what_was_stored_gives_the_same_bits(count: int) -> None:
 @pytest.mark.parametrize("precision", ["float64", "float32"])
 def test_strict_compilers_do_not_complain(compiler: str, precision: str, tmp_path: Path) -> None:
     emitted = [emit_program(make(), 0.01, precision).source for make in ALL]
-    emitted.append(differential.emitted(differential.random_cases(range(300, 308), 1), precision, "rk4")[0].source)
+    emitted.append(differential.emitted(differential.random_cases(range(300, 303), 1), precision, "rk4")[0].source)
     for source in emitted:
         done = strictly(compiler, source, tmp_path)
         assert done.returncode == 0, done.stderr
@@ -207,20 +207,24 @@ class Named(Block):
         return {self.port: u[self.port] - x[self.port]}
 
 
-@pytest.mark.parametrize(
-    ("part", "port"),
-    [
-        *[("part", name) for name in ("INT32_MAX", "SIZE_MAX", "int", "NULL", "real", "memcpy", "unix", "s", "held")],
-        *[("int32", "t"), ("int32", "add"), ("real_to", "int32"), ("td", "sin"), ("td", "inline"), ("INT32", "MIN")],
-        *[("prog", name) for name in ("X", "P", "Held", "derivative", "integrate", "along", "step")],
-    ],
-)
-def test_no_name_can_collide_with_what_c_or_the_file_defines(part: str, port: str) -> None:
-    d = Diagram("prog")
-    d.input(port)
-    d.add(part, Named(port), **{port: port})
-    d.add("behind", Named(port), **{port: f"{part}.{port}"})
-    d.output(port, f"behind.{port}")
-    rows = [{port: 0.3 * k} for k in range(4)]
-    machine, reference = build(d, 0.01, optimise="-O0").machine(), Reference(d, 0.01).machine()
-    assert [machine.step(row) for row in rows] == [reference.step(row) for row in rows]
+HOSTILE = [
+    *(("part", name) for name in ("INT32_MAX", "SIZE_MAX", "int", "NULL", "real", "memcpy", "unix", "s", "held")),
+    *(("int32", "t"), ("int32", "add"), ("real_to", "int32"), ("td", "sin"), ("td", "inline"), ("INT32", "MIN")),
+    *(("prog", name) for name in ("X", "P", "Held", "derivative", "integrate", "along", "step")),
+]
+"""Names of a part and of its ports that joined, or alone, mean something; "prog" is the diagram's own name."""
+
+
+def test_no_name_can_collide_with_what_c_or_the_file_defines() -> None:
+    cases = []
+    for number, (part, port) in enumerate(HOSTILE):
+        d = Diagram(f"prog{number}")
+        d.input(port)
+        name = d.name if part == "prog" else part
+        d.add(name, Named(port), **{port: port})
+        d.add("behind", Named(port), **{port: f"{name}.{port}"})
+        d.output(port, f"behind.{port}")
+        cases.append(differential.Case(d, [], [{port: 0.3 * k} for k in range(4)], {}))
+    expected = [differential.reference_run(c, "float64", "rk4") for c in cases]
+    programs = differential.emitted(cases, "float64", "rk4")
+    assert not differential.differences(cases, expected, programs, target.Native(optimise="-O0"))

@@ -228,7 +228,10 @@ def test_without_a_home_a_folder_that_others_can_write_is_not_trusted(
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     own = cache_module.cache_folder()
     assert own.parent == tmp_path
-    assert cache_module.cache_folder() == own
+    target.load(SOURCE, compilers.find_compiler(), "-O0")
     assert own.stat().st_mode & 0o077 == 0
     own.chmod(0o777)
-    assert cache_module.cache_folder() != own
+    before = sorted(own.iterdir())
+    with pytest.warns(RuntimeWarning, match="others may write into this cache"):
+        assert target.load(SOURCE.replace("42", "44"), compilers.find_compiler(), "-O0") is not None
+    assert sorted(own.iterdir()) == before

@@ -18,6 +18,8 @@ from tests.compile import examples
 from twodof.blocks import Diagram
 from twodof.compile import CompiledMachine, CompiledProgram, build
 from twodof.compile.builder import emit_program
+from twodof.compile.c.emitter import emit
+from twodof.compile.program.lower import lower
 from twodof.compile.toolchain import compilers
 from twodof.compile.wasm import engine, module
 from twodof.compile.wasm.binary import PAGE
@@ -92,10 +94,10 @@ def test_a_fault_in_a_run_is_a_fault_too() -> None:
 def test_parameters_stay_where_preparing_them_fails() -> None:
     machine = tampered("p->pendulum_damping =", f"if (p->k == 5.0) {ENDLESS}")
     machine.set_many({"k": 4.0, "pendulum.omega": 3.0})
-    before = machine._p.tobytes()
+    before = machine.instance.structs["P"].tobytes()
     with pytest.raises(ControllerFault, match="loop_prepare"):
         machine.set_many({"pendulum.omega": 2.0, "k": 5.0})
-    assert machine._p.tobytes() == before
+    assert machine.instance.structs["P"].tobytes() == before
     assert (machine.get("k"), machine.get("pendulum.omega")) == (4.0, 3.0)
 
 
@@ -110,13 +112,14 @@ def test_fuel_can_be_given() -> None:
         build(examples.loop(), 0.01, target=Wasm(fuel=0))
 
 
-@pytest.mark.parametrize("optimise", ["-O0", "-O3"])
+@pytest.mark.parametrize("optimise", ["-O0", pytest.param("-O3", marks=pytest.mark.soak)])
 def test_the_fuel_of_a_step_is_a_bound_with_a_wide_margin(optimise: str) -> None:
     """What is counted in the graphs bounds what the compiler makes of them, even if it does not optimise."""
     worst = 0.0
-    for diagram in [*(room(name) for name in ROOMS), examples.loop(), examples.edge(), examples.delay(1000)]:
-        program = build(diagram, 0.004, target="wasm", optimise=optimise)
-        machine: Any = program.machine()
+    diagrams = [*(room(name) for name in ROOMS), examples.loop(), examples.edge(), examples.delay(1000)]
+    programs = emit([lower(d, 0.004) for d in diagrams])
+    for diagram, program, backend in zip(diagrams, programs, Wasm(optimise=optimise).compile(programs), strict=True):
+        machine: Any = CompiledProgram(program, backend).machine()
         instance = machine.instance
         inputs = random_inputs(diagram, 40, 1, True)
         for k in range(40):
@@ -144,7 +147,7 @@ def test_arrays_on_the_memory_outlive_the_machine() -> None:
     def array() -> Any:
         machine = build(examples.delay(1000), 0.01, target="wasm").machine()
         machine.run(1000, {"u": 7.0})
-        return machine._s["ring_ring"]
+        return machine.instance.structs["S"]["ring_ring"]
 
     values = array()
     gc.collect()

@@ -218,7 +218,7 @@ class _Emitter:
             else:
                 writer.line(NEXT_TICK)
             writer.line("s->tick += 1u;")
-            tick.forget_idle_rates()
+            tick.write_due()
 
     def _run(self) -> str:
         p = self.prefix

@@ -108,7 +108,7 @@ class IntegrationEmitter:
             return nullcontext()
         if guard not in self.active:
             stem = "_".join(e.path for e in guard.enables)
-            self.active[guard] = self.held.add(f"{stem[:60]}_active", "bool", None)
+            self.active[guard] = self.held.add(Member(f"{stem[:60]}_active", "bool", None))
         return self.writer.choice("", [f"held->{self.active[guard].name}"])
 
     def _renderer(self, node: Node, roots: Sequence[Expr]) -> Renderer:
@@ -122,7 +122,7 @@ class IntegrationEmitter:
 
         leaf = self.scope.leaf(node, signal, partial(self._state, node), "held->tick")
         if self._tick is None and any(e.op == "tick" for e in walk(roots)):
-            self._tick = self.held.add("tick", "uint32", None, shared=True)
+            self._tick = self.held.add(Member("tick", "uint32", None, shared=True))
         made = self.scope.renderer(self.writer, self.names, leaf, node.path, known)
         if node.guard.always:
             self.renderers[node] = made
@@ -134,17 +134,17 @@ class IntegrationEmitter:
             return f"x->{self.layout.states[node, name].name}"
         if (node, name) not in self._states:
             member = self.layout.states[node, name]
-            self._states[node, name] = self.held.add(member.name, member.kind, member.width)
+            self._states[node, name] = self.held.add(Member(member.name, member.kind, member.width))
         return f"held->{self._states[node, name].name}"
 
     def _capture(self, s: FlatSignal) -> Member:
         if s not in self.captured:
-            self.captured[s] = self.held.add(s.path, s.kind, s.width)
+            self.captured[s] = self.held.add(Member(s.path, s.kind, s.width))
         return self.captured[s]
 
     def _hoist(self, node: Node, e: Expr) -> Member:
         if (node, e) not in self._hoisted:
-            self._hoisted[node, e] = self.held.add(f"{node.path}.held", e.kind, e.width)
+            self._hoisted[node, e] = self.held.add(Member(f"{node.path}.held", e.kind, e.width))
         return self._hoisted[node, e]
 
     def _steady(self, node: Node, roots: Sequence[Expr]) -> list[Expr]:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 
 from twodof.blocks.declarations import Param, Port, State
+from twodof.blocks.diagram import Rate
 from twodof.blocks.expressions.expr import LEAVES, Expr
 from twodof.blocks.expressions.graph import leaves
 from twodof.compile.c.expressions import Renderer, Text, constant
@@ -140,7 +140,8 @@ class TickEmitter:
         self.updated: set[Node] = set()
         self.stored: dict[Node, dict[Expr, str]] = {}  # expressions that stand in S
         self.fractions: dict[FlatSignal, tuple[str, str]] = {}  # edged signal -> names of its fraction and later value
-        self._due: dict[tuple[int, int], str] = {}
+        self._due: dict[Rate, str] = {}
+        self._asked: set[Rate] = set()
         self._tick_signals = {s for g in self.program.tick for a in g.actions for s in a.signals}
 
     def signal(self, signal: FlatSignal) -> str:
@@ -172,30 +173,26 @@ class TickEmitter:
         self.renderers = outside
 
     def due(self) -> None:
-        """Lines that say which rates are due."""
+        """Take names that say which rates are due, and keep their place: here `write_due` writes them."""
         for node in self.program.nodes:
             rate = node.rate
             if rate.divider > 1 and rate not in self._due:
-                if not self._due:
-                    self.writer.line(RATES_DUE)
                 self._due[rate] = self.names.new(f"due_{rate.divider}_{rate.offset}")
-                due = f"s->tick % {rate.divider}u == {rate.offset}u"
-                if rate.divider >= TICKS:  # sub-diagrams multiply their rates
-                    due = f"s->tick == {rate.offset}u" if rate.offset < TICKS else "false"
-                self.writer.line(f"const bool {self._due[rate]} = {due};")
+        self._due_line = len(self.writer.lines)
 
-    def forget_idle_rates(self) -> None:
-        """Take out the lines of rates that nothing asked for."""
-        for name in self._due.values():
-            lines = [i for i, line in enumerate(self.writer.lines) if re.search(rf"\b{name}\b", line)]
-            if len(lines) == 1:
-                del self.writer.lines[lines[0]]
-        asked = "\n".join(self.writer.lines)
-        if self._due and not any(re.search(rf"\b{name}\b", asked) for name in self._due.values()):
-            self.writer.lines = [line for line in self.writer.lines if line.strip() != RATES_DUE]
+    def write_due(self) -> None:
+        """Lines that say of the rates that were asked for whether they are due."""
+        lines = []
+        for rate in (rate for rate in self._due if rate in self._asked):
+            due = f"s->tick % {rate.divider}u == {rate.offset}u"
+            if rate.divider >= TICKS:  # sub-diagrams multiply their rates
+                due = f"s->tick == {rate.offset}u" if rate.offset < TICKS else "false"
+            lines.append(f"    const bool {self._due[rate]} = {due};")
+        self.writer.lines[self._due_line : self._due_line] = [f"    {RATES_DUE}", *lines] if lines else []
 
     def terms(self, guard: Guard) -> tuple[str, list[str]]:
         """The C conditions under which a guard's nodes act: that the rate is due ("" if always), and the enables."""
+        self._asked.add(guard.rate)
         return self._due.get(guard.rate, ""), [self.signal(e) for e in guard.enables]
 
     def outputs(self) -> None:
@@ -222,7 +219,7 @@ class TickEmitter:
                 style = self.scope.style
                 self.writer.line(DISABLED)
                 cleared = style.negation(style.conjunction([self.signal(e) for e in group.guard.clears]))
-                with self.writer.choice(self._due.get(group.guard.rate, ""), [cleared]):
+                with self.writer.choice(self.terms(group.guard)[0], [cleared]):
                     for s in held:
                         self.scope.fill(self.writer, self.signal(s), 0, Port("y", s.kind, s.width))
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 from twodof.blocks.block import Block
@@ -168,6 +169,14 @@ class FlatDiagram:
         self.nodes.append(node)
         return node
 
+    @contextmanager
+    def _reported(self) -> Iterator[None]:
+        """What is refused inside is reported, and left undone."""
+        try:
+            yield
+        except DiagramError as error:
+            self.report(error)
+
     def _trace(self) -> None:
         """Trace every block; one that cannot be is left out, and its outputs are as if given from outside."""
         for node in list(self.nodes):
@@ -184,10 +193,8 @@ class FlatDiagram:
         """Give each node its drivers and each condition its signals; checks types, widths and units."""
         for level in self.levels:
             for name in level.diagram.outputs:
-                try:
+                with self._reported():
                     level.driver(name)
-                except DiagramError as error:
-                    self.report(error)
             for part in level.diagram.parts.values():
                 inner = level.parts.get(part.name)
                 if isinstance(inner, Node):
@@ -204,44 +211,37 @@ class FlatDiagram:
                     inner.condition.reset = self._bool(level, part.reset, inner.path, "reset")
 
     def _driver(self, level: _Level, part: str, port: Port, path: str) -> FlatSignal:
-        try:
-            return self._checked_driver(level, part, port, path)
-        except DiagramError as error:
-            self.report(error)
-            stand_in = FlatSignal(f"{path}.{port.name}", port.name, port.kind, port.width, port.unit)
-            self.unknown.add(stand_in)
-            return stand_in
-
-    def _checked_driver(self, level: _Level, part: str, port: Port, path: str) -> FlatSignal:
         where = f"{path}.{port.name}"
-        source = level.diagram.connections.get((part, port.name))
-        if source is None:
-            raise DiagramError("the input is not connected", where, "connect it")
-        signal = level.resolve(source)
-        if (signal.kind, signal.width) != (port.kind, port.width):
-            raise DiagramError(
-                f"it takes {_shape(port.kind, port.width)} and {signal.path} is {_shape(signal.kind, signal.width)}",
-                where,
-                "convert the signal, or mux and demux it",
-            )
-        if _clash(signal.unit, port.unit):
-            raise DiagramError(
-                f"it takes [{port.unit}] and {signal.path} is in [{signal.unit}]", where, "convert the unit"
-            )
-        return signal
+        with self._reported():
+            source = level.diagram.connections.get((part, port.name))
+            if source is None:
+                raise DiagramError("the input is not connected", where, "connect it")
+            signal = level.resolve(source)
+            if (signal.kind, signal.width) != (port.kind, port.width):
+                raise DiagramError(
+                    f"it takes {_shape(port)} and {signal.path} is {_shape(signal)}",
+                    where,
+                    "convert the signal, or mux and demux it",
+                )
+            if _clash(signal.unit, port.unit):
+                raise DiagramError(
+                    f"it takes [{port.unit}] and {signal.path} is in [{signal.unit}]", where, "convert the unit"
+                )
+            return signal
+        stand_in = FlatSignal(where, port.name, port.kind, port.width, port.unit)
+        self.unknown.add(stand_in)
+        return stand_in
 
     def _bool(self, level: _Level, source: str | None, path: str, what: str) -> FlatSignal | None:
         if not source:
             return None
-        try:
+        with self._reported():
             signal = level.resolve(source)
             if signal.kind != "bool" or signal.width is not None:
                 remedy = "compare the signal with something"
                 raise DiagramError(f"its {what} signal {source!r} is not a bool", path, remedy)
-        except DiagramError as error:
-            self.report(error)
-            return None
-        return signal
+            return signal
+        return None
 
     def _check_base_rate(self) -> None:
         for node in self.nodes:
@@ -271,8 +271,8 @@ def _clash(a: str, b: str) -> bool:
     return bool(a) and bool(b) and a != b
 
 
-def _shape(kind: str, width: int | None) -> str:
-    return kind if width is None else f"{kind}[{width}]"
+def _shape(declared: Port | FlatSignal) -> str:
+    return declared.kind if declared.width is None else f"{declared.kind}[{declared.width}]"
 
 
 def node_of(signal: FlatSignal) -> Node:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from twodof.blocks.declarations import State
 from twodof.compile.c.names import CNames
 from twodof.compile.c.operators import C_TYPES
 from twodof.compile.program.flat_program import FlatParameter, FlatProgram, FlatSignal, Node
@@ -65,20 +64,10 @@ class Struct:
     members: list[Member] = field(default_factory=list)
     names: CNames = field(default_factory=CNames)
 
-    def add(
-        self,
-        stem: str,
-        kind: str,
-        width: int | None,
-        path: str = "",
-        unit: str = "",
-        remark: str = "",
-        shared: bool = False,
-    ) -> Member:
-        """A new member; its name is unique within the struct."""
-        member = Member(self.names.new(stem), kind, width, path, unit, remark, shared)
-        self.members.append(member)
-        return member
+    def add(self, wanted: Member) -> Member:
+        """A new member; its name becomes unique within the struct."""
+        self.members.append(replace(wanted, name=self.names.new(wanted.name)))
+        return self.members[-1]
 
 
 class MemoryLayout:
@@ -93,34 +82,29 @@ class MemoryLayout:
         self.inputs: dict[FlatSignal, Member] = {}
         self.outputs: dict[str, Member] = {}
         self.s.names.taken.add("x")
-        self.tick = self.s.add("tick", "uint32", None, "", "", "base ticks since the start", True)
+        self.tick = self.s.add(Member("tick", "uint32", None, remark="base ticks since the start", shared=True))
         for path, q in program.parameters.items():
             d = q.declared
-            self.parameters[q] = self.p.add(path, d.kind, d.width, path, d.unit, d.text)
+            self.parameters[q] = self.p.add(Member(path, d.kind, d.width, path, d.unit, d.text))
         for node in program.nodes:
             for o in node.block.derived:
                 path = f"{node.path}.{o.name}"
-                self.derived[node, o.name] = self.p.add(path, o.kind, o.width, path, o.unit, "derived")
+                self.derived[node, o.name] = self.p.add(Member(path, o.kind, o.width, path, o.unit, "derived"))
             for state in node.block.states:
-                self.states[node, state.name] = self._state(node, state)
+                path = f"{node.path}.{state.name}"
+                struct = self.x if state.continuous else self.s
+                self.states[node, state.name] = struct.add(Member(path, state.kind, state.width, path, state.unit))
         for group in program.tick:
             for action in group.actions:
                 for signal in action.signals:
                     wide = signal.width is not None and signal.width > WIDEST_LOCAL
                     if not group.guard.always or wide:
                         remark = "work" if group.guard.always else "held"
-                        self.stored[signal] = self.s.add(
-                            signal.path, signal.kind, signal.width, signal.path, signal.unit, remark
-                        )
+                        self.stored[signal] = self.s.add(_member(signal.path, signal, remark))
         for name, signal in program.inputs.items():
-            self.inputs[signal] = self.u.add(name, signal.kind, signal.width, name, signal.unit)
+            self.inputs[signal] = self.u.add(_member(name, signal))
         for path, signal in program.outputs.items():
-            self.outputs[path] = self.y.add(path, signal.kind, signal.width, path, signal.unit)
-
-    def _state(self, node: Node, state: State) -> Member:
-        path = f"{node.path}.{state.name}"
-        struct = self.x if state.continuous else self.s
-        return struct.add(path, state.kind, state.width, path, state.unit)
+            self.outputs[path] = self.y.add(_member(path, signal))
 
     def dtypes(self, precision: str, shape: LaneShape | None = None) -> dict[str, np.dtype[Any]]:
         """The numpy types of P, S, U and Y: their memory is that of the C structs, of one instance or of `shape`'s."""
@@ -133,6 +117,10 @@ class MemoryLayout:
                 places.append(("x", x, word))
             made[name] = _struct_dtype(places)
         return made
+
+
+def _member(path: str, signal: FlatSignal, remark: str = "") -> Member:
+    return Member(path, signal.kind, signal.width, path, signal.unit, remark)
 
 
 def _place(m: Member, precision: str, shape: LaneShape | None) -> tuple[np.dtype[Any], int]:

@@ -33,18 +33,7 @@ def cache_folder() -> Path:
     try:
         return (Path(base) if base else Path.home() / ".cache") / "twodof"
     except RuntimeError:  # no home
-        return _private_folder(Path(tempfile.gettempdir()) / f"twodof-{os.getuid()}")
-
-
-def _private_folder(folder: Path) -> Path:
-    """`folder`, made if it is not there; a fresh one instead if others could have put a library into it."""
-    try:
-        folder.mkdir(mode=0o700, exist_ok=True)
-        found = folder.lstat()
-    except OSError:
-        return Path(tempfile.mkdtemp(prefix="twodof-"))
-    alone = stat.S_ISDIR(found.st_mode) and _ours(found) and not found.st_mode & _OTHERS_WRITE
-    return folder if alone else Path(tempfile.mkdtemp(prefix="twodof-"))
+        return Path(tempfile.gettempdir()) / f"twodof-{os.getuid()}"
 
 
 @contextmanager
