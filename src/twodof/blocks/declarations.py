@@ -132,15 +132,20 @@ def _declared(value: Any, kind: str, width: int | None, name: str) -> list[Any]:
         numeric(value, kind, width, name)
     except OverflowError:
         raise DiagramError(f"{shown(value)} is not a real number", name, "make it smaller") from None
-    given = value.tolist() if isinstance(value, np.ndarray) else value
-    scalars = [*given] if isinstance(given, (list, tuple)) else [given]
-    plain = [one.value if isinstance(one, Integer) else one for one in scalars]
+    plain = _plain(value)
     if kind in _RANGES:  # an integer that is computed wraps around, one that is written down is a slip of the pen
         low, high = _RANGES[kind]
         for one in plain:
             if not fits(one, kind):
                 raise DiagramError(f"{one} is no {kind}", name, f"write a whole number from {low} to {high}")
     return plain
+
+
+def _plain(value: Any) -> list[Any]:
+    """The numbers of a value, or its only one, as they were given."""
+    given = value.tolist() if isinstance(value, np.ndarray) else value
+    scalars = given if isinstance(given, (list, tuple)) else [given]
+    return [one.value if isinstance(one, Integer) else one for one in scalars]
 
 
 def fits(value: int, kind: str) -> bool:
@@ -213,8 +218,7 @@ def check_value(declared: Param, value: Any, path: str) -> Any:
         raise ParameterError(error.what, path, error.remedy) from error
     lowest, highest = _RANGES.get(declared.kind, (-math.inf, math.inf))
     low, high = max(declared.low, lowest), min(declared.high, highest)
-    for given in value if isinstance(value, (list, tuple, np.ndarray)) else (value,):
-        one = given.value if isinstance(given, Integer) else given
+    for one in _plain(value):
         if not low <= one <= high:
             raise ParameterError(outside(one, low, high, declared.unit), path, "choose a value within the bounds")
     return number

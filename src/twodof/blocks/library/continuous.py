@@ -7,10 +7,9 @@ from typing import Any
 
 from twodof.blocks.block import Block, Clock, library_block
 from twodof.blocks.declarations import Param, Port, State
-from twodof.blocks.elementwise import clamp, dot, elementwise, limit_params, reals
+from twodof.blocks.elementwise import clamp, dot, elementwise, limit_params
 from twodof.blocks.expressions.arrays import vector
-from twodof.blocks.library.discrete import MAX_ORDER, LinearStateSpace
-from twodof.errors import DiagramError
+from twodof.blocks.library.discrete import LinearStateSpace, quotient
 
 __all__ = ["FirstOrder", "Integrator", "SecondOrder", "StateSpace", "TransferFunction"]
 
@@ -120,20 +119,8 @@ class TransferFunction(Block):
         initial: Any = 0.0,
         unit: str = "",
     ) -> None:
-        name = "TransferFunction"
-        top = reals(numerator, name, "numerator")
-        bottom = reals(denominator, name, "denominator", 2)
-        if len(top) > len(bottom):
-            raise DiagramError(
-                "the numerator's degree is above the denominator's",
-                name,
-                "a proper transfer function can be computed",
-            )
-        if bottom[0] == 0.0:
-            raise DiagramError("the first coefficient of the denominator is 0", name, "leave zeros out")
+        top, bottom = quotient("TransferFunction", numerator, denominator, least=2)
         self.order = len(bottom) - 1
-        if self.order > MAX_ORDER:
-            raise DiagramError(f"order {self.order}", name, f"the order is at most {MAX_ORDER}")
         self.top = len(top)
         self.direct = self.top == self.order + 1
         self.inputs = [Port("u")]

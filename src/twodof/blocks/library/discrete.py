@@ -104,18 +104,30 @@ class DiscreteDerivative(Block):
         return u.u
 
 
+def quotient(
+    block: str, numerator: Any, denominator: Any, least: int = 1, proper: bool = True
+) -> tuple[list[float], list[float]]:
+    """The coefficients of a transfer function as lists. Raises DiagramError if none can be computed from them."""
+    top, bottom = reals(numerator, block, "numerator"), reals(denominator, block, "denominator", least)
+    if proper and len(top) > len(bottom):
+        raise DiagramError(
+            "the numerator's degree is above the denominator's", block, "a proper transfer function can be computed"
+        )
+    if bottom[0] == 0.0:
+        raise DiagramError("the first coefficient of the denominator is 0", block, "leave zeros out")
+    order = max(len(top), len(bottom)) - 1
+    if order > MAX_ORDER:
+        raise DiagramError(f"order {order}", block, f"the order is at most {MAX_ORDER}")
+    return top, bottom
+
+
 class _Rational(Block):
     """A quotient of polynomials in z^-1, in transposed direct form II; `lead` is how many zeros b begins with."""
 
     def _declare(self, numerator: list[float], denominator: list[float], lead: int, initial: Any, unit: str) -> None:
-        name = type(self).__name__
-        if denominator[0] == 0.0:
-            raise DiagramError("the first coefficient of the denominator is 0", name, "leave zeros out")
         self.lead = lead
         self.order = max(len(denominator) - 1, len(numerator) - 1 + lead, 1)
         self.lengths = len(numerator), len(denominator)
-        if self.order > MAX_ORDER:
-            raise DiagramError(f"order {self.order}", name, f"the order is at most {MAX_ORDER}")
         self.inputs = [Port("u")]
         self.outputs = [Port("y", unit=unit)]
         self.params = [
@@ -167,8 +179,7 @@ class DiscreteFilter(_Rational):
         initial: Any = 0.0,
         unit: str = "",
     ) -> None:
-        top = reals(numerator, "DiscreteFilter", "numerator")
-        bottom = reals(denominator, "DiscreteFilter", "denominator")
+        top, bottom = quotient("DiscreteFilter", numerator, denominator, proper=False)
         self._declare(top, bottom, 0, initial, unit)
 
 
@@ -187,16 +198,8 @@ class DiscreteTransferFunction(_Rational):
         initial: Any = 0.0,
         unit: str = "",
     ) -> None:
-        top = reals(numerator, "DiscreteTransferFunction", "numerator")
-        bottom = reals(denominator, "DiscreteTransferFunction", "denominator")
-        lead = len(bottom) - len(top)
-        if lead < 0:
-            raise DiagramError(
-                "the numerator's degree is above the denominator's",
-                "DiscreteTransferFunction",
-                "a causal transfer function is proper",
-            )
-        self._declare(top, bottom, lead, initial, unit)
+        top, bottom = quotient("DiscreteTransferFunction", numerator, denominator)
+        self._declare(top, bottom, len(bottom) - len(top), initial, unit)
 
 
 class LinearStateSpace(Block):
