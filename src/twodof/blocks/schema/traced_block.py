@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from twodof.blocks.block import SECTIONS, Block, Clock, Trace, leaves_of
-from twodof.blocks.declarations import check_name, fits, located
+from twodof.blocks.declarations import check_name, fits, located, shape
 from twodof.blocks.elementary.functions import FUNCTIONS
 from twodof.blocks.expressions.arrays import vector
 from twodof.blocks.expressions.cost import MAX_LOOP_DEPTH, MAX_SIZE, CostMeter, too_large
@@ -162,67 +162,53 @@ def _node_from(row: Any, made: list[Expr], leaves: Mapping[str, Mapping[str, Exp
     if not all(type(n) is int and 0 <= n < len(made) for n in numbers_):
         raise ValueError("an argument does not stand above it")
     args = [made[n] for n in numbers_]
-    if op == "const":
-        kind, value = data
-        if kind == "real":
-            return const(float.fromhex(value), "real")
-        if kind not in KINDS or type(value) is not (bool if kind == "bool" else int) or not fits(value, kind):
-            raise ValueError("a constant of another type")
-        return const(value, kind)
-    if op in leaves:
-        return leaves[op][data[0]]
-    if op == "tick":
-        return leaf("tick", "tick", "uint32")
-    if op == "dt":
-        if data[0] not in ("dt", "base_dt"):
-            raise ValueError("no such period")
-        return leaf("dt", data[0], "real")
-    if op == "bound":
-        kind, depth, which = data
-        _in_range(depth, MAX_LOOP_DEPTH)
-        _in_range(which, MAX_CARRIED + 1)
-        if kind not in KINDS:
-            raise ValueError("no such type")
-        return node("bound", kind, (), (depth, which))
-    if op == "convert":
-        if data[0] not in KINDS or data[0] == "bool":
-            raise ValueError("no such conversion")
-        return _expr(convert(args[0], data[0]))
-    if op in ("bits", "from_bits"):
-        raise ValueError("bit patterns of reals are not for diagrams")
-    if op == "call":
-        if data[0] not in FUNCTIONS:
-            raise ValueError(f"no function {shown(data[0])}")
-        return _expr(FUNCTIONS[data[0]](*args))
-    if op == "vector":
-        return _expr(vector(args))
-    if op == "build":
-        length, depth = data
-        _in_range(length - 1, MAX_LENGTH)
-        _in_range(depth, MAX_LOOP_DEPTH)
-        (body,) = args
-        if body.width is not None:
-            raise ValueError("an array of arrays")
-        return node("build", body.kind, (body,), (length, depth), length)
-    if op == "fold":
-        length, depth, which = data
-        _in_range(length, MAX_LENGTH)
-        _in_range(depth, MAX_LOOP_DEPTH)
-        half = len(args) // 2
-        if half > MAX_CARRIED:
-            raise ValueError(f"a loop that carries more than {MAX_CARRIED} values")
-        _in_range(which, half)
-        for start, body in zip(args[:half], args[half:], strict=True):
-            if (start.kind, start.width) != (body.kind, body.width) or start.width is not None:
-                raise ValueError("a loop changes a type")
-        return node("fold", args[which].kind, tuple(args), (length, depth, which))
-    return _expr(OPERATIONS[op](*args))
-
-
-def _expr(value: Any) -> Expr:
-    if not isinstance(value, Expr):
-        raise ValueError("no expression")
-    return value
+    found: Expr
+    match [op, *data]:
+        case ["const", "real", value]:
+            found = const(float.fromhex(value), "real")
+        case ["const", kind, value] if kind in KINDS and type(value) is (bool if kind == "bool" else int):
+            if not fits(value, kind):
+                raise ValueError(f"{value} does not fit {kind}")
+            found = const(value, kind)
+        case ["input" | "state" | "param", name]:
+            found = leaves[op][name]
+        case ["tick"]:
+            found = leaf("tick", "tick", "uint32")
+        case ["dt", "dt" | "base_dt" as name]:
+            found = leaf("dt", name, "real")
+        case ["bound", kind, depth, which] if kind in KINDS:
+            _in_range(depth, MAX_LOOP_DEPTH)
+            _in_range(which, MAX_CARRIED + 1)
+            found = node("bound", kind, (), (depth, which))
+        case ["convert", "real" | "int32" | "uint32" as kind]:
+            found = convert(args[0], kind)
+        case ["call", name] if name in FUNCTIONS:
+            found = FUNCTIONS[name](*args)
+        case ["vector"]:
+            found = vector(args)
+        case ["build", length, depth]:
+            _in_range(length - 1, MAX_LENGTH)
+            _in_range(depth, MAX_LOOP_DEPTH)
+            (body,) = args
+            if body.width is not None:
+                raise ValueError("an array of arrays")
+            found = node("build", body.kind, (body,), (length, depth), length)
+        case ["fold", length, depth, which]:
+            _in_range(length, MAX_LENGTH)
+            _in_range(depth, MAX_LOOP_DEPTH)
+            half = len(args) // 2
+            if half > MAX_CARRIED:
+                raise ValueError(f"a loop that carries more than {MAX_CARRIED} values")
+            _in_range(which, half)
+            for start, body in zip(args[:half], args[half:], strict=True):
+                if shape(start) != shape(body) or start.width is not None:
+                    raise ValueError("a loop changes a type")
+            found = node("fold", args[which].kind, tuple(args), (length, depth, which))
+        case [_] if op in OPERATIONS and op != "from_bits":  # bit patterns of reals are not for diagrams
+            found = OPERATIONS[op](*args)
+        case _:
+            raise ValueError("the language has no such operation, function or type")
+    return found
 
 
 def _in_range(value: Any, end: int) -> None:
