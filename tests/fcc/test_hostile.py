@@ -43,7 +43,7 @@ def test_no_frame_stops_the_router_or_makes_it_grow(seed: int, keyed: bool) -> N
         for client in clients:
             ends.router.add(client)
     CompanionComponent(ends.router, ComputerStatus())
-    for number in range(3000):
+    for number in range(2000):
         ends.now += chance.random() * 0.02
         if chance.random() < 0.5:
             ends.router.from_client(chance.choice(ends.clients), hostile(chance))

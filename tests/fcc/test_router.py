@@ -3,7 +3,7 @@
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.fcc.ends import SYSTEM, Ends, frame, names
@@ -16,6 +16,7 @@ IDENTITIES = [(250, 190), (250, 191), (255, 190), (245, 190), (9, 1)]
 SPEAKERS = st.lists(st.tuples(st.integers(0, 2), st.sampled_from(IDENTITIES)), max_size=12)
 
 
+@settings(max_examples=40)
 @given(SPEAKERS, st.sampled_from([*IDENTITIES, (250, 0), (9, 0), (77, 1)]))
 def test_an_answer_reaches_exactly_those_it_is_addressed_to(
     spoken: list[tuple[int, tuple[int, int]]], to: tuple[int, int]
@@ -172,6 +173,7 @@ def test_parameters_and_logs_go_to_who_asked_and_changes_to_all() -> None:
     assert names(ends.heard(first)) == names(ends.heard(second)) == ["PARAM_VALUE"]
 
 
+@settings(max_examples=40)
 @given(st.lists(st.sampled_from(["ATTITUDE", "STATUSTEXT", "lost", "LOCAL_POSITION_NED"]), max_size=60))
 def test_what_was_thinned_out_does_not_count_as_lost_and_what_was_lost_does(events: list[str]) -> None:
     ends = Ends("ground")

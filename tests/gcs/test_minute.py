@@ -32,7 +32,7 @@ SLOWER = {
 
 @pytest.mark.waits
 @pytest.mark.parametrize(
-    "seconds", [4.0, pytest.param(60.0, marks=pytest.mark.soak), pytest.param(600.0, marks=pytest.mark.soak)]
+    "seconds", [2.5, pytest.param(60.0, marks=pytest.mark.soak), pytest.param(600.0, marks=pytest.mark.soak)]
 )
 def test_all_topics_are_recorded_without_a_gap(seconds: float, tmp_path: Path) -> None:
     file = tmp_path / "flight.mcap"

@@ -38,13 +38,9 @@ def profile(name: str) -> Mapping[int, int]:
     """Message id -> interval [us] (EVERY, or 1 and more) of the rates called `name`. Raises LinkError if none are."""
     if name not in _RATES:
         raise LinkError(f"no rates {shown(name)}", "companion", f"there are {listed(PROFILES)}")
-    thinned = {number: interval(rate) for number, rate in _RATES[name].items() if number not in _PASSED}
+    rates = {number: rate for number, rate in _RATES[name].items() if number not in _PASSED}
+    thinned = {number: round(1e6 / rate) if rate > 0.0 else EVERY for number, rate in rates.items()}
     return dict.fromkeys(map(dialect.message_id, _OWN), EVERY) | thinned
-
-
-def interval(rate: float) -> int:
-    """The interval [us] of a rate [Hz]; EVERY for 0."""
-    return round(1e6 / rate) if rate > 0.0 else EVERY
 
 
 def group(number: int) -> tuple[int, ...] | None:

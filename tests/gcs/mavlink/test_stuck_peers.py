@@ -260,7 +260,7 @@ def test_one_that_answers_wrongly_for_long(tmp_path: Path, lockstep: bool) -> No
 
 
 @pytest.mark.parametrize("lockstep", [False, True])
-@pytest.mark.parametrize("seed", [1, 4])
+@pytest.mark.parametrize("seed", [1])
 def test_one_that_answers_wrongly(tmp_path: Path, lockstep: bool, seed: int) -> None:
     """Any field of any message after the first heartbeat may hold anything: every call still ends, in time."""
     chance = random.Random(seed)

@@ -99,7 +99,8 @@ class DroneSession:
         self._sought: int | None = None
         self.heard_at = self._last_heard = self._awake = self._loop.time()
         """When the vehicle was heard last, by the loop's clock [s]."""
-        self._lost: LinkLost | None = None
+        self.lost: LinkLost | None = None
+        """Why the vehicle cannot be reached any more, None while it can."""
         self._handlers: dict[str | type, list[Handler]] = {}
         self._listeners: list[MessageListener] = []
         self._tasks = [self._loop.create_task(work) for work in (self._receive(), self._beat())]
@@ -122,11 +123,6 @@ class DroneSession:
     def deadline(self, seconds: float, doing: str) -> Deadline:
         """A deadline for something that is asked of the vehicle."""
         return Deadline(seconds, doing, f"drone {self.system}")
-
-    @property
-    def lost(self) -> LinkLost | None:
-        """Why the vehicle cannot be reached any more, None while it can."""
-        return self._lost
 
     async def find(self, system: int | None, timeout: float) -> None:
         """Wait for a vehicle's heartbeat and stay with it; `system` says which, None: the first that is heard.
@@ -241,7 +237,7 @@ class DroneSession:
     def check(self, since: float) -> None:
         """Raise LinkLost if the vehicle is lost; `since` is when the caller began to wait."""
         self._woke()
-        if self._lost is None and self.system:
+        if self.lost is None and self.system:
             heard = max(self._last_heard, since) if self.lockstep else self._last_heard
             if self.now - heard > SILENT_S:
                 self.end(
@@ -251,7 +247,7 @@ class DroneSession:
 
     def must_stand(self) -> None:
         """Raise LinkLost if the vehicle is known to be lost; any thread may ask."""
-        lost = self._lost
+        lost = self.lost
         if lost is not None:
             raise LinkLost(lost.what, lost.where, lost.remedy)
 
@@ -261,7 +257,7 @@ class DroneSession:
         How long is counted from our own last word: for so long the drone has heard nothing of us.
         """
         paused = self.now - self._awake
-        if paused > HEARTBEAT_S + SLACK_S and self._lost is None:
+        if paused > HEARTBEAT_S + SLACK_S and self.lost is None:
             self._last_heard = min(self.now, self._last_heard + paused - HEARTBEAT_S)
             self._awake = self.now
             if paused > SILENT_S:
@@ -333,7 +329,7 @@ class DroneSession:
 
     def end(self, reason: LinkLost) -> None:
         """The vehicle is lost: every call that waits or comes later raises `reason`; the first one stays."""
-        if self._lost is None:
-            self._lost = reason
+        if self.lost is None:
+            self.lost = reason
         for heard in self._listeners:
             heard.wake()
