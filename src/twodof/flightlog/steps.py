@@ -39,6 +39,31 @@ _LOGGED = sorted(
 """The signals that a step tells, in the order of a log's channels; the open-loop messages are events."""
 
 
+class OpenLoopMessages:
+    """The open-loop messages of a flight: where the loop opens, closes or M steps, and 50 a second while it is open.
+
+    The steps of a flight may come in several parts.
+    """
+
+    def __init__(self) -> None:
+        self._was, self._before, self._count = False, 0.0, 0
+
+    def sent(
+        self, mode: NDArray[Any], M: NDArray[np.float64], T: NDArray[np.float64]
+    ) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+        """In which of the next steps (n,) there is a message, and the messages (m, 5); none where M or T is NaN."""
+        opened = mode == OPEN_LOOP
+        changed = np.diff(opened.astype(np.int8), prepend=self._was) != 0
+        stepped = opened & (np.append(self._before, M[:-1]) != M)
+        number = self._count + np.cumsum(opened)
+        due = opened & (number % MESSAGE_PERIOD == 1)
+        if len(M):
+            self._was, self._before, self._count = bool(opened[-1]), float(M[-1]), int(number[-1])
+        sent = (changed | stepped | due) & np.isfinite(M) & np.isfinite(T)
+        flag = opened[sent].astype(np.float64)
+        return sent, np.column_stack([M[sent] * flag, T[sent] * flag, flag, flag, flag])
+
+
 def step_channels(
     tick: NDArray[np.int64], out: Mapping[str, NDArray[Any]], mode: NDArray[np.int32]
 ) -> dict[str, Channel]:
@@ -109,11 +134,5 @@ def _channel(name: str, time: NDArray[np.float64], values: NDArray[Any]) -> Chan
 
 
 def _messages(time: NDArray[np.float64], out: Mapping[str, NDArray[Any]], mode: NDArray[np.int32]) -> Channel:
-    """The open-loop messages: at 50 Hz while the loop is open, and one that closes it."""
-    opened = mode == OPEN_LOOP
-    changed = np.flatnonzero(np.diff(opened.astype(np.int8), prepend=0) != 0)
-    stepped = np.flatnonzero(opened & (out["M"] != np.append(0.0, out["M"][:-1])))
-    steps = np.union1d(np.union1d(changed, stepped), np.flatnonzero(opened)[::MESSAGE_PERIOD]).astype(np.intp)
-    flag = opened[steps].astype(np.float64)
-    values = np.column_stack([out["M"][steps] * flag, out["T"][steps] * flag, flag, flag, flag])
-    return _channel("lmnf", time[steps], values)
+    sent, values = OpenLoopMessages().sent(mode, out["M"], out["T"])
+    return _channel("lmnf", time[sent], values)

@@ -19,7 +19,7 @@ from twodof.flightlog.append_only_file import Acknowledged
 from twodof.flightlog.mcap.encoder import Attachment
 from twodof.flightlog.mcap.topic_stream import McapStream
 from twodof.flightlog.recorder import Recorder
-from twodof.flightlog.steps import BOOT, MESSAGE_PERIOD, shift
+from twodof.flightlog.steps import BOOT, OpenLoopMessages, shift
 from twodof.gcs.control.active_controller import ActiveController, ParameterChanges
 from twodof.gcs.drone_base import DroneBase
 from twodof.gcs.mavlink.clock import OLDEST_TICKS
@@ -28,7 +28,7 @@ from twodof.gcs.telemetry.decoding import DECODERS, Decoded, columns_of
 from twodof.gcs.telemetry.status_texts import StatusText
 from twodof.link.control_period import TICK_S, TICK_US
 from twodof.link.mavlink.messages import batch_rows, channel_mask
-from twodof.signals import OPEN_LOOP, TOPICS, Topic, topic
+from twodof.signals import TOPICS, Topic, topic
 
 SAFETY = McapStream(
     "/safety",
@@ -45,6 +45,7 @@ TOGETHER = 32
 MOST_TRUTHS = 1024
 """True states that are known to have come: of four seconds."""
 _EVENTS = "openloop"
+_TOLD_BY = ("state.mode", "command.M", "command.T")
 _LATEST_US = 1 << 52
 _LATEST_S = 4e9
 BATTERY_TICKS = 125
@@ -84,7 +85,7 @@ class Recording:
         self._truths: dict[int, None] = {}  # times [us] of the true states that came last
         self._true: list[tuple[int, list[float]]] = []  # those that wait, and what they are of
         self._true_fields = [row.name.split(".")[1] for row in self.topics if not row.onboard]
-        self._open = _Open()
+        self._open = OpenLoopMessages()
         self._names = frozenset(row.name for row in self.topics)
         self._time = 0.0  # the drone's, of the telemetry that came last [s]
         self._newest = 0  # tick of the drone
@@ -127,7 +128,7 @@ class Recording:
         """A TWODOF_RIG: where the drone's time began again, what follows is stamped behind what was recorded before."""
         if got.tick + OLDEST_TICKS <= self._newest:
             self.write()
-            self._shift, self._newest, self._open = self._last + 1, got.tick, _Open()
+            self._shift, self._newest, self._open = self._last + 1, got.tick, OpenLoopMessages()
 
     def write(self) -> None:
         """Hands on what waits."""
@@ -174,10 +175,10 @@ class Recording:
                 there &= ticks % BATTERY_TICKS == 0
             if there.any():
                 self._put(row.name, stamps(row.mat, ticks[there]), some[there])
-        if self._with_events and all(name in columns for name in _Open.COLUMNS):
-            at, rows = self._open.messages(ticks, *(values[:, columns[name]] for name in _Open.COLUMNS))
-            if len(at):
-                self._put(_EVENTS, stamps("lmnf", at), rows)
+        if self._with_events and all(name in columns for name in _TOLD_BY):
+            sent, rows = self._open.sent(*(values[:, columns[name]] for name in _TOLD_BY))
+            if len(rows):
+                self._put(_EVENTS, stamps("lmnf", ticks[sent]), rows)
 
     def safety(self, got: Any) -> None:
         """A TWODOF_SAFETY."""
@@ -233,34 +234,6 @@ class Recording:
             self.recorder.note("changes", [list(row) for row in self._changes.rows])
         finally:
             self.recorder.close()
-
-
-class _Open:
-    """The open-loop messages of a flight, as the drone's own logs have them: from the moments that were flown.
-
-    One where the loop opens, closes or M steps, and 50 a second while it is open (flightlog.steps does it for a whole
-    flight at once).
-    """
-
-    COLUMNS = ("state.mode", "command.M", "command.T")
-
-    def __init__(self) -> None:
-        self._was, self._before, self._count = False, 0.0, 0
-
-    def messages(
-        self, ticks: NDArray[np.int64], mode: NDArray[np.float64], M: NDArray[np.float64], T: NDArray[np.float64]
-    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Ticks (m,) and messages (m, 5) of rows (n,) that follow those before."""
-        opened = mode == OPEN_LOOP
-        changed = np.diff(opened.astype(np.int8), prepend=self._was) != 0
-        stepped = opened & (np.append(self._before, M[:-1]) != M)
-        number = self._count + np.cumsum(opened)
-        due = opened & (number % MESSAGE_PERIOD == 1)
-        if len(ticks):
-            self._was, self._before, self._count = bool(opened[-1]), float(M[-1]), int(number[-1])
-        sent = (changed | stepped | due) & np.isfinite(M) & np.isfinite(T)
-        flag = opened[sent].astype(np.float64)
-        return ticks[sent], np.column_stack([M[sent] * flag, T[sent] * flag, flag, flag, flag])
 
 
 def safety_row(got: Any) -> tuple[int, int, int]:
