@@ -44,13 +44,13 @@ class CortexM7:
         return [CortexM7Backend(program, processor, index) for index, program in enumerate(programs)]
 
 
+@dataclass(frozen=True, eq=False)
 class CortexM7Backend:
     """A program in an image: number `index` of those that `processor` can run."""
 
-    def __init__(self, program: EmittedProgram, processor: Processor, index: int) -> None:
-        self.program = program
-        self.processor = processor
-        self.index = index
+    program: EmittedProgram
+    processor: Processor
+    index: int
 
     def instance(self) -> CortexM7Instance:
         """A fresh instance, its structs zero."""

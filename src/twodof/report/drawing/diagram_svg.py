@@ -230,9 +230,7 @@ def _frame(part: Part, diagram: Diagram, shown: Drawing) -> BlockSymbol:
             texts.append(SymbolText(7.0, height + 14.0, what, 11.0, "start", "italic"))
             height += 18.0
     shapes = [f'<rect class="frame" width="{width:g}" height="{height:g}" rx="6"/>', *wires]
-    made = BlockSymbol(Box(width, height, left, right, "", part.position), shapes, texts, part.name)
-    made.heads = [True] * len(left)
-    return made
+    return BlockSymbol(Box(width, height, left, right, "", part.position), shapes, texts, part.name)
 
 
 def _flips(
@@ -264,7 +262,7 @@ def _written(drawing: Drawing) -> list[str]:
         unit = f" [{port.unit}]" if port is not None and port.unit else ""
         lines.append(f'<path class="{wire_class(port)}" d="{_path(wire)}"><title>{escape(name + unit)}</title></path>')
         for box, pin in net.sinks:
-            if drawing.symbols[box].heads[pin]:
+            if not drawing.symbols[box].own_heads:
                 x, y = drawing.placed.corners[box]
                 lines.append(arrow(x, y + drawing.symbols[box].box.left[pin], 1, 0))
     lines += [f'<circle class="joint" cx="{x:g}" cy="{y:g}" r="2.6"/>' for x, y in drawing.placed.joints]

@@ -47,14 +47,14 @@ class SymbolText:
 class BlockSymbol:
     """A drawing at the origin: `shapes` are SVG elements without user's text, `texts` stand inside the box.
 
-    `heads` tells for each left pin whether the wire ends there with an arrow (else the drawing has its own).
+    With `own_heads` the drawing has the arrows at which wires end; else they end at its left pins.
     """
 
     box: Box
     shapes: list[str] = field(default_factory=list)
     texts: list[SymbolText] = field(default_factory=list)
     title: str = ""
-    heads: list[bool] = field(default_factory=list)
+    own_heads: bool = False
 
 
 def terminal(name: str, side: str, remark: str) -> BlockSymbol:
@@ -68,11 +68,8 @@ def terminal(name: str, side: str, remark: str) -> BlockSymbol:
     if small:
         texts.append(SymbolText(15.0 + text_width(label, NAME, True), middle + 3.5, small, SMALL, "start", "soft"))
     left, right = ([], [middle]) if side == "in" else ([middle], [])
-    symbol = BlockSymbol(
-        Box(width, TERMINAL, left, right, side), [f'<path class="terminal" d="{point}"/>'], texts, name
-    )
-    symbol.heads = [True] * len(left)
-    return symbol
+    shape = f'<path class="terminal" d="{point}"/>'
+    return BlockSymbol(Box(width, TERMINAL, left, right, side), [shape], texts, name)
 
 
 def symbol(part: Part, flip: bool = False) -> BlockSymbol:
@@ -83,7 +80,6 @@ def symbol(part: Part, flip: bool = False) -> BlockSymbol:
     else:
         made = _subdiagram(part, item)
     made.box.wish = part.position
-    made.heads = made.heads or [True] * len(made.box.left)
     return made
 
 
@@ -196,7 +192,7 @@ def _labelled(part: Part, block: Block, width: float) -> BlockSymbol:
         for ports, x1, x2 in ((block.inputs, 0.0, left), (block.outputs, wide - left, wide)):
             for port in ports:
                 made.shapes.append(f'<path class="{wire_class(port)}" d="M{x1:g} {middle:g}H{x2:g}"/>')
-        made.heads = [False] * len(block.inputs)
+        made.own_heads = True
         made.shapes += [arrow(left, middle, 1, 0)] * len(block.inputs)
     return made
 
@@ -226,7 +222,7 @@ def _sum(part: Part, block: Any, flip: bool) -> BlockSymbol | None:
     foot = y + RADIUS + (14.0 if below else 0.0)
     heights = {"l": y, "t": y - RADIUS - 12.0, "b": foot}
     made = BlockSymbol(Box(width, foot + 15.0, [heights[p] for p in places], [y]), [], [], part.name)
-    made.heads = [False] * len(places)
+    made.own_heads = True
     made.shapes.append(f'<path class="wire" d="M{x + RADIUS:g} {y:g}H{width:g}"/>')
     for p, sign in zip(places, signs, strict=True):
         mark = "+" if sign == "+" else "−"

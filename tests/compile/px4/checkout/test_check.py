@@ -14,7 +14,7 @@ import pytest
 from tests.compile.px4.modules import PITCH_LOG, pitch
 from tests.patience import PATIENCE_S
 from twodof.compile.px4 import export
-from twodof.compile.px4.checkout.check import _NEEDED, ERROR, WARNING, CheckoutFindings, check
+from twodof.compile.px4.checkout.check import ERROR, NEEDED, WARNING, CheckoutFindings, check
 from twodof.compile.px4.checkout.source_tree import SourceTree
 from twodof.compile.px4.checkout.versions import Px4Version, parse_version
 from twodof.compile.px4.topics import FIELDS
@@ -52,7 +52,7 @@ def git(root: Path, *arguments: str) -> None:
 def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A tree with everything that is looked at in PX4, in a git repository with the tag v1.16.1."""
     root = tmp_path_factory.mktemp("source") / "PX4"
-    for path in _NEEDED:
+    for path in NEEDED:
         put(root, path)
     put(root, "CMakeLists.txt", 'project(px4)\nset(EXTERNAL_MODULES_LOCATION "" CACHE STRING "")\n')
     put(root, "Makefile")

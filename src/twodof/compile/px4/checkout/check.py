@@ -20,7 +20,7 @@ ERROR, WARNING = "error", "warning"
 
 # What any PX4 has, and then what the module is built with.
 _LANDMARKS = ("CMakeLists.txt", "Makefile", "src/modules", "msg", "platforms/common", "cmake", "ROMFS")
-_NEEDED = (
+NEEDED = (
     "cmake/px4_add_module.cmake",
     "platforms/common/include/px4_platform_common/atomic.h",
     "platforms/common/include/px4_platform_common/log.h",
@@ -141,7 +141,7 @@ def _some(paths: list[str]) -> str:
 
 def _checked_out(tree: SourceTree, missing: list[str]) -> Iterator[CheckoutFinding]:
     root = tree.root
-    missing = missing + [path for path in _NEEDED if not tree.has(path)]
+    missing = missing + [path for path in NEEDED if not tree.has(path)]
     if missing:
         yield _error(f"is half checked out: {', '.join(missing)} missing", root, "run git checkout -f in it")
     listed = tree.submodules
