@@ -188,7 +188,7 @@ def test_a_log_without_checksums_says_so(tmp_path: Path) -> None:
 def test_this_finds_what_it_is_for(whole: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
     """Without checksums of tables and descriptions, as before, false values come through."""
     monkeypatch.setattr("twodof.flightlog.mcap.decoder.unchecked", lambda _, rows: ({**rows}, True))
-    found, _ = silent(cut(whole), ((at, 1) for at in range(8, whole.index(b"d.json"))))
+    found, _ = silent(cut(whole), ((at, 1) for at in range(8, whole.index(b"d.json"), 3)))
     assert len(found) > 10
 
 

@@ -59,9 +59,8 @@ class Channel:
     name: str = ""
 
     def __post_init__(self) -> None:
-        time = _floats(self.time, f"{self.name or 'channel'}.time")
-        value = _floats(self.value, f"{self.name or 'channel'}.value")
         where = self.name or "channel"
+        time, value = _floats(self.time, f"{where}.time"), _floats(self.value, f"{where}.value")
         if time.ndim != 1 or value.ndim not in (1, 2) or len(value) != len(time):
             what = f"shapes do not match: time {time.shape}, value {value.shape}"
             raise LogError(what, where, "time is (n,), value (n,) or (n, k)")

@@ -9,7 +9,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -46,6 +46,7 @@ def test_real_logs_survive_a_tour_of_all_formats(flight_data: Path, tmp_path: Pa
 
 
 @pytest.mark.parametrize("format", [(write_csv, read_csv), (write_parquet, read_parquet)])
+@settings(max_examples=40)
 @given(value=arrays(float, (7, 2), elements=st.floats(allow_nan=False, allow_infinity=False)))
 def test_every_finite_number_survives(
     tmp_path_factory: pytest.TempPathFactory, format: tuple[Callable, Callable], value: np.ndarray

@@ -219,8 +219,9 @@ def test_a_log_that_ends_in_a_message(tmp_path: Path) -> None:
         path.write_bytes(whole[:size])
         log = read_ulog(path)
         assert len(log["theta"]) in (3, 4)
-        assert recover(path).samples == sum(len(channel) for channel in log.channels.values())
-        assert recover(path).lost_bytes == log.provenance.get("lost_bytes", 0)
+        found = recover(path)
+        assert found.samples == sum(len(channel) for channel in log.channels.values())
+        assert found.lost_bytes == log.provenance.get("lost_bytes", 0)
 
 
 def test_rubbish_behind_what_was_acknowledged(tmp_path: Path) -> None:

@@ -215,8 +215,15 @@ def test_listening_is_on_loopback_unless_asked_otherwise() -> None:
         async with await open_transport("udp://:0") as one, await open_transport("tcp://:0") as two:
             assert isinstance(one, UdpTransport)
             assert isinstance(two, TcpTransport)
-            assert one._socket.getsockname()[0] == "127.0.0.1"
-            assert [listening.getsockname()[0] for listening in two._listening] == ["127.0.0.1"]
+            # Another address of this machine, which a socket that is open to all answers at.
+            with socket.socket(type=socket.SOCK_DGRAM) as sender:
+                sender.connect(("127.0.0.2", one.port))
+                sender.settimeout(SOON)
+                sender.send(b"x")
+                with pytest.raises(ConnectionRefusedError):
+                    sender.recv(1)
+            with pytest.raises(ConnectionRefusedError):
+                socket.create_connection(("127.0.0.2", two.port), SOON)
 
     run(work())
 

@@ -156,20 +156,19 @@ class _Walk:
 
     def _other(self, letter: str, body: bytes, at: int) -> None:
         try:
-            if letter == "B":
-                self._flags(body)
-            elif letter == "F":
-                self._format(body)
-            elif letter in "IP":
-                self._value(letter, body)
-            elif letter == "A":
-                self._added(body)
-            elif letter == "L":
-                self._text(body, 9)
-            elif letter == "C":
-                self._text(body, 11)
-            elif letter == "O" and len(body) == 2 and len(self.found.dropouts_ms) < MAX_DROPOUTS:
-                self.found.dropouts_ms.append(int.from_bytes(body, "little"))
+            match letter:
+                case "B":
+                    self._flags(body)
+                case "F":
+                    self._format(body)
+                case "I" | "P":
+                    self._value(letter, body)
+                case "A":
+                    self._added(body)
+                case "L" | "C":
+                    self._text(body, 9 if letter == "L" else 11)
+                case "O" if len(body) == 2 and len(self.found.dropouts_ms) < MAX_DROPOUTS:
+                    self.found.dropouts_ms.append(int.from_bytes(body, "little"))
         except LogError as reason:
             if not self.salvage or self.budget.spent:
                 raise
