@@ -66,7 +66,7 @@ def test_a_head_that_never_reached_the_disk_is_no_success(
 ) -> None:
     whole, acknowledged = recording
     path = tmp_path / "a.mcap"
-    for size in range(acknowledged[0][0] + 1):
+    for size in [*range(0, acknowledged[0][0], 5), acknowledged[0][0]]:
         path.write_bytes(whole[:size])
         with pytest.raises(LogError, match=r"a\.mcap"):
             recover(path)
@@ -120,7 +120,7 @@ def test_blocks_that_reached_the_disk_in_any_order(recording: tuple[bytes, list[
 def test_damage_in_the_middle_costs_one_chunk(recording: tuple[bytes, list[tuple[int, int]]], tmp_path: Path) -> None:
     whole, acknowledged = recording
     (start, before), (end, after) = acknowledged[6], acknowledged[7]
-    for at in range(start, end):
+    for at in range(start, end, 3):
         data = bytearray(whole)
         data[at] ^= 0x55
         contents = scan(bytes(data), "a.mcap", salvage=True)
