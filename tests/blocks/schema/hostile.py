@@ -184,7 +184,7 @@ def too_large(share: int) -> dict[str, tuple[bytes, str]]:
         ),
         "a table as long as a file may be": (library("playback", values=[1] * 2_500_000), "more than 100000 numbers"),
         "a matrix of 90,000 numbers": (library("matrix_gain", K=[[1] * 300] * 300), "more than 1000000 operations"),
-        "a delay of wide samples": (library("delay", samples=4, width=70_000), "too many operations"),
+        "a delay of wide samples": (library("delay", samples=4, width=70_000 // share), "operations"),
         "wide arrays side by side": (library("concatenate", widths=[150_000] * 3), "too many operations"),
         "100,000 inputs": (
             custom(inputs=[{"name": "u"}, *({"name": f"u{k}"} for k in range(100_000 // share))]),
