@@ -277,10 +277,6 @@ class Prbs(_Held):
     def pattern(self) -> float:
         return ((1 << self.order) - 1) * _us(self.clock) / 1e6
 
-    @property
-    def peak(self) -> float:
-        return abs(self.amplitude)
-
 
 @dataclass(frozen=True)
 class Sweep(Excitation):

@@ -81,12 +81,7 @@ class Gains:
 
     def to_json(self) -> dict[str, Any]:
         """The form `from_json` reads."""
-        return {
-            "rate": list(self.rate),
-            "attitude": self.attitude,
-            "velocity": list(self.velocity),
-            "position": self.position,
-        }
+        return {name: list(value) if isinstance(value, tuple) else value for name, value in vars(self).items()}
 
     @classmethod
     def from_json(cls, data: object, where: str = "gains") -> Self:

@@ -2,7 +2,8 @@
 
 import functools
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from operator import itemgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +40,7 @@ class RecordSimulator:
         self._substeps = structure.substeps
         self._steps = record.steps * structure.substeps
         self._inputs = {name: np.repeat(record.inputs[name], structure.substeps) for name in structure.inputs}
-        self._at = {name: _Sampler(record.outputs[name].position, record.steps) for name in self.outputs}
+        self._at = {name: _sampler(record.outputs[name].position, record.steps) for name in self.outputs}
 
     def run(self, values: Mapping[str, float]) -> dict[str, Array]:
         """Outputs at their samples' times for the parameters `values`; those not named keep their last value."""
@@ -52,23 +53,19 @@ class RecordSimulator:
         return {name: self._at[name](simulated[name][:: self._substeps]) for name in self.outputs}
 
 
-class _Sampler:
+def _sampler(position: Array, steps: int) -> Callable[[Array], Array]:
     """Picks values of a simulated output at given positions, linearly between steps."""
+    index = np.minimum(np.floor(position).astype(np.int64), max(steps - 2, 0))
+    share = position - index
+    first = int(index[0])
+    if np.array_equal(position, np.arange(first, first + position.size)):
+        return itemgetter(slice(first, first + position.size))
 
-    def __init__(self, position: Array, steps: int) -> None:
-        self._slice: slice | None = None
-        whole = np.minimum(np.floor(position).astype(np.int64), max(steps - 2, 0))
-        self._index = whole
-        self._share = position - whole
-        first = int(whole[0])
-        if np.array_equal(position, np.arange(first, first + position.size)):
-            self._slice = slice(first, first + position.size)
+    def between(y: Array) -> Array:
+        left = y[index]
+        return np.asarray(left + share * (y[index + 1] - left))
 
-    def __call__(self, y: Array) -> Array:
-        if self._slice is not None:
-            return y[self._slice]
-        left = y[self._index]
-        return np.asarray(left + self._share * (y[self._index + 1] - left))
+    return between
 
 
 def program_of(structure: Structure, dt: float) -> CompiledProgram | Reference:

@@ -24,26 +24,13 @@ from twodof.signals import PERIOD
 
 # A change of the initial state or of an offset that matters, for step sizes and for telling "no effect" from "small".
 _SCALES: Mapping[str, float] = {
-    "theta_0": 0.1,
+    **dict.fromkeys(("theta_0", "x_0", "v_0", "u_0", "a_x_bias", "curve", "asymmetry"), 0.1),
+    **dict.fromkeys(("theta_trim", "theta_bias", "x_bias", "v_bias", "u_bias"), 0.02),
+    **dict.fromkeys(("M_trim", "q_trim"), 0.01),
+    **dict.fromkeys(("q_bias", "xi"), 0.05),
+    **dict.fromkeys(("tau", "rotor_delay"), 0.004),
     "q_0": 1.0,
-    "x_0": 0.1,
-    "v_0": 0.1,
-    "u_0": 0.1,
-    "M_trim": 0.01,
-    "theta_trim": 0.02,
-    "theta_bias": 0.02,
-    "q_bias": 0.05,
-    "q_trim": 0.01,
-    "x_bias": 0.02,
-    "v_bias": 0.02,
-    "u_bias": 0.02,
-    "a_x_bias": 0.1,
-    "tau": 0.004,
-    "xi": 0.05,
-    "rotor_delay": 0.004,
-    "curve": 0.1,
     "coulomb": 0.2,
-    "asymmetry": 0.1,
     "hardening": 2.0,
 }
 

@@ -14,24 +14,11 @@ from twodof.rig.rotors import lift
 from twodof.signals import HOVER, Q_AGE
 
 CONDITIONS = frozenset(
-    {
-        "rings",
-        "ring_place",
-        "theta_start",
-        "q_start",
-        "x_start",
-        "v_start",
-        "wake_start",
-        "charge_start",
-        "tof_phase",
-        "noise",
-        "seed",
-        "trim",
-        "rail_force",
-        "acc_bias",
-        "gyro_bias",
-        "tof_bias",
-    }
+    (
+        *(f"{name}_start" for name in ("theta", "q", "x", "v", "wake", "charge")),
+        *(f"{name}_bias" for name in ("acc", "gyro", "tof")),
+        *("rings", "ring_place", "rail_force", "trim", "tof_phase", "noise", "seed"),
+    )
 )
 """Parameters of the rig diagram that belong to one flight (how it starts, trims and biases), not to the machine."""
 

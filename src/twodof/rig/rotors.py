@@ -8,6 +8,8 @@ from twodof.blocks.elementary.functions import exp
 from twodof.blocks.noise import normal
 from twodof.signals import HOVER
 
+PAIRS = ("fore", "aft")
+
 RING = 64
 """Ticks that the command ring keeps; the longest pure delay is two less."""
 
@@ -61,10 +63,8 @@ class Rotors(Block):
         Port("per_hover"),
     )
     states = (
-        State("fore", continuous=True),
-        State("aft", continuous=True),
-        State("fore_ring", width=RING),
-        State("aft_ring", width=RING),
+        *(State(pair, continuous=True) for pair in PAIRS),
+        *(State(f"{pair}_ring", width=RING) for pair in PAIRS),
         State("place", 0, "int32"),
         State("wake", "wake_start"),
     )
@@ -88,13 +88,8 @@ class Rotors(Block):
         older = (x.place - p.whole - 1) & int32(RING - 1)
         return ring[back] + p.fraction * (ring[older] - ring[back])
 
-    def _speeds(self, x: Any, p: Any) -> tuple[Any, Any]:
-        fore = where(p.direct, self._delayed(x.fore_ring, x, p), x.fore)
-        aft = where(p.direct, self._delayed(x.aft_ring, x, p), x.aft)
-        return fore, aft
-
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        fore, aft = self._speeds(x, p)
+        fore, aft = (where(p.direct, self._delayed(x[f"{pair}_ring"], x, p), x[pair]) for pair in PAIRS)
         up_fore, up_aft = lift(fore, p.curve) * u.supply, lift(aft, p.curve) * u.supply
         total = up_fore + up_aft
         load = total * p.per_hover
@@ -107,20 +102,18 @@ class Rotors(Block):
         }
 
     def derivative(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return {
-            "fore": (self._delayed(x.fore_ring, x, p) - x.fore) * p.per_lag,
-            "aft": (self._delayed(x.aft_ring, x, p) - x.aft) * p.per_lag,
-        }
+        return {pair: (self._delayed(x[f"{pair}_ring"], x, p) - x[pair]) * p.per_lag for pair in PAIRS}
 
     def project(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return {"fore": where(x.fore < STILL, 0.0, x.fore), "aft": where(x.aft < STILL, 0.0, x.aft)}
+        return {pair: where(x[pair] < STILL, 0.0, x[pair]) for pair in PAIRS}
 
     def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         load = self.output(u, x, p, t)["load"]
         wake = x.wake + p.wake_step * (load - x.wake)
         return {
-            "fore_ring": store(x.fore_ring, x.place, maximum(0.0, minimum(1.0, u.fore))),
-            "aft_ring": store(x.aft_ring, x.place, maximum(0.0, minimum(1.0, u.aft))),
+            **{
+                f"{pair}_ring": store(x[f"{pair}_ring"], x.place, maximum(0.0, minimum(1.0, u[pair]))) for pair in PAIRS
+            },
             "place": (x.place + 1) & int32(RING - 1),
             "wake": where(wake < STILL, 0.0, wake),
         }

@@ -135,7 +135,7 @@ def test_an_integral_outside_the_closed_loops_does_not_wind_up() -> None:
 
 
 def test_the_sum_in_float32_stays_where_the_double_sum_is() -> None:
-    n = 6000
+    n = 3000
     q0 = (1.0 + noise(n, 7)).astype(np.float32).astype(np.float64)
     out = machine("float32").run(n, {"mode": RATE, "q0": q0})
     exact = np.array([math.fsum(out["rate.increment"][: k + 1].tolist()) for k in range(0, n, 100)])

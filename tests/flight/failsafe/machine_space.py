@@ -25,12 +25,14 @@ STRANGE = (-1, 7, 99)
 """States that do not exist, as a flipped bit could make them."""
 
 
+TIMERS = (*range(6), 24, -3)
+"""Every count up to beyond the bounds, and what a flipped bit could make of one."""
+
+
 @functools.cache
-def cases() -> dict[str, Array]:
-    """Every state, real or not, with every count up to beyond the bounds and every vector of flags."""
-    return combinations(
-        state=(*range(len(STATES)), *STRANGE), timer=(*range(6), 24, -3), own_failed=(False, True), **flags(*FLAGS)
-    )
+def cases(timers: tuple[int, ...] = TIMERS) -> dict[str, Array]:
+    """Every state, real or not, with each count and every vector of flags."""
+    return combinations(state=(*range(len(STATES)), *STRANGE), timer=timers, own_failed=(False, True), **flags(*FLAGS))
 
 
 def meant(state: int, timer: int, own_failed: bool, now: Mapping[str, bool], limits: Mapping[str, int]) -> list[Any]:
@@ -80,10 +82,10 @@ COLUMNS = (
 
 
 @functools.cache
-def meant_table(level_ticks: int, descent_ticks: int) -> dict[str, Array]:
+def meant_table(level_ticks: int, descent_ticks: int, timers: tuple[int, ...] = TIMERS) -> dict[str, Array]:
     """`meant` in all `cases`, for these bounds."""
     limits = {"level_ticks": level_ticks, "descent_ticks": descent_ticks}
-    columns = {name: column.tolist() for name, column in cases().items()}
+    columns = {name: column.tolist() for name, column in cases(timers).items()}
     flag_rows = zip(*(columns[name] for name in FLAGS), strict=True)
     rows = [
         meant(state, timer, failed, dict(zip(FLAGS, now, strict=True)), limits)
