@@ -93,6 +93,13 @@ def predict(
     to be (default: the structure's guesses). `repeats`: how often the experiment is flown; local unknowns, one value a
     flight, gain nothing from it. Raises IdentificationError as `fit` does, for unknowns the experiment cannot tell.
     """
+    for output, size in noise.items():
+        if output not in structure.outputs or not size > 0.0:
+            raise IdentificationError(
+                f"noise {size} for '{output}' is not a positive number for an output of the structure",
+                f"structure '{structure.name}'",
+                f"outputs: {', '.join(structure.outputs)}",
+            )
     record = _blank(structure, inputs, dt, tuple(noise))
     wanted = structure.estimate if estimate is None else tuple(estimate)
     problem = Problem(structure, [record], wanted, dict(values or {}), {})

@@ -110,10 +110,9 @@ class Rotors(Block):
     def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         load = self.output(u, x, p, t)["load"]
         wake = x.wake + p.wake_step * (load - x.wake)
+        asked = {pair: maximum(0.0, minimum(1.0, u[pair])) for pair in PAIRS}
         return {
-            **{
-                f"{pair}_ring": store(x[f"{pair}_ring"], x.place, maximum(0.0, minimum(1.0, u[pair]))) for pair in PAIRS
-            },
+            **{f"{pair}_ring": store(x[f"{pair}_ring"], x.place, asked[pair]) for pair in PAIRS},
             "place": (x.place + 1) & int32(RING - 1),
             "wake": where(wake < STILL, 0.0, wake),
         }
