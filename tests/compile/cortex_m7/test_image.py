@@ -52,7 +52,7 @@ def test_the_second_time_no_compiler_runs(cache: Path, monkeypatch: pytest.Monke
         image(ADD, optimise="-O1")
 
 
-@pytest.mark.parametrize("name", COMPILERS)
+@pytest.mark.parametrize("name", ["gcc", pytest.param("zig", marks=pytest.mark.soak)])
 def test_code_of_five_megabytes_does_not_fit(name: str) -> None:
     if name == "gcc":
         need("arm-none-eabi-gcc")
