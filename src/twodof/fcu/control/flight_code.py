@@ -32,14 +32,14 @@ INPUTS = (
 )
 """What the flight code is given, in the order in which `FlightCode.step` gives it."""
 
-OWN = tuple(name for name, _, _, _ in OWN_INPUTS)
-"""What it is given behind that, of a user's controllers outside."""
+USER_INPUTS = tuple(name for name, _, _, _ in OWN_INPUTS)
+"""What it is given behind that: the commands of a user's controllers in the sandbox."""
 
 PATHS: Mapping[str, str] = MappingProxyType({row.name: row.path for row in FLIGHT_PARAMETERS})
 """Where each of `parameters.FLIGHT_PARAMETERS` stands in the flight code, by its name on the wire."""
 
 _CASCADE, _RESERVE = "cascade.", "stock."
-_OWN = tuple(f"{'' if kind == MOTOR.name else _CASCADE}{kind}." for kind in TEMPLATES)
+_USER_PATHS = tuple(f"{'' if kind == MOTOR.name else _CASCADE}{kind}." for kind in TEMPLATES)
 """Where the controllers of a user stand."""
 _LIMITS = MappingProxyType({name: f"failsafe.safe.{name}_limit" for name in ("x0", "v0", "theta0", "q0")})
 
@@ -111,11 +111,11 @@ class FlightCode:
             raise CompileError("there is no C compiler", "flight", "install gcc, or the wheel ziglang")
         self.machine: CompiledMachine = program.machine()
         self._stepper = Stepper(
-            self.machine, (*INPUTS, *(OWN if outside else ())), (*OUTPUTS, *(("own",) if outside else ()))
+            self.machine, (*INPUTS, *(USER_INPUTS if outside else ())), (*OUTPUTS, *(("own",) if outside else ()))
         )
         self.user_parameters: tuple[UserParameters, ...] = user_parameters(self.controllers)
-        self._own_values: dict[str, Any] = {}
-        self._own = False
+        self._user_values: dict[str, Any] = {}
+        self._user_flies = False
         self._armed = False
         self._limits: dict[str, float] = {}
         self._read_limits()
@@ -136,13 +136,13 @@ class FlightCode:
         else:
             if self.sandbox.rests and not self._armed and self.sandbox.wakes():
                 self.sandbox.resume(self._states())
-            own = self.sandbox.step(sample, self._limited(asked), asked.in_reset or not self._own)
-            late, fore, aft, moment, thrust = own[:5]
-            *flown, self._own = self._stepper.step(
+            user = self.sandbox.step(sample, self._limited(asked), asked.in_reset or not self._user_flies)
+            late, fore, aft, moment, thrust = user[:5]
+            *flown, self._user_flies = self._stepper.step(
                 (*measured, *asked, rings, step_late, late, True, fore, aft, moment, thrust)
             )
-            if self._own and not late:
-                flown[_USED] = own[5:]  # the set-points in use are those of who flies
+            if self._user_flies and not late:
+                flown[_USED] = user[5:]  # the set-points in use are those of who flies
             outputs = tuple(flown)
         step = ControlStep(tick, sample, asked, *outputs)
         if self._armed and not step.armed and self._stopped:
@@ -155,7 +155,7 @@ class FlightCode:
         self.machine.reset()
         for path, value in (states or {}).items():
             self.machine.set_state(path, value)
-        self._own = self._armed = False
+        self._user_flies = self._armed = False
         self._revive()
 
     def set_parameters(self, values: Mapping[str, Any]) -> None:
@@ -169,14 +169,14 @@ class FlightCode:
         paths = {_path(name): value for name, value in values.items()}
         paths = {path: _of_kind(known[path].kind, value) if path in known else value for path, value in paths.items()}
         outside = self.sandbox.machine.parameters if self.sandbox is not None else {}
-        own = {path: value for path, value in paths.items() if path.startswith(_OWN) and path in outside}
+        user = {path: value for path, value in paths.items() if path.startswith(_USER_PATHS) and path in outside}
         reserve = {
             f"{_RESERVE}{path.removeprefix(_CASCADE)}": value
             for path, value in paths.items()
             if path.startswith(_CASCADE)
         }
         replaced = set(PATHS.values()) - known.keys()  # gains of a loop that a user's controller replaces
-        inside = {path: value for path, value in paths.items() if path not in replaced and path not in own}
+        inside = {path: value for path, value in paths.items() if path not in replaced and path not in user}
         inside |= {path: value for path, value in reserve.items() if path in known}
         before = {path: self.machine.get(path) for path in inside if path in known}
         self.machine.set_many(inside)
@@ -186,7 +186,7 @@ class FlightCode:
             except ParameterError:
                 self.machine.set_many(before)
                 raise
-            self._own_values |= own
+            self._user_values |= user
             if self._stopped and not self._armed:
                 self._revive()
         self._read_limits()
@@ -194,7 +194,7 @@ class FlightCode:
     def parameter(self, name: str) -> Any:
         """The present value of a parameter, by either name. Raises ParameterError for one that is not there."""
         path = _path(name)
-        if self.sandbox is not None and path.startswith(_OWN) and path in self.sandbox.machine.parameters:
+        if self.sandbox is not None and path.startswith(_USER_PATHS) and path in self.sandbox.machine.parameters:
             return self.sandbox.machine.get(path)
         if path not in self.machine.parameters and path.startswith(_CASCADE):
             path = f"{_RESERVE}{path.removeprefix(_CASCADE)}"
@@ -208,7 +208,7 @@ class FlightCode:
         old = other.machine
         known = self.machine.parameters
         self.machine.set_many(
-            {path: old.get(path) for path in old.parameters if path in known and not path.startswith(_OWN)}
+            {path: old.get(path) for path in old.parameters if path in known and not path.startswith(_USER_PATHS)}
         )
         for path in old.program.states:
             if path in self.machine.program.states:
@@ -229,7 +229,7 @@ class FlightCode:
         if self.sandbox is not None:
             machine = self.machine
             self.sandbox.restart(
-                {path: machine.get(path) for path in machine.parameters} | self._own_values,
+                {path: machine.get(path) for path in machine.parameters} | self._user_values,
                 self._states(),
             )
 

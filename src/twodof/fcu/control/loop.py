@@ -65,16 +65,11 @@ class LoopTiming:
 
 
 class ControlInputSource(Protocol):
-    """Says what the flight code must fly: the commander."""
+    """Says what the flight code must fly in a tick, sees what became of it, and begins again at 0: the commander."""
 
-    def control_input(self, tick: int) -> ControlInput:
-        """What is asked for in this tick."""
-
-    def seen(self, step: ControlStep) -> None:
-        """What became of it."""
-
-    def restart(self) -> None:
-        """Time begins again at tick 0."""
+    def control_input(self, tick: int) -> ControlInput: ...
+    def seen(self, step: ControlStep) -> None: ...
+    def restart(self) -> None: ...
 
 
 class TimeRestarted(NamedTuple):

@@ -32,7 +32,7 @@ class Pacer:
         self._timer: int | None = None
         self._loop = asyncio.get_running_loop()
         if sys.platform == "linux":
-            self._timer = _open_timer()
+            self._timer = _timer("create", time.CLOCK_MONOTONIC, _NONBLOCK | _CLOEXEC)
             self._loop.add_reader(self._timer, self._fired)
 
     async def wait(self) -> int:
@@ -44,7 +44,9 @@ class Pacer:
         if not self._begin:
             self._begin = time.monotonic_ns()
             if self._timer is not None:
-                _set_timer(self._timer, self._begin + self.period_ns, self.period_ns)
+                times = (divmod(at, 10**9) for at in (self.period_ns, self._begin + self.period_ns))
+                setting = _Setting(*(_Time(*parts) for parts in times))
+                _timer("settime", self._timer, _ABSOLUTE, ctypes.byref(setting), None)
         due = self._due()
         while due <= 0:
             self._waiter = self._loop.create_future()
@@ -97,16 +99,10 @@ class _Setting(ctypes.Structure):
 _NONBLOCK, _CLOEXEC, _ABSOLUTE = os.O_NONBLOCK, getattr(os, "O_CLOEXEC", 0), 1
 
 
-def _open_timer() -> int:
-    libc = ctypes.CDLL(None, use_errno=True)
-    number = libc.timerfd_create(time.CLOCK_MONOTONIC, _NONBLOCK | _CLOEXEC)
-    if number < 0:
-        raise LinkError(f"the system gives no timer: {os.strerror(ctypes.get_errno())}", "pacing", "end other programs")
-    return int(number)
-
-
-def _set_timer(number: int, first_ns: int, period_ns: int) -> None:
-    libc = ctypes.CDLL(None, use_errno=True)
-    setting = _Setting(_Time(*divmod(period_ns, 10**9)), _Time(*divmod(first_ns, 10**9)))
-    if libc.timerfd_settime(number, _ABSOLUTE, ctypes.byref(setting), None):
-        raise LinkError(f"the system sets no timer: {os.strerror(ctypes.get_errno())}", "pacing", "report this")
+def _timer(call: str, *given: object) -> int:
+    """Calls timerfd_create or timerfd_settime of the system."""
+    made = int(getattr(ctypes.CDLL(None, use_errno=True), f"timerfd_{call}")(*given))
+    if made < 0:
+        what = f"the system gives no timer: timerfd_{call}: {os.strerror(ctypes.get_errno())}"
+        raise LinkError(what, "pacing", "end other programs")
+    return made

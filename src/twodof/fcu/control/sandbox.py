@@ -77,22 +77,24 @@ class Sandbox:
         self.program = program
         self.timed = False
         self.late_steps = 0
+        self._renew()
+
+    def _renew(self) -> None:
         self.fault = ""
         self._spent = self._pause = self._rest = self._good = 0
         self._tries = False
-        self.machine = program.machine()
+        self.machine = self.program.machine()
         self._stepper = Stepper(self.machine, INPUTS, OUTPUTS)
+
+    def _known(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Those of `values` that it has."""
+        return {path: value for path, value in values.items() if path in self.machine.parameters}
 
     def restart(self, parameters: Mapping[str, Any], states: Mapping[str, Any]) -> None:
         """A fresh instance with these parameters and states by path, as far as it has them; `fault` if it cannot be."""
-        self.fault = ""
-        self._spent = self._pause = self._rest = self._good = 0
-        self._tries = False
         try:
-            self.machine = self.program.machine()
-            self._stepper = Stepper(self.machine, INPUTS, OUTPUTS)
-            known = self.machine.parameters
-            self.machine.set_many({path: value for path, value in parameters.items() if path in known})
+            self._renew()
+            self.machine.set_many(self._known(parameters))
             self._begin(states)
         except ControllerFault as fault:
             self.fault = str(fault)
@@ -114,8 +116,8 @@ class Sandbox:
             self._begin(states)
         except ControllerFault as fault:
             self.fault = str(fault)
-            return
-        self._tries = True
+        else:
+            self._tries = True
 
     def _begin(self, states: Mapping[str, Any]) -> None:
         self.machine.reset()  # a state may begin at a parameter
@@ -129,10 +131,9 @@ class Sandbox:
         Raises ParameterError for a value that cannot be. Where derived parameters cannot be computed it has stopped:
         `fault` says so.
         """
-        known = self.machine.parameters
         began = time.thread_time_ns() if self.timed else 0
         try:
-            self.machine.set_many({path: value for path, value in values.items() if path in known})
+            self.machine.set_many(self._known(values))
         except ControllerFault as fault:
             self.fault = self.fault or str(fault)
         self._spent += time.thread_time_ns() - began if self.timed else 0

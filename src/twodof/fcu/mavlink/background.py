@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable
+from pathlib import Path
 from queue import SimpleQueue
 
 from twodof.errors import TwodofError
@@ -13,6 +14,13 @@ MOST_WAITING = 64
 
 Work = Callable[[], object]
 Done = Callable[[object], None]
+
+
+def read_block(path: Path, at: int, size: int) -> bytes:
+    """At most `size` bytes of a file from `at`. Raises OSError."""
+    with path.open("rb") as file:
+        file.seek(at)
+        return file.read(size)
 
 
 class _Attempt:

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from typing import Any, Protocol
 
+from twodof.fcu.command.result import CommandResult, Source
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.link.connection import Received
+
+Take = Callable[[Source, str], CommandResult]
+"""Says whether a source may command; what it wanted is named in a refusal."""
+Explain = Callable[[Hashable, str], None]
+"""Tells a peer in words why something was refused."""
 
 
 class Link(Protocol):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import stat
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -57,14 +58,10 @@ class LogFolder:
             raise LogError(f"cannot be listed: {refusal.strerror}", str(self.path), "see that it is there") from refusal
         for path in paths:
             match = _NAME.fullmatch(path.name)
-            if match is None:
-                continue
-            try:
+            with suppress(OSError):
                 seen = path.lstat()
-            except OSError:
-                continue
-            if stat.S_ISREG(seen.st_mode):
-                found.append(StoredLog(int(match[1]), path, seen.st_size, int(seen.st_mtime)))
+                if match is not None and stat.S_ISREG(seen.st_mode):
+                    found.append(StoredLog(int(match[1]), path, seen.st_size, int(seen.st_mtime)))
         return sorted(found, key=lambda log: log.number)
 
     def next_path(self) -> Path:

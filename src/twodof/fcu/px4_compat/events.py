@@ -80,7 +80,6 @@ class EventService(Service):
         return True
 
     def after(self, step: ControlStep) -> None:
-        """Tells of what has changed."""
         self._step, self._tick = step, step.tick
         action = 0 if step.state in _AT_REST else step.action
         if action != self._action:
@@ -104,7 +103,6 @@ class EventService(Service):
             self.report(again=False)
 
     def restart(self) -> None:
-        """Time begins anew at tick 0; the numbers go on."""
         self._step, self._tick, self._armed, self._action = None, 0, False, 0
 
     def _denied(self, denied: ArmingDenied) -> None:

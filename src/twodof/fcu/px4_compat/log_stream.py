@@ -14,11 +14,10 @@ from pathlib import Path
 from twodof.fcu.command.result import DONE, CommandResult, Source, denied, rejected
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.mavlink.addressing import VehicleAddress, source, whole
-from twodof.fcu.mavlink.background import BackgroundWorker
+from twodof.fcu.mavlink.background import BackgroundWorker, read_block
 from twodof.fcu.mavlink.commands.command_service import CommandService, ReceivedCommand
-from twodof.fcu.mavlink.files.log_download import Take
 from twodof.fcu.mavlink.paced_sender import PacedSender
-from twodof.fcu.mavlink.service import Link, Service
+from twodof.fcu.mavlink.service import Link, Service, Take
 from twodof.fcu.onboard_log.logger import OnboardLogger
 from twodof.flightlog.ulog.fragments import MOST, ULogFragment, ULogFragments
 from twodof.link.connection import Received
@@ -190,11 +189,5 @@ class LogStreamService(Service):
             if over and not found and stream is self._stream and stream.pieces.waiting < MOST:
                 self._end("the log that was streamed has ended")
 
-        if not self._background.submit(lambda: _block(path, stream.read), ready):
+        if not self._background.submit(lambda: read_block(path, stream.read, BLOCK), ready):
             stream.reading = False
-
-
-def _block(path: Path, at: int) -> bytes:
-    with path.open("rb") as file:
-        file.seek(at)
-        return file.read(BLOCK)

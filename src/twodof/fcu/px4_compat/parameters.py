@@ -17,6 +17,7 @@ LOG_ALWAYS, LOG_BOOT, LOG_ARMED, LOG_NEVER = 2, 1, 0, -1
 """Values of SDLOG_MODE: from the start on, from the start to the first disarming, while armed, only on request."""
 SIMULATED_IMU, SIMULATED_MAG = 1310988, 197388
 """What PX4 in simulation calls its sensors; an id of 0 is a sensor that was never calibrated."""
+_LOGGED = "on-board log: 0 while armed, 1 from the start to disarming, 2 from the start on, -1 on request"
 _UNUSED = "; kept, acts on nothing here"
 
 
@@ -30,6 +31,10 @@ def _kept(
     name: str, default: float, low: float, high: float, unit: str, text: str, kind: Kind = "int32", group: str = "PX4"
 ) -> VehicleParameter:
     return VehicleParameter(name, default, low, high, unit, text + _UNUSED, kind=kind, group=group, acts=False)
+
+
+def _logging(name: str, default: float, low: float, high: float, text: str) -> VehicleParameter:
+    return VehicleParameter(name, default, low, high, "", text, kind="int32", group="Log", disarmed=True)
 
 
 def px4_rows(system: int) -> tuple[VehicleParameter, ...]:
@@ -59,28 +64,8 @@ def px4_rows(system: int) -> tuple[VehicleParameter, ...]:
         _fixed("SENS_DPRES_OFF", 0, "there is no airspeed sensor", "float", "Pa", "Sensors"),
         _fixed("TRIG_MODE", 0, "there is no camera"),
         _fixed("UAVCAN_ENABLE", 0, "there is no CAN bus"),
-        VehicleParameter(
-            "SDLOG_MODE",
-            LOG_ARMED,
-            LOG_NEVER,
-            LOG_ALWAYS,
-            "",
-            "on-board log: 0 while armed, 1 from the start to disarming, 2 from the start on, -1 on request",
-            kind="int32",
-            group="Log",
-            disarmed=True,
-        ),
-        VehicleParameter(
-            "SDLOG_DIRS_MAX",
-            100,
-            1,
-            1000,
-            "",
-            "most logs that are kept on board; the oldest go first",
-            kind="int32",
-            group="Log",
-            disarmed=True,
-        ),
+        _logging("SDLOG_MODE", LOG_ARMED, LOG_NEVER, LOG_ALWAYS, _LOGGED),
+        _logging("SDLOG_DIRS_MAX", 100, 1, 1000, "most logs that are kept on board; the oldest go first"),
         _kept("BAT_LOW_THR", 0.15, 0.05, 0.5, "norm", "low charge; see SAFE_BAT_LOW", "float", "Battery"),
         _kept("BAT_CRIT_THR", 0.07, 0.03, 0.5, "norm", "critical charge; see SAFE_BAT_CRIT", "float", "Battery"),
         _kept("BAT_EMERGEN_THR", 0.05, 0.02, 0.5, "norm", "charge of emergency; see SAFE_BAT_CRIT", "float", "Battery"),

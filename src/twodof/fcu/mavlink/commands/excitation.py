@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
+from collections.abc import Hashable
 from math import isnan
 from typing import Any, NamedTuple
 
@@ -13,7 +13,7 @@ from twodof.fcu.command.result import CommandResult, Source, denied
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.mavlink.addressing import VehicleAddress, source
 from twodof.fcu.mavlink.background import BackgroundWorker
-from twodof.fcu.mavlink.service import Link, Service
+from twodof.fcu.mavlink.service import Explain, Link, Service
 from twodof.fcu.mavlink.wire_tick import MASK_32, acts_at
 from twodof.link.connection import Received
 from twodof.link.mavlink.messages import ExcitationReceiver, message
@@ -40,9 +40,7 @@ class ExcitationService(Service):
     Writing a definition out may take a second: it is done beside the control loop, but in lockstep, where time waits.
     """
 
-    def __init__(
-        self, link: Link, us: VehicleAddress, commander: Commander, tell: Callable[[Hashable, str], None]
-    ) -> None:
+    def __init__(self, link: Link, us: VehicleAddress, commander: Commander, tell: Explain) -> None:
         self._link = link
         self._us = us
         self._commander = commander
@@ -64,7 +62,6 @@ class ExcitationService(Service):
         return bool(name in ("TWODOF_EXCITE", "TWODOF_EXCITE_STATUS"))
 
     def after(self, step: ControlStep) -> None:
-        """Tells of each change, and how far it has come while it plays."""
         self._tick = step.tick
         self._background.poll()
         player = self._commander.excitation.player

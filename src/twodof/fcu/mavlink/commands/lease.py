@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Hashable
 
 from twodof.fcu.command.commander import Commander
 from twodof.fcu.command.result import CommandResult, Source
 from twodof.fcu.mavlink.addressing import VehicleAddress, source
-from twodof.fcu.mavlink.service import Link, Service
+from twodof.fcu.mavlink.service import Explain, Link, Service
 from twodof.link.connection import Received
 from twodof.link.control_period import TICK_MS
 from twodof.link.mavlink.components import NO_AUTOPILOT
@@ -26,9 +25,7 @@ IDLE_TICKS = 250
 class LeaseService(Service):
     """Tells the commander of every frame, and answers TWODOF_LEASE to who asks; the state goes out as telemetry."""
 
-    def __init__(
-        self, link: Link, us: VehicleAddress, commander: Commander, tell: Callable[[Hashable, str], None]
-    ) -> None:
+    def __init__(self, link: Link, us: VehicleAddress, commander: Commander, tell: Explain) -> None:
         self._link = link
         self._us = us
         self._lease = commander.lease

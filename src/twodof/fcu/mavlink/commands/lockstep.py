@@ -12,7 +12,7 @@ from twodof.fcu.command.result import DONE, CommandResult, denied, unsupported
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.control.loop import FlightController
 from twodof.fcu.mavlink.addressing import VehicleAddress, source
-from twodof.fcu.mavlink.service import Link, Service
+from twodof.fcu.mavlink.service import Explain, Link, Service
 from twodof.fcu.mavlink.wire_tick import MASK_32, meant
 from twodof.link.connection import Received
 from twodof.link.mavlink.messages import message
@@ -45,7 +45,7 @@ class LockstepService(Service):
         us: VehicleAddress,
         controller: FlightController,
         commander: Commander,
-        tell: Callable[[Hashable, str], None],
+        tell: Explain,
         rig: Callable[[int], Any],
     ) -> None:
         self._link = link
@@ -68,7 +68,6 @@ class LockstepService(Service):
         return True
 
     def after(self, step: ControlStep) -> None:
-        """Answers the grants that have run."""
         while self._waiting and self._controller.tick >= self._waiting[0].until:
             grant = self._waiting.pop(0)
             self._answer(grant.number, grant.peer)

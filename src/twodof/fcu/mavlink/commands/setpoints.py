@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Hashable
+from collections.abc import Callable
 from typing import Any
 
 from twodof.fcu.command.commander import Commander
@@ -11,7 +11,7 @@ from twodof.fcu.command.result import CommandResult, Source, denied
 from twodof.fcu.command.setpoints import SetPoint
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.mavlink.addressing import VehicleAddress, source
-from twodof.fcu.mavlink.service import Service
+from twodof.fcu.mavlink.service import Explain, Service
 from twodof.fcu.mavlink.wire_tick import acts_at, acts_at_ms
 from twodof.link.connection import Received
 from twodof.link.mavlink.setpoints import SetpointTarget, read_attitude, read_position
@@ -33,7 +33,7 @@ class SetpointService(Service):
     acts at once.
     """
 
-    def __init__(self, us: VehicleAddress, commander: Commander, tell: Callable[[Hashable, str], None]) -> None:
+    def __init__(self, us: VehicleAddress, commander: Commander, tell: Explain) -> None:
         self._us = us
         self._commander = commander
         self._tell = tell

@@ -14,14 +14,13 @@ from collections.abc import Callable, Hashable
 from contextlib import suppress
 
 from twodof.errors import TwodofError
-from twodof.fcu.command.result import CommandResult, Source
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.mavlink.addressing import VehicleAddress, source
 from twodof.fcu.mavlink.background import BackgroundWorker
 from twodof.fcu.mavlink.files.file_tree import MAX_UPLOAD, FileFault, FileTree, OpenFile
 from twodof.fcu.mavlink.files.ftp_client import BURST_BYTES, MOST_WAITING, FtpClient, FtpSession, burst_packets
 from twodof.fcu.mavlink.paced_sender import PacedSender, shares
-from twodof.fcu.mavlink.service import Link, Service
+from twodof.fcu.mavlink.service import Explain, Link, Service, Take
 from twodof.link.connection import Received
 from twodof.link.mavlink.ftp import MOST_DATA, FtpError, FtpOperation, FtpPacket, packed, read_packet
 
@@ -52,9 +51,6 @@ MOST_UPLOADING = 2
 
 UPLOAD_S = 30.0
 """An upload of which nothing came for so long makes room for another: who sent it may be gone without a word."""
-
-Take = Callable[[Source, str], CommandResult]
-Explain = Callable[[Hashable, str], None]
 
 
 class FileTransfer(Service):

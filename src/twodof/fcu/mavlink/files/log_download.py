@@ -8,15 +8,14 @@ client asks again for what got lost. Another thread reads the file, which is sen
 from __future__ import annotations
 
 from collections import OrderedDict, deque
-from collections.abc import Callable, Hashable
+from collections.abc import Hashable
 
 from twodof.errors import LogError
-from twodof.fcu.command.result import CommandResult, Source
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.mavlink.addressing import VehicleAddress, source
-from twodof.fcu.mavlink.background import BackgroundWorker
+from twodof.fcu.mavlink.background import BackgroundWorker, read_block
 from twodof.fcu.mavlink.paced_sender import PacedSender, shares
-from twodof.fcu.mavlink.service import Link, Service
+from twodof.fcu.mavlink.service import Explain, Link, Service, Take
 from twodof.fcu.onboard_log.log_folder import StoredLog
 from twodof.fcu.onboard_log.logger import OnboardLogger
 from twodof.link.connection import Received
@@ -30,9 +29,6 @@ BLOCK = 512 * PART
 MOST_READERS = 16
 A_TICK, A_TICK_ARMED = 32, 4
 """LOG_DATA and LOG_ENTRY that are sent in a control period, to all clients: .7 MB/s, and little while it flies."""
-
-Take = Callable[[Source, str], CommandResult]
-Explain = Callable[[Hashable, str], None]
 
 
 class DownloadClient:
@@ -87,13 +83,11 @@ class LogDownload(Service):
         return True
 
     def after(self, step: ControlStep) -> None:
-        """Goes on with what is being sent."""
         self._armed = step.armed
         self._background.poll()
         self._pump.tick()
 
     def gone(self, peer: Hashable) -> None:
-        """Forgets a peer whose link has closed."""
         self._readers.pop(peer, None)
 
     def _reader(self, peer: Hashable) -> DownloadClient:
@@ -163,9 +157,9 @@ class LogDownload(Service):
 
     def _erase(self, received: Received) -> None:
         peer = received.peer
-        verdict = self._take_lease(source(received), "logs")
-        if not verdict.accepted:
-            self._explain(peer, verdict.text)
+        taken = self._take_lease(source(received), "logs")
+        if not taken.accepted:
+            self._explain(peer, taken.text)
             return
 
         def erased(result: object) -> None:
@@ -229,11 +223,5 @@ class LogDownload(Service):
                 reader.log = None
                 self._explain(reader.peer, f"log {reader.number} cannot be read: {found or 'it is shorter now'}")
 
-        if not self._background.submit(lambda: _block(log, at), ready):
+        if not self._background.submit(lambda: read_block(log.path, at, BLOCK), ready):
             reader.wanted = -1
-
-
-def _block(log: StoredLog, at: int) -> bytes:
-    with log.path.open("rb") as file:
-        file.seek(at)
-        return file.read(BLOCK)
