@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.fcu.command.cockpit import ME, OTHER, Cockpit, Rig, armed
@@ -334,6 +334,7 @@ FIELDS = ("amplitude", "width", "period", "step", "levels", "hold", "clock", "or
 MORE_FIELDS = ("length", "law", "harmonics", "amplitudes", "phases", "unit", "lead", "settle", "pause", "repeat")
 
 
+@settings(max_examples=40)
 @given(
     base=st.sampled_from(ONE_OF_EACH),
     damage=st.dictionaries(st.sampled_from((*FIELDS, *MORE_FIELDS, "kind", "version", "else")), JSON | ODD, max_size=4),
@@ -350,6 +351,7 @@ def test_any_damage_to_a_definition_gives_a_definition_or_an_error_with_a_reason
     assert len(prepared.values) <= 900_000
 
 
+@settings(max_examples=40)
 @given(data=st.binary(max_size=300))
 def test_rubbish_is_refused(data: bytes) -> None:
     with pytest.raises(ExperimentError):

@@ -27,6 +27,11 @@ def source(received: Received) -> Source:
     return received.frame.system, received.frame.component
 
 
+def target(sender: Source) -> dict[str, int]:
+    """The fields of an answer that name who asked."""
+    return {"target_system": sender[0], "target_component": sender[1]}
+
+
 def whole(value: float, default: int = 0) -> int:
     """The nearest whole number of a command's parameter; `default` for NaN, infinity and what exceeds 2^31."""
     return round(value) if isfinite(value) and abs(value) < 2**31 else default

@@ -17,7 +17,7 @@ from twodof.fcu.command.commander import Commander
 from twodof.fcu.command.result import Source
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.control.loop import FlightController
-from twodof.fcu.mavlink.addressing import VehicleAddress, source
+from twodof.fcu.mavlink.addressing import VehicleAddress, source, target
 from twodof.fcu.mavlink.clients import ClientLeft
 from twodof.fcu.mavlink.commands.command_service import CommandService
 from twodof.fcu.mavlink.service import Link, Service
@@ -148,9 +148,8 @@ class ParameterService(Service):
         return self._packed(HASH_NAME, struct.pack("<I", self._store.hash_check()), HASH_INDEX, UINT32)
 
     def _error(self, received: Received, name: str, error: int, index: int = -1) -> None:
-        system, component = source(received)
-        there = {"target_system": system, "target_component": component}
-        sent = message("PARAM_ERROR", param_id=name.encode()[:16], param_index=index, error=error, **there)
+        who = target(source(received))
+        sent = message("PARAM_ERROR", param_id=name.encode()[:16], param_index=index, error=error, **who)
         self._link.send(sent, received.peer)
 
     def _list(self, received: Received) -> None:

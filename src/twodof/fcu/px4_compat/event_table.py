@@ -70,9 +70,8 @@ class EventType(NamedTuple):
         try:
             return struct.pack("<" + "".join(argument.format for argument in self.arguments), *values)
         except struct.error as reason:
-            raise LinkError(
-                f"{values} do not fit its arguments: {reason}", f"event {self.name}", "see event_table"
-            ) from reason
+            what = f"{values} do not fit its arguments: {reason}"
+            raise LinkError(what, f"event {self.name}", "see event_table") from reason
 
 
 _WHO = EventArgument("system", "uint8_t"), EventArgument("component", "uint8_t")
@@ -183,7 +182,6 @@ EVENTS: tuple[EventType, ...] = (
 )
 
 _SAID = tuple(begin for event in EVENTS for begin in event.said)
-_TAB = "\t"
 
 
 def marked(text: str) -> str:
@@ -191,4 +189,4 @@ def marked(text: str) -> str:
 
     That is PX4's sign, by which clients that show events (QGroundControl, pyulog) leave the text out.
     """
-    return text + _TAB if text.startswith(_SAID) else text
+    return f"{text}\t" if text.startswith(_SAID) else text

@@ -9,7 +9,7 @@ from twodof.fcu.command.commander import Commander
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.control.loop import FlightController
 from twodof.fcu.event_bus import OnboardEventBus
-from twodof.fcu.mavlink.addressing import VehicleAddress, source
+from twodof.fcu.mavlink.addressing import VehicleAddress, source, target
 from twodof.fcu.mavlink.clients import ClientJoined
 from twodof.fcu.mavlink.commands.arming import ArmingDenied, ChecksRequested, MotorsKilled
 from twodof.fcu.mavlink.service import Link, Service
@@ -164,15 +164,13 @@ class EventService(Service):
     def _again(self, received: Received) -> None:
         first, last = received.message.first_sequence, received.message.last_sequence
         kept = dict(self._kept)
-        system, component = source(received)
         for ahead in range(min((last - first & 0xFFFF) + 1, MOST_AGAIN)):
             sequence = first + ahead & 0xFFFF
             event = kept.get(sequence)
             if event is None:
                 event = message(
                     "RESPONSE_EVENT_ERROR",
-                    target_system=system,
-                    target_component=component,
+                    **target(source(received)),
                     sequence=sequence,
                     sequence_oldest_available=self._kept[0][0] if self._kept else self.sequence,
                 )

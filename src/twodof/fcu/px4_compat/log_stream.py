@@ -13,7 +13,7 @@ from pathlib import Path
 
 from twodof.fcu.command.result import DONE, CommandResult, Source, denied, rejected
 from twodof.fcu.control.flight_code import ControlStep
-from twodof.fcu.mavlink.addressing import VehicleAddress, source, whole
+from twodof.fcu.mavlink.addressing import VehicleAddress, source, target, whole
 from twodof.fcu.mavlink.background import BackgroundWorker, read_block
 from twodof.fcu.mavlink.commands.command_service import CommandService, ReceivedCommand
 from twodof.fcu.mavlink.paced_sender import PacedSender
@@ -162,11 +162,9 @@ class LogStreamService(Service):
         stream.unanswered, stream.waited, stream.again = None, 0, 0
 
     def _tell(self, stream: LogStreamClient, piece: ULogFragment) -> None:
-        system, component = stream.client
         sent = message(
             "LOGGING_DATA_ACKED" if piece.described else "LOGGING_DATA",
-            target_system=system,
-            target_component=component,
+            **target(stream.client),
             sequence=stream.sequence,
             length=len(piece.data),
             first_message_offset=piece.first,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from twodof.fcu.command.result import denied
-from twodof.fcu.mavlink.addressing import VehicleAddress, source
+from twodof.fcu.mavlink.addressing import VehicleAddress, source, target
 from twodof.fcu.mavlink.commands.command_service import CommandService
 from twodof.fcu.mavlink.commands.message_requests import MessageRequests
 from twodof.fcu.mavlink.service import Link, Service
@@ -49,8 +49,7 @@ class MissionService(Service):
         if name == "MISSION_SET_CURRENT":
             return self._current
         got = received.message
-        system, component = source(received)
-        there = {"target_system": system, "target_component": component, "mission_type": got.mission_type}
+        there = {**target(source(received)), "mission_type": got.mission_type}
         known = got.mission_type in TYPES or (name == "MISSION_CLEAR_ALL" and got.mission_type == ALL)
         if name == "MISSION_REQUEST_LIST" and known:
             return message("MISSION_COUNT", count=0, **there)

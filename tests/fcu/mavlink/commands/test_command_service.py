@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.fcu.mavlink.world import CLIENT, World
@@ -17,6 +17,7 @@ US = {"target_system": 1, "target_component": 1}
 NUMBERS = st.floats(width=32)
 
 
+@settings(max_examples=40)
 @given(number=st.integers(0, 65535), params=st.tuples(*[NUMBERS] * 7))
 def test_every_command_is_acknowledged_once_to_who_sent_it(number: int, params: tuple[float, ...]) -> None:
     world = World()
@@ -101,6 +102,7 @@ def test_arming_is_the_commanders(params: tuple[float, ...], asked: tuple[object
     assert world.commander.asked == [asked]
 
 
+@settings(max_examples=40)
 @given(value=NUMBERS.filter(lambda value: value not in (0.0, 1.0)), force=NUMBERS)
 def test_neither_arm_nor_disarm_is_denied(value: float, force: float) -> None:
     world = World()

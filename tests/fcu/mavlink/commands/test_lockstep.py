@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.fcu.command.cockpit import ME, OTHER
@@ -265,6 +265,7 @@ ANY = st.one_of(
 )
 
 
+@settings(max_examples=40)
 @given(sent=st.lists(st.tuples(ANY, st.sampled_from([ME, OTHER, (0, 0), (1, 1)])), max_size=12))
 def test_whatever_they_hold_nothing_arms_and_time_runs_as_granted(sent: list[tuple[Any, tuple[int, int]]]) -> None:
     desk = Desk(lockstep=True)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.fcu.command.cockpit import ME, OTHER
@@ -61,6 +61,7 @@ def test_each_message_flies_its_loop_in_the_next_tick(sent: Any, mode: int, name
     assert getattr(asked, name) == pytest.approx(float32(value), abs=2e-7 if name == "theta0" else 0.0)
 
 
+@settings(max_examples=40)
 @given(theta=st.floats(-1.5, 1.5))
 def test_a_pitch_survives_its_quaternion(theta: float) -> None:
     q = [float32(part) for part in setpoints.quaternion(theta)]
@@ -76,6 +77,7 @@ def test_level_is_exactly_level() -> None:
     assert desk.run().theta0 == 0.0
 
 
+@settings(max_examples=40)
 @given(roll=st.floats(-3.1, 3.1), pitch=st.floats(-1.5, 1.5), yaw=st.floats(-3.1, 3.1), length=st.floats(0.1, 10.0))
 def test_of_an_attitude_only_the_pitch_counts(roll: float, pitch: float, yaw: float, length: float) -> None:
     """Euler angles to quaternion, aerospace sequence (Diebel, "Representing attitude", 2006, eq. 297)."""
@@ -269,6 +271,7 @@ ANY = st.one_of(
 )
 
 
+@settings(max_examples=40)
 @given(sent=st.lists(ANY, max_size=12), lockstep=st.booleans(), mode=st.sampled_from([*modes.BY_NUMBER]))
 def test_no_set_point_whatever_it_holds_arms_or_asks_for_what_is_no_number(
     sent: list[Any], lockstep: bool, mode: int

@@ -32,7 +32,7 @@ def world_of(log: OnboardLogger, lockstep: bool = True) -> World:
     return world
 
 
-def written(folder: Path, counts: tuple[int, ...] = (40, 900)) -> OnboardLogger:
+def written(folder: Path, counts: tuple[int, ...] = (40, 300)) -> OnboardLogger:
     """Logs of so many armed steps."""
     log = OnboardLogger(folder, World().store, lockstep=True)
     for count in counts:
@@ -83,7 +83,7 @@ def run(work: Callable[[], Coroutine[Any, Any, None]]) -> None:
 
 @pytest.mark.parametrize("loss", [0.0, 0.3])
 def test_every_byte_comes_whatever_gets_lost(tmp_path: Path, loss: float) -> None:
-    log = written(tmp_path, (40, 200))
+    log = written(tmp_path, (40, 120))
     world = world_of(log)
 
     async def work() -> None:

@@ -5,7 +5,7 @@ import struct
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.fcu.mavlink.world import World, step
@@ -41,6 +41,7 @@ def told(number: int, world: World | None = None, **values: Any) -> Any:
     return decode(frame)
 
 
+@settings(max_examples=40)
 @given(theta=NUMBERS, q=NUMBERS, tick=st.integers(0, 2**32))
 def test_attitude(theta: float, q: float, tick: int) -> None:
     got = told(30, theta=theta, q=q, tick=tick)
@@ -50,6 +51,7 @@ def test_attitude(theta: float, q: float, tick: int) -> None:
     assert (got.roll, got.yaw, got.rollspeed, got.yawspeed) == (0.0, 0.0, 0.0, 0.0)
 
 
+@settings(max_examples=40)
 @given(theta=st.floats(-0.9, 0.9), q=SANE)
 def test_the_quaternion_turns_level_into_the_pitch(theta: float, q: float) -> None:
     got = told(31, theta=theta, q=q)
@@ -61,6 +63,7 @@ def test_the_quaternion_turns_level_into_the_pitch(theta: float, q: float) -> No
     assert equal(got.pitchspeed, q)
 
 
+@settings(max_examples=40)
 @given(theta=NUMBERS, theta0=NUMBERS)
 def test_an_attitude_that_is_none_is_nan_and_never_an_error(theta: float, theta0: float) -> None:
     assert math.isfinite(told(31, theta=theta).q1) == math.isfinite(theta)
@@ -68,6 +71,7 @@ def test_an_attitude_that_is_none_is_nan_and_never_an_error(theta: float, theta0
     assert math.isfinite(told(83, theta0=theta0).q[0]) == math.isfinite(theta0)
 
 
+@settings(max_examples=40)
 @given(x=NUMBERS, v=NUMBERS)
 def test_position(x: float, v: float) -> None:
     got = told(32, x=x, v=v)
@@ -76,6 +80,7 @@ def test_position(x: float, v: float) -> None:
     assert (got.y, got.z, got.vy, got.vz) == (0.0,) * 4
 
 
+@settings(max_examples=40)
 @given(theta=st.floats(-0.9, 0.9), v=st.floats(-2.0, 2.0), x=SANE, q=SANE)
 def test_odometrys_velocity_is_the_bodys(theta: float, v: float, x: float, q: float) -> None:
     got = told(331, theta=theta, v=v, x=x, q=q)
@@ -92,6 +97,7 @@ def test_odometrys_velocity_is_the_bodys(theta: float, v: float, x: float, q: fl
     assert math.isnan(got.velocity_covariance[0])
 
 
+@settings(max_examples=40)
 @given(values=st.tuples(*[NUMBERS] * 6))
 def test_imu(values: tuple[float, ...]) -> None:
     names = ("acc_x", "acc_y", "acc_z", "gyro_x", "gyro_y", "gyro_z")
@@ -104,6 +110,7 @@ def test_imu(values: tuple[float, ...]) -> None:
     assert all(math.isnan(one) for one in absent)
 
 
+@settings(max_examples=40)
 @given(dist=NUMBERS, age=NUMBERS)
 def test_range(dist: float, age: float) -> None:
     world = World()
@@ -131,6 +138,7 @@ def test_there_is_no_range_before_the_first_sample() -> None:
     assert World().px4.telemetry.message(132) is None
 
 
+@settings(max_examples=40)
 @given(theta0=st.floats(-0.9, 0.9), q0=SANE, T=st.floats(-1.0, 1.0), mode=st.integers(0, len(MODES) - 1))
 def test_set_points_in_use(theta0: float, q0: float, T: float, mode: int) -> None:
     got = told(83, theta0=theta0, q0=q0, T=T, mode=mode)
@@ -141,6 +149,7 @@ def test_set_points_in_use(theta0: float, q0: float, T: float, mode: int) -> Non
     assert got.type_mask == {"off": 128 | 2, "open-loop": 128 | 2, "rate": 128}.get(MODES[mode], 0)
 
 
+@settings(max_examples=40)
 @given(x0=SANE, v0=SANE, ax0=SANE, mode=st.integers(0, len(MODES) - 1))
 def test_positions_in_use(x0: float, v0: float, ax0: float, mode: int) -> None:
     got = told(85, x0=x0, v0=v0, ax0=ax0, mode=mode)
@@ -152,6 +161,7 @@ def test_positions_in_use(x0: float, v0: float, ax0: float, mode: int) -> None:
     assert (got.y, got.z, got.vy, got.vz, got.afy, got.afz, got.yaw, got.yaw_rate) == (0.0,) * 8
 
 
+@settings(max_examples=40)
 @given(fore=NUMBERS, aft=NUMBERS, armed=st.booleans(), tick=st.integers(0, 2**32))
 def test_motors(fore: float, aft: float, armed: bool, tick: int) -> None:
     got = told(36, fore=fore, aft=aft, armed=armed, tick=tick)
@@ -165,6 +175,7 @@ def test_motors(fore: float, aft: float, armed: bool, tick: int) -> None:
     assert (got.servo5_raw, got.servo16_raw, got.port) == (0, 0, 0)
 
 
+@settings(max_examples=40)
 @given(M=NUMBERS, T=NUMBERS)
 def test_moments(M: float, T: float) -> None:
     got = told(140, M=M, T=T)
@@ -173,6 +184,7 @@ def test_moments(M: float, T: float) -> None:
     assert [got.controls[place] for place in (0, 2, 4, 5, 6, 7)] == [0.0] * 6
 
 
+@settings(max_examples=40)
 @given(v=SANE, T=NUMBERS)
 def test_vfr_hud(v: float, T: float) -> None:
     got = told(74, v=v, T=T)
@@ -180,6 +192,7 @@ def test_vfr_hud(v: float, T: float) -> None:
     assert 0 <= got.throttle <= 100
 
 
+@settings(max_examples=40)
 @given(voltage=NUMBERS, charge=NUMBERS, causes=st.integers(0, 2 ** len(CAUSES) - 1))
 def test_battery(voltage: float, charge: float, causes: int) -> None:
     got = told(147, voltage=voltage, charge=charge, causes=causes)
@@ -206,6 +219,7 @@ def test_battery(voltage: float, charge: float, causes: int) -> None:
     assert got.charge_state == worse
 
 
+@settings(max_examples=40)
 @given(causes=st.integers(0, 2 ** len(CAUSES) - 1))
 def test_health(causes: int) -> None:
     got = told(1, causes=causes)

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from twodof.fcu.command.result import DONE, CommandResult, Source, unsupported
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.event_bus import OnboardEventBus
-from twodof.fcu.mavlink.addressing import VehicleAddress, source
+from twodof.fcu.mavlink.addressing import VehicleAddress, source, target
 from twodof.fcu.mavlink.service import Link, Service
 from twodof.fcu.mavlink.status_text import TextSent
 from twodof.fcu.px4_compat.event_table import marked
@@ -160,9 +160,8 @@ class CommandService(Service):
         """Answers a command that was carried out, also one that came in another message."""
         if command.what in self._pending and not self._lockstep and command.number not in self._slow:
             return
-        system, component = command.source
-        there = {"target_system": system, "target_component": component}
-        self._link.send(message("COMMAND_ACK", command=command.number, result=result.result, **there), command.peer)
+        answer = message("COMMAND_ACK", command=command.number, result=result.result, **target(command.source))
+        self._link.send(answer, command.peer)
         if not result.accepted and not result.in_progress:
             self.explain(command.peer, result.text)
 
