@@ -38,6 +38,7 @@ def flight(url: str, log: Path, first: str) -> dict[str, list[dict[str, Any]]]:
     return saw
 
 
+@pytest.mark.soak
 def test_mavsdk_flies_by_tcp_in_the_order_of_its_own_examples(fcu_url: str, tmp_path: Path) -> None:
     log = tmp_path / "fetched.ulg"
     check(flight(f"tcpout://127.0.0.1:{port(fcu_url)}", log, "arm"), log)

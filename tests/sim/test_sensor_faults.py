@@ -21,7 +21,12 @@ WITHIN: Mapping[str, tuple[str, int]] = {
 """Fault -> what is done, at the latest after how many ms. What is frozen is seen as soon as the drone is turned."""
 
 
-@pytest.mark.parametrize("name", WITHIN)
+LIKE_ANOTHER = ("range: step of -0.2 m", "gyro_y: zero")
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.soak] if name in LIKE_ANOTHER else []) for name in WITHIN]
+)
 def test_a_sensor_that_contradicts_the_others_stops_the_motors_before_they_press_against_a_stop(name: str) -> None:
     (row,) = (row for row in ROWS if row.name == name)
     action, within = WITHIN[name]

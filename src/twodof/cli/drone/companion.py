@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import sys
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -15,11 +13,10 @@ import typer
 from twodof.cli.drone.until_told import until_told
 from twodof.cli.options import Index
 from twodof.cli.output import Json, print_json, say_line
-from twodof.errors import LinkError
 from twodof.fcc.app_supervisor import MISTAKE, AppLimits, AppSupervisor, RestartPolicy
 from twodof.fcc.client_link import Serve, px4_links
 from twodof.fcc.companion import Companion
-from twodof.fleet.local_ports import MOST_DRONES, with_port_owner
+from twodof.fleet.local_ports import MOST_DRONES
 from twodof.link.mavlink.components import COMPANION
 from twodof.link.signing.frame_signing import Signing
 from twodof.link.signing.key import read_key
@@ -120,21 +117,8 @@ def run(
     raise typer.Exit(asyncio.run(until_told(_fly(context.obj, *supervised))) or 0)
 
 
-@asynccontextmanager
-async def _opened(asked: _Asked) -> AsyncIterator[Companion]:
-    made = asked.made()
-    try:
-        await made.__aenter__()
-    except LinkError as error:
-        raise with_port_owner(error) from error
-    try:
-        yield made
-    finally:
-        await made.close()
-
-
 async def _route(asked: _Asked) -> int:
-    async with _opened(asked) as made:
+    async with asked.made() as made:
         _tell(asked, made)
         await made.run()
     return 0
@@ -143,7 +127,7 @@ async def _route(asked: _Asked) -> int:
 async def _fly(asked: _Asked, program: Path, restarts: RestartPolicy, limits: AppLimits) -> int:
     """Route until the app has ended; its exit status as ours."""
     asked = replace(asked, serve=(*asked.serve, APP_LINK))
-    async with _opened(asked) as made:
+    async with asked.made() as made:
         _tell(asked, made)
         url = made.urls[-1][0].replace("tcpin:", "tcp:")
         command = [sys.executable, "-u", "-m", "twodof.gcs.app", str(program), "--url", url]

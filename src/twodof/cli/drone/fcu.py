@@ -12,9 +12,7 @@ import typer
 from twodof.cli import options
 from twodof.cli.drone.until_told import until_told
 from twodof.cli.output import Json, print_json
-from twodof.errors import LinkError
 from twodof.fleet.local_drone import controller_in_words
-from twodof.fleet.local_ports import with_port_owner
 from twodof.flight.controller_store import data_folder
 from twodof.flight.starters import DIAGRAM_HELP
 from twodof.link.signing.frame_signing import Signing
@@ -97,10 +95,7 @@ def fcu(
 async def serve(drone: VirtualDrone, urls: list[str], json: bool) -> None:
     """Runs the drone, reached at `urls`, until it is cancelled; says where it listens."""
     async with drone:
-        try:
-            opened = [await drone.listen(url) for url in urls]
-        except LinkError as error:
-            raise with_port_owner(error) from error
+        opened = [await drone.listen(url) for url in urls]
         what = drone.flown
         if json:
             lockstep = drone.controller.lockstep

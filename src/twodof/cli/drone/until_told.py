@@ -5,11 +5,16 @@ from __future__ import annotations
 import asyncio
 import signal
 from collections.abc import Coroutine
-from contextlib import suppress
+
+from twodof.errors import LinkError
+from twodof.fleet.local_ports import with_port_owner
 
 
 async def until_told(work: Coroutine[object, object, int | None]) -> int | None:
-    """What `work` returns; None if SIGINT or SIGTERM ended it, of which it learns by being cancelled."""
+    """What `work` returns; None if SIGINT or SIGTERM ended it, of which it learns by being cancelled.
+
+    Raises what it raises; where a port was in use, with who has it.
+    """
     task = asyncio.ensure_future(work)
 
     def told() -> None:
@@ -18,6 +23,9 @@ async def until_told(work: Coroutine[object, object, int | None]) -> int | None:
 
     for number in (signal.SIGINT, signal.SIGTERM):
         asyncio.get_running_loop().add_signal_handler(number, told)
-    with suppress(asyncio.CancelledError):
+    try:
         return await task
-    return None
+    except asyncio.CancelledError:
+        return None
+    except LinkError as error:
+        raise with_port_owner(error) from error
