@@ -11,6 +11,8 @@ from collections.abc import Iterable, Iterator
 from importlib.metadata import packages_distributions
 from pathlib import Path
 
+from tests.patience import PATIENCE_S
+
 PROJECT = Path(__file__).resolve().parents[1]
 
 
@@ -67,5 +69,5 @@ def _plain(name: str) -> str:
 def test_a_flight_starts_without_scipy() -> None:
     """Its import takes half a second to two seconds of processor time, in each command and each virtual drone."""
     code = "import sys, twodof.cli.drone.fly, twodof.cli.drone.fcu; print([n for n in sys.modules if n == 'scipy'])"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=PATIENCE_S, check=True)
     assert done.stdout.strip() == "[]"
