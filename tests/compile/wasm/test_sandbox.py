@@ -23,7 +23,7 @@ from twodof.compile.program.lower import lower
 from twodof.compile.toolchain import compilers
 from twodof.compile.wasm import engine, module
 from twodof.compile.wasm.binary import PAGE
-from twodof.compile.wasm.fuel import step_fuel
+from twodof.compile.wasm.cost import step_fuel
 from twodof.compile.wasm.module import FUNCTIONS, compile_module, find_wasm_compiler
 from twodof.compile.wasm.target import Wasm
 from twodof.errors import CompileError, ControllerFault

@@ -19,7 +19,6 @@ from twodof.compile.c.emitter import emit
 from twodof.compile.lanes.style import LaneStyle as Style
 from twodof.compile.machine import BuiltMachine, BuiltProgram
 from twodof.compile.native.target import NativeBackend, load
-from twodof.compile.program.flat_program import FlatSignal
 from twodof.compile.program.layout import LaneShape
 from twodof.compile.program.lower import lower
 from twodof.compile.target import EmittedProgram
@@ -184,9 +183,10 @@ class LanesMachine(BuiltMachine):
 
     def _run(self, steps: int, columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
         program, wide = self.program, self.program.shape.lanes
-        results = {
-            path: np.empty(self._shape(s, steps), _kind(s.kind, program)) for path, (s, _) in self._outputs.items()
-        }
+        results = {}
+        for path, (s, _) in self._outputs.items():
+            inner = () if s.width is None else (s.width,)
+            results[path] = np.empty((steps, self.lanes, *inner), program.precision if s.kind == "real" else s.kind)
         y = _structs(min(CHUNK, max(steps, 1)), program.dtypes["Y"], together=True)[0]
         changing = _structs(min(CHUNK, max(steps, 1)), program.dtypes["U"], together=True)[0] if columns else None
         for b, (p, s, u) in enumerate(zip(*(self._structs[k] for k in "PSU"), strict=True)):
@@ -208,9 +208,6 @@ class LanesMachine(BuiltMachine):
                     values = np.moveaxis(_apart(y[member][:n], signal.kind), -1, 1)
                     results[path][first : first + n, mine] = values[:, :count]
         return results
-
-    def _shape(self, signal: FlatSignal, steps: int) -> tuple[int, ...]:
-        return (steps, self.lanes) if signal.width is None else (steps, self.lanes, signal.width)
 
     def _checked(self, path: str, value: Any) -> Any:
         declared = self._declared(path)
@@ -328,7 +325,3 @@ def _spread(target: NDArray[Any], data: NDArray[Any], count: int) -> None:
 def _apart(view: NDArray[Any], kind: str) -> NDArray[Any]:
     """A member's memory with the lane as its last axis, also where it holds eight truth values in a byte."""
     return np.unpackbits(view, axis=-1, bitorder="little") if kind == "bool" and view.dtype == np.uint8 else view
-
-
-def _kind(kind: str, program: LanesProgram) -> np.dtype[Any]:
-    return np.dtype(program.precision if kind == "real" else kind)

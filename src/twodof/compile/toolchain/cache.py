@@ -71,9 +71,9 @@ def cached_bytes(key: Sequence[str], suffix: str, make: Callable[[Path], None], 
     They come also where another process makes room in the cache between our look at the file and our reading it.
     """
     with suppress(FileNotFoundError), cached(key, suffix, make, afresh) as file:
-        return _unsealed(file)
+        return file.read_bytes()[:-_SEAL]
     with cached(key, suffix, make, afresh=True) as file:
-        return _unsealed(file)
+        return file.read_bytes()[:-_SEAL]
 
 
 def contents(file: Path) -> bytes | None:
@@ -107,10 +107,6 @@ def seal(file: Path, name: str) -> None:
 
 def _digest(name: str, data: bytes) -> bytes:
     return hashlib.sha256(name.encode() + data).digest()
-
-
-def _unsealed(file: Path) -> bytes:
-    return file.read_bytes()[:-_SEAL]
 
 
 def _ours(found: os.stat_result) -> bool:

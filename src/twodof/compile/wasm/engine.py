@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from twodof.compile.target import EmittedProgram
 from twodof.compile.wasm.binary import PAGE
-from twodof.compile.wasm.fuel import step_fuel
+from twodof.compile.wasm.cost import step_fuel
 from twodof.compile.wasm.module import WasmModule
 from twodof.errors import CompileError, ControllerFault
 

@@ -9,13 +9,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from twodof.compile.c import freestanding
-from twodof.compile.c.optimisation_budget import OPTIMISATION_BUDGET, optimisation_cost
 from twodof.compile.program.layout import Member
 from twodof.compile.target import EmittedProgram
 from twodof.compile.toolchain import compilers
 from twodof.compile.toolchain.compilers import Compiler
 from twodof.compile.wasm.binary import PAGE, closed
-from twodof.compile.wasm.fuel import step_fuel
+from twodof.compile.wasm.cost import OPTIMISATION_BUDGET, optimisation_cost, step_fuel
 from twodof.errors import CompileError
 
 FUNCTIONS = ("defaults", "prepare", "init", "step", "run", "tick")
