@@ -7,7 +7,7 @@ import socket
 import threading
 import time
 from contextlib import ExitStack, suppress
-from typing import cast
+from typing import Any
 
 import pytest
 
@@ -17,6 +17,11 @@ from twodof.link.transport import base as bounds
 from twodof.link.transport import tcp
 from twodof.link.transport.open_transport import open_transport
 from twodof.link.transport.tcp import TcpTransport
+
+
+def streams(there: TcpTransport) -> list[Any]:
+    """The connections that stand, each with its `name`, `socket` and whether it is `paused`."""
+    return [*there.peers]
 
 
 def test_a_tcp_peer_that_does_not_read_costs_bounded_memory() -> None:
@@ -32,7 +37,7 @@ def test_a_tcp_peer_that_does_not_read_costs_bounded_memory() -> None:
                     there.send(b"x" * 10_000)
                 assert time.monotonic() - start < SOON  # it never waits: nobody will ever read
                 assert there.counts.dropped_out > 0
-                (stream,) = there._streams
+                (stream,) = streams(there)
                 assert stream.socket.get_write_buffer_size() <= bounds.MOST_OUT_BYTES
             # The deaf one is gone with a reset; the server goes on.
             async with await open_transport(f"tcp://127.0.0.1:{there.port}") as here:
@@ -57,7 +62,7 @@ def test_a_slow_tcp_reader_slows_its_sender_and_loses_nothing(monkeypatch: pytes
 
             pouring = threading.Thread(target=pour)
             pouring.start()
-            while not any(stream.paused for stream in there._streams):
+            while not any(stream.paused for stream in streams(there)):
                 await asyncio.sleep(0.01)
             assert await gather(there, size) == data
             pouring.join(SOON)
@@ -116,7 +121,7 @@ def test_a_tcp_client_that_floods_keeps_no_other_waiting() -> None:
                     await asyncio.sleep(0)
                 other.sendall(b"kill")
                 name = f"127.0.0.1:{other.getsockname()[1]}"
-                (stream,) = [stream for stream in there._streams if stream.name == name]
+                (stream,) = [stream for stream in streams(there) if stream.name == name]
                 # It has arrived before the first is taken, however late the system delivers it.
                 assert select.select([stream.socket.get_extra_info("socket")], [], [], SOON)[0]
                 ahead = 0
@@ -180,7 +185,7 @@ async def _come(there: TcpTransport, count: int, source: str = "127.0.0.1") -> l
         one = socket.create_connection(("127.0.0.1", there.port), SOON, (source, 0))
         name = f"{source}:{one.getsockname()[1]}"
         end = asyncio.get_running_loop().time() + 0.5
-        while not any(stream.name == name for stream in there._streams) and asyncio.get_running_loop().time() < end:
+        while not any(stream.name == name for stream in streams(there)) and asyncio.get_running_loop().time() < end:
             await asyncio.sleep(0.005)
         came.append(one)
     return came
@@ -188,7 +193,7 @@ async def _come(there: TcpTransport, count: int, source: str = "127.0.0.1") -> l
 
 def _names(there: TcpTransport) -> set[int]:
     """The ports of those that have a place."""
-    return {int(stream.name.rpartition(":")[2]) for stream in there._streams}
+    return {int(stream.name.rpartition(":")[2]) for stream in streams(there)}
 
 
 def test_idle_clients_lock_no_port_and_who_speaks_or_is_kept_stays(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -201,12 +206,12 @@ def test_idle_clients_lock_no_port_and_who_speaks_or_is_kept_stays(monkeypatch: 
             assert isinstance(there, TcpTransport)
             ends = await _come(there, 4)
             ports = [one.getsockname()[1] for one in ends]
-            (talker,) = (stream for stream in there._streams if stream.name.endswith(f":{ports[0]}"))
-            there.keeps = lambda peer: cast(tcp._Stream, peer).name.endswith(f":{ports[1]}")
+            (talker,) = (stream for stream in streams(there) if stream.name.endswith(f":{ports[0]}"))
+            there.keeps = lambda peer: f":{ports[1]}>" in repr(peer)
             there.confirm(talker)
             (new,) = await _come(there, 1)  # of those that never spoke the first goes, but not who is kept
             assert _names(there) == {ports[0], ports[1], ports[3], new.getsockname()[1]}
-            for stream in there._streams:
+            for stream in streams(there):
                 there.confirm(stream)
             (late,) = await _come(there, 1)
             assert late.getsockname()[1] not in _names(there)
@@ -228,7 +233,7 @@ def test_one_address_takes_not_all_places_from_another(monkeypatch: pytest.Monke
         async with await open_transport("tcpin://:0") as there:
             assert isinstance(there, TcpTransport)
             greedy = await _come(there, 4)
-            for stream in there._streams:
+            for stream in streams(there):
                 there.confirm(stream)
             others = await _come(there, 3, "127.0.0.2")
             assert [one.getsockname()[1] in _names(there) for one in greedy] == [True, True, False, False]

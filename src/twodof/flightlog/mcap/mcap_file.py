@@ -72,8 +72,7 @@ def write_contents(contents: McapContents, file: IO[bytes]) -> None:
     bounds = _bounds([some.time_ns for some in sorted_by_time.values()], each)
     edges = {k: np.searchsorted(some.time_ns, bounds).tolist() for k, some in sorted_by_time.items()}
     for n in range(len(bounds) - 1):
-        ends = {k: (at[n], at[n + 1]) for k, at in edges.items() if at[n] < at[n + 1]}
-        file.write(encoder.chunk({k: sorted_by_time[k].part(slice(a, b)) for k, (a, b) in ends.items()}))
+        file.write(encoder.chunk({k: some.part(slice(*edges[k][n : n + 2])) for k, some in sorted_by_time.items()}))
     file.write(encoder.tail())
 
 

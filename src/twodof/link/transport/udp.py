@@ -94,17 +94,14 @@ class UdpTransport(Transport):
             except OSError:  # the other side's port is closed (yet): counted, no reason to end
                 self.counts.errors += 1
                 continue
-            if not self._learns:
-                peer = self._server
-            elif not self._flood.came(peer, data):
+            refused = self._learns and not self._flood.came(peer, data)
+            if refused or len(data) > LONGEST_DATAGRAM:
                 self.counts.dropped_in += 1
                 continue
-            if len(data) > LONGEST_DATAGRAM:
-                self.counts.dropped_in += 1
-            else:
-                for raw in find_stop_frames(data) if self._inbox.stops_first else ():
-                    self._inbox.put_ahead(raw, peer)
-                self._inbox.put(Packet(data, peer))
+            peer = peer if self._learns else self._server
+            for raw in find_stop_frames(data) if self._inbox.stops_first else ():
+                self._inbox.put_ahead(raw, peer)
+            self._inbox.put(Packet(data, peer))
             if self.closed:
                 return
 
