@@ -94,7 +94,7 @@ def test_extreme_words_give_finite_normals(precision: str) -> None:
     with numbers.precision(precision):
         for length in (0, 1, 2**31, 2**32 - 256, 2**32 - 1):
             for direction in (0, 1, 2**29 - 1, 2**30 - 1, 2**30, 2**31, 2**32 - 1):
-                pair = noise._normals(numbers.UInt32(length), numbers.UInt32(direction))
+                pair = noise.normals(numbers.UInt32(length), numbers.UInt32(direction))
                 # The length is the quantile of the radius, so the radius is known.
                 radius = np.sqrt(-2 * np.log((length + 0.5) / 2**32))
                 got = np.hypot(float(pair[0]), float(pair[1]))

@@ -58,7 +58,7 @@ def uniform4(seed: Any, stream: Any, tick: Any) -> tuple[Any, Any, Any, Any]:
     return a, b, c, d
 
 
-def _normals(length: Any, direction: Any) -> tuple[Any, Any]:
+def normals(length: Any, direction: Any) -> tuple[Any, Any]:
     """Two independent standard normals from two words (Box and Muller, 1958).
 
     The first word is the radius's quantile; half a step added keeps it from 0, so that |z| <= 6.77. The second is a
@@ -75,10 +75,10 @@ def _normals(length: Any, direction: Any) -> tuple[Any, Any]:
 def normal(seed: Any, stream: Any, tick: Any) -> Any:
     """Standard normal (mean 0, variance 1), |z| <= 6.77."""
     a, b, _, _ = words(seed, stream, tick)
-    return _normals(a, b)[0]
+    return normals(a, b)[0]
 
 
 def normal4(seed: Any, stream: Any, tick: Any) -> tuple[Any, Any, Any, Any]:
     """Four independent standard normals at less than twice the price of one; the first is `normal`'s."""
     a, b, c, d = words(seed, stream, tick)
-    return *_normals(a, b), *_normals(c, d)
+    return *normals(a, b), *normals(c, d)

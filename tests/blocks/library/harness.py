@@ -1,13 +1,15 @@
 """One block in a diagram of its own, run by the reference."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 from hypothesis import settings
 
-from twodof.blocks.block import Block
+from twodof.blocks.block import Block, Clock, Parameters, names_given
+from twodof.blocks.declarations import numeric
 from twodof.blocks.diagram import Diagram
+from twodof.blocks.expressions import numbers
 from twodof.blocks.reference.interpreter import Reference
 
 few = settings(max_examples=20)
@@ -45,6 +47,19 @@ def run_y(block: Block, u: Any, dt: float = 0.01, params: Mapping[str, Any] | No
     """The first output of a block whose first input is `u`, an array of one row a step."""
     rows = run(block, len(u), dt, {block.inputs[0].name: u}, params)
     return rows[block.outputs[0].name]
+
+
+def values_at(block: Block, ticks: Iterable[int], dt: float, precision: str = "float64") -> np.ndarray:
+    """The bare output of a source without states at any ticks: none of those before has to be run."""
+    with numbers.precision(precision):
+        period = numbers.real_type()(dt)
+        given = {p.name: numeric(p.value, p.kind, p.width, p.name) for p in block.params}
+        prepared = block.prepare(Parameters(dict(given)), Clock(None, period, period))
+        made = names_given("block", "prepare", prepared, block.derived)
+        derived = {d.name: numeric(made[d.name], d.kind, d.width, d.name) for d in block.derived}
+        p, nothing = Parameters(given | derived), Parameters({})
+        clocks = (Clock(numbers.UInt32(int(tick)), period, period) for tick in ticks)
+        return np.array([numbers.plain(block.output(nothing, nothing, p, clock)) for clock in clocks])
 
 
 def assert_close(found: Any, expected: Any, relative: float = 1e-12) -> None:
