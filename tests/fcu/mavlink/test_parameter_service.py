@@ -6,7 +6,7 @@ import zlib
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.fcu.mavlink.world import CLIENT, World
@@ -155,6 +155,7 @@ def test_what_there_is_not_is_said_so(name: str, index: int) -> None:
     assert world.taken("PARAM_VALUE") == []
 
 
+@settings(max_examples=40)
 @given(row=st.sampled_from(FLOATS), part=st.floats(0.0, 1.0))
 def test_a_float_is_set_to_the_very_bits(row: Any, part: float) -> None:
     world = World()

@@ -40,7 +40,7 @@ BAD = st.one_of(
 )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(st.lists(st.tuples(st.lists(GOOD, max_size=4), st.lists(BAD, max_size=2)), max_size=6))
 def test_a_change_is_whole_or_nothing(rounds: list[tuple[list[tuple[str, float]], list[tuple[str, Any]]]]) -> None:
     store, heard = ParameterStore(), []

@@ -23,7 +23,7 @@ NAMES = st.from_regex(r"[A-Za-z][A-Za-z0-9_]{0,30}", fullmatch=True)
 DIAGRAMS = st.sampled_from(["mine", "a", "TH", "thrust_bar", "x_y"])
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(
     st.lists(st.tuples(DIAGRAMS, st.lists(NAMES, min_size=1, max_size=6, unique=True)), min_size=3, max_size=3),
 )

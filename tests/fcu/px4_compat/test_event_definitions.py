@@ -11,7 +11,7 @@ from collections import Counter
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from pyulog.libevents_parse.parser import Parser
 
@@ -108,6 +108,7 @@ def test_every_cause_and_obstacle_has_a_check_about_a_component() -> None:
     assert {COMPONENT_INDEX[component] for component in ABOUT.values()} <= {*range(32)}
 
 
+@settings(max_examples=40)
 @given(event=st.sampled_from(EVENTS), data=st.data())
 def test_what_is_sent_is_read_back_by_another_parser(event: EventType, data: st.DataObject) -> None:
     values = []

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.fcu.mavlink.world import World
@@ -211,6 +211,7 @@ def test_what_is_gone_is_said_to_be_gone() -> None:
     assert [event.sequence for event in events] == [oldest, oldest + 1]
 
 
+@settings(max_examples=30)
 @given(first=st.integers(0, 65535), last=st.integers(0, 65535))
 def test_no_request_draws_more_than_a_handful(first: int, last: int) -> None:
     world = World()

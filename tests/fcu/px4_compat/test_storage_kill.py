@@ -36,6 +36,7 @@ def test_what_was_acknowledged_is_stored_when_the_program_is_killed(tmp_path: Pa
     assert kept_after_a_kill(tmp_path, 9.0) == 9.0, "an acknowledged saving is lost"
 
 
+@pytest.mark.soak
 def test_defaults_that_were_acknowledged_are_stored_when_the_program_is_killed(tmp_path: Path) -> None:
     with ParameterStore(tmp_path / "state" / "parameters.json", values={"ATT_KP": 7.0}) as store:
         default = store.row("ATT_KP").default
