@@ -137,8 +137,8 @@ class InLanes:
 WIDTHS = list(SIMD)[list(SIMD).index(best_simd()) :]
 ALL = {**KINDS, **{f"lanes-{simd}": InLanes(simd) for simd in WIDTHS}}
 FLYING = {
-    "operators": {"float64": ("gcc-O3-native", "wasm", "m7-gcc"), "float32": ("gcc-O3-native", "wasm", "m7-gcc")},
-    "random": {"float64": ("gcc-O3-native", "wasm", "m7-gcc"), "float32": ("gcc-O3-native", "wasm", "m7-gcc")},
+    "operators": {"float64": ("gcc-O3-native", "wasm"), "float32": ("gcc-O3-native", "m7-gcc")},
+    "random": {"float64": ("gcc-O3-native", "wasm"), "float32": ("gcc-O3-native", "m7-gcc")},
     "library": {"float64": ("gcc-O3-native",), "float32": ()},
     "flight": {"float64": ("gcc-O3-native", "wasm"), "float32": ("m7-gcc",)},
     "closed": {"float64": ("gcc-O3-native", "wasm"), "float32": ("m7-gcc",)},
@@ -153,12 +153,14 @@ SLOTS = [(group, precision) for group in GROUPS for precision in PRECISIONS if O
 def kinds_for(group: str, precision: str) -> list[str]:
     """The targets on which a group runs each day: those that fly, and each other one in its turn."""
     sort = group.partition("-")[0]
-    alike = [slot for slot in SLOTS if slot[0].startswith(sort)]
-    turn = alike.index((group, precision))
-    dealt = [name for k, name in enumerate(ALL) if k % len(alike) == turn and sort != "closed"]
     always = FLYING[sort][precision]
     if sort == "library" and not group.endswith("more"):
         always = BLOCKS[precision]
+    alike = [slot for slot in SLOTS if slot[0].startswith(sort)]
+    turn = alike.index((group, precision))
+    flying = {name for names in FLYING[sort].values() for name in names}
+    others = [name for name in ALL if name not in flying or sort == "library"]
+    dealt = [name for k, name in enumerate(others) if k % len(alike) == turn and sort != "closed"]
     return [name for name in ALL if name in dealt or name in always]
 
 

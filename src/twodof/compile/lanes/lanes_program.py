@@ -117,6 +117,7 @@ class LanesProgram(BuiltProgram):
         super().__init__(backend.program)
         self.backend = backend
         self.lanes = lanes
+        self.simd = simd
         self.shape = shape(simd, self.precision)
         self.blocks = -(-lanes // self.shape.lanes)
 
