@@ -25,8 +25,8 @@ from twodof.gcs.telemetry.signals import AsyncSignal
 CALL_S = 6.0
 # A call may notice at its next look, which is at most a second later; words for a refusal take .3 s.
 LATE_S = 1.5
-# Two subscriptions of 5 s each; a second for the end of the truth's, three for that of the rows: the last come then.
-RECORD_S = 14.0
+# Two subscriptions of 5 s each, and three seconds for the end of each: the last rows come then.
+RECORD_S = 16.0
 # It waits .6 s of the drone's time: 2 s of ours without any of it, where it is granted and where it passes by itself;
 # and 2 s more where a grant was answered before: the patience of a call begins anew with every slice of its time.
 WAIT_S = 4.2

@@ -154,12 +154,13 @@ class FullRateSubscription:
 
         Where time is granted, the present true state comes first. Raises Rejected, LinkLost, Timeout.
         """
+        deadline = self._session.deadline(TIMEOUT_S, f"subscribing to {self._name}")
         self._wanted.append(mask)
         with self._session.handling(taker, self._name):
             try:
                 if self._session.lockstep and self._name != BATCH:  # a stream begins with the tick after
-                    await self._commands.run("REQUEST_MESSAGE", [self._number], TIMEOUT_S, f"asking for {self._name}")
-                await self._subscribe(TIMEOUT_S)
+                    await self._commands.run("REQUEST_MESSAGE", [self._number], deadline.left, deadline.doing)
+                await self._subscribe(deadline.left)
                 yield
             finally:
                 self._wanted.remove(mask)
