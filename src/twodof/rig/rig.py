@@ -4,8 +4,9 @@ from twodof.blocks import Block, Diagram, Param
 from twodof.blocks.library.delays import ZeroOrderHold
 from twodof.rig.battery import BatteryPack
 from twodof.rig.dynamics import Dynamics
-from twodof.rig.rotors import Rotors, Turbulence
+from twodof.rig.rotors import Rotors
 from twodof.rig.sensors import Imu, NoiseSource, RangeSensor
+from twodof.rig.turbulence import Turbulence
 
 BASE_DT = 0.001
 """The base tick [s]."""

@@ -129,7 +129,7 @@ class ArmingControl:
             self.answer = DONE
         elif step.state == REFUSED:
             self.word = False
-            # Without a cause only what lingers (failsafe.py: level_lasts, brake_lasts) speaks against it.
+            # Without a cause only what lingers (`level_lasts`, `brake_lasts` of the failsafe) speaks against it.
             causes = ", ".join(named_causes(step.reason or step.causes)) or "it levelled or braked a moment ago"
             self.answer = rejected(f"not armed: {causes}")
         elif step.tick >= self._from + PATIENCE:
