@@ -16,7 +16,7 @@ from hypothesis.internal.constants_ast import Constants
 
 PROJECT = Path(__file__).resolve().parents[1]
 SLOW = Path(__file__).with_name("slow.txt")
-QUICK_S, FOR_NOISE = 1.5, 8.0
+QUICK_S, FOR_NOISE = 1.2, 10.0
 """A file takes at most so much processor time with `--quick`; on a loaded machine it takes more."""
 SLOW_FILES = pytest.StashKey[dict[Path, float]]()
 SPENT = pytest.StashKey[Counter[Path]]()
