@@ -8,8 +8,6 @@ The figures of flights that were left out are not wholly blind. The estimator's 
 the priors in `UNKNOWNS` were chosen on all seven logs, and each of them starts from the optimum with that flight.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What a block declares: ports, states and parameters with their types, widths, units and bounds."""
 
-from __future__ import annotations
-
 import difflib
 import math
 import re

@@ -1,7 +1,5 @@
 """Difference: what changed from one diagram to another, as a list that a person reads."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass

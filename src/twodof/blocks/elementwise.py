@@ -1,7 +1,5 @@
 """What the library's blocks share: elementwise evaluation, dot products, clamping, checks of constructor arguments."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from typing import Any

@@ -1,7 +1,5 @@
 """Machine: one running program, with the rules and error texts that are the same on every target."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 from typing import Any

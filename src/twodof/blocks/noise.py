@@ -5,8 +5,6 @@ key (seed, stream), counter (tick, 0, 0, 0). One evaluation gives four words, so
 together (`normal4`), and give each source of noise a stream of its own. All arguments are uint32 or int literals.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from math import pi
 from typing import Any

@@ -1,7 +1,5 @@
 """The group of commands, each loaded when it is called, and what every command does with errors and Ctrl-C."""
 
-from __future__ import annotations
-
 import importlib
 import sys
 import warnings

@@ -1,7 +1,5 @@
 """`twodof demo`: the whole way, from flying to the report."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from itertools import count

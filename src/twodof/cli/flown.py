@@ -1,7 +1,5 @@
 """What commands do with a flight: write its log, draw it, say how good its data are."""
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Iterable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Options that several commands share: one name, one meaning, one help line."""
 
-from __future__ import annotations
-
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated

@@ -1,7 +1,5 @@
 """What commands print: JSON for machines on stdout, tables for people on stdout, progress and errors on stderr."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

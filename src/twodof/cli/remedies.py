@@ -1,7 +1,5 @@
 """Remedies in the words of the command line: the package's errors name calls of Python where those are its remedy."""
 
-from __future__ import annotations
-
 from types import MappingProxyType
 
 IN_SHELL = MappingProxyType(

@@ -1,7 +1,5 @@
 """`twodof simulate`: fly a ready-made experiment, or a log's set-points, on a virtual rig."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Any
 

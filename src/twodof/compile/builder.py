@@ -1,7 +1,5 @@
 """build: from a diagram to something that runs."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Iterable
 

@@ -1,7 +1,5 @@
 """Stepper: a machine's steps with its inputs and outputs by position, for who steps it hundreds of times a second."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Mapping, Sequence
 from typing import Any

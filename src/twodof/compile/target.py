@@ -1,7 +1,5 @@
 """What a target is: it makes machine code of emitted C, and gives a program's instances their memory and calls."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,7 +1,5 @@
 """Whether the data of a flight are good enough for what it was flown for."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any

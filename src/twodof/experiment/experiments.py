@@ -1,7 +1,5 @@
 """An experiment as a protocol: what is excited, in which loop, with the cart locked or free, and what flies around."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import radians

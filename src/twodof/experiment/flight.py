@@ -1,7 +1,5 @@
 """Flying an experiment on the virtual rig: a start that fits, the flight, and whether its data are good enough."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math

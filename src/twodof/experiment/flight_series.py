@@ -1,7 +1,5 @@
 """Many flights over MAVLink at once: a process for each rig, which flies its drone and hands the flights over."""
 
-from __future__ import annotations
-
 import multiprocessing
 import signal
 import sys

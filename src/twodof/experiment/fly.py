@@ -1,7 +1,5 @@
 """Flying an experiment over MAVLink, on a virtual drone or a real one, in lockstep or in real time."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """The set-points of an experiment at every step of the flight controller."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """What flies: the user's controllers, the values of their parameters and of all others, and how clients are told."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from twodof.fcu.control.controllers import ControllerIdentity, Controllers, controller_identity

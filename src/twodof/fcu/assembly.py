@@ -1,7 +1,5 @@
 """The flight controller's program put together: store, commander, control loop, links and services."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from pathlib import Path

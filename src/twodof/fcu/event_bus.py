@@ -1,7 +1,5 @@
 """OnboardEventBus: tells those that asked for it when something has happened on board."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Callable
 from typing import Any, TypeVar

@@ -1,7 +1,5 @@
 """The flight controller's shell: links in and out, the control loop in real time or as it is granted, a clean end."""
 
-from __future__ import annotations
-
 import asyncio
 import gc
 import time

@@ -3,8 +3,6 @@
 The parent holds the other end of our standard input and never writes: its end is the parent's, however that died.
 """
 
-from __future__ import annotations
-
 import os
 import runpy
 import signal

@@ -1,7 +1,5 @@
 """What a program of ours said before it ended, told once: its own error where it named one, else its last lines."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from twodof.errors import LinkError

@@ -1,7 +1,5 @@
 """Flash a controller: check it, compile it, say what it costs and what changes, and let it fly from now on."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """A drone on this computer: its ports, its folder, its key, and what its flight controller says that it flies."""
 
-from __future__ import annotations
-
 import asyncio
 from dataclasses import dataclass
 from pathlib import Path

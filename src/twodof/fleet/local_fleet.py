@@ -1,7 +1,5 @@
 """Virtual drones on this computer, each with its flight controller and companion, supervised until they are ended."""
 
-from __future__ import annotations
-
 import asyncio
 import signal
 import sys

@@ -3,8 +3,6 @@
 That is the process to end, or whose owner to ask. Only Linux tells (/proc).
 """
 
-from __future__ import annotations
-
 import errno
 import pwd
 import socket

@@ -1,7 +1,5 @@
 """Virtual drones of a program's own: `twodof fcu` as child processes in lockstep, for as long as they are needed."""
 
-from __future__ import annotations
-
 import re
 import selectors
 import subprocess

@@ -1,7 +1,5 @@
 """Channels of a flight of which every step is known, simulated or logged on board, stamped as the drone's logs are."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -3,8 +3,6 @@
 What `synchronous` adds at import, tools/sync_stub.py writes into drone.pyi for editors and for mypy.
 """
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Callable, Iterator
 from contextlib import AbstractAsyncContextManager, contextmanager, suppress

@@ -1,7 +1,5 @@
 """What a report shows, as plain data: `characterisation` fills it in, `pages` lays it out."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

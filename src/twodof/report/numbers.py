@@ -1,7 +1,5 @@
 """Numbers as a reader wants them: as many digits as their standard deviation supports."""
 
-from __future__ import annotations
-
 import math
 
 from twodof.report.content import Uncertain

@@ -1,7 +1,5 @@
 """The report's pages and pictures with fields to fill in: `templates/` holds them as they are read."""
 
-from __future__ import annotations
-
 import functools
 import tomllib
 from importlib import resources

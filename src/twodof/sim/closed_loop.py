@@ -1,7 +1,5 @@
 """The closed loop: the rig and the flight code as one diagram, compiled as one step, and started where one likes."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Iterable, Iterator, Mapping
 from types import MappingProxyType

@@ -1,7 +1,5 @@
 """Flown: what a log says about how a flight was flown, on the control grid: modes, set-points, start, trim, bias."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

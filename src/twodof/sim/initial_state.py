@@ -1,7 +1,5 @@
 """Start: where a simulated flight begins, as parameters and states of the rig and states of the flight code."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field

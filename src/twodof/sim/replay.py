@@ -5,8 +5,6 @@ through the mode of the one compiled cascade. Where the log does not tell an int
 Gains that were changed in flight are changed in the replay. A user's controller is run by `sim.replay_user`.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

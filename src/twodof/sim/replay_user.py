@@ -1,7 +1,5 @@
 """Replay of a flight with the user's controllers: their diagrams, run over the log from one reset to the next."""
 
-from __future__ import annotations
-
 import itertools
 import re
 from collections.abc import Mapping

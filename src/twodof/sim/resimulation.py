@@ -1,7 +1,5 @@
 """Like: a logged flight flown again in simulation, noise-free and in closed loop, and how well it fits."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType

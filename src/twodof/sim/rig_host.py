@@ -1,7 +1,5 @@
 """The virtual rig as a flight controller's hardware: compiled by itself, stepped four base ticks a control period."""
 
-from __future__ import annotations
-
 import functools
 import math
 import operator

@@ -1,7 +1,5 @@
 """Which logged sample the flight controller had in its hands at each of its steps, and where samples are missing."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """A virtual drone: the virtual rig and the flight controller's program, as one thing that speaks MAVLink."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Iterable, Mapping
 from contextlib import suppress

@@ -3,8 +3,6 @@
 Printed by `tools/minimax.py`, which computes them; do not edit by hand.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

@@ -5,8 +5,6 @@ They are made of + - * / sqrt, `where` and bit operations of the block language 
 (`coefficients.py`), undo the reduction. Sums and products with their rounding errors are Dekker's and Knuth's.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

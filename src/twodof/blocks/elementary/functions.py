@@ -9,8 +9,6 @@ Infinities, NaN and signed zeros are those of C99, Annex F. Compute numbers unde
 the IEEE exceptions of the branches that `where` discards.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from inspect import isfunction

@@ -1,7 +1,5 @@
 """Arrays of fixed length, and the loops over them that stay loops when they are recorded."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from contextvars import ContextVar
 from typing import Any

@@ -5,8 +5,6 @@ Derivatives (2nd ed., 2008), chapter 3. At a tie, where a branch changes, the br
 motion leads into. Source: Griewank, On stable piecewise linearization, Optimization Methods and Software 28-6, 2013.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

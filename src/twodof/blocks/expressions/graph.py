@@ -1,7 +1,5 @@
 """Walking and recomputing expression graphs; iterative, because a graph may be deeper than Python's stack."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Continuous-time linear blocks, integrated by the step's method: integrator, lags, transfer function, state space."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

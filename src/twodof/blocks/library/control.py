@@ -1,7 +1,5 @@
 """The PID controller."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A block from a Python function."""
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Callable, Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """Blocks that remember: unit, N-sample and fractional delay, zero-order hold, rate transition."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

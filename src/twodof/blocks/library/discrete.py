@@ -1,7 +1,5 @@
 """Discrete-time linear blocks: integrator, derivative, filter, transfer function, state space, moving average."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -5,8 +5,6 @@ block's period, and s is in units of 2 pi f. An f above 0.499 / T, which the sam
 Source: Oppenheim, Schafer, Discrete-Time Signal Processing, section 7.2 (bilinear transformation).
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Elementary functions, rounding and conversion, element by element."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Comparisons, logic, and small state machines: edge detector, counter, flip-flop, timer."""
 
-from __future__ import annotations
-
 import operator
 from collections.abc import Callable, Mapping
 from functools import reduce

@@ -1,7 +1,5 @@
 """Arithmetic: sums, gains, products, absolute value, sign, smallest and largest."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import reduce
 from typing import Any

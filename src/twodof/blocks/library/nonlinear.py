@@ -1,7 +1,5 @@
 """Nonlinear blocks: saturation, dead zone, quantiser, rate limit, relay with hysteresis, backlash."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from twodof.blocks.block import Block, Clock, library_block

@@ -1,7 +1,5 @@
 """Sources that play recorded values, and the one-dimensional look-up."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Noise: a pure function of (seed, stream, tick), so that any run can be repeated to the bit."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

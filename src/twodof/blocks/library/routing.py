@@ -1,7 +1,5 @@
 """Signal routing: switches, mux, demux, selector."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

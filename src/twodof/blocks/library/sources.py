@@ -4,8 +4,6 @@ Times are parameters in seconds; `prepare` turns them into whole base ticks (the
 and equal times give equal numbers of ticks. An edge acts in its own tick: the new value is there at tick start / dt.
 """
 
-from __future__ import annotations
-
 from typing import Any, ClassVar
 
 from twodof.blocks.block import Block, Clock, library_block

@@ -4,8 +4,6 @@
 System Identification, chapter 2; Golomb, Shift Register Sequences.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Periodic and swept sources: sine, multisine, sweep, PRBS."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any

@@ -3,8 +3,6 @@
 What comes in is bounded before it is used. docs/explanation/language.md, section 5, describes the form and the limits.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections import Counter

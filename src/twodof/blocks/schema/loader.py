@@ -1,7 +1,5 @@
 """Builds a diagram from its JSON form and refuses, at the door, what would cost too much or is not what it says."""
 
-from __future__ import annotations
-
 import difflib
 import unicodedata
 from collections.abc import Mapping

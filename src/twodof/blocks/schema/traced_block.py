@@ -1,7 +1,5 @@
 """TracedBlock: a block that is its recorded expressions, as it travels in JSON."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """`twodof diagram`: start one, check it, draw it, see the C that it becomes, linearize it."""
 
-from __future__ import annotations
-
 import json as json_text
 from dataclasses import asdict
 from enum import StrEnum

@@ -1,7 +1,5 @@
 """`twodof flash`: check a controller, compile it, say what it costs and what changes, and let it fly from now on."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

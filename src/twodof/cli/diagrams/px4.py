@@ -1,7 +1,5 @@
 """`twodof px4 export` and `twodof px4 check`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """`twodof companion`: pass MAVLink between the flight controller and several clients; run a user's app on board."""
 
-from __future__ import annotations
-
 import asyncio
 import sys
 from dataclasses import dataclass, replace

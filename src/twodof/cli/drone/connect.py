@@ -1,7 +1,5 @@
 """A drone for a command: connected to as `Drone.connect` does, with refusals that say what to do from the shell."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path

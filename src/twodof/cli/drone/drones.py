@@ -1,7 +1,5 @@
 """`twodof drones`: which drones can be heard, and where to connect to them."""
 
-from __future__ import annotations
-
 import asyncio
 from collections import Counter
 from typing import Annotated

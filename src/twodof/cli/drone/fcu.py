@@ -1,7 +1,5 @@
 """`twodof fcu`: a virtual drone that speaks MAVLink, until it is interrupted."""
 
-from __future__ import annotations
-
 import asyncio
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`twodof fly`: fly a ready-made experiment over MAVLink, on a virtual drone or a real one."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress

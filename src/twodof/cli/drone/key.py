@@ -1,7 +1,5 @@
 """`twodof key`: a key file, with which what is sent over MAVLink is signed."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """`twodof kill`: the motors of a drone off, from the shell, though another has its lease; and letting it go again."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """`twodof parameters`: see and set what can be tuned on a drone, the parameters of your own controller too."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any

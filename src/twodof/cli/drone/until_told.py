@@ -1,7 +1,5 @@
 """Programs that run until somebody ends them: Ctrl-C and SIGTERM are how they end, not a failure."""
 
-from __future__ import annotations
-
 import asyncio
 import signal
 from collections.abc import Coroutine

@@ -1,7 +1,5 @@
 """`twodof up`: virtual drones with flight controller and companion each, on ports of their own, until Ctrl-C."""
 
-from __future__ import annotations
-
 import asyncio
 import sys
 from collections.abc import Mapping

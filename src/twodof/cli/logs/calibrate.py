@@ -1,7 +1,5 @@
 """`twodof calibrate`: the lab rig's parameters from the real drone's logs."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

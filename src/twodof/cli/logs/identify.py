@@ -1,7 +1,5 @@
 """`twodof identify LOG --experiment ...`: a model from a flight log, by hand or by output error."""
 
-from __future__ import annotations
-
 import json as json_text
 import math
 from collections.abc import Sequence

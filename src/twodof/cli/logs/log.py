@@ -1,7 +1,5 @@
 """`twodof log info`, `plot`, `convert`, `recover` and `fetch`."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path

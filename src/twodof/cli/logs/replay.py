@@ -1,7 +1,5 @@
 """`twodof replay LOG`: does the compiled flight code give back what flew?"""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

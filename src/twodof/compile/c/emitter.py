@@ -4,8 +4,6 @@ No globals but constant tables, no malloc, no libm. `real` is double or float. W
 docs/explanation/language.md.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable, Iterable, Sequence

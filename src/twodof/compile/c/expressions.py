@@ -1,7 +1,5 @@
 """Expressions as C99: one `Renderer` for one block in one C scope."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence

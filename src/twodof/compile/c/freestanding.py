@@ -1,7 +1,5 @@
 """What emitted C needs where there is no C library: four functions on memory, and a check of the structs' layout."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from importlib import resources
 

@@ -1,7 +1,5 @@
 """The small C functions that give integers and conversions the language's meaning everywhere."""
 
-from __future__ import annotations
-
 _C_TYPES = {"bool": "bool", "int32": "int32_t", "uint32": "uint32_t", "real": "real"}
 
 # What a function returns is one expression of its arguments. `{f}` is the suffix of float32's constants. The first real

@@ -1,7 +1,5 @@
 """The C of the integration: what is held, one `derivative` function, Runge-Kutta or Euler, edges and projections."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from functools import partial

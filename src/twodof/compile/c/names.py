@@ -1,7 +1,5 @@
 """Identifiers for emitted C: unique in their scope, and different from keywords and names of headers and helpers."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """The operations of the language as C99: one row each, which other styles of C override."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

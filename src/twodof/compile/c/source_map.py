@@ -1,7 +1,5 @@
 """Whose line is whose: from the generated C back to the blocks, by the comments that stand above their lines."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field

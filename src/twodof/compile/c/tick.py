@@ -1,7 +1,5 @@
 """The C of one tick: outputs, returned signals, discrete states."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 

@@ -1,7 +1,5 @@
 """Lines of C, with the stores that a style may write in its own way."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field

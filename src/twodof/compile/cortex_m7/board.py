@@ -1,7 +1,5 @@
 """Board: the process of the emulator, and the two named pipes by which the image talks to us."""
 
-from __future__ import annotations
-
 import os
 import select
 import shutil

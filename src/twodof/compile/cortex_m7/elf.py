@@ -1,7 +1,5 @@
 """Object files and images in the Executable and Linkable Format: sections, symbols and what refers to what."""
 
-from __future__ import annotations
-
 import struct
 from dataclasses import dataclass, field
 

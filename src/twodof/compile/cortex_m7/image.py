@@ -1,7 +1,5 @@
 """Images for the Cortex-M7: programs, start-up and server cross-compiled and linked to one ELF file."""
 
-from __future__ import annotations
-
 import io
 import re
 import shutil

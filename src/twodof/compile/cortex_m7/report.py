@@ -1,7 +1,5 @@
 """Report: what a program costs on the Cortex-M7, measured and bounded."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, cast

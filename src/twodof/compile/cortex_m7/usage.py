@@ -1,7 +1,5 @@
 """What functions of a program need: bytes of flash and RAM, and the worst-case depth of the stack."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ as wide as reals, all ones where true. With vectors of 64 bytes they have one bi
 Vectors are GCC's and clang's; what they lack is done lane by lane. `templates/` has what names a processor's own.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from importlib import resources
 from string import Template

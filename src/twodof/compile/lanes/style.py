@@ -4,8 +4,6 @@ What is the same in all lanes (rates that are due, loops with their counters) st
 own becomes a mask: both sides are computed, and only stores are chosen.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext

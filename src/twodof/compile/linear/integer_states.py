@@ -1,7 +1,5 @@
 """What integer and bool states do while the real ones rest at a point: they settle, or they go round a ring buffer."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass

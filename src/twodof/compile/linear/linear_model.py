@@ -1,7 +1,5 @@
 """LinearModel: A, B, C, D with names, at a point of a diagram."""
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field

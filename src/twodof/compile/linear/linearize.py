@@ -4,8 +4,6 @@ docs/how-to/check-a-diagram.md says what is assumed: which model it is, and what
 and kinks.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

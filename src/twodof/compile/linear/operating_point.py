@@ -1,7 +1,5 @@
 """Point: the values of a program's parameters, inputs and states at which it is linearized."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 

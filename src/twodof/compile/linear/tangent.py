@@ -1,7 +1,5 @@
 """One step of a program with its derivatives: docs/explanation/language.md, section 4, on numbers that carry slopes."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """check: every problem of a diagram at once, what is odd about it though it compiles, and how large it is."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The C structs of a program: P parameters, S states, U inputs, Y outputs, and where each path stands in them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """From a diagram to a program: check, flatten, find what is needed, order."""
 
-from __future__ import annotations
-
 import heapq
 import math
 from collections.abc import Callable, Iterable, Sequence

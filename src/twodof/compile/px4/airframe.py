@@ -1,7 +1,5 @@
 """The airframe of the rig, the scripts that put the module in the place of PX4's, and what the logger is to record."""
 
-from __future__ import annotations
-
 from zlib import crc32
 
 from twodof.compile.px4.names import ModuleNames, harmless

@@ -1,7 +1,5 @@
 """The module's C: the emitted program in float32, and a small interface that C++ can include under any name."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace

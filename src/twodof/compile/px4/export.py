@@ -1,7 +1,5 @@
 """export: from a diagram to a complete external module for PX4."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path

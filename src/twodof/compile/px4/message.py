@@ -1,7 +1,5 @@
 """The module's uORB message: what it read, what it commanded, the signals that are logged, and how it fares."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from twodof.compile.program.flat_program import FlatProgram, FlatSignal

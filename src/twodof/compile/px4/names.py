@@ -3,8 +3,6 @@
 Each rule looks at one name alone as far as it can, so that a new part of a diagram does not rename the others.
 """
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Iterable, Sequence

@@ -1,7 +1,5 @@
 """The parameters that a module shows to PX4: from a diagram's parameters to rows, and to module.yaml."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass

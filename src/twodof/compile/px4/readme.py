@@ -1,7 +1,5 @@
 """The README of an exported module."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 
 from twodof.compile.px4.airframe import airframe_file, airframe_id

@@ -1,7 +1,5 @@
 """The text files of a module with fields to fill in: `templates/` holds them as they are exported."""
 
-from __future__ import annotations
-
 import functools
 from importlib import resources
 from string import Template

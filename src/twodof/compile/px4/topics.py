@@ -3,8 +3,6 @@
 `topics.toml` holds the tables, and explains the columns of those whose C++ `work_item.py` puts together.
 """
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A generated tree: its files by relative path, and writing all of them or none."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -3,8 +3,6 @@
 It does without PX4's ModuleBase, which is another class after v1.17, so that one text serves all versions.
 """
 
-from __future__ import annotations
-
 from twodof.compile.px4.controller import PERIOD_US
 from twodof.compile.px4.message import FAULTS, MessageFields
 from twodof.compile.px4.names import ModuleNames

@@ -1,7 +1,5 @@
 """The cache of what was compiled: sealed files by content, run as they lie there, so nobody else may have put them."""
 
-from __future__ import annotations
-
 import fcntl
 import hashlib
 import os

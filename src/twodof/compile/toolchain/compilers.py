@@ -1,7 +1,5 @@
 """Compilers, and what they make of C: libraries, WebAssembly modules, images."""
 
-from __future__ import annotations
-
 import functools
 import hashlib
 import importlib.util

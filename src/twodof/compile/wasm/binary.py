@@ -1,7 +1,5 @@
 """The binary form of a WebAssembly module, as far as it takes to know that one is closed, and to bound its memory."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 from twodof.errors import CompileError

@@ -1,7 +1,5 @@
 """What a program costs, known before it is compiled: fuel for a step in the sandbox, time for an optimiser."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable
 

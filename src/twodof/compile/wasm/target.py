@@ -1,7 +1,5 @@
 """The target "wasm": modules that any engine loads, run by wasmtime; and whether both can be had here."""
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Sequence
 from dataclasses import dataclass

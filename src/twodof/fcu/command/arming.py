@@ -1,7 +1,5 @@
 """Arming, disarming and the kill: what the failsafe is told, and its answer."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from twodof.fcu.command.command_lease import CommandLease

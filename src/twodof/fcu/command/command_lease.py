@@ -1,7 +1,5 @@
 """The lease: who may command, and whether the drone hears it. The rules are those of docs/reference/protocol.md."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from twodof.fcu.command.result import DONE, CommandResult, Source, denied, rejected

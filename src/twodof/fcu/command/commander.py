@@ -4,8 +4,6 @@ Every command is answered by a CommandResult. The rules are in docs/reference/pr
 excitation.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable
 

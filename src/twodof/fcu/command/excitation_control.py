@@ -1,7 +1,5 @@
 """Which excitation is played on board, and when: its definition, its start and its stop."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from twodof.fcu.command.arming import ArmingControl

@@ -1,7 +1,5 @@
 """Playing an excitation on board: the very numbers of its definition, one a tick, added to a set-point."""
 
-from __future__ import annotations
-
 import json
 from typing import Any, NamedTuple
 

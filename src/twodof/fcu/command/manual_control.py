@@ -1,7 +1,5 @@
 """Sticks: what MANUAL_CONTROL asks for in each mode."""
 
-from __future__ import annotations
-
 from twodof.fcu.command.setpoints import SetPoint, SetpointValues
 from twodof.link.mavlink import modes
 from twodof.signals import ATTITUDE, OPEN_LOOP, POSITION, RATE, VELOCITY

@@ -1,7 +1,5 @@
 """Who asks for something, and the answer that a command gets."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from twodof.link.mavlink.mav_enums import MavResult

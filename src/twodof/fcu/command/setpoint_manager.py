@@ -1,7 +1,5 @@
 """The mode, and the set-points that are flown in each tick. Others decide who may change them."""
 
-from __future__ import annotations
-
 from bisect import insort
 from typing import NamedTuple
 

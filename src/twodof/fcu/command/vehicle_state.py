@@ -1,7 +1,5 @@
 """VehicleState: what the commander knows of the drone in this tick."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 from twodof.fcu.control.flight_code import ControlStep

@@ -1,7 +1,5 @@
 """What the flight code is asked in one tick, next to what is measured."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 

@@ -1,7 +1,5 @@
 """Which controllers fly: those given at the start, and those that were uploaded since; rebuilt while disarmed."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Iterable, Mapping
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What the flight controller stands on: sensors that are read and motors that are driven, once a control period."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, NamedTuple, Protocol
 

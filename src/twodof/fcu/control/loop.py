@@ -1,7 +1,5 @@
 """The flight controller: one control period after the other, in real time or in lockstep."""
 
-from __future__ import annotations
-
 import secrets
 import time
 from collections.abc import Mapping

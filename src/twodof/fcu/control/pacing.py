@@ -1,7 +1,5 @@
 """Pacing: wakes the control loop at each control period of real time, by the monotonic clock."""
 
-from __future__ import annotations
-
 import asyncio
 import ctypes
 import os

@@ -1,7 +1,5 @@
 """A user's controllers that are not trusted: a whole flight core of theirs in WebAssembly, bounded, watched."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple

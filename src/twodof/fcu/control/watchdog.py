@@ -1,7 +1,5 @@
 """Watchdog: stops the motors when the control loop hangs."""
 
-from __future__ import annotations
-
 import sys
 import threading
 import time

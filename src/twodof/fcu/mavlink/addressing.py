@@ -1,7 +1,5 @@
 """Who a message is for, who sent it, and numbers of messages made safe to use."""
 
-from __future__ import annotations
-
 from math import isfinite
 from typing import Any, NamedTuple
 

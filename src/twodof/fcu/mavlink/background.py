@@ -1,7 +1,5 @@
 """Work that touches the disk, done by a thread of its own, so that the control loop never waits for it."""
 
-from __future__ import annotations
-
 import threading
 from collections import deque
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Clients: the peers that have spoken. Each gets its own streams, until it is silent or its link closes."""
 
-from __future__ import annotations
-
 from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """Sending much in small portions: after each control period, or by the clock where ticks may stand still."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Callable, Sequence
 from contextlib import suppress

@@ -6,8 +6,6 @@ goes to everybody, so that a client that keeps a list asks again. A list that is
 enforced: a refused value is answered by PARAM_ERROR and the value that stays, one of the wrong type by PARAM_ERROR.
 """
 
-from __future__ import annotations
-
 import struct
 from collections import OrderedDict, deque
 from collections.abc import Hashable, Iterator, Mapping

@@ -1,7 +1,5 @@
 """A service: one MAVLink microservice of the flight controller, such as parameters or streams."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Hashable
 from typing import Any, Protocol
 

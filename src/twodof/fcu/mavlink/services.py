@@ -1,7 +1,5 @@
 """The services in front of one vehicle, put together."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 
 from twodof.fcu.command.commander import Commander

@@ -1,7 +1,5 @@
 """Remarks: what the vehicle has to say in words goes to everybody as STATUSTEXT; and when the disk makes trouble."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from twodof.errors import TwodofError

@@ -1,7 +1,5 @@
 """Transactions: TWODOF_PARAM_TRANSACTION sets several parameters at one tick or none, and undoes the last change."""
 
-from __future__ import annotations
-
 from collections import OrderedDict
 from dataclasses import dataclass, field
 from typing import NamedTuple

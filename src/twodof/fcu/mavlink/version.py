@@ -1,7 +1,5 @@
 """Version: what this autopilot is and can do: AUTOPILOT_VERSION and PROTOCOL_VERSION."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Iterable
 from typing import Any

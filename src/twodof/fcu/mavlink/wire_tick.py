@@ -1,7 +1,5 @@
 """Ticks on the wire: 32 bits, which run over after 198 days (in milliseconds after 49), and the tick that is meant."""
 
-from __future__ import annotations
-
 from twodof.link.control_period import TICK_MS
 
 RUN_OVER = 2**32

@@ -1,7 +1,5 @@
 """The folder of on-board logs: numbered files, bounded in number and bytes, the oldest going first."""
 
-from __future__ import annotations
-
 import os
 import re
 import stat

@@ -1,7 +1,5 @@
 """From rows of steps to ULog files: when a log begins and ends and what is in it; knows no control loop, no queue."""
 
-from __future__ import annotations
-
 import time
 from collections import deque
 from collections.abc import Callable, Mapping

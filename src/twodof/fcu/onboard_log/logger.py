@@ -1,7 +1,5 @@
 """OnboardLog: every step of a flight in ULog files on board; the control loop only hands rows over."""
 
-from __future__ import annotations
-
 import struct
 import threading
 from collections import deque

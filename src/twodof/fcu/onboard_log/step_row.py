@@ -1,7 +1,5 @@
 """A step as one row of bytes: what the control loop hands to the on-board log, and how it stands in the ULog."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 from operator import attrgetter
 from struct import Struct

@@ -1,7 +1,5 @@
 """Store: the vehicle's parameters, bounded and typed, changed all or none, kept in a file that no crash can tear."""
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """One parameter of the vehicle, as it goes over the wire."""
 
-from __future__ import annotations
-
 import struct
 from dataclasses import dataclass
 

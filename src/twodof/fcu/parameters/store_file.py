@@ -1,7 +1,5 @@
 """The file of the vehicle's parameters: whole or not there, written by a thread of its own, checked when it is read."""
 
-from __future__ import annotations
-
 import json
 import threading
 import time

@@ -1,7 +1,5 @@
 """All parameters of a vehicle: the flight code's, and those of PX4 that its clients ask for."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

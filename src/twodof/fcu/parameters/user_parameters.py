@@ -5,8 +5,6 @@ station's file fits both. A value at the default flies as the diagram has it, to
 less.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field

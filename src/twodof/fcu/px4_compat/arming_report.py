@@ -4,8 +4,6 @@ Source: MAVLink's libevents, protocol "health_and_arming_check": a summary, an e
 summary. As in PX4 it is sent when it has changed, every two seconds at most, and at once when somebody asks for it.
 """
 
-from __future__ import annotations
-
 from types import MappingProxyType
 from typing import NamedTuple
 

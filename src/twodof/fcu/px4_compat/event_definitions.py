@@ -3,8 +3,6 @@
 Source: `validation/schema.json` of MAVLink's libevents, version 2 of the format.
 """
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

@@ -3,8 +3,6 @@
 Source: the event definitions of MAVLink's libevents, version 2. An entry's description is what a client shows.
 """
 
-from __future__ import annotations
-
 from types import MappingProxyType
 from typing import NamedTuple
 

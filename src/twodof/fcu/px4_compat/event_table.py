@@ -4,8 +4,6 @@ Ids are component 1 << 24 | number; a number keeps its meaning and its arguments
 Source: MAVLink guide, "Events Interface"; levels and groups as PX4 uses them.
 """
 
-from __future__ import annotations
-
 import struct
 from types import MappingProxyType
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """Events: EVENT numbers what happens on board, so that a client sees a gap and asks for what it missed."""
 
-from __future__ import annotations
-
 from collections import deque
 from typing import Any
 

@@ -6,8 +6,6 @@ One client at a time, for as long as it is heard of, from a log that begins with
 messages; PX4, mavlink_ulog.cpp.
 """
 
-from __future__ import annotations
-
 from collections.abc import Hashable
 from pathlib import Path
 

@@ -4,8 +4,6 @@ Topics and fields are those of PX4 v1.16 (msg/), as far as this vehicle has them
 the local x axis. What PX4 leaves open is NaN.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, NamedTuple
 

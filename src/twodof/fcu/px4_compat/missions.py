@@ -1,7 +1,5 @@
 """Missions, fences and rally points: the vehicle does not have them, and answers every question so."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from twodof.fcu.command.result import denied

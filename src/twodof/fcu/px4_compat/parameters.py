@@ -5,8 +5,6 @@ are fixed, because they tell what this vehicle is. The rest are kept for the cli
 as their text says. Source of names, types, bounds: PX4 v1.16, parameter reference.
 """
 
-from __future__ import annotations
-
 from typing import Literal
 
 from twodof.fcu.parameters.row import VehicleParameter

@@ -1,7 +1,5 @@
 """Storage: command 245, by which ground stations store parameters and set all to their defaults."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Hashable
 
 from twodof.errors import ParameterError

@@ -1,7 +1,5 @@
 """A ULog that is still being written, cut into pieces for a message each, with where messages begin in them."""
 
-from __future__ import annotations
-
 from collections import deque
 from typing import NamedTuple
 

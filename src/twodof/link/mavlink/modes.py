@@ -1,7 +1,5 @@
 """Modes by name and as PX4's number in HEARTBEAT.custom_mode: main << 16 | sub << 24."""
 
-from __future__ import annotations
-
 from types import MappingProxyType
 from typing import NamedTuple
 

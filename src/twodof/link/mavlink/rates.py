@@ -4,8 +4,6 @@ The flight controller streams at them, and the companion thins out to them for e
 src/modules/mavlink/mavlink_main.cpp, MAVLINK_MODE_ONBOARD and MAVLINK_MODE_NORMAL, where it has one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import NamedTuple

@@ -3,8 +3,6 @@
 What is ignored in a message is None in what is read from it. Of an attitude the pitch counts; north is the rail's x.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple

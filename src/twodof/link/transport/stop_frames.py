@@ -3,8 +3,6 @@
 Whoever can put such a frame into a stream, inside of another even, could have sent it as it is.
 """
 
-from __future__ import annotations
-
 import re
 
 from twodof.link.mavlink.framing import CHECKSUM, HEADER_1, HEADER_2, MARKER_2, SIGNATURE, SIGNED, Parser

@@ -1,7 +1,5 @@
 """The paper's characterisation of one machine: its three experiments, by hand and by output error."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """From characterisations to the report: Table 1's rows, the checks, what the data could not tell, the findings."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """The whole walk: fly, cut, identify, compare. What `twodof demo` does, a machine at a time."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 

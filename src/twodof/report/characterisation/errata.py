@@ -1,7 +1,5 @@
 """Places where the paper's print does not hold, each with the figures that show it, computed here."""
 
-from __future__ import annotations
-
 import math
 import tomllib
 

@@ -1,7 +1,5 @@
 """The paper's Figures 3 to 8, redrawn from one machine's characterisation."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 

@@ -8,8 +8,6 @@ It is our own code because the library `grandalf` does not know pins and right a
 flight core through boxes, in two to four times the time. `dot` of Graphviz ignores pins where it draws right angles.
 """
 
-from __future__ import annotations
-
 from bisect import bisect_right, insort
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """How wide a text is: the letters' widths of Helvetica and of the fonts made to its measure (Arial, Liberation)."""
 
-from __future__ import annotations
-
 import unicodedata
 
 # Thousandths of the font's size, from the public font metrics (AFM) of Helvetica.

@@ -1,7 +1,5 @@
 """The room between two columns of a layout, in which wires change their height: each on a vertical track of its own."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 TRACK = 11.0  # between two tracks

@@ -1,7 +1,5 @@
 """The generated C beside the blocks it came from, as one self-contained page: point at one to see the other."""
 
-from __future__ import annotations
-
 from html import escape
 
 from twodof.compile.c.source_map import SourceMap

@@ -1,7 +1,5 @@
 """The report as one self-contained HTML file: no script, no network, light and dark, fit to print."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator, Sequence

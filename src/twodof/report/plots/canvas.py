@@ -1,7 +1,5 @@
 """What all figures share: colours by name, fonts, axes without a box, and the SVG that follows the page."""
 
-from __future__ import annotations
-
 import io
 import re
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """A flight as a picture: PNG, SVG or PDF to put into a text, or a page that follows light and dark."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Sequence
 from html import escape

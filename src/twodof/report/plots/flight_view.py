@@ -1,7 +1,5 @@
 """What a plot of a flight shows: curves in panels, and above them what flew, what the failsafe did, what was played."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

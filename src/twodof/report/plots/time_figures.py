@@ -1,7 +1,5 @@
 """Figures as inline SVG whose colours and fonts are the page's, so that they follow light and dark."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """check: tells before a build what of an exported module does not fit a checkout of PX4."""
 
-from __future__ import annotations
-
 import dataclasses
 import os
 import re

@@ -1,7 +1,5 @@
 """A checkout of PX4, read without building or running anything of it."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """The PX4 versions that a module is for, and what is known of each."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 

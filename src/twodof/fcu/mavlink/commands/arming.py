@@ -1,7 +1,5 @@
 """Arming, disarming, stopping, restarting: the commands 400, 401, 185 and 246."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import NamedTuple
 

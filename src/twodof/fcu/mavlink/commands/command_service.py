@@ -1,7 +1,5 @@
 """Commands: COMMAND_LONG and COMMAND_INT in, one COMMAND_ACK out for each; who does what is registered by number."""
 
-from __future__ import annotations
-
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """TWODOF_EXCITE: an excitation's definition in pieces, its start and stop; TWODOF_EXCITE_STATUS tells how it stands."""
 
-from __future__ import annotations
-
 from collections.abc import Hashable
 from math import isnan
 from typing import Any, NamedTuple

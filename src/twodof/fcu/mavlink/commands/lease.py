@@ -1,7 +1,5 @@
 """TWODOF_LEASE: asking for the lease and giving it up. And who is heard: first of the services, it sees every frame."""
 
-from __future__ import annotations
-
 from collections import OrderedDict
 
 from twodof.fcu.command.commander import Commander

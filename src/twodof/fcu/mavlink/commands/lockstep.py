@@ -1,7 +1,5 @@
 """Lockstep: TWODOF_GRANT lets time run, TWODOF_TICK says how far it has; TWODOF_RIG_RESET begins again."""
 
-from __future__ import annotations
-
 from bisect import insort
 from collections.abc import Callable, Hashable
 from typing import Any, NamedTuple

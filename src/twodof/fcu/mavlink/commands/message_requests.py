@@ -1,7 +1,5 @@
 """Requests for one message: command 512 and the older commands that ask for a particular one."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Any

@@ -1,7 +1,5 @@
 """Modes: which there are, which is in force, and changing it, as PX4 numbers them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Reload: the command after which the controllers fly that were uploaded."""
 
-from __future__ import annotations
-
 import asyncio
 import gc
 from collections.abc import Callable, Mapping

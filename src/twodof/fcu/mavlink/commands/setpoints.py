@@ -1,7 +1,5 @@
 """Set-points: SET_ATTITUDE_TARGET, SET_POSITION_TARGET_LOCAL_NED, MANUAL_CONTROL and TWODOF_OPENLOOP."""
 
-from __future__ import annotations
-
 from collections import OrderedDict
 from collections.abc import Callable
 from typing import Any

@@ -5,8 +5,6 @@ events and the diagrams that fly, `/log` the on-board logs, `/controllers` the d
 bounded. Called from the thread of `Background`.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import zlib

@@ -5,8 +5,6 @@ session ends; those that nobody goes on with make room for others. A request tha
 got. Source: MAVLink guide, "File Transfer Protocol".
 """
 
-from __future__ import annotations
-
 import struct
 import time
 from collections import OrderedDict

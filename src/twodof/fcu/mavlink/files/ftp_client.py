@@ -1,7 +1,5 @@
 """What the FTP server keeps of one client: its sessions, its burst, its last request with the answer."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field

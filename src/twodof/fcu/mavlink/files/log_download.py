@@ -5,8 +5,6 @@ number moves when a log is written or deleted. A log that is being written has t
 client asks again for what got lost. Another thread reads the file, which is sent in portions.
 """
 
-from __future__ import annotations
-
 from collections import OrderedDict, deque
 from collections.abc import Hashable
 

@@ -4,8 +4,6 @@ COMPONENT_METADATA names the general file, which names the others. Sources: MAVL
 Protocol"; schemas general and parameter, version 1.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import MappingProxyType

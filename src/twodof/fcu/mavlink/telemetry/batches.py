@@ -1,7 +1,5 @@
 """Batches: TWODOF_BATCH carries every sample of chosen channels to who asked for them, several ticks in a message."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Hashable, Mapping
 from math import isfinite, nan
 from operator import attrgetter

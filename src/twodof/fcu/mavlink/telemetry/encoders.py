@@ -1,7 +1,5 @@
 """Telemetry: every message that can be streamed or asked for, as of now."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from math import isfinite, nan

@@ -4,8 +4,6 @@ Axes are forward-right-down. North is along the rail: heading is 0 and x points 
 yaw, sideways, up) is 0. The rest of the fields is as https://mavlink.io/en/messages/common.html says.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from math import cos, isfinite, nan, sin
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """HEARTBEAT: once a second to everybody who is connected, at each change of mode, and to a new client at once."""
 
-from __future__ import annotations
-
 from collections.abc import Hashable
 
 from twodof.fcu.command.commander import Commander

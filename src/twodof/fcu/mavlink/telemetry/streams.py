@@ -5,8 +5,6 @@ offset, so that messages of one rate do not come in one tick. Therefore a tick c
 also when clients come at other times. What several clients get in one tick is encoded once.
 """
 
-from __future__ import annotations
-
 from collections.abc import Hashable, Mapping
 from math import isfinite
 from typing import Any
