@@ -5,8 +5,8 @@ from collections.abc import Hashable
 from typing import Any, cast
 
 from twodof.fcc.client import CompanionClient
-from twodof.fcc.rate_profiles import profile
 from twodof.fcc.router import Router
+from twodof.fcc.streams.rate_profiles import profile
 from twodof.fcc.uplink_queue import UplinkQueue
 from twodof.link.mavlink import dialect
 from twodof.link.mavlink.framing import Frame, Parser, decode, encode

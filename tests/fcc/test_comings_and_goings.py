@@ -14,12 +14,12 @@ from tests.faults.virtual_time import run_virtual
 from tests.fcc.ends import Ends, frame
 from tests.fcc.scripted import Listener, Vehicle, until
 from tests.link.ends import run
-from twodof.fcc import batch_repacking
 from twodof.fcc.client import MOST_SENDERS, SILENT_S
 from twodof.fcc.client_link import Serve
 from twodof.fcc.companion import Companion
 from twodof.fcc.router import BESIDE_S, MOST_PASSED, MOST_ROUNDS, MOVED_S
-from twodof.fcc.stream_thinning import MOST_TAPS, settled
+from twodof.fcc.streams import batch_repacking
+from twodof.fcc.streams.stream_thinning import MOST_TAPS, settled
 from twodof.link.mavlink.framing import Frame, encode
 from twodof.link.mavlink.messages import message
 from twodof.link.transport.open_transport import open_transport

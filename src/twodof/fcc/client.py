@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from twodof.errors import LinkLost
 from twodof.fcc.frame_fields import renumbered
-from twodof.fcc.rate_profiles import OFF
+from twodof.fcc.streams.rate_profiles import OFF
 from twodof.link.mavlink.dialect import FIRST_OWN_ID, LAST_OWN_ID
 from twodof.link.mavlink.framing import Frame
 from twodof.link.transport.base import Transport

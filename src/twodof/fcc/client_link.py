@@ -8,7 +8,7 @@ from twodof.errors import LinkError
 from twodof.fcc.client import SILENT_S, CompanionClient
 from twodof.fcc.companion_link import CompanionLink
 from twodof.fcc.component import CompanionComponent
-from twodof.fcc.rate_profiles import profile
+from twodof.fcc.streams.rate_profiles import profile
 from twodof.fcc.vehicle_link import VehicleLink
 from twodof.link.connection import BROKEN_OFF_S, TELL_S
 from twodof.link.mavlink.framing import Frame, Parser

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from twodof.fcc import frame_fields
-from twodof.fcc.batch_repacking import BatchRepacker
 from twodof.fcc.client import SILENT_S, CompanionClient, Identity, Wish
 from twodof.fcc.reply_routing import ReplyRouting
-from twodof.fcc.stream_thinning import ClientStreams
-from twodof.fcc.subscriptions import Subscriptions
+from twodof.fcc.streams.batch_repacking import BatchRepacker
+from twodof.fcc.streams.stream_thinning import ClientStreams
+from twodof.fcc.streams.subscriptions import Subscriptions
 from twodof.fcc.uplink_queue import UplinkQueue
 from twodof.link.mavlink.components import AUTOPILOT, COMPANION
 from twodof.link.mavlink.framing import Frame, decode, encode

@@ -13,7 +13,7 @@ from typing import Any
 
 from twodof.fcc.client import CompanionClient, Wish
 from twodof.fcc.frame_fields import BATCH
-from twodof.fcc.rate_profiles import OFF
+from twodof.fcc.streams.rate_profiles import OFF
 from twodof.link.control_period import TICK_US
 from twodof.link.mavlink.framing import Frame
 from twodof.link.mavlink.messages import BATCH_VALUES, message

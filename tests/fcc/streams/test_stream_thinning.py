@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.fcc.ends import SYSTEM, Ends, names
-from twodof.fcc import rate_profiles
 from twodof.fcc.client import CompanionClient
-from twodof.fcc.rate_profiles import PROFILES, profile
+from twodof.fcc.streams import rate_profiles
+from twodof.fcc.streams.rate_profiles import PROFILES, profile
 from twodof.link.mavlink import dialect
 from twodof.link.mavlink.framing import decode
 from twodof.link.mavlink.rates import PROFILES as vehicle_profiles

@@ -5,12 +5,12 @@ from math import isfinite
 from typing import Any
 
 from twodof.fcc import frame_fields
-from twodof.fcc.batch_repacking import BatchRepacker
 from twodof.fcc.client import CompanionClient, Identity, Wish, is_ours
-from twodof.fcc.interval_requests import IntervalRequests
-from twodof.fcc.rate_profiles import EVERY, OFF, group
 from twodof.fcc.reply_routing import ReplyRouting
-from twodof.fcc.stream_thinning import ClientStreams, events, settled
+from twodof.fcc.streams.batch_repacking import BatchRepacker
+from twodof.fcc.streams.interval_requests import IntervalRequests
+from twodof.fcc.streams.rate_profiles import EVERY, OFF, group
+from twodof.fcc.streams.stream_thinning import ClientStreams, events, settled
 from twodof.link.control_period import TICK_US
 from twodof.link.mavlink.framing import Frame, decode
 from twodof.link.mavlink.messages import BATCH_VALUES, message

@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 
-from twodof.fcc.batch_repacking import together
 from twodof.fcc.client import MOST_WISHES, CompanionClient, Wish
 from twodof.fcc.frame_fields import BATCH, time_us
-from twodof.fcc.rate_profiles import EVERY, OFF, PROFILES, profile
+from twodof.fcc.streams.batch_repacking import together
+from twodof.fcc.streams.rate_profiles import EVERY, OFF, PROFILES, profile
 from twodof.link.mavlink import dialect
 from twodof.link.mavlink.framing import Frame
 
