@@ -3,6 +3,7 @@
 import struct
 import zlib
 from contextlib import suppress
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from twodof.fcu.command.result import rejected
 from twodof.fcu.mavlink.addressing import VehicleAddress
 from twodof.fcu.mavlink.files.file_tree import MAX_UPLOAD, MOST_UPLOADS, FileTree, mavlink_crc32
 from twodof.fcu.mavlink.files.ftp import MOST_CLIENTS, UPLOAD_S, FileTransfer
-from twodof.fcu.mavlink.files.ftp_client import BURST_BYTES, MOST_SESSIONS
+from twodof.fcu.mavlink.files.ftp_client import BURST_BYTES, MOST_SESSIONS, burst_packets
 from twodof.fcu.onboard_log.log_folder import LogFolder
 from twodof.fcu.onboard_log.logger import OnboardLogger
 from twodof.fcu.parameters.parameter_store import ParameterStore
@@ -165,6 +166,25 @@ def test_a_burst_is_bounded_numbered_and_ends(server: Server, chunk: int) -> Non
     assert rounds == -(-size // BURST_BYTES)
     (end,) = burst(server, session, size, chunk)
     assert (end.op, end.data[0]) == (FtpOperation.NAK, FtpError.END)
+
+
+def test_a_burst_is_made_as_it_is_sent() -> None:
+    class Counted(bytes):
+        parts = 0
+
+        def __getitem__(self, at: Any) -> Any:
+            Counted.parts += 1
+            return super().__getitem__(at)
+
+    request = read_packet(bytes(251))._replace(sequence=0xFFFF)
+    packets = burst_packets(request, Counted(BURST_BYTES), 1, ends=True)
+    # A client that asks for packets of one byte must not hold up the control loop, which sends some in each period.
+    assert [one.sequence for one in islice(packets, 3)] == [0, 1, 2]
+    assert Counted.parts == 3
+    *_, last, end = packets
+    assert (last.offset, last.complete, end.offset) == (BURST_BYTES - 1, 0, BURST_BYTES)
+    assert end.sequence == BURST_BYTES
+    assert end.data[0] == FtpError.END
 
 
 def test_pymavlinks_client_reads_checks_and_sends(server: Server, tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ import time
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from contextlib import suppress
+from itertools import islice
 
 from twodof.errors import TwodofError
 from twodof.fcu.control.flight_code import ControlStep
@@ -192,6 +193,7 @@ class FileTransfer(Service):
             if not isinstance(data, bytes):
                 return _refused(request, data)
             client.burst = burst_packets(request, data, most, ends=request.offset + len(data) >= file.size)
+            client.burst_session = request.session
             self._pump.start()
             return None
 
@@ -226,8 +228,8 @@ class FileTransfer(Service):
 
     def _terminate(self, client: FtpClient, request: FtpPacket) -> None:
         session = client.sessions.pop(request.session, None)
-        if client.burst and client.burst[0].session == request.session:
-            client.burst.clear()
+        if client.burst_session == request.session:
+            client.burst = None
         if session is None:
             self._answer(client, request, request.nak(FtpError.SESSION))
         elif session.file is not None:
@@ -306,12 +308,15 @@ class FileTransfer(Service):
     def send_bursts(self) -> bool:
         """Sends some packets of bursts; whether there are more. `PacedSender` calls it."""
         most = A_TICK_ARMED if self._armed else A_TICK
-        bursting = [client for client in self._clients.values() if client.burst]
+        bursting = [client for client in self._clients.values() if client.burst is not None]
         self._turn += most
         for client, share in shares(most, bursting, self._turn):
-            for _ in range(min(share, len(client.burst))):
-                self._send(client, client.burst.popleft())
-        return any(client.burst for client in bursting)
+            packets = [*islice(client.burst or (), share)]
+            for packet in packets:
+                self._send(client, packet)
+            if len(packets) < share:
+                client.burst = None
+        return any(client.burst is not None for client in bursting)
 
     def _room_for_upload(self) -> bool:
         """Whether another upload may wait, once those that are not gone on with have ended."""
@@ -323,7 +328,7 @@ class FileTransfer(Service):
         return waiting < MOST_UPLOADING
 
     def _dismiss(self, client: FtpClient) -> None:
-        client.burst.clear()
+        client.burst = None
         for session in client.sessions.values():
             if session.file is not None:
                 self._close(session.file)

@@ -1,7 +1,7 @@
 """What the FTP server keeps of one client: its sessions, its burst, its last request with the answer."""
 
 from collections import deque
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass, field
 
 from twodof.fcu.command.result import Source
@@ -30,26 +30,32 @@ class FtpSession:
     failed: bool = False
 
 
-def burst_packets(request: FtpPacket, data: bytes, most: int, ends: bool) -> deque[FtpPacket]:
-    """The answer to a burst request: `data` in packets of `most` bytes, then, if the file `ends` there, its end."""
-    packets = deque(
-        request.part(number, request.offset + at, data[at : at + most], last=not ends and at + most >= len(data))
-        for number, at in enumerate(range(0, len(data), most))
-    )
+def burst_packets(request: FtpPacket, data: bytes, most: int, ends: bool) -> Iterator[FtpPacket]:
+    """The answer to a burst request: `data` in packets of `most` bytes, then, if the file `ends` there, its end.
+
+    Each is made when it is sent: a client may ask for 35,000 packets of one byte, which takes many control periods.
+    """
+    places = range(0, len(data), most)
+    for number, at in enumerate(places):
+        last = not ends and at + most >= len(data)
+        yield request.part(number, request.offset + at, data[at : at + most], last)
     if ends or not data:
-        sequence = (request.sequence + 1 + len(packets)) & 0xFFFF
-        packets.append(request.nak(FtpError.END)._replace(sequence=sequence, offset=request.offset + len(data)))
-    return packets
+        sequence = (request.sequence + 1 + len(places)) & 0xFFFF
+        yield request.nak(FtpError.END)._replace(sequence=sequence, offset=request.offset + len(data))
 
 
 @dataclass(slots=True)
 class FtpClient:
-    """A client of the server, at `peer`. What it asks while it is `busy` waits: requests are carried out in order."""
+    """A client of the server, at `peer`. What it asks while it is `busy` waits: requests are carried out in order.
+
+    `burst` is what is still to be sent of a burst from the session `burst_session`, None: there is none.
+    """
 
     peer: Hashable
     source: Source
     sessions: dict[int, FtpSession] = field(default_factory=dict)
-    burst: deque[FtpPacket] = field(default_factory=deque)
+    burst: Iterator[FtpPacket] | None = None
+    burst_session: int = 0
     request: FtpPacket | None = None
     answer: FtpPacket | None = None
     busy: bool = False
