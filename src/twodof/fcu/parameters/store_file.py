@@ -109,7 +109,8 @@ class StoreFile:
         """Waits until what was given is written. Raises ParameterError as the question of `save`."""
         stored = self.save(deadline_s)
         with self._changed:
-            self._changed.wait_for(stored, deadline_s)
+            if not self._changed.wait_for(stored, deadline_s):
+                stored()  # raises: the deadline has passed since it was asked last
 
     def close(self, deadline_s: float) -> None:
         """Writes what waits and ends the thread. Raises ParameterError as `flush`."""
