@@ -230,6 +230,20 @@ def test_stamps_that_others_may_set_back_are_refused(tmp_path: Path, mode: int) 
     Stamps(path).close()
 
 
+def test_stamps_that_cannot_be_seen_are_not_taken_for_none(tmp_path: Path) -> None:
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
+    with pytest.raises(LinkError, match="time stamps cannot be read"):
+        Stamps(tmp_path / "loop")
+
+
+def test_stamps_of_another_user_could_have_been_set_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "stamps"
+    path.write_text('{"own": 5}')
+    monkeypatch.setattr(os, "geteuid", lambda: path.stat().st_uid + 1)
+    with pytest.raises(LinkError, match=r"belongs to another user.*change the key: old packets could come back"):
+        Stamps(path)
+
+
 def test_stamps_are_a_file_and_their_lock_is_no_link(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "fifo", 0o600)
     with pytest.raises(LinkError, match="time stamps: is not a file"):  # and nobody waits for a writer

@@ -69,7 +69,8 @@ def read_key(path: str | Path) -> Key:
 def read_guarded(path: Path, most: int, forbidden: int, what: str, beside: str, remedy: str) -> bytes:
     """At most `most` bytes of a file of ours, `what`, of which nobody else has the `forbidden` rights.
 
-    Raises LinkError for any other, with `beside` what to do once the rights are mended; `remedy` if it cannot be read.
+    Raises LinkError for any other, with `beside` as what to do besides mending owner or rights. With `remedy`, and the
+    OSError as its cause, if it cannot be read.
     """
     try:
         # A pipe would wait for who writes to it.
@@ -81,7 +82,8 @@ def read_guarded(path: Path, most: int, forbidden: int, what: str, beside: str, 
         if not stat.S_ISREG(found.st_mode):
             raise LinkError(f"{what}: is not a file", str(path), "name a file")
         if found.st_uid != os.geteuid():
-            raise LinkError(f"{what}: the file belongs to another user", str(path), "copy it to a file of your own")
+            said = f"{what}: the file belongs to another user"
+            raise LinkError(said, str(path), f"copy it to a file of your own, {beside}")
         if found.st_mode & forbidden:
             rights = "read or write" if forbidden & 0o044 else "write"
             said = f"others may {rights} {what} (mode {stat.S_IMODE(found.st_mode):04o})"

@@ -163,10 +163,13 @@ class Stamps:
 
 def _read(path: Path) -> dict[str, int]:
     """The stamps in a file that nobody but its owner, us, can have set back."""
-    if not path.exists():
-        return {}
     beside = "and change the key: old packets could come back"
-    data = read_guarded(path, MOST_FILE_BYTES + 1, 0o022, "the time stamps", beside, "make it readable")
+    try:
+        data = read_guarded(path, MOST_FILE_BYTES + 1, 0o022, "the time stamps", beside, "make it readable")
+    except LinkError as error:
+        if isinstance(error.__cause__, FileNotFoundError):  # any other refusal may hide stamps that were kept
+            return {}
+        raise
     try:
         found: Any = json.loads(data) if len(data) <= MOST_FILE_BYTES else None
     except (ValueError, RecursionError):
