@@ -67,7 +67,7 @@ def test_a_part_is_a_window_on_the_same_axis() -> None:
         ({"u": (T[[0, 1, 3, 2]], T[:4])}, "channel 'u': time does not increase at sample 3"),
         ({"u": (T[[0, 1, 1, 2]], T[:4])}, "does not increase"),
         ({"u": (T, T[:-1])}, "not two equal columns"),
-        ({"y": (T + 100.0, T)}, "holds no sample of the output"),
+        ({"y": (T + 100.0, T)}, "channel 'y': the window -inf to inf s holds no sample of the output"),
     ],
 )
 def test_bad_channels_are_refused_by_name(change: dict[str, object], said: str) -> None:

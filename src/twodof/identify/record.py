@@ -156,7 +156,9 @@ class Record:
             near = np.round(position)
             # A stamp that is on the grid but for rounding is on the grid; real jitter is thousands of times larger.
             position = np.where(np.abs(position - near) < 1e-6, near, position)
-            measured[channel] = _samples(position, value, 0, steps - 1, f"record '{name}', channel '{channel}'", time)
+            keep = (position >= 0.0) & (position <= steps - 1)
+            _check_any(keep, start, stop, f"record '{name}', channel '{channel}'", time)
+            measured[channel] = Samples(position[keep], value[keep])
         return cls(name, step, origin, held, measured)
 
     @classmethod
@@ -201,8 +203,9 @@ class Record:
             )
         outputs = {}
         for output, samples in self.outputs.items():
-            where = f"record '{self.name}', channel '{output}'"
-            outputs[output] = _samples(samples.position, samples.value, first, last, where, self.output_time(output))
+            keep = (samples.position >= first) & (samples.position <= last)
+            _check_any(keep, start, stop, f"record '{self.name}', channel '{output}'", self.output_time(output))
+            outputs[output] = Samples(samples.position[keep] - first, samples.value[keep])
         inputs = {channel: value[first : last + 1] for channel, value in self.inputs.items()}
         begin = self.start + first * self.dt
         return replace(self, name=name or self.name, start=begin, inputs=inputs, outputs=outputs)
@@ -214,12 +217,11 @@ def _missing(channel: str, present: Mapping[str, object]) -> IdentificationError
     )
 
 
-def _samples(position: Array, value: Array, first: int, last: int, where: str, time: Array) -> Samples:
-    """Those from step `first` to step `last`, by their position after `first`."""
-    keep = (position >= first) & (position <= last)
+def _check_any(keep: NDArray[np.bool_], start: float, stop: float, where: str, time: Array) -> None:
+    """Raises IdentificationError where the window `start` to `stop` [s] keeps none of the samples at `time`."""
     if not keep.any():
-        raise IdentificationError("the window holds no sample of the output", where, _span_of(time))
-    return Samples(position[keep] - first, value[keep])
+        what = f"the window {start:g} to {stop:g} s holds no sample of the output"
+        raise IdentificationError(what, where, _span_of(time))
 
 
 def _span_of(time: Array) -> str:
