@@ -134,7 +134,9 @@ class ClosedLoop:
         # Gains are parameters: one program, compiled once, flies them all.
         flown = tuple(controllers)
         make = _built if flown else _stock
-        diagram, self.program = make(position_filter, flown, failsafe, precision, log)
+        diagram, self.program = make(position_filter, flown, failsafe, precision, tuple(log))
+        if isinstance(self.program, Reference):  # not kept: a compiler may be installed before the next one
+            _stock.cache_clear()
         self.machine = self.program.machine()
         self.controllers = {
             name.removeprefix(CASCADE).removeprefix(FLIGHT): name

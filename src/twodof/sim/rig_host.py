@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from twodof.blocks.noise import SEEDS
-from twodof.blocks.reference.interpreter import Reference
 from twodof.compile import CompiledProgram, build
 from twodof.compile.stepper import Stepper
 from twodof.errors import CompileError, ExperimentError, ParameterError
@@ -31,8 +30,11 @@ _OUTPUTS = (*MEASUREMENTS, "voltage", "charge", *TRUTH)
 
 
 @functools.cache
-def _program(precision: str) -> CompiledProgram | Reference:
-    return build(rig(), BASE_DT, precision)
+def _program(precision: str) -> CompiledProgram:
+    program = build(rig(), BASE_DT, precision)
+    if not isinstance(program, CompiledProgram):  # raised here, so that it is tried again: one may be installed by then
+        raise CompileError("there is no C compiler", "rig", "install gcc, or the wheel ziglang")
+    return program
 
 
 class VirtualRig:
@@ -54,8 +56,6 @@ class VirtualRig:
         safety_off: bool = True,
     ) -> None:
         program = _program(precision)
-        if not isinstance(program, CompiledProgram):
-            raise CompileError("there is no C compiler", "rig", "install gcc, or the wheel ziglang")
         self.name = name
         self.safety_off = safety_off
         self.distort: Callable[[SensorSample], SensorSample] | None = None

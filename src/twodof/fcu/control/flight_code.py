@@ -10,7 +10,6 @@ from types import MappingProxyType
 from typing import Any
 
 from twodof.blocks import Diagram
-from twodof.blocks.reference.interpreter import Reference
 from twodof.compile import CompiledProgram, build
 from twodof.compile.machine import CompiledMachine
 from twodof.compile.stepper import Stepper
@@ -107,8 +106,6 @@ class FlightCode:
         outside = self.sandbox is not None
         make = _program.__wrapped__ if inside else _program
         program = make(position_filter, precision, outside, inside)
-        if not isinstance(program, CompiledProgram):
-            raise CompileError("there is no C compiler", "flight", "install gcc, or the wheel ziglang")
         self.machine: CompiledMachine = program.machine()
         self._stepper = Stepper(
             self.machine, (*INPUTS, *(USER_INPUTS if outside else ())), (*OUTPUTS, *(("own",) if outside else ()))
@@ -251,12 +248,13 @@ class FlightCode:
 
 
 @cache
-def _program(
-    position_filter: str, precision: str, outside: bool, controllers: tuple[Diagram, ...]
-) -> CompiledProgram | Reference:
+def _program(position_filter: str, precision: str, outside: bool, controllers: tuple[Diagram, ...]) -> CompiledProgram:
     """The flight code as a program. Kept where no diagram of a user is part of it, as many virtual drones fly it."""
     diagram = core(position_filter=position_filter, controllers=controllers, failsafe=True, outside=outside)
-    return build(diagram, PERIOD, precision)
+    program = build(diagram, PERIOD, precision)
+    if not isinstance(program, CompiledProgram):  # raised here, so that it is tried again: one may be installed by then
+        raise CompileError("there is no C compiler", diagram.name, "install gcc, or the wheel ziglang")
+    return program
 
 
 def _path(name: str) -> str:
