@@ -67,6 +67,34 @@ def test_a_line_that_is_cut_is_told_and_opened_again() -> None:
     run_virtual(work())
 
 
+def test_what_broke_off_with_the_line_does_not_say_that_it_stands() -> None:
+    async def work() -> None:
+        loop = asyncio.get_running_loop()
+
+        def beat(number: int) -> bytes:
+            return encode(message("HEARTBEAT", type=2, autopilot=12), 1, 1, number)
+
+        with socket.create_server(("127.0.0.1", 0)) as server:
+            server.setblocking(False)
+            async with (
+                Companion(f"tcp://127.0.0.1:{server.getsockname()[1]}", CLIENTS) as companion,
+                Listener(await open_transport("mem://clients")) as client,
+            ):
+                vehicle, _ = await loop.sock_accept(server)
+                await loop.sock_sendall(vehicle, beat(0))
+                await until(lambda: texts(client) == ["flight controller heard"])
+                before = companion.router.counts.from_vehicle
+                await loop.sock_sendall(vehicle, b"\xfd\xff\0\0" + beat(1))  # looks like the beginning of a long frame
+                server.close()  # nobody is there when it is opened again
+                vehicle.close()
+                await until(lambda: companion.lost == 1)
+                await asyncio.sleep(1.0)
+                assert companion.router.counts.from_vehicle == before
+                assert texts(client).count("flight controller heard") == 1
+
+    asyncio.run(work())
+
+
 def test_what_waited_when_the_line_was_cut_is_not_sent_after_it() -> None:
     async def work() -> None:
         vehicle = Vehicle(await open_transport("memin://fcu"))

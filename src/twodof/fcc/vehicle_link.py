@@ -75,9 +75,9 @@ class VehicleLink(CompanionLink):
 
     def look(self, now: float) -> None:
         """By the clock: see what broke off, what was not answered, and whether the flight controller is silent."""
-        if now - self._fed > BROKEN_OFF_S and self._parser.waiting:
-            self._pass_on(self._parser.feed(b"", whole=True))
-        if self.router.line.transport is not None:
+        if self.router.line.transport is not None:  # what broke off with the link is no sign of life
+            if now - self._fed > BROKEN_OFF_S and self._parser.waiting:
+                self._pass_on(self._parser.feed(b"", whole=True))
             if self._there and now - self._last_frame > VEHICLE_SILENT_S:
                 self._heard(False, f"flight controller silent for {VEHICLE_SILENT_S:g} s")
                 self.router.started()  # it may come back as one that was started anew
