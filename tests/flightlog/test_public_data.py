@@ -24,6 +24,9 @@ class _Site(BaseHTTPRequestHandler):
         if self.path == "/missing":
             self.send_error(404)
             return
+        if self.path == "/rubbish":
+            self.wfile.write(b"rubbish\r\n\r\n")
+            return
         self.send_response(200)
         self.end_headers()
         if self.path == "/slow":
@@ -96,6 +99,7 @@ def test_a_download_is_verified_and_kept(nowhere: Path, site: str, monkeypatch: 
     ("page", "says"),
     [
         ("/missing", "cannot be downloaded from http.*404"),
+        ("/rubbish", "cannot be downloaded from http.*: the answer is not HTTP"),
         ("/other", "its sha256 is"),
     ],
 )

@@ -12,6 +12,7 @@ import time
 import urllib.request
 from collections.abc import Mapping
 from dataclasses import dataclass
+from http.client import HTTPException
 from pathlib import Path
 from types import MappingProxyType
 
@@ -187,6 +188,8 @@ def _receive(url: str, deadline_s: float) -> bytes | Exception:
     except (OSError, ValueError) as reason:  # URLError, HTTP errors and time-outs are kinds of OSError
         cause = getattr(reason, "reason", None)  # of a URLError: of a connection that did not come in time, say
         return cause if isinstance(cause, TimeoutError) else reason
+    except HTTPException:
+        return ValueError("the answer is not HTTP")
     return bytes(data)
 
 
