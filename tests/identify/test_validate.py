@@ -86,6 +86,9 @@ def test_what_cannot_be_judged_is_refused() -> None:
         whiteness(np.ones(300))
     with pytest.raises(IdentificationError, match="input is constant"):
         cross_correlation(np.arange(300.0), np.ones(300))
+    for level in (0.0, 1.0, np.nan):
+        with pytest.raises(IdentificationError, match=r"the level is .*between 0 and 1"):
+            whiteness(np.arange(300.0), level=level)
 
 
 def test_the_robust_covariance_is_the_double_sum_over_lags_even_across_gaps() -> None:

@@ -3,13 +3,12 @@
 import json
 import math
 from dataclasses import dataclass
-from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twodof.errors import IdentificationError
-from twodof.identify.validate import Comparison
+from twodof.identify.validate import Comparison, deviations
 
 Array = NDArray[np.float64]
 
@@ -70,8 +69,11 @@ class Estimate:
         return math.sqrt(float(np.diag(self.covariance)[self._index(label)]))
 
     def interval(self, label: str, level: float = 0.95) -> tuple[float, float]:
-        """The confidence interval at `level` (normal distribution, standard deviation as quoted)."""
-        half = NormalDist().inv_cdf(0.5 + level / 2.0) * self.sigma(label)
+        """The confidence interval at `level` (normal distribution, standard deviation as quoted).
+
+        Raises IdentificationError for an unknown name and for a level that is not between 0 and 1.
+        """
+        half = deviations(level) * self.sigma(label)
         return self[label] - half, self[label] + half
 
     @property

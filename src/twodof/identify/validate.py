@@ -70,12 +70,22 @@ class Correlation:
         return self.outside <= self.allowed and bool((np.abs(self.value) <= ratio * self.bound).all())
 
 
+def deviations(level: float) -> float:
+    """Within how many standard deviations a normal variable lies with the probability `level`.
+
+    Raises IdentificationError for a level that is not between 0 and 1.
+    """
+    if not 0.0 < level < 1.0:
+        raise IdentificationError(f"the level is {level:g}", "confidence", "give one between 0 and 1, as 0.95")
+    return NormalDist().inv_cdf(0.5 + level / 2.0)
+
+
 def whiteness(residual: ArrayLike, lags: int = 25, level: float = 0.99) -> Correlation:
     """Autocorrelation of residuals at lags 1..`lags`; white ones stay within z/sqrt(N) (Ljung, section 16.6)."""
     e = _residual(residual, lags)
     variance = float(e @ e)
     value = np.array([e[:-k] @ e[k:] for k in range(1, lags + 1)]) / variance
-    bound = np.full(lags, NormalDist().inv_cdf(0.5 + level / 2.0) / math.sqrt(e.size))
+    bound = np.full(lags, deviations(level) / math.sqrt(e.size))
     return Correlation(np.arange(1, lags + 1), value, bound, level)
 
 
@@ -101,7 +111,7 @@ def cross_correlation(residual: ArrayLike, applied: ArrayLike, lags: int = 25, l
     # Far lags of R_e are noise themselves; they are cut where a real correlation has died out.
     reach = min(n - 1, 10 * lags)
     total = ree[0] * ruu[0] + 2.0 * float(ree[1 : reach + 1] @ ruu[1 : reach + 1])
-    width = NormalDist().inv_cdf(0.5 + level / 2.0) * math.sqrt(max(total, 1.0) / n)
+    width = deviations(level) * math.sqrt(max(total, 1.0) / n)
     return Correlation(np.arange(-lags, lags + 1), value, np.full(2 * lags + 1, width), level)
 
 
