@@ -5,6 +5,8 @@ It has the lease while it runs; leaving it, however that comes about, disarms. E
 told to (SIGTERM), 1 it raised, 2 FILE is not such a program.
 """
 
+from __future__ import annotations
+
 import argparse
 import asyncio
 import inspect

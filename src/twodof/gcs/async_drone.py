@@ -1,5 +1,7 @@
 """AsyncDrone: one drone, flown from an asyncio program. Every call ends in a value or a typed error, in time."""
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Mapping
 from contextlib import AbstractAsyncContextManager, suppress
 from pathlib import Path

@@ -1,5 +1,7 @@
 """Which drones are there: who sends heartbeats to the usual ports of this machine, and who answers at a host's."""
 
+from __future__ import annotations
+
 import asyncio
 import errno
 from collections import Counter

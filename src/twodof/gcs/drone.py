@@ -1,5 +1,7 @@
 """Drone: AsyncDrone for scripts and notebooks, made of it at import; drone.pyi shows it to editors and to mypy."""
 
+from __future__ import annotations
+
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.gcs.loop_thread import LoopThread
 from twodof.gcs.mavlink.files import AsyncFiles

@@ -1,5 +1,7 @@
 """What is known of a drone over one link: the parts that talk to it, how it stands, how it is stopped and left."""
 
+from __future__ import annotations
+
 import asyncio
 from collections.abc import Callable
 from contextlib import suppress

@@ -1,5 +1,7 @@
 """How a drone is flown: armed, in a mode, after set-points, while its time passes."""
 
+from __future__ import annotations
+
 import asyncio
 from collections.abc import Callable
 from math import ceil, inf

@@ -1,5 +1,7 @@
 """An event loop in a thread of its own, for scripts without asyncio; it never keeps a process from ending."""
 
+from __future__ import annotations
+
 import asyncio
 import atexit
 import threading

@@ -1,7 +1,10 @@
 """Synchronous classes made of asynchronous ones: the same calls, each run by the drone's own thread.
 
-What `synchronous` adds at import, tools/sync_stub.py writes into drone.pyi for editors and for mypy.
+What `synchronous` adds at import, tools/sync_stub.py writes into drone.pyi for editors and for mypy. Both read the
+annotations as text, so the modules of such classes import `annotations` from the future.
 """
+
+from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Iterator

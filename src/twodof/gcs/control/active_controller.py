@@ -1,5 +1,7 @@
 """What flies on a drone: its parameters, the diagrams of the user's controllers, and what is tuned in flight."""
 
+from __future__ import annotations
+
 import hashlib
 import json
 from collections.abc import Mapping

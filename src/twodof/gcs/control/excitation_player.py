@@ -1,5 +1,7 @@
 """An excitation played on board: sent in pieces, started at a tick, watched to its end."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from itertools import count
 from math import ceil, nan

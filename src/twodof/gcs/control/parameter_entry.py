@@ -1,5 +1,7 @@
 """One parameter of a drone as a client has it: what the drone told of it, and how the drone describes it."""
 
+from __future__ import annotations
+
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,5 +1,7 @@
 """The drone's parameters from the ground: read, listed, set one or several at once, undone."""
 
+from __future__ import annotations
+
 import asyncio
 from collections.abc import AsyncIterator, Mapping, Sequence
 from contextlib import asynccontextmanager

@@ -1,5 +1,7 @@
 """Files: what the drone lets a client read and write by MAVLink FTP: logs, descriptions, controllers."""
 
+from __future__ import annotations
+
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress

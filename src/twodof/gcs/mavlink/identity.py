@@ -4,6 +4,8 @@ Who has the same ids has the same lease: one's leaving would disarm the other's 
 its own, and draws again where somebody has that one.
 """
 
+from __future__ import annotations
+
 import secrets
 from collections.abc import Collection
 from pathlib import Path

@@ -1,5 +1,7 @@
 """The logs that the drone has on board: which there are, and bringing them down."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple

@@ -1,5 +1,7 @@
 """Messages into samples of TOPICS: which signals a message carries, in which fields, with which stamp."""
 
+from __future__ import annotations
+
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import lru_cache

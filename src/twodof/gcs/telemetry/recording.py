@@ -1,5 +1,7 @@
 """Recording a flight on the ground: every topic at full rate into MCAP, what was lost counted and kept in the file."""
 
+from __future__ import annotations
+
 import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Mapping
 from contextlib import AsyncExitStack, asynccontextmanager, suppress

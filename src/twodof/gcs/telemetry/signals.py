@@ -3,6 +3,8 @@
 A slow consumer loses the oldest samples, which are counted, and holds up nobody else.
 """
 
+from __future__ import annotations
+
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
