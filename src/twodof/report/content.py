@@ -50,13 +50,15 @@ class ParameterRow:
 
     @property
     def greybox_error(self) -> float:
-        """How far the grey-box estimate is off the truth, as a share of it; NaN where one of them is not known."""
+        """How far the grey-box estimate is off the truth, as a share of it; NaN where there is no such share."""
         return abs(self.greybox.value / self.truth - 1.0) if self.greybox and self.truth else math.nan
 
     @property
     def greybox_sigmas(self) -> float:
-        """The same in `greybox_sigma`."""
-        return self.greybox_error * abs(self.truth or math.nan) / self.greybox_sigma
+        """How far it is off in `greybox_sigma`, also where the truth is 0; NaN where one of them is not known."""
+        if self.greybox is None or self.truth is None:
+            return math.nan
+        return abs(self.greybox.value - self.truth) / self.greybox_sigma
 
 
 @dataclass(frozen=True, eq=False)

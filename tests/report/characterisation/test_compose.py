@@ -89,6 +89,15 @@ def test_the_headline_says_what_is_far_off_though_its_sigma_covers_it(found: Cha
     assert "tenth" not in text
 
 
+def test_the_headline_counts_a_truth_of_0_too(found: Characterisation) -> None:
+    calm = replace(found, spreads={})
+    (text,) = content([CharacterisedMachine("rig", "", calm, {"mu": 0.0})], {}).findings
+    assert "0 of 1" in text
+    assert "where 0 rad/s² is true" in text
+    assert f"{found.greybox['mu'].value / found.greybox['mu'].sigma:.1f} σ off." in text
+    assert "tenth" not in text  # there is no share of 0
+
+
 def test_doubts_speak_in_symbols_and_printed_signs(found: Characterisation) -> None:
     assert found.free is not None
     names = {"w_n": "ω<sub>n</sub>", "xi": "ξ", "tau": "τ"}

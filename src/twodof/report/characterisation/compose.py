@@ -172,7 +172,8 @@ def content(
 def _findings(machine: CharacterisedMachine) -> list[str]:
     """One sentence about a machine: the gain and the worst deviation from the truth, or what stands for it."""
     table, name = rows(machine), escape(machine.name)
-    known = [row for row in table if row.truth and row.greybox is not None and row.greybox.sigma > 0.0]
+    measured = [row for row in table if row.greybox is not None and row.greybox.sigma > 0.0]
+    known = [row for row in measured if row.truth is not None]
     if known:
         worst = max(known, key=lambda row: row.greybox_sigmas)
         repeated = any(row.greybox_spread is not None for row in known)
