@@ -2,6 +2,7 @@
 
 import importlib.util
 import inspect
+from contextlib import AbstractAsyncContextManager
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from twodof.gcs.control.parameters import AsyncParameters
 from twodof.gcs.mavlink.files import AsyncFiles
 from twodof.gcs.mavlink.log_download import AsyncLogs
 from twodof.gcs.sync_drone import DroneParameters, DroneSignal
+from twodof.gcs.sync_face import SyncFace, synchronous
 from twodof.gcs.telemetry.signals import AsyncSignal
 
 TOOL = Path(__file__).resolve().parents[2] / "tools" / "sync_stub.py"
@@ -68,3 +70,12 @@ def test_the_mapping_of_parameters_has_what_a_mapping_lacks() -> None:
         assert name in verbs(DroneParameters)
         assert "timeout" in inspect.signature(verbs(DroneParameters)[name]).parameters
     assert {"next", "on"} <= set(verbs(DroneSignal))
+
+
+def test_a_class_whose_annotations_are_not_text_is_refused() -> None:
+    class There:
+        def recording(self) -> AbstractAsyncContextManager[None]:
+            raise NotImplementedError
+
+    with pytest.raises(TypeError, match=r"There.recording: its module must import `annotations` from the future"):
+        synchronous(There)(SyncFace)

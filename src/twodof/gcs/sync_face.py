@@ -40,7 +40,10 @@ class SyncFace:
 
 
 def synchronous(there: type) -> Callable[[Kind], Kind]:
-    """Gives a SyncFace every public method and property of the class `there` that it lacks."""
+    """Gives a SyncFace every public method and property of the class `there` that it lacks.
+
+    Raises TypeError for a method whose annotations are not text.
+    """
 
     def filled(kind: Kind) -> Kind:
         for name in dir(there):
@@ -58,7 +61,9 @@ def _property(name: str, there: property) -> property:
 
 def _method(there: Any) -> Any:
     signature = inspect.signature(there)
-    context = str(signature.return_annotation).startswith(_CONTEXT)
+    if not isinstance(signature.return_annotation, str):  # a context would silently become no context
+        raise TypeError(f"{there.__qualname__}: its module must import `annotations` from the future")
+    context = signature.return_annotation.startswith(_CONTEXT)
     waits = inspect.iscoroutinefunction(there)
 
     @wraps(there)
@@ -69,7 +74,7 @@ def _method(there: Any) -> Any:
             return self._within(there(self.there, *args, **named))
         return self._runner.call(lambda: there(self.there, *args, **named))
 
-    returned = str(signature.return_annotation).replace(_CONTEXT, "AbstractContextManager")
+    returned = signature.return_annotation.replace(_CONTEXT, "AbstractContextManager")
     call.__doc__ = (there.__doc__ or "").replace("`async with`", "`with`")
     call.__signature__ = signature.replace(return_annotation=returned)  # type: ignore[attr-defined]
     return call
