@@ -108,7 +108,7 @@ def refreshed(text: str) -> str:
         for command in commands(text):
             result = run(command, Path(folder))
             if result is not None and command.shown:
-                now = [other or line for line, other in paired(command.shown, result[1])]
+                now = [(other or line).rstrip() for line, other in paired(command.shown, result[1])]
                 text = text.replace(
                     "\n".join([f"$ {command.line}", *command.shown]), "\n".join([f"$ {command.line}", *now])
                 )
