@@ -102,7 +102,7 @@ def _built(
     return diagram, build(diagram, BASE_DT, precision, log=log)
 
 
-_stock = functools.cache(_built)  # the user's diagrams may be changed between two loops
+_stock = functools.lru_cache(8)(_built)  # user diagrams may be changed between two loops
 
 
 class ClosedLoop:

@@ -14,8 +14,6 @@ from dataclasses import dataclass, field
 from graphlib import TopologicalSorter
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from twodof.report.drawing.wire_channels import Pin, Segment, WireChannel
 
@@ -407,6 +405,9 @@ def _crossings(links: Sequence[Sequence[tuple[_Item, float, _Item, float, int]]]
 def _components(count: int, edges: Sequence[tuple[int, int]]) -> list[int]:
     """Strongly connected components: a number for each node."""
     rows, columns = np.array(edges, dtype=int).reshape(-1, 2).T
+    from scipy.sparse import coo_array  # imported late: most commands start without it
+    from scipy.sparse.csgraph import connected_components
+
     graph = coo_array((np.ones(len(edges)), (rows, columns)), shape=(count, count))
     component: list[int] = connected_components(graph, connection="strong")[1].tolist()
     return component
