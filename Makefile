@@ -22,6 +22,8 @@ PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python; do \
 RUN_REQUIREMENTS := requirements/$(if $(shell command -v cc 2>/dev/null),run,compiler).txt
 # One more than the two cores of continuous integration: some tests wait for real time to pass, and others fill it.
 TEST_JOBS ?= 3
+# The tests start our programs more than a hundred times: without the byte code of the last start each costs twice.
+unexport PYTHONDONTWRITEBYTECODE
 # A worker that has nothing left takes from the other: the long tests stand side by side in the order of files.
 PYTEST := $(BIN)/python -m pytest -n $(TEST_JOBS) --dist worksteal
 
