@@ -69,7 +69,7 @@ def test_the_drones_clock_is_set_in_flight(jump: float, tmp_path: Path, monkeypa
             first = whole.tick
             theirs.offset = jump
             monkeypatch.setattr("time.time", lambda: 1.7e9 + jump)
-            await drone.run(3.0)
+            await drone.run(1.5)
             await drone.set_pitch(-0.1, thrust=0.4)
             await drone.run(1.0)
             assert silent(whole.since(first))
@@ -99,7 +99,7 @@ def test_a_clients_clock_that_jumps_by_less_than_a_year_is_not_noticed() -> None
             await drone.run(1.0)
             first = whole.tick
             for ours.offset in (20 * HOUR, -20 * HOUR, 300 * DAY, -400 * DAY):
-                await drone.run(1.0)
+                await drone.run(0.6)  # longer than set-points may be missing
             assert silent(whole.since(first))
             await drone.close()
             assert stands(whole.steps[-1])

@@ -37,8 +37,9 @@ def answered(*flushes: Callable[[], object]) -> None:
             flush()
 
 
-def test_a_disk_that_is_full_in_flight_stops_no_command_and_loses_nothing_written(tmp_path: Path) -> None:
-    """Recorder, on-board log, parameters and time stamps of signing at once: 12 s of flight, every command is heard.
+@pytest.mark.parametrize("turns", [4, pytest.param(12, marks=pytest.mark.soak)])
+def test_a_disk_that_is_full_in_flight_stops_no_command_and_loses_nothing_written(turns: int, tmp_path: Path) -> None:
+    """Recorder, on-board log, parameters and time stamps of signing at once: in 12 s by the clock all is heard.
 
     Then there is room again: parameters and stamps are written, the next flight has its log.
     """
@@ -64,9 +65,10 @@ def test_a_disk_that_is_full_in_flight_stops_no_command_and_loses_nothing_writte
             first = whole.tick
             with full_disk(0):
                 await drone.parameters.set("ATT_KP", 9.0)
-                for turn in range(12):  # the stamps on the disk run 10 s ahead
+                for turn in range(turns):  # the stamps on the disk run 10 s ahead
                     await drone.set_pitch(0.1 * (-1) ** turn, thrust=0.4)
                     await drone.run(1.0)
+                    clock.offset += 12 / turns - 1.0
                     answered(log.flush, store.flush, recorder.flush)
                 assert signing.stamps.failure
                 assert silent(whole.since(first))

@@ -269,7 +269,7 @@ def vehicles(chance: random.Random) -> tuple[int, int]:
 
 @pytest.mark.parametrize("campaign", [under_a_pilot, in_flight, with_nobody, from_the_vehicle])
 def test_hostile_frames_crash_leak_arm_and_change_nothing(campaign: Campaign, tmp_path: Path) -> None:
-    campaign(6_000, 1, tmp_path)
+    campaign(3_000, 1, tmp_path)
 
 
 @pytest.mark.soak

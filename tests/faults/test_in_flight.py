@@ -15,7 +15,7 @@ from twodof.fcu.control.hardware import SensorSample
 from twodof.flight.failsafe.causes_and_actions import BIT
 
 LEVEL_RAD = 0.06  # as in tests/sim/test_failsafe_flights.py: the wake alone moves the pitch by .03
-FAILS_AT = 1200
+FAILS_AT = 700
 PITCH_STOP, RAIL_STOP = 0.87, 0.40  # the lab rig's
 SAG_V = 2.5  # 12.3 V less this is below the critical 10.5
 RING = {"rings": True, "seed": 3}
@@ -67,10 +67,11 @@ def test_what_fails_on_board_ends_in_its_action(
             whole.drone.rig.distort = fault(whole)
             if fault is busy_processor:
                 first += 1  # a step has overrun when its 4 ms are over
-            tell(fault.__name__, "action", await _seen(whole, first, acts(action)), within_ms)
-            tell(fault.__name__, "motors off", await _seen(whole, first, stands), off_ms)
+            await whole.passes(off_ms / 1000 + 0.1)
+            tell(fault.__name__, "action", whole.ms(first, acts(action)), within_ms)
+            tell(fault.__name__, "motors off", whole.ms(first, stands), off_ms)
             assert whole.steps[-1].step.reason & BIT[cause]
-            await whole.passes(1.0)
+            await whole.passes(0.6)
             assert all(stands(seen) for seen in whole.steps[-100:])
             assert (drone.state.safety.action, drone.state.safety.reason) == ("off", cause)
             await drone.disarm()
@@ -79,18 +80,14 @@ def test_what_fails_on_board_ends_in_its_action(
     run(work())
 
 
-async def _seen(whole: Whole, first: int, true: Any) -> float:
-    await whole.passes(2.5)
-    return whole.ms(first, true)
-
-
 def test_a_last_resort_that_gives_no_number_stops_the_motors_at_once() -> None:
     async def work() -> None:
         async with Whole() as whole:
             drone = await whole.airborne()
             first = whole.tick
             whole.drone.controller.code.machine.set_state("cascade.rate.sum", math.nan)
-            tell("NaN of the stock controller", "motors off", await _seen(whole, first, stands), 8)
+            await whole.passes(0.5)
+            tell("NaN of the stock controller", "motors off", whole.ms(first, stands), 8)
             assert whole.steps[-1].step.reason & BIT["command_lost"]
             assert (drone.state.safety.action, drone.state.safety.reason) == ("off", "command_lost")
             await drone.close()
@@ -108,12 +105,12 @@ def test_a_last_resort_that_gives_no_number_stops_the_motors_at_once() -> None:
     ],
 )
 def test_a_controller_of_ones_own_that_gives_no_number_never_reaches_a_motor(trusted: bool, wrong: float) -> None:
-    """From its step FAILS_AT on, some seconds into the flight."""
+    """From its step FAILS_AT on, two seconds into the flight."""
 
     async def work() -> None:
         async with Whole(controllers=[failing(FAILS_AT, wrong)], trusted=trusted) as whole:
             drone = await whole.airborne()
-            await whole.passes(4.0)
+            await whole.passes(2.0)
             assert all(math.isfinite(seen.step.fore) and math.isfinite(seen.step.aft) for seen in whole.steps)
             tell("NaN of one's own", "level", whole.ms(FAILS_AT, acts(LEVEL)), 8)
             assert not stands(whole.steps[-1])  # the stock controller flies
@@ -128,7 +125,7 @@ def test_a_controller_in_its_sandbox_that_overruns_is_replaced_in_its_tick() -> 
     async def work() -> None:
         async with Whole(controllers=[exhausting(FAILS_AT)], fuel=15_000) as whole:
             drone = await whole.airborne()
-            await whole.passes(4.0)
+            await whole.passes(2.0)
             tell("overrun of one's own", "level", whole.ms(FAILS_AT, acts(LEVEL)), 8)
             assert silent(whole.since(FAILS_AT - 10)[:10])
             assert not stands(whole.steps[-1])
@@ -148,7 +145,7 @@ def test_set_points_at_both_limits_in_turn_meet_no_stop(conditions: dict[str, An
         async with Whole(conditions=conditions) as whole:
             drone = await whole.airborne(0.0 if conditions["rings"] else None)
             first = whole.tick
-            for turn in range(20):
+            for turn in range(10):
                 sign = 1.0 if turn % 2 else -1.0
                 if conditions["rings"]:
                     await drone.set_pitch(sign * 1.5, thrust=1.0)
@@ -163,7 +160,8 @@ def test_set_points_at_both_limits_in_turn_meet_no_stop(conditions: dict[str, An
             assert max(abs(seen.x) for seen in flown) < RAIL_STOP
             drone.stop_setpoints()
             last = whole.tick
-            tell("set-points at the limits, then none", "level", await _seen(whole, last, acts(LEVEL)), 1000)
+            await whole.passes(2.0)
+            tell("set-points at the limits, then none", "level", whole.ms(last, acts(LEVEL)), 1000)
             assert abs(whole.steps[-1].theta) < LEVEL_RAD or not conditions["rings"]
             await drone.close()
 

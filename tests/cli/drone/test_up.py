@@ -104,7 +104,7 @@ def gone(processes: dict[int, str]) -> bool:
     return not any(map(alive, processes))
 
 
-def test_two_drones_answer_where_it_says_and_all_ends_at_ctrl_c(
+def test_two_drones_answer_where_it_says_what_dies_is_started_again_and_all_ends_at_ctrl_c(
     first: int, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     write_key(tmp_path / "key", Key.fresh())
@@ -127,26 +127,34 @@ def test_two_drones_answer_where_it_says_and_all_ends_at_ctrl_c(
         taken = f"TCP port {5790 + first}, where the flight controller of drone {first + 1} listens, is in use"
         assert f"{taken}; process {program.process.pid} (" in said  # who started it, not its child
         assert re.search(r"--first [0-9]\b", said)
+        assert program.said == []
+        killed_and_started_again(program, "fcu")
+        killed_and_started_again(program, "companion", 1)
+        for row in rows:
+            with Drone.connect(row["drone"], drone=row["system"], key=row["key"]) as drone:
+                assert not drone.state.armed
         children = program.children()
         assert len(children) == 4
         program.process.send_signal(signal.SIGINT)
         assert program.ended() == 0
         assert gone(children)
-        assert program.said == []
+        assert len(program.said) == 4
 
 
-def test_a_program_that_dies_is_started_again_and_none_outlives_its_parent(first: int, tmp_path: Path) -> None:
+def killed_and_started_again(program: Up, name: str, index: int = 0) -> None:
+    """Kills the program `name` of the drone at `index`, and waits until it answers again."""
+    victim = [one for one, line in program.children().items() if f" {name} " in line][index]
+    count = len(program.said)
+    os.kill(victim, signal.SIGKILL)
+    program.wait(lambda: len(program.said) >= count + 2, f"{name} did not come back")
+    assert re.match(r"\d\d:\d\d:\d\d .* ended with status -9; it is started again", program.said[-2])
+    assert "answers again" in program.said[-1]
+
+
+@pytest.mark.soak
+def test_drones_that_fly_do_not_outlive_their_parent(first: int, tmp_path: Path) -> None:
     with up(first, tmp_path) as program:
-        (row,) = program.drones()
-        for name in ("fcu", "companion"):
-            (victim,) = [one for one, line in program.children().items() if f" {name} " in line]
-            count = len(program.said)
-            os.kill(victim, signal.SIGKILL)
-            program.wait(lambda count=count: len(program.said) >= count + 2, f"{name} did not come back")
-            assert re.match(r"\d\d:\d\d:\d\d .* ended with status -9; it is started again", program.said[-2])
-            assert "answers again" in program.said[-1]
-        with Drone.connect(row["fcu"]) as drone:
-            assert not drone.state.armed
+        program.drones()
         children = program.children()
         program.process.kill()
         program.wait(lambda: gone(children), "children outlive it")
@@ -203,12 +211,17 @@ def test_a_program_that_cannot_start_is_named_with_what_it_says(
     assert said.err.count("remedy:") == 1
 
 
-def test_interrupted_before_all_are_up_it_says_so_by_its_status(first: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("by", "status"), [(signal.SIGINT, 130), (signal.SIGKILL, -9)])
+def test_ended_before_all_are_up_it_says_so_by_its_status_and_nothing_outlives_it(
+    first: int, tmp_path: Path, by: signal.Signals, status: int
+) -> None:
     os.mkfifo(tmp_path / "rig")  # which nobody writes: the flight controller waits for it for ever
     with up(first, tmp_path, "--rig", "rig") as program:
-        program.wait(program.children, "nothing was started")
-        program.process.send_signal(signal.SIGINT)
-        assert program.ended() == 130
+        program.wait(lambda: len(program.children()) == 2, "not both were started")
+        children = program.children()
+        program.process.send_signal(by)
+        assert program.ended() == status
+        program.wait(lambda: gone(children), "children outlive it")
         assert program.out == []
 
 
