@@ -139,8 +139,9 @@ def check_silence(name: str, rows: np.ndarray) -> None:
     assert rows["action"][rows["armed"] == 0][-1] == OFF
 
 
-def test_a_serial_cable_that_is_pulled_in_flight(stack: Stack) -> None:
-    with stack.companion() as companion:
+def test_a_serial_cable_that_is_pulled_and_a_companion_that_is_killed_in_flight(stack: Stack) -> None:
+    # RuntimeError: it did not end by itself.
+    with suppress(RuntimeError), stack.companion() as companion:
         url = tcp(companion.urls[0])
         with airborne(url) as drone, stack.cable.pulled():
             with pytest.raises(LinkLost):
@@ -149,20 +150,15 @@ def test_a_serial_cable_that_is_pulled_in_flight(stack: Stack) -> None:
             check_silence("cable pulled", rows)
         with airborne(url) as again:  # both have opened it again, and everything works
             assert again.state.armed
-        assert stack.fcu.process.poll() is None
-
-
-def test_a_companion_that_is_killed_in_flight(stack: Stack) -> None:
-    # RuntimeError: it did not end by itself.
-    with suppress(RuntimeError), stack.companion() as companion, airborne(tcp(companion.urls[0])) as drone:
-        companion.process.kill()
-        with pytest.raises(LinkLost):
-            drone.run(PATIENCE_S)
+            companion.process.kill()
+            with pytest.raises(LinkLost):
+                again.run(PATIENCE_S)
     assert companion.process.returncode == -9
     rows, _ = made_safe(stack.direct, stack.folder)
     check_silence("companion killed", rows)
     with stack.companion() as companion, airborne(tcp(companion.urls[0])) as again:
         assert again.state.armed
+    assert stack.fcu.process.poll() is None
 
 
 @pytest.mark.soak
