@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -56,8 +56,49 @@ def on_arrays(graph: Graph, columns: Columns) -> dict[str, Array]:
     or scalars.
     """
     values: dict[int, Any] = {}
+    _evaluate(walk(graph.values()), columns, values)
+    length = max(np.size(column) for column in columns.values())
+    return {name: np.broadcast_to(values[id(e)], length) for name, e in graph.items()}
+
+
+def mutants_on_arrays(
+    graph: Graph, among: Iterable[tuple[str, Graph]], columns: Columns
+) -> Iterator[tuple[str, dict[str, Array]]]:
+    """What each of these mutants of `graph` is, and those of its expressions that are not the graph's own, on `columns`.
+
+    Only what depends on its fault is computed.
+    """
+    known: dict[int, Any] = {}
+    _evaluate(walk(graph.values()), columns, known)
+    length = max(np.size(column) for column in columns.values())
+    for what, mutant in among:
+        changed = {name: e for name, e in mutant.items() if e is not graph[name]}
+        values = dict(known)
+        _evaluate(_unknown(changed.values(), known), columns, values)
+        yield what, {name: np.broadcast_to(values[id(e)], length) for name, e in changed.items()}
+
+
+def _unknown(roots: Iterable[Expr], known: Mapping[int, Any]) -> list[Expr]:
+    """The nodes below `roots` whose values are not known, arguments before their users."""
+    order: list[Expr] = []
+    seen: set[int] = set()
+
+    def visit(item: Expr) -> None:
+        if id(item) not in known and id(item) not in seen:
+            seen.add(id(item))
+            for argument in item.args:
+                visit(argument)
+            order.append(item)
+
+    for root in roots:
+        visit(root)
+    return order
+
+
+def _evaluate(items: Iterable[Expr], columns: Columns, values: dict[int, Any]) -> None:
+    """Adds the values of `items`, by identity."""
     with np.errstate(all="ignore"):
-        for item in walk(graph.values()):
+        for item in items:
             if item.op == "const":
                 values[id(item)] = DTYPES[item.kind](item.data)
             elif item.op == "dt":
@@ -69,8 +110,6 @@ def on_arrays(graph: Graph, columns: Columns) -> dict[str, Array]:
             else:
                 given = columns[item.data] if item.data in columns else columns[item.op, item.data]
                 values[id(item)] = np.asarray(given, DTYPES[item.kind])
-    length = max(np.size(column) for column in columns.values())
-    return {name: np.broadcast_to(values[id(e)], length) for name, e in graph.items()}
 
 
 def combinations(**choices: Sequence[Any]) -> dict[str, Array]:
@@ -94,15 +133,16 @@ def mutants(graph: Graph) -> Iterator[tuple[str, Graph]]:
     """
     items = walk(graph.values())
     place = {id(item): number for number, item in enumerate(items)}
-    for item in items:
+    for number, item in enumerate(items):
+        users = _users(item, items[number + 1 :])
         for what, other in _relatives(item):
-            yield f"{place[id(item)]} {item.op}: {what}", _replaced(graph, item, other)
+            yield f"{place[id(item)]} {item.op}: {what}", _replaced(graph, users, item, other)
         for position, argument in enumerate(item.args):
             for what, other in _misused(argument):
                 args = (*item.args[:position], other, *item.args[position + 1 :])
                 changed = node(item.op, item.kind, args, item.data, item.width)
                 if changed is not item:
-                    yield f"{place[id(item)]} {item.op}[{position}]: {what}", _replaced(graph, item, changed)
+                    yield f"{place[id(item)]} {item.op}[{position}]: {what}", _replaced(graph, users, item, changed)
 
 
 def _relatives(item: Expr) -> Iterator[tuple[str, Expr]]:
@@ -138,18 +178,21 @@ def _misused(argument: Expr) -> Iterator[tuple[str, Expr]]:
         yield f"{name} is negated", node("not", "bool", (argument,))
 
 
-def _replaced(graph: Graph, old: Expr, new: Expr) -> Graph:
-    """`graph` with `new` in the place of the node `old`, whose own arguments stay."""
+def _users(item: Expr, later: Sequence[Expr]) -> list[Expr]:
+    """Those of the nodes `later` that depend on `item`, arguments before their users."""
+    depend = {id(item)}
+    users = []
+    for other in later:
+        if any(id(a) in depend for a in other.args):
+            depend.add(id(other))
+            users.append(other)
+    return users
+
+
+def _replaced(graph: Graph, users: Sequence[Expr], old: Expr, new: Expr) -> Graph:
+    """`graph` with `new` in the place of the node `old`, whose own arguments stay; `users` depend on it."""
     made: dict[int, Expr] = {id(old): new}
-    for item in walk(graph.values()):
-        if id(item) not in made:
-            args = tuple(made[id(a)] for a in item.args)
-            made[id(item)] = (
-                item if same_nodes(args, item.args) else node(item.op, item.kind, args, item.data, item.width)
-            )
-    return {name: made[id(e)] for name, e in graph.items()}
-
-
-def same_nodes(a: Sequence[Expr], b: Sequence[Expr]) -> bool:
-    """Whether two sequences hold the very same nodes (== on nodes records a comparison)."""
-    return len(a) == len(b) and all(x is y for x, y in zip(a, b, strict=True))
+    for item in users:
+        args = tuple(made.get(id(a), a) for a in item.args)
+        made[id(item)] = node(item.op, item.kind, args, item.data, item.width)
+    return {name: made.get(id(e), e) for name, e in graph.items()}

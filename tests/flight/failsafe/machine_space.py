@@ -25,8 +25,8 @@ STRANGE = (-1, 7, 99)
 """States that do not exist, as a flipped bit could make them."""
 
 
-TIMERS = (*range(6), 24, -3)
-"""Every count up to beyond the bounds, and what a flipped bit could make of one."""
+TIMERS = (*range(max(LIMITS.values())), 24, -3)
+"""Every count below the bounds, and what a flipped bit could make of one."""
 
 
 @functools.cache
@@ -87,8 +87,9 @@ def meant_table(level_ticks: int, descent_ticks: int, timers: tuple[int, ...] = 
     limits = {"level_ticks": level_ticks, "descent_ticks": descent_ticks}
     columns = {name: column.tolist() for name, column in cases(timers).items()}
     flag_rows = zip(*(columns[name] for name in FLAGS), strict=True)
+    named = functools.cache(lambda now: dict(zip(FLAGS, now, strict=True)))
     rows = [
-        meant(state, timer, failed, dict(zip(FLAGS, now, strict=True)), limits)
+        meant(state, timer, failed, named(now), limits)
         for state, timer, failed, now in zip(
             columns["state"], columns["timer"], columns["own_failed"], flag_rows, strict=True
         )
