@@ -87,7 +87,10 @@ def _serve(lines: Iterable[str]) -> None:
     import twodof.cli.logs.replay
     import twodof.cli.simulate
     import twodof.report.plots.flight_plot  # noqa: F401
+    from twodof.cli import app
 
+    with contextlib.redirect_stdout(None), contextlib.redirect_stderr(None):
+        app.run(["log", "info", "--help"])  # what the parser of arguments imports when it is first used
     assert threading.active_count() == 1
     with tempfile.TemporaryDirectory() as folder:
         said = Path(folder, "said")
