@@ -46,7 +46,7 @@ def numbers(contents: McapContents) -> list[int]:
     return k.tolist()
 
 
-@pytest.mark.parametrize("chunks", [3, pytest.param(14, marks=pytest.mark.soak)])
+@pytest.mark.parametrize("chunks", [2, pytest.param(14, marks=pytest.mark.soak)])
 def test_cut_at_every_byte(chunks: int, tmp_path: Path) -> None:
     whole, acknowledged = record(tmp_path / "a.mcap", chunks)
     for size in range(acknowledged[0][0], len(whole) + 1):
@@ -99,11 +99,12 @@ def test_rubbish_behind_what_was_acknowledged(name: str, recording: tuple[bytes,
                 assert contents.lost
 
 
-def test_blocks_that_reached_the_disk_in_any_order(recording: tuple[bytes, list[tuple[int, int]]]) -> None:
+@pytest.mark.parametrize("rounds", [150, pytest.param(4000, marks=pytest.mark.soak)])
+def test_blocks_that_reached_the_disk_in_any_order(rounds: int, recording: tuple[bytes, list[tuple[int, int]]]) -> None:
     """A power cut between two syncs: any block behind the acknowledged byte holds old zeros, noise or new data."""
     whole, acknowledged = recording
     chance = np.random.default_rng(4)
-    for _ in range(400):
+    for _ in range(rounds):
         position, samples = acknowledged[int(chance.integers(len(acknowledged)))]
         data = bytearray(whole[: int(chance.integers(position, len(whole) + 1))])
         block = int(chance.choice([64, 512, 4096]))
@@ -120,7 +121,7 @@ def test_blocks_that_reached_the_disk_in_any_order(recording: tuple[bytes, list[
 def test_damage_in_the_middle_costs_one_chunk(recording: tuple[bytes, list[tuple[int, int]]], tmp_path: Path) -> None:
     whole, acknowledged = recording
     (start, before), (end, after) = acknowledged[6], acknowledged[7]
-    for at in range(start, end, 3):
+    for at in range(start, end, 7):
         data = bytearray(whole)
         data[at] ^= 0x55
         contents = scan(bytes(data), "a.mcap", salvage=True)
@@ -230,8 +231,8 @@ def fuzz(whole: bytes, rounds: int, seed: int, path: Path) -> int:
 
 
 def test_damaged_files_are_log_errors_or_logs(recording: tuple[bytes, list[tuple[int, int]]], tmp_path: Path) -> None:
-    read = fuzz(recording[0], 400, 1, tmp_path / "fuzz.mcap")
-    assert 130 < read < 670  # most can be recovered, few are still whole
+    read = fuzz(recording[0], 150, 1, tmp_path / "fuzz.mcap")
+    assert 50 < read < 250  # most can be recovered, few are still whole
 
 
 @pytest.mark.soak

@@ -11,8 +11,8 @@ import pytest
 from tests.fuzz.runner import NAMES, fuzz, is_guided, kept, load
 
 SOAK_S = float(os.environ.get("TWODOF_FUZZ_SECONDS", "1200"))
-# Of a second each at most.
-RUNS = {"framing": 400, "mcap": 50, "mat": 200, "ulog": 30, "diagram": 100, "ftp": 12}
+# Of half a second each at most.
+RUNS = {"framing": 150, "mcap": 20, "mat": 70, "ulog": 10, "diagram": 40, "ftp": 5}
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from math import inf
 from typing import Any
@@ -61,43 +62,52 @@ def failing_controller() -> Diagram:
     return d
 
 
+ASKED = [row for row in (*INPUTS, *SAFETY_INPUTS) if row[0] not in (*MEASUREMENTS, "voltage")]
+"""The inputs of the loop: what is no measurement."""
+
+
+@functools.cache
+def compiled(own: bool, precision: str) -> Any:
+    """The closed loop with places for faults; `own`: with the failing controller."""
+    d = Diagram("faulty_loop")
+    d.add("rig", rig())
+    d.add("flight", core(controllers=[failing_controller()] if own else (), failsafe=True), rate=SAMPLE)
+    for name, kind, unit, _ in ASKED:
+        d.input(name, kind, unit=unit)
+        d.add(f"{name}_held", ZeroOrderHold(kind=kind, unit=unit), rate=SAMPLE, u=name)
+    d.add("voltage_held", ZeroOrderHold(unit="V"), rate=SAMPLE, u="rig.voltage")
+    sources = {name: f"rig.{name}" for name in MEASUREMENTS} | {"voltage": "voltage_held"}
+    d.add("noise", Noise(), rate=SAMPLE)
+    for name in (name for names in FAULTS.values() for name in names):
+        source = sources.pop(name)
+        if name == "dist_new":
+            d.add(name, FlagFault(), rate=SAMPLE, u=source)
+        else:
+            d.add(name, Fault(), rate=SAMPLE, u=source, partner=source, n="noise")
+        d.connect(name, f"flight.{name}")
+    for name, source in sources.items():
+        d.connect(source, f"flight.{name}")
+    for name, *_ in ASKED:
+        d.connect(f"{name}_held", f"flight.{name}")
+    for name in ("fore", "aft"):
+        d.connect(f"flight.{name}", f"rig.{name}")
+    for name, *_ in (*OUTPUTS, *SAFETY_OUTPUTS):
+        d.output(name, f"flight.{name}")
+    for name in TRUTH:
+        d.output(f"true_{name}", f"rig.{name}")
+    return build(d, BASE_DT, precision)
+
+
 class FaultyLoop:
     """A flight of the `lab` rig with the failsafe, in steps of 4 ms, that starts disarmed and level at x = 0."""
 
     def __init__(self, own: bool = False, precision: str = "float64", **conditions: Any) -> None:
-        d = Diagram("faulty_loop")
-        d.add("rig", rig())
-        d.add("flight", core(controllers=[failing_controller()] if own else (), failsafe=True), rate=SAMPLE)
-        self.inputs = [row for row in (*INPUTS, *SAFETY_INPUTS) if row[0] not in (*MEASUREMENTS, "voltage")]
-        for name, kind, unit, _ in self.inputs:
-            d.input(name, kind, unit=unit)
-            d.add(f"{name}_held", ZeroOrderHold(kind=kind, unit=unit), rate=SAMPLE, u=name)
-        d.add("voltage_held", ZeroOrderHold(unit="V"), rate=SAMPLE, u="rig.voltage")
-        sources = {name: f"rig.{name}" for name in MEASUREMENTS} | {"voltage": "voltage_held"}
-        d.add("noise", Noise(), rate=SAMPLE)
-        for name in (name for names in FAULTS.values() for name in names):
-            source = sources.pop(name)
-            if name == "dist_new":
-                d.add(name, FlagFault(), rate=SAMPLE, u=source)
-            else:
-                d.add(name, Fault(), rate=SAMPLE, u=source, partner=source, n="noise")
-            d.connect(name, f"flight.{name}")
-        for name, source in sources.items():
-            d.connect(source, f"flight.{name}")
-        for name, *_ in self.inputs:
-            d.connect(f"{name}_held", f"flight.{name}")
-        for name in ("fore", "aft"):
-            d.connect(f"flight.{name}", f"rig.{name}")
-        for name, *_ in (*OUTPUTS, *SAFETY_OUTPUTS):
-            d.output(name, f"flight.{name}")
-        for name in TRUTH:
-            d.output(f"true_{name}", f"rig.{name}")
-        self.machine = build(d, BASE_DT, precision).machine()
+        self.machine = compiled(own, precision).machine()
         values = dict(lab().snapshot()) | {"rings": True, "seed": 1} | conditions
         self.machine.set_many({f"rig.{name}": value for name, value in values.items()})
         self.machine.reset()
         healthy = {"setpoint_new": True, "link_new": True, "imu_new": True, "rings": bool(values["rings"])}
-        self.now: dict[str, Any] = {name: False if kind == "bool" else 0 for name, kind, *_ in self.inputs}
+        self.now: dict[str, Any] = {name: False if kind == "bool" else 0 for name, kind, *_ in ASKED}
         self.now |= healthy
 
     def fly(self, seconds: float, **changes: Any) -> dict[str, NDArray[Any]]:

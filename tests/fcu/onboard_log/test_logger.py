@@ -55,10 +55,10 @@ def bits(value: Any) -> bytes:
 
 def test_every_number_of_every_step_comes_back_to_the_bit(tmp_path: Path) -> None:
     rng = np.random.default_rng(5)
-    steps = [any_step(tick, rng) for tick in range(500)]
+    steps = [any_step(tick, rng) for tick in range(200)]
     (path,) = logged(tmp_path, steps, **ALWAYS)
     rows = steps_in(path)
-    assert rows["tick"].tolist() == [*range(500)]
+    assert rows["tick"].tolist() == [*range(200)]
     for name, kind in COLUMNS:
         read = [float(v) if kind is float else int(v) for v in rows[name]]
         given = [numbers_of(step)[name] for step in steps]
@@ -130,14 +130,14 @@ def ticks_of(paths: list[Path]) -> list[tuple[int, int]]:
 @pytest.mark.parametrize(
     ("mode", "expected"),
     [
-        (0, [(1000 - MARGIN, 1999 + MARGIN), (4000 - MARGIN, 4999 + MARGIN)]),
-        (1, [(0, 1999 + MARGIN), (4000 - MARGIN, 4999 + MARGIN)]),
-        (2, [(0, 6999)]),
+        (0, [(400 - MARGIN, 799 + MARGIN), (1800 - MARGIN, 2199 + MARGIN)]),
+        (1, [(0, 799 + MARGIN), (1800 - MARGIN, 2199 + MARGIN)]),
+        (2, [(0, 2999)]),
         (-1, []),
     ],
 )
 def test_when_it_logs(tmp_path: Path, mode: int, expected: list[tuple[int, int]]) -> None:
-    steps = [plain_step(tick, armed=1000 <= tick < 2000 or 4000 <= tick < 5000) for tick in range(7000)]
+    steps = [plain_step(tick, armed=400 <= tick < 800 or 1800 <= tick < 2200) for tick in range(3000)]
     assert ticks_of(logged(tmp_path, steps, SDLOG_MODE=mode)) == expected
 
 

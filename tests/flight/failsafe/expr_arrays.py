@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -64,7 +64,7 @@ def on_arrays(graph: Graph, columns: Columns) -> dict[str, Array]:
 def mutants_on_arrays(
     graph: Graph, among: Iterable[tuple[str, Graph]], columns: Columns
 ) -> Iterator[tuple[str, dict[str, Array]]]:
-    """What each of these mutants of `graph` is, and those of its expressions that are not the graph's own, on `columns`.
+    """What each of these mutants of `graph` is, and what of its expressions is not the graph's own, on `columns`.
 
     Only what depends on its fault is computed.
     """

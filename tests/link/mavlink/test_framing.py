@@ -259,7 +259,7 @@ def fuzz(count: int, seed: int) -> int:
 
 def test_fuzz_raises_nothing() -> None:
     # Half of the mutants have a right checksum again; most of those are frames.
-    assert fuzz(25_000, seed=20) > 5_000
+    assert fuzz(8_000, seed=20) > 1_600
 
 
 def test_fuzz_leaves_nothing_behind() -> None:
@@ -270,12 +270,12 @@ def test_fuzz_leaves_nothing_behind() -> None:
         fuzz(500, seed=31)
         gc.collect()
         before, _ = tracemalloc.get_traced_memory()
-        fuzz(3_000, seed=32)
+        fuzz(1_500, seed=32)
         gc.collect()
         after, most = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    assert after - before < 20_000  # seven bytes a frame; a kept frame has hundreds
+    assert after - before < 10_000  # seven bytes a frame; a kept frame has hundreds
     assert most - before < 2_000_000
 
 
@@ -294,10 +294,10 @@ def test_the_worst_rubbish_costs_linear_time() -> None:
         assert parser.counts.bad_checksum > size // 12 - 24
         return spent
 
-    costs = [(cost(60_000), cost(960_000)) for _ in range(4)]
+    costs = [(cost(30_000), cost(480_000)) for _ in range(4)]
     small, large = (min(each) for each in zip(*costs, strict=True))
     assert large < 48 * small  # 16 for linear, 256 for quadratic
-    assert large < 2.0  # measured .08 s
+    assert large < 1.0  # measured .04 s
 
 
 def test_a_frame_is_small_and_says_nothing_it_does_not_hold() -> None:
