@@ -27,6 +27,7 @@ BESIDE_S = 10.0
 # Frames that are known again, and for how long: a circle of links is passed in less, a program is not started anew.
 MOST_PASSED, MOST_ROUNDS, ROUND_S = 256, 2, 0.5
 _NOW_AND_THEN = 15
+LATE_US = 500_000  # A frame that is older than the last one by less was late on the line: nothing has started anew.
 _STRANGERS = "strangers"  # who on the line has no place among the clients
 _HALF = 128  # of the range of a sequence number: what is further ahead is behind
 
@@ -287,6 +288,8 @@ class Router:
             return
         time = frame_fields.time_us(frame)
         if time >= 0:
+            if self._jumped and 0 < self._time - time < LATE_US:
+                return
             # Time alone goes back in a reset of the rig too, which leaves the streams as they are.
             started, self._time, self._jumped = self._jumped and time < self._time, time, False
             if started:

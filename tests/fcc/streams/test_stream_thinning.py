@@ -211,6 +211,16 @@ def test_a_vehicle_that_was_started_anew_is_told_again() -> None:
     assert ends.router.counts.restarts == 1
 
 
+def test_a_frame_that_was_late_on_the_line_is_no_vehicle_that_was_started_anew() -> None:
+    ends = Ends("onboard")
+    ends.settle()
+    for tick in (0, 4, 2, 3, 1, 5, 9, 6):  # in the order in which they come
+        ends._sequence = tick
+        ends.vehicle("ATTITUDE", time_boot_ms=60_000 + 50 * tick)
+    assert ends.answer() == []
+    assert ends.router.counts.restarts == 0
+
+
 def test_a_group_of_streams_is_asked_for_as_ardupilots_clients_do() -> None:
     ends = Ends("onboard", "onboard")
     ends.settle()
