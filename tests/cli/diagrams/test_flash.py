@@ -141,9 +141,9 @@ def test_a_px4_that_it_does_not_fit_leaves_everything(folder: Path, capfd: pytes
 def test_a_drone_flies_what_is_flashed_and_keeps_it_over_a_restart(
     folder: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """A controller is sent to a running `twodof fcu`, flies there, and flies again after the program's restart."""
-    options = ("--lockstep", "--rings", "--state", str(folder / "drone"))
-    with twodof_fcu(*options) as url:
+    """A controller is sent to a running drone, flies there, and flies again in a program that is started afterwards."""
+    state = folder / "drone"
+    with drone_thread(conditions={"rings": True}, state=state) as url:
         found = answer(capfd, "flash", "lqr-attitude", "--to", url)
         assert found["flashed"]
         assert found["against"].startswith("the stock controller")
@@ -153,7 +153,7 @@ def test_a_drone_flies_what_is_flashed_and_keeps_it_over_a_restart(
         assert again["against"] == "lqr_attitude, which flies on drone 1"
         assert run(["flash", "stock-attitude", "--to", url, "--dry-run"]) == 0
         assert "nothing was flashed" in capfd.readouterr().out
-    with twodof_fcu(*options) as url, Drone.connect(url) as drone:
+    with twodof_fcu("--lockstep", "--rings", "--state", str(state)) as url, Drone.connect(url) as drone:
         assert drone.state.rig.controller == "lqr_attitude"
         for _ in range(4):
             drone.run(0.25)
