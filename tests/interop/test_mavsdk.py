@@ -1,8 +1,12 @@
-"""MAVSDK, which knows nothing of us, goes through a flight from discovery to the log."""
+"""MAVSDK, which knows nothing of us, goes through a flight from discovery to the log.
+
+Before it the script for pymavlink on the page about clients flies the same drone behind its companion.
+"""
 
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -16,6 +20,7 @@ from bench.stack.programs import port
 from tests.patience import PATIENCE_S
 from twodof.fcu.parameters.parameter_store import ParameterStore
 
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "connect-clients.md"
 CLIENT = Path(__file__).with_name("mavsdk_client.py")
 SET_TO = 0.09
 STILL = 0.02  # rad, m; the estimator's noise at rest is far below
@@ -36,6 +41,21 @@ def flight(url: str, log: Path, first: str) -> dict[str, list[dict[str, Any]]]:
             step = json.loads(line)
             saw.setdefault(step.pop("step"), []).append(step)
     return saw
+
+
+def test_the_script_for_pymavlink_on_the_page_flies(companion_port: int, tmp_path: Path) -> None:
+    """It arms, follows a pitch of .1 rad within .02 for a second, disarms; mavutil gives itself the component 0."""
+    text = PAGE.read_text(encoding="utf-8").split("## pymavlink")[1].split("## node-mavlink")[0]
+    (block,) = re.findall(r"```py\n(.*?)```", text, flags=re.DOTALL)
+    script = tmp_path / "fly.py"
+    script.write_text(block.replace(":14540", f":{companion_port}"))
+    command = [sys.executable, str(script)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+    assert done.returncode == 0, f"{done.stdout}\n{done.stderr}"
+    pitch = re.search(r"pitch ([+-][\d.]+) rad", done.stdout)
+    assert pitch is not None
+    assert abs(float(pitch[1]) - 0.1) < 0.02
+    assert "disarmed True" in done.stdout
 
 
 @pytest.mark.soak
