@@ -212,9 +212,15 @@ class LanesMachine(BuiltMachine):
 
     def _checked(self, path: str, value: Any) -> Any:
         declared = self._declared(path)
+        fine: set[tuple[type, float]] = set()  # what many lanes have is checked once
         for lane, given in self._each(value, declared.width, path):
+            number = isinstance(given, int | float)
+            if number and (type(given), given) in fine:
+                continue
             try:
                 super()._checked(path, given)
+                if number:
+                    fine.add((type(given), given))
             except ParameterError as error:
                 if lane is None:
                     raise
