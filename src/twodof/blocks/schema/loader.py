@@ -80,11 +80,10 @@ class Loader:
         name = member(data, "name", str, path or "diagram")
         d = Diagram(name, text(member(data, "text", str, path, ""), MAX_TEXT, path or "diagram", lines=True))
         path = path or d.name
-        for form in member(data, "inputs", list, path, []):
-            port = self._declaration(Port, form, path)
+        for port in self._declarations(Port, data, "inputs", path):
             d.input(port.name, port.kind, port.width, port.unit)
-        for form in member(data, "params", list, path, []):
-            d.param(**vars(self._declaration(Param, form, path)))
+        for param in self._declarations(Param, data, "params", path):
+            d.param(**vars(param))
         parts = member(data, "parts", list, path, [])
         self.parts += len(parts)
         if self.parts > MAX_PARTS:  # counted before the first is made, which costs more than reading them
@@ -171,9 +170,7 @@ class Loader:
     def _custom(self, form: dict[str, Any], where: str) -> TracedBlock:
         only(form, _CUSTOM | _SECTIONS, where)
         kinds: dict[str, type] = {"inputs": Port, "outputs": Port, "states": State, "params": Param, "derived": Port}
-        declared = {
-            k: [self._declaration(cls, f, where) for f in member(form, k, list, where, [])] for k, cls in kinds.items()
-        }
+        declared = {k: self._declarations(cls, form, k, where) for k, cls in kinds.items()}
         crossing = member(form, "crossing", bool, where, False)
         block = TracedBlock(member(form, "name", str, where), declared, crossing)
         graph_from_json(block, form, where)
@@ -208,6 +205,12 @@ class Loader:
                 "",
                 "make loops and arrays shorter",
             )
+
+    def _declarations(self, cls: type[Any], data: dict[str, Any], key: str, where: str) -> list[Any]:
+        forms = member(data, key, list, where, [])
+        if self.declared + len(forms) > MAX_DECLARED:  # before the first is made, which costs more than reading them
+            self._count(len(forms), 0, where)
+        return [self._declaration(cls, form, where) for form in forms]
 
     def _declaration(self, cls: type[Any], form: Any, where: str) -> Any:
         if not isinstance(form, dict) or not set(form) <= _FIELDS[cls]:

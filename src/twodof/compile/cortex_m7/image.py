@@ -19,6 +19,7 @@ HEADERS = ("program.h", "semihosting.h", "server.h")
 SCRIPT = "image.ld"
 CALLED = ("program", "aeabi", "memory")  # what a step may call
 MODULES = (*CALLED, "boot", "server", "dispatch")
+SAME = ("aeabi", "memory", "boot", "server")  # in every image
 MEMORY = f"#include <stddef.h>\n#include <stdint.h>\n{freestanding.MEMORY}"
 
 FLAGS = (*compilers.FLAGS, "-ffreestanding", "-fomit-frame-pointer", "-g0", "-ffunction-sections", "-fdata-sections")
@@ -30,6 +31,8 @@ ZIG = (
 )
 LINK = ("-nostdlib", "-static", "-Wl,--gc-sections", "-T", SCRIPT)
 OPTIMISE = "-O2"
+_compiled: dict[tuple[str, ...], dict[str, bytes]] = {}
+"""What a compiler has made of `SAME` in this process: they take most of the time of a small program's image."""
 
 
 def find_cross_compiler(name: str | None = None) -> Compiler:
@@ -86,9 +89,11 @@ def build_image(
         f'#include "program.h"\n\n{table}\nconst Program programs[] = {{\n{rows}}};\n'
         f"const uint32_t program_count = {len(names)};\n"
     )
-    own = {name: (FIRMWARE / name).read_text(encoding="utf-8") for name in (*OWN, *HEADERS, SCRIPT)}
-    files = {**own, **freestanding.FILES, "memory.c": MEMORY, "program.c": source, "dispatch.c": dispatch}
+    common = {name: (FIRMWARE / name).read_text(encoding="utf-8") for name in (*OWN, *HEADERS, SCRIPT)}
+    common |= {**freestanding.FILES, "memory.c": MEMORY}
+    files = {**common, "program.c": source, "dispatch.c": dispatch}
     options = (*FLAGS, *compiler.flags)
+    firmware = (*compiler.command, compiler.identity(), *options, *common.values())
     key = (
         *(part for item in sorted(files.items()) for part in item),
         compiler.identity(),
@@ -102,9 +107,15 @@ def build_image(
         folder = target.parent
         for name, text in files.items():
             (folder / name).write_text(text, encoding="utf-8")
+        known = _compiled.get(firmware, {})
+        for name, data in known.items():
+            (folder / name).write_bytes(data)
         for name in MODULES:
             more = (optimise, *flags) if name == "program" else (OPTIMISE,)
-            _command(compiler, (*options, *more, "-I.", "-c", f"{name}.c", "-o", f"{name}.o"), folder)
+            if f"{name}.o" not in known:
+                _command(compiler, (*options, *more, "-I.", "-c", f"{name}.c", "-o", f"{name}.o"), folder)
+        outputs = (folder / f"{name}.{kind}" for name in SAME for kind in ("o", "su"))
+        _compiled[firmware] = {file.name: file.read_bytes() for file in outputs if file.exists()}
         objects = [f"{name}.o" for name in MODULES]
         libgcc = () if compiler.name == "zig" else ("-lgcc",)
         _command(compiler, (*options, *LINK, *objects, *libraries, *libgcc, "-o", "image.elf"), folder)
