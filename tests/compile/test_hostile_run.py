@@ -57,7 +57,7 @@ def check(files: int, seed: int, least: int) -> None:
 
 
 def test_mutated_files_that_load_run_within_their_fuel() -> None:
-    check(24, 1, least=4)
+    check(12, 1, least=3)
 
 
 @pytest.mark.soak
@@ -72,14 +72,18 @@ def test_the_largest_that_is_let_in_runs_in_the_sandbox(name: str) -> None:
     build(d, DT, target="wasm", optimise="-O1").machine().run(20)
 
 
-@pytest.mark.parametrize(("index", "value"), [(-(2**31), 1.0), (-1, 1.0), (2, 3.0), (3, 3.0), (2**31 - 1, 3.0)])
-def test_a_constant_index_is_clamped_where_the_array_is_written_out(index: int, value: float) -> None:
+def test_a_constant_index_is_clamped_where_the_array_is_written_out() -> None:
     """Python refuses such an index; a file can have it."""
-    numbers = [["const", [], "real", float(v).hex()] for v in (1.0, 2.0, 3.0)]
-    nodes = [*numbers, ["vector", [0, 1, 2]], ["const", [], "int32", index], ["select", [3, 4]], ["input", [], "u"]]
-    d = from_json(custom(nodes=[*nodes, ["mul", [5, 6]]], output={"y": 7}))
+    clamped = {-(2**31): 1.0, -1: 1.0, 2: 3.0, 3: 3.0, 2**31 - 1: 3.0}
+    nodes: list[list[object]] = [["const", [], "real", float(v).hex()] for v in (1.0, 2.0, 3.0)]
+    nodes += [["vector", [0, 1, 2]], ["input", [], "u"]]
+    outputs = {}
+    for index in clamped:
+        nodes += [["const", [], "int32", index], ["select", [3, len(nodes)]], ["mul", [len(nodes) + 1, 4]]]
+        outputs[f"y{len(outputs)}"] = len(nodes) - 1
+    d = from_json(custom(nodes=nodes, outputs=[{"name": name} for name in outputs], output=outputs))
     for machine in (Reference(d, DT).machine(), build(d, DT).machine(), build(d, DT, target="wasm").machine()):
-        assert machine.step({"u": 1.0})["y"] == value
+        assert list(machine.step({"u": 1.0}).values()) == list(clamped.values())
 
 
 def test_a_million_operations_run_within_their_fuel() -> None:

@@ -168,9 +168,9 @@ def too_large(share: int) -> dict[str, tuple[bytes, str]]:
         "a delay of 10^9 steps": (library("delay", samples=10**9, bound=10**9), "within 1 .. "),
         "a state of 10^9 values": (custom(states=[{"name": "ring", "width": 10**9}]), "more than 1000000 values"),
         "a state of 10^39 values": (custom(states=[{"name": "ring", "width": 10**39}]), "more than 1000000 values"),
-        "150,000 blocks in a row": (gains(150_000), "bytes of diagram"),
+        "too many blocks in a row": (gains(150_000 if share == 1 else 105_000), "bytes of diagram"),
         "120,000 blocks": (
-            file(parts=[{"name": f"g{k}", "block": {"type": "gain"}} for k in range(120_000)]),
+            file(parts=[{"name": f"g{k}", "block": {"type": "gain"}} for k in range(120_000 // share)]),
             "more than 10000 parts",
         ),
         "a table of a gigabyte": (
@@ -182,7 +182,10 @@ def too_large(share: int) -> dict[str, tuple[bytes, str]]:
             ),
             "more than 1000000 values",
         ),
-        "a table as long as a file may be": (library("playback", values=[1] * 2_500_000), "more than 100000 numbers"),
+        "a table as long as a file may be": (
+            library("playback", values=[1] * (2_500_000 // share)),
+            "more than 100000 numbers",
+        ),
         "a matrix of 90,000 numbers": (library("matrix_gain", K=[[1] * 300] * 300), "more than 1000000 operations"),
         "a delay of wide samples": (library("delay", samples=4, width=70_000 // share), "operations"),
         "wide arrays side by side": (library("concatenate", widths=[150_000] * 3), "too many operations"),
@@ -214,8 +217,8 @@ def too_large(share: int) -> dict[str, tuple[bytes, str]]:
             raw('{"name": "d", ' + ", ".join(f'"{k:x}":0' for k in range(700_000 // share)) + "}"),
             "unknown key",
         ),
-        "a name of 8 MB": (file(name="a" * 8_000_000), "is not a name"),
-        "a text of 8 MB": (file(text="a" * 8_000_000), "a text of 8000000 characters"),
+        "a name of 8 MB": (file(name="a" * (8_000_000 // share)), "is not a name"),
+        "a text of 8 MB": (file(text="a" * (8_000_000 // share)), "a text of 80+ characters"),
         "a unit of 1 MB": (file(inputs=[{"name": "u", "unit": "m" * 10**6}]), "a text of 1000000 characters"),
         "an argument of 1 MB": (library("sum", signs="+" * 10**6), "a text of 1000000 characters"),
         "sub-diagrams 900 deep": (file(**nested(200)), "nested more than 64"),
@@ -247,7 +250,7 @@ def endless(share: int) -> dict[str, tuple[bytes, str]]:
             "more than 50000 operations",
         ),
         "500 edges inside a step": (many_edges(500), "a step of more than 1000000 operations"),
-        "200,000 nodes": (doubling(200_000), "more than 50000"),
+        "200,000 nodes": (doubling(200_000 if share == 1 else 55_000), "more than 50000"),
     }
 
 

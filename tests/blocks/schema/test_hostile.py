@@ -39,7 +39,7 @@ def least_seconds(data: bytes, first: float, folder: Path) -> float:
     return least
 
 
-@each_day
+@pytest.mark.parametrize("share", [20, pytest.param(1, marks=pytest.mark.soak)])
 def test_what_is_large_and_allowed_stays_bounded(share: int, tmp_path: Path) -> None:
     found = judge(large(share), tmp_path)
     assert not [(name, row) for name, row in found.items() if row["stage"] != "compiled" or row["bytes"] > MEMORY]

@@ -6,7 +6,9 @@ compilers, the linker or the emitted file itself use.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +19,7 @@ from tests.toolchains import need
 from twodof.blocks import Block, Diagram, Param, Port, State
 from twodof.blocks.library import Gain
 from twodof.blocks.schema.json_form import from_json, to_json
+from twodof.compile.target import EmittedProgram
 
 KEYWORDS = """auto break case char const continue default do double else enum extern float for goto if inline int long
     register restrict return short signed sizeof static struct switch typedef union unsigned void volatile while asm
@@ -113,14 +116,29 @@ TITLES = {"gcc-O0": len(NAMES), "zig-O0": len(NAMES), "m7-gcc": 24, "wasm": 24, 
 """How many names each compiles as a diagram's own: the same gcc and zig read the C of the others."""
 
 
+Chosen = tuple[list[Case], list[Judgement], list[EmittedProgram]]
+
+
+@pytest.fixture(scope="module")
+def chosen(judged: list[tuple[Case, Judgement]]) -> Callable[[int], Chosen]:
+    """All names in one diagram and so many as a diagram's own; what the reference says of them; and their C."""
+
+    @cache
+    def made(titles: int) -> Chosen:
+        own = sorted(judged[1:], key=lambda pair: pair[0].diagram.name not in LINKED.split())[:titles]
+        some, expected = [case for case, _ in (judged[0], *own)], [said for _, said in (judged[0], *own)]
+        return some, expected, emitted(some, "float64", "rk4")
+
+    return made
+
+
 @pytest.mark.parametrize("kind", TITLES)
 def test_any_identifier_may_name_anything(
-    kind: str, judged: list[tuple[Case, Judgement]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    kind: str, chosen: Callable[[int], Chosen], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """All in one file, so that a name of one diagram could meet that of another."""
     monkeypatch.setenv("TWODOF_CACHE", str(tmp_path))
     need(*KINDS[kind].needs)
-    titles = sorted(judged[1:], key=lambda pair: pair[0].diagram.name not in LINKED.split())[: TITLES[kind]]
-    some, expected = zip(*[judged[0], *titles], strict=True)
+    some, expected, programs = chosen(TITLES[kind])
     target: Any = KINDS[kind].target
-    assert not differences(some, expected, emitted(some, "float64", "rk4"), replace(target, optimise="-O0"))
+    assert not differences(some, expected, programs, replace(target, optimise="-O0"))

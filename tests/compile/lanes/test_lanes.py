@@ -32,13 +32,13 @@ LANES = 9  # no multiple of any vector's length
 @pytest.mark.parametrize("simd", HERE)
 def test_random_diagrams_have_the_scalar_bits_in_each_lane(simd: str, precision: str) -> None:
     first = 300 + 20 * HERE.index(simd)
-    cases = random_cases(range(first, first + 6), 120)
+    cases = random_cases(range(first, first + 3), 120)
     found = lane_differences(cases, precision, ("rk4", "euler")[precision == "float32"], simd, LANES)
     assert not found, "\n".join(found[:20])
 
 
 @pytest.mark.parametrize(
-    ("precision", "count"), [("float64", 2), *(pytest.param(p, 6, marks=pytest.mark.soak) for p in PRECISIONS)]
+    ("precision", "count"), [("float64", 1), *(pytest.param(p, 6, marks=pytest.mark.soak) for p in PRECISIONS)]
 )
 def test_zig_gives_the_same_bits(precision: str, count: int) -> None:
     cases = random_cases(range(360, 360 + count), 120)
@@ -50,7 +50,7 @@ def test_zig_gives_the_same_bits(precision: str, count: int) -> None:
 def test_masks_of_bits_need_no_avx512(precision: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """What AVX-512's intrinsics do with masks is also written in C; here for a processor without them."""
     monkeypatch.setitem(SIMD, "avx512", Simd("avx512", 64, 2, (), False))
-    found = lane_differences(random_cases(range(370, 373), 120), precision, "rk4", "avx512", 19)
+    found = lane_differences(random_cases(range(370, 372), 120), precision, "rk4", "avx512", 19)
     assert not found, "\n".join(found[:20])
 
 
@@ -66,7 +66,7 @@ def test_many_random_diagrams_have_the_scalar_bits(chunk: int, precision: str) -
 @pytest.mark.parametrize("precision", ["float64", "float32"])
 @pytest.mark.parametrize("integrator", ["rk4", "euler"])
 def test_conditions_edges_and_arrays_of_each_lane_its_own(precision: str, integrator: str) -> None:
-    lanes, steps = 7, 300
+    lanes, steps = 7, 200
     program = build_lanes(corners(), 0.01, lanes, precision, LOGGED, integrator, optimise="-O1")
     alone = build(corners(), 0.01, precision, LOGGED, integrator, optimise="-O1")
     assert isinstance(alone, CompiledProgram)
@@ -97,7 +97,7 @@ def loops(request: pytest.FixtureRequest) -> tuple[Any, Any]:
 
 
 def test_64_closed_loops_fly_like_64_alone(loops: tuple[Any, Any]) -> None:
-    """Seeds, masses, gains, delays and sensor rates of each its own; thousands of steps in three modes."""
+    """Seeds, masses, gains, delays and sensor rates of each its own; hundreds of steps in each of three modes."""
     program, alone = loops
     rng = np.random.default_rng(2)
     parameters: dict[str, Any] = {f"rig.{name}": [value] * 64 for name, value in lab().snapshot().items()}
@@ -110,7 +110,7 @@ def test_64_closed_loops_fly_like_64_alone(loops: tuple[Any, Any]) -> None:
     machine.set_many(parameters)
     machine.reset()
     flights = [{"mode": 3, "thrust": 0.4, "theta0": 0.1}, {"mode": 5, "x0": 0.1}, {"mode": 4, "v0": 0.2}]
-    steps = 1500
+    steps = 600
     columns = {name: np.repeat([f.get(name, 0.0) for f in flights], steps) for name in ("thrust", "theta0", "x0", "v0")}
     columns["mode"] = np.repeat([3, 5, 4], steps)
     columns["theta0"] = columns["theta0"][:, np.newaxis] * rng.uniform(0.5, 1.5, 64)
