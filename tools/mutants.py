@@ -90,16 +90,16 @@ def mutants(file: Path) -> Iterator[Mutant]:
     text = file.read_text(encoding="utf-8")
     lines = text.encode().splitlines(keepends=True)
     functions = [node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.FunctionDef)]
-    for node in [node for function in functions for line in function.body for node in ast.walk(line)]:
+    # A function inside another one is walked twice and counted once.
+    for node in dict.fromkeys(node for function in functions for line in function.body for node in ast.walk(line)):
         if not isinstance(node, ast.expr) or node.end_lineno is None:
             continue
         head = b"".join(lines[: node.lineno - 1]) + lines[node.lineno - 1][: node.col_offset]
         tail = lines[node.end_lineno - 1][node.end_col_offset :] + b"".join(lines[node.end_lineno :])
         for new in changes(node):
             after = ast.unparse(ast.fix_missing_locations(new))
-            text = (head + f"({after})".encode() + tail).decode()
-            before = ast.unparse(node)
-            yield Mutant(file.relative_to(ROOT), node.lineno, before, after, text)
+            changed = (head + f"({after})".encode() + tail).decode()
+            yield Mutant(file.relative_to(ROOT), node.lineno, ast.unparse(node), after, changed)
 
 
 def survives(mutant: Mutant, place: Path, tests: list[str], seconds: float) -> bool:
