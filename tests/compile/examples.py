@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from twodof.blocks import Block, Diagram, Param, Port, State, build, int32, maximum, minimum, store, vector, where
+from twodof.blocks import Block, Diagram, Param, Port, State, array_of, int32, maximum, minimum, store, vector, where
 from twodof.blocks.elementary.functions import sin
 from twodof.blocks.library import FractionalDelay, Gain, Integrator, Sum, UnitDelay, ZeroOrderHold
 
@@ -93,7 +93,7 @@ class Rotate(Block):
         return {"a": x.a, "b": vector([x.b[0], x.b[1], x.b[2]])}
 
     def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-        return {"a": x.b, "b": build(3, lambda i: x.a[(i + 1) % 3])}
+        return {"a": x.b, "b": array_of(3, lambda i: x.a[(i + 1) % 3])}
 
 
 class Positive(Block):

@@ -13,7 +13,7 @@ from twodof.blocks.elementary import functions
 from twodof.blocks.expressions import expr
 
 KINDS = ("real", "real", "real", "int32", "uint32", "bool")
-WORDS = """where minimum maximum sqrt to_real to_int32 to_uint32 int32 uint32 real multiply_high vector store build
+WORDS = """where minimum maximum sqrt to_real to_int32 to_uint32 int32 uint32 real multiply_high vector store array_of
     fold"""
 NAMESPACE = {
     **{name: getattr(blocks, name) for name in WORDS.split()},
@@ -132,7 +132,7 @@ class Body:
             self.let(name, f"store({array}, {self.pick('int32')}, {self.pick(kind)})", kind, width)
         elif shape < 0.14:
             kind, width = r.choice(KINDS), r.choice((2, 3, 3, 3, 18))
-            self.let(name, f"build({width}, lambda i_{name}: {self.inner(f'i_{name}', kind)})", kind, width)
+            self.let(name, f"array_of({width}, lambda i_{name}: {self.inner(f'i_{name}', kind)})", kind, width)
         elif shape < 0.18:
             first, second = r.choice(KINDS), r.choice(KINDS)
             pool, self.pool = self.pool, self.pool.copy()

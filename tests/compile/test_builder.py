@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+import twodof.blocks
+import twodof.compile
 from tests.compile import examples
-from twodof.blocks import Block, Diagram, Param, Port, int32, sqrt
-from twodof.blocks import build as build_array
+from twodof.blocks import Block, Diagram, Param, Port, array_of, int32, sqrt
 from twodof.blocks.library import Constant, DiscreteIntegrator, Gain, Sum
 from twodof.blocks.reference.interpreter import Reference
 from twodof.compile import CompiledMachine, CompiledProgram, build
@@ -283,7 +284,7 @@ def test_rates_beyond_the_tick_are_never_due_but_once() -> None:
 def test_arrays_that_would_burst_the_stack_are_refused() -> None:
     class Wide(examples.Positive):
         def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-            return build_array(100_000, lambda i: u.u)[7] > 0.0
+            return array_of(100_000, lambda i: u.u)[7] > 0.0
 
     d = Diagram("wide")
     d.input("u")
@@ -358,3 +359,7 @@ def test_an_unknown_parameter_is_answered_with_the_nearest_names() -> None:
         assert caught.value.remedy.endswith(" and 11 more")
         with pytest.raises(ParameterError, match="no parameter"):
             machine.get(7)
+
+
+def test_no_name_of_the_language_is_one_of_the_compiler_too() -> None:
+    assert not set(vars(twodof.blocks)) & set(twodof.compile.__all__)

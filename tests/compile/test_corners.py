@@ -19,7 +19,7 @@ from twodof.blocks import (
     Param,
     Port,
     State,
-    build,
+    array_of,
     fold,
     store,
     to_int32,
@@ -30,8 +30,7 @@ from twodof.blocks import (
 from twodof.blocks.library import Compare, Constant, DiscreteIntegrator, Integrator, UnitDelay, ZeroOrderHold
 from twodof.blocks.reference.interpreter import Reference
 from twodof.blocks.schema.json_form import from_json, to_json
-from twodof.compile import CompiledProgram
-from twodof.compile import build as compiled
+from twodof.compile import CompiledProgram, build
 
 
 class Edged(Block):
@@ -72,21 +71,21 @@ class Arrays(Block):
     states = (State("a", "start", width=5), State("b", "scaled", width=5), State("k", 0, "int32"))
 
     def prepare(self, p: Any, t: Any) -> Any:
-        return {"scaled": build(5, lambda i: p.start[i] * p.g + to_real(i))}
+        return {"scaled": array_of(5, lambda i: p.start[i] * p.g + to_real(i))}
 
     def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-        short = build(3, lambda i: x.b[i] * p.g)
-        (total,) = fold(2, [short[u.i]], lambda i, s: [s + build(3, lambda j: to_real(j) + short[i])[i]])
+        short = array_of(3, lambda i: x.b[i] * p.g)
+        (total,) = fold(2, [short[u.i]], lambda i, s: [s + array_of(3, lambda j: to_real(j) + short[i])[i]])
         return {
             "y": x.a[u.i] + total,
-            "a": build(4, lambda i: short[i] + fold(2, [p.g], lambda j, q: [q + short[j]])[0]),
+            "a": array_of(4, lambda i: short[i] + fold(2, [p.g], lambda j, q: [q + short[j]])[0]),
         }
 
     def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
         a = store(x.a, u.i, u.u)
         a = store(a, x.k, 0.5 * a[u.i] + 0.25 * x.b[x.k])
         a = store(a, x.k - 1, 0.9 * a[x.k])
-        return {"a": a, "b": build(5, lambda i: x.a[i] * 0.5 + x.b[4 - i] * 0.25), "k": (x.k + 1) % 7}
+        return {"a": a, "b": array_of(5, lambda i: x.a[i] * 0.5 + x.b[4 - i] * 0.25), "k": (x.k + 1) % 7}
 
 
 def corners() -> Diagram:
@@ -148,7 +147,7 @@ LOGGED = tuple(
 )
 def test_corners_have_the_bits_of_the_reference(precision: str, integrator: str, travelled: bool) -> None:
     d = from_json(to_json(corners())) if travelled else corners()
-    program = compiled(d, 0.01, precision, LOGGED, integrator, optimise="-O1")
+    program = build(d, 0.01, precision, LOGGED, integrator, optimise="-O1")
     assert isinstance(program, CompiledProgram)
     ours, theirs = program.machine(), Reference(d, 0.01, precision, LOGGED, integrator).machine()
     ours.instance.structs["S"]["tick"][0] = theirs._tick = 2**32 - 75

@@ -21,7 +21,7 @@ from twodof.blocks.elementary.functions import sin as sin
 from twodof.blocks.elementary.functions import tan as tan
 from twodof.blocks.elementary.functions import tanh as tanh
 from twodof.blocks.elementary.functions import trunc as trunc
-from twodof.blocks.expressions.arrays import build as build
+from twodof.blocks.expressions.arrays import array_of as array_of
 from twodof.blocks.expressions.arrays import fold as fold
 from twodof.blocks.expressions.arrays import store as store
 from twodof.blocks.expressions.arrays import vector as vector

@@ -6,7 +6,7 @@ from typing import Any
 
 from twodof.blocks.block import Block, Clock
 from twodof.blocks.declarations import Param, Port
-from twodof.blocks.expressions.arrays import build, fold
+from twodof.blocks.expressions.arrays import array_of, fold
 from twodof.blocks.expressions.expr import Expr, int32, maximum, minimum, where
 from twodof.blocks.expressions.numbers import Vector
 from twodof.errors import DiagramError
@@ -19,7 +19,7 @@ def elementwise(f: Callable[..., Any], *values: Any) -> Any:
     """`f` of the values, or, of arrays, the array of `f` of the i-th elements."""
     first = values[0]
     width = first.width if isinstance(first, Expr) else len(first) if isinstance(first, Vector) else None
-    return f(*values) if width is None else build(width, lambda i: f(*(v[i] for v in values)))
+    return f(*values) if width is None else array_of(width, lambda i: f(*(v[i] for v in values)))
 
 
 class Pointwise(Block):

@@ -9,7 +9,7 @@ import mpmath
 import numpy as np
 import pytest
 
-from twodof.blocks import build, fold, maximum, minimum, sqrt, store, to_int32, to_real, vector, where
+from twodof.blocks import array_of, fold, maximum, minimum, sqrt, store, to_int32, to_real, vector, where
 from twodof.blocks.elementary import functions as f
 from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.derivative import Dual, Tangent
@@ -37,7 +37,7 @@ FUNCTIONS: list[tuple[Callable[..., Any], Callable[..., Any], tuple[float, ...]]
     ),
     (lambda x, y: fold(4, [x], lambda i, s: [s * y + x])[0], lambda x, y: x * (1 + y + y**2 + y**3 + y**4), (0.7, 1.3)),
     (
-        lambda x, y: store(build(3, lambda i: x * to_real(i)), 1, y * y)[1] + vector([x, y])[to_int32(1.2)],
+        lambda x, y: store(array_of(3, lambda i: x * to_real(i)), 1, y * y)[1] + vector([x, y])[to_int32(1.2)],
         lambda x, y: y * y + y,
         (0.7, 1.3),
     ),

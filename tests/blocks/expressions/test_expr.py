@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from tests.blocks.same_bits import same_bits
 from twodof.blocks.expressions import expr, numbers
-from twodof.blocks.expressions.arrays import build, fold, vector
+from twodof.blocks.expressions.arrays import array_of, fold, vector
 from twodof.blocks.expressions.expr import Expr, leaf, maximum, minimum, to_int32, to_real, to_uint32, where
 from twodof.blocks.expressions.graph import evaluate, free_bounds, leaves, walk
 from twodof.blocks.expressions.numbers import Int32, UInt32
@@ -117,7 +117,9 @@ def test_a_nested_loop_multiplies_matrices() -> None:
     a, b = leaf("input", "a", "real", 9), leaf("input", "b", "real", 9)
 
     def product(m: object, n: object) -> object:
-        return build(9, lambda ij: fold(3, [0.0 * m[0]], lambda k, s: [s + m[ij // 3 * 3 + k] * n[k * 3 + ij % 3]])[0])
+        return array_of(
+            9, lambda ij: fold(3, [0.0 * m[0]], lambda k, s: [s + m[ij // 3 * 3 + k] * n[k * 3 + ij % 3]])[0]
+        )
 
     with expr.tracing("product"):
         recorded = product(a, b)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.blocks.samples import Bouncer, Gain, Lag, Late, Memory, chain
-from twodof.blocks import Block, Diagram, Param, Port, build, fold, int32, where
+from twodof.blocks import Block, Diagram, Param, Port, array_of, fold, int32, where
 from twodof.blocks.elementary.functions import atan2, sin
 from twodof.blocks.reference.interpreter import Reference
 from twodof.blocks.schema.json_form import from_json, to_json
@@ -25,7 +25,7 @@ class Everything(Block):
     derived = (Port("scaled", width=3),)
 
     def prepare(self, p: Any, t: Any) -> Any:
-        return {"scaled": build(3, lambda i: p.c[i] * t.dt)}
+        return {"scaled": array_of(3, lambda i: p.c[i] * t.dt)}
 
     def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
         poly = fold(3, [u.u * -0.0], lambda i, s: [s * u.u + p.scaled[2 - i]])[0]

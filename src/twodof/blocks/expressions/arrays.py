@@ -39,7 +39,7 @@ def store(array: Any, index: Any, value: Any) -> Any:
     return Vector(items)
 
 
-def build(length: int, element: Callable[[Any], Any]) -> Any:
+def array_of(length: int, element: Callable[[Any], Any]) -> Any:
     """The array of `element(i)` for the int32 i = 0 .. length - 1; stays a loop when compiled."""
     if length < 1:
         raise fault("an array of no elements", "an array has at least one element")

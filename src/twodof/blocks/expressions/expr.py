@@ -246,7 +246,7 @@ def scalars(op: str, *args: Expr) -> None:
         if a.width is not None:
             raise fault(
                 f"{op} is applied to an array of {a.width}",
-                "work on its elements, with build(n, lambda i: ...)",
+                "work on its elements, with array_of(n, lambda i: ...)",
             )
 
 

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from twodof.blocks.expressions import numbers
-from twodof.blocks.expressions.arrays import build, fold, store, vector
+from twodof.blocks.expressions.arrays import array_of, fold, store, vector
 from twodof.blocks.expressions.expr import Expr, bits_of, convert, from_bits, multiply_high, recording, sqrt, where
 from twodof.errors import DiagramError
 
@@ -99,7 +99,7 @@ def evaluate(
             return vector(args)
         if op == "build":
             length, depth = item.data
-            return build(length, lambda i: values_of(item.args, {**bound, (depth, 0): i})[0])
+            return array_of(length, lambda i: values_of(item.args, {**bound, (depth, 0): i})[0])
         if op == "fold":
             length, depth, which = item.data
             bodies = item.args[len(args) :]

@@ -6,7 +6,7 @@ from typing import Any
 from twodof.blocks.block import Block, Clock, library_block
 from twodof.blocks.declarations import Param, Port, State
 from twodof.blocks.elementwise import count
-from twodof.blocks.expressions.arrays import build, store
+from twodof.blocks.expressions.arrays import array_of, store
 from twodof.blocks.expressions.expr import int32, to_int32, to_real, where
 
 __all__ = ["Delay", "FractionalDelay", "RateTransition", "UnitDelay", "ZeroOrderHold"]
@@ -72,7 +72,7 @@ class Delay(Block):
         if self.width is None:
             return where(arrived, x.buffer[place], x.before)
         width = self.width
-        return build(width, lambda i: where(arrived, x.buffer[place * width + i], x.before[i]))
+        return array_of(width, lambda i: where(arrived, x.buffer[place * width + i], x.before[i]))
 
     def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         after = x.position + 1

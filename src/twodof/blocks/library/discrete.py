@@ -6,7 +6,7 @@ from typing import Any
 from twodof.blocks.block import Block, Clock, library_block
 from twodof.blocks.declarations import Param, Port, State
 from twodof.blocks.elementwise import clamp, count, dot, elementwise, limit_params, matrix, one_of, reals
-from twodof.blocks.expressions.arrays import build, fold, store, vector
+from twodof.blocks.expressions.arrays import array_of, fold, store, vector
 from twodof.blocks.expressions.expr import int32, where
 from twodof.errors import DiagramError
 
@@ -236,11 +236,11 @@ class LinearStateSpace(Block):
         gain = p.D if self.direct else None
         if self.output_count == 1:
             return self._row(0, p.C, gain, u, x)
-        return build(self.output_count, lambda i: self._row(i, p.C, gain, u, x))
+        return array_of(self.output_count, lambda i: self._row(i, p.C, gain, u, x))
 
     def change(self, u: Any, x: Any, p: Any) -> Any:
         """A x + B u."""
-        return build(self.size, lambda i: self._row(i, p.A, p.B, u, x))
+        return array_of(self.size, lambda i: self._row(i, p.A, p.B, u, x))
 
 
 @library_block("discrete_state_space")
@@ -279,7 +279,7 @@ class MovingAverage(Block):
         self.states = [State("buffer", "fill", width=self.samples - 1, unit=unit), State("position", 0, "int32")]
 
     def prepare(self, p: Any, t: Clock) -> Any:
-        return build(self.samples - 1, lambda _: p.initial)
+        return array_of(self.samples - 1, lambda _: p.initial)
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         # The sum is made anew each time: one that is carried along would collect rounding errors.

@@ -7,7 +7,7 @@ from typing import Any
 from twodof.blocks.block import Block, Clock, library_block
 from twodof.blocks.declarations import MAX_WIDTH, Param, Port
 from twodof.blocks.elementwise import NUMERIC, Pointwise, count, dot, letters, matrix, one_of, reals
-from twodof.blocks.expressions.arrays import build, fold
+from twodof.blocks.expressions.arrays import array_of, fold
 from twodof.blocks.expressions.expr import maximum, minimum, where
 from twodof.errors import DiagramError
 
@@ -96,7 +96,7 @@ class MatrixGain(Block):
                 return p.K[i] * u.u
             return dot(self.columns, lambda j: p.K[i * self.columns + j], lambda j: u.u[j])
 
-        return row(0) if self.rows == 1 else build(self.rows, row)
+        return row(0) if self.rows == 1 else array_of(self.rows, row)
 
 
 @library_block("bias")

@@ -6,7 +6,7 @@ from typing import Any
 from twodof.blocks.block import Block, Clock, library_block
 from twodof.blocks.declarations import Param, Port
 from twodof.blocks.elementwise import clamp, one_of, reals, search
-from twodof.blocks.expressions.arrays import build
+from twodof.blocks.expressions.arrays import array_of
 from twodof.blocks.expressions.expr import to_real, uint32, where
 from twodof.blocks.library.sources import start_param, ticks
 from twodof.errors import DiagramError
@@ -94,7 +94,7 @@ class Table(Block):
         self.derived = [Port("at", "uint32", self.length)]
 
     def prepare(self, p: Any, t: Clock) -> Any:
-        return build(self.length, lambda i: ticks(p.times[i], t))
+        return array_of(self.length, lambda i: ticks(p.times[i], t))
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         i = search(p.at, self.length, t.tick)
