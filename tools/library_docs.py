@@ -28,7 +28,7 @@ what a diagram's JSON keeps beside the type's name; the tables show a block made
 are real scalars unless it is said otherwise; `width` n makes a block work on arrays of n, element by element; `kind` is
 one of real, int32, uint32 and bool; `unit` "" is compared with nothing. All parameters may be changed while the diagram
 runs; a state starts from the parameter `initial` where there is one. T is the block's own period [s], [k] its k-th
-sample.
+sample. A series of ports has the names a, b, ..., z and then u27, u28, ... by number; a block has at most 1,000 inputs.
 """
 
 

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from typing import Any
 
-from twodof.blocks.block import Block, Clock
+from twodof.blocks.block import MAX_PORTS, Block, Clock
 from twodof.blocks.declarations import Param, Port
 from twodof.blocks.expressions.arrays import array_of, fold
 from twodof.blocks.expressions.expr import Expr, int32, maximum, minimum, where
@@ -74,9 +74,14 @@ def count(value: Any, low: int, high: int, block: str, argument: str) -> int:
     return value
 
 
-def letters(number: int, block: str) -> list[str]:
-    """The names a, b, c, ... of `number` inputs; DiagramError beyond z."""
-    return list(LETTERS[: count(number, 1, len(LETTERS), block, "number of inputs")])
+def port_series(number: int, block: str) -> list[str]:
+    """The names of `number` ports of one sort: a, b, ..., z, then u27, u28, ... by their number.
+
+    Raises DiagramError for more than a block may have. (Two letters would give `as`, `if`, `in`, `is` and `or`, which
+    are not keywords of a call in Python.)
+    """
+    count(number, 1, MAX_PORTS, block, "number of ports")
+    return [*LETTERS[:number], *(f"u{i}" for i in range(len(LETTERS) + 1, number + 1))]
 
 
 def reals(values: Any, block: str, argument: str, least: int = 1) -> list[float]:

@@ -7,7 +7,7 @@ from typing import Any
 
 from twodof.blocks.block import Block, Clock, library_block
 from twodof.blocks.declarations import Param, Port, State
-from twodof.blocks.elementwise import NUMERIC, Pointwise, letters, one_of
+from twodof.blocks.elementwise import NUMERIC, Pointwise, one_of, port_series
 from twodof.blocks.expressions.expr import to_real, to_uint32, where
 
 __all__ = ["Bitwise", "Compare", "CompareToConstant", "Counter", "EdgeDetector", "FlipFlop", "Logic", "Timer"]
@@ -73,7 +73,7 @@ class Logic(Pointwise):
 
     def __init__(self, operation: str = "and", inputs: int = 2, width: int | None = None) -> None:
         self.operation = one_of(operation, ("and", "or", "xor", *INVERTED), "Logic", "operation")
-        self.ports(letters(1 if operation == "not" else inputs, "Logic"), "bool", width)
+        self.ports(port_series(1 if operation == "not" else inputs, "Logic"), "bool", width)
 
     def of(self, p: Any, *values: Any) -> Any:
         y = reduce(BITWISE[INVERTED.get(self.operation, self.operation)], values)

@@ -6,7 +6,7 @@ from typing import Any
 
 from twodof.blocks.block import Block, Clock, library_block
 from twodof.blocks.declarations import MAX_WIDTH, Param, Port
-from twodof.blocks.elementwise import NUMERIC, Pointwise, count, dot, letters, matrix, one_of, reals
+from twodof.blocks.elementwise import NUMERIC, Pointwise, count, dot, matrix, one_of, port_series, reals
 from twodof.blocks.expressions.arrays import array_of, fold
 from twodof.blocks.expressions.expr import maximum, minimum, where
 from twodof.errors import DiagramError
@@ -37,7 +37,7 @@ class Sum(Pointwise):
             raise DiagramError(f"signs={signs!r:.80}", "Sum", 'give a + or - for each input, such as "+-"')
         one_of(kind, NUMERIC, "Sum", "kind")
         self.signs = signs
-        self.ports(letters(len(signs), "Sum"), kind, width, unit)
+        self.ports(port_series(len(signs), "Sum"), kind, width, unit)
 
     def of(self, p: Any, *terms: Any) -> Any:
         total = terms[0] if self.signs[0] == "+" else -terms[0]
@@ -122,7 +122,7 @@ class Product(Pointwise):
         if not isinstance(operations, str) or not operations or set(operations) - set("*/"):
             raise DiagramError(f"operations={operations!r:.80}", "Product", 'give a * or / for each input, like "*/"')
         self.operations = operations
-        self.inputs = [Port(name, width=width) for name in letters(len(operations), "Product")]
+        self.inputs = [Port(name, width=width) for name in port_series(len(operations), "Product")]
         self.outputs = [Port("y", width=width, unit=unit)]
 
     def of(self, p: Any, *terms: Any) -> Any:
@@ -203,7 +203,7 @@ class Minimum(Pointwise):
     """y is the smallest of its inputs: minimum(minimum(a, b), c) with minimum(a, b) = a if a < b else b."""
 
     def __init__(self, inputs: int = 2, kind: str = "real", width: int | None = None, unit: str = "") -> None:
-        self.ports(letters(inputs, "Minimum"), one_of(kind, NUMERIC, "Minimum", "kind"), width, unit)
+        self.ports(port_series(inputs, "Minimum"), one_of(kind, NUMERIC, "Minimum", "kind"), width, unit)
 
     def of(self, p: Any, *inputs: Any) -> Any:
         return reduce(minimum, inputs)
@@ -214,7 +214,7 @@ class Maximum(Pointwise):
     """y is the largest of its inputs: maximum(maximum(a, b), c) with maximum(a, b) = a if b < a else b."""
 
     def __init__(self, inputs: int = 2, kind: str = "real", width: int | None = None, unit: str = "") -> None:
-        self.ports(letters(inputs, "Maximum"), one_of(kind, NUMERIC, "Maximum", "kind"), width, unit)
+        self.ports(port_series(inputs, "Maximum"), one_of(kind, NUMERIC, "Maximum", "kind"), width, unit)
 
     def of(self, p: Any, *inputs: Any) -> Any:
         return reduce(maximum, inputs)

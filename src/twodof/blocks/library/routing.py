@@ -5,7 +5,7 @@ from typing import Any
 
 from twodof.blocks.block import Block, Clock, library_block
 from twodof.blocks.declarations import MAX_WIDTH, Port
-from twodof.blocks.elementwise import count, elementwise, letters
+from twodof.blocks.elementwise import count, elementwise, port_series
 from twodof.blocks.expressions.arrays import vector
 from twodof.blocks.expressions.expr import where
 
@@ -29,16 +29,18 @@ class MultiportSwitch(Block):
     """y is the input that the int32 `index` selects, from 0 on. An index beyond the ends takes the first or last."""
 
     def __init__(self, inputs: int = 2, kind: str = "real", width: int | None = None, unit: str = "") -> None:
-        self.names = letters(inputs, "MultiportSwitch")
+        self.names = port_series(inputs, "MultiportSwitch")
         self.inputs = [Port("index", "int32"), *(Port(name, kind, width, unit) for name in self.names)]
         self.outputs = [Port("y", kind, width, unit)]
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        def of(*values: Any) -> Any:
-            y = values[-1]
-            for i in range(len(values) - 2, -1, -1):
-                y = where(u.index <= i, values[i], y)
-            return y
+        def of(*values: Any, first: int = 0) -> Any:
+            """Halved again and again: a chain of a thousand conditions takes a C compiler a minute."""
+            if len(values) == 1:
+                return values[0]
+            half = (len(values) - 1) // 2 + 1
+            low, high = of(*values[:half], first=first), of(*values[half:], first=first + half)
+            return where(u.index < first + half, low, high)
 
         return elementwise(of, *(u[name] for name in self.names))
 
@@ -48,7 +50,7 @@ class Mux(Block):
     """y = [a, b, c, ...]: an array of the scalar inputs."""
 
     def __init__(self, inputs: int = 2, kind: str = "real", unit: str = "") -> None:
-        self.names = letters(inputs, "Mux")
+        self.names = port_series(inputs, "Mux")
         self.inputs = [Port(name, kind, unit=unit) for name in self.names]
         self.outputs = [Port("y", kind, len(self.names), unit)]
 
@@ -61,7 +63,7 @@ class Demux(Block):
     """a = u[0], b = u[1], ...: the elements of an array as scalar outputs."""
 
     def __init__(self, outputs: int = 2, kind: str = "real", unit: str = "") -> None:
-        self.names = letters(outputs, "Demux")
+        self.names = port_series(outputs, "Demux")
         self.inputs = [Port("u", kind, len(self.names), unit)]
         self.outputs = [Port(name, kind, unit=unit) for name in self.names]
 
@@ -102,7 +104,7 @@ class Concatenate(Block):
     """y = the elements of a, then those of b, c, ...; `widths` are those of the inputs."""
 
     def __init__(self, widths: Sequence[int] = (2, 2), kind: str = "real", unit: str = "") -> None:
-        self.names = letters(len(widths), "Concatenate")
+        self.names = port_series(len(widths), "Concatenate")
         self.widths = [count(w, 1, MAX_WIDTH, "Concatenate", "width") for w in widths]
         self.inputs = [Port(n, kind, w, unit) for n, w in zip(self.names, self.widths, strict=True)]
         self.outputs = [Port("y", kind, sum(self.widths), unit)]
