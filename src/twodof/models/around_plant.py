@@ -1,12 +1,11 @@
 """What stands around the plant of a structure: a delay of its input, and constants added to its signals."""
 
-import math
 from typing import Any
 
 from twodof.blocks.block import Block, Clock, library_block
-from twodof.blocks.declarations import Param, Port, State
-from twodof.blocks.expressions.arrays import store
-from twodof.blocks.expressions.expr import int32, maximum, to_int32, to_real, where
+from twodof.blocks.declarations import Param, Port
+from twodof.blocks.expressions.expr import maximum, to_int32, to_real, where
+from twodof.models.past_inputs import past_input, past_states, remember
 
 
 @library_block("models.InputDelay")
@@ -24,7 +23,7 @@ class InputDelay(Block):
         self.outputs = (Port("y"),)
         self.params = (Param("tau", 0.0, unit="s", low=0.0, text="delay of the input"),)
         self.derived = (Port("whole", "int32"), Port("fraction"), Port("fits", "bool"))
-        self.states = (State("past", 0.0, width=ring), State("step", 0, kind="int32"))
+        self.states = past_states(ring)
 
     def prepare(self, p: Any, t: Clock) -> dict[str, Any]:
         """The delay in whole ticks and the fraction of one that is left."""
@@ -35,19 +34,15 @@ class InputDelay(Block):
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         """The input of `whole + 1` ticks ago if the delay ends inside the step."""
-        return self._ago(where(p.fraction > 0.0, p.whole + 1, p.whole), u, x, p)
+        ago = past_input(u.u, x, p.fits, self.ring)
+        return ago(where(p.fraction > 0.0, p.whole + 1, p.whole))
 
     def edges(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, tuple[Any, Any]]:
         """The younger value arrives after `fraction` of the step."""
-        return {"y": (p.fraction, self._ago(p.whole, u, x, p))}
+        return {"y": (p.fraction, past_input(u.u, x, p.fits, self.ring)(p.whole))}
 
     def update(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
-        return {"past": store(x.past, x.step % self.ring, u.u), "step": x.step + 1}
-
-    def _ago(self, steps: Any, u: Any, x: Any, p: Any) -> Any:
-        then = where(x.step < steps, int32(0), x.step - steps)
-        past = where(p.fits, x.past[then % self.ring], math.nan)
-        return where((steps == 0) | (x.step == 0), u.u, past)
+        return remember(u.u, x, self.ring)
 
 
 @library_block("models.Offset")

@@ -4,14 +4,14 @@ A subclass says A, B, C and D in terms of its parameters. `prepare` turns them i
 parameter changes, so that one compiled program serves a whole estimation; a step is then a few multiplications.
 """
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
 from twodof.blocks.block import Block, Clock, library_block
 from twodof.blocks.declarations import Param, Port, State
-from twodof.blocks.expressions.arrays import fold, store
-from twodof.blocks.expressions.expr import maximum, real, to_int32, to_real, to_uint32, uint32, where
+from twodof.blocks.expressions.arrays import fold
+from twodof.blocks.expressions.expr import maximum, real, to_int32, to_real, where
+from twodof.models.past_inputs import past_input, past_states, remember
 from twodof.signals import GRAVITY
 
 # Taylor terms of the matrix exponential: |A| h <= 2 leaves 2^21 / 21! < 5e-14. A step with more is taken in pieces.
@@ -47,8 +47,7 @@ class ZohPlant(Block):
         )
         self.states = (
             *(State(name, f"{name}_0", unit=unit) for name, unit in self.plant_states),
-            State("past", 0.0, width=ring),
-            State("step", 0, kind="uint32"),
+            *past_states(ring),
         )
         self.derived = (
             *(Port(f"phi_{i}_{j}") for i in names for j in names),
@@ -113,21 +112,11 @@ class ZohPlant(Block):
             + (p[f"old_{row}"] * old + p[f"new_{row}"] * new)
             for row in names
         }
-        result["past"] = store(x.past, x.step % self.ring, u[self.inputs[0].name])
-        result["step"] = x.step + 1
-        return result
+        return result | remember(u[self.inputs[0].name], x, self.ring)
 
     def _delayed(self, u: Any, x: Any, p: Any) -> tuple[Any, Any]:
         """The input `whole + 1` and `whole` steps ago; before step 0 that of step 0."""
-        present = u[self.inputs[0].name]
-        step = to_int32(x.step)
-
-        def ago(steps: Any) -> Any:
-            # More than the ring keeps is no number rather than a wrong one.
-            then = where(step < steps, uint32(0), x.step - to_uint32(steps))
-            past = where(p.fits, x.past[then % self.ring], math.nan)
-            return where((steps == 0) | (step == 0), present, past)
-
+        ago = past_input(u[self.inputs[0].name], x, p.fits, self.ring)
         return ago(p.whole + 1), ago(p.whole)
 
 
