@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import random
+from functools import reduce
+from time import process_time
 from typing import Any
 
 import control
@@ -12,7 +14,7 @@ import pytest
 from scipy.optimize import brentq
 
 from tests.compile.linear.linear_diagrams import DT, chain, pendulum, same_response
-from twodof.blocks import Block, Diagram, Param, Port, State, sqrt
+from twodof.blocks import Block, Diagram, Param, Port, State, array_of, fold, real, sqrt
 from twodof.blocks import library as lib
 from twodof.blocks.elementary import functions as f
 from twodof.compile import build
@@ -334,3 +336,36 @@ def test_a_model_follows_the_compiled_diagram_over_many_steps() -> None:
     for j, name in enumerate(model.outputs):
         # Some hundred steps of memory, each with roundings of numbers below 10.
         np.testing.assert_allclose(out[name], y[:, j], atol=1e-11)
+
+
+class Power(Block):
+    """u to the power 7 by six chained products of 3x3 matrices, each a loop of loops."""
+
+    inputs = (Port("u", width=9),)
+    outputs = (Port("y", width=9),)
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        def product(a: Any, b: Any) -> Any:
+            def element(i: Any) -> Any:
+                row, column = i // 3 * 3, i % 3
+                return fold(3, [real(0.0)], lambda k, s: [s + a[row + k] * b[k * 3 + column]])[0]
+
+            return array_of(9, element)
+
+        return reduce(product, [u.u] * 7)
+
+
+def test_chained_products_of_matrices_cost_what_their_arithmetic_does() -> None:
+    """The slope of U^7 is the sum of U^i dU U^(6 - i); row by row that of a dU b is kron(a, b^T)."""
+    d = Diagram("power")
+    d.input("u", width=9)
+    d.add("b", Power(), u="u")
+    d.output("y", "b")
+    u = np.random.Generator(np.random.PCG64(5)).uniform(-0.7, 0.7, (3, 3))
+    start = process_time()
+    model = linearize(d, DT, at={"u": u.ravel().tolist()})
+    assert process_time() - start < 1.0  # of five products it took minutes, of six hours
+    powers = [np.linalg.matrix_power(u, i) for i in range(7)]
+    np.testing.assert_allclose(
+        model.d, sum(np.kron(powers[i], powers[6 - i].T) for i in range(7)), rtol=1e-12, atol=1e-15
+    )

@@ -92,41 +92,67 @@ class Tangent:
         self.direction = direction
         self.ties: list[Tie] = []
         self.block = ""
+        self._reads: dict[int, int] = {}  # by the id of expressions; those in `_kept` keep them alive
+        self._kept: list[Expr] = []
 
     def evaluate(
         self,
         roots: Sequence[Expr],
         leaf: Callable[[Expr], Value],
-        memo: dict[int, Value] | None = None,
+        memo: dict[Any, Value] | None = None,
         bound: Mapping[Any, Value] | None = None,
     ) -> list[Value]:
         """The values of `roots`, given those of their leaves; `memo` keeps what was computed, by the node's id.
 
         Raises DiagramError for bit patterns, which have no derivative.
         """
-        values = {} if memo is None else memo
-        for item in walk(roots, loops=False):
-            if id(item) not in values:
-                values[id(item)] = self._compute(item, values, leaf, bound or {})
-        return [values[id(r)] for r in roots]
+        run = _Run(leaf, {0: {} if memo is None else memo}, bound or {})
+        return self._evaluate(roots, run)
 
-    def _compute(
-        self, item: Expr, values: Mapping[int, Value], leaf: Callable[[Expr], Value], bound: Mapping[Any, Value]
-    ) -> Value:
+    def _evaluate(self, roots: Sequence[Expr], run: "_Run") -> list[Value]:
+        stack = [(r, False) for r in reversed(roots)]
+        while stack:
+            item, ready = stack.pop()
+            known = run.known(self._loops_below(item))
+            if id(item) in known:
+                continue
+            if ready:
+                known[id(item)] = self._compute(item, run)
+            else:
+                stack.append((item, True))
+                stack.extend((a, False) for a in reversed(outside(item)))
+        return [run.known(self._loops_below(r))[id(r)] for r in roots]
+
+    def _loops_below(self, item: Expr) -> int:
+        """Which loops' variables an expression reads and does not bind: bit d for a loop within d others."""
+        if id(item) not in self._reads:
+            self._kept.append(item)
+            for e in walk([item]):
+                if id(e) in self._reads:
+                    continue
+                reads = 1 << e.data[0] if e.op == "bound" else 0
+                for a in outside(e):
+                    reads |= self._reads[id(a)]
+                for body in e.args[len(outside(e)) :]:
+                    reads |= self._reads[id(body)] & ~(1 << e.data[1])
+                self._reads[id(e)] = reads
+        return self._reads[id(item)]
+
+    def _compute(self, item: Expr, run: "_Run") -> Value:
         op = item.op
         if op == "const":
             return Dual(numbers.cast(item.data, item.kind))
         if op == "bound":
-            return bound[item.data]
+            return run.bound[item.data]
+        args = [run.known(self._loops_below(a))[id(a)] for a in outside(item)]
         if op in ("build", "fold"):
-            return self._loop(item, [values[id(a)] for a in outside(item)], leaf, bound)
-        args = [values[id(a)] for a in item.args]
+            return self._loop(item, args, run)
         if op == "vector":
             return tuple(_scalar(a) for a in args)
         if op in ("select", "store"):
             return _element(op, args)
         if not args:
-            return leaf(item)
+            return run.leaf(item)
         duals = [_scalar(a) for a in args]
         if all(d.slope is None for d in duals):
             return Dual(self._number(item, [d.value for d in duals]))
@@ -193,20 +219,44 @@ class Tangent:
         beside = _STEPS[name](x + 0.25 * side) if abs(x) < 2.0**50 else x
         return convert(numbers.cast(float(beside), "real"), item.kind)
 
-    def _loop(
-        self, item: Expr, starts: list[Value], leaf: Callable[[Expr], Value], bound: Mapping[Any, Value]
-    ) -> Value:
+    def _loop(self, item: Expr, starts: list[Value], run: "_Run") -> Value:
         length, depth, *which = item.data
         bodies = item.args[len(starts) :]
         if item.op == "build":
-            made = [self.evaluate(bodies, leaf, None, {**bound, (depth, 0): Dual(Int32(i))})[0] for i in range(length)]
-            return tuple(_scalar(m) for m in made)
-        carried = starts
-        for i in range(length):
-            inner = {**bound, (depth, 0): Dual(Int32(i)), **{(depth, j + 1): v for j, v in enumerate(carried)}}
-            carried = self.evaluate(bodies, leaf, None, inner)
-        result: Value = carried[which[0]]
+            turns = (run.turn(depth, [Dual(Int32(i))]) for i in range(length))
+            return tuple(_scalar(self._evaluate(bodies, turn)[0]) for turn in turns)
+        # All results of one loop come from one run of it.
+        known = run.known(self._loops_below(item))
+        key = ("fold", length, depth, *map(id, item.args))
+        if key not in known:
+            carried = starts
+            for i in range(length):
+                carried = self._evaluate(bodies, run.turn(depth, [Dual(Int32(i)), *carried]))
+            known[key] = tuple(_scalar(c) for c in carried)
+        results: Any = known[key]
+        result: Value = results[which[0]]
         return result
+
+
+@dataclass(frozen=True)
+class _Run:
+    """An evaluation within the turns of some loops: `memos` keeps values by the loops that they change with.
+
+    What does not change in a loop is computed once, before its first turn or in it.
+    """
+
+    leaf: Callable[[Expr], Value]
+    memos: dict[int, dict[Any, Value]]  # by the innermost loop whose variables are read: its depth + 1, or 0
+    bound: Mapping[Any, Value]
+
+    def known(self, reads: int) -> dict[Any, Value]:
+        """The values known of expressions that read the variables of these loops."""
+        return self.memos.setdefault(reads.bit_length(), {})
+
+    def turn(self, depth: int, variables: Sequence[Value]) -> "_Run":
+        """A turn of the loop at `depth`."""
+        outer = {level: self.memos.setdefault(level, {}) for level in range(depth + 1)}
+        return _Run(self.leaf, outer, {**self.bound, **{(depth, j): v for j, v in enumerate(variables)}})
 
 
 def _scalar(value: Value) -> Dual:
