@@ -128,6 +128,16 @@ def test_readme_code_runs(tmp_path: Path) -> None:
     run(script, tmp_path)
 
 
+def test_the_code_of_the_page_on_testing_runs(tmp_path: Path) -> None:
+    blocks = re.findall(
+        r"```python\n(.*?)```", (PROJECT / "docs" / "how-to" / "test-a-diagram.md").read_text(), flags=re.DOTALL
+    )
+    assert blocks
+    script = tmp_path / "page.py"
+    script.write_text("\n".join(blocks))
+    run(script, tmp_path)
+
+
 def test_the_code_of_the_pages_on_tuning_and_recording_runs(tmp_path: Path) -> None:
     pages = [PROJECT / "docs" / "how-to" / name for name in ("tune-in-flight.md", "record-and-convert.md")]
     blocks = [re.findall(r"```python\n(.*?)```", page.read_text(), flags=re.DOTALL) for page in pages]

@@ -1,7 +1,7 @@
 """Runs the commands that the documentation shows and brings the shown output up to date: `python tools/console.py`.
 
 In a ```console block a line `$ twodof ...` or `$ python ...` is a command, and what follows are lines of its output,
-not necessarily all. A block ```python title="FILE" is a file that the reader saves first.
+not necessarily all. A block ```python title="FILE" (or toml) is a file that the reader saves first.
 `$LOGS` is the folder of the real drone's logs; where there is none, the commands that need it are passed over.
 """
 
@@ -52,7 +52,7 @@ def commands(text: str) -> list[Command]:
 
 def files(text: str) -> dict[str, str]:
     """The files that a page has its reader save: name and text."""
-    return dict(re.findall(r"```python title=\"([\w.]+)\"\n(.*?)```", text, flags=re.DOTALL))
+    return dict(re.findall(r"```(?:python|toml) title=\"([\w.]+)\"\n(.*?)```", text, flags=re.DOTALL))
 
 
 def save_files(text: str, folder: Path) -> None:

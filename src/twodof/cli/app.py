@@ -24,7 +24,7 @@ COMMANDS = MappingProxyType(
         "simulate": ("simulate", "Fly an experiment, or a log's set-points, on a virtual rig."),
         "up": ("drone.up", "Start virtual drones, and say where to connect."),
         "fly": ("drone.fly", "Fly an experiment over MAVLink, on a virtual drone or a real one."),
-        "diagram": ("diagrams.diagram", "Start, check, draw and linearize a diagram; see the C that it becomes."),
+        "diagram": ("diagrams.diagram", "Start, check, test, draw and linearize a diagram; see the C that it becomes."),
         "flash": ("diagrams.flash", "Check and compile a controller, say what changes, and let it fly."),
         "identify": ("logs.identify", "Identify a model from a flight log."),
         "fcu": ("drone.fcu", "Run a virtual drone: rig and flight controller, reached over MAVLink."),

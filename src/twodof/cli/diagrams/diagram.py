@@ -1,4 +1,4 @@
-"""`twodof diagram`: start one, check it, draw it, see the C that it becomes, linearize it."""
+"""`twodof diagram`: start one, check it, test it, draw it, see the C that it becomes, linearize it."""
 
 import json as json_text
 from dataclasses import asdict
@@ -11,6 +11,7 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
+from twodof.cli.diagrams.diagram_tests import run_tests
 from twodof.cli.options import RealType
 from twodof.cli.output import Force, Json, print_json, table_console
 from twodof.compile.builder import emit_program
@@ -30,8 +31,9 @@ app = typer.Typer(
     add_completion=False,
     rich_markup_mode=None,
     no_args_is_help=True,
-    help="Start, check, draw, read and linearize diagrams.",
+    help="Start, check, test, draw, read and linearize diagrams.",
 )
+app.command("test")(run_tests)
 
 MAX_AT_BYTES = 2**20
 

@@ -1,0 +1,170 @@
+"""Plan: a scenario made to fit a diagram, its inputs as arrays."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twodof.blocks.declarations import Port
+from twodof.blocks.diagram import Diagram
+from twodof.compile.diagram_test.assertions import Assertion, assertion
+from twodof.compile.diagram_test.input_signals import ConstantInput, InputSignal, between_rows
+from twodof.compile.diagram_test.scenario import INPUT, OUTPUT, ExpectedTable, Scenario
+from twodof.compile.diagram_test.tick_times import last_tick
+from twodof.errors import DiagramError, listed, shown
+
+MAX_TICKS = 1_000_000
+
+Elements = dict[str, dict[int, NDArray[np.float64]]]
+"""Values of inputs by name and element (0 of a scalar), each of shape (steps,)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A scenario that fits a diagram.
+
+    `inputs` are arrays of `steps` rows in the ports' types. `checks` are its assertions, `expected` the columns of its
+    table that are expected, with the signal's name (or path, perhaps with an index). `paths` are the signals to log.
+    """
+
+    scenario: Scenario
+    steps: int
+    inputs: dict[str, NDArray[Any]]
+    checks: tuple[Assertion, ...]
+    expected: tuple[tuple[str, str], ...]
+    paths: frozenset[str]
+
+
+def plan(diagram: Diagram, scenario: Scenario, dt: float) -> Plan:
+    """`scenario` for `diagram` at the base tick `dt` [s].
+
+    Raises DiagramError for an input or output that is not there, an input that is fed twice or with what its type does
+    not hold, and a scenario that claims nothing.
+    """
+    steps = _steps(scenario, dt)
+    elements: Elements = {}
+    for name, value in scenario.inputs.items():
+        where = f"{scenario.name}, {name}"
+        port = _input(diagram, name, where)
+        given = _signals(value, port, where)
+        elements[name] = {i: s.values(steps, dt, port.kind != "real") for i, s in enumerate(given)}
+    checks = tuple(assertion(claim) if isinstance(claim, str) else claim for claim in scenario.checks)
+    expected = tuple(_read_table(diagram, scenario, steps, dt, elements)) if scenario.table else ()
+    if not (checks or expected):
+        raise DiagramError("it claims nothing", scenario.name, "add checks, or a table with a column of an output")
+    names = {signal.partition("[")[0]: what for what, signal in expected}
+    names |= {check.signal.partition("[")[0]: check.text for check in checks}
+    for name, what in names.items():
+        if name not in diagram.outputs and "." not in name:
+            outputs = listed(diagram.outputs)
+            raise DiagramError(
+                f"there is no output {shown(name)}",
+                f"{scenario.name}, {what}",
+                f"outputs: {outputs}; the path of a signal inside is part.port",
+            )
+    inputs = {
+        name: _column(diagram.inputs[name], by_element, steps, f"{scenario.name}, {name}")
+        for name, by_element in elements.items()
+    }
+    return Plan(scenario, steps, inputs, checks, expected, frozenset(names) - set(diagram.outputs))
+
+
+def _steps(scenario: Scenario, dt: float) -> int:
+    if scenario.duration is not None:
+        duration = float(scenario.duration)
+        last = last_tick(duration, dt) if 0.0 <= duration < MAX_TICKS * dt else -1
+    elif scenario.table is not None:
+        last = int(scenario.table.table.ticks_of(dt)[-1])
+    else:
+        raise DiagramError("it has no duration", scenario.name, "say how many seconds it lasts")
+    if not 0 <= last < MAX_TICKS:
+        raise DiagramError(f"a duration of {shown(scenario.duration)} s", scenario.name, f"run 1 to {MAX_TICKS} ticks")
+    return last + 1
+
+
+def _input(diagram: Diagram, name: str, where: str) -> Port:
+    if name not in diagram.inputs:
+        raise DiagramError(f"there is no input {shown(name)}", where, f"inputs: {listed(diagram.inputs)}")
+    return diagram.inputs[name]
+
+
+def _signals(value: Any, port: Port, where: str) -> list[InputSignal]:
+    """A signal for each element of the port."""
+    width = 1 if port.width is None else port.width
+    given = list(value) if isinstance(value, (list, tuple)) and port.width is not None else [value] * width
+    if len(given) != width:
+        raise DiagramError(f"{len(given)} values for an array of {width}", where, f"give {width}")
+    signals: list[InputSignal] = []
+    for one in given:
+        if isinstance(one, InputSignal):
+            signals.append(one)
+        elif isinstance(one, (bool, int, float, np.number, np.bool_)):
+            signals.append(ConstantInput(float(one)))
+        else:
+            raise DiagramError(f"{shown(one)} is not a signal", where, "give a number or a signal such as StepInput")
+    return signals
+
+
+def _read_table(
+    diagram: Diagram, scenario: Scenario, steps: int, dt: float, elements: Elements
+) -> Iterator[tuple[str, str]]:
+    """Adds the table's inputs to `elements`; gives its other columns, each with the signal that it expects."""
+    given = scenario.table
+    assert given is not None
+    for column in given.table.columns:
+        where = f"{scenario.name}, {given.table.name}, {column}"
+        name, index = _element(column.removeprefix(INPUT).removeprefix(OUTPUT).strip(), where)
+        marked = column.startswith((INPUT, OUTPUT))
+        if not marked and name in diagram.inputs and name in diagram.outputs:
+            raise DiagramError(
+                "an input and an output have this name", where, f'write "{INPUT}{name}" or "{OUTPUT}{name}"'
+            )
+        if column.startswith(INPUT) or (not marked and name in diagram.inputs):
+            port = _input(diagram, name, where)
+            if (index is None) != (port.width is None) or (index or 0) >= (port.width or 1):
+                raise DiagramError(
+                    f"the input has {port.width or 'no'} elements", where, "of an array name one, v[0], from 0 on"
+                )
+            if (index or 0) in elements.get(name, {}):
+                raise DiagramError("the input is fed twice", where, "keep one of the two")
+            elements.setdefault(name, {})[index or 0] = _fed(given, column, port, steps, dt, where)
+        else:
+            yield column, name if index is None else f"{name}[{index}]"
+
+
+def _fed(given: ExpectedTable, column: str, port: Port, steps: int, dt: float, where: str) -> NDArray[np.float64]:
+    """What a column of the table feeds into an input."""
+    ticks = given.table.ticks_of(dt)
+    if not given.table.given[column].all():
+        raise DiagramError("a cell of an input is empty", where, "fill it, or take the input out of the table")
+    if ticks[0] != 0:
+        raise DiagramError("the first row is not at 0", where, "say what the input is from the start on")
+    return between_rows(ticks, given.table.columns[column], steps, given.between if port.kind == "real" else "hold")
+
+
+def _element(text: str, where: str) -> tuple[str, int | None]:
+    """A name and, of `name[3]`, the index."""
+    name, bracket, rest = text.partition("[")
+    if not bracket:
+        return name, None
+    if not (rest.endswith("]") and rest[:-1].isdecimal() and len(rest) < 9):
+        raise DiagramError(f"{shown(text)} is not an element", where, "write v[0]")
+    return name, int(rest[:-1])
+
+
+def _column(port: Port, elements: dict[int, NDArray[np.float64]], steps: int, where: str) -> NDArray[Any]:
+    """The values of an input in its type; elements that are not given are 0."""
+    data = np.zeros((steps, port.width or 1))
+    for i, values in elements.items():
+        data[:, i] = values
+    found: NDArray[Any] = data
+    if port.kind != "real":
+        low, high = {"bool": (0, 1), "int32": (-(2**31), 2**31 - 1)}.get(port.kind, (0, 2**32 - 1))
+        odd = ~((data == np.rint(data)) & (data >= low) & (data <= high))
+        if odd.any():
+            value = data[odd][0]
+            raise DiagramError(f"{value:g} does not fit {port.kind}", where, f"give whole numbers from {low} to {high}")
+        found = data.astype(port.kind)
+    return found if port.width is not None else found[:, 0]

@@ -1,0 +1,95 @@
+"""Run scenarios on the reference or a compiled target, and judge them."""
+
+from collections.abc import Iterable, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twodof.blocks.diagram import Diagram
+from twodof.blocks.machine import Machine
+from twodof.blocks.reference.interpreter import Reference
+from twodof.compile.builder import build
+from twodof.compile.diagram_test.assertions import Assertion
+from twodof.compile.diagram_test.judgement import ScenarioResult
+from twodof.compile.diagram_test.plan import Plan, plan
+from twodof.compile.diagram_test.scenario import ExpectedColumn, Scenario, expected_column
+from twodof.errors import DiagramError
+
+REFERENCE = "reference"
+DT = 0.004
+"""The control period [s], and the base tick of tests that do not say another one."""
+
+
+class Program(Protocol):
+    """A diagram ready to run, interpreted or compiled."""
+
+    def machine(self) -> Machine:
+        """A fresh instance in its initial state."""
+
+
+def run_scenario(diagram: Diagram, scenario: Scenario, dt: float = DT, **options: Any) -> ScenarioResult:
+    """One scenario, run and judged; `options` and errors as those of `run_scenarios`."""
+    return run_scenarios(diagram, [scenario], dt, **options)[0]
+
+
+def run_scenarios(
+    diagram: Diagram,
+    scenarios: Sequence[Scenario],
+    dt: float = DT,
+    precision: str = "float64",
+    target: str = "native",
+    integrator: str = "rk4",
+    log: Iterable[str] = (),
+) -> list[ScenarioResult]:
+    """Each scenario, run from the initial state at the base tick `dt` [s], and judged.
+
+    `target` is "reference", or one of `build`: "native", "wasm", "cortex-m7"; all give the same bits. `log` are paths
+    of further signals that the results keep. Raises DiagramError for a scenario that does not fit the diagram,
+    ParameterError for a parameter, and what `build` raises.
+    """
+    plans = [plan(diagram, scenario, dt) for scenario in scenarios]
+    paths = sorted(frozenset(log).union(*(p.paths for p in plans)) - set(diagram.outputs))
+    program: Program
+    if target == REFERENCE:
+        program = Reference(diagram, dt, precision, paths, integrator)
+    else:
+        program = build(diagram, dt, precision, paths, integrator, target=target)
+    return [judged(p, run_plan(p, program.machine()), dt) for p in plans]
+
+
+def run_plan(planned: Plan, machine: Machine) -> dict[str, NDArray[Any]]:
+    """The signals of a run of a scenario on a fresh machine, by name, each of `steps` rows."""
+    if planned.scenario.parameters:
+        machine.set_many(planned.scenario.parameters)
+        machine.reset()  # initial states may be parameters
+    return machine.run(planned.steps, planned.inputs)
+
+
+def judged(planned: Plan, signals: dict[str, NDArray[Any]], dt: float) -> ScenarioResult:
+    """What is found of a scenario in the signals of its run."""
+    table, name = planned.scenario.table, planned.scenario.name
+    claims: list[tuple[Assertion | ExpectedColumn, NDArray[Any]]] = [
+        (check, _values(signals, check.signal, f"{name}, {check.text}")) for check in planned.checks
+    ]
+    for column, signal in planned.expected:
+        assert table is not None
+        values = _values(signals, signal, f"{name}, {column}")
+        whole = values.dtype.kind != "f"
+        claims.append((expected_column(table, column, signal, whole, planned.steps, dt), values))
+    judgements = tuple(claim.judge(values.astype(np.float64), dt) for claim, values in claims)
+    return ScenarioResult(name, judgements, dt * np.arange(planned.steps, dtype=np.float64), signals)
+
+
+def _values(signals: dict[str, NDArray[Any]], signal: str, where: str) -> NDArray[Any]:
+    """One signal, or one element of an array."""
+    name, _, rest = signal.partition("[")
+    values = signals[name]
+    width = values.shape[1] if values.ndim > 1 else None
+    if not rest and width is None:
+        return values
+    index = int(rest[:-1]) if rest else None
+    if width is None or index is None or index >= width:
+        what = "it is not an array" if width is None else f"it is an array of {width}"
+        raise DiagramError(what, where, f"write {name}" if width is None else f"name an element, {name}[0], from 0 on")
+    return values[:, index]

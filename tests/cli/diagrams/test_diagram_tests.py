@@ -1,0 +1,70 @@
+"""`twodof diagram test`, as a user meets it."""
+
+from __future__ import annotations
+
+import json
+import re
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import pytest
+
+from twodof.cli.app import run
+
+TESTS = """
+[[test]]
+name = "gains"
+duration = 0.1
+inputs.theta_0 = { step = 0.1, at = 0.04 }
+inputs.FLAG_ATTITUDE_ENABLED = true
+checks = ["M never above {limit}", "M rises to 0.1 before 0.05"]
+"""
+
+
+@pytest.fixture
+def tests(tmp_path: Path) -> list[str]:
+    """A file whose tests pass, and one of which one assertion does not hold."""
+    files = []
+    for name, limit in (("fine.toml", "0.2"), ("wrong.toml", "0.1")):
+        (tmp_path / name).write_text(TESTS.replace("{limit}", limit), encoding="utf-8")
+        files.append(str(tmp_path / name))
+    return files
+
+
+def test_the_status_says_whether_the_tests_pass(tests: list[str], capfd: pytest.CaptureFixture[str]) -> None:
+    fine, wrong = tests
+    assert run(["diagram", "test", "pid-attitude", fine, "--target", "reference"]) == 0
+    out = capfd.readouterr().out
+    assert "  ok     gains: M rises to 0.1 before 0.05: at 0.04 s" in out
+    assert out.endswith("1 of 1 tests passed\n")
+    assert run(["diagram", "test", "pid-attitude", fine, wrong, "--target", "reference"]) == 1
+    out = capfd.readouterr().out
+    assert re.search(r"FAILED gains: M never above 0\.1: 0\.\d+ at 0\.04 s is above 0\.1 by 0\.0\d+; ", out)
+    assert out.endswith("1 of 2 tests passed\n")
+    assert run(["diagram", "test", "pid-attitude", "nowhere.toml"]) == 2
+    assert "cannot be read" in capfd.readouterr().err
+
+
+def test_machines_get_json_junit_and_a_page(
+    tests: list[str], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    junit, page = tmp_path / "junit.xml", tmp_path / "failed.html"
+    arguments = ["diagram", "test", "pid-attitude", *tests, "--target", "reference", "--precision", "float32"]
+    assert run([*arguments, "--json", "--junit", str(junit), "--html", str(page)]) == 1
+    found = json.loads(capfd.readouterr().out)
+    assert found["passed"] is False
+    fine, wrong = found["files"].values()
+    assert fine[0]["passed"] is True
+    check = wrong[0]["checks"][0]
+    assert (check["passed"], check["tick"], check["time"], check["limit"]) == (False, 10, 0.04, 0.1)
+    assert check["by"] == pytest.approx(check["value"] - 0.1)
+    suites = ElementTree.parse(junit).getroot()
+    assert [suite.get("failures") for suite in suites] == ["0", "1"]
+    text = page.read_text(encoding="utf-8")
+    assert text.count("<svg") == 1
+    assert "1 of 2 tests failed" in text
+    assert not re.search(
+        r"(src|href)\s*=|https?:|url\(|@import", re.sub(r"xmlns[^ >]*|url\(#\w+\)|href=\"#\w+\"", "", text)
+    )
+    assert run([*arguments, "--junit", str(junit)]) == 2
+    assert "there already" in capfd.readouterr().err

@@ -1,0 +1,157 @@
+"""Files of tests: what they say is what runs, and what they must not say is refused with its place."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twodof.compile.diagram_test import ExpectedTable, PointsInput, RampInput, SineInput, StepInput, read_scenarios
+from twodof.errors import DiagramError
+
+WHOLE = """
+dt = 0.01
+integrator = "euler"
+
+[[test]]
+name = "all"
+text = "every kind of signal"
+duration = 1
+parameters = { k = 2, "rate.kp" = 0.5, rate = { ki = 0.25 }, table = [1.0, 2.0] }
+inputs.a = 1.5
+inputs.b = true
+inputs.c = { step = 2.0, at = 0.1, from = 1.0 }
+inputs.d = { ramp = 0.5, start = 0.1, stop = 0.2 }
+inputs.e = { sine = 0.5, hz = 2.0, phase = 0.1, offset = 1.0 }
+inputs.f = { points = [[0.0, 1.0], [0.5, 2.0]], between = "hold" }
+inputs.g = [0.0, { step = 1.0 }]
+inputs.h = { csv = "data/in.csv", column = "u", between = "interpolate" }
+checks = ["y never above 1", "y settles within .1 of 1 by .5"]
+
+[[test]]
+name = "table"
+[test.table]
+csv = "data/in.csv"
+between = "hold"
+absolute = { y = 0.1 }
+relative = 0.01
+at = "ticks"
+"""
+
+
+def write(folder: Path, text: str) -> Path:
+    (folder / "data").mkdir(exist_ok=True)
+    (folder / "data" / "in.csv").write_text("time [s],u,y [rad]\n0,1,\n0.1,2,true\n0.2,-3e-1,nan\n", encoding="utf-8")
+    file = folder / "x.toml"
+    file.write_text(text, encoding="utf-8")
+    return file
+
+
+def test_a_file_says_what_the_objects_say(tmp_path: Path) -> None:
+    found = read_scenarios(write(tmp_path, WHOLE))
+    assert (found.dt, found.integrator) == (0.01, "euler")
+    first, second = found.scenarios
+    assert (first.name, first.text, first.duration) == ("all", "every kind of signal", 1.0)
+    assert first.parameters == {"k": 2, "rate.kp": 0.5, "rate.ki": 0.25, "table": [1.0, 2.0]}
+    assert first.inputs["c"] == StepInput(2.0, 0.1, 1.0)
+    assert first.inputs["d"] == RampInput(0.5, 0.1, 0.2)
+    assert first.inputs["e"] == SineInput(0.5, 2.0, 0.1, 1.0)
+    assert first.inputs["f"] == PointsInput([(0.0, 1.0), (0.5, 2.0)], "hold")
+    assert first.inputs["h"] == PointsInput([(0.0, 1.0), (0.1, 2.0), (0.2, -0.3)], "interpolate")
+    assert [c.text for c in first.checks] == ["y never above 1", "y settles within .1 of 1 by .5"]
+    table = second.table
+    assert isinstance(table, ExpectedTable)
+    assert table.tolerance("y") == (0.1, 0.01)
+    assert table.tolerance("z") == (0.0, 0.01)
+    assert table.table.given["y"].tolist() == [False, True, True]
+    assert table.table.columns["y"][1] == 1.0
+    assert np.isnan(table.table.columns["y"][2])
+
+
+TEST = '[[test]]\nname = "t"\nduration = 1.0\n'
+
+
+@pytest.mark.parametrize(
+    ("text", "what"),
+    [
+        ("", "no tests"),
+        ("test = 3", "no tests"),
+        ("[[test]\n", "not TOML"),
+        ("x = " + "[" * 5000, "not TOML"),
+        ("dt = 0\n" + TEST, "dt = 0"),
+        ("dt = true\n" + TEST, "True is not a number"),
+        ("dt = 1" + "0" * 400 + "\n" + TEST, "too large"),
+        ('integrator = "ode45"\n' + TEST, "integrator"),
+        ("[[test]]\nduration = 1\n", "name"),
+        (TEST + TEST, "two tests are named 't'"),
+        (TEST + "durations = 3\n", "did you mean 'duration'"),
+        (TEST + 'checks = ["y is nice"]\n', "not an assertion"),
+        (TEST + "checks = [3]\n", "not an assertion"),
+        (TEST + 'inputs.u = "1"\n', "'1' is not a table"),
+        (TEST + "inputs.u = { steps = 1 }\n", "not a signal"),
+        (TEST + "inputs.u = { step = 1, before = 2 }\n", "no key 'before'"),
+        (TEST + "inputs.u = { sine = 1 }\n", "hz is missing"),
+        (TEST + "inputs.u = { step = nan }\n", "not a finite number"),
+        (TEST + "inputs.u = { points = [[0.0, 1.0]] }\n", "between = None"),
+        (TEST + 'inputs.u = { points = [[0.1, 1.0], [0.0, 2.0]], between = "hold" }\n', "do not increase"),
+        (TEST + 'inputs.u = { csv = "data/in.csv", column = "w", between = "hold" }\n', "no column 'w'"),
+        (TEST + 'inputs.u = { csv = "data/no.csv", column = "u", between = "hold" }\n', "cannot be read"),
+        (TEST + 'inputs.u = { csv = "../in.csv", column = "u", between = "hold" }\n', "not in the folder"),
+        (TEST + 'inputs.u = { csv = "/etc/passwd", column = "u", between = "hold" }\n', "not in the folder"),
+        (TEST + 'parameters.k = "1"\n', "not a number"),
+        (TEST + '[test.table]\nbetween = "hold"\ncsv = "data/in.csv"\n', "tolerance"),
+        (TEST + '[test.table]\nabsolute = 0\ncsv = "data/in.csv"\n', "between = None"),
+        (TEST + '[test.table]\nabsolute = 0\nbetween = "hold"\n', "one of both"),
+        (TEST + '[test.table]\nabsolute = 0\nbetween = "hold"\ncolumns = ["y"]\nrows = [[1.0]]\n', "first column"),
+        (TEST + '[test.table]\nabsolute = 0\nbetween = "hold"\ncolumns = ["tick"]\nrows = [[0.5]]\n', "not increase"),
+        (
+            TEST + '[test.table]\nabsolute = 0\nbetween = "hold"\ncolumns = ["tick", "y"]\nrows = [[0]]\n',
+            "1 cells for 2",
+        ),
+    ],
+)
+def test_what_a_file_must_not_say_is_refused(tmp_path: Path, text: str, what: str) -> None:
+    with pytest.raises(DiagramError, match=what):
+        read_scenarios(write(tmp_path, text))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "# " + "x" * 300_000,
+        "a" + ".a" * 100_000 + " = 1",
+        "\n".join(f"k{i} = {{ a" + ".a" * 199 + " = 1 }" for i in range(500)),
+        "x = [" + "[" * 100_000,
+        "x = {" + "a={" * 50_000,
+    ],
+    ids=["long", "dots", "many dots", "brackets", "braces"],
+)
+def test_a_hostile_file_is_refused_at_once(tmp_path: Path, text: str) -> None:
+    """The parser's time for a dotted key grows with the square of its length: 100,000 dots would take hours."""
+    file = write(tmp_path, text)
+    begun = time.process_time()
+    with pytest.raises(DiagramError):
+        read_scenarios(file)
+    assert time.process_time() - begun < 2.0
+
+
+def test_a_hostile_table_is_refused(tmp_path: Path) -> None:
+    file = write(tmp_path, TEST + '[test.table]\nabsolute = 0\nbetween = "hold"\ncsv = "data/in.csv"\n')
+    place = tmp_path / "data" / "in.csv"
+    for content, what in (
+        (b"time,y\n0,x\n", "'x' is not a number"),
+        (b"time,y\n0,1_0\n", "'1_0' is not a number"),
+        (b"time,y\n1,0\n0,0\n", "does not increase"),
+        (b"time,y\nnan,0\n", "does not increase"),
+        (b"time,y,y\n0,0,0\n", "names"),
+        (b"time,y\n0\n", "1 cells for 2"),
+        (b"\xff\xfe", "UTF-8"),
+        (b"", "empty"),
+        (b"time\n" + b"\n" * 1_100_000, "too many lines"),
+        (b"time" + b",y" * 2000 + b"\n0\n", "names"),
+    ):
+        place.write_bytes(content)
+        with pytest.raises(DiagramError, match=what):
+            read_scenarios(file)

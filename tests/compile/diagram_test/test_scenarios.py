@@ -1,0 +1,219 @@
+"""Scenarios run on every target, and judged as a written-out loop judges them."""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ElementTree
+
+import numpy as np
+import pytest
+
+from twodof.blocks import Diagram
+from twodof.blocks.library import Convert, Gain, Logic, Sum, UnitDelay
+from twodof.compile.diagram_test import (
+    ExpectedTable,
+    InputSignal,
+    PointsInput,
+    RampInput,
+    Scenario,
+    SineInput,
+    StepInput,
+    run_scenario,
+    run_scenarios,
+    table_of,
+    to_junit,
+)
+from twodof.errors import DiagramError, ParameterError
+
+DT = 0.01
+
+
+def lag() -> Diagram:
+    """y[k+1] = y[k] + k (r[k] - y[k]): a discrete first-order lag with a gain of one."""
+    d = Diagram("lag")
+    d.input("r")
+    d.input("stop", "bool")
+    d.param("k", 0.1, low=0.0, high=1.0)
+    d.add("error", Sum("+-"), a="r", b="memory")
+    d.add("gain", Gain(), u="error", params={"k": "k"})
+    d.add("next", Sum("++"), a="memory", b="gain")
+    d.add("memory", UnitDelay(), u="next")
+    d.add("going", Logic("not"), a="stop")
+    d.output("y", "memory")
+    d.output("going", "going")
+    return d
+
+
+def test_the_lag_is_where_its_closed_form_says() -> None:
+    """y[k] = 1 - .9^k: it passes .9 at tick 22, and is within .05 of 1 from tick 29 on."""
+    scenario = Scenario(
+        "step",
+        1.0,
+        {"r": 1.0},
+        checks=[
+            "y rises to 0.9 before 0.23",
+            "y rises to 0.9 before 0.22",
+            "y settles within 0.05 of 1 by 0.29",
+            "y settles within 0.05 of 1 by 0.28",
+            "going always equals true",
+            "gain.y final value within 1e-3 of 0",
+        ],
+    )
+    result = run_scenario(lag(), scenario, DT)
+    assert [j.passed for j in result.judgements] == [True, False, True, False, True, True]
+    assert [j.tick for j in result.judgements] == [None, 21, None, 28, None, None]
+    assert result.judgements[2].text == "settled at 0.29 s"
+    assert len(result.time) == 101
+    assert str(result).splitlines()[1] == f"step: {scenario.checks[3]}: 0.947665 at 0.28 s is below 0.95 by 0.00233"
+    fast = run_scenario(lag(), Scenario("fast", 1.0, {"r": 1.0}, {"k": 0.5}, ["y rises to 0.9 before 0.05"]), DT)
+    assert fast.passed, fast
+
+
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+def test_every_target_gives_the_same_bits_and_judgements(precision: str) -> None:
+    scenarios = [
+        Scenario(
+            "sine",
+            0.5,
+            {"r": SineInput(1.0, 3.0), "stop": StepInput(1, 0.2)},
+            checks=["y never above 0.3", "y always within [-1, 1] until 0.2", "going always equals false from 0.2"],
+        ),
+        Scenario("step", 0.5, {"r": StepInput(0.2, 0.1)}, {"k": 0.3}, ["y settles within 0.01 of 0.2 by 0.3"]),
+    ]
+    reference, native = (run_scenarios(lag(), scenarios, DT, precision, on) for on in ("reference", "native"))
+    for a, b in zip(reference, native, strict=True):
+        assert a.judgements == b.judgements
+        for name, values in b.signals.items():
+            assert a.signals[name].astype(values.dtype).tobytes() == values.tobytes()
+    assert [one.passed for one in native] == [False, True]
+
+
+TIMES = np.arange(60) * DT
+
+
+@pytest.mark.parametrize(
+    ("signal", "expected"),
+    [
+        (StepInput(2.0, 0.105, before=-1.0), np.where(TIMES >= 0.105, 2.0, -1.0)),
+        (RampInput(2.0, 0.1, 0.3, before=1.0), 1.0 + 2.0 * np.clip(TIMES - 0.1, 0.0, 0.2)),
+        (SineInput(0.5, 7.0, 0.3, offset=1.0), 1.0 + 0.5 * np.sin(2 * math.pi * 7.0 * TIMES + 0.3)),
+        (PointsInput([(0.1, 1.0), (0.2, 3.0)], "interpolate"), np.interp(TIMES, [0.1, 0.2], [1.0, 3.0])),
+        (
+            PointsInput([(0.0, 1.0), (0.2, 3.0), (0.255, 0.0)], "hold"),
+            np.select([TIMES < 0.195, TIMES < 0.255], [1, 3]),
+        ),
+    ],
+)
+def test_a_signal_has_the_values_of_its_formula(signal: InputSignal, expected: np.ndarray) -> None:
+    found = signal.values(60, DT)
+    assert np.max(np.abs(found - expected)) < 1e-14
+
+
+def rows_of(steps: int) -> dict[str, list[float | None]]:
+    """The lag's columns, by a loop in Python."""
+    y, columns = 0.0, {name: [] for name in ("time", "r", "y", "going")}
+    for k in range(steps):
+        r = 1.0 if k < 20 else -0.5
+        for name, value in (("time", k * DT), ("r", r), ("y", y), ("going", True)):
+            columns[name].append(value)
+        y += 0.1 * (r - y)
+    return columns
+
+
+def test_a_table_feeds_inputs_and_expects_outputs() -> None:
+    columns = rows_of(40)
+    exact = Scenario("table", table=ExpectedTable(table_of(columns), absolute=0.0, relative=1e-15))
+    assert run_scenario(lag(), exact, DT).passed
+    wrong = {**columns, "y": [*columns["y"][:30], columns["y"][30] + 0.003, *columns["y"][31:]]}
+    for relative, absolute, passes in (
+        (0.0, 0.002, False),
+        (0.0, 0.0031, True),
+        (0.2, 0.0, True),
+        (0.1, 0.0, False),
+    ):
+        table = ExpectedTable(table_of(wrong), absolute=absolute, relative=relative)
+        found = run_scenario(lag(), Scenario("table", table=table), DT)
+        assert found.passed == passes
+        assert passes or found.failed[0].tick == 30
+
+
+def test_only_what_is_given_is_expected_at_rows_or_at_each_tick() -> None:
+    """Rows every .1 s: at the rows the lag is exact, on the lines between them it is not, and empty cells pass."""
+    columns = rows_of(41)
+    sparse = {name: cells[::10] for name, cells in columns.items()}
+    del sparse["going"]
+    at_rows = ExpectedTable(table_of(sparse), "hold", 1e-15)
+    assert run_scenario(lag(), Scenario("rows", table=at_rows), DT).passed
+    lines = ExpectedTable(table_of(sparse), "interpolate", 1e-15, at="ticks")
+    inputs = {name: cells for name, cells in sparse.items() if name != "y"}
+    found = run_scenario(lag(), Scenario("lines", table=lines), DT)
+    assert found.failed[0].tick == 1
+    y = run_scenario(lag(), Scenario("none", table=ExpectedTable(table_of({**inputs, "y": [0.0, *[None] * 4]}))), DT)
+    assert y.passed
+    assert y.judgements[0].text.startswith("1 values")
+
+
+def test_arrays_are_fed_and_read_by_element() -> None:
+    d = Diagram("arrays")
+    d.input("v", width=2)
+    d.add("twice", Gain(2.0, width=2), u="v")
+    d.output("y", "twice")
+    table = ExpectedTable(table_of({"tick": [0, 1, 2], "v[1]": [1.0, 2.0, 3.0], "y[1]": [2.0, 4.0, 6.0]}))
+    assert run_scenario(d, Scenario("table", table=table), DT).passed
+    found = run_scenario(
+        d, Scenario("list", 0.02, {"v": [1.0, StepInput(3.0, 0.02)]}, checks=["y[1] never above 1"]), DT
+    )
+    assert found.failed[0].value == 6.0
+    for check, what in (("y never above 1", "array of 2"), ("y[2] never above 1", "array of 2")):
+        with pytest.raises(DiagramError, match=what):
+            run_scenario(d, Scenario("x", 0.02, checks=[check]), DT)
+
+
+def test_integers_are_held_and_must_be_whole() -> None:
+    d = Diagram("whole")
+    d.input("n", "int32")
+    d.add("same", Convert("int32", "real"), u="n")
+    d.output("y", "same")
+    points = PointsInput([(0.0, 1), (0.04, 5)], "interpolate")
+    assert run_scenario(d, Scenario("held", 0.03, {"n": points}, checks=["y always equals 1"]), DT).passed
+    with pytest.raises(DiagramError, match=r"0\.5 does not fit int32"):
+        run_scenario(d, Scenario("half", 0.03, {"n": 0.5}, checks=["y always equals 1"]), DT)
+
+
+@pytest.mark.parametrize(
+    ("scenario", "what"),
+    [
+        (Scenario("x", 1.0, {"q": 1.0}, checks=["y never above 1"]), "there is no input 'q'"),
+        (Scenario("x", 1.0, checks=["z never above 1"]), "there is no output 'z'"),
+        (Scenario("x", 1.0, checks=["gain.z never above 1"]), "gain.z"),
+        (Scenario("x", 1.0, {"r": 1.0}), "claims nothing"),
+        (Scenario("x", checks=["y never above 1"]), "no duration"),
+        (Scenario("x", 1e9, checks=["y never above 1"]), "run 1 to"),
+        (Scenario("x", math.nan, checks=["y never above 1"]), "run 1 to"),
+        (Scenario("x", 1.0, {"stop": 0.5}, checks=["y never above 1"]), "0.5 does not fit bool"),
+        (Scenario("x", table=ExpectedTable(table_of({"time": [0.0], "r": [None], "y": [0]}))), "empty"),
+        (Scenario("x", table=ExpectedTable(table_of({"time": [0.01], "r": [1], "y": [0]}))), "not at 0"),
+        (Scenario("x", table=ExpectedTable(table_of({"time": [0.005], "y": [0]}))), "between two ticks"),
+        (Scenario("x", 0.1, table=ExpectedTable(table_of({"time": [0.5], "y": [0]}))), "ends before"),
+        (Scenario("x", 0.1, {"r": 1}, table=ExpectedTable(table_of({"time": [0], "r": [1], "y": [0]}))), "fed twice"),
+    ],
+)
+def test_a_scenario_that_does_not_fit_is_refused(scenario: Scenario, what: str) -> None:
+    with pytest.raises(DiagramError, match=what):
+        run_scenario(lag(), scenario, DT, target="reference")
+
+
+def test_a_parameter_out_of_bounds_is_refused() -> None:
+    with pytest.raises(ParameterError):
+        run_scenario(lag(), Scenario("x", 1.0, {}, {"k": 2.0}, ["y never above 1"]), DT, target="reference")
+
+
+def test_junit_names_each_assertion() -> None:
+    scenario = Scenario("a <b>", 0.1, {"r": 1.0}, checks=["y never above 0.1", "y never below 0"])
+    document = ElementTree.fromstring(to_junit({"x.toml": [run_scenario(lag(), scenario, DT, target="reference")]}))
+    (suite,) = document
+    assert (suite.get("name"), suite.get("tests"), suite.get("failures")) == ("x.toml", "2", "1")
+    assert [(c.get("classname"), c.get("name"), len(c)) for c in suite] == [
+        ("a <b>", "y never above 0.1", 1),
+        ("a <b>", "y never below 0", 0),
+    ]
