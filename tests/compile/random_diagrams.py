@@ -85,6 +85,7 @@ class Maker:
 
     def __init__(self, seed: int, small: bool = False) -> None:
         self.rng = random.Random(seed)
+        self.more = random.Random(~seed)  # for what came later, so that the seeds' diagrams stay what they were
         self.small = small
         self.size = 3 if small else 8
         self.paths: list[str] = []
@@ -149,6 +150,8 @@ class Maker:
                     part.disabled = r.choice(("hold", "reset"))
                 if r.random() < 0.6:
                     part.reset = r.choice(flags).text
+            if self.more.random() < 0.3:
+                d.parts[name].enabling = "restart"
         return made
 
     def crossing(self, d: Diagram, destination: str) -> bool:

@@ -31,6 +31,7 @@ from tests.compile.differential import (
 )
 from tests.compile.every_operator import every_operator
 from tests.compile.lanes.lanes_differential import lane_programs
+from tests.compile.semantics import TOLD
 from tests.compile.whole_library import library_cases, room, strange_inputs
 from tests.toolchains import missing, need
 from twodof.blocks.elementary.functions import ARGUMENTS
@@ -71,6 +72,11 @@ def operators() -> list[Case]:
     return [every_operator()]
 
 
+def semantics() -> list[Case]:
+    """Parts that act at times; test_semantics.py says what the reference should do with them."""
+    return [make().case for make in TOLD.values()]
+
+
 def mixed(first: int, small: int, steps: int, large: int) -> list[Case]:
     """A few small random diagrams of many steps, and a few large ones of few."""
     return [*cheap_cases(1000 + first, small, steps), *random_cases(range(first, first + large), 50)]
@@ -90,6 +96,7 @@ GROUPS: dict[str, Group] = {
     "random-rk4": (partial(mixed, 0, 2, 200, 2), "rk4"),
     "random-euler": (partial(mixed, 20, 2, 200, 2), "euler"),
     **library_groups(100, 50),
+    "semantics": (semantics, "rk4"),
     "flight-core": (partial(flight_core, 100), "rk4"),
     "closed-loop": (partial(whole_loop, 80), "rk4"),
 }
@@ -97,6 +104,7 @@ LONG_GROUPS: dict[str, Group] = {
     **{f"small-{k}": (partial(cheap_cases, 1000 + 100 * k, 13, STEPS), "rk4") for k in range(8)},
     **library_groups(STEPS, EMULATED_STEPS),
     "large-rk4": (partial(random_cases, range(20), 200), "rk4"),
+    "semantics": (semantics, "rk4"),
     "large-euler": (partial(random_cases, range(20, 40), 200), "euler"),
     "flight-core": (partial(flight_core, STEPS), "rk4"),
     "closed-loop": (partial(whole_loop, 2_500), "rk4"),
@@ -142,6 +150,7 @@ FLYING = {
     "library": {"float64": ("gcc-O3-native",), "float32": ()},
     "flight": {"float64": ("gcc-O3-native", "wasm"), "float32": ("m7-gcc",)},
     "closed": {"float64": ("gcc-O3-native", "wasm"), "float32": ("m7-gcc",)},
+    "semantics": {"float64": ("gcc-O3-native", f"lanes-{best_simd()}"), "float32": ("gcc-O0", "wasm", "m7-gcc")},
 }
 """By sort of diagram and precision, the targets on which its groups run each day whatever their turn."""
 BLOCKS = {"float64": ("gcc-O3-native", "wasm"), "float32": ("m7-gcc",)}
@@ -173,7 +182,7 @@ def kinds_for(group: str, precision: str) -> list[str]:
     if sort == "library":
         flying |= {name for names in BLOCKS.values() for name in names}
     others = [name for name in ALL if (name not in flying and name not in LANES) or name == LANES_OF.get(sort)]
-    dealt = [name for k, name in enumerate(others) if k % len(alike) == turn and sort != "closed"]
+    dealt = [name for k, name in enumerate(others) if k % len(alike) == turn and sort not in ("closed", "semantics")]
     return [name for name in ALL if name in dealt or name in always]
 
 

@@ -24,6 +24,10 @@ class Rate(NamedTuple):
         """This rate, given relative to `outer`, relative to the base tick."""
         return Rate(self.divider * outer.divider, outer.offset + outer.divider * self.offset)
 
+    def due(self, tick: int) -> bool:
+        """Whether a part of this rate, relative to the base tick, runs at base tick `tick`."""
+        return tick % self.divider == self.offset
+
     def check(self, path: str, most: int = MAX_DIVIDER) -> Rate:
         """This rate if it is possible and its divider at most `most`; else DiagramError."""
         if not (1 <= self.divider <= most and 0 <= self.offset < self.divider):
@@ -44,7 +48,8 @@ class Part:
     """A block or sub-diagram under a name. `enable` and `reset` are sources of bool signals in the same diagram.
 
     `params` binds parameters of the part to parameters of the diagram: inner name -> outer name.
-    `disabled` is what outputs do while a sub-diagram is not enabled: "hold" or "reset" (0).
+    `disabled` is what outputs do while a sub-diagram is not enabled: "hold" or "reset" (0). `enabling` is what the
+    states do once it and all around it are enabled again: "keep" their values, or "restart" from the initial ones.
     """
 
     name: str
@@ -54,6 +59,7 @@ class Part:
     enable: str | None = None
     reset: str | None = None
     disabled: str = "hold"
+    enabling: str = "keep"
     position: tuple[float, float] | None = None
 
 
@@ -115,6 +121,7 @@ class Diagram:
         enable: str | None = None,
         reset: str | None = None,
         disabled: str = "hold",
+        enabling: str = "keep",
         position: tuple[float, float] | None = None,
         inputs: Mapping[str, str] | None = None,
         **ports: str,
@@ -150,14 +157,20 @@ class Diagram:
             raise DiagramError(
                 f"disabled={shown(disabled)}", path, _as_input(item, "disabled", disabled) or 'use "hold" or "reset"'
             )
+        if enabling not in ("keep", "restart"):
+            raise DiagramError(
+                f"enabling={shown(enabling)}", path, _as_input(item, "enabling", enabling) or 'use "keep" or "restart"'
+            )
+        if enabling == "restart" and isinstance(item, Block):
+            raise DiagramError("a block cannot be restarted", path, "put it into a sub-diagram")
         known = {p.name for p in item.params} if isinstance(item, Block) else set(item.params)
         for inner in params or {}:
             if inner not in known:
                 raise DiagramError(
                     f"there is no parameter {shown(inner)} to bind", path, f"there are: {listed(sorted(known))}"
                 )
-        part = Part(name, item, Rate(*rate).check(path), dict(params or {}), enable, reset, disabled, position)
-        self.parts[name] = part
+        checked = Rate(*rate).check(path)
+        self.parts[name] = Part(name, item, checked, dict(params or {}), enable, reset, disabled, enabling, position)
         for port, source in {**(inputs or {}), **ports}.items():
             self.connect(source, f"{name}.{port}")
         return name

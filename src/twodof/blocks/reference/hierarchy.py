@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from twodof.blocks.block import Block
+from twodof.blocks.conditions import EnabledAgain
 from twodof.blocks.declarations import Param, Port, State, narrowed, shape
 from twodof.blocks.diagram import BASE, MAX_NESTED, Diagram, Rate
 from twodof.blocks.expressions.graph import leaves
@@ -21,7 +22,7 @@ class Cell:
     path: str
     block: Block
     rate: Rate
-    levels: tuple[DiagramLevel, ...]  # the enclosing sub-diagrams that can be enabled or reset, outermost first
+    levels: tuple[DiagramLevel, ...]  # the enclosing sub-diagrams with conditions, outermost first
     drivers: dict[str, PortOf | str] = field(default_factory=dict)
     parameters: dict[str, str] = field(default_factory=dict)
 
@@ -34,10 +35,6 @@ class Cell:
     def continuous(self) -> list[State]:
         """Its states that change by `derivative` and `project`."""
         return [s for s in self.block.states if s.continuous]
-
-    def rate_due(self, tick: int) -> bool:
-        """Whether its rate makes it run at base tick `tick`."""
-        return tick % self.rate.divider == self.rate.offset
 
 
 @dataclass(frozen=True)
@@ -68,6 +65,13 @@ class DiagramLevel:
     enable: PortOf | str | None = None
     reset: PortOf | str | None = None
     resets_outputs: bool = False
+    rate: Rate = BASE
+    restart: PortOf | None = None  # true where it and all around it are enabled again
+
+    @property
+    def signals(self) -> list[PortOf | str]:
+        """What decides over it."""
+        return [s for s in (self.enable, self.reset, self.restart) if s is not None]
 
     def resolve(self, source: str) -> PortOf | str:
         """The block's port, or the name of the root's input, that `source` stands for here."""
@@ -106,7 +110,7 @@ class Hierarchy:
     def __init__(self, diagram: Diagram) -> None:
         self.parameters: dict[str, Param] = {}
         self.cells: list[Cell] = []
-        self.root = self._open(diagram, diagram.name, None, "", "", BASE, (), {})
+        self.root = self._open(diagram, DiagramLevel(diagram, diagram.name, None, ""), "", (), {})
         self._connect()
         self._check_states()
         self.schedule = self._order()
@@ -116,15 +120,12 @@ class Hierarchy:
     def _open(
         self,
         diagram: Diagram,
-        path: str,
-        parent: DiagramLevel | None,
-        part: str,
+        level: DiagramLevel,
         prefix: str,
-        rate: Rate,
         levels: tuple[DiagramLevel, ...],
         bound: dict[str, str],
     ) -> DiagramLevel:
-        level = DiagramLevel(diagram, path, parent, part)
+        path = level.path
         if prefix.count(".") > MAX_DEPTH:
             raise DiagramError(f"sub-diagrams are nested more than {MAX_DEPTH} deep", path, "flatten the diagram")
         roots = {name: self._root(prefix + name, p, bound.get(name)) for name, p in diagram.params.items()}
@@ -138,20 +139,17 @@ class Hierarchy:
                     )
             inner = {own: roots[outer] for own, outer in p.params.items()}
             at = prefix + p.name
-            own_rate = p.rate.within(rate).check(at, MAX_NESTED)
+            own_rate = p.rate.within(level.rate).check(at, MAX_NESTED)
             if isinstance(p.item, Block):
                 cell = Cell(at, p.item, own_rate, levels)
                 cell.parameters = {d.name: self._root(f"{at}.{d.name}", d, inner.get(d.name)) for d in p.item.params}
                 level.children[p.name] = cell
                 self.cells.append(cell)
             else:
-                child = self._open(p.item, at, level, p.name, at + ".", own_rate, levels, inner)
+                child = DiagramLevel(p.item, at, level, p.name, rate=own_rate, resets_outputs=p.disabled == "reset")
+                decided = p.enable or p.reset or p.enabling == "restart"
                 level.children[p.name] = child
-                if p.enable or p.reset:
-                    child.resets_outputs = p.disabled == "reset"
-                    for cell in self.cells:
-                        if cell.path.startswith(at + "."):
-                            cell.levels = (*levels, child, *cell.levels[len(levels) :])
+                self._open(p.item, child, at + ".", (*levels, child) if decided else levels, inner)
         return level
 
     def _root(self, path: str, declared: Param, bound: str | None) -> str:
@@ -179,6 +177,8 @@ class Hierarchy:
                     stack.append(child)
                     child.enable = self._condition(level, part.enable, child.path, "enable")
                     child.reset = self._condition(level, part.reset, child.path, "reset")
+                    if part.enabling == "restart":
+                        child.restart = self._restart(child)
                     for port in child.diagram.inputs.values():
                         self._checked_driver(level, name, port, child.path)
                 else:
@@ -197,6 +197,20 @@ class Hierarchy:
         if port.kind != "bool" or port.width is not None:
             raise DiagramError(f"its {what} signal {source!r} is not a bool", path, "compare the signal with something")
         return driver
+
+    def _restart(self, level: DiagramLevel) -> PortOf | None:
+        """A cell's port that is true where `level` is enabled again; None if nothing ever disables it."""
+        enables: list[PortOf | str] = []
+        at: DiagramLevel | None = level
+        while at is not None:
+            enables += [at.enable] if at.enable is not None else []
+            at = at.parent
+        if not enables:
+            return None
+        cell = Cell(f"{level.path}._restart", EnabledAgain(len(enables)), level.rate, ())
+        cell.drivers = {f"e{i}": enable for i, enable in enumerate(enables)}
+        self.cells.append(cell)
+        return PortOf(cell, "y")
 
     def _checked_driver(self, level: DiagramLevel, part: str, port: Port, path: str) -> PortOf | str:
         source = level.diagram.connections.get((part, port.name))
@@ -232,7 +246,7 @@ class Hierarchy:
     def _needs(self, item: PortOf) -> list[PortOf]:
         cell = item.cell
         drivers = [cell.drivers[name] for name in sorted(cell.block.trace.feedthrough[item.port])]
-        drivers += [s for level in cell.levels for s in (level.enable, level.reset) if s is not None]
+        drivers += [s for level in cell.levels for s in level.signals]
         return [d for d in drivers if isinstance(d, PortOf)]
 
     def _order(self) -> Schedule:

@@ -18,7 +18,7 @@ from twodof.blocks.diagram import Diagram
 from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.numbers import UInt32, Vector
 from twodof.blocks.machine import Machine
-from twodof.blocks.reference.hierarchy import Cell, Hierarchy, PortOf
+from twodof.blocks.reference.hierarchy import Cell, DiagramLevel, Hierarchy, PortOf
 from twodof.errors import DiagramError
 
 
@@ -78,6 +78,7 @@ class _Run:
         self.enables: list[_Place] = []
         self.resets: list[_Place] = []
         self.clears: list[_Place] = []  # those of `enables` without which the outputs are 0
+        self.restarts: list[tuple[DiagramLevel, _Place]] = []  # a diagram around it, and what says that it restarts
         self.active = False
         self.seen = (Inputs(self.u), States(self.x), Parameters(self.p), clock)
         self.discrete = cell.discrete
@@ -137,6 +138,7 @@ class ReferenceMachine(Machine):
             run.feeds = [(port, *self._place(driver)) for port, driver in run.cell.drivers.items()]
             run.enables = [self._place(level.enable) for level in run.cell.levels if level.enable]
             run.resets = [self._place(level.reset) for level in run.cell.levels if level.reset]
+            run.restarts = [(level, self._place(level.restart)) for level in run.cell.levels if level.restart]
             levels = [level for level in run.cell.levels if level.resets_outputs]
             run.clears = [self._place(level.enable) for level in levels if level.enable]
         begun: set[str] = set()
@@ -232,7 +234,7 @@ class ReferenceMachine(Machine):
                     if port in edges:
                         fraction, after = edges[port]
                         run.after[port] = numbers.cast(fraction, "real"), numbers.cast(after, "real")
-            elif run.cell.rate_due(self.tick) and not all(values[key] for values, key in run.clears):
+            elif run.cell.rate.due(self.tick) and not all(values[key] for values, key in run.clears):
                 run.zero_outputs()
         for run in self._without_outputs:
             self._begin(run)
@@ -243,8 +245,10 @@ class ReferenceMachine(Machine):
         """Find whether the cell acts in this tick, and its states as they read in this tick."""
         run.t.tick = UInt32(self.tick)
         run.after = {}
-        run.active = run.cell.rate_due(self.tick) and all(values[key] for values, key in run.enables)
-        if run.active and any(values[key] for values, key in run.resets):
+        run.active = run.cell.rate.due(self.tick) and all(values[key] for values, key in run.enables)
+        # A diagram restarts as a whole: also what is slower, or disabled by itself.
+        restarts = any(level.rate.due(self.tick) and values[key] for level, (values, key) in run.restarts)
+        if restarts or (run.active and any(values[key] for values, key in run.resets)):
             run.x.update(self._initial(run))
 
     def _integrate(self, runs: list[_Run]) -> list[tuple[_Run, dict[str, Any]]]:

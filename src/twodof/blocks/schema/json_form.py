@@ -129,6 +129,8 @@ def _part_to(part: Part) -> dict[str, Any]:
             form[key] = getattr(part, key)
     if part.disabled != "hold":
         form["disabled"] = part.disabled
+    if part.enabling != "keep":
+        form["enabling"] = part.enabling
     if part.position is not None:
         form["position"] = list(part.position)
     if isinstance(part.item, Diagram):

@@ -27,7 +27,7 @@ MAX_STRING = 1000  # an argument of a block
 STAGES = 4  # evaluations of a derivative in a step of RK4
 
 _DIAGRAM = {"name", "text", "inputs", "params", "parts", "connections", "outputs"}
-_PART = {"name", "rate", "params", "enable", "reset", "disabled", "position", "diagram", "block"}
+_PART = {"name", "rate", "params", "enable", "reset", "disabled", "enabling", "position", "diagram", "block"}
 _SECTIONS = {"inputs", "outputs", "states", "params", "derived"}
 _FIELDS = {cls: {field.name for field in fields(cls)} for cls in (Port, State, Param)}
 _CUSTOM = {"type", "name", "crossing", "nodes", "prepare", "output", "edges", "update", "derivative", "project"}
@@ -132,6 +132,7 @@ class Loader:
             enable=member(form, "enable", (str, type(None)), where),
             reset=member(form, "reset", (str, type(None)), where),
             disabled=member(form, "disabled", str, where, "hold"),
+            enabling=member(form, "enabling", str, where, "keep"),
             position=None if position is None else (float(position[0]), float(position[1])),
             inputs={},
         )

@@ -12,7 +12,7 @@ from twodof.compile.c.names import CNames
 from twodof.compile.c.operators import ATOM, C_TYPES
 from twodof.compile.c.style import SCALAR, CStyle
 from twodof.compile.c.writer import CWriter
-from twodof.compile.program.flat_program import Action, FlatProgram, FlatSignal, Guard, Node
+from twodof.compile.program.flat_program import Action, FlatProgram, FlatSignal, Guard, Node, Start
 from twodof.compile.program.layout import Member, MemoryLayout
 from twodof.compile.program.lower import inputs_of
 
@@ -134,7 +134,7 @@ class TickEmitter:
         self.names = names
         self.texts: dict[FlatSignal, str] = {}
         self.renderers: dict[Node, Renderer] = {}
-        self.computed: set[FlatSignal | Node] = set()  # signals computed so far, nodes reset so far
+        self.computed: set[FlatSignal | Start] = set()  # what has been done so far
         self.updated: set[Node] = set()
         self.stored: dict[Node, dict[Expr, str]] = {}  # expressions that stand in S
         self.fractions: dict[FlatSignal, tuple[str, str]] = {}  # edged signal -> names of its fraction and later value
@@ -224,11 +224,11 @@ class TickEmitter:
     def _action(self, action: Action) -> None:
         node, write = action.node, self.writer
         write.line(describe(node))
-        if not action.signals:
-            with write.choice("", [self.scope.style.disjunction([self.signal(r) for r in node.resets])]):
+        if action.start is not None:
+            with write.choice("", [self.scope.style.disjunction([self.signal(r) for r in action.start.signals])]):
                 for state in node.block.states:
                     self.scope.initial(write, node, state, self.scope.state(node, state))
-            self.computed.add(node)
+            self.computed.add(action.start)
             return
         renderer = self.renderer(node)
         roots = [node.trace.outputs[s.port] for s in action.signals]
@@ -311,7 +311,7 @@ class TickEmitter:
                 continue
             read = [node.drivers[name] for name in leaves(node.trace.update.values(), "input")]
             needed = {s for s in [*read, *node.outputs.values()] if s in self._tick_signals}
-            if needed <= self.computed and (not node.resets or node in self.computed):
+            if self.computed.issuperset([*needed, *node.starts]):
                 self.updated.add(node)
                 self._update(node)
 

@@ -83,8 +83,8 @@ class TangentStep:
             acts = self.active(group.guard)
             for action in group.actions:
                 node = action.node
-                if not action.signals:
-                    if acts and any(bool(plain(self.read[r])) for r in node.resets):
+                if action.start is not None:
+                    if acts and any(bool(plain(self.read[r])) for r in action.start.signals):
                         initial = initial_states(self.program, self.parameters)
                         self.states |= {(node, s.name): constant(initial[node, s.name]) for s in node.block.states}
                     continue

@@ -123,7 +123,7 @@ def _feedthrough(ordered: Iterable[FlatSignal]) -> dict[FlatSignal, frozenset[st
     for s in ordered:
         if s.node is not None:
             drivers = [s.node.drivers[name] for name in s.node.trace.feedthrough[s.port]]
-            drivers += [c for q in s.node.conditions for c in (q.enable, q.reset) if c is not None]
+            drivers += [c for q in s.node.conditions for c in q.signals]
             names = (through[d] if d.node else frozenset((d.path,)) for d in drivers)
             through[s] = frozenset[str]().union(*names)
     return through
@@ -134,7 +134,7 @@ def _read(flat: FlatDiagram) -> set[FlatSignal]:
     for node in flat.nodes:
         read.update(node.drivers.values())
         for condition in node.conditions:
-            read.update(s for s in (condition.enable, condition.reset) if s is not None)
+            read.update(condition.signals)
     return read
 
 

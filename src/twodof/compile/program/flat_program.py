@@ -39,12 +39,22 @@ class FlatParameter:
 
 @dataclass(eq=False)
 class Condition:
-    """A sub-diagram that is enabled or reset by bool signals; `clears`: its outputs read 0 while it is disabled."""
+    """A sub-diagram that is enabled or reset by bool signals; `clears`: its outputs read 0 while it is disabled.
+
+    At its own ticks (those of `rate`) with `restart` true, all states inside become initial, whatever else acts.
+    """
 
     path: str
+    rate: Rate
     enable: FlatSignal | None = None
     reset: FlatSignal | None = None
+    restart: FlatSignal | None = None
     clears: bool = False
+
+    @property
+    def signals(self) -> list[FlatSignal]:
+        """What decides over it."""
+        return [s for s in (self.enable, self.reset, self.restart) if s is not None]
 
 
 @dataclass(eq=False)
@@ -82,9 +92,18 @@ class Node:
         return Guard(self.rate, enables, clears)
 
     @property
-    def resets(self) -> tuple[FlatSignal, ...]:
-        """The signals any of which resets the node's states."""
-        return tuple(c.reset for c in self.conditions if c.reset is not None)
+    def starts(self) -> tuple[Start, ...]:
+        """What sets the node's states to their initial values."""
+        if not self.block.states:
+            return ()
+        found: dict[Guard, list[FlatSignal]] = {}
+        for c in self.conditions:
+            if c.restart is not None:
+                found.setdefault(Guard(c.rate), []).append(c.restart)
+        resets = [c.reset for c in self.conditions if c.reset is not None]
+        if resets:
+            found.setdefault(self.guard, []).extend(resets)
+        return tuple(Start(self, guard, tuple(signals)) for guard, signals in found.items())
 
 
 @dataclass(frozen=True)
@@ -105,11 +124,21 @@ class Guard:
 
 
 @dataclass(frozen=True)
+class Start:
+    """Where `guard` lets it, any of `signals` sets the states of `node` to their initial values."""
+
+    node: Node
+    guard: Guard
+    signals: tuple[FlatSignal, ...]
+
+
+@dataclass(frozen=True)
 class Action:
-    """Compute `signals`, outputs of `node`, or (with none) set its states to their initial values if it is reset."""
+    """Compute `signals`, outputs of `node`, or (with none) do what `start` says."""
 
     node: Node
     signals: tuple[FlatSignal, ...]
+    start: Start | None = None
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 from twodof.blocks.block import Block
+from twodof.blocks.conditions import EnabledAgain
 from twodof.blocks.declarations import Param, Port, narrowed
 from twodof.blocks.diagram import BASE, MAX_NESTED, Diagram, Part, Rate
 from twodof.blocks.expressions.graph import leaves
@@ -38,6 +39,12 @@ class _Level:
     parts: dict[str, Node | _Level] = field(default_factory=dict)
     condition: Condition | None = None
     root_inputs: dict[str, FlatSignal] = field(default_factory=dict)
+
+    @property
+    def conditions(self) -> list[Condition]:
+        """Its own and those of the diagrams around it, the innermost first."""
+        found = [] if self.condition is None else [self.condition]
+        return found if self.parent is None else [*found, *self.parent.conditions]
 
     def driver(self, output: str) -> FlatSignal:
         """The signal that drives one of this diagram's outputs."""
@@ -114,13 +121,15 @@ class FlatDiagram:
                 below = _Level(part.item, path, f"{path}.", level, part.name)
                 level.parts[part.name] = below
                 around = conditions
-                if part.enable or part.reset:
-                    below.condition = Condition(path, clears=part.disabled == "reset")
+                own_rate = part.rate.within(rate).check(path, MAX_NESTED)
+                if part.enable or part.reset or part.enabling == "restart":
+                    below.condition = Condition(path, own_rate, clears=part.disabled == "reset")
                     around = (*conditions, below.condition)
-                stack.append((below, part.rate.within(rate).check(path, MAX_NESTED), around, inner, depth + 1))
+                stack.append((below, own_rate, around, inner, depth + 1))
         self.nodes.sort(key=lambda n: n.path)
         self._trace()
-        self._connect()
+        self._connect()  # which adds nodes
+        self.nodes.sort(key=lambda n: n.path)
         self._check_base_rate()
 
     def _bindings(self, level: _Level, part: Part, own: Mapping[str, FlatParameter]) -> dict[str, FlatParameter]:
@@ -162,10 +171,14 @@ class FlatDiagram:
     ) -> Node:
         path = level.prefix + part.name
         node = Node(path, block, part.rate.within(rate).check(path, MAX_NESTED), conditions)
-        node.outputs = {
-            o.name: FlatSignal(f"{path}.{o.name}", o.name, o.kind, o.width, o.unit, node) for o in block.outputs
-        }
         node.parameters = {d.name: self._parameter(f"{path}.{d.name}", d, bound.get(d.name)) for d in block.params}
+        return self._with_outputs(node)
+
+    def _with_outputs(self, node: Node) -> Node:
+        node.outputs = {
+            o.name: FlatSignal(f"{node.path}.{o.name}", o.name, o.kind, o.width, o.unit, node)
+            for o in node.block.outputs
+        }
         self.nodes.append(node)
         return node
 
@@ -209,6 +222,19 @@ class FlatDiagram:
                 if inner.condition is not None:
                     inner.condition.enable = self._bool(level, part.enable, inner.path, "enable")
                     inner.condition.reset = self._bool(level, part.reset, inner.path, "reset")
+                    if part.enabling == "restart":
+                        self._restart(inner, inner.condition)
+
+    def _restart(self, level: _Level, condition: Condition) -> None:
+        """Add the node that says when `level` is enabled again, if anything ever disables it."""
+        enables = [c.enable for c in level.conditions if c.enable is not None]
+        if not enables:
+            return
+        block = EnabledAgain(len(enables))
+        node = Node(f"{level.path}._restart", block, condition.rate, ())
+        node.drivers = {port.name: signal for port, signal in zip(block.inputs, enables, strict=True)}
+        self._with_outputs(node)
+        condition.restart = node.outputs["y"]
 
     def _driver(self, level: _Level, part: str, port: Port, path: str) -> FlatSignal:
         where = f"{path}.{port.name}"
@@ -296,8 +322,7 @@ def tick_needs(signal: FlatSignal) -> list[FlatSignal]:
 
 def conditions_of(node: Node) -> list[FlatSignal]:
     """The driven signals that enable and reset a node."""
-    signals = [s for c in node.conditions for s in (c.enable, c.reset)]
-    return [s for s in signals if s is not None and s.node is not None]
+    return [s for c in node.conditions for s in c.signals if s.node is not None]
 
 
 def _ordered(name: str, signals: Sequence[FlatSignal], report: Report) -> list[FlatSignal]:

@@ -8,7 +8,7 @@ from graphlib import TopologicalSorter
 from twodof.blocks.diagram import BASE, Diagram
 from twodof.blocks.expressions.expr import Expr
 from twodof.blocks.expressions.graph import leaves
-from twodof.compile.program.flat_program import Action, FlatProgram, FlatSignal, Group, Guard, Node
+from twodof.compile.program.flat_program import Action, FlatProgram, FlatSignal, Group, Guard, Node, Start
 from twodof.compile.program.flatten import FlatDiagram, conditions_of, drivers_of, node_of, tick_needs
 from twodof.errors import DiagramError
 
@@ -116,19 +116,16 @@ def _grouped(
 ) -> list[Group]:
     """`signals` in an order that keeps blocks of one guard together, as actions; `nodes` that reset start with that."""
     chosen = set(signals)
-    starting = [n for n in nodes if n.resets and n.block.states]
-    begins = {n: i for i, n in enumerate(starting)}
-    # What is done: a signal, or the resetting of a node's states.
-    things: list[FlatSignal | Node] = [*starting, *signals]
-    before: dict[FlatSignal | Node, set[FlatSignal | Node]] = {}
+    starts = {n: n.starts for n in nodes}
+    # What is done: a signal, or the start of a node's states.
+    things: list[FlatSignal | Start] = [*(start for found in starts.values() for start in found), *signals]
+    before: dict[FlatSignal | Start, set[FlatSignal | Start]] = {}
     for thing in things:
-        if isinstance(thing, Node):
-            before[thing] = {s for s in conditions_of(thing) if s in chosen}
+        if isinstance(thing, Start):
+            before[thing] = {s for s in (*thing.guard.enables, *thing.signals) if s in chosen}
         else:
             before[thing] = {s for s in needs(thing) if s in chosen}
-            owner = node_of(thing)
-            if owner in begins:
-                before[thing].add(owner)
+            before[thing].update(starts.get(node_of(thing), ()))
     rank = {thing: i for i, thing in enumerate(things)}
     sorter = TopologicalSorter(before)
     sorter.prepare()
@@ -137,7 +134,7 @@ def _grouped(
     open_guard, actions = Guard(BASE), list[Action]()
     while sorter.is_active():
         for thing in sorter.get_ready():
-            guard = thing.guard if isinstance(thing, Node) else node_of(thing).guard
+            guard = thing.guard if isinstance(thing, Start) else node_of(thing).guard
             heapq.heappush(queues.setdefault(guard, []), rank[thing])
         if not queues.get(open_guard):
             if actions:
@@ -146,8 +143,8 @@ def _grouped(
             open_guard = min((g for g, q in queues.items() if q), key=lambda g: (not g.always, queues[g][0]))
             actions = []
         thing = things[heapq.heappop(queues[open_guard])]
-        if isinstance(thing, Node):
-            actions.append(Action(thing, ()))
+        if isinstance(thing, Start):
+            actions.append(Action(thing.node, (), thing))
         elif actions and actions[-1].signals and actions[-1].node is thing.node:
             actions[-1] = Action(actions[-1].node, (*actions[-1].signals, thing))
         else:

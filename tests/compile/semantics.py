@@ -1,0 +1,117 @@
+"""When parts act, what they hold and when they start afresh: diagrams, and beside each a loop that says it in Python.
+
+All numbers are small whole ones, which both precisions hold exactly.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from tests.compile.differential import Case
+from twodof.blocks import Block, Diagram, Port, State
+from twodof.blocks.library import ZeroOrderHold
+
+Row = Mapping[str, Any]
+STEPS = 120
+
+
+@dataclass(frozen=True)
+class Told:
+    """A diagram with its inputs, and what a loop in Python says of its outputs, row by row."""
+
+    case: Case
+    expected: Sequence[Row]
+
+
+TOLD: dict[str, Callable[[], Told]] = {}
+
+
+def told(make: Callable[[], Told]) -> Callable[[], Told]:
+    """Decorator: one of those that are tested."""
+    TOLD[make.__name__] = make
+    return make
+
+
+def rows(seed: int, bools: Sequence[str], numbers: Sequence[str] = ("u",)) -> list[dict[str, Any]]:
+    """Inputs of each tick: bools that stay for some ticks, numbers that change at each."""
+    r = random.Random(seed)
+    now = dict.fromkeys(bools, False)
+    found: list[dict[str, Any]] = []
+    for _ in range(STEPS):
+        now |= {name: r.random() < 0.6 for name in bools if r.random() < 0.3}
+        found.append({**now, **{name: float(r.randint(-5, 5)) for name in numbers}})
+    return found
+
+
+class Total(Block):
+    """The sum of u since the start, which is 10."""
+
+    inputs = (Port("u"),)
+    outputs = (Port("y"),)
+    states = (State("sum", 10.0),)
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        return x.sum + u.u
+
+    def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        return x.sum + u.u
+
+
+def totalling(name: str) -> Diagram:
+    """A sub-diagram that is a Total."""
+    d = Diagram(name)
+    d.input("u")
+    d.add("total", Total(), u="u")
+    d.output("y", "total")
+    return d
+
+
+def whole(name: str, *bools: str) -> Diagram:
+    """An empty diagram with the input u and bools."""
+    d = Diagram(name)
+    d.input("u")
+    for name in bools:
+        d.input(name, "bool")
+    return d
+
+
+@told
+def restarting() -> Told:
+    """Within a diagram that is enabled, one that restarts; in that, one that is slower and one enabled by itself."""
+    middle = Diagram("middle")
+    middle.input("u")
+    middle.input("deep", "bool")
+    middle.add("fast", totalling("fast"), u="u")
+    middle.add("held", ZeroOrderHold(), u="u", rate=(2, 1))
+    middle.add("slow", totalling("slow"), u="held", rate=(2, 1))
+    middle.add("deeper", totalling("deeper"), u="u", enable="deep")
+    outer = Diagram("outer")
+    for name in ("go", "deep"):
+        outer.input(name, "bool")
+    outer.input("u")
+    outer.add("middle", middle, u="u", deep="deep", enable="go", enabling="restart")
+    outer.add("kept", totalling("kept"), u="u", enable="go")
+    for name in ("fast", "slow", "deeper"):
+        middle.output(name, name)
+        outer.output(name, f"middle.{name}")
+    outer.output("kept", "kept")
+    d = whole("restarting", "on", "go", "deep")
+    d.add("outer", outer, u="u", go="go", deep="deep", enable="on")
+    for name in outer.outputs:
+        d.output(name, f"outer.{name}")
+    given = rows(1, ("on", "go", "deep"))
+    y, total = dict.fromkeys(outer.outputs, 0.0), dict.fromkeys(outer.outputs, 10.0)
+    before, expected = True, []
+    for k, row in enumerate(given):
+        acts = row["on"] and row["go"]
+        if acts and not before:
+            total |= {"fast": 10.0, "slow": 10.0, "deeper": 10.0}
+        before = acts
+        for name, also in (("fast", True), ("slow", k % 2 == 1), ("deeper", row["deep"]), ("kept", True)):
+            if acts and also:
+                y[name] = total[name] = total[name] + row["u"]
+        expected.append(dict(y))
+    return Told(Case(d, [], given, {}), expected)
