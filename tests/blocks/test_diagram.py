@@ -10,7 +10,10 @@ from twodof.blocks.reference.interpreter import Reference
 from twodof.compile.program.lower import lower
 from twodof.errors import DiagramError
 
-NAMES = ("name", "item", "rate", "params", "enable", "reset", "disabled", "enabling", "position", "inputs")
+NAMES = (
+    *("name", "item", "rate", "params", "enable", "reset", "disabled", "position", "inputs"),
+    *("enabling", "trigger", "edge"),
+)
 
 
 class Awkward(Block):
@@ -40,10 +43,12 @@ def test_an_input_of_any_name_is_connected() -> None:
     d.add("sub", sub(), inputs={n: f"{n}_in" for n in NAMES})
     d.output("y", "sub")
     found = Reference(d, 0.1).machine().step({f"{n}_in": 10.0**i for i, n in enumerate(NAMES)})
-    assert found["y"] == 10987654321.0
+    assert found["y"] == sum(place * 10.0 ** (place - 1) for place in range(1, len(NAMES) + 1))
 
 
-@pytest.mark.parametrize("argument", ["rate", "params", "enable", "reset", "disabled", "enabling", "position"])
+@pytest.mark.parametrize(
+    "argument", ["rate", "params", "enable", "reset", "trigger", "edge", "disabled", "enabling", "position"]
+)
 def test_a_keyword_that_means_another_thing_is_refused_with_the_way_out(argument: str) -> None:
     d = Diagram("d")
     d.input("u", "bool")

@@ -133,3 +133,7 @@ def test_enable_reset_and_long_arrays_count() -> None:
     assert change.before != change.after
     (change,) = difference(of(long), of(long, "on")).changes
     assert str(change) == "~ block part: sub-diagram -> sub-diagram; enabled by on"
+    later = of(long, "on")
+    later.parts["part"].enabling, later.parts["part"].trigger = "restart", "on"
+    (change,) = difference(of(long, "on"), later).changes
+    assert change.after == "sub-diagram; enabled by on, at rising edges of on, starts afresh when enabled again"

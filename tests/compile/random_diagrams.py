@@ -9,6 +9,7 @@ from typing import Any
 from tests.compile.random_blocks import RandomBlock
 from twodof.blocks import Block, Diagram, Port
 from twodof.blocks import library as lib
+from twodof.blocks.conditions import EDGES
 from twodof.blocks.library import Constant, FractionalDelay, ZeroOrderHold
 
 LIBRARY: tuple[Any, ...] = (
@@ -152,6 +153,9 @@ class Maker:
                     part.reset = r.choice(flags).text
             if self.more.random() < 0.3:
                 d.parts[name].enabling = "restart"
+            if flags and self.more.random() < 0.15:
+                d.parts[name].trigger = self.more.choice(flags).text
+                d.parts[name].edge = self.more.choice(EDGES)
         return made
 
     def crossing(self, d: Diagram, destination: str) -> bool:

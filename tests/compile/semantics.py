@@ -12,6 +12,7 @@ from typing import Any
 
 from tests.compile.differential import Case
 from twodof.blocks import Block, Diagram, Port, State
+from twodof.blocks.conditions import EDGES
 from twodof.blocks.library import ZeroOrderHold
 
 Row = Mapping[str, Any]
@@ -113,5 +114,49 @@ def restarting() -> Told:
         for name, also in (("fast", True), ("slow", k % 2 == 1), ("deeper", row["deep"]), ("kept", True)):
             if acts and also:
                 y[name] = total[name] = total[name] + row["u"]
+        expected.append(dict(y))
+    return Told(Case(d, [], given, {}), expected)
+
+
+@told
+def triggered() -> Told:
+    """A part acts at the edges of a bool; one also while it is enabled; one, at a third of the rate, looks less often.
+
+    The part around them is enabled: while it is not, nobody looks at the trigger. At its first look it has no edge.
+    """
+    outer = Diagram("outer")
+    outer.input("u")
+    for name in ("pulse", "go"):
+        outer.input(name, "bool")
+    for edge in EDGES:
+        outer.add(edge, totalling(edge), u="u", trigger="pulse", edge=edge)
+    outer.add("both", totalling("both"), u="u", trigger="pulse", enable="go", disabled="reset", enabling="restart")
+    outer.add("held", ZeroOrderHold(), u="u", rate=(3, 2))
+    outer.add("slow", totalling("slow"), u="held", rate=(3, 2), trigger="pulse", edge="either")
+    d = whole("triggered", "on", "pulse", "go")
+    for name in (*EDGES, "both", "slow"):
+        outer.output(name, name)
+    d.add("outer", outer, u="u", pulse="pulse", go="go", enable="on")
+    for name in outer.outputs:
+        d.output(name, f"outer.{name}")
+    given = rows(2, ("on", "pulse", "go"))
+    y, total = dict.fromkeys(outer.outputs, 0.0), dict.fromkeys(outer.outputs, 10.0)
+    before: dict[str, bool] = {}
+    enabled, expected = True, []
+    for k, row in enumerate(given):
+        if row["on"] and row["go"] and not enabled:
+            total["both"] = 10.0
+        enabled = row["on"] and row["go"]
+        edges = {"rising": [(False, True)], "falling": [(True, False)], "either": [(False, True), (True, False)]}
+        for name in outer.outputs if row["on"] else ():
+            if name == "slow" and k % 3 != 2:
+                continue
+            edge = {"both": "rising", "slow": "either"}.get(name, name)
+            acts = name in before and (before[name], row["pulse"]) in edges[edge]
+            before[name] = row["pulse"]
+            if acts and (name != "both" or row["go"]):
+                y[name] = total[name] = total[name] + row["u"]
+        if not row["go"]:
+            y["both"] = 0.0
         expected.append(dict(y))
     return Told(Case(d, [], given, {}), expected)

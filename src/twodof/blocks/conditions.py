@@ -7,7 +7,16 @@ from typing import Any
 from twodof.blocks.block import Block, Clock
 from twodof.blocks.declarations import Port, State
 
-__all__ = ["EnabledAgain"]
+__all__ = ["EDGES", "EnabledAgain", "TriggerEdge", "edge_of"]
+
+EDGES = ("rising", "falling", "either")
+
+
+def edge_of(edge: str, before: Any, now: Any) -> Any:
+    """Whether a bool that was `before` and is `now` has an edge of this kind, one of EDGES."""
+    if edge == "either":
+        return now ^ before
+    return now & ~before if edge == "rising" else ~now & before
 
 
 class EnabledAgain(Block):
@@ -28,3 +37,21 @@ class EnabledAgain(Block):
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         return self.update(u, x, p, t) & ~x.x
+
+
+class TriggerEdge(Block):
+    """y is true in the sample in which u has an edge. The first sample has none: what u was before is not known."""
+
+    crossing = True
+
+    def __init__(self, edge: str) -> None:
+        self.edge = edge
+        self.inputs = [Port("u", "bool")]
+        self.outputs = [Port("y", "bool")]
+        self.states = [State("before", False, "bool"), State("begun", False, "bool")]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return x.begun & edge_of(self.edge, x.before, u.u)
+
+    def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return {"before": u.u, "begun": True}

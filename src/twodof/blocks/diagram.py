@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from twodof.blocks.block import Block
+from twodof.blocks.conditions import EDGES
 from twodof.blocks.declarations import Param, Port, check_name, located
 from twodof.errors import DiagramError, listed, shown
 
@@ -41,15 +42,18 @@ class Rate(NamedTuple):
 
 
 BASE = Rate(1, 0)
+CONDITIONS = ("enable", "reset", "trigger")
+"""The arguments of `Diagram.add` that are sources of bools which decide over a sub-diagram."""
 
 
 @dataclass
 class Part:
-    """A block or sub-diagram under a name. `enable` and `reset` are sources of bool signals in the same diagram.
+    """A block or sub-diagram under a name. `enable`, `reset` and `trigger` are sources of bools in the same diagram.
 
     `params` binds parameters of the part to parameters of the diagram: inner name -> outer name.
     `disabled` is what outputs do while a sub-diagram is not enabled: "hold" or "reset" (0). `enabling` is what the
     states do once it and all around it are enabled again: "keep" their values, or "restart" from the initial ones.
+    With a `trigger` it acts at the ticks alone at which that has an `edge`: "rising", "falling" or "either".
     """
 
     name: str
@@ -58,6 +62,8 @@ class Part:
     params: dict[str, str] = field(default_factory=dict)
     enable: str | None = None
     reset: str | None = None
+    trigger: str | None = None
+    edge: str = "rising"
     disabled: str = "hold"
     enabling: str = "keep"
     position: tuple[float, float] | None = None
@@ -120,6 +126,8 @@ class Diagram:
         params: Mapping[str, str] | None = None,
         enable: str | None = None,
         reset: str | None = None,
+        trigger: str | None = None,
+        edge: str = "rising",
         disabled: str = "hold",
         enabling: str = "keep",
         position: tuple[float, float] | None = None,
@@ -138,7 +146,7 @@ class Diagram:
                 raise DiagramError(
                     f"{argument}={shown(value)} is no {argument}", path, _as_input(item, argument, value) or "see add"
                 )
-        for argument, source in (("enable", enable), ("reset", reset)):
+        for argument, source in zip(CONDITIONS, (enable, reset, trigger), strict=True):
             if source is None:
                 continue
             if isinstance(item, Block):
@@ -157,10 +165,12 @@ class Diagram:
             raise DiagramError(
                 f"disabled={shown(disabled)}", path, _as_input(item, "disabled", disabled) or 'use "hold" or "reset"'
             )
-        if enabling not in ("keep", "restart"):
-            raise DiagramError(
-                f"enabling={shown(enabling)}", path, _as_input(item, "enabling", enabling) or 'use "keep" or "restart"'
-            )
+        for argument, choice, choices in (("enabling", enabling, ("keep", "restart")), ("edge", edge, EDGES)):
+            if choice not in choices:
+                remedy = _as_input(item, argument, choice) or f"use one of {', '.join(choices)}"
+                raise DiagramError(f"{argument}={shown(choice)}", path, remedy)
+        if edge != "rising" and trigger is None:
+            raise DiagramError(f"edge={shown(edge)} without a trigger", path, "give trigger= too")
         if enabling == "restart" and isinstance(item, Block):
             raise DiagramError("a block cannot be restarted", path, "put it into a sub-diagram")
         known = {p.name for p in item.params} if isinstance(item, Block) else set(item.params)
@@ -170,7 +180,9 @@ class Diagram:
                     f"there is no parameter {shown(inner)} to bind", path, f"there are: {listed(sorted(known))}"
                 )
         checked = Rate(*rate).check(path)
-        self.parts[name] = Part(name, item, checked, dict(params or {}), enable, reset, disabled, enabling, position)
+        self.parts[name] = Part(
+            name, item, checked, dict(params or {}), enable, reset, trigger, edge, disabled, enabling, position
+        )
         for port, source in {**(inputs or {}), **ports}.items():
             self.connect(source, f"{name}.{port}")
         return name
@@ -220,7 +232,7 @@ class Diagram:
             )
 
 
-_PAST = {"enable": "enabled", "reset": "reset"}
+_PAST = {"enable": "enabled", "reset": "reset", "trigger": "triggered"}
 
 
 def _as_input(item: Block | Diagram, name: str, source: str) -> str:

@@ -121,6 +121,7 @@ def _settings(part: Part, prefix: str) -> str:
     words = [] if tuple(part.rate) == (1, 0) else [f"rate {part.rate.divider}, offset {part.rate.offset}"]
     words += [f"enabled by {prefix}{part.enable}"] if part.enable else []
     words += [f"reset by {prefix}{part.reset}"] if part.reset else []
+    words += [f"at {part.edge} edges of {prefix}{part.trigger}"] if part.trigger else []
     words += [f"outputs when disabled: {part.disabled}"] if part.disabled != "hold" else []
     words += ["starts afresh when enabled again"] if part.enabling == "restart" else []
     words += [f"{inner} is {prefix}{outer}" for inner, outer in sorted(part.params.items())]

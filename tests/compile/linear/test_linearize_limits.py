@@ -118,6 +118,12 @@ def test_a_disabled_sub_diagram_is_frozen() -> None:
     d.output("y", "sub.w")
     assert linearize(d, DT).left_out == {"sub.memory.s[0]": "stays at the point's value"}
     assert linearize(d, DT, at={"on": True}).a[0, 0] == 0.5
+    d.parts["sub"].enabling = "restart"
+    assert linearize(d, DT, at={"on": True}).a[0, 0] == 0.5
+    d.parts["sub"].trigger = "on"
+    with pytest.raises(DiagramError, match="no linear model does that") as caught:
+        linearize(d, DT, at={"on": True})
+    assert caught.value.where == "sub"
 
 
 @pytest.mark.parametrize(

@@ -224,6 +224,14 @@ def test_a_sum_of_many_shows_its_signs() -> None:
     assert {"+ a", "− b", "− c", "+ d"} <= set(said)
 
 
+def test_what_decides_over_a_sub_diagram_is_drawn() -> None:
+    d = Diagram("decided")
+    d.input("on", "bool")
+    d.add("part", Diagram("part"), enable="on", trigger="on", edge="falling", enabling="restart")
+    said = ["".join(e.itertext()) for e in ElementTree.fromstring(to_svg(d)).iter("{http://www.w3.org/2000/svg}text")]
+    assert {"enable", "trigger", "at falling edges", "starts afresh when enabled"} <= set(said)
+
+
 def test_a_sub_diagram_is_found_by_its_path() -> None:
     assert find(closed_loop(), "flight.cascade").name == "cascade"
     with pytest.raises(DiagramError, match="not a sub-diagram"):

@@ -6,6 +6,7 @@ from functools import reduce
 from typing import Any
 
 from twodof.blocks.block import Block, Clock, library_block
+from twodof.blocks.conditions import EDGES, edge_of
 from twodof.blocks.declarations import Param, Port, State
 from twodof.blocks.elementwise import NUMERIC, Pointwise, one_of, port_series
 from twodof.blocks.expressions.expr import to_real, to_uint32, where
@@ -28,7 +29,6 @@ BITWISE: Mapping[str, Callable[[Any, Any], Any]] = {
     "right": operator.rshift,
 }
 INVERTED = {"nand": "and", "nor": "or", "not": "and"}
-EDGES = ("rising", "falling", "either")
 
 
 @library_block("compare")
@@ -110,9 +110,7 @@ class EdgeDetector(Block):
         self.states = [State("x", "initial", "bool")]
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        if self.edge == "either":
-            return u.u ^ x.x
-        return u.u & ~x.x if self.edge == "rising" else ~u.u & x.x
+        return edge_of(self.edge, x.x, u.u)
 
     def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         return u.u

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from twodof.blocks.block import Block
-from twodof.blocks.conditions import EnabledAgain
+from twodof.blocks.conditions import EnabledAgain, TriggerEdge
 from twodof.blocks.declarations import Param, Port, State, narrowed, shape
 from twodof.blocks.diagram import BASE, MAX_NESTED, Diagram, Rate
 from twodof.blocks.expressions.graph import leaves
@@ -64,6 +64,7 @@ class DiagramLevel:
     children: dict[str, DiagramLevel | Cell] = field(default_factory=dict)
     enable: PortOf | str | None = None
     reset: PortOf | str | None = None
+    trigger: PortOf | None = None  # true where its trigger has an edge
     resets_outputs: bool = False
     rate: Rate = BASE
     restart: PortOf | None = None  # true where it and all around it are enabled again
@@ -71,7 +72,17 @@ class DiagramLevel:
     @property
     def signals(self) -> list[PortOf | str]:
         """What decides over it."""
-        return [s for s in (self.enable, self.reset, self.restart) if s is not None]
+        return [s for s in (self.enable, self.reset, self.trigger, self.restart) if s is not None]
+
+    @property
+    def enables(self) -> list[PortOf | str]:
+        """Without any one of these it does not act."""
+        return [s for s in (self.enable, self.trigger) if s is not None]
+
+    @property
+    def around(self) -> list[DiagramLevel]:
+        """The diagrams that it is in, outermost first."""
+        return [] if self.parent is None else [*self.parent.around, self.parent]
 
     def resolve(self, source: str) -> PortOf | str:
         """The block's port, or the name of the root's input, that `source` stands for here."""
@@ -147,7 +158,7 @@ class Hierarchy:
                 self.cells.append(cell)
             else:
                 child = DiagramLevel(p.item, at, level, p.name, rate=own_rate, resets_outputs=p.disabled == "reset")
-                decided = p.enable or p.reset or p.enabling == "restart"
+                decided = p.enable or p.reset or p.trigger or p.enabling == "restart"
                 level.children[p.name] = child
                 self._open(p.item, child, at + ".", (*levels, child) if decided else levels, inner)
         return level
@@ -177,6 +188,9 @@ class Hierarchy:
                     stack.append(child)
                     child.enable = self._condition(level, part.enable, child.path, "enable")
                     child.reset = self._condition(level, part.reset, child.path, "reset")
+                    trigger = self._condition(level, part.trigger, child.path, "trigger")
+                    if trigger is not None:
+                        child.trigger = self._added(child, "trigger", TriggerEdge(part.edge), [trigger])
                     if part.enabling == "restart":
                         child.restart = self._restart(child)
                     for port in child.diagram.inputs.values():
@@ -200,15 +214,15 @@ class Hierarchy:
 
     def _restart(self, level: DiagramLevel) -> PortOf | None:
         """A cell's port that is true where `level` is enabled again; None if nothing ever disables it."""
-        enables: list[PortOf | str] = []
-        at: DiagramLevel | None = level
-        while at is not None:
-            enables += [at.enable] if at.enable is not None else []
-            at = at.parent
-        if not enables:
-            return None
-        cell = Cell(f"{level.path}._restart", EnabledAgain(len(enables)), level.rate, ())
-        cell.drivers = {f"e{i}": enable for i, enable in enumerate(enables)}
+        enables = [at.enable for at in (*level.around, level) if at.enable is not None]
+        return self._added(level, "restart", EnabledAgain(len(enables)), enables) if enables else None
+
+    def _added(self, level: DiagramLevel, name: str, block: Block, drivers: list[PortOf | str]) -> PortOf:
+        """The output of a cell that the language adds beside a sub-diagram, to decide over it."""
+        # It freezes with the diagrams around, but for one that has to see them disabled.
+        around = () if name == "restart" else tuple(at for at in level.around if at.signals)
+        cell = Cell(f"{level.path}._{name}", block, level.rate, around)
+        cell.drivers = {port.name: driver for port, driver in zip(block.inputs, drivers, strict=True)}
         self.cells.append(cell)
         return PortOf(cell, "y")
 

@@ -136,7 +136,7 @@ class ReferenceMachine(Machine):
                 self._runs[cell.path] = _Run(cell, Clock(UInt32(0), dt, self._real_dt))
         for run in self._runs.values():
             run.feeds = [(port, *self._place(driver)) for port, driver in run.cell.drivers.items()]
-            run.enables = [self._place(level.enable) for level in run.cell.levels if level.enable]
+            run.enables = [self._place(enable) for level in run.cell.levels for enable in level.enables]
             run.resets = [self._place(level.reset) for level in run.cell.levels if level.reset]
             run.restarts = [(level, self._place(level.restart)) for level in run.cell.levels if level.restart]
             levels = [level for level in run.cell.levels if level.resets_outputs]

@@ -12,7 +12,7 @@ from typing import Any
 
 from twodof.blocks.block import Block
 from twodof.blocks.declarations import Param, Port, State
-from twodof.blocks.diagram import Diagram, Part
+from twodof.blocks.diagram import CONDITIONS, Diagram, Part
 from twodof.blocks.schema.loader import Loader, member, only
 from twodof.blocks.schema.traced_block import TracedBlock, graph_to_json
 from twodof.errors import DiagramError, shown
@@ -124,13 +124,14 @@ def _part_to(part: Part) -> dict[str, Any]:
     form: dict[str, Any] = {"name": part.name}
     if tuple(part.rate) != (1, 0):
         form["rate"] = list(part.rate)
-    for key in ("params", "enable", "reset"):
+    for key in ("params", *CONDITIONS):
         if getattr(part, key):
             form[key] = getattr(part, key)
     if part.disabled != "hold":
         form["disabled"] = part.disabled
-    if part.enabling != "keep":
-        form["enabling"] = part.enabling
+    for key, default in (("edge", "rising"), ("enabling", "keep")):
+        if getattr(part, key) != default:
+            form[key] = getattr(part, key)
     if part.position is not None:
         form["position"] = list(part.position)
     if isinstance(part.item, Diagram):

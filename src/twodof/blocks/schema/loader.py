@@ -9,7 +9,7 @@ from typing import Any
 from twodof.blocks import library
 from twodof.blocks.block import REGISTRY, Block
 from twodof.blocks.declarations import NAME, Param, Port, State, located
-from twodof.blocks.diagram import Diagram
+from twodof.blocks.diagram import CONDITIONS, Diagram
 from twodof.blocks.expressions.cost import COPIED, MAX_OPERATIONS, MAX_SIZE, CostMeter, too_large
 from twodof.blocks.expressions.expr import at_most
 from twodof.blocks.schema.traced_block import TracedBlock, graph_from_json
@@ -27,7 +27,7 @@ MAX_STRING = 1000  # an argument of a block
 STAGES = 4  # evaluations of a derivative in a step of RK4
 
 _DIAGRAM = {"name", "text", "inputs", "params", "parts", "connections", "outputs"}
-_PART = {"name", "rate", "params", "enable", "reset", "disabled", "enabling", "position", "diagram", "block"}
+_PART = {"name", "rate", "params", *CONDITIONS, "edge", "disabled", "enabling", "position", "diagram", "block"}
 _SECTIONS = {"inputs", "outputs", "states", "params", "derived"}
 _FIELDS = {cls: {field.name for field in fields(cls)} for cls in (Port, State, Param)}
 _CUSTOM = {"type", "name", "crossing", "nodes", "prepare", "output", "edges", "update", "derivative", "project"}
@@ -131,6 +131,8 @@ class Loader:
             params=bound,
             enable=member(form, "enable", (str, type(None)), where),
             reset=member(form, "reset", (str, type(None)), where),
+            trigger=member(form, "trigger", (str, type(None)), where),
+            edge=member(form, "edge", str, where, "rising"),
             disabled=member(form, "disabled", str, where, "hold"),
             enabling=member(form, "enabling", str, where, "keep"),
             position=None if position is None else (float(position[0]), float(position[1])),

@@ -62,6 +62,7 @@ def linearize(
     wanted = [*(chosen_outputs or []), *(inputs or [])]
     paths = [p for p in dict.fromkeys(wanted) if p not in diagram.outputs and p not in diagram.inputs]
     program = lower(diagram, dt, paths)
+    _refuse_triggers(program)
     work = _Linearization(program, OperatingPoint(program, at or {}), diagram.outputs, inputs, chosen_outputs)
     with numbers.precision("float64"):
         work.settle()
@@ -403,6 +404,16 @@ class _Linearization:
                     "start nearer to one with `at`, or free an input that can hold it",
                 )
         self.settle()
+
+
+def _refuse_triggers(program: FlatProgram) -> None:
+    for condition in {c for node in program.nodes for c in node.conditions}:
+        if condition.trigger is not None:
+            raise DiagramError(
+                "it acts at the edges of a trigger alone: no linear model does that",
+                condition.path,
+                "linearize the sub-diagram by itself, or the diagram without it",
+            )
 
 
 def _single_rate(program: FlatProgram) -> Rate:

@@ -143,7 +143,7 @@ def _sizes(flat: FlatDiagram, program: FlatProgram) -> DiagramSizes:
         return sum(s.width or 1 for n in nodes for s in n.block.states if s.continuous == continuous)
 
     return DiagramSizes(
-        len(flat.nodes),
+        sum(not n.added for n in flat.nodes),
         len(flat.levels) - 1,
         len(program.inputs),
         len(program.outputs),

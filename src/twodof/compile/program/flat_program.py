@@ -41,20 +41,22 @@ class FlatParameter:
 class Condition:
     """A sub-diagram that is enabled or reset by bool signals; `clears`: its outputs read 0 while it is disabled.
 
-    At its own ticks (those of `rate`) with `restart` true, all states inside become initial, whatever else acts.
+    `trigger` is true where its trigger has an edge; it acts only there. At its own ticks (those of `rate`) with
+    `restart` true, all states inside become initial, whatever else acts.
     """
 
     path: str
     rate: Rate
     enable: FlatSignal | None = None
     reset: FlatSignal | None = None
+    trigger: FlatSignal | None = None
     restart: FlatSignal | None = None
     clears: bool = False
 
     @property
     def signals(self) -> list[FlatSignal]:
         """What decides over it."""
-        return [s for s in (self.enable, self.reset, self.restart) if s is not None]
+        return [s for s in (self.enable, self.reset, self.trigger, self.restart) if s is not None]
 
 
 @dataclass(eq=False)
@@ -87,9 +89,14 @@ class Node:
     @property
     def guard(self) -> Guard:
         """When the node acts."""
-        enables = tuple(c.enable for c in self.conditions if c.enable is not None)
+        enables = tuple(s for c in self.conditions for s in (c.enable, c.trigger) if s is not None)
         clears = tuple(c.enable for c in self.conditions if c.enable is not None and c.clears)
         return Guard(self.rate, enables, clears)
+
+    @property
+    def added(self) -> bool:
+        """Whether the language added it, to decide over a sub-diagram: no name of a part begins so."""
+        return self.path.rpartition(".")[2].startswith("_")
 
     @property
     def starts(self) -> tuple[Start, ...]:

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 from twodof.blocks.block import Block
-from twodof.blocks.conditions import EnabledAgain
+from twodof.blocks.conditions import EnabledAgain, TriggerEdge
 from twodof.blocks.declarations import Param, Port, narrowed
 from twodof.blocks.diagram import BASE, MAX_NESTED, Diagram, Part, Rate
 from twodof.blocks.expressions.graph import leaves
@@ -122,7 +122,7 @@ class FlatDiagram:
                 level.parts[part.name] = below
                 around = conditions
                 own_rate = part.rate.within(rate).check(path, MAX_NESTED)
-                if part.enable or part.reset or part.enabling == "restart":
+                if part.enable or part.reset or part.trigger or part.enabling == "restart":
                     below.condition = Condition(path, own_rate, clears=part.disabled == "reset")
                     around = (*conditions, below.condition)
                 stack.append((below, own_rate, around, inner, depth + 1))
@@ -220,21 +220,33 @@ class FlatDiagram:
                 for port in inner.diagram.inputs.values():
                     self._driver(level, part.name, port, inner.path)
                 if inner.condition is not None:
-                    inner.condition.enable = self._bool(level, part.enable, inner.path, "enable")
-                    inner.condition.reset = self._bool(level, part.reset, inner.path, "reset")
-                    if part.enabling == "restart":
-                        self._restart(inner, inner.condition)
+                    self._decide(level, part, inner, inner.condition)
 
-    def _restart(self, level: _Level, condition: Condition) -> None:
-        """Add the node that says when `level` is enabled again, if anything ever disables it."""
-        enables = [c.enable for c in level.conditions if c.enable is not None]
-        if not enables:
-            return
-        block = EnabledAgain(len(enables))
-        node = Node(f"{level.path}._restart", block, condition.rate, ())
-        node.drivers = {port.name: signal for port, signal in zip(block.inputs, enables, strict=True)}
-        self._with_outputs(node)
-        condition.restart = node.outputs["y"]
+    def _decide(self, level: _Level, part: Part, inner: _Level, condition: Condition) -> None:
+        """Give a sub-diagram's condition its signals, with the nodes that the language adds for them."""
+        condition.enable = self._bool(level, part.enable, inner.path, "enable")
+        condition.reset = self._bool(level, part.reset, inner.path, "reset")
+        trigger = self._bool(level, part.trigger, inner.path, "trigger")
+        if trigger is not None:
+            around = tuple(level.conditions[::-1])
+            condition.trigger = self._added("trigger", TriggerEdge(part.edge), condition, [trigger], around)
+        enables = [c.enable for c in inner.conditions if c.enable is not None]
+        if part.enabling == "restart" and enables:
+            # It sees the diagrams around disabled: nothing may freeze it.
+            condition.restart = self._added("restart", EnabledAgain(len(enables)), condition, enables, ())
+
+    def _added(
+        self,
+        name: str,
+        block: Block,
+        condition: Condition,
+        drivers: Sequence[FlatSignal],
+        around: tuple[Condition, ...],
+    ) -> FlatSignal:
+        """The output of a node that decides over a sub-diagram, beside which it stands."""
+        node = Node(f"{condition.path}._{name}", block, condition.rate, around)
+        node.drivers = {port.name: signal for port, signal in zip(block.inputs, drivers, strict=True)}
+        return self._with_outputs(node).outputs["y"]
 
     def _driver(self, level: _Level, part: str, port: Port, path: str) -> FlatSignal:
         where = f"{path}.{port.name}"

@@ -7,7 +7,7 @@ from html import escape as escape_html
 
 from twodof.blocks.block import Block
 from twodof.blocks.declarations import Port
-from twodof.blocks.diagram import Diagram, Part
+from twodof.blocks.diagram import CONDITIONS, Diagram, Part
 from twodof.errors import DiagramError
 from twodof.report.drawing.layered_layout import Box, GraphLayout, Net, layout
 from twodof.report.drawing.symbols import (
@@ -181,9 +181,7 @@ def _nets(
 
     for part in diagram.parts.values():
         for i, name in enumerate(input_names(part)):
-            source = diagram.connections.get((part.name, name)) or (
-                getattr(part, name) if name in ("enable", "reset") else None
-            )
+            source = diagram.connections.get((part.name, name)) or (getattr(part, name) if name in CONDITIONS else None)
             if source:
                 drive(source, (place[part.name, ""], i))
     for name, source in diagram.outputs.items():
@@ -224,7 +222,7 @@ def _frame(part: Part, diagram: Diagram, shown: Drawing) -> BlockSymbol:
         edge = corners[last + i][0] + shown.symbols[last + i].box.width
         wires.append(f'<path class="wire" d="M{edge:g} {y:g}H{width:g}"/>')
     texts = [SymbolText(10.0, 18.0, name, 13.0, "start", "name")]
-    for what in ("enable", "reset"):
+    for what in CONDITIONS:
         if getattr(part, what):
             left.append(height + 10.0)
             texts.append(SymbolText(7.0, height + 14.0, what, 11.0, "start", "italic"))

@@ -8,7 +8,7 @@ from typing import Any
 
 from twodof.blocks.block import Block
 from twodof.blocks.declarations import Port
-from twodof.blocks.diagram import BASE, Diagram, Part
+from twodof.blocks.diagram import BASE, CONDITIONS, Diagram, Part
 from twodof.blocks.library.math import Sum
 from twodof.report.drawing.layered_layout import Box
 from twodof.report.drawing.text_width import shortened, text_width
@@ -84,10 +84,10 @@ def symbol(part: Part, flip: bool = False) -> BlockSymbol:
 
 
 def input_names(part: Part) -> list[str]:
-    """The pins on a part's left side: its inputs, then enable and reset."""
+    """The pins on a part's left side: its inputs, then what decides over it."""
     item = part.item
     own = [p.name for p in item.inputs] if isinstance(item, Block) else list(item.inputs)
-    return own + [what for what in ("enable", "reset") if getattr(part, what)]
+    return own + [what for what in CONDITIONS if getattr(part, what)]
 
 
 def value_text(part: Part, block: Block, name: str) -> str:
@@ -126,6 +126,8 @@ def _block(part: Part, block: Block) -> BlockSymbol:
 def _subdiagram(part: Part, diagram: Diagram) -> BlockSymbol:
     count = len(diagram.parts)
     lines = [f"{count} part{'s' if count != 1 else ''}"] if count else []
+    lines += [f"at {part.edge} edges"] if part.trigger else []
+    lines += ["starts afresh when enabled"] if part.enabling == "restart" else []
     lines += [f"{inner} = {outer}" for inner, outer in part.params.items() if inner != outer][:MANY_PARAMETERS]
     made = _rectangle(part, "", lines, [(name, "") for name in diagram.outputs], "sub")
     made.title = f"{part.name}: {diagram.text}" if diagram.text else part.name
@@ -158,7 +160,7 @@ def _rectangle(
     top = y + 17.0
     rows = [top + ROW * i for i in range(max(len(inputs), len(outputs)))]
     height = top + ROW * len(rows) - 5.0
-    wired = len(inputs) - sum(1 for what in ("enable", "reset") if getattr(part, what))
+    wired = len(inputs) - sum(1 for what in CONDITIONS if getattr(part, what))
     for i, (at, n) in enumerate(zip(rows, inputs, strict=False)):
         texts.append(SymbolText(7.0, at, n, PORT, "start", "" if i < wired else "italic"))
     texts += [SymbolText(width - 7.0, at, n, PORT, "end") for at, n in zip(rows, named, strict=False)]
