@@ -212,6 +212,7 @@ def test_schroeders_phases_lower_the_crest() -> None:
         (lambda: Steps((), 1.0), "steps.levels: 0 numbers"),
         (lambda: Steps(0.1, 1.0), "steps.levels: 0.1 is no list of numbers"),
         (lambda: Steps((0.1, float("inf")), 1.0), "steps.levels: inf is no finite number"),
+        (lambda: Steps(np.array([0.1j]), 1.0), "steps.levels: an array of numpy.s type complex128 is given"),
         (lambda: Sweep(0.1, 0.0, 1.0, 5.0, "logarithmic"), "cannot start or end at 0 Hz"),
         (lambda: Sweep(0.1, 0.0, 0.0, 5.0), "is no signal"),
         (lambda: Sweep(0.1, 1.0, 200.0, 5.0), "sweep.end_hz: 200 is outside 0 to 125"),
@@ -250,6 +251,15 @@ def test_foreign_json_is_refused(change: dict, says: str) -> None:
     values = {**Doublet(0.1, 1.0).to_dict(), **change}
     with pytest.raises(ExperimentError, match=says):
         from_json(json.dumps(values))
+
+
+@given(SIGNALS)
+def test_numpy_gives_the_same_excitation(signal: Excitation) -> None:
+    values = {f.name: getattr(signal, f.name) for f in dataclasses.fields(signal)}
+    for made in (np.array, lambda v: np.repeat(np.array(v), 2)[::2] if isinstance(v, tuple) else np.asarray(v)[()]):
+        again = type(signal)(**{k: v if isinstance(v, str) else made(v) for k, v in values.items()})
+        assert again == signal
+        assert again.to_json() == signal.to_json()
 
 
 def test_json_that_is_none() -> None:

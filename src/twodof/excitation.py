@@ -28,7 +28,8 @@ from twodof.blocks.library.waveform_laws import (
     TAPS,
     shifted,
 )
-from twodof.errors import ExperimentError
+from twodof.blocks.plain_data import plain_data
+from twodof.errors import DiagramError, ExperimentError
 
 LIMITS: Mapping[str, float] = MappingProxyType({"-": 1.0, "rad": radians(50.0), "rad/s": 10.0, "m": 0.4, "m/s": 2.0})
 """Largest amplitude by unit: M's range, the pitch and rail stops, and more rate and speed than the rig reaches."""
@@ -64,6 +65,11 @@ class Excitation(ABC):
     repeat: int = field(default=1, kw_only=True)
 
     def __post_init__(self) -> None:
+        for one in fields(self):
+            try:
+                object.__setattr__(self, one.name, plain_data(getattr(self, one.name), one.name))
+            except DiagramError as error:
+                raise self._mistake(one.name, error.what, error.remedy) from error
         if not isinstance(self.unit, str) or self.unit not in LIMITS:
             raise self._mistake("unit", f"unknown unit {self.unit!r}", f"use one of {', '.join(LIMITS)}")
         bounds = {"lead": _REST, "settle": _REST, "pause": _REST, **self.bounds}

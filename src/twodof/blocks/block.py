@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import functools
 import inspect
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, ClassVar
-
-import numpy as np
 
 from twodof.blocks.declarations import Param, Port, State, shape
 from twodof.blocks.expressions.arrays import vector
 from twodof.blocks.expressions.expr import Expr, as_expr, leaf, to_real, tracing
 from twodof.blocks.expressions.graph import leaves, walk
 from twodof.blocks.expressions.numbers import Vector
+from twodof.blocks.plain_data import plain_data
 from twodof.errors import DiagramError, listed, shown
 
 MAX_PORTS = 1000  # inputs, outputs, states or parameters of one block
@@ -89,7 +89,7 @@ class Block:
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
         if "__init__" in cls.__dict__:
-            type.__setattr__(cls, "__init__", _recording_config(cls.__init__))
+            type.__setattr__(cls, "__init__", _recording_config(cls, cls.__init__))
 
     def prepare(self, p: Any, t: Clock) -> Any:
         """The derived parameters; runs when a parameter changes. `t.tick` may not be used here."""
@@ -137,28 +137,62 @@ def library_block(type_name: str) -> Callable[[type[Block]], type[Block]]:
     return register
 
 
-def _recording_config(init: Callable[..., None]) -> Callable[..., None]:
+def _recording_config(cls: type[Block], init: Callable[..., None]) -> Callable[..., None]:
+    """`init` of `cls`, which keeps the arguments as `config`. A class of the library sees plain data only.
+
+    Whatever is wrong with an argument there is a DiagramError that names the block.
+    """
     signature = inspect.signature(init)
 
     @functools.wraps(init)
     def wrapped(self: Block, *args: Any, **kwargs: Any) -> None:
-        if "config" not in self.__dict__:  # the outermost constructor is the one to record
-            bound = signature.bind(self, *args, **kwargs)
+        outermost = "config" not in self.__dict__  # its arguments are those to record
+        if "type_name" not in cls.__dict__:
+            if outermost:
+                bound = signature.bind(self, *args, **kwargs)
+                bound.apply_defaults()
+                self.config = dict(list(bound.arguments.items())[1:])
+            init(self, *args, **kwargs)
+            return
+        with _arguments_of(type(self).__name__):
+            try:
+                bound = signature.bind(self, *args, **kwargs)
+            except TypeError as error:
+                takes = listed(list(signature.parameters)[1:])
+                raise DiagramError(f"it {error}", "", f"its arguments: {takes}") from error
             bound.apply_defaults()
-            self.config = {k: _plain(v) for k, v in list(bound.arguments.items())[1:]}
-        init(self, *args, **kwargs)
+            given = {name: _argument(name, value) for name, value in list(bound.arguments.items())[1:]}
+            if outermost:
+                self.config = given
+            bound.arguments.update(given)
+            init(*bound.args, **bound.kwargs)
 
     return wrapped
 
 
-def _plain(value: Any) -> Any:
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    if isinstance(value, np.generic):
-        return value.item()
-    if isinstance(value, (list, tuple)):
-        return [_plain(v) for v in value]
-    return value
+@contextmanager
+def _arguments_of(block: str) -> Iterator[None]:
+    """Let what the enclosed constructor refuses, or stumbles over, name the block, and the argument where it can."""
+    try:
+        yield
+    except DiagramError as error:
+        where = error.where if error.where.partition(".")[0] == block else f"{block}.{error.where}".rstrip(".")
+        raise DiagramError(error.what, where, error.remedy) from error
+    except (TypeError, ValueError, ArithmeticError, LookupError) as error:
+        raise DiagramError(f"it cannot be made: {error!s:.200}", block, "see docs/reference/blocks.md") from error
+
+
+def _argument(name: str, value: Any) -> Any:
+    """An argument of a block of the library as plain data. Raises DiagramError for one that is not a number (NaN)."""
+    plain = plain_data(value, name)
+    stack = [plain]
+    while stack:
+        one = stack.pop()
+        if isinstance(one, list):
+            stack.extend(one)
+        elif one != one:
+            raise DiagramError("NaN is given", name, "give numbers")
+    return plain
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ import numpy as np
 from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.expr import KINDS, Expr
 from twodof.blocks.expressions.numbers import Integer, Vector
+from twodof.blocks.plain_data import plain_data
 from twodof.errors import DiagramError, ParameterError, outside, shown
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")
@@ -32,9 +33,24 @@ def check_name(name: object, where: str) -> str:
 
 def check_steps(steps: object, where: str) -> int:
     """`steps` if it is a number of steps that one call may run, 0 to MAX_STEPS; else DiagramError."""
-    if isinstance(steps, (bool, np.bool_)) or not isinstance(steps, (int, np.integer)) or not 0 <= steps <= MAX_STEPS:
+    number = plain_data(steps, where)
+    if type(number) is not int or not 0 <= number <= MAX_STEPS:
         raise DiagramError(f"{steps!r:.40} steps", where, f"run 0 to {MAX_STEPS} steps in one call")
-    return int(steps)
+    return number
+
+
+def check_tick(dt: object, where: str) -> float:
+    """`dt` [s] if it can be a base tick, finite and above 0; else DiagramError."""
+    tick = plain_data(dt, where)
+    if type(tick) not in (int, float) or not 0 < tick < math.inf:
+        raise DiagramError(f"dt = {shown(dt)}", where, "give the base tick in seconds, > 0")
+    return float(tick)
+
+
+def _keep_plain(declared: Any, *names: str) -> None:
+    """Turn what numpy made of these fields of a declaration into plain data, which compares and travels as such."""
+    for name in names:
+        object.__setattr__(declared, name, plain_data(getattr(declared, name), f"{declared.name!s:.80}"))
 
 
 def _check_shape(kind: str, width: int | None, name: str, unit: str) -> None:
@@ -66,6 +82,7 @@ class Port:
     unit: str = ""
 
     def __post_init__(self) -> None:
+        _keep_plain(self, "width")
         _check_shape(self.kind, self.width, self.name, self.unit)
 
 
@@ -84,6 +101,7 @@ class State:
     continuous: bool = False
 
     def __post_init__(self) -> None:
+        _keep_plain(self, "initial", "width", "continuous")
         _check_shape(self.kind, self.width, self.name, self.unit)
         if self.continuous and self.kind != "real":
             raise DiagramError(f"a continuous state of type {self.kind}", self.name, "continuous states are real")
@@ -110,6 +128,7 @@ class Param:
     tunable: bool = True
 
     def __post_init__(self) -> None:
+        _keep_plain(self, "value", "width", "low", "high", "tunable")
         _check_shape(self.kind, self.width, self.name, self.unit)
         given = _declared(self.value, self.kind, self.width, self.name)
         _check_limits(self)
@@ -141,8 +160,7 @@ def _declared(value: Any, kind: str, width: int | None, name: str) -> list[Any]:
 
 def _plain(value: Any) -> list[Any]:
     """The numbers of a value, or its only one, as they were given."""
-    given = value.tolist() if isinstance(value, np.ndarray) else value
-    scalars = given if isinstance(given, (list, tuple)) else [given]
+    scalars = value if isinstance(value, (list, tuple)) else [value]
     return [one.value if isinstance(one, Integer) else one for one in scalars]
 
 
@@ -155,7 +173,7 @@ def fits(value: int, kind: str) -> bool:
 def _check_limits(declared: Param) -> None:
     """Raise DiagramError for bounds that are none."""
     for bound in (declared.low, declared.high):
-        if isinstance(bound, (bool, np.bool_)) or not isinstance(bound, (int, float, np.number)) or math.isnan(bound):
+        if isinstance(bound, bool) or not isinstance(bound, (int, float)) or math.isnan(bound):
             raise DiagramError(
                 f"the bound {shown(bound)} is not a number", declared.name, "leave it out, or give a number"
             )
@@ -210,6 +228,7 @@ def check_value(declared: Param, value: Any, path: str) -> Any:
     The bounds and the type's range hold for the numbers as they were given, before they are rounded.
     """
     try:
+        value = plain_data(value, path)
         with numbers.precision("float64"):
             number = numbers.plain(numeric(value, declared.kind, declared.width, path))
     except DiagramError as error:

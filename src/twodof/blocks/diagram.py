@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from twodof.blocks.block import Block
 from twodof.blocks.conditions import EDGES
 from twodof.blocks.declarations import Param, Port, check_name, located
+from twodof.blocks.plain_data import plain_data
 from twodof.errors import DiagramError, listed, shown
 
 MAX_DIVIDER = 2**31 - 1
@@ -31,7 +32,8 @@ class Rate(NamedTuple):
 
     def check(self, path: str, most: int = MAX_DIVIDER) -> Rate:
         """This rate if it is possible and its divider at most `most`; else DiagramError."""
-        if not (1 <= self.divider <= most and 0 <= self.offset < self.divider):
+        whole = type(self.divider) is int and type(self.offset) is int
+        if not (whole and 1 <= self.divider <= most and 0 <= self.offset < self.divider):
             raise DiagramError(
                 f"rate {shown(tuple(self))} is impossible",
                 path,
@@ -137,7 +139,8 @@ class Diagram:
         """Add a part and connect its inputs by keyword (`u="source"`); returns its name.
 
         `inputs` connects too: {"reset": "source"} is an input that has the name of one of these arguments.
-        Raises DiagramError for a name that is taken or illegal, a rate with divider < 1 or offset outside [0, divider).
+        Raises DiagramError for a name that is taken or illegal, and for a rate that is not two whole numbers, divider
+        >= 1 and offset in [0, divider).
         """
         self._new(name)
         path = f"{self.name}.{name}"
@@ -179,9 +182,11 @@ class Diagram:
                 raise DiagramError(
                     f"there is no parameter {shown(inner)} to bind", path, f"there are: {listed(sorted(known))}"
                 )
-        checked = Rate(*rate).check(path)
+        divider, offset = _pair(rate, path, "rate")
+        checked = Rate(divider, offset).check(path)
+        place = None if position is None else _pair(position, path, "position")
         self.parts[name] = Part(
-            name, item, checked, dict(params or {}), enable, reset, trigger, edge, disabled, enabling, position
+            name, item, checked, dict(params or {}), enable, reset, trigger, edge, disabled, enabling, place
         )
         for port, source in {**(inputs or {}), **ports}.items():
             self.connect(source, f"{name}.{port}")
@@ -230,6 +235,14 @@ class Diagram:
                 self.name,
                 "parts, inputs and parameters share one space of names",
             )
+
+
+def _pair(value: object, path: str, argument: str) -> tuple[Any, Any]:
+    """The two numbers of an argument of `add`; DiagramError for anything else."""
+    pair = plain_data(value, path)
+    if not isinstance(pair, list) or len(pair) != 2 or not all(type(n) in (int, float) for n in pair):
+        raise DiagramError(f"{argument}={shown(value)}", path, f"give {argument}=(number, number)")
+    return pair[0], pair[1]
 
 
 _PAST = {"enable": "enabled", "reset": "reset", "trigger": "triggered"}

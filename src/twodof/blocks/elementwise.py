@@ -1,5 +1,6 @@
 """What the library's blocks share: elementwise evaluation, dot products, clamping, checks of constructor arguments."""
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from typing import Any
@@ -84,21 +85,35 @@ def port_series(number: int, block: str) -> list[str]:
     return [*LETTERS[:number], *(f"u{i}" for i in range(len(LETTERS) + 1, number + 1))]
 
 
-def reals(values: Any, block: str, argument: str, least: int = 1) -> list[float]:
-    """`values` as a list of at least `least` floats; else DiagramError."""
+def counts(values: Any, low: int, high: int, block: str, argument: str) -> list[int]:
+    """`values` if they are a list of integers within [low, high]; else DiagramError."""
+    if not isinstance(values, (list, tuple)):
+        raise DiagramError(f"{argument}={values!r:.80}", block, f"give a list of integers within {low} .. {high}")
+    return [count(value, low, high, block, argument) for value in values]
+
+
+def reals(values: Any, block: str, argument: str, least: int = 1, finite: bool = True) -> list[float]:
+    """`values` as a list of at least `least` floats, none of them infinite unless `finite` is false.
+
+    Raises DiagramError for anything else.
+    """
     good = isinstance(values, (list, tuple)) and all(
         isinstance(v, (int, float)) and not isinstance(v, bool) for v in values
     )
     if not good or len(values) < least:
         raise DiagramError(f"{argument}={values!r:.80}", block, f"give a list of {least} or more numbers")
-    return [float(v) for v in values]
+    found = [float(v) for v in values]
+    for i, v in enumerate(found):
+        if finite and not math.isfinite(v):
+            raise DiagramError(f"{argument}[{i}] = {v} is not finite", block, "give finite numbers")
+    return found
 
 
 def matrix(rows: Any, height: int | None, width: int | None, block: str, argument: str) -> list[list[float]]:
     """`rows` as a list of rows of floats, with the height and width asked for (None: any); else DiagramError."""
     if not isinstance(rows, (list, tuple)) or not rows:
         raise DiagramError(f"{argument}={rows!r:.80}", block, "give a list of rows")
-    found = [reals(row, block, argument) for row in rows]
+    found = [reals(row, block, f"{argument}[{i}]") for i, row in enumerate(rows)]
     columns = len(found[0]) if width is None else width
     if any(len(row) != columns for row in found) or len(found) != (len(found) if height is None else height):
         size = " x ".join("any" if n is None else str(n) for n in (height, width))
@@ -110,7 +125,7 @@ def limit_params(limits: Sequence[float] | None, block: str, unit: str) -> list[
     """The parameters low and high of the pair `limits`, low <= high, or none of None; else DiagramError."""
     if limits is None:
         return []
-    pair = reals(limits, block, "limits", 2)
+    pair = reals(limits, block, "limits", 2, finite=False)
     if len(pair) != 2 or not pair[0] <= pair[1]:
         raise DiagramError(f"limits={limits!r:.80}", block, "give [low, high] with low <= high, or None")
     return [Param("low", pair[0], unit=unit), Param("high", pair[1], unit=unit)]

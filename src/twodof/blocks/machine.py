@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from twodof.blocks.declarations import Param, Port, State, check_steps, check_value, numeric, unknown_parameter
 from twodof.blocks.expressions import numbers
+from twodof.blocks.plain_data import plain_data
 from twodof.errors import DiagramError, ParameterError
 
 _ACCEPTED = {"real": "fiu", "int32": "iu", "uint32": "iu", "bool": "b"}
@@ -75,7 +76,10 @@ class Machine(ABC):
         columns: dict[str, NDArray[Any]] = {}
         for name, value in (inputs or {}).items():
             port = self._input(name)
-            data = value if isinstance(value, np.ndarray) else np.asarray(value)
+            try:
+                data = np.asarray(value)
+            except ValueError as error:
+                raise DiagramError("its rows differ in length", name, "give one value, or one a step") from error
             if data.shape in ((), _inner(port)):
                 self._write(name, data.tolist())
             else:
@@ -141,8 +145,9 @@ class Machine(ABC):
 
     def _plain(self, value: Any, declared: Port | State, where: str) -> Any:
         """`value` as plain numbers of the declared type, in this machine's precision."""
+        plain = plain_data(value, where)
         with numbers.precision(self.precision):
-            return numbers.plain(numeric(value, declared.kind, declared.width, where))
+            return numbers.plain(numeric(plain, declared.kind, declared.width, where))
 
     def _column(self, port: Port, data: NDArray[Any], steps: int) -> NDArray[Any]:
         """An input's array, checked; integers wrap around."""

@@ -7,6 +7,7 @@ from typing import Any
 from twodof.blocks.block import Block, Clock
 from twodof.blocks.declarations import NAME, Param, Port
 from twodof.blocks.expressions.numbers import Integer, kind_of
+from twodof.blocks.plain_data import plain_data
 from twodof.errors import DiagramError
 
 __all__ = ["FunctionBlock", "function_block"]
@@ -84,7 +85,8 @@ def function_block(
 
 def _param(name: str, default: Any) -> Param:
     """A parameter of the type and width of its default; integers are given as int32(...) or uint32(...)."""
-    many = isinstance(default, (list, tuple))
+    default = plain_data(default, name)
+    many = isinstance(default, list)
     kind = kind_of(default[0] if many and default else default)
     plain = [_plain(v) for v in default] if many else _plain(default)
     return Param(name, plain, kind, len(default) if many else None)

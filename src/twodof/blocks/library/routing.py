@@ -5,7 +5,7 @@ from typing import Any
 
 from twodof.blocks.block import Block, Clock, library_block
 from twodof.blocks.declarations import MAX_WIDTH, Port
-from twodof.blocks.elementwise import count, elementwise, port_series
+from twodof.blocks.elementwise import count, counts, elementwise, port_series
 from twodof.blocks.expressions.arrays import vector
 from twodof.blocks.expressions.expr import where
 
@@ -76,7 +76,7 @@ class Selector(Block):
     """y[i] = u[indices[i]], u of `width` elements, indices from 0; one index gives a scalar."""
 
     def __init__(self, width: int = 2, indices: Sequence[int] = (0,), kind: str = "real", unit: str = "") -> None:
-        self.indices = [count(i, 0, width - 1, "Selector", "index") for i in indices]
+        self.indices = counts(indices, 0, count(width, 1, MAX_WIDTH, "Selector", "width") - 1, "Selector", "indices")
         count(len(self.indices), 1, MAX_WIDTH, "Selector", "number of indices")
         self.inputs = [Port("u", kind, width, unit)]
         self.outputs = [Port("y", kind, None if len(self.indices) == 1 else len(self.indices), unit)]
@@ -104,8 +104,8 @@ class Concatenate(Block):
     """y = the elements of a, then those of b, c, ...; `widths` are those of the inputs."""
 
     def __init__(self, widths: Sequence[int] = (2, 2), kind: str = "real", unit: str = "") -> None:
-        self.names = port_series(len(widths), "Concatenate")
-        self.widths = [count(w, 1, MAX_WIDTH, "Concatenate", "width") for w in widths]
+        self.widths = counts(widths, 1, MAX_WIDTH, "Concatenate", "widths")
+        self.names = port_series(len(self.widths), "Concatenate")
         self.inputs = [Port(n, kind, w, unit) for n, w in zip(self.names, self.widths, strict=True)]
         self.outputs = [Port("y", kind, sum(self.widths), unit)]
 

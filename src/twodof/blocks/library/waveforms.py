@@ -7,7 +7,7 @@ from typing import Any
 from twodof.blocks.block import Block, Clock, library_block
 from twodof.blocks.declarations import Param, Port, State
 from twodof.blocks.elementary.functions import exp, log, sin
-from twodof.blocks.elementwise import count, one_of, reals
+from twodof.blocks.elementwise import count, counts, one_of, reals
 from twodof.blocks.expressions.arrays import fold
 from twodof.blocks.expressions.expr import maximum, multiply_high, to_real, to_uint32, uint32, where
 from twodof.blocks.library.sources import start_param, ticks
@@ -94,19 +94,21 @@ class MultisineSource(Block):
         start: float = 0.0,
         unit: str = "",
     ) -> None:
-        lines = [count(h, 1, MAX_HARMONIC, "Multisine", "harmonics") for h in harmonics]
-        self.lines = count(len(lines), 1, MAX_LINES, "Multisine", "number of harmonics")
-        if len(amplitudes) != self.lines or len(phases) != self.lines:
+        name = "MultisineSource"
+        lines = counts(harmonics, 1, MAX_HARMONIC, name, "harmonics")
+        self.lines = count(len(lines), 1, MAX_LINES, name, "number of harmonics")
+        sizes, turns = reals(amplitudes, name, "amplitudes"), reals(phases, name, "phases")
+        if len(sizes) != self.lines or len(turns) != self.lines:
             raise DiagramError(
-                f"{len(amplitudes)} amplitudes and {len(phases)} phases for {self.lines} harmonics",
-                "Multisine",
+                f"{len(sizes)} amplitudes and {len(turns)} phases for {self.lines} harmonics",
+                name,
                 "give as many of each",
             )
         self.outputs = [Port("y", unit=unit)]
         self.params = [
             Param("harmonics", lines, "uint32", self.lines, low=1, high=MAX_HARMONIC),
-            Param("amplitudes", reals(amplitudes, "Multisine", "amplitudes"), width=self.lines, unit=unit),
-            Param("phases", reals(phases, "Multisine", "phases"), width=self.lines, unit="rad"),
+            Param("amplitudes", sizes, width=self.lines, unit=unit),
+            Param("phases", turns, width=self.lines, unit="rad"),
             Param("period", period, unit="s", low=0.0),
             Param("bias", bias, unit=unit),
             start_param(start),
@@ -161,7 +163,7 @@ class SweepSource(Block):
         start: float = 0.0,
         unit: str = "",
     ) -> None:
-        self.law = one_of(law, LAWS, "Sweep", "law")
+        self.law = one_of(law, LAWS, "SweepSource", "law")
         least = 1e-9 if law == "logarithmic" else 0.0
         self.outputs = [Port("y", unit=unit)]
         self.params = [
@@ -214,12 +216,12 @@ class PrbsSource(Block):
         start: float = 0.0,
         unit: str = "",
     ) -> None:
-        self.order = count(order, min(TAPS), max(TAPS), "Prbs", "order")
+        self.order = count(order, min(TAPS), max(TAPS), "PrbsSource", "order")
         self.outputs = [Port("y", unit=unit)]
         self.params = [
             Param("clock", clock, unit="s", low=0.0),
             Param("amplitude", amplitude, unit=unit),
-            Param("seed", count(seed, 0, 2**32 - 1, "Prbs", "seed"), "uint32"),
+            Param("seed", count(seed, 0, 2**32 - 1, "PrbsSource", "seed"), "uint32"),
             Param("bias", bias, unit=unit),
             start_param(start),
         ]

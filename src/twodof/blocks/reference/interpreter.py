@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twodof.blocks.block import Block, Clock, Inputs, Parameters, States, names_given
-from twodof.blocks.declarations import Param, Port, State, numeric
+from twodof.blocks.declarations import Param, Port, State, check_tick, numeric
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.numbers import UInt32, Vector
@@ -36,14 +36,13 @@ class Reference:
         log: Iterable[str] = (),
         integrator: str = "rk4",
     ) -> None:
-        if not (np.isfinite(dt) and dt > 0):
-            raise DiagramError(f"dt = {dt!r}", diagram.name, "give the base tick in seconds, > 0")
+        tick = check_tick(dt, diagram.name)
         if integrator not in ("rk4", "euler"):
             raise DiagramError(f"unknown integrator {integrator!r}", diagram.name, 'use "rk4" or "euler"')
         with numbers.precision(precision):
             self.hierarchy = Hierarchy(diagram)
         self.diagram = diagram
-        self.dt = float(dt)
+        self.dt = tick
         self.precision = precision
         self.integrator = integrator
         self.log = tuple(log)

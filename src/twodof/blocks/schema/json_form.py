@@ -10,7 +10,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from twodof.blocks.block import Block
+from twodof.blocks.block import REGISTRY, Block
 from twodof.blocks.declarations import Param, Port, State
 from twodof.blocks.diagram import CONDITIONS, Diagram, Part
 from twodof.blocks.schema.loader import Loader, member, only
@@ -140,8 +140,9 @@ def _part_to(part: Part) -> dict[str, Any]:
 
 
 def _block_to(block: Block, name: str) -> dict[str, Any]:
-    if type(block).type_name:
-        return {"type": type(block).type_name, "config": _encode(getattr(block, "config", {}), name)}
+    kind = type(block).type_name
+    if REGISTRY.get(kind) is type(block):  # a class made from one of the library is another block
+        return {"type": kind, "config": _encode(getattr(block, "config", {}), name)}
     return {
         "type": "custom",
         "name": block.label if isinstance(block, TracedBlock) else type(block).__name__,

@@ -153,7 +153,9 @@ class Loader:
                 with at_most(2 * MAX_SIZE):
                     _ = block.trace
             except TwodofError as error:
-                raise DiagramError(error.what, where, error.remedy) from error
+                argument = error.where.partition(".")[2]
+                place = f"{where}.{argument}" if argument in config else where
+                raise DiagramError(error.what, place, error.remedy) from error
             except (TypeError, ValueError, ArithmeticError, LookupError) as error:
                 problem = f"{kind} cannot be made: {error!s:.200}"
                 raise DiagramError(problem, where, "see docs/reference/blocks.md") from error

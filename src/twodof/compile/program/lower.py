@@ -1,10 +1,10 @@
 """From a diagram to a program: check, flatten, find what is needed, order."""
 
 import heapq
-import math
 from collections.abc import Callable, Iterable, Sequence
 from graphlib import TopologicalSorter
 
+from twodof.blocks.declarations import check_tick
 from twodof.blocks.diagram import BASE, Diagram
 from twodof.blocks.expressions.expr import Expr
 from twodof.blocks.expressions.graph import leaves
@@ -20,8 +20,7 @@ def lower(diagram: Diagram, dt: float, log: Iterable[str] = (), integrator: str 
 
     Raises DiagramError, with the whole path, where the diagram is incomplete or contradicts itself.
     """
-    if not (isinstance(dt, (int, float)) and math.isfinite(dt) and dt > 0):
-        raise DiagramError(f"dt = {dt!r}", diagram.name, "give the base tick in seconds, > 0")
+    tick = check_tick(dt, diagram.name)
     if integrator not in INTEGRATORS:
         raise DiagramError(f"unknown integrator {integrator!r}", diagram.name, 'use "rk4" or "euler"')
     flat = FlatDiagram(diagram)
@@ -38,7 +37,7 @@ def lower(diagram: Diagram, dt: float, log: Iterable[str] = (), integrator: str 
     return FlatProgram(
         diagram.name,
         diagram.text,
-        float(dt),
+        tick,
         integrator,
         inputs,
         outputs,

@@ -1,0 +1,33 @@
+"""Plain data: the numbers, texts and lists of Python that a declaration keeps and that JSON can write."""
+
+from typing import Any
+
+import numpy as np
+
+from twodof.errors import DiagramError
+
+_KINDS = "biufU"  # of numpy's types: bool, integer, unsigned, real, text
+_SCALARS = frozenset((float, int, bool, str, type(None)))
+
+
+def plain_data(value: Any, where: str) -> Any:
+    """`value` with numpy's arrays and scalars turned into lists and numbers of Python, at any depth; the rest as it is.
+
+    The numbers are the same ones: a float32 is a float64 too. Raises DiagramError, at `where`, for complex numbers and
+    for arrays of what is not a number.
+    """
+    if type(value) in _SCALARS:
+        return value
+    if isinstance(value, (np.ndarray, np.generic)):
+        if value.dtype.kind not in _KINDS:
+            what = "an array" if isinstance(value, np.ndarray) else "a number"
+            raise DiagramError(f"{what} of numpy's type {value.dtype} is given", where, "give real numbers")
+        # A longdouble has no counterpart in Python.
+        return (value.astype(np.float64) if value.dtype.kind == "f" else value).tolist()
+    if isinstance(value, (list, tuple, range)):
+        if _SCALARS.issuperset(map(type, value)):
+            return list(value)
+        return [plain_data(one, where) for one in value]
+    if isinstance(value, complex):
+        raise DiagramError(f"the complex number {value} is given", where, "give real numbers")
+    return value
