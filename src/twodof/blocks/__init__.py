@@ -36,3 +36,12 @@ from twodof.blocks.expressions.expr import to_real as to_real
 from twodof.blocks.expressions.expr import to_uint32 as to_uint32
 from twodof.blocks.expressions.expr import uint32 as uint32
 from twodof.blocks.expressions.expr import where as where
+from twodof.blocks.expressions.linear_algebra import concatenate as concatenate
+from twodof.blocks.expressions.linear_algebra import cross as cross
+from twodof.blocks.expressions.linear_algebra import diag as diag
+from twodof.blocks.expressions.linear_algebra import eye as eye
+from twodof.blocks.expressions.linear_algebra import norm as norm
+from twodof.blocks.expressions.linear_algebra import outer as outer
+from twodof.blocks.expressions.linear_algebra import sum as sum
+from twodof.blocks.expressions.linear_algebra import zeros as zeros
+from twodof.blocks.expressions.matrix import matrix as matrix

@@ -53,7 +53,7 @@ def test_a_condition_on_a_recorded_value_names_block_and_line() -> None:
         (lambda: X[0], "arrays"),
         (lambda: range(I), "constant"),
         (lambda: vector([X, I]), "to_real"),
-        (lambda: X + np.array([1.0]), "vector"),
+        (lambda: X + np.zeros((1, 1, 1)), "vector"),
     ],
 )
 def test_what_the_language_lacks_is_refused_with_the_remedy(bad: Callable[[], object], remedy: str) -> None:

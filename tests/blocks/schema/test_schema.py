@@ -119,6 +119,10 @@ HOSTILE = {
     "a foreign operation": (custom(nodes=[["__import__", []]]), "not well formed"),
     "a loop variable outside": (custom(nodes=[["bound", [], "real", 0, 1]], output={"y": 0}), "outside its loop"),
     "an endless loop": (custom(nodes=[["input", [], "u"], ["build", [0], 10**12, 0]]), "is not in 0"),
+    "an operation on an array": (
+        custom(nodes=[["input", [], "u"], ["build", [0], 9, 0], ["neg", [1]]]),
+        "neg is applied to an array of 9",
+    ),
     "a missing output": (custom(output={}), "does not give 'y'"),
     "a node that is not there": (custom(output={"y": 99}), "node 99, which is not there"),
     "a rate of zero": (form(parts=[{**GAIN, "rate": [0, 0]}], connections=[], outputs=[]), "is impossible"),

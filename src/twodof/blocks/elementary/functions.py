@@ -17,12 +17,15 @@ from typing import Any
 from twodof.blocks.elementary import definitions
 from twodof.blocks.elementary.definitions import DOUBLE, SINGLE
 from twodof.blocks.expressions import expr, numbers
+from twodof.blocks.expressions.array_operators import rules
 from twodof.blocks.expressions.expr import Expr
 
 _NAME = {real: name for name, real in numbers.PRECISIONS.items()}
 
 
 def _apply(name: str, *values: Any) -> Any:
+    if expr.arrays_among(*values):
+        return rules.spread(partial(_apply, name), *values)
     if expr.recording() or any(isinstance(v, Expr) for v in values):
         return expr.call(name, *values)
     reals = (numbers.cast(v, "real") for v in values)

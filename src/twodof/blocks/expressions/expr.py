@@ -16,11 +16,12 @@ from weakref import WeakValueDictionary
 import numpy as np
 
 from twodof.blocks.expressions import numbers
+from twodof.blocks.expressions.array_operators import ArrayOperators, rules
 from twodof.blocks.expressions.numbers import Int32, Integer, UInt32
 from twodof.errors import DiagramError
 
 KINDS = ("real", "int32", "uint32", "bool")
-LANGUAGE = ("twodof.blocks.expressions.expr", "twodof.blocks.expressions.arrays")  # frames of these are not the user's
+LANGUAGE = "twodof.blocks.expressions."  # frames of its modules are not the user's
 LEAVES = ("const", "input", "state", "param", "tick", "dt", "bound")
 
 _table: WeakValueDictionary[tuple[Any, ...], Expr] = WeakValueDictionary()
@@ -51,7 +52,7 @@ def tracing(path: str) -> AbstractContextManager[None]:
 def fault(what: str, remedy: str) -> DiagramError:
     """A mistake in a block's code, with the block and the user's line that made it."""
     frame = sys._getframe(1)
-    while frame.f_back is not None and frame.f_globals.get("__name__", "") in LANGUAGE:
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith(LANGUAGE):
         frame = frame.f_back
     line = f"{frame.f_code.co_filename}:{frame.f_lineno}"
     block = _tracing.get()
@@ -114,7 +115,21 @@ class Expr:
     def __getitem__(self, index: Any) -> Any:
         if self.width is None:
             raise fault(f"a scalar {self.kind} is indexed", "only arrays have elements")
+        if isinstance(index, (slice, tuple)):
+            return rules.part(self, index)
         return node("select", self.kind, (self, position(index, self.width)))
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """() of a scalar, (n,) of an array."""
+        return () if self.width is None else (self.width,)
+
+    @property
+    def T(self) -> Expr:
+        """A vector itself: it is both a row and a column."""
+        if self.width is None:
+            raise fault("a scalar has no transpose", "only arrays have one")
+        return self
 
     def __repr__(self) -> str:
         shape = "" if self.width is None else f"[{self.width}]"
@@ -138,22 +153,28 @@ class Expr:
     __eq__ = _operator("eq")[0]
     __ne__ = _operator("ne")[0]
 
+    def __matmul__(self, other: Any) -> Any:
+        return rules.product(self, other)
+
+    def __rmatmul__(self, other: Any) -> Any:
+        return rules.product(other, self)
+
     def __pow__(self, other: Any) -> Any:
         raise fault("** is not an operation of the language", "write x * x, or pow(x, y)")
 
     __rpow__ = __pow__
 
     def __neg__(self) -> Any:
-        return _operation("neg", self)
+        return _unary("neg", self)
 
     def __pos__(self) -> Any:
         return self
 
     def __abs__(self) -> Any:
-        return _operation("abs", self)
+        return _unary("abs", self)
 
     def __invert__(self) -> Any:
-        return _operation("not", self)
+        return _unary("not", self)
 
 
 # Which scalar types an operation takes; comparisons give bool, everything else the type of its operands.
@@ -225,13 +246,19 @@ def as_expr(value: Any, kind: str | None = None) -> Expr:
 def position(index: Any, width: int) -> Expr:
     """The int32 index of an element of an array of `width` elements, as numbers, literals and Exprs may name it."""
     if not isinstance(index, Expr):
-        return const(numbers.clamp_index(index, width), "int32")
+        try:
+            return const(numbers.clamp_index(index, width), "int32")
+        except DiagramError as error:
+            raise fault(error.what, error.remedy) from None
     if index.kind not in ("int32", "uint32") or index.width is not None:
         raise fault(f"an array is indexed with a {index.kind}", "convert the index with to_int32")
     if index.kind == "int32":
         return index
     # Clamped as a signed number would be: a uint32 above 2^31 is above every length.
     return as_expr(where(index < width, to_int32(index), int32(width - 1)))
+
+
+_ARRAYS = (ArrayOperators, list, tuple, np.ndarray)
 
 
 def _pair(a: Any, b: Any) -> tuple[Expr, Expr]:
@@ -258,8 +285,25 @@ def _operation(op: str, *args: Expr) -> Expr:
     return node(op, "bool" if op in ("lt", "le", "eq", "ne") else kind, args)
 
 
-def _binary(op: str, a: Any, b: Any) -> Expr:
+def _binary(op: str, a: Any, b: Any) -> Any:
+    if arrays_among(a, b):
+        return rules.spread(lambda left, right: _binary(op, left, right), a, b)
     return _operation(op, *_pair(a, b))
+
+
+def _unary(op: str, a: Expr) -> Any:
+    return _operation(op, a) if a.width is None else rules.spread(lambda item: _operation(op, item), a)
+
+
+def arrays_among(*values: Any) -> bool:
+    """Whether one of `values` is an array, so that an operation goes element by element."""
+    for v in values:
+        if type(v) is Expr:
+            if v.width is not None:
+                return True
+        elif isinstance(v, _ARRAYS):
+            return True
+    return False
 
 
 def traced(*values: Any) -> bool:
@@ -271,10 +315,15 @@ def traced(*values: Any) -> bool:
 
 
 def where(condition: Any, a: Any, b: Any) -> Any:
-    """`a` where the condition holds, else `b`; both are evaluated. Two literals give a real."""
+    """`a` where the condition holds, else `b`; both are evaluated, arrays element by element.
+
+    Two literals give a real.
+    """
     # What the reference meets all the time comes first: two numbers of one type of the language.
     if type(condition) is np.bool_ and type(a) is type(b) and type(a) in numbers.scalars() and not _tracing.get():
         return a if condition else b
+    if arrays_among(condition, a, b):
+        return rules.spread(where, condition, a, b)
     if traced(condition, a, b):
         c = as_expr(condition, "bool")
         left, right = _pair(a, b)
@@ -285,12 +334,12 @@ def where(condition: Any, a: Any, b: Any) -> Any:
 
 def minimum(a: Any, b: Any) -> Any:
     """`where(a < b, a, b)`: of two equals the second, and `b` if one is NaN."""
-    return where(_less(a, b), a, b)
+    return rules.spread(minimum, a, b) if arrays_among(a, b) else where(_less(a, b), a, b)
 
 
 def maximum(a: Any, b: Any) -> Any:
     """`where(b < a, a, b)`: of two equals the second, and `b` if one is NaN."""
-    return where(_less(b, a), a, b)
+    return rules.spread(maximum, a, b) if arrays_among(a, b) else where(_less(b, a), a, b)
 
 
 def _less(a: Any, b: Any) -> Any:
@@ -299,6 +348,8 @@ def _less(a: Any, b: Any) -> Any:
 
 def sqrt(x: Any) -> Any:
     """The IEEE square root of a real; NaN below zero."""
+    if arrays_among(x):
+        return rules.spread(sqrt, x)
     if traced(x):
         return _operation("sqrt", as_expr(x, "real"))
     return np.sqrt(numbers.cast(x, "real"))
@@ -335,10 +386,11 @@ def to_real(x: Any) -> Any:
 
 
 def convert(x: Any, kind: str) -> Any:
-    """`x` as the scalar type `kind`; see to_int32, to_uint32 and to_real."""
+    """`x` as the type `kind`; see to_int32, to_uint32 and to_real."""
+    if arrays_among(x):
+        return rules.spread(lambda item: convert(item, kind), x)
     if traced(x):
         x = as_expr(x)
-        scalars(f"to_{kind}", x)
         if x.kind == kind:
             return x
         if x.kind == "bool":

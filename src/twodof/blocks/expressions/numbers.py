@@ -15,6 +15,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from twodof.blocks.expressions.array_operators import ArrayOperators, rules
 from twodof.errors import DiagramError, shown
 
 PRECISIONS: dict[str, type[np.floating[Any]]] = {"float64": np.float64, "float32": np.float32}
@@ -99,12 +100,12 @@ class Integer:
         self.value = (int(value) - self.low) % 2**32 + self.low
 
     def _other(self, other: object) -> int | None:
-        """The other operand; None for one of the expression graph, which has a method of its own."""
+        """The other operand; None for an array or one of the expression graph, which have methods of their own."""
         if isinstance(other, type(self)):
             return other.value
         if type(other) is int:
             return type(self)(other).value
-        if hasattr(other, "op"):
+        if hasattr(other, "op") or isinstance(other, ArrayOperators):
             return None
         raise DiagramError(
             f"{self.kind} meets {type(other).__name__} in one operation",
@@ -167,26 +168,40 @@ _SCALARS: dict[type, dict[str | None, type]] = {
 _TYPES = {real: frozenset(kinds.values()) for real, kinds in _SCALARS.items()}
 
 
-class Vector(tuple[Any, ...]):
-    """A fixed-length array. An `Integer` index is clamped; a literal Python index must be inside."""
+class Vector(ArrayOperators, tuple[Any, ...]):
+    """A fixed-length array. An `Integer` index is clamped; a literal Python index must be inside, -1 is the last."""
 
     __slots__ = ()
+    __hash__ = tuple.__hash__
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """(n,)."""
+        return (len(self),)
+
+    @property
+    def T(self) -> Any:
+        """The vector itself: it is both a row and a column."""
+        return self
 
     def __getitem__(self, index: Any) -> Any:
+        if isinstance(index, (slice, tuple)):
+            return rules.part(self, index)
         return tuple.__getitem__(self, clamp_index(index, len(self)))
 
 
 def clamp_index(index: Any, length: int) -> int:
     """The position that `index` addresses in an array of `length` elements.
 
-    Raises DiagramError for a literal outside [0, length) and for an index that is not an integer.
+    Raises DiagramError for a literal outside [-length, length) and for an index that is not an integer.
     """
     if isinstance(index, Integer):
         return min(max(index.value, 0), length - 1)
     if isinstance(index, (int, np.integer)) and not isinstance(index, bool):
-        if not 0 <= index < length:
-            raise DiagramError(f"index {index} is outside an array of {length}", "", "literal indices count from 0")
-        return int(index)
+        if not -length <= index < length:
+            remedy = "literal indices count from 0, or from -1 at the end"
+            raise DiagramError(f"index {index} is outside an array of {length}", "", remedy)
+        return int(index) % length
     raise DiagramError(f"an array is indexed with {type(index).__name__}", "", "convert the index with to_int32")
 
 

@@ -8,7 +8,7 @@ from twodof.blocks.declarations import check_name, fits, located, shape
 from twodof.blocks.elementary.functions import FUNCTIONS
 from twodof.blocks.expressions.arrays import vector
 from twodof.blocks.expressions.cost import MAX_LOOP_DEPTH, MAX_SIZE, CostMeter, too_large
-from twodof.blocks.expressions.expr import KINDS, Expr, const, convert, leaf, node, tracing
+from twodof.blocks.expressions.expr import KINDS, Expr, const, convert, leaf, node, scalars, tracing
 from twodof.blocks.expressions.graph import OPERATIONS, evaluate, free_bounds, walk
 from twodof.errors import DiagramError, shown
 
@@ -160,6 +160,8 @@ def _node_from(row: Any, made: list[Expr], leaves: Mapping[str, Mapping[str, Exp
     if not all(type(n) is int and 0 <= n < len(made) for n in numbers_):
         raise ValueError("an argument does not stand above it")
     args = [made[n] for n in numbers_]
+    if op not in ("select", "store"):
+        scalars(str(op), *args)
     found: Expr
     match [op, *data]:
         case ["const", "real", value]:

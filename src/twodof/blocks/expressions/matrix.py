@@ -1,0 +1,248 @@
+"""Matrix: a flat array seen as rows and columns; and what the operators of all arrays do.
+
+One implementation serves numbers and nodes, so that the order of roundings is the same for both.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable, Iterator, Sequence
+from functools import reduce
+from typing import Any
+
+import numpy as np
+
+from twodof.blocks.expressions import numbers
+from twodof.blocks.expressions.array_operators import ArrayOperators, rules
+from twodof.blocks.expressions.arrays import array_of, fold, vector
+from twodof.blocks.expressions.expr import Expr, as_expr, fault, int32, maximum, minimum, position, traced
+from twodof.blocks.expressions.numbers import Integer, Vector
+
+UNROLLED = 64  # products of a matrix product, or elements of an array, that are written out; more are a loop
+LONGEST_SUM = 32  # terms of one element of a product that are written out; more are a loop within the loop
+
+Shape = tuple[int, ...]
+"""() of a scalar, (n,) of a vector, (rows, columns) of a matrix."""
+
+
+class Matrix(ArrayOperators):
+    """A matrix of `shape` (rows, columns) over the array `flat`, which holds column after column.
+
+    `m[i, j]` is an element, `m[i]` a row, `m[:, j]` a column, `m[0:2, 1:3]` a part. It counts and iterates over rows.
+    """
+
+    __slots__ = ("flat", "shape")
+
+    def __init__(self, flat: Any, shape: Shape) -> None:
+        self.flat = flat
+        self.shape = shape
+
+    @property
+    def T(self) -> Any:
+        """The transpose."""
+        rows, columns = self.shape
+        return Matrix(_gather(self.flat, [i + j * rows for i in range(rows) for j in range(columns)]), (columns, rows))
+
+    def __getitem__(self, index: Any) -> Any:
+        return rules.part(self, index)
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    def __iter__(self) -> Iterator[Any]:
+        return (self[i] for i in range(self.shape[0]))
+
+    def __bool__(self) -> bool:
+        raise fault("a matrix has no truth (`if`, `and`, `or`, `not` ask for it)", "compare its elements one by one")
+
+    def __repr__(self) -> str:
+        return f"Matrix({self.flat!r}, {self.shape})"
+
+
+def shape_text(shape: Shape) -> str:
+    """A shape as errors show it: "a scalar", "3", "3x2"."""
+    return "x".join(map(str, shape)) or "a scalar"
+
+
+def shape_of(value: Any) -> Shape:
+    """The shape of a number, a node, an array, or a list or numpy array of such."""
+    found: Shape = getattr(_operand(value), "shape", ())
+    return found
+
+
+def shaped(flat: Any, shape: Shape | None) -> Any:
+    """An array of the language as a block's method sees it: a Matrix if `shape` is one of a matrix."""
+    return flat if shape is None else Matrix(flat, shape)
+
+
+def flat_of(value: Any) -> Any:
+    """What a Matrix holds, column after column; everything else as it is."""
+    return value.flat if isinstance(value, Matrix) else value
+
+
+def matrix(rows: Any) -> Any:
+    """The matrix with these rows: lists or vectors of one length, or a numpy array of two dimensions."""
+    made = _of_lists(rows.tolist() if isinstance(rows, np.ndarray) else list(rows))
+    if not isinstance(made, Matrix):
+        raise fault("a matrix is made of rows, and these are scalars", "write matrix([[...], [...]])")
+    return Matrix(vector(made.flat), made.shape)
+
+
+def _of_lists(value: Any) -> Any:
+    """A list of scalars as it is, of lists (or vectors) as a Matrix over a list."""
+    rows = [row.tolist() if isinstance(row, np.ndarray) else row for row in value]
+    widths = {len(row) if _is_array(row) else None for row in rows}
+    if not rows or widths == {0}:
+        raise fault("an array of no elements", "an array has at least one element")
+    if widths == {None}:
+        return _Literals(rows)
+    if len(widths) > 1:
+        raise fault("the rows of a matrix have different lengths", "give each row as many elements")
+    if any(_is_array(element) for row in rows for element in row):
+        raise fault("an array of more than two dimensions", "use a vector or a matrix")
+    (columns,) = (int(w) for w in widths if w is not None)
+    return Matrix(_Literals(row[j] for j in range(columns) for row in rows), (len(rows), columns))
+
+
+class _Literals(list[Any]):
+    """A list of scalars, some of which may be Python's own numbers."""
+
+    @property
+    def shape(self) -> Shape:
+        return (len(self),)
+
+
+def _is_array(value: Any) -> bool:
+    if isinstance(value, Expr):
+        return value.width is not None
+    return isinstance(value, (ArrayOperators, list, tuple, np.ndarray))
+
+
+def _operand(value: Any) -> Any:
+    """A list or numpy array as an array of the language; everything else as it is."""
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if isinstance(value, (list, tuple)) and not isinstance(value, (Vector, _Literals)):
+        return _of_lists(value)
+    return value
+
+
+def _pick(flat: Any, at: int) -> Any:
+    """The element at a literal place, without making an array only to read it."""
+    return flat.args[at] if isinstance(flat, Expr) and flat.op == "vector" else flat[at]
+
+
+def _gather(flat: Any, places: Sequence[int]) -> Any:
+    return vector([_pick(flat, at) for at in places])
+
+
+def spread(f: Callable[..., Any], *values: Any) -> Any:
+    """`f` of scalars, or, of arrays of one shape and scalars, the array of `f` element by element."""
+    operands = [_operand(v) for v in values]
+    shapes = {s for s in map(shape_of, operands) if s}
+    if len(shapes) > 1:
+        met = " and ".join(shape_text(s) for s in map(shape_of, operands) if s)
+        raise fault(f"arrays of {met} meet in one operation", "give them one shape; scalars go with all shapes")
+    shape = shapes.pop()
+    length = int(np.prod(shape))
+    parts = [(flat_of(v), bool(shape_of(v))) for v in operands]
+    # In a loop each operand must be one array: literals and numbers are written out.
+    written = any(isinstance(flat, (list, Vector)) for flat, array in parts if array)
+    if written or length <= UNROLLED:
+        flat = vector([f(*(_pick(v, k) if array else v for v, array in parts)) for k in range(length)])
+    else:
+        flat = array_of(length, lambda i: f(*(v[i] if array else v for v, array in parts)))
+    return shaped(flat, shape if len(shape) == 2 else None)
+
+
+def product(a: Any, b: Any) -> Any:
+    """`a @ b` of matrices and vectors; each element is a(i, 0) * b(0, j) + a(i, 1) * b(1, j) + ..., from the left."""
+    left, right = _operand(a), _operand(b)
+    first, second = shape_of(left), shape_of(right)
+    if not first or not second or first[-1] != second[0]:
+        raise fault(
+            f"{shape_text(first)} @ {shape_text(second)}",
+            "the columns of the first are as many as the rows of the second; with a scalar, write *",
+        )
+    rows, inner, columns = (first[0] if len(first) == 2 else 1), second[0], (second[1] if len(second) == 2 else 1)
+    left, right = _array(flat_of(left), flat_of(right)), _array(flat_of(right), flat_of(left))
+
+    def element(i: Any, j: Any) -> Any:
+        """One element; `i` and `j` are literals, or counted by a loop."""
+        read = _pick if isinstance(i, int) and isinstance(j, int) else operator.getitem
+        base = j * inner
+        if inner > LONGEST_SUM:
+            start = left[i] * right[base]
+            return fold(
+                inner - 1, [start], lambda k, total: [total + left[(k + 1) * rows + i] * right[base + (k + 1)]]
+            )[0]
+        return reduce(operator.add, (read(left, i + k * rows) * read(right, base + k) for k in range(inner)))
+
+    numeric = isinstance(left, Vector) and isinstance(right, Vector)
+    if numeric or rows * inner * columns <= UNROLLED or rows * columns == 1:
+        items = [element(i, j) for j in range(columns) for i in range(rows)]
+        if len(first) == len(second) == 1:
+            return items[0]
+        flat = vector(items)
+    elif columns == 1:
+        flat = array_of(rows, lambda i: element(i, 0))
+    elif rows == 1:
+        flat = array_of(columns, lambda j: element(0, j))
+    else:
+        flat = array_of(rows * columns, lambda k: element(k % rows, k // rows))
+    return shaped(flat, (rows, columns) if len(first) == len(second) == 2 else None)
+
+
+def _array(flat: Any, other: Any) -> Any:
+    """Literals as an array of the other operand's type."""
+    if not isinstance(flat, _Literals):
+        return flat
+    anchor = other if isinstance(other, Expr) else next((v for v in other if isinstance(v, Expr)), None)
+    kind = numbers.common_kind(other) if anchor is None else anchor.kind
+    return vector([as_expr(v, kind) if traced(*flat) else numbers.cast(v, kind) for v in flat])
+
+
+def part(array: Any, index: Any) -> Any:
+    """`array[index]`: slices with constant bounds, and one index for each dimension of a matrix."""
+    shape = shape_of(array)
+    if len(shape) == 1:
+        if isinstance(index, tuple):
+            raise fault(f"an array of {shape_text(shape)} is indexed with {len(index)} indices", "give it one")
+        return _gather(array, _places(index, shape[0]))
+    given = index if isinstance(index, tuple) else (index, slice(None))
+    if len(given) != 2:
+        raise fault(f"a matrix of {shape_text(shape)} is indexed with {len(given)} indices", "give it two")
+    chosen = [_places(i, n) if isinstance(i, slice) else [_place(i, n)] for i, n in zip(given, shape, strict=True)]
+    literal = all(isinstance(i, int) for places in chosen for i in places)
+    read = _pick if literal else operator.getitem
+    items = [read(array.flat, i + j * shape[0]) for j in chosen[1] for i in chosen[0]]
+    whole = [isinstance(i, slice) for i in given]
+    if not any(whole):
+        return items[0]
+    return shaped(vector(items), (len(chosen[0]), len(chosen[1])) if all(whole) else None)
+
+
+def _places(index: slice, length: int) -> list[int]:
+    """The places that a slice names, all of them inside."""
+    if any(isinstance(b, (Expr, Integer)) for b in (index.start, index.stop, index.step)):
+        raise fault("a slice has a bound that is computed", "use literals, or array_of(n, lambda i: a[start + i])")
+    try:
+        places = list(range(length))[index]
+    except (TypeError, ValueError) as error:
+        raise fault(f"a slice is not one: {error}", "its bounds are whole numbers, its step is not 0") from None
+    bounds = [b for b in (index.start, index.stop) if b is not None]
+    if not places or any(not -length <= b <= length for b in bounds):
+        text = ":".join("" if b is None else str(b) for b in (index.start, index.stop))
+        raise fault(f"the slice {text} of an array of {length}", "it takes one or more elements, all of them inside")
+    return places
+
+
+def _place(index: Any, length: int) -> Any:
+    """An index of a matrix: a literal one is checked, a computed one is clamped to its own dimension."""
+    if isinstance(index, Integer):
+        return numbers.clamp_index(index, length)
+    at = position(index, length)
+    return at.data if at.op == "const" else maximum(minimum(at, int32(length - 1)), int32(0))
+
+
+rules.spread, rules.product, rules.part = spread, product, part
