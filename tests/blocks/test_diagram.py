@@ -12,7 +12,7 @@ from twodof.errors import DiagramError
 
 NAMES = (
     *("name", "item", "rate", "params", "enable", "reset", "disabled", "position", "inputs"),
-    *("enabling", "trigger", "edge"),
+    *("enabling", "trigger", "edge", "initial"),
 )
 
 

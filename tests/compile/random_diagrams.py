@@ -131,6 +131,10 @@ class Maker:
                 self.sources[prefix + name] = block.source
                 block.crossing = r.random() < 0.15
             d.add(name, block, rate=own, params=self.binding(d, block))
+            if block.outputs and self.more.random() < 0.2:
+                held = self.more.choice(block.outputs)
+                value = {"real": self.more.uniform(-2, 2), "bool": True}.get(held.kind, 3)
+                d.parts[name].initial = {held.name: value}
             waiting += [(f"{name}.{p.name}", p, own, before) for p in block.inputs]
             for p in block.outputs:
                 self.paths.append(f"{prefix}{name}.{p.name}")

@@ -13,7 +13,7 @@ from typing import Any
 from tests.compile.differential import Case
 from twodof.blocks import Block, Diagram, Port, State
 from twodof.blocks.conditions import EDGES
-from twodof.blocks.library import ZeroOrderHold
+from twodof.blocks.library import CompareToConstant, Mux, ZeroOrderHold
 
 Row = Mapping[str, Any]
 STEPS = 120
@@ -159,4 +159,47 @@ def triggered() -> Told:
         if not row["go"]:
             y["both"] = 0.0
         expected.append(dict(y))
+    return Told(Case(d, [], given, {}), expected)
+
+
+@told
+def starting_elsewhere() -> Told:
+    """Outputs that hold, or are put back to, other values than 0: of parts that are disabled, late or triggered."""
+    inner = Diagram("inner")
+    inner.input("u")
+    inner.add("total", Total(), u="u")
+    inner.add("pair", Mux(2), a="u", b="total")
+    inner.add("positive", CompareToConstant(">", 0.0), u="u")
+    for name, source in (("y", "total"), ("pair", "pair"), ("positive", "positive")):
+        inner.output(name, source)
+    middle = Diagram("middle")
+    middle.input("u")
+    middle.add("inner", inner, u="u")
+    for name in inner.outputs:
+        middle.output(name, f"inner.{name}")
+    d = whole("starting_elsewhere", "on")
+    initial = {"y": -3.0, "pair": [4.0, 5.0], "positive": True}
+    d.add("hold", middle, u="u", enable="on", initial=initial)
+    d.add("back", middle, u="u", enable="on", initial=initial, disabled="reset")
+    d.add("edge", middle, u="u", trigger="on", initial={"y": 7.0})
+    d.add("late", ZeroOrderHold(), u="u", rate=(5, 4), initial={"y": 9.0})
+    d.output("late", "late")
+    for part in ("hold", "back", "edge"):
+        for name in inner.outputs:
+            d.output(f"{part}_{name}", f"{part}.{name}")
+    given = [{**row, "on": row["on"] and k > 6} for k, row in enumerate(rows(3, ("on",)))]
+    start: dict[str, Any] = {"y": -3.0, "pair": [4.0, 5.0], "positive": True}
+    y = {"hold": start, "back": start, "edge": {"y": 7.0, "pair": [0.0, 0.0], "positive": False}}
+    total = dict.fromkeys(y, 10.0)
+    late, before, expected = 9.0, True, []
+    for k, row in enumerate(given):
+        late = row["u"] if k % 5 == 4 else late
+        for name in y:
+            if row["on"] and not (name == "edge" and before):
+                total[name] += row["u"]
+                y[name] = {"y": total[name], "pair": [row["u"], total[name]], "positive": row["u"] > 0}
+            elif name == "back":
+                y[name] = start
+        before = row["on"]
+        expected.append({"late": late, **{f"{part}_{n}": v for part, now in y.items() for n, v in now.items()}})
     return Told(Case(d, [], given, {}), expected)

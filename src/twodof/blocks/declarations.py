@@ -170,6 +170,13 @@ def fits(value: int, kind: str) -> bool:
     return low <= value <= high
 
 
+def check_initial(value: Any, kind: str, width: int | None, where: str) -> Any:
+    """`value` if an output of this type may hold it at first; else DiagramError. It is as strict as a default is."""
+    with located(where):
+        Param("initial", value, kind, width)
+    return value
+
+
 def _check_limits(declared: Param) -> None:
     """Raise DiagramError for bounds that are none."""
     for bound in (declared.low, declared.high):

@@ -55,6 +55,7 @@ class Part:
     `params` binds parameters of the part to parameters of the diagram: inner name -> outer name.
     `disabled` is what outputs do while a sub-diagram is not enabled: "hold" or "reset" (0). `enabling` is what the
     states do once it and all around it are enabled again: "keep" their values, or "restart" from the initial ones.
+    `initial` are the values of outputs before they are first computed, and where "reset" puts them, if that is not 0.
     With a `trigger` it acts at the ticks alone at which that has an `edge`: "rising", "falling" or "either".
     """
 
@@ -68,6 +69,7 @@ class Part:
     edge: str = "rising"
     disabled: str = "hold"
     enabling: str = "keep"
+    initial: dict[str, Any] = field(default_factory=dict)
     position: tuple[float, float] | None = None
 
 
@@ -132,6 +134,7 @@ class Diagram:
         edge: str = "rising",
         disabled: str = "hold",
         enabling: str = "keep",
+        initial: Mapping[str, Any] | None = None,
         position: tuple[float, float] | None = None,
         inputs: Mapping[str, str] | None = None,
         **ports: str,
@@ -144,7 +147,7 @@ class Diagram:
         """
         self._new(name)
         path = f"{self.name}.{name}"
-        for argument, value in (("rate", rate), ("params", params), ("position", position)):
+        for argument, value in (("rate", rate), ("params", params), ("initial", initial), ("position", position)):
             if isinstance(value, str):
                 raise DiagramError(
                     f"{argument}={shown(value)} is no {argument}", path, _as_input(item, argument, value) or "see add"
@@ -176,6 +179,11 @@ class Diagram:
             raise DiagramError(f"edge={shown(edge)} without a trigger", path, "give trigger= too")
         if enabling == "restart" and isinstance(item, Block):
             raise DiagramError("a block cannot be restarted", path, "put it into a sub-diagram")
+        for output in initial or {}:
+            if output not in port_names(item, "output"):
+                there = listed(port_names(item, "output"))
+                raise DiagramError(f"there is no output {shown(output)} to start", path, f"there are: {there}")
+        held = {n: v.tolist() if hasattr(v, "tolist") else v for n, v in (initial or {}).items()}
         known = {p.name for p in item.params} if isinstance(item, Block) else set(item.params)
         for inner in params or {}:
             if inner not in known:
@@ -186,7 +194,7 @@ class Diagram:
         checked = Rate(divider, offset).check(path)
         place = None if position is None else _pair(position, path, "position")
         self.parts[name] = Part(
-            name, item, checked, dict(params or {}), enable, reset, trigger, edge, disabled, enabling, place
+            name, item, checked, dict(params or {}), enable, reset, trigger, edge, disabled, enabling, held, place
         )
         for port, source in {**(inputs or {}), **ports}.items():
             self.connect(source, f"{name}.{port}")

@@ -123,6 +123,7 @@ def _settings(part: Part, prefix: str) -> str:
     words += [f"reset by {prefix}{part.reset}"] if part.reset else []
     words += [f"at {part.edge} edges of {prefix}{part.trigger}"] if part.trigger else []
     words += [f"outputs when disabled: {part.disabled}"] if part.disabled != "hold" else []
+    words += [f"{output} starts at {_number(value)}" for output, value in sorted(part.initial.items())]
     words += ["starts afresh when enabled again"] if part.enabling == "restart" else []
     words += [f"{inner} is {prefix}{outer}" for inner, outer in sorted(part.params.items())]
     return f"; {', '.join(words)}" if words else ""

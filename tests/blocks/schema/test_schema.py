@@ -44,7 +44,9 @@ def everything() -> Diagram:
     inner.add("gain", Gain(), u="ball.h")
     inner.output("h", "gain")
     d.input("on", "bool")
-    d.add("sub", inner, enable="on", reset="on", disabled="reset", position=(1.0, 2.5))
+    d.add("sub", inner, enable="on", reset="on", disabled="reset", position=(1.0, 2.5), initial={"h": float("inf")})
+    d.parts["sub"].enabling = "restart"
+    d.add("edge", inner, trigger="on", edge="falling")
     d.add("slow", Memory(), rate=(5, 2))
     d.add("zero", Gain(), rate=(5, 2))
     d.connect("slow", "zero.u")

@@ -10,6 +10,7 @@ import pytest
 from tests.compile import examples
 from twodof.blocks import Block, Diagram, Param, Port
 from twodof.blocks.library import FractionalDelay, Gain, Integrator, Sum, UnitDelay
+from twodof.blocks.reference import Reference
 from twodof.compile.program.lower import lower
 from twodof.errors import DiagramError
 
@@ -91,6 +92,20 @@ def bound_to_another_type(d: Diagram) -> None:
     d.add("moment", Moment(), params={"k": "k"})
 
 
+def starting(initial: Any) -> Callable[[Diagram], None]:
+    """A held output that starts at something."""
+
+    def fault(d: Diagram) -> None:
+        inner = Diagram("inner")
+        inner.input("u")
+        inner.add("gain", Gain(), u="u", initial={"y": 1.0})
+        inner.output("y", "gain")
+        inner.output("through", "u")
+        d.add("part", inner, u="u", initial=initial)
+
+    return fault
+
+
 def without_source(d: Diagram) -> None:
     d.output("z")
 
@@ -117,6 +132,32 @@ def test_a_fault_is_named_with_its_path(fault: Callable[[Diagram], None], where:
         lower(within(fault), 0.01)
     assert caught.value.where == where
     assert caught.value.remedy
+
+
+@pytest.mark.parametrize(
+    ("initial", "where", "what"),
+    [
+        ({"y": 2.0}, "gain.y", r"sub.part.gain.y starts at 2.0 and at 1.0"),
+        ({"y": [1.0, 2.0]}, "y", "a real is expected"),
+        ({"y": True}, "y", "bool"),
+        ({"y": "1"}, "y", "a real is expected"),
+        ({"through": 0.0}, "through", "nothing inside computes it"),
+    ],
+)
+@pytest.mark.parametrize("read", [lower, Reference])
+def test_an_initial_value_that_cannot_be_is_refused(
+    read: Callable[..., Any], initial: Any, where: str, what: str
+) -> None:
+    with pytest.raises(DiagramError, match=what) as caught:
+        read(within(starting(initial)), 0.01)
+    assert caught.value.where == f"sub.part.{where}"
+    assert caught.value.remedy
+
+
+def test_an_initial_value_of_no_output_is_refused() -> None:
+    with pytest.raises(DiagramError, match="there is no output 'z' to start") as caught:
+        within(starting({"z": 1.0}))
+    assert caught.value.where == "inner.part"
 
 
 @pytest.mark.parametrize(

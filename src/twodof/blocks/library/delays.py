@@ -159,7 +159,10 @@ class FractionalDelay(Block):
 
 @library_block("zero_order_hold")
 class ZeroOrderHold(Block):
-    """Sample and hold: at the block's own ticks y = u, held in between. May read a signal of another rate."""
+    """Sample and hold: at the block's own ticks y = u, held in between. May read a signal of another rate.
+
+    Before the first of them y is 0, or what `Diagram.add` is given as `initial={"y": value}`.
+    """
 
     crossing = True
 
@@ -174,6 +177,8 @@ class ZeroOrderHold(Block):
 @library_block("rate_transition")
 class RateTransition(UnitDelay):
     """Sample and hold, and a delay by one sample of the block's own rate: y[k] = u[k-1], y[0] = initial.
+
+    Before the first of its ticks y is 0, or what `Diagram.add` is given as `initial={"y": value}`.
 
     May read a signal of another rate; breaks algebraic loops over two rates.
     """

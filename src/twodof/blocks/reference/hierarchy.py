@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import Any
 
 from twodof.blocks.block import Block
 from twodof.blocks.conditions import EnabledAgain, TriggerEdge
-from twodof.blocks.declarations import Param, Port, State, narrowed, shape
+from twodof.blocks.declarations import Param, Port, State, check_initial, narrowed, shape
 from twodof.blocks.diagram import BASE, MAX_NESTED, Diagram, Rate
 from twodof.blocks.expressions.graph import leaves
-from twodof.errors import DiagramError
+from twodof.errors import DiagramError, shown
 
 MAX_DEPTH = 64
 
@@ -25,6 +26,7 @@ class Cell:
     levels: tuple[DiagramLevel, ...]  # the enclosing sub-diagrams with conditions, outermost first
     drivers: dict[str, PortOf | str] = field(default_factory=dict)
     parameters: dict[str, str] = field(default_factory=dict)
+    initial: dict[str, Any] = field(default_factory=dict)  # output -> what it holds at first, if that is not 0
 
     @property
     def discrete(self) -> list[State]:
@@ -184,6 +186,8 @@ class Hierarchy:
                     raise DiagramError("the output is not connected", f"{level.path}.{name}", "connect it or remove it")
             for name, child in level.children.items():
                 part = level.diagram.parts[name]
+                for output, value in part.initial.items():
+                    self._hold(child, output, value)
                 if isinstance(child, DiagramLevel):
                     stack.append(child)
                     child.enable = self._condition(level, part.enable, child.path, "enable")
@@ -199,6 +203,24 @@ class Hierarchy:
                     child.drivers = {
                         i.name: self._checked_driver(level, name, i, child.path) for i in child.block.inputs
                     }
+
+    def _hold(self, part: DiagramLevel | Cell, output: str, value: Any) -> None:
+        """Let the port that is a part's output hold `value` at first."""
+        where = f"{part.path}.{output}"
+        if isinstance(part, Cell):
+            port: PortOf | str = PortOf(part, output)
+        else:
+            source = part.diagram.outputs[output]
+            if source is None:
+                raise DiagramError("the output is not connected", where, "connect it or remove it")
+            port = part.resolve(source)
+        if isinstance(port, str) or not str(port).startswith(f"{part.path}."):
+            raise DiagramError("nothing inside computes it: it holds nothing", where, "leave its initial out")
+        check_initial(value, port.declared.kind, port.declared.width, where)
+        held = port.cell.initial.setdefault(port.port, value)
+        if held != value:
+            what = f"{port} starts at {shown(held)} and at {shown(value)}"
+            raise DiagramError(what, where, "give one initial value")
 
     def _port(self, driver: PortOf | str) -> Port:
         return self.root.diagram.inputs[driver] if isinstance(driver, str) else driver.declared

@@ -71,12 +71,13 @@ class _Run:
         self.u = {p.name: _zero(p) for p in cell.block.inputs}
         self.x: dict[str, Any] = {}
         self.p: dict[str, Any] = {}
-        self.y = {p.name: _zero(p) for p in cell.block.outputs}
+        self.y: dict[str, Any] = {}
+        self.clear_outputs()
         self.after: dict[str, tuple[Any, Any]] = {}  # port -> (fraction of the step, value after it)
         self.feeds: list[tuple[str, dict[str, Any], str]] = []  # input, where its value stands, under which name
         self.enables: list[_Place] = []
         self.resets: list[_Place] = []
-        self.clears: list[_Place] = []  # those of `enables` without which the outputs are 0
+        self.clears: list[_Place] = []  # those of `enables` without which the outputs are initial
         self.restarts: list[tuple[DiagramLevel, _Place]] = []  # a diagram around it, and what says that it restarts
         self.active = False
         self.seen = (Inputs(self.u), States(self.x), Parameters(self.p), clock)
@@ -92,8 +93,9 @@ class _Run:
         for port, values, key in self.feeds:
             u[port] = values[key]
 
-    def zero_outputs(self) -> None:
-        self.y.update({p.name: _zero(p) for p in self.cell.block.outputs})
+    def clear_outputs(self) -> None:
+        initial = self.cell.initial
+        self.y.update({p.name: _number(initial.get(p.name, 0), p, p.name) for p in self.cell.block.outputs})
 
 
 class _Method:
@@ -161,13 +163,13 @@ class ReferenceMachine(Machine):
         return self._tick
 
     def reset(self) -> None:
-        """To the initial states of the present parameters, tick 0, held outputs 0."""
+        """To the initial states of the present parameters, tick 0, held outputs initial (0 unless told)."""
         self._tick = 0
         with numbers.precision(self.precision):
             for run in self._runs.values():
                 self._prepare(run)
                 run.x.update(self._initial(run))
-                run.zero_outputs()
+                run.clear_outputs()
                 run.after = {}
 
     def _store_parameters(self, values: Mapping[str, Any]) -> None:
@@ -234,7 +236,7 @@ class ReferenceMachine(Machine):
                         fraction, after = edges[port]
                         run.after[port] = numbers.cast(fraction, "real"), numbers.cast(after, "real")
             elif run.cell.rate.due(self.tick) and not all(values[key] for values, key in run.clears):
-                run.zero_outputs()
+                run.clear_outputs()
         for run in self._without_outputs:
             self._begin(run)
         for run in self._runs.values():

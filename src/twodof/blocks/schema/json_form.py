@@ -132,6 +132,8 @@ def _part_to(part: Part) -> dict[str, Any]:
     for key, default in (("edge", "rising"), ("enabling", "keep")):
         if getattr(part, key) != default:
             form[key] = getattr(part, key)
+    if part.initial:
+        form["initial"] = _encode(part.initial, part.name)
     if part.position is not None:
         form["position"] = list(part.position)
     if isinstance(part.item, Diagram):

@@ -27,7 +27,19 @@ MAX_STRING = 1000  # an argument of a block
 STAGES = 4  # evaluations of a derivative in a step of RK4
 
 _DIAGRAM = {"name", "text", "inputs", "params", "parts", "connections", "outputs"}
-_PART = {"name", "rate", "params", *CONDITIONS, "edge", "disabled", "enabling", "position", "diagram", "block"}
+_PART = {
+    "name",
+    "rate",
+    "params",
+    *CONDITIONS,
+    "edge",
+    "disabled",
+    "enabling",
+    "initial",
+    "position",
+    "diagram",
+    "block",
+}
 _SECTIONS = {"inputs", "outputs", "states", "params", "derived"}
 _FIELDS = {cls: {field.name for field in fields(cls)} for cls in (Port, State, Param)}
 _CUSTOM = {"type", "name", "crossing", "nodes", "prepare", "output", "edges", "update", "derivative", "project"}
@@ -135,6 +147,7 @@ class Loader:
             edge=member(form, "edge", str, where, "rising"),
             disabled=member(form, "disabled", str, where, "hold"),
             enabling=member(form, "enabling", str, where, "keep"),
+            initial={n: self._plain(v, where) for n, v in member(form, "initial", dict, where, {}).items()},
             position=None if position is None else (float(position[0]), float(position[1])),
             inputs={},
         )

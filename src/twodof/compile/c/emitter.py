@@ -9,6 +9,7 @@ import re
 from collections.abc import Callable, Iterable, Sequence
 from functools import cache
 
+from twodof.blocks.declarations import Port
 from twodof.blocks.elementary.functions import ARGUMENTS, DEFINITIONS
 from twodof.blocks.expressions.expr import leaf, tracing
 from twodof.compile.c.helpers import HELPERS
@@ -196,6 +197,11 @@ class _Emitter:
                     writer.line(describe(node))
                 for state in node.block.states:
                     self.scope.initial(writer, node, state, self.scope.state(node, state))
+            for signal, member in self.layout.stored.items():
+                if signal.initial is not None:
+                    writer.line(f"/* {signal.path} */")
+                    declared = Port("held", signal.kind, signal.width)
+                    self.scope.fill(writer, f"s->{member.name}", signal.initial, declared)
 
     def _step(self, writer: CWriter, stage: IntegrationEmitter | None) -> None:
         p = self.prefix

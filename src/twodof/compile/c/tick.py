@@ -219,7 +219,7 @@ class TickEmitter:
                 cleared = style.negation(style.conjunction([self.signal(e) for e in group.guard.clears]))
                 with self.writer.choice(self.terms(group.guard)[0], [cleared]):
                     for s in held:
-                        self.scope.fill(self.writer, self.signal(s), 0, Port("y", s.kind, s.width))
+                        self.scope.fill(self.writer, self.signal(s), s.before, Port("y", s.kind, s.width))
 
     def _action(self, action: Action) -> None:
         node, write = action.node, self.writer

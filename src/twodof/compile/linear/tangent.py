@@ -165,7 +165,7 @@ class TangentStep:
 
 def zero(signal: FlatSignal) -> Value:
     """What a signal holds before its first tick."""
-    return constant(numeric(0, signal.kind, signal.width, signal.path))
+    return constant(numeric(signal.before, signal.kind, signal.width, signal.path))
 
 
 def elements(value: Any) -> tuple[Any, ...]:

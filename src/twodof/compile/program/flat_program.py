@@ -27,6 +27,12 @@ class FlatSignal:
     width: int | None
     unit: str
     node: Node | None = None
+    initial: Any = None
+
+    @property
+    def before(self) -> Any:
+        """What it holds before it is first computed, and where it is reset to."""
+        return 0 if self.initial is None else self.initial
 
 
 @dataclass(eq=False)

@@ -9,11 +9,11 @@ from dataclasses import dataclass, field
 
 from twodof.blocks.block import Block
 from twodof.blocks.conditions import EnabledAgain, TriggerEdge
-from twodof.blocks.declarations import Param, Port, narrowed
+from twodof.blocks.declarations import Param, Port, check_initial, narrowed
 from twodof.blocks.diagram import BASE, MAX_NESTED, Diagram, Part, Rate
 from twodof.blocks.expressions.graph import leaves
 from twodof.compile.program.flat_program import Condition, FlatParameter, FlatSignal, Node
-from twodof.errors import DiagramError
+from twodof.errors import DiagramError, shown
 
 MAX_DEPTH = 64
 MAX_LOOPS = 20  # algebraic loops that are listed; each costs a walk through the diagram
@@ -210,6 +210,8 @@ class FlatDiagram:
                     level.driver(name)
             for part in level.diagram.parts.values():
                 inner = level.parts.get(part.name)
+                if inner is not None:
+                    self._start(part, inner)
                 if isinstance(inner, Node):
                     inner.drivers = {
                         port.name: self._driver(level, part.name, port, inner.path) for port in inner.block.inputs
@@ -221,6 +223,20 @@ class FlatDiagram:
                     self._driver(level, part.name, port, inner.path)
                 if inner.condition is not None:
                     self._decide(level, part, inner, inner.condition)
+
+    def _start(self, part: Part, inner: Node | _Level) -> None:
+        """Give the signals of a part's outputs the initial values that it declares."""
+        for name, value in part.initial.items():
+            where = f"{inner.path}.{name}"
+            with self._reported():
+                signal = inner.outputs[name] if isinstance(inner, Node) else inner.driver(name)
+                if not signal.path.startswith(f"{inner.path}."):
+                    raise DiagramError("nothing inside computes it: it holds nothing", where, "leave its initial out")
+                found = check_initial(value, signal.kind, signal.width, where)
+                if signal.initial not in (None, found):
+                    what = f"{signal.path} starts at {shown(signal.initial)} and at {shown(found)}"
+                    raise DiagramError(what, where, "give one initial value")
+                signal.initial = found
 
     def _decide(self, level: _Level, part: Part, inner: _Level, condition: Condition) -> None:
         """Give a sub-diagram's condition its signals, with the nodes that the language adds for them."""

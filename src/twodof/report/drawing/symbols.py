@@ -117,6 +117,7 @@ def _block(part: Part, block: Block) -> BlockSymbol:
                 lines.append(f"{p.name} = {value_text(part, block, p.name)}{unit}")
     elif block.params:
         lines.append(f"{len(block.params)} parameters")
+    lines += _starts(part)
     units = {p.name: p.unit for p in (*block.inputs, *block.outputs)}
     outputs = [(p.name, units[p.name]) for p in block.outputs]
     signs = block.signs if isinstance(block, Sum) else ""  # of a sum with more inputs than a circle has places for
@@ -126,6 +127,7 @@ def _block(part: Part, block: Block) -> BlockSymbol:
 def _subdiagram(part: Part, diagram: Diagram) -> BlockSymbol:
     count = len(diagram.parts)
     lines = [f"{count} part{'s' if count != 1 else ''}"] if count else []
+    lines += _starts(part)
     lines += [f"at {part.edge} edges"] if part.trigger else []
     lines += ["starts afresh when enabled"] if part.enabling == "restart" else []
     lines += [f"{inner} = {outer}" for inner, outer in part.params.items() if inner != outer][:MANY_PARAMETERS]
@@ -171,6 +173,10 @@ def _rectangle(
     pins = [at - 4.0 for at in rows]
     box = Box(width, height, pins[: len(inputs)], pins[: len(outputs)])
     return BlockSymbol(box, shapes, texts, f"{part.name}: {kind}".rstrip(": "))
+
+
+def _starts(part: Part) -> list[str]:
+    return [f"{output} starts at {_number(value)}" for output, value in part.initial.items()][:MANY_PARAMETERS]
 
 
 def _rate(part: Part) -> list[str]:
