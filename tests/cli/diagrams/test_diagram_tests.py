@@ -68,3 +68,21 @@ def test_machines_get_json_junit_and_a_page(
     )
     assert run([*arguments, "--junit", str(junit)]) == 2
     assert "there already" in capfd.readouterr().err
+
+
+def test_coverage_says_what_was_never_taken_and_can_fail(tests: list[str], capfd: pytest.CaptureFixture[str]) -> None:
+    arguments = ["diagram", "test", "pid-attitude", tests[0], "--target", "reference"]
+    assert run([*arguments, "--coverage"]) == 0
+    out = capfd.readouterr().out
+    counts = re.search(r"coverage: (\d+) of the (\d+) sides of \d+ decisions were taken, ([\d.]+) %", out)
+    assert counts
+    number, sides, percent = int(counts[1]), int(counts[2]), float(counts[3])
+    assert percent == pytest.approx(100.0 * number / sides, abs=0.05)
+    assert len(out.partition("never taken:\n")[2].splitlines()) == 1 + sides - number  # with the head of the table
+    assert re.search(r"^pid +output M +u\.clear +true", out, re.MULTILINE)
+    assert run([*arguments, "--coverage-min", "100"]) == 1
+    assert "FAILED coverage: below 100 %" in capfd.readouterr().out
+    assert run([*arguments, "--coverage-min", str(percent - 1.0), "--json"]) == 0
+    found = json.loads(capfd.readouterr().out)["coverage"]
+    assert found["sides"] == sides
+    assert sum(len(row["taken"]) for row in found["decisions"]) == number

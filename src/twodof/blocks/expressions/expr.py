@@ -22,12 +22,12 @@ from twodof.errors import DiagramError
 
 KINDS = ("real", "int32", "uint32", "bool")
 LANGUAGE = "twodof.blocks.expressions."  # frames of its modules are not the user's
-LOOPS = ("build", "fold")
 LEAVES = ("const", "input", "state", "param", "tick", "dt", "bound")
 
 _table: WeakValueDictionary[tuple[Any, ...], Expr] = WeakValueDictionary()
 _tracing: ContextVar[str] = ContextVar("tracing", default="")
 _room: ContextVar[list[int] | None] = ContextVar("room", default=None)  # nodes that may still be recorded
+_lines: ContextVar[dict[int, str] | None] = ContextVar("lines", default=None)
 
 
 @contextmanager
@@ -45,9 +45,22 @@ def at_most(nodes: int) -> AbstractContextManager[None]:
     return during(_room, [nodes])
 
 
+def noting_lines(lines: dict[int, str]) -> AbstractContextManager[None]:
+    """Note in `lines`, by the id of each operation, the user's file and line at which the enclosed code records it."""
+    return during(_lines, lines)
+
+
 def tracing(path: str) -> AbstractContextManager[None]:
     """Name the block that is being traced, for the errors that its code may cause."""
     return during(_tracing, path)
+
+
+def _users_line() -> str:
+    """The innermost line that is outside the language and its library, as FILE:LINE."""
+    frame = sys._getframe(1)
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("twodof.blocks."):
+        frame = frame.f_back
+    return f"{frame.f_code.co_filename}:{frame.f_lineno}"
 
 
 def fault(what: str, remedy: str) -> DiagramError:
@@ -69,10 +82,9 @@ class Expr:
     """A node: `op` on `args`, of type `kind`, an array of `width` elements unless `width` is None.
 
     `data` holds what is not an expression: a constant's value, a leaf's name, a loop's length, a called function.
-    `loops` says of which loops around it the node reads the counter or a carried value: bit d for the loop of depth d.
     """
 
-    __slots__ = ("__weakref__", "args", "data", "kind", "loops", "op", "width")
+    __slots__ = ("__weakref__", "args", "data", "kind", "op", "width")
     __array_ufunc__ = None  # numpy must not make object arrays of these
 
     op: str
@@ -80,19 +92,6 @@ class Expr:
     width: int | None
     args: tuple[Expr, ...]
     data: Any
-    loops: int
-
-    @property
-    def outside(self) -> tuple[Expr, ...]:
-        """The arguments evaluated outside a node's loop: all of them, a fold's initial values, none of a build's."""
-        if self.op == "build":
-            return ()
-        return self.args[: len(self.args) // 2] if self.op == "fold" else self.args
-
-    @property
-    def bodies(self) -> tuple[Expr, ...]:
-        """What a loop evaluates at each turn; none of other nodes."""
-        return self.args[len(self.outside) :]
 
     def __hash__(self) -> int:
         return id(self)
@@ -220,22 +219,10 @@ def node(op: str, kind: str, args: tuple[Expr, ...] = (), data: Any = None, widt
                 raise DiagramError("it records too many operations", _tracing.get(), "compute less, or in loops")
         found = Expr.__new__(Expr)
         found.op, found.kind, found.width, found.args, found.data = op, kind, width, args, data
-        found.loops = _loops(found)
         _table[key] = found
-    return found
-
-
-def _loops(item: Expr) -> int:
-    if item.op == "bound":
-        depth: int = item.data[0]
-        return 1 << depth
-    found = 0
-    for body in item.bodies if item.op in LOOPS else ():
-        found |= body.loops
-    if found:
-        found &= ~(1 << item.data[1])
-    for a in item.outside:
-        found |= a.loops
+    lines = _lines.get()
+    if lines is not None and args and id(found) not in lines:
+        lines[id(found)] = _users_line()
     return found
 
 

@@ -21,6 +21,9 @@ from twodof.blocks.machine import Machine
 from twodof.blocks.reference.hierarchy import Cell, DiagramLevel, Hierarchy, PortOf
 from twodof.errors import DiagramError
 
+Watch = Callable[[Cell, str, Mapping[str, Any], tuple[Any, ...]], None]
+"""Is told what a block's method gave, as far as it counts: the cell, the method, values by name, and what it saw."""
+
 
 class Reference:
     """A diagram ready to be interpreted: `dt` [s] the base tick, `log` paths of further signals to return.
@@ -50,9 +53,9 @@ class Reference:
         self.signals: dict[str, PortOf | str] = {n: resolve(s) for n, s in diagram.outputs.items() if s}
         self.signals |= {path: self.hierarchy.signal(path) for path in self.log}
 
-    def machine(self) -> ReferenceMachine:
-        """A fresh instance in its initial state."""
-        return ReferenceMachine(self)
+    def machine(self, watch: Watch | None = None) -> ReferenceMachine:
+        """A fresh instance in its initial state, which shows `watch` all that its blocks compute."""
+        return ReferenceMachine(self, watch)
 
 
 _Place = tuple[dict[str, Any], str]
@@ -65,8 +68,9 @@ class _Run:
     The dictionaries live as long as the run: the methods' views and the readers of the outputs refer to them.
     """
 
-    def __init__(self, cell: Cell, clock: Clock) -> None:
+    def __init__(self, cell: Cell, clock: Clock, watch: Watch | None) -> None:
         self.cell = cell
+        self.watch = watch
         self.t = clock
         self.u = {p.name: _zero(p) for p in cell.block.inputs}
         self.x: dict[str, Any] = {}
@@ -87,6 +91,12 @@ class _Run:
         self.update = _Method(self, cell.block.update, self.discrete)
         self.derivative = _Method(self, cell.block.derivative, self.continuous)
         self.project = _Method(self, cell.block.project, self.continuous)
+
+    def told(self, method: str, values: dict[str, Any]) -> dict[str, Any]:
+        """What a method gave, after it was shown to who watches."""
+        if self.watch is not None:
+            self.watch(self.cell, method, values, self.seen)
+        return values
 
     def feed(self) -> None:
         u = self.u
@@ -122,7 +132,7 @@ class _Method:
 class ReferenceMachine(Machine):
     """One running instance of a diagram on plain numbers."""
 
-    def __init__(self, program: Reference) -> None:
+    def __init__(self, program: Reference, watch: Watch | None = None) -> None:
         self.program = program
         self.hierarchy = program.hierarchy
         diagram = program.diagram
@@ -134,7 +144,7 @@ class ReferenceMachine(Machine):
             self._runs: dict[str, _Run] = {}
             for cell in self.hierarchy.cells:
                 dt = numbers.real_type()(program.dt * cell.rate.divider)
-                self._runs[cell.path] = _Run(cell, Clock(UInt32(0), dt, self._real_dt))
+                self._runs[cell.path] = _Run(cell, Clock(UInt32(0), dt, self._real_dt), watch)
         for run in self._runs.values():
             run.feeds = [(port, *self._place(driver)) for port, driver in run.cell.drivers.items()]
             run.enables = [self._place(enable) for level in run.cell.levels for enable in level.enables]
@@ -215,7 +225,7 @@ class ReferenceMachine(Machine):
         self._outputs()
         logged = {name: values[key] for name, values, key in self._logged}
         active = [run for run in self._runs.values() if run.active]
-        updates = [(run, run.update()) for run in active if run.discrete]
+        updates = [(run, run.told("update", run.update())) for run in active if run.discrete]
         states = self._integrate([run for run in active if run.continuous])
         for run, new in [*updates, *states]:
             run.x.update(new)
@@ -235,6 +245,9 @@ class ReferenceMachine(Machine):
                     if port in edges:
                         fraction, after = edges[port]
                         run.after[port] = numbers.cast(fraction, "real"), numbers.cast(after, "real")
+                if run.watch is not None:
+                    run.told("output", {port: fresh[port] for port in ports})
+                    run.told("edges", {port: run.after[port] for port in ports if port in edges})
             elif run.cell.rate.due(self.tick) and not all(values[key] for values, key in run.clears):
                 run.clear_outputs()
         for run in self._without_outputs:
@@ -273,7 +286,7 @@ class ReferenceMachine(Machine):
         for run, u, x in held:
             integrated = {c.name: run.x[c.name] for c in run.continuous}
             run.u.update(u)
-            new.append((run, integrated | run.project()))
+            new.append((run, integrated | run.told("project", run.project())))
             run.x.update(x)
         for run, y in held_y:
             run.y.update(y)
@@ -313,9 +326,11 @@ class ReferenceMachine(Machine):
                 fresh = run.output()
                 for port in ports:
                     run.y[port] = fresh[port]
+                if run.watch is not None:
+                    run.told("output", {port: fresh[port] for port in ports})
         for run in runs:
             run.feed()
-        return [run.derivative() for run in runs]
+        return [run.told("derivative", run.derivative()) for run in runs]
 
     def _prepare(self, run: _Run) -> None:
         cell = run.cell
@@ -325,6 +340,7 @@ class ReferenceMachine(Machine):
         derived = names_given(cell.path, "prepare", result, cell.block.derived)
         run.p.update(given)
         run.p.update({d.name: _number(derived[d.name], d, cell.path) for d in cell.block.derived})
+        run.told("prepare", {d.name: run.p[d.name] for d in cell.block.derived})
 
     def _initial(self, run: _Run) -> dict[str, Any]:
         return {

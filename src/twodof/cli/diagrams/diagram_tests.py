@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from rich.table import Table
 
 from twodof.cli.options import RealType
 from twodof.cli.output import Force, Json, print_json, table_console
+from twodof.compile.diagram_test.coverage.coverage import Coverage, measure_coverage
 from twodof.compile.diagram_test.judgement import ScenarioResult
 from twodof.compile.diagram_test.junit import to_junit
 from twodof.compile.diagram_test.run_scenarios import run_scenarios
@@ -35,30 +37,45 @@ def run_tests(
     precision: Annotated[RealType, typer.Option(help="The type of a real.")] = RealType.float64,
     junit: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the results as JUnit XML.")] = None,
     html: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a page with plots of what failed.")] = None,
+    coverage: Annotated[bool, typer.Option("--coverage", help="Say which decisions were never taken.")] = False,
+    coverage_min: Annotated[
+        float | None, typer.Option(metavar="PERCENT", min=0.0, max=100.0, help="Fail if fewer sides are taken.")
+    ] = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Run tests of a diagram: what goes in, and what must hold of what comes out. Exit status 1 if one fails."""
+    """Run tests of a diagram: what goes in, and what must hold of what comes out. Exit status 1 if one fails.
+
+    Coverage is measured on the reference, in the same precision: each limit, switch and condition has two sides.
+    """
     for path in filter(None, (junit, html)):
         check_folder(path, force)
     tested = load_diagram(diagram)
     results: dict[str, list[ScenarioResult]] = {}
+    covered = Coverage() if coverage or coverage_min is not None else None
     for file in tests:
         given = read_scenarios(file)
-        results[str(file)] = run_scenarios(
-            tested, given.scenarios, given.dt, precision.value, target.value, given.integrator
-        )
+        found = run_scenarios(tested, given.scenarios, given.dt, precision.value, target.value, given.integrator)
+        results[str(file)] = found
+        if covered is not None:
+            covered.add(measure_coverage(tested, given.scenarios, given.dt, precision.value, given.integrator, found))
     every = [one for found in results.values() for one in found]
     if junit is not None:
         _write(junit, to_junit(results))
     if html is not None:
         page = importlib.import_module("twodof.report.pages.failed_tests_page")  # matplotlib takes a second to load
         _write(html, page.failed_tests_page(tested.name, every))
-    passed = all(one.passed for one in every)
+    enough = covered is None or 100.0 * covered.share >= (coverage_min or 0.0)
+    passed = enough and all(one.passed for one in every)
     if json:
-        print_json({"passed": passed, "files": {file: list(map(_plain, found)) for file, found in results.items()}})
+        files = {file: list(map(_plain, found)) for file, found in results.items()}
+        print_json({"passed": passed, "files": files, "coverage": covered and _plain_coverage(covered)})
     else:
         _print(results)
+        if covered is not None:
+            _print_coverage(covered)
+        if not enough:
+            table_console().print(f"  FAILED coverage: below {coverage_min:g} %")
         for path in filter(None, (junit, html)):
             table_console().print(f"written: {path}")
     if not passed:
@@ -83,3 +100,27 @@ def _print(results: dict[str, list[ScenarioResult]]) -> None:
                 console.print(f"  {'ok    ' if j.passed else 'FAILED'} {result.name}: {j.check}: {j.text}")
     every = [one for found in results.values() for one in found]
     console.print(f"{sum(one.passed for one in every)} of {len(every)} tests passed")
+
+
+def _plain_coverage(covered: Coverage) -> dict[str, Any]:
+    rows = [
+        {**asdict(d), "taken": [side for i, side in enumerate(d.sides) if i in taken]}
+        for d, taken in covered.taken.items()
+    ]
+    return {"percent": 100.0 * covered.share, "sides": covered.sides, "decisions": rows}
+
+
+def _print_coverage(covered: Coverage) -> None:
+    console = table_console()
+    missing = covered.missing
+    console.print(
+        f"coverage: {covered.sides - len(missing)} of the {covered.sides} sides of {len(covered.taken)} decisions were "
+        f"taken, {100.0 * covered.share:.1f} %"
+    )
+    if missing:
+        console.print("never taken:")
+        table = Table("block", "where", "decision", "side", box=None, pad_edge=False)
+        for decision, side in missing:
+            place = decision.place or decision.kind
+            table.add_row(decision.path, place, decision.text, side)
+        console.print(table)

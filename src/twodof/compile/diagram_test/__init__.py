@@ -4,6 +4,8 @@ The same from a file (`twodof diagram test`) and in Python, for use inside pytes
 """
 
 from twodof.compile.diagram_test.assertions import Assertion, Reaches, Stays, assertion
+from twodof.compile.diagram_test.coverage.coverage import Coverage, measure_coverage
+from twodof.compile.diagram_test.coverage.decisions import Decision
 from twodof.compile.diagram_test.input_signals import InputSignal, PointsInput, RampInput, SineInput, StepInput
 from twodof.compile.diagram_test.judgement import Judgement, ScenarioResult
 from twodof.compile.diagram_test.junit import to_junit
@@ -14,6 +16,8 @@ from twodof.compile.diagram_test.signal_table import SignalTable, read_table, ta
 
 __all__ = [
     "Assertion",
+    "Coverage",
+    "Decision",
     "ExpectedTable",
     "InputSignal",
     "Judgement",
@@ -28,6 +32,7 @@ __all__ = [
     "Stays",
     "StepInput",
     "assertion",
+    "measure_coverage",
     "read_scenarios",
     "read_table",
     "run_scenario",

@@ -1,0 +1,1 @@
+"""Which decisions of a diagram its tests took."""

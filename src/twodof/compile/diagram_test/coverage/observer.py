@@ -1,0 +1,105 @@
+"""DecisionObserver: watches the reference run, and notes which sides of each condition were taken."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from twodof.blocks.elementary.functions import FUNCTIONS
+from twodof.blocks.expressions import numbers
+from twodof.blocks.expressions.expr import Expr
+from twodof.blocks.expressions.graph import evaluate, outside, walk
+from twodof.blocks.reference.hierarchy import Cell
+from twodof.compile.diagram_test.coverage.decisions import Decision, bare, conditions, sections_of
+from twodof.errors import DiagramError
+
+_LOOPS = ("build", "fold")
+
+
+class DecisionObserver:
+    """Recomputes what each method of a block gave from its recorded expressions, on the numbers of the run.
+
+    A condition counts where its result is used: of a `where` within the side that another one does not take, nothing
+    counts. `taken` holds the sides (0: true, 1: false) by decision. Call it as a `Watch` of a reference machine.
+    """
+
+    def __init__(self, cells: Iterable[Cell]) -> None:
+        self.taken: dict[Decision, set[int]] = {}
+        self._conditions: dict[str, dict[int, Decision]] = {}
+        self._roots: dict[tuple[str, str], dict[str, tuple[Expr, ...]]] = {}
+        for cell in cells:
+            if cell.path.rpartition(".")[2].startswith("_"):
+                continue  # what the language adds to decide over a sub-diagram: that is a decision of its own
+            found = conditions(cell.block, cell.path)
+            self.taken |= {decision: set() for decision in found.values()}
+            self._conditions[cell.path] = found
+            for method, exprs in sections_of(cell.block.trace).items():
+                if any(_chooses(item, found) for roots in exprs.values() for item in walk(roots)):
+                    self._roots[cell.path, method] = exprs
+
+    def __call__(self, cell: Cell, method: str, values: Mapping[str, Any], seen: Sequence[Any]) -> None:
+        """What a method of a running block gave. Raises DiagramError if its recorded expressions give another value."""
+        exprs = self._roots.get((cell.path, method))
+        if exprs is None:
+            return
+        u, x, p, t = seen
+        names = {"input": u, "state": x, "param": p, "tick": {"tick": t.tick}, "dt": {"dt": t.dt, "base_dt": t.base_dt}}
+        sight = _Sight(self._conditions[cell.path])
+        roots = [root for name in values for root in exprs[name]]
+        again = evaluate(roots, lambda leaf: names[leaf.op][leaf.data], FUNCTIONS, sight)
+        given = [v for value in values.values() for v in (value if method == "edges" else (value,))]
+        if list(map(_bits, again)) != list(map(_bits, given)):
+            raise DiagramError(
+                f"{method} gives another value than what it recorded when it was traced",
+                cell.path,
+                "let it depend on u, x, p and t only",
+            )
+        for decision, side in sight.taken(roots):
+            self.taken[decision].add(side)
+
+
+def _bits(value: Any) -> str:
+    """Equal for equal bits; of NaN there is one."""
+    return repr(numbers.plain(value))
+
+
+class _Sight:
+    """What one evaluation took. Bodies of loops are evaluated first, so what they took waits until the loop counts."""
+
+    def __init__(self, known: Mapping[int, Decision]) -> None:
+        self._known = known
+        self._waiting: dict[tuple[int, ...], set[tuple[Decision, int]]] = {}
+
+    def __call__(self, roots: Sequence[Expr], order: Sequence[Expr], values: Mapping[int, Any]) -> None:
+        """The nodes computed for `roots`, arguments first, and all values by id."""
+        bodies = {id(item): _key(_bodies(item)) for item in order if item.op in _LOOPS}
+        within = {key: self._waiting.pop(key, set()) for key in set(bodies.values())}
+        taken = self._waiting.setdefault(_key(roots), set())
+        counts = set(map(id, roots))
+        for item in reversed(order):
+            if id(item) not in counts:
+                continue
+            if id(item) in self._known:
+                taken.add((self._known[id(item)], 0 if values[id(item)] else 1))
+            if id(item) in bodies:
+                taken |= within[bodies[id(item)]]
+                counts.update(id(below) for below in walk(_bodies(item)))
+            if item.op == "where":
+                counts.add(id(item.args[0]))
+                counts.add(id(item.args[1] if values[id(item.args[0])] else item.args[2]))
+            else:
+                counts.update(map(id, outside(item)))
+
+    def taken(self, roots: Sequence[Expr]) -> set[tuple[Decision, int]]:
+        """What the evaluation of `roots` took."""
+        return self._waiting.get(_key(roots), set())
+
+
+def _bodies(loop: Expr) -> tuple[Expr, ...]:
+    return loop.args[len(outside(loop)) :]
+
+
+def _key(roots: Sequence[Expr]) -> tuple[int, ...]:
+    return tuple(map(id, roots))
+
+
+def _chooses(item: Expr, known: Mapping[int, Decision]) -> bool:
+    return item.op in ("where", "and", "or") and any(id(bare(a)[0]) in known for a in item.args)
