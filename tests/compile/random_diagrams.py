@@ -58,6 +58,13 @@ LIBRARY: tuple[Any, ...] = (
     lambda r: lib.Convert("uint32", "real"),
     lambda r: lib.Rounding("floor"),
 )
+LATER: tuple[Any, ...] = (
+    lambda r: lib.FirstTrue(3),
+    lambda r: lib.CaseChoice(((0, 5), (-1, 2))),
+    lambda r: lib.Merge(2, r.uniform(-2, 2)),
+    lambda r: lib.Merge(3, width=3),
+)
+"""What came later is drawn by itself."""
 CONTINUOUS: tuple[Any, ...] = (
     lambda r: lib.Integrator(),
     lambda r: lib.FirstOrder(1.5, 0.3),
@@ -178,6 +185,8 @@ class Maker:
         what = r.random()
         if what < 0.4:
             made: Block = r.choice(LIBRARY)(r)
+            if self.more.random() < 0.15:
+                made = self.more.choice(LATER)(self.more)
         elif what < 0.75 or rate != (1, 0):
             made = RandomBlock(r.randrange(2**31), size=self.size)
         elif what < 0.85:

@@ -12,8 +12,9 @@ from typing import Any
 
 from tests.compile.differential import Case
 from twodof.blocks import Block, Diagram, Port, State
+from twodof.blocks.action_group import action_group
 from twodof.blocks.conditions import EDGES
-from twodof.blocks.library import CompareToConstant, Mux, ZeroOrderHold
+from twodof.blocks.library import CompareToConstant, Constant, Gain, Mux, ZeroOrderHold
 
 Row = Mapping[str, Any]
 STEPS = 120
@@ -203,3 +204,66 @@ def starting_elsewhere() -> Told:
         before = row["on"]
         expected.append({"late": late, **{f"{part}_{n}": v for part, now in y.items() for n, v in now.items()}})
     return Told(Case(d, [], given, {}), expected)
+
+
+def scaled(name: str, factor: float) -> Diagram:
+    """u * factor, how often it has acted since it started, and the two as an array."""
+    d = Diagram(name)
+    d.input("u")
+    d.add("gain", Gain(factor), u="u")
+    d.add("one", Constant(1.0))
+    d.add("count", Total(), u="one")
+    d.add("pair", Mux(2), a="gain", b="count")
+    d.output("y", "gain")
+    d.output("count", "count")
+    d.output("pair", "pair")
+    return d
+
+
+def acting(case: Diagram, parts: dict[str, float], turns: Sequence[str], given: list[dict[str, Any]]) -> Told:
+    """What an action group gives whose parts act in these `turns`, "" being nobody's; they start afresh."""
+    count = dict.fromkeys(parts, 10.0)
+    now: Row = {"y": 0.0, "count": -1.0, "pair": [0.0, 0.0]}
+    expected, before = [], next(iter(parts))
+    for row, turn in zip(given, turns, strict=True):
+        if turn:
+            count[turn] = (count[turn] if turn == before else 10.0) + 1.0
+            y = row["u"] * parts[turn]
+            now = {"y": y, "count": count[turn], "pair": [y, count[turn]]}
+        before = turn
+        expected.append(now)
+    return Told(Case(case, [], given, {}), expected)
+
+
+def group_of(factors: dict[str, float], name: str, **options: Any) -> Diagram:
+    """A group within a diagram, whose inputs and outputs are the group's."""
+    actions = {action: scaled(action, factor) for action, factor in factors.items()}
+    otherwise = actions.pop("otherwise", None)
+    group = action_group("group", actions, otherwise, enabling="restart", initial={"count": -1.0}, **options)
+    d = Diagram(name)
+    for port in group.inputs.values():
+        d.input(port.name, port.kind)
+    d.add("group", group, inputs={n: n for n in group.inputs})
+    for output in group.outputs:
+        d.output(output, f"group.{output}")
+    return d
+
+
+@told
+def if_else() -> Told:
+    """if, else if, else: conditions in order, exactly one part acts and starts afresh."""
+    factors = {"first": 2.0, "second": 3.0, "otherwise": 5.0}
+    given = rows(4, ("if_first", "if_second"))
+    given[0] |= {"if_first": True}
+    turns = ["first" if r["if_first"] else "second" if r["if_second"] else "otherwise" for r in given]
+    return acting(group_of(factors, "if_else"), factors, turns, given)
+
+
+@told
+def switch_case() -> Told:
+    """switch without default: where no part acts the last one's value stays. The first case that names 2 has it."""
+    factors = {"low": 2.0, "high": 3.0}
+    d = group_of(factors, "switch_case", values={"low": [-1, 2], "high": [2, 5, 5]})
+    given = [{"u": row["u"], "case": 2 if k == 0 else int(row["u"])} for k, row in enumerate(rows(5, ()))]
+    turns = ["low" if r["case"] in (-1, 2) else "high" if r["case"] == 5 else "" for r in given]
+    return acting(d, factors, turns, given)

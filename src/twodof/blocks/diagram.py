@@ -266,3 +266,18 @@ def port_names(item: Block | Diagram, direction: str) -> list[str]:
     if isinstance(item, Block):
         return [p.name for p in (item.inputs if direction == "input" else item.outputs)]
     return list(item.inputs if direction == "input" else item.outputs)
+
+
+def carried(item: Block | Diagram, output: str) -> Port | None:
+    """What comes out of an output; None if that leads nowhere in a sub-diagram."""
+    for _ in range(64):
+        if isinstance(item, Block):
+            return next(p for p in item.outputs if p.name == output)
+        source = item.outputs.get(output)
+        if source is None:
+            return None
+        part, port = item.source(source)
+        if part is None:
+            return item.inputs[port]
+        item, output = item.parts[part].item, port
+    return None

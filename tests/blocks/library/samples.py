@@ -28,6 +28,7 @@ EXTRA: dict[str, list[Config]] = {
         *({"operation": o} for o in ("or", "xor", "left", "right")),
         {"operation": "right", "kind": "int32", "width": 2},
     ],
+    "case_choice": [{"cases": [[3, -1], [0], [3, 2**31 - 1]]}, {"cases": [[1], [1]]}],
     "compare": [*({"operation": o} for o in _COMPARISONS), {"kind": "int32"}, {"kind": "uint32", "width": 2}],
     "compare_to_constant": [
         *({"operation": o, "constant": 0.5} for o in _COMPARISONS),
@@ -70,6 +71,7 @@ EXTRA: dict[str, list[Config]] = {
     "edge_detector": [{"edge": "falling"}, {"edge": "either", "initial": True}],
     "elementary": [*({"function": f} for f in ("log", "sqrt", "square", "reciprocal")), {"width": 2}],
     "first_order": [{"gain": 2.0, "time_constant": 0.05, "initial": 0.3}],
+    "first_true": [{"conditions": 1}, {"conditions": 5}],
     "flip_flop": [{"dominant": "set", "initial": True}],
     "fractional_delay": [
         {"delay": 0.0093, "samples": 5, "initial": 0.5},
@@ -94,6 +96,7 @@ EXTRA: dict[str, list[Config]] = {
     "low_pass_2": [{"cutoff": 400.0, "initial": 1.0}],
     "matrix_gain": [{"K": _MATRIX}, {"K": _MATRIX[:1]}, {"K": [[1.0], [2.0]]}],
     "maximum": [{"inputs": 3, "width": 2}, {"kind": "int32"}],
+    "merge": [{"inputs": 3, "initial": [1.0, 2.0], "width": 2}, {"initial": True, "kind": "bool"}],
     "minimum": [{"inputs": 3, "width": 2}, {"kind": "uint32"}],
     "moving_average": [{"samples": 7, "initial": 0.2}],
     "multiport_switch": [{"inputs": 3, "kind": "int32"}, {"inputs": 4, "width": 2}],

@@ -1,15 +1,28 @@
-"""Signal routing: switches, mux, demux, selector."""
+"""Signal routing: switches, mux, demux, selector, the choice of one action among several and the merge of theirs."""
 
 from collections.abc import Sequence
+from functools import reduce
+from operator import and_, or_
 from typing import Any
 
 from twodof.blocks.block import Block, Clock, library_block
-from twodof.blocks.declarations import MAX_WIDTH, Port
+from twodof.blocks.declarations import MAX_WIDTH, Param, Port, State
 from twodof.blocks.elementwise import count, counts, elementwise, port_series
 from twodof.blocks.expressions.arrays import vector
-from twodof.blocks.expressions.expr import where
+from twodof.blocks.expressions.expr import int32, where
 
-__all__ = ["Concatenate", "Demux", "Index", "MultiportSwitch", "Mux", "Selector", "Switch"]
+__all__ = [
+    "CaseChoice",
+    "Concatenate",
+    "Demux",
+    "FirstTrue",
+    "Index",
+    "Merge",
+    "MultiportSwitch",
+    "Mux",
+    "Selector",
+    "Switch",
+]
 
 
 @library_block("switch")
@@ -111,3 +124,79 @@ class Concatenate(Block):
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         return vector([u[n][i] for n, w in zip(self.names, self.widths, strict=True) for i in range(w)])
+
+
+@library_block("first_true")
+class FirstTrue(Block):
+    """if, else if, else: of the conditions a, b, ... the output of the first true one is true, else `otherwise` is.
+
+    Exactly one output is true. `action_group` (module `twodof.blocks.action_group`) makes sub-diagrams act by it.
+    """
+
+    def __init__(self, conditions: int = 2) -> None:
+        self.names = port_series(conditions, "FirstTrue")
+        self.inputs = [Port(name, "bool") for name in self.names]
+        self.outputs = [Port(name, "bool") for name in (*self.names, "otherwise")]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        found: dict[str, Any] = {}
+        none: Any = None  # whether none was true so far
+        for name in self.names:
+            found[name] = u[name] if none is None else u[name] & none
+            none = ~u[name] if none is None else none & ~u[name]
+        return {**found, "otherwise": none}
+
+
+@library_block("case_choice")
+class CaseChoice(Block):
+    """switch: the output of the first case that has the int32 u among its values is true, else `otherwise` is.
+
+    `cases` are lists of whole numbers, one for each output a, b, ...; exactly one output is true.
+    """
+
+    def __init__(self, cases: Sequence[Sequence[int]] = ((0,), (1,))) -> None:
+        self.names = port_series(len(cases), "CaseChoice")
+        self.cases = [counts(values, -(2**31), 2**31 - 1, "CaseChoice", "case") for values in cases]
+        for values in self.cases:
+            count(len(values), 1, MAX_WIDTH, "CaseChoice", "number of values of a case")
+        self.inputs = [Port("u", "int32")]
+        self.outputs = [Port(name, "bool") for name in (*self.names, "otherwise")]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        found: dict[str, Any] = {}
+        seen: set[int] = set()
+        for name, values in zip(self.names, self.cases, strict=True):
+            fresh = [v for v in dict.fromkeys(values) if v not in seen]  # the first case that has a value gets it
+            seen.update(fresh)
+            found[name] = reduce(or_, (u.u == int32(v) for v in fresh)) if fresh else False
+        return {**found, "otherwise": reduce(and_, (u.u != int32(v) for v in sorted(seen)))}
+
+
+@library_block("merge")
+class Merge(Block):
+    """y is the input whose part acts: a where `a_acts`, else b where `b_acts`, ...; where none acts the last y stays.
+
+    Before the first y is `initial`. For the outputs of parts of which at most one acts at a time.
+    """
+
+    def __init__(
+        self, inputs: int = 2, initial: Any = 0, kind: str = "real", width: int | None = None, unit: str = ""
+    ) -> None:
+        self.names = port_series(inputs, "Merge")
+        self.inputs = [Port(name, kind, width, unit) for name in self.names]
+        self.inputs += [Port(f"{name}_acts", "bool") for name in self.names]
+        self.outputs = [Port("y", kind, width, unit)]
+        self.params = [Param("initial", initial, kind, width, unit)]
+        self.states = [State("x", "initial", kind, width, unit)]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        def of(last: Any, *values: Any) -> Any:
+            y = last
+            for name, value in reversed(list(zip(self.names, values, strict=True))):
+                y = where(u[f"{name}_acts"], value, y)
+            return y
+
+        return elementwise(of, x.x, *(u[name] for name in self.names))
+
+    def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return self.output(u, x, p, t)

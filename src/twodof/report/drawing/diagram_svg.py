@@ -7,7 +7,7 @@ from html import escape as escape_html
 
 from twodof.blocks.block import Block
 from twodof.blocks.declarations import Port
-from twodof.blocks.diagram import CONDITIONS, Diagram, Part
+from twodof.blocks.diagram import CONDITIONS, Diagram, Part, carried
 from twodof.errors import DiagramError
 from twodof.report.drawing.layered_layout import Box, GraphLayout, Net, layout
 from twodof.report.drawing.symbols import (
@@ -176,7 +176,7 @@ def _nets(
             item = diagram.parts[part].item
             names = [p.name for p in item.outputs] if isinstance(item, Block) else list(item.outputs)
             pin = place[part, ""], names.index(port)
-            about[pin] = f"{part}.{port}", _carried(item, port)
+            about[pin] = f"{part}.{port}", carried(item, port)
         sinks.setdefault(pin, []).append(to)
 
     for part in diagram.parts.values():
@@ -189,21 +189,6 @@ def _nets(
             drive(source, (place["", name], 0))
     ordered = sorted(sinks)
     return [Net(pin, tuple(sinks[pin])) for pin in ordered], [about[pin] for pin in ordered]
-
-
-def _carried(item: Block | Diagram, output: str) -> Port | None:
-    """What comes out of an output; None if that leads nowhere in a sub-diagram."""
-    for _ in range(64):
-        if isinstance(item, Block):
-            return next(p for p in item.outputs if p.name == output)
-        source = item.outputs.get(output)
-        if source is None:
-            return None
-        part, port = item.source(source)
-        if part is None:
-            return item.inputs[port]
-        item, output = item.parts[part].item, port
-    return None
 
 
 def _frame(part: Part, diagram: Diagram, shown: Drawing) -> BlockSymbol:

@@ -1,0 +1,97 @@
+"""Action groups: several sub-diagrams of which one acts at a time, with their outputs merged."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from twodof.blocks.declarations import Port, shape
+from twodof.blocks.diagram import Diagram, carried
+from twodof.blocks.library.routing import CaseChoice, FirstTrue, Merge
+from twodof.errors import DiagramError, listed, shown
+
+__all__ = ["action_group"]
+
+
+def action_group(
+    name: str,
+    actions: Mapping[str, Diagram],
+    otherwise: Diagram | None = None,
+    *,
+    values: Mapping[str, Sequence[int]] | None = None,
+    enabling: str = "keep",
+    initial: Mapping[str, Any] | None = None,
+) -> Diagram:
+    """A diagram in which the first of `actions` acts whose condition is true, else `otherwise` if it is given.
+
+    Its conditions are bool inputs "if_" + the action's name, in the order of `actions`. With `values` there is one
+    int32 input `case` instead, and an action acts where it has one of its values. The other inputs are those of the
+    actions, by name. Each output is that of the action that acts. Where none acts it stays, from `initial` (0) on.
+    `enabling="restart"` lets an action start afresh when its turn comes.
+
+    Raises DiagramError for actions whose outputs, or whose inputs of one name, differ in name, type or width.
+    """
+    d = Diagram(name)
+    parts = dict(actions) if otherwise is None else {**actions, "otherwise": otherwise}
+    if not actions or (otherwise is not None and "otherwise" in actions):
+        raise DiagramError(f"the actions {listed(actions)}", name, 'name one or more, none of them "otherwise"')
+    if values is None:
+        conditions = {letter: d.input(f"if_{action}", "bool") for letter, action in _lettered(actions)}
+        d.add("choice", FirstTrue(len(actions)), inputs=conditions)
+    else:
+        if list(values) != list(actions):
+            raise DiagramError(f"values of {listed(values)}", name, f"give values of {listed(actions)}, in that order")
+        d.input("case", "int32")
+        d.add("choice", CaseChoice([list(values[action]) for action in actions]), u="case")
+    acts = {action: f"choice.{letter}" for letter, action in _lettered(actions)} | {"otherwise": "choice.otherwise"}
+    first = next(iter(parts))
+    for action, item in parts.items():
+        if list(item.outputs) != list(parts[first].outputs):
+            raise DiagramError(
+                f"{action} has the outputs {listed(item.outputs)}, and {first} {listed(parts[first].outputs)}",
+                name,
+                "give all actions the same outputs",
+            )
+        for port in item.inputs.values():
+            _input(d, port)
+        d.add(action, item, enable=acts[action], enabling=enabling, inputs={n: n for n in item.inputs})
+    for output in initial or {}:
+        if output not in parts[first].outputs:
+            raise DiagramError(f"there is no output {shown(output)} to start", name, listed(parts[first].outputs))
+    for output in parts[first].outputs:
+        port = _alike(name, output, parts)
+        merge = Merge(len(parts), (initial or {}).get(output, 0), port.kind, port.width, port.unit)
+        fed = {letter: f"{action}.{output}" for letter, action in zip(merge.names, parts, strict=True)}
+        told = {f"{letter}_acts": acts[action] for letter, action in zip(merge.names, parts, strict=True)}
+        d.output(output, d.add(f"merge_{output}", merge, inputs={**fed, **told}))
+    return d
+
+
+def _lettered(actions: Mapping[str, Diagram]) -> list[tuple[str, str]]:
+    """The ports of a choice, and the actions that they are for."""
+    return list(zip(FirstTrue(len(actions)).names, actions, strict=True))
+
+
+def _input(d: Diagram, port: Port) -> None:
+    there = d.inputs.get(port.name)
+    if there is None:
+        d.input(port.name, port.kind, port.width, port.unit)
+    elif shape(there) != shape(port) or (there.unit and port.unit and there.unit != port.unit):
+        both = f"{shape(there)} [{there.unit}] and {shape(port)} [{port.unit}]"
+        raise DiagramError(f"two actions have an input {port.name!r}, of {both}", d.name, "rename one")
+    elif port.unit:
+        d.inputs[port.name] = replace(there, unit=port.unit)
+
+
+def _alike(name: str, output: str, parts: Mapping[str, Diagram]) -> Port:
+    """What the actions' output carries."""
+    found: dict[str, Port] = {}
+    for action, item in parts.items():
+        port = carried(item, output)
+        if port is None:
+            raise DiagramError("the output is not connected", f"{name}.{action}.{output}", "connect it or remove it")
+        found[shape(port)] = port
+    if len(found) > 1:
+        raise DiagramError(f"the actions' outputs {output!r} are {listed(found)}", name, "convert them to one type")
+    return next(iter(found.values()))

@@ -1,0 +1,57 @@
+"""What an action group refuses; what it does is in tests/compile/semantics.py."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from twodof.blocks import Diagram
+from twodof.blocks.action_group import action_group
+from twodof.blocks.library import Gain
+from twodof.errors import DiagramError
+
+
+def action(name: str, output: str = "y", width: int | None = None, unit: str = "") -> Diagram:
+    d = Diagram(name)
+    d.input("u", width=width, unit=unit)
+    d.add("gain", Gain(width=width), u="u")
+    d.output(output, "gain")
+    return d
+
+
+def broken() -> Diagram:
+    d = action("broken")
+    d.outputs["y"] = None
+    return d
+
+
+@pytest.mark.parametrize(
+    ("actions", "options", "complaint"),
+    [
+        ({}, {}, "name one or more"),
+        ({"otherwise": action("a")}, {"otherwise": action("b")}, 'none of them "otherwise"'),
+        ({"a": action("a"), "b": action("b", "z")}, {}, "b has the outputs z, and a y"),
+        (
+            {"a": action("a"), "b": action("b", width=3)},
+            {},
+            r"two actions have an input 'u', of real \[\] and real\[3\]",
+        ),
+        ({"a": action("a", unit="m"), "b": action("b", unit="s")}, {}, r"real \[m\] and real \[s\]"),
+        ({"a": action("a")}, {"values": {"b": [1]}}, "give values of a"),
+        ({"a": action("a")}, {"values": {"a": []}}, "number of values"),
+        ({"a": action("a")}, {"initial": {"z": 1.0}}, "no output 'z'"),
+        ({"choice": action("a")}, {}, "choice"),
+        ({"a": action("a"), "b": broken()}, {}, "group.b.y: the output is not connected"),
+    ],
+)
+def test_what_cannot_be_chosen_from_is_refused(actions: dict[str, Diagram], options: Any, complaint: str) -> None:
+    with pytest.raises(DiagramError, match=complaint) as caught:
+        action_group("group", actions, **options)
+    assert caught.value.remedy
+
+
+def test_each_input_of_a_merge_has_one_writer() -> None:
+    group = action_group("group", {"a": action("a")}, action("b"))
+    with pytest.raises(DiagramError, match="fed twice"):
+        group.connect("otherwise.y", "merge_y.a")
