@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -145,18 +146,38 @@ class Body:
             self.lines.append(f"{name}, {name}_2 = fold({r.randint(1, 4)}, {starts}, lambda {arguments}: {bodies})")
             self.pool.add(name, first)
             self.pool.add(f"{name}_2", second)
+        elif shape < 0.22:
+            kind, width = r.choice(KINDS), r.choice((2, 3, 3, 18))
+            self.let(name, f"array_of({width}, lambda i_{name}: {self.nested(name, kind)})", kind, width)
         else:
             kind = r.choice(KINDS)
             self.let(name, self.operation(kind), kind)
 
     def inner(self, counter: str, kind: str) -> str:
         """The element of a loop."""
+        with self.loop(counter):
+            return self.operation(kind, dear=False)
+
+    def nested(self, name: str, kind: str) -> str:
+        """The element of a loop that is computed in another loop, which may or may not read the outer one's counter."""
+        length = self.rng.randint(1, 4)
+        with self.loop(f"i_{name}") if self.rng.random() < 0.7 else nullcontext():
+            start = self.pick(kind)
+            with self.loop(f"j_{name}"):
+                if self.rng.random() < 0.5:
+                    return f"array_of({length}, lambda j_{name}: {self.operation(kind)})[i_{name}]"
+                self.pool.add(f"s_{name}", kind)
+                body = self.operation(kind, dear=False)
+                return f"fold({length}, [{start}], lambda j_{name}, s_{name}: [{body}])[0]"
+
+    @contextmanager
+    def loop(self, counter: str) -> Iterator[None]:
+        """What is at hand in a loop, and not behind it."""
         pool, self.pool = self.pool, self.pool.copy()
         self.pool.add(counter, "int32")
         self.pool.add(f"to_real({counter})", "real")
-        text = self.operation(kind, dear=False)
+        yield
         self.pool = pool
-        return text
 
     def let(self, name: str, text: str, kind: str, width: int | None = None) -> None:
         self.lines.append(f"{name} = {text}")

@@ -82,25 +82,35 @@ def doubling(count: int) -> bytes:
     return n.block()
 
 
-def shared_loops(count: int) -> bytes:
-    """Each loop's body holds the two loops before it: as many bodies as rabbits."""
+def shared_loops(count: int, steady: bool = False) -> bytes:
+    """Each loop's body holds the two loops before it: as many bodies as rabbits.
+
+    Each reads the loop around it; a `steady` one reads nothing, so that all are computed once, one after the other.
+    """
     n = Nodes()
     before, last = 0, 0
-    for _ in range(count):
-        body = n.add("add", before, last)
-        before, last = last, n.add("fold", 0, body, data=(2, 0, 0))
+    for k in range(count + 1):
+        around = n.add("bound", data=("real", (k + 1) % 2, 1))
+        body = n.add("add", n.add("add", before, last), 0 if steady or k == count else around)
+        before, last = last, n.add("fold", 0, body, data=(2, k % 2, 0))
+    n.add("fold", 0, last, data=(2, (count + 1) % 2, 0))
     return n.block()
 
 
-def loops(lengths: list[int], depth: Callable[[int], int] = lambda k: k) -> bytes:
-    """Loops within one another, the first innermost; `depth(k)` is how the file labels the k-th from the inside."""
+def loops(lengths: list[int], depth: Callable[[int], int] = lambda k: k, steady: bool = False) -> bytes:
+    """Loops within one another, the first innermost; `depth(k)` is how the file labels the k-th from the inside.
+
+    Each reads the counter of the loop around it; a `steady` one does not, and is computed once before that loop.
+    """
     n = Nodes()
     last = 0
     for k, length in enumerate(lengths):
         counter = n.add("bound", data=("int32", depth(k), 0))
         carried = n.add("bound", data=("real", depth(k), 1))
-        real = n.add("convert", counter, data=("real",))
-        body = n.add("add", n.add("add", carried, real), last)
+        body = n.add("add", n.add("add", carried, n.add("convert", counter, data=("real",))), last)
+        if k + 1 < len(lengths) and not steady:
+            around = n.add("bound", data=("int32", depth(k + 1), 0))
+            body = n.add("add", body, n.add("convert", around, data=("real",)))
         last = n.add("fold", 0, body, data=(length, depth(k), 0))
     return n.block()
 
@@ -241,7 +251,7 @@ def endless(share: int) -> dict[str, tuple[bytes, str]]:
         "two loops of a million": (loops([10**6 - 1] * 2), "a step of more than 1000000 operations"),
         "a loop of 10^9": (loops([10**9]), "is not in 0"),
         "loops 9 deep": (loops([1] * 9, lambda k: k % 8), "nested more than 8"),
-        "loops 8,000 deep": (loops([1] * (8_000 // share), lambda k: 0), "nested more than 8"),
+        "loops 8,000 deep": (loops([1] * (8_000 // share), lambda k: k % 8), "nested more than 8"),
         "eight loops of 100": (loops([100] * 8), "a step of more than 1000000 operations"),
         "20,000 variables of no loop": (many_variables(20_000 // share), "outside its loop"),
         "5,000 stores into 10^6 values": (stores(5000 // share, 10**6), "operations"),
@@ -414,5 +424,7 @@ def large(share: int = 1) -> dict[str, bytes]:
         "64 sub-diagrams": file(**nested(60)),
         "a table of 90,000 numbers": library("playback", values=[0.1, 0.2] * (45_000 // share), period=0.01),
         "a state of 900,000 values": custom(states=[{"name": "ring", "width": 900_000}]),
+        "400 loops that share loops and do not change": shared_loops(400 // share, steady=True),
+        "8,000 loops, each computed once before the next": loops([1] * (8_000 // share), lambda k: k % 8, steady=True),
         "300 outputs of one graph": shared_outputs(300 // share, 100),
     }

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
-from twodof.blocks.expressions.expr import Expr
-from twodof.blocks.expressions.graph import outside, walk
+from twodof.blocks.expressions.expr import LOOPS, Expr
+from twodof.blocks.expressions.graph import unchanging, walk
 from twodof.errors import DiagramError
 
 MAX_SIZE = 50_000
@@ -33,25 +33,28 @@ class ExpressionCost:
 class CostMeter:
     """Measures graphs; those of one meter may share loops, which are then measured once.
 
-    A body that two loops share is compiled and computed in each of them. So a few hundred nested loops can stand for
-    more operations than there are atoms. The numbers grow so fast only for nested loops, whose depth is bounded.
+    A body that two loops share is compiled and computed in each of them, but for what the loop does not change: that is
+    computed once before it. So a few hundred nested loops can stand for more operations than there are atoms. The
+    numbers grow so fast only for nested loops, whose depth is bounded.
     """
 
     def __init__(self, most: int | None = MAX_SIZE) -> None:
         self.most = most  # the largest size; None: any, and loops of any depth
         self._loops: dict[int, tuple[ExpressionCost, int]] = {}
+        self._before: dict[int, list[Expr]] = {}
         self._kept: list[Expr] = []  # so that an identity stays that of one node
         self._visited = 0
 
     def measure(self, roots: Iterable[Expr]) -> ExpressionCost:
         """The effort of evaluating `roots` once. Raises DiagramError if it is beyond what any diagram may cost."""
         roots = list(roots)
-        nodes = self._walk(roots)
-        new = any(n.op in ("build", "fold") and id(n) not in self._loops for n in nodes)
+        nodes = self._scope(roots, {})
+        new = any(n.op in LOOPS and id(n) not in self._loops for n in nodes)
         for loop in walk(roots) if new else ():  # inner loops come before those around them
-            if loop.op not in ("build", "fold") or id(loop) in self._loops:
+            if loop.op not in LOOPS or id(loop) in self._loops:
                 continue
-            effort, depth = self._sum(self._walk(loop.args[len(outside(loop)) :]))
+            before = {id(e): None for e in self._unchanging(loop)}
+            effort, depth = self._sum(self._scope(loop.bodies, before))
             if self.most is not None and depth + 1 > MAX_LOOP_DEPTH:
                 raise DiagramError(
                     f"loops are nested more than {MAX_LOOP_DEPTH} deep", "", "use fewer loops within one another"
@@ -61,24 +64,42 @@ class CostMeter:
             self._kept.append(loop)
         return self._sum(nodes)[0]
 
-    def _walk(self, roots: Iterable[Expr]) -> list[Expr]:
-        """Every node below `roots` once, loops not entered: as `walk`, in any order and so in half the time."""
+    def _scope(self, roots: Iterable[Expr], known: Mapping[int, None]) -> list[Expr]:
+        """As `graph.scope`, in any order and so in half the time."""
         nodes: dict[int, Expr] = {}
         stack = list(roots)
         while stack:
             item = stack.pop()
-            if id(item) not in nodes:
+            if id(item) not in nodes and id(item) not in known:
                 nodes[id(item)] = item
-                stack.extend(outside(item))
-        self._visited += len(nodes)
-        self._check(self._visited // 10)  # the sum of all bodies: this bounds the time of measuring itself
+                stack.extend(item.outside)
+                if item.op in LOOPS:
+                    stack.extend(self._unchanging(item))
+        self._visit(len(nodes))
         return list(nodes.values())
+
+    def _unchanging(self, loop: Expr) -> list[Expr]:
+        """What is computed once before a loop; the time of finding it is bounded too."""
+        if id(loop) not in self._before:
+
+            def counted(item: Expr) -> Expr:
+                self._visit(1)
+                return item
+
+            self._before[id(loop)] = unchanging(loop, counted)
+            self._kept.append(loop)
+        return self._before[id(loop)]
+
+    def _visit(self, nodes: int) -> None:
+        """Bounds the time of measuring itself by the sum of all bodies."""
+        self._visited += nodes
+        self._check(self._visited // 10)
 
     def _sum(self, nodes: Iterable[Expr]) -> tuple[ExpressionCost, int]:
         """The effort of `nodes`, a loop as one of them, and how deep loops are nested."""
         size = operations = depth = 0
         for item in nodes:
-            if item.op in ("build", "fold"):
+            if item.op in LOOPS:
                 inner, below = self._loops[id(item)]
                 size += inner.size
                 operations += inner.operations

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from twodof.blocks.elementary.functions import FUNCTIONS
 from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.expr import Expr, convert
-from twodof.blocks.expressions.graph import OPERATIONS, outside, walk
+from twodof.blocks.expressions.graph import OPERATIONS
 from twodof.blocks.expressions.numbers import Int32, Integer, Vector
 from twodof.errors import DiagramError
 
@@ -92,8 +92,6 @@ class Tangent:
         self.direction = direction
         self.ties: list[Tie] = []
         self.block = ""
-        self._reads: dict[int, int] = {}  # by the id of expressions; those in `_kept` keep them alive
-        self._kept: list[Expr] = []
 
     def evaluate(
         self,
@@ -113,30 +111,15 @@ class Tangent:
         stack = [(r, False) for r in reversed(roots)]
         while stack:
             item, ready = stack.pop()
-            known = run.known(self._loops_below(item))
+            known = run.known(item.loops)
             if id(item) in known:
                 continue
             if ready:
                 known[id(item)] = self._compute(item, run)
             else:
                 stack.append((item, True))
-                stack.extend((a, False) for a in reversed(outside(item)))
-        return [run.known(self._loops_below(r))[id(r)] for r in roots]
-
-    def _loops_below(self, item: Expr) -> int:
-        """Which loops' variables an expression reads and does not bind: bit d for a loop within d others."""
-        if id(item) not in self._reads:
-            self._kept.append(item)
-            for e in walk([item]):
-                if id(e) in self._reads:
-                    continue
-                reads = 1 << e.data[0] if e.op == "bound" else 0
-                for a in outside(e):
-                    reads |= self._reads[id(a)]
-                for body in e.args[len(outside(e)) :]:
-                    reads |= self._reads[id(body)] & ~(1 << e.data[1])
-                self._reads[id(e)] = reads
-        return self._reads[id(item)]
+                stack.extend((a, False) for a in reversed(item.outside))
+        return [run.known(r.loops)[id(r)] for r in roots]
 
     def _compute(self, item: Expr, run: "_Run") -> Value:
         op = item.op
@@ -144,7 +127,7 @@ class Tangent:
             return Dual(numbers.cast(item.data, item.kind))
         if op == "bound":
             return run.bound[item.data]
-        args = [run.known(self._loops_below(a))[id(a)] for a in outside(item)]
+        args = [run.known(a.loops)[id(a)] for a in item.outside]
         if op in ("build", "fold"):
             return self._loop(item, args, run)
         if op == "vector":
@@ -221,12 +204,12 @@ class Tangent:
 
     def _loop(self, item: Expr, starts: list[Value], run: "_Run") -> Value:
         length, depth, *which = item.data
-        bodies = item.args[len(starts) :]
+        bodies = item.bodies
         if item.op == "build":
             turns = (run.turn(depth, [Dual(Int32(i))]) for i in range(length))
             return tuple(_scalar(self._evaluate(bodies, turn)[0]) for turn in turns)
         # All results of one loop come from one run of it.
-        known = run.known(self._loops_below(item))
+        known = run.known(item.loops)
         key = ("fold", length, depth, *map(id, item.args))
         if key not in known:
             carried = starts

@@ -22,6 +22,7 @@ from twodof.errors import DiagramError
 
 KINDS = ("real", "int32", "uint32", "bool")
 LANGUAGE = "twodof.blocks.expressions."  # frames of its modules are not the user's
+LOOPS = ("build", "fold")
 LEAVES = ("const", "input", "state", "param", "tick", "dt", "bound")
 
 _table: WeakValueDictionary[tuple[Any, ...], Expr] = WeakValueDictionary()
@@ -82,9 +83,10 @@ class Expr:
     """A node: `op` on `args`, of type `kind`, an array of `width` elements unless `width` is None.
 
     `data` holds what is not an expression: a constant's value, a leaf's name, a loop's length, a called function.
+    `loops` says of which loops around it the node reads the counter or a carried value: bit d for the loop of depth d.
     """
 
-    __slots__ = ("__weakref__", "args", "data", "kind", "op", "width")
+    __slots__ = ("__weakref__", "args", "data", "kind", "loops", "op", "width")
     __array_ufunc__ = None  # numpy must not make object arrays of these
 
     op: str
@@ -92,6 +94,19 @@ class Expr:
     width: int | None
     args: tuple[Expr, ...]
     data: Any
+    loops: int
+
+    @property
+    def outside(self) -> tuple[Expr, ...]:
+        """The arguments evaluated outside a node's loop: all of them, a fold's initial values, none of a build's."""
+        if self.op == "build":
+            return ()
+        return self.args[: len(self.args) // 2] if self.op == "fold" else self.args
+
+    @property
+    def bodies(self) -> tuple[Expr, ...]:
+        """What a loop evaluates at each turn; none of other nodes."""
+        return self.args[len(self.outside) :]
 
     def __hash__(self) -> int:
         return id(self)
@@ -219,10 +234,25 @@ def node(op: str, kind: str, args: tuple[Expr, ...] = (), data: Any = None, widt
                 raise DiagramError("it records too many operations", _tracing.get(), "compute less, or in loops")
         found = Expr.__new__(Expr)
         found.op, found.kind, found.width, found.args, found.data = op, kind, width, args, data
+        found.loops = _loops(found)
         _table[key] = found
     lines = _lines.get()
     if lines is not None and args and id(found) not in lines:
         lines[id(found)] = _users_line()
+    return found
+
+
+def _loops(item: Expr) -> int:
+    if item.op == "bound":
+        depth: int = item.data[0]
+        return 1 << depth
+    found = 0
+    for body in item.bodies if item.op in LOOPS else ():
+        found |= body.loops
+    if found:
+        found &= ~(1 << item.data[1])
+    for a in item.outside:
+        found |= a.loops
     return found
 
 

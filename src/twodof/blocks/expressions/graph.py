@@ -5,7 +5,17 @@ from typing import Any
 
 from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.arrays import array_of, fold, store, vector
-from twodof.blocks.expressions.expr import Expr, bits_of, convert, from_bits, multiply_high, recording, sqrt, where
+from twodof.blocks.expressions.expr import (
+    LOOPS,
+    Expr,
+    bits_of,
+    convert,
+    from_bits,
+    multiply_high,
+    recording,
+    sqrt,
+    where,
+)
 from twodof.errors import DiagramError
 
 OPERATIONS: dict[str, Callable[..., Any]] = {
@@ -48,17 +58,61 @@ def walk(roots: Iterable[Expr], loops: bool = True) -> list[Expr]:
         elif id(item) not in seen:
             seen.add(id(item))
             stack.append((item, True))
-            stack.extend((a, False) for a in reversed(item.args if loops else outside(item)))
+            stack.extend((a, False) for a in reversed(item.args if loops else item.outside))
     return order
 
 
-def outside(item: Expr) -> tuple[Expr, ...]:
-    """The arguments evaluated outside a node's loop: all of them, a fold's initial values, none of a build's."""
-    if item.op == "build":
-        return ()
-    if item.op == "fold":
-        return item.args[: len(item.args) // 2]
-    return item.args
+KEPT = ("vector", "build", "store", "fold", "call")
+"""What is computed once before a loop that does not change it; compilers of C see to simple arithmetic themselves."""
+
+
+def unchanging(
+    loop: Expr,
+    resolve: Callable[[Expr], Expr] = lambda item: item,
+    bodies: Callable[[Expr], Sequence[Expr]] = lambda item: item.bodies,
+) -> list[Expr]:
+    """The arrays, loops and calls in a loop's bodies that are the same at each turn, those within them left out.
+
+    They are computed once before the loop: in its bodies, chained products of matrices would cost the product of their
+    lengths. `resolve` gives the node that is computed in place of another one, `bodies` those of a loop.
+    """
+    found: dict[int, Expr] = {}
+    turning = 1 << loop.data[1]
+    stack = [(resolve(body), turning) for body in bodies(loop)]
+    seen: set[tuple[int, int]] = set()
+    while stack:
+        item, around = stack.pop()
+        if (id(item), around) in seen:
+            continue
+        seen.add((id(item), around))
+        if item.op in KEPT and not item.loops & around:
+            found[id(item)] = item
+            continue
+        if item.op in LOOPS:
+            stack.extend((resolve(body), around | 1 << item.data[1]) for body in bodies(item))
+        stack.extend((resolve(a), around) for a in item.outside)
+    return list(found.values())[::-1]
+
+
+def scope(roots: Iterable[Expr], known: Mapping[int, Any]) -> list[Expr]:
+    """What is computed where `roots` are, arguments before their users; loops are not entered.
+
+    What a loop does not change comes before it. Nodes whose ids are `known` are at hand: they are left out.
+    """
+    order: list[Expr] = []
+    seen: set[int] = set()
+    stack: list[tuple[Expr, bool]] = [(r, False) for r in reversed(list(roots))]
+    while stack:
+        item, done = stack.pop()
+        if done:
+            order.append(item)
+        elif id(item) not in seen and id(item) not in known:
+            seen.add(id(item))
+            stack.append((item, True))
+            if item.op in LOOPS:
+                stack.extend((e, False) for e in reversed(unchanging(item)))
+            stack.extend((a, False) for a in reversed(item.outside))
+    return order
 
 
 def leaves(roots: Iterable[Expr], op: str) -> set[str]:
@@ -83,16 +137,16 @@ def evaluate(
     and then the whole.
     """
 
-    def values_of(roots: Sequence[Expr], bound: Mapping[Any, Any]) -> list[Any]:
-        values: dict[int, Any] = {}
-        order = walk(roots, loops=False)
+    def values_of(roots: Sequence[Expr], bound: Mapping[Any, Any], known: Mapping[int, Any]) -> list[Any]:
+        values = dict(known)
+        order = scope(roots, known)
         for item in order:
-            values[id(item)] = compute(item, [values[id(a)] for a in outside(item)], bound)
+            values[id(item)] = compute(item, [values[id(a)] for a in item.outside], bound, values)
         if sight is not None:
             sight(roots, order, values)
         return [values[id(r)] for r in roots]
 
-    def compute(item: Expr, args: list[Any], bound: Mapping[Any, Any]) -> Any:
+    def compute(item: Expr, args: list[Any], bound: Mapping[Any, Any], values: Mapping[int, Any]) -> Any:
         op = item.op
         if op in OPERATIONS:
             return OPERATIONS[op](*args)
@@ -108,20 +162,19 @@ def evaluate(
             return functions[item.data](*args)
         if op == "vector":
             return vector(args)
+        if op not in LOOPS:
+            return leaf_value(item)
+        length, depth, *which = item.data
+        known = {id(e): values[id(e)] for e in unchanging(item)}
+
+        def turn(*carried: Any) -> list[Any]:
+            return values_of(item.bodies, {**bound, **{(depth, j): v for j, v in enumerate(carried)}}, known)
+
         if op == "build":
-            length, depth = item.data
-            return array_of(length, lambda i: values_of(item.args, {**bound, (depth, 0): i})[0])
-        if op == "fold":
-            length, depth, which = item.data
-            bodies = item.args[len(args) :]
+            return array_of(length, lambda i: turn(i)[0])
+        return fold(length, args, turn)[which[0]]
 
-            def step(*values: Any) -> list[Any]:
-                return values_of(bodies, {**bound, **{(depth, j): v for j, v in enumerate(values)}})
-
-            return fold(length, args, step)[which]
-        return leaf_value(item)
-
-    return values_of(roots, {})
+    return values_of(roots, {}, {})
 
 
 def free_bounds(roots: Sequence[Expr]) -> dict[int, frozenset[tuple[int, int, str]]]:
@@ -135,7 +188,7 @@ def free_bounds(roots: Sequence[Expr]) -> dict[int, frozenset[tuple[int, int, st
     free: dict[int, int] = {}
     for item in walk(roots):
         below = 0
-        for a in outside(item):
+        for a in item.outside:
             below |= free[id(a)]
         if item.op == "bound":
             variable = (*item.data, item.kind)
@@ -144,11 +197,11 @@ def free_bounds(roots: Sequence[Expr]) -> dict[int, frozenset[tuple[int, int, st
                 names.append(variable)
             below = 1 << variables[variable]
         elif item.op in ("build", "fold"):
-            starts = outside(item)
+            starts = item.outside
             kinds = ["int32", *(s.kind for s in starts)]
             depth = item.data[1]
             inside = 0
-            for body in item.args[len(starts) :]:
+            for body in item.bodies:
                 inside |= free[id(body)]
             for bit, (d, which, kind) in enumerate(names):
                 if not inside >> bit & 1:

@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from twodof.blocks.expressions.expr import LEAVES, Expr, node
-from twodof.blocks.expressions.graph import outside, walk
+from twodof.blocks.expressions.expr import LEAVES, LOOPS, Expr, node
+from twodof.blocks.expressions.graph import unchanging, walk
 from twodof.blocks.expressions.numbers import Integer
+from twodof.compile.c.index_range import index_range
 from twodof.compile.c.names import CNames
-from twodof.compile.c.operators import ATOM, C_TYPES, COMPARISONS, LOOSE, OPERATORS, SIGNED, Operator, row
+from twodof.compile.c.operators import ATOM, C_TYPES, COMPARISONS, LOOSE, OPERATORS, PLAIN, SIGNED, Operator, row
 from twodof.compile.c.writer import CWriter
 
 _CALL = re.compile(r"\w+\(.*\)")  # or what looks like it, which does no harm
@@ -68,18 +69,6 @@ def _stores(array: Expr) -> int:
     return found
 
 
-def loop_depths(item: Expr, known: Mapping[int, frozenset[int]]) -> frozenset[int]:
-    """The depths of the loops around `item` whose counters or sums it reads; `known` has those of its arguments."""
-    if item.op == "bound":
-        return frozenset((item.data[0],))
-    outer = outside(item)
-    bodies = item.args[len(outer) :]
-    found = frozenset[int]().union(*(known[id(a)] for a in outer))
-    if bodies:
-        found |= frozenset[int]().union(*(known[id(b)] for b in bodies)) - {item.data[1]}
-    return found
-
-
 class Renderer:
     """Writes the expressions of one block into a C scope.
 
@@ -105,19 +94,31 @@ class Renderer:
         self.leaf = leaf
         self.stem = stem
         self.named: dict[int, Text] = {}
+        self._turning: dict[int, int] = {}  # of what is named in loops: those on which it depends, see Expr.loops
+        self._undo: list[tuple[int, Text | None]] = []  # what the names were before the innermost loop
         self.bound: dict[tuple[int, int], Text] = {}
         self.limits: dict[tuple[int, int], int] = {}  # loop counters: one more than the largest value
         self.targets: dict[int, str] = {}
         self._kept: list[Expr] = []  # nodes made here, whose identities are used as keys
         self._resolved: dict[int, Expr] = {}
-        self._free: dict[int, frozenset[int]] = {}
+        self._before: dict[int, list[Expr]] = {}  # of each loop: what it does not change
         self._wanted: dict[tuple[Any, ...], set[int]] = {}  # of each fold, which of its results
         self.learn(known or {})
         self._later: dict[int, list[int]] = {}  # of expressions that are needed later, what there reads them
 
     def learn(self, known: Mapping[Expr, str]) -> None:
         """More expressions that are already at hand."""
-        self.named |= {id(e): self._local(t) if e.width is None else (t, ATOM) for e, t in known.items()}
+        for e, text in known.items():
+            self._name(e, self._local(text) if e.width is None else (text, ATOM))
+
+    def _name(self, item: Expr, text: Text) -> Text:
+        """Remember the name under which a node's value is at hand."""
+        self._undo.append((id(item), self.named.get(id(item))))
+        self.named[id(item)] = text
+        if item.loops:
+            self._turning[id(item)] = item.loops
+        self._kept.append(item)
+        return text
 
     def _local(self, name: str) -> Text:
         """The text of a number that stands in a variable or a struct's member."""
@@ -133,12 +134,11 @@ class Renderer:
             self._later.setdefault(id(root), []).append(NOBODY)
         for item in walk(roots):
             self._kept.append(item)
-            for a in outside(item):
+            for a in item.outside:
                 self._later.setdefault(id(a), []).append(id(item))
 
     def scalars(self, roots: Sequence[Expr]) -> list[Text]:
         """The C texts of `roots`, after the lines that they need. An array's text is a name."""
-        self._find_bound(roots)
         resolved = [self._resolve(r) for r in roots]
         texts = zip(resolved, self._texts(resolved), strict=True)
         return [(self._stored(text, r.kind) if r.width is None else text, binding) for r, (text, binding) in texts]
@@ -149,13 +149,11 @@ class Renderer:
 
     def index(self, root: Expr, width: int) -> str:
         """The C text of an array index, clamped unless it cannot be outside."""
-        self._find_bound([root])
         resolved = self._resolve(root)
         return self._index(resolved, self._texts([resolved])[0], width)
 
     def assign(self, targets: Sequence[tuple[str, Expr]]) -> None:
         """Lines that store each expression in its lvalue, which no expression may read."""
-        self._find_bound([e for _, e in targets])
         roots = [self._resolve(e) for _, e in targets]
         for (target, _), root in zip(targets, roots, strict=True):
             direct = root.op in ("vector", "build", "store") and not self.writer.masked
@@ -168,19 +166,13 @@ class Renderer:
             elif text != target:
                 self.writer.copy(target, text, root.width, root.kind)
 
-    def _find_bound(self, roots: Sequence[Expr]) -> None:
-        """For each node the depths of the loops around it on which it depends."""
-        for item in walk(roots):
-            if id(item) not in self._free:
-                self._kept.append(item)
-                self._free[id(item)] = loop_depths(item, self._free)
-
     def _texts(self, roots: Sequence[Expr]) -> list[Text]:
         order = self._order(roots)
         uses: dict[int, int] = {}
         for item in order:
             for a in self._args(item):
                 uses[id(a)] = uses.get(id(a), 0) + 1
+        before = {id(e) for item in order if item.op in LOOPS for e in self._unchanging(item)}
         for r in roots:
             uses[id(r)] = uses.get(id(r), 0) + 1
         asked = {id(r) for r in roots}
@@ -196,18 +188,18 @@ class Renderer:
             if id(item) in self.named:
                 texts[id(item)] = self.named[id(item)]
                 continue
-            args = [texts[id(a)] for a in self._args(item)]
+            args = [texts[id(a)] for a in self._args(item)][: len(item.outside)]
             made = self._statement(item, args) if item.op in ("vector", "build", "store", "fold") else None
             if made is None:
                 made = self._expression(item, args)
                 trivial = item.op in LEAVES or (item.op == "select" and "(" not in made[0])
-                if not trivial and (uses[id(item)] > 1 or (len(made[0]) > WIDEST_LINE and id(item) not in whole)):
+                shared = uses[id(item)] > 1 or id(item) in before
+                if not trivial and (shared or (len(made[0]) > WIDEST_LINE and id(item) not in whole)):
                     name = self.names.numbered(f"{self.stem}_t")
                     self.writer.line(f"const {self.types[item.kind]} {name} = {self._stored(made[0], item.kind)};")
-                    made = self._local(name)
-                    self.named[id(item)] = made
+                    made = self._name(item, self._local(name))
             else:
-                self.named[id(item)] = made
+                self._name(item, made)
             texts[id(item)] = made
         return [texts[id(r)] for r in roots]
 
@@ -228,7 +220,24 @@ class Renderer:
     def _args(self, item: Expr) -> tuple[Expr, ...]:
         if id(item) in self.named:
             return ()
-        return tuple(self._resolve(a) for a in outside(item))
+        args = (*item.outside, *(self._unchanging(item) if item.op in LOOPS else ()))
+        return tuple(self._resolve(a) for a in args)
+
+    def _unchanging(self, loop: Expr) -> list[Expr]:
+        """What is computed before a loop in this scope."""
+        if id(loop) in self.named:
+            return []
+        if id(loop) not in self._before:
+            self._before[id(loop)] = unchanging(loop, self._resolve, self._bodies)
+            self._kept.append(loop)
+        return self._before[id(loop)]
+
+    def _bodies(self, loop: Expr) -> Sequence[Expr]:
+        """What a loop must evaluate for the one result that its node stands for."""
+        if loop.op == "build":
+            return loop.bodies
+        _, depth, which = loop.data
+        return [loop.bodies[j] for j in self._carried(loop.bodies, depth, {which})]
 
     def _resolve(self, item: Expr) -> Expr:
         """`item`, or for an element of an array that is just being made, that element."""
@@ -254,7 +263,6 @@ class Renderer:
     def _keep(self, op: str, kind: str, args: tuple[Expr, ...], data: Any = None) -> Expr:
         made = node(op, kind, args, data)
         self._kept.append(made)
-        self._free.setdefault(id(made), loop_depths(made, self._free))
         return made
 
     def _clamped(self, index: Expr, width: int) -> Expr:
@@ -271,7 +279,8 @@ class Renderer:
     def _index(self, index: Expr, text: Text, width: int) -> str:
         if index.op == "const":
             return str(min(max(index.data, 0), width - 1))
-        if index.op == "bound" and self.limits.get(index.data, width + 1) <= width:
+        span = index_range(index, self.limits)
+        if span is not None and span[0] >= 0 and span[1] < width:
             return text[0]
         return f"{self._use('clamp_index')}({text[0]}, {width - 1})"
 
@@ -293,7 +302,9 @@ class Renderer:
 
     def _operation(self, name: str, args: Sequence[Text]) -> Text:
         """What the operator of a row says."""
-        operator = self.operators[name]
+        return self._applied(self.operators[name], args)
+
+    def _applied(self, operator: Operator, args: Sequence[Text]) -> Text:
         if operator.helper:
             self._use(operator.helper)
         operands = [_paren(a, loosest) for a, loosest in zip(args, operator.operands, strict=False)]
@@ -318,6 +329,8 @@ class Renderer:
                 return (equal, ATOM) if op == "eq" else (f"!{equal}", SIGNED)
         elif op == "convert" and lean and operand != "real" and _CALL.fullmatch(args[0][0]):
             return f"{self._use(f'{operand}_to_{item.kind}')}({args[0][0]})", ATOM
+        elif op in PLAIN and index_range(item, self.limits) is not None:
+            return self._operation(PLAIN[op], args)
         elif item.kind == "uint32" and op == "abs":
             return args[0]
         elif item.kind == "uint32" and op in ("shl", "shr", "quot", "rem"):
@@ -355,13 +368,13 @@ class Renderer:
             return name, ATOM
         length, depth = item.data
         with self._loop(length, depth) as counter:
-            ((body, _),) = self._texts([self._resolve(item.args[0])])
+            ((body, _),) = self._texts([self._resolve(item.bodies[0])])
             self.writer.line(f"{name}[{counter}] = {self._stored(body, item.kind)};")
         return name, ATOM
 
     def _fold(self, item: Expr, args: Sequence[Text]) -> Text:
         length, depth, which = item.data
-        bodies = item.args[len(args) :]
+        bodies = item.bodies
         needed = self._carried(bodies, depth, {which} | self._wanted.get(_loop_key(item), set()))
         names = {j: self.names.new(f"{self.stem}_sum") for j in needed}
         for j, name in names.items():
@@ -383,30 +396,47 @@ class Renderer:
                     self.writer.line(f"{names[j]} = {new};")
         for j, name in names.items():  # the loop's other results
             twin = self._keep("fold", bodies[j].kind, item.args, (length, depth, j))
-            self.named[id(twin)] = self._local(name)
+            self._name(twin, self._local(name))
         return self._local(names[which])
 
     def _carried(self, bodies: Sequence[Expr], depth: int, wanted: set[int]) -> list[int]:
         """The values that a fold must carry so that those `wanted` come out."""
         found: set[int] = set()
+        seen: set[int] = set()
         stack = list(wanted)
         while stack:
             j = stack.pop()
-            if j not in found:
-                found.add(j)
-                read = [e.data for e in walk([bodies[j]]) if e.op == "bound"]
-                stack += [k - 1 for d, k in read if d == depth and k > 0]
+            if j in found:
+                continue
+            found.add(j)
+            below = [bodies[j]]
+            while below:
+                e = below.pop()
+                if id(e) not in seen and e.loops >> depth & 1:
+                    seen.add(id(e))
+                    shadowed = e.op in LOOPS and e.data[1] == depth  # its bodies read its own variables
+                    below += e.outside if shadowed else e.args
+                    if e.op == "bound" and e.data[1]:
+                        stack.append(e.data[1] - 1)
         return sorted(found)
 
     @contextmanager
     def _loop(self, length: int, depth: int) -> Iterator[str]:
         """A C loop; inside, only those names are known that do not depend on a loop of this depth."""
         counter = self.names.new("ijk"[depth] if depth < 3 else "i")
-        outer = self.named, self.bound, self.limits, self._resolved
-        self.named = {key: t for key, t in self.named.items() if depth not in self._free.get(key, ())}
+        outer = self.bound, self.limits, self._resolved, self._before, self._undo
         self.bound = {**self.bound, (depth, 0): (counter, ATOM)}
         self.limits = {**self.limits, (depth, 0): length}
-        self._resolved = {}
+        self._resolved, self._before = {}, {}
+        hidden = [key for key, loops in self._turning.items() if loops >> depth & 1]
+        self._undo = [(key, self.named.pop(key)) for key in hidden if key in self.named]
         with self.writer.block(f"for (int32_t {counter} = 0; {counter} < {length}; {counter}++)"):
             yield counter
-        self.named, self.bound, self.limits, self._resolved = outer
+        self.names.taken.discard(counter)
+        for key, text in reversed(self._undo):  # what the loop named stands within its brackets
+            if text is None:
+                del self.named[key]
+                self._turning.pop(key, None)
+            else:
+                self.named[key] = text
+        self.bound, self.limits, self._resolved, self._before, self._undo = outer

@@ -6,7 +6,7 @@ from functools import partial
 
 from twodof.blocks.expressions.expr import LEAVES, Expr
 from twodof.blocks.expressions.graph import walk
-from twodof.compile.c.expressions import Renderer, loop_depths
+from twodof.compile.c.expressions import Renderer
 from twodof.compile.c.tick import FROZEN, NEXT_TICK, Scope, TickEmitter, commit, describe
 from twodof.compile.c.writer import CWriter
 from twodof.compile.program.flat_program import FlatSignal, Group, Guard, Node
@@ -150,9 +150,7 @@ class IntegrationEmitter:
         own = {s.name for s in node.continuous}
         moves: dict[int, bool] = {}
         worth: dict[int, bool] = {}
-        loops: dict[int, frozenset[int]] = {}
         for e in walk(roots):
-            loops[id(e)] = loop_depths(e, loops)
             moves[id(e)] = (
                 (e.op == "state" and e.data in own)
                 or (e.op == "input" and node.drivers[e.data] in self.program.moving)
@@ -167,7 +165,7 @@ class IntegrationEmitter:
             if id(e) in seen:
                 continue
             seen.add(id(e))
-            if moves[id(e)] or loops[id(e)] or not worth[id(e)]:
+            if moves[id(e)] or e.loops or not worth[id(e)]:
                 stack.extend(reversed(e.args))
             elif e.op not in LEAVES:
                 found.append(e)

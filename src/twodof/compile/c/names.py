@@ -23,13 +23,15 @@ class CNames:
 
     taken: set[str] = field(default_factory=set)
     last: dict[str, int] = field(default_factory=dict)
+    tried: dict[str, int] = field(default_factory=dict)  # of a stem that is taken: the number that was tried last
 
     def new(self, stem: str) -> str:
         """`stem` with dots as underscores; with a number behind it if that is taken."""
         name = base = stem.replace(".", "_")
-        number = 2
+        number = self.tried.get(base, 2)
         while name in self.taken or name in KEYWORDS or name in FUNCTIONS or DEFINED.fullmatch(name):
             name = f"{base}_{number}"
+            self.tried[base] = number
             number += 1
         self.taken.add(name)
         return name

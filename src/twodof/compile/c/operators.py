@@ -9,6 +9,8 @@ C_TYPES = {"real": "real", "int32": "int32_t", "uint32": "uint32_t", "bool": "bo
 # How tightly an expression's text binds.
 ATOM, PRODUCT, SUM, SIGNED, COMPARISON, LOOSE = range(6)
 COMPARISONS = {"lt": "<", "le": "<=", "eq": "==", "ne": "!="}
+PLAIN = {op: f"plain_{op}" for op in ("add", "sub", "mul", "quot", "rem")}
+"""The rows of int32's arithmetic where the result is known not to wrap around."""
 BITWISE = {"and": "&", "or": "|", "xor": "^"}
 
 
@@ -80,6 +82,10 @@ def _rows() -> Iterator[tuple[str, Operator]]:
         yield f"{op}_int32", called(f"int32_{op}", 2, f"int32_{op}")
     for op in ("neg", "abs"):
         yield f"{op}_int32", called(f"int32_{op}", 1, f"int32_{op}")
+    for op, sign in (("add", "+"), ("sub", "-")):
+        yield PLAIN[op], Operator(f"{{0}} {sign} {{1}}", (SUM, PRODUCT), SUM)
+    for op, sign in (("mul", "*"), ("quot", "/"), ("rem", "%")):
+        yield PLAIN[op], Operator(f"{{0}} {sign} {{1}}", (PRODUCT, ATOM), PRODUCT)
     yield "shl_uint32", Operator("{0} << ({1} & 31u)", (ATOM, ATOM), LOOSE)
     yield "shr_uint32", Operator("{0} >> ({1} & 31u)", (ATOM, ATOM), LOOSE)
     yield "neg_uint32", Operator("0u - {0}", (PRODUCT,), SUM)

@@ -11,10 +11,10 @@ from dataclasses import dataclass, field
 from functools import reduce
 
 from twodof.blocks.expressions.expr import Expr
-from twodof.blocks.expressions.graph import outside
 from twodof.compile.c.expressions import Renderer, Text, constant
+from twodof.compile.c.index_range import index_range
 from twodof.compile.c.names import CNames
-from twodof.compile.c.operators import ATOM, Operator, called
+from twodof.compile.c.operators import ATOM, PLAIN, Operator, called
 from twodof.compile.c.operators import OPERATORS as SCALAR
 from twodof.compile.c.style import CStyle
 from twodof.compile.c.writer import CWriter
@@ -117,10 +117,8 @@ class LaneRenderer(Renderer):
         return f"({self.types[kind]}){{{', '.join(text.replace('@', str(k)) for k in range(self.vectors))}}}"
 
     def _args(self, item: Expr) -> tuple[Expr, ...]:
-        if id(item) in self.named:
-            return ()
-        args = [self._resolve(a) for a in outside(item)]
-        if item.op in ("select", "store") and self._counted(args[1]) is not None:
+        args = list(super()._args(item))
+        if args and item.op in ("select", "store") and self._counted(args[1]) is not None:
             args[1] = args[0]  # an index that all lanes share is no value
         return tuple(args)
 
@@ -130,10 +128,11 @@ class LaneRenderer(Renderer):
             return constant(index.data, "int32", self.precision)
         if index.op == "bound" and index.data[1] == 0:
             return self.bound[index.data]
-        if index.op in ("add", "sub", "mul") and index.kind == "int32" and depth < DEEPEST_INDEX:
+        if index.op in PLAIN and index.kind == "int32" and depth < DEEPEST_INDEX:
             a, b = (self._counted(self._resolve(x), depth + 1) for x in index.args)
             if a is not None and b is not None:
-                return f"{self._use(f'int32_{index.op}')}({a[0]}, {b[0]})", ATOM
+                plain = index_range(index, self.limits) is not None
+                return self._applied(SCALAR[PLAIN[index.op] if plain else f"{index.op}_int32"], (a, b))
         return None
 
     def _index(self, index: Expr, text: Text, width: int) -> str:
@@ -173,8 +172,7 @@ class LaneRenderer(Renderer):
             return self._local(f"{name}[{at}]")
         fetched = self.names.numbered(f"{self.stem}_t")
         self.writer.line(f"const {self.types[item.kind]} {fetched} = lanes_get_{item.kind}({name}, {at});")
-        self.named[id(item)] = self._local(fetched)
-        return self.named[id(item)]
+        return self._name(item, self._local(fetched))
 
 
 class VectorRenderer(LaneRenderer):

@@ -1,17 +1,16 @@
 """DecisionObserver: watches the reference run, and notes which sides of each condition were taken."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 from twodof.blocks.elementary.functions import FUNCTIONS
 from twodof.blocks.expressions import numbers
-from twodof.blocks.expressions.expr import Expr
-from twodof.blocks.expressions.graph import evaluate, outside, walk
+from twodof.blocks.expressions.expr import LOOPS, Expr
+from twodof.blocks.expressions.graph import evaluate, walk
 from twodof.blocks.reference.hierarchy import Cell
 from twodof.compile.diagram_test.coverage.decisions import Decision, bare, conditions, sections_of
 from twodof.errors import DiagramError
-
-_LOOPS = ("build", "fold")
 
 
 class DecisionObserver:
@@ -66,35 +65,40 @@ class _Sight:
 
     def __init__(self, known: Mapping[int, Decision]) -> None:
         self._known = known
-        self._waiting: dict[tuple[int, ...], set[tuple[Decision, int]]] = {}
+        self._waiting: dict[tuple[int, ...], _Turns] = {}
 
     def __call__(self, roots: Sequence[Expr], order: Sequence[Expr], values: Mapping[int, Any]) -> None:
         """The nodes computed for `roots`, arguments first, and all values by id."""
-        bodies = {id(item): _key(_bodies(item)) for item in order if item.op in _LOOPS}
-        within = {key: self._waiting.pop(key, set()) for key in set(bodies.values())}
-        taken = self._waiting.setdefault(_key(roots), set())
+        bodies = {id(item): _key(item.bodies) for item in order if item.op in LOOPS}
+        within = {key: self._waiting.pop(key, _Turns()) for key in set(bodies.values())}
+        turns = self._waiting.setdefault(_key(roots), _Turns())
         counts = set(map(id, roots))
         for item in reversed(order):
             if id(item) not in counts:
                 continue
             if id(item) in self._known:
-                taken.add((self._known[id(item)], 0 if values[id(item)] else 1))
+                turns.taken.add((self._known[id(item)], 0 if values[id(item)] else 1))
             if id(item) in bodies:
-                taken |= within[bodies[id(item)]]
-                counts.update(id(below) for below in walk(_bodies(item)))
+                turns.taken |= within[bodies[id(item)]].taken
+                counts |= within[bodies[id(item)]].before
             if item.op == "where":
                 counts.add(id(item.args[0]))
                 counts.add(id(item.args[1] if values[id(item.args[0])] else item.args[2]))
             else:
-                counts.update(map(id, outside(item)))
+                counts.update(map(id, item.outside))
+        turns.before |= counts.difference(map(id, order))
 
     def taken(self, roots: Sequence[Expr]) -> set[tuple[Decision, int]]:
         """What the evaluation of `roots` took."""
-        return self._waiting.get(_key(roots), set())
+        return self._waiting.get(_key(roots), _Turns()).taken
 
 
-def _bodies(loop: Expr) -> tuple[Expr, ...]:
-    return loop.args[len(outside(loop)) :]
+@dataclass
+class _Turns:
+    """What the turns of a loop took, and the ids of what they used of all that is computed before the loop."""
+
+    taken: set[tuple[Decision, int]] = field(default_factory=set)
+    before: set[int] = field(default_factory=set)
 
 
 def _key(roots: Sequence[Expr]) -> tuple[int, ...]:
