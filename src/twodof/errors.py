@@ -2,9 +2,11 @@
 
 import reprlib
 from collections.abc import Iterable
+from difflib import get_close_matches
 from itertools import islice
 
 _SHORT = reprlib.Repr()
+_COMPARED = 1000  # names, in a third of a second; of more, those that begin alike
 _SHORT.maxlevel, _SHORT.maxstring, _SHORT.maxother, _SHORT.maxlong = 3, 80, 80, 40
 
 
@@ -14,9 +16,22 @@ def shown(value: object) -> str:
 
 
 def listed(names: Iterable[str], most: int = 20) -> str:
-    """The first of `names`, separated by commas, and "and more" where some are left out. "none" if there are none."""
-    rows = list(islice(names, most + 1))
-    return ", ".join(rows[:most]) + (" and more" if len(rows) > most else "") if rows else "none"
+    """The first of `names`, separated by commas, and how many more there are. "none" if there are none."""
+    rest = iter(names)
+    rows = list(islice(rest, most))
+    more = sum(1 for _ in rest)
+    return ", ".join(rows) + (f" and {more} more" if more else "") if rows else "none"
+
+
+def nearest(name: object, known: Iterable[str], most: int = 20) -> str:
+    """`listed`, those of the `known` names first that look like `name`: what a message says of an unknown one."""
+    names, given = list(known), str(name)[:200].casefold()
+    compared = names if len(names) <= _COMPARED else [one for one in names if one[:2].casefold() == given[:2]]
+    folded: dict[str, list[str]] = {}
+    for one in compared[:_COMPARED]:
+        folded.setdefault(one.casefold(), []).append(one)
+    like = get_close_matches(given, folded, n=5)
+    return listed(dict.fromkeys([*(one for key in like for one in folded[key]), *names]), most)
 
 
 def outside(value: float, low: float, high: float, unit: str = "") -> str:

@@ -75,7 +75,7 @@ def test_every_machine_refuses_the_same_with_the_same_words(make: Callable[[], M
     for wrong, said in (
         (lambda: machine.state("count.m"), "there is no state 'count.m'"),
         (lambda: machine.set_state("count.n", 0.5), "a int32 is expected"),
-        (lambda: machine.step({"v": 1.0}), "there is no input 'v'.*inputs: u, pair"),
+        (lambda: machine.step({"v": 1.0}), "there is no input 'v'.*there are: u, pair"),
         (lambda: machine.run(5, {"u": [1.0, 2.0]}), "u: "),
         (lambda: machine.run(2, {"u": ["a", "b"]}), "u: an array of <U1"),
         (lambda: machine.run(-1), "-1 steps"),

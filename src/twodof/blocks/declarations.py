@@ -1,6 +1,5 @@
 """What a block declares: ports, states and parameters with their types, widths, units and bounds."""
 
-import difflib
 import math
 import re
 from collections.abc import Iterable, Iterator
@@ -14,7 +13,7 @@ from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.expr import KINDS, Expr
 from twodof.blocks.expressions.numbers import Integer, Vector
 from twodof.blocks.plain_data import plain_data
-from twodof.errors import DiagramError, ParameterError, outside, shown
+from twodof.errors import DiagramError, ParameterError, nearest, outside, shown
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")
 MAX_WIDTH = 1_000_000
@@ -250,10 +249,11 @@ def check_value(declared: Param, value: Any, path: str) -> Any:
 
 def unknown_parameter(path: object, known: Iterable[str]) -> ParameterError:
     """The error for a parameter `path` that is not there; it lists up to 40 of the `known` ones, the nearest first."""
-    names = sorted(known)
-    nearest = difflib.get_close_matches(str(path)[:200], names, n=5)
-    listed = [*nearest, *(name for name in names if name not in nearest)]
-    more = f" and {len(listed) - 40} more" if len(listed) > 40 else ""
     return ParameterError(
-        f"there is no parameter {path!r:.120}", "", f"there are: {', '.join(listed[:40]) or 'none'}{more}"
+        f"there is no parameter {path!r:.120}", "", f"there are: {nearest(path, sorted(known), most=40)}"
     )
+
+
+def unknown_name(what: str, name: object, known: Iterable[str], where: str) -> DiagramError:
+    """The error for a signal, state, input, part or port (`what`) that is not there; the nearest ones come first."""
+    return DiagramError(f"there is no {what} {name!r:.120}", where, f"there are: {nearest(name, known)}")

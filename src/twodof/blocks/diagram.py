@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 
 from twodof.blocks.block import Block
 from twodof.blocks.conditions import EDGES
-from twodof.blocks.declarations import Param, Port, check_name, located
+from twodof.blocks.declarations import Param, Port, check_name, located, unknown_name
 from twodof.blocks.plain_data import plain_data
-from twodof.errors import DiagramError, listed, shown
+from twodof.errors import DiagramError, nearest, shown
 
 MAX_DIVIDER = 2**31 - 1
 MAX_NESTED = 2**256  # the product of the dividers of a part and of the diagrams around it
@@ -188,7 +188,7 @@ class Diagram:
         for inner in params or {}:
             if inner not in known:
                 raise DiagramError(
-                    f"there is no parameter {shown(inner)} to bind", path, f"there are: {listed(sorted(known))}"
+                    f"there is no parameter {shown(inner)} to bind", path, f"there are: {nearest(inner, sorted(known))}"
                 )
         divider, offset = _pair(rate, path, "rate")
         checked = Rate(divider, offset).check(path)
@@ -224,15 +224,15 @@ class Diagram:
     def _end(self, text: str, direction: str) -> tuple[str, str]:
         part, _, port = text.partition(".")
         if part not in self.parts:
-            kind = "input or part" if direction == "output" else "output or part"
-            raise DiagramError(f"there is no {kind} {shown(part)}", self.name, f"parts: {listed(self.parts)}")
+            kind, outer = ("input", self.inputs) if direction == "output" else ("output", self.outputs)
+            raise unknown_name(f"{kind} or part", part, [*self.parts, *outer], self.name)
         item = self.parts[part].item
         ports = port_names(item, direction)
         if not port and len(ports) == 1:
             return part, ports[0]
         if port not in ports:
             what = f"no {direction} {shown(port)}" if port else f"{len(ports)} {direction}s, so one must be named"
-            raise DiagramError(f"{part!r} has {what}", self.name, f"{direction}s: {listed(ports)}")
+            raise DiagramError(f"{part!r} has {what}", self.name, f"{direction}s: {nearest(port, ports)}")
         return part, port
 
     def _new(self, name: str) -> None:

@@ -7,7 +7,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.blocks.declarations import Param, Port, State, check_steps, check_value, numeric, unknown_parameter
+from twodof.blocks.declarations import (
+    Param,
+    Port,
+    State,
+    check_steps,
+    check_value,
+    numeric,
+    unknown_name,
+    unknown_parameter,
+)
 from twodof.blocks.expressions import numbers
 from twodof.blocks.plain_data import plain_data
 from twodof.errors import DiagramError, ParameterError
@@ -24,10 +33,18 @@ class Machine(ABC):
     One thread at a time may use a machine: queue the changes of others and apply them between two steps.
     """
 
-    def __init__(self, name: str, precision: str, parameters: Mapping[str, Param], inputs: Iterable[Port]) -> None:
+    def __init__(
+        self,
+        name: str,
+        precision: str,
+        parameters: Mapping[str, Param],
+        inputs: Iterable[Port],
+        states: Mapping[str, State],
+    ) -> None:
         self.name = name
         self.precision = precision
         self.parameters = parameters
+        self.states = states
         self.inputs = {port.name: port for port in inputs}
 
     @property
@@ -102,9 +119,6 @@ class Machine(ABC):
     def _parameter(self, path: str) -> Any: ...
 
     @abstractmethod
-    def _find_state(self, path: str) -> State | None: ...
-
-    @abstractmethod
     def _state(self, path: str, declared: State) -> Any: ...
 
     @abstractmethod
@@ -128,15 +142,13 @@ class Machine(ABC):
         return check_value(declared, value, path)
 
     def _state_at(self, path: str) -> State:
-        declared = self._find_state(path)
-        if declared is None:
-            raise DiagramError(f"there is no state {path!r:.120}", self.name, "a state's path is part.sub.state")
-        return declared
+        if path not in self.states:
+            raise unknown_name("state", path, sorted(self.states), self.name)
+        return self.states[path]
 
     def _input(self, name: str) -> Port:
         if name not in self.inputs:
-            known = ", ".join(self.inputs) or "none"
-            raise DiagramError(f"there is no input {name!r:.80}", self.name, f"inputs: {known}")
+            raise unknown_name("input", name, self.inputs, self.name)
         return self.inputs[name]
 
     def _write(self, name: str, value: Any) -> None:

@@ -52,15 +52,12 @@ class BuiltMachine(Machine):
 
     def __init__(self, program: BuiltProgram) -> None:
         layout, flat = program.layout, program.flat
-        super().__init__(flat.name, program.precision, program.parameters, flat.ports)
+        states = {path: found[0] for path, found in program.states.items()}
+        super().__init__(flat.name, program.precision, program.parameters, flat.ports, states)
         self._states = program.states
         self._members = {path: layout.parameters[q].name for path, q in flat.parameters.items()}
         self._inputs = {name: layout.inputs[s].name for name, s in flat.inputs.items()}
         self._outputs = {path: (s, layout.outputs[path].name) for path, s in flat.outputs.items()}
-
-    def _find_state(self, path: str) -> State | None:
-        found = self._states.get(path)
-        return found[0] if found else None
 
 
 class CompiledMachine(BuiltMachine):

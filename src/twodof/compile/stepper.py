@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twodof.blocks.declarations import unknown_name
 from twodof.compile.machine import CompiledMachine
 from twodof.errors import DiagramError
 
@@ -69,8 +70,7 @@ class _Members:
         places: list[tuple[int, str, int]] = []
         for name in names:
             if name not in members:
-                known = ", ".join(members) or "none"
-                raise DiagramError(f"there is no scalar called {name!r:.80}", where, f"there are: {known}")
+                raise unknown_name("scalar called", name, members, where)
             dtype, offset = fields[members[name]][:2]
             places.append((offset, _LETTERS[dtype.name], dtype.itemsize))
         order = sorted(range(len(places)), key=lambda i: places[i])

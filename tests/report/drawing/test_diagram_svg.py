@@ -234,7 +234,7 @@ def test_what_decides_over_a_sub_diagram_is_drawn() -> None:
 
 def test_a_sub_diagram_is_found_by_its_path() -> None:
     assert find(closed_loop(), "flight.cascade").name == "cascade"
-    with pytest.raises(DiagramError, match="not a sub-diagram"):
+    with pytest.raises(DiagramError, match="no sub-diagram"):
         find(closed_loop(), "flight.mixer")
 
 

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 from twodof.blocks.block import Block
 from twodof.blocks.conditions import EnabledAgain, TriggerEdge
-from twodof.blocks.declarations import Param, Port, State, check_initial, narrowed, shape
+from twodof.blocks.declarations import Param, Port, State, check_initial, narrowed, shape, unknown_name
 from twodof.blocks.diagram import BASE, MAX_NESTED, Diagram, Rate
 from twodof.blocks.expressions.graph import leaves
-from twodof.errors import DiagramError, shown
+from twodof.errors import DiagramError, nearest, shown
 
 MAX_DEPTH = 64
 
@@ -148,7 +149,7 @@ class Hierarchy:
                     raise DiagramError(
                         f"there is no parameter {outer!r} to bind to",
                         f"{path}.{p.name}",
-                        "declare it with Diagram.param",
+                        f"declare it with Diagram.param; there are: {nearest(outer, diagram.params)}",
                     )
             inner = {own: roots[outer] for own, outer in p.params.items()}
             at = prefix + p.name
@@ -368,13 +369,25 @@ class Hierarchy:
                     self._append(chosen, PortOf(cell, port))
         return chosen
 
-    def signal(self, path: str) -> PortOf:
-        """The port with the path "part.sub.port". Raises DiagramError if there is none."""
-        owner, _, port = path.rpartition(".")
+    @cached_property
+    def signals(self) -> dict[str, PortOf | str]:
+        """What drives the output of each block and of each sub-diagram, by its path "part.sub.port"."""
+        found: dict[str, PortOf | str] = {}
         for cell in self.cells:
-            if cell.path == owner and any(p.name == port for p in cell.block.outputs):
-                return PortOf(cell, port)
-        raise DiagramError(f"there is no signal {path!r:.120}", self.root.path, "a signal's path is part.sub.port")
+            found |= {f"{cell.path}.{port.name}": PortOf(cell, port.name) for port in cell.block.outputs}
+        levels = [self.root]
+        for level in levels:  # which grows on the way
+            below = [child for child in level.children.values() if isinstance(child, DiagramLevel)]
+            levels += below
+            for child in below:
+                found |= {f"{child.path}.{n}": child.resolve(s) for n, s in child.diagram.outputs.items() if s}
+        return found
+
+    def signal(self, path: str) -> PortOf | str:
+        """What drives the signal with the path "part.sub.port". Raises DiagramError if there is none."""
+        if path not in self.signals:
+            raise unknown_name("signal", path, sorted(self.signals), self.root.path)
+        return self.signals[path]
 
 
 def _units_clash(a: str, b: str) -> bool:

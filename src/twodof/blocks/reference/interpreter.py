@@ -136,7 +136,8 @@ class ReferenceMachine(Machine):
         self.program = program
         self.hierarchy = program.hierarchy
         diagram = program.diagram
-        super().__init__(diagram.name, program.precision, self.hierarchy.parameters, diagram.inputs.values())
+        states = {f"{cell.path}.{s.name}": s for cell in self.hierarchy.cells for s in cell.block.states}
+        super().__init__(diagram.name, program.precision, self.hierarchy.parameters, diagram.inputs.values(), states)
         with numbers.precision(program.precision):
             self._values = {path: _number(p.value, p, path) for path, p in self.parameters.items()}
             self._real_dt = numbers.real_type()(program.dt)
@@ -192,11 +193,6 @@ class ReferenceMachine(Machine):
 
     def _parameter(self, path: str) -> Any:
         return numbers.plain(self._values[path])
-
-    def _find_state(self, path: str) -> State | None:
-        owner, _, name = path.rpartition(".")
-        run = self._runs.get(owner)
-        return next((s for s in run.cell.block.states if s.name == name), None) if run else None
 
     def _state(self, path: str, declared: State) -> Any:
         return numbers.plain(self._runs[path.rpartition(".")[0]].x[declared.name])

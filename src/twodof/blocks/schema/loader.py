@@ -1,6 +1,5 @@
 """Builds a diagram from its JSON form and refuses, at the door, what would cost too much or is not what it says."""
 
-import difflib
 import unicodedata
 from collections.abc import Mapping
 from dataclasses import fields
@@ -13,7 +12,7 @@ from twodof.blocks.diagram import CONDITIONS, Diagram
 from twodof.blocks.expressions.cost import COPIED, MAX_OPERATIONS, MAX_SIZE, CostMeter, too_large
 from twodof.blocks.expressions.expr import at_most
 from twodof.blocks.schema.traced_block import TracedBlock, graph_from_json
-from twodof.errors import DiagramError, TwodofError, listed, shown
+from twodof.errors import DiagramError, TwodofError, listed, nearest, shown
 
 MAX_DEPTH = 64  # of sub-diagrams
 MAX_PARTS = 10_000
@@ -175,12 +174,9 @@ class Loader:
             for item in declared:
                 _visible(item.unit, getattr(item, "text", ""), where)
         else:
-            near = listed(difflib.get_close_matches(kind[:80], REGISTRY, n=5))
-            raise DiagramError(
-                f"unknown block type {shown(kind)}",
-                where,
-                f"see docs/reference/blocks.md for those of {library.__name__}; like it: {near}",
-            )
+            known = nearest(kind, REGISTRY, most=5)
+            remedy = f"there are those of {library.__name__}: {known}"
+            raise DiagramError(f"unknown block type {shown(kind)}", where, remedy)
         with located(where):
             self._measure(block)
         return block

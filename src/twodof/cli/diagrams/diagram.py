@@ -11,6 +11,7 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
+from twodof.blocks.declarations import unknown_name
 from twodof.cli.diagrams.diagram_tests import run_tests
 from twodof.cli.options import RealType
 from twodof.cli.output import Force, Json, print_json, table_console
@@ -133,8 +134,7 @@ def code(
     emitted = emit_program(shown, dt, precision.value)
     found = source_map(emitted.flat, emitted.source, emitted.layout)
     if block is not None and block not in found.blocks:
-        known = ", ".join(sorted(found.blocks)[:40])
-        raise DiagramError(f"there is no block {block!r:.120}", shown.name, f"blocks: {known}")
+        raise unknown_name("block", block, sorted(found.blocks), shown.name)
     if out is not None:
         with atomic_write(out, "w") as file:
             file.write(emitted.source)

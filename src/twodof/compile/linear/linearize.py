@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twodof.blocks.declarations import unknown_name
 from twodof.blocks.diagram import BASE, Diagram, Rate
 from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.derivative import Dual, Slope, Tie, Value, constant
@@ -102,7 +103,6 @@ class _Linearization:
         self.divider = rate.divider
         point.tick += (rate.offset - point.tick) % rate.divider  # the next at which its blocks are due
         self.whole = IntegerStates(program, point, self.divider)
-        self.signals = {s.path: s for n in program.nodes for s in n.outputs.values()}
         self.inputs = self._inputs(inputs)
         self.outputs = self._outputs(outputs)
         self.states = self._moving()
@@ -125,9 +125,9 @@ class _Linearization:
         return {name: self._signal(name, {**self.program.inputs, **self.program.outputs}) for name in names}
 
     def _signal(self, name: str, ports: Mapping[str, FlatSignal]) -> FlatSignal:
-        found = ports.get(name) or self.signals.get(name)
+        found = ports.get(name) or self.program.signals.get(name)
         if found is None:
-            raise DiagramError(f"there is no signal {name!r:.120}", self.name, "name a port, or a path part.sub.port")
+            raise unknown_name("signal", name, [*ports, *self.program.signals], self.name)
         if found.kind != "real":
             raise DiagramError(f"{name!r} is {found.kind}", self.name, "a linear model has real inputs and outputs")
         return found

@@ -176,6 +176,7 @@ class FlatProgram:
     integrator: str
     inputs: dict[str, FlatSignal]
     outputs: dict[str, FlatSignal]  # with the logged signals
+    signals: dict[str, FlatSignal]  # outputs of blocks and sub-diagrams by path
     parameters: dict[str, FlatParameter]
     nodes: list[Node]
     tick: list[Group]

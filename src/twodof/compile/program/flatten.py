@@ -9,11 +9,11 @@ from dataclasses import dataclass, field
 
 from twodof.blocks.block import Block
 from twodof.blocks.conditions import EnabledAgain, TriggerEdge
-from twodof.blocks.declarations import Param, Port, check_initial, narrowed
+from twodof.blocks.declarations import Param, Port, check_initial, narrowed, unknown_name
 from twodof.blocks.diagram import BASE, MAX_NESTED, Diagram, Part, Rate
 from twodof.blocks.expressions.graph import leaves
 from twodof.compile.program.flat_program import Condition, FlatParameter, FlatSignal, Node
-from twodof.errors import DiagramError, shown
+from twodof.errors import DiagramError, nearest, shown
 
 MAX_DEPTH = 64
 MAX_LOOPS = 20  # algebraic loops that are listed; each costs a walk through the diagram
@@ -96,6 +96,7 @@ class FlatDiagram:
         self.unknown: set[FlatSignal] = set()
         self.nodes: list[Node] = []
         self.parameters: dict[str, FlatParameter] = {}
+        self.signals: dict[str, FlatSignal] = {}  # the outputs of blocks and sub-diagrams, by path
         self.levels: list[_Level] = []
         self.root = _Level(diagram, diagram.name, "")
         self.root.root_inputs = {
@@ -139,7 +140,7 @@ class FlatDiagram:
                     DiagramError(
                         f"there is no parameter {outer!r} to bind to",
                         f"{level.path}.{part.name}",
-                        "declare it with Diagram.param",
+                        f"declare it with Diagram.param; there are: {nearest(outer, level.diagram.params)}",
                     )
                 )
         return {inner: own[outer] for inner, outer in part.params.items() if outer in own}
@@ -180,6 +181,7 @@ class FlatDiagram:
             for o in node.block.outputs
         }
         self.nodes.append(node)
+        self.signals |= {s.path: s for s in node.outputs.values()}
         return node
 
     @contextmanager
@@ -207,7 +209,9 @@ class FlatDiagram:
         for level in self.levels:
             for name in level.diagram.outputs:
                 with self._reported():
-                    level.driver(name)
+                    driver = level.driver(name)
+                    if level.parent is not None:
+                        self.signals[f"{level.path}.{name}"] = driver
             for part in level.diagram.parts.values():
                 inner = level.parts.get(part.name)
                 if inner is not None:
@@ -313,12 +317,10 @@ class FlatDiagram:
         return order
 
     def logged(self, path: str) -> FlatSignal:
-        """The signal with the path "part.sub.port". Raises DiagramError if there is none."""
-        owner, _, port = path.rpartition(".")
-        for node in self.nodes:
-            if node.path == owner and port in node.outputs:
-                return node.outputs[port]
-        raise DiagramError(f"there is no signal {path!r:.120}", self.diagram.name, "a signal's path is part.sub.port")
+        """What drives the signal with the path "part.sub.port". Raises DiagramError if there is none."""
+        if path not in self.signals:
+            raise unknown_name("signal", path, sorted(self.signals), self.diagram.name)
+        return self.signals[path]
 
 
 def _clash(a: str, b: str) -> bool:

@@ -41,6 +41,7 @@ def lower(diagram: Diagram, dt: float, log: Iterable[str] = (), integrator: str 
         integrator,
         inputs,
         outputs,
+        flat.signals,
         flat.parameters,
         flat.nodes,
         _grouped([s for s in ordered if s in live], flat.nodes, tick_needs),

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from html import escape as escape_html
 
 from twodof.blocks.block import Block
-from twodof.blocks.declarations import Port
+from twodof.blocks.declarations import Port, unknown_name
 from twodof.blocks.diagram import CONDITIONS, Diagram, Part, carried
 from twodof.errors import DiagramError
 from twodof.report.drawing.layered_layout import Box, GraphLayout, Net, layout
@@ -59,8 +59,8 @@ def find(diagram: Diagram, path: str) -> Diagram:
     for name in path.split(".") if path else []:
         part = at.parts.get(name)
         if part is None or isinstance(part.item, Block):
-            known = ", ".join(n for n, p in at.parts.items() if isinstance(p.item, Diagram)) or "none"
-            raise DiagramError(f"there is not a sub-diagram {path!r:.120}", at.name, f"sub-diagrams: {known}")
+            known = [n for n, p in at.parts.items() if isinstance(p.item, Diagram)]
+            raise unknown_name("sub-diagram", name, known, at.name)
         at = part.item
     return at
 
