@@ -181,9 +181,9 @@ class Diagram:
             raise DiagramError("a block cannot be restarted", path, "put it into a sub-diagram")
         for output in initial or {}:
             if output not in port_names(item, "output"):
-                there = listed(port_names(item, "output"))
+                there = nearest(output, port_names(item, "output"))
                 raise DiagramError(f"there is no output {shown(output)} to start", path, f"there are: {there}")
-        held = {n: v.tolist() if hasattr(v, "tolist") else v for n, v in (initial or {}).items()}
+        held = {n: plain_data(v, f"{path}.{n}") for n, v in (initial or {}).items()}
         known = {p.name for p in item.params} if isinstance(item, Block) else set(item.params)
         for inner in params or {}:
             if inner not in known:

@@ -30,10 +30,15 @@ from twodof.compile import build
 from twodof.errors import DiagramError, ParameterError
 
 
+def ragged(rows: Any) -> bool:
+    """Whether the rows differ in length: numpy has no array of them."""
+    return len({len(row) if isinstance(row, (list, tuple)) else 0 for row in rows}) > 1
+
+
 def arrays(value: Any) -> Any:
     """A list as an array, a number as a scalar of numpy."""
     if isinstance(value, (list, tuple)):
-        return np.array(value)
+        return [arrays(v) for v in value] if ragged(value) else np.array(value)
     if isinstance(value, (bool, int, float)):
         return {bool: np.bool_, int: np.int64, float: np.float64}[type(value)](value)
     return value
@@ -42,6 +47,8 @@ def arrays(value: Any) -> Any:
 def views(value: Any) -> Any:
     """A list as an array with gaps and backwards in memory, a number as an array of no dimension."""
     if isinstance(value, (list, tuple)):
+        if ragged(value):
+            return [views(v) for v in value]
         made = np.array(value)
         return np.repeat(made[::-1], 3, axis=0)[::-3]
     return np.array(value) if isinstance(value, (bool, int, float)) else value
