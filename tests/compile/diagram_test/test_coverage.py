@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from tests.compile.random_diagrams import Maker
 from twodof.blocks import Block, Diagram, Param, Port, State, fold, maximum, minimum, where
+from twodof.blocks.elementary.functions import sin
 from twodof.blocks.expressions.expr import Expr
 from twodof.blocks.library import Constant, FractionalDelay, Gain, Integrator, Saturation, UnitDelay
 from twodof.blocks.schema.json_form import from_json, to_json
@@ -223,6 +224,30 @@ def test_an_input_that_is_not_known_yet_decides_nothing() -> None:
     d.output("y", "split.late")
     found = taken(measure_coverage(d, [Scenario("x", 0.02, checks=["y always equals 1"])], DT))
     assert found == {("split", "u.u > 0.5"): ("true",)}
+
+
+class BeforeLoop(Block):
+    """The sine does not change in the loop, so it is computed before it, whether a turn uses it or not."""
+
+    inputs = (Port("u"), Port("a", "bool"))
+    outputs = (Port("y"),)
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        return fold(3, [0.0], lambda i, s: [s + where(u.a, sin(where(u.u > 0.0, u.u, 1.0)), 0.0)])[0]
+
+
+def test_what_is_computed_before_a_loop_counts_where_a_turn_uses_it() -> None:
+    d = Diagram("before")
+    d.input("a", "bool")
+    d.add("one", Constant(1.0))
+    d.add("loop", BeforeLoop(), u="one", a="a")
+    d.output("y", "loop")
+
+    def sides(a: bool) -> Sides:
+        return taken(measure_coverage(d, [Scenario("x", 0.0, {"a": a}, checks=["y never above 5"])], DT))
+
+    assert sides(False) == {("loop", "u.a"): ("false",), ("loop", "u.u > 0"): ()}
+    assert sides(True) == {("loop", "u.a"): ("true",), ("loop", "u.u > 0"): ("true",)}
 
 
 def random_coverage(seed: int, precision: str, ticks: int) -> None:
