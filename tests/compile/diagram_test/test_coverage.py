@@ -154,6 +154,31 @@ def test_a_diagram_made_by_hand_has_the_sides_that_were_never_taken() -> None:
     assert len(never) == 14 - 8
 
 
+def test_a_trigger_has_edges_and_none() -> None:
+    inner = Diagram("inner")
+    inner.input("u")
+    inner.add("limit", Saturation(-1.0, 1.0), u="u")
+    inner.output("y", "limit")
+    d = Diagram("triggered")
+    d.input("u")
+    d.input("go", "bool")
+    d.add("inner", inner, u="u", trigger="go")
+    d.output("y", "inner")
+
+    def sides(*rows: bool) -> Sides:
+        points = PointsInput([(k * DT, float(row)) for k, row in enumerate(rows)], "hold")
+        scenario = Scenario("x", (len(rows) - 1) * DT, {"go": points, "u": 0.5}, checks=["y never above 5"])
+        return taken(measure_coverage(d, [scenario], DT))
+
+    assert sides(False, False) == {
+        ("inner.limit", "min(p.high, u.u)"): (),
+        ("inner.limit", "max(p.low, min(p.high, u.u))"): (),
+        ("inner", "go"): ("no edge",),
+    }
+    assert sides(False, True)["inner", "go"] == ("edge", "no edge")
+    assert sides(False, True)["inner.limit", "min(p.high, u.u)"] == ("u.u",)
+
+
 class Everywhere(Block):
     """A decision in each method, of a continuous state and of a derived parameter."""
 

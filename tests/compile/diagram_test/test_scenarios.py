@@ -203,9 +203,15 @@ def test_a_scenario_that_does_not_fit_is_refused(scenario: Scenario, what: str) 
         run_scenario(lag(), scenario, DT, target="reference")
 
 
-def test_a_parameter_out_of_bounds_is_refused() -> None:
-    with pytest.raises(ParameterError):
-        run_scenario(lag(), Scenario("x", 1.0, {}, {"k": 2.0}, ["y never above 1"]), DT, target="reference")
+def test_a_mistake_names_its_scenario() -> None:
+    for parameters, where in (({"k": 2.0}, "fast, k"), ({"kp": 1.0}, "fast")):
+        with pytest.raises(ParameterError) as caught:
+            run_scenario(lag(), Scenario("fast", 1.0, {}, parameters, ["y never above 1"]), DT, target="reference")
+        assert caught.value.where == where
+    late = Scenario("slow", 0.1, checks=["y never above 1 until 3"])
+    with pytest.raises(DiagramError) as late_claim:
+        run_scenario(lag(), late, DT, target="reference")
+    assert late_claim.value.where == "slow, y never above 1 until 3"
 
 
 def test_junit_names_each_assertion() -> None:

@@ -14,7 +14,7 @@ from twodof.compile.diagram_test.assertions import Assertion
 from twodof.compile.diagram_test.judgement import ScenarioResult
 from twodof.compile.diagram_test.plan import Plan, plan
 from twodof.compile.diagram_test.scenario import ExpectedColumn, Scenario, expected_column
-from twodof.errors import DiagramError
+from twodof.errors import DiagramError, ParameterError
 
 REFERENCE = "reference"
 DT = 0.004
@@ -61,13 +61,17 @@ def run_scenarios(
 def run_plan(planned: Plan, machine: Machine) -> dict[str, NDArray[Any]]:
     """The signals of a run of a scenario on a fresh machine, by name, each of `steps` rows."""
     if planned.scenario.parameters:
-        machine.set_many(planned.scenario.parameters)
+        try:
+            machine.set_many(planned.scenario.parameters)
+        except ParameterError as error:
+            where = f"{planned.scenario.name}, {error.where}".rstrip(", ")
+            raise ParameterError(error.what, where, error.remedy) from error
         machine.reset()  # initial states may be parameters
     return machine.run(planned.steps, planned.inputs)
 
 
 def judged(planned: Plan, signals: dict[str, NDArray[Any]], dt: float) -> ScenarioResult:
-    """What is found of a scenario in the signals of its run."""
+    """What is found of a scenario in the signals of its run. Raises DiagramError for a claim about no tick of it."""
     table, name = planned.scenario.table, planned.scenario.name
     claims: list[tuple[Assertion | ExpectedColumn, NDArray[Any]]] = [
         (check, _values(signals, check.signal, f"{name}, {check.text}")) for check in planned.checks
@@ -77,7 +81,10 @@ def judged(planned: Plan, signals: dict[str, NDArray[Any]], dt: float) -> Scenar
         values = _values(signals, signal, f"{name}, {column}")
         whole = values.dtype.kind != "f"
         claims.append((expected_column(table, column, signal, whole, planned.steps, dt), values))
-    judgements = tuple(claim.judge(values.astype(np.float64), dt) for claim, values in claims)
+    try:
+        judgements = tuple(claim.judge(values.astype(np.float64), dt) for claim, values in claims)
+    except DiagramError as error:
+        raise DiagramError(error.what, f"{name}, {error.where}", error.remedy) from error
     return ScenarioResult(name, judgements, dt * np.arange(planned.steps, dtype=np.float64), signals)
 
 

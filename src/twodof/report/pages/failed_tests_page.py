@@ -20,7 +20,7 @@ def failed_tests_page(name: str, results: Sequence[ScenarioResult]) -> str:
     """
     failed = [(result, judgement) for result in results for judgement in result.failed]
     scenarios = sum(not result.passed for result in results)
-    lead = f"{scenarios} of {len(results)} tests failed, in {len(failed)} assertions."
+    lead = f"{scenarios} of {len(results)} tests failed. Claims that do not hold: {len(failed)}."
     figures = "".join(_figure(number, *one) for number, one in enumerate(failed[:MAX_FIGURES], 1))
     return page(f"Tests of {name}", escape(lead), f"<main>{figures}</main>")
 
@@ -31,9 +31,11 @@ def _figure(number: int, result: ScenarioResult, judgement: Judgement) -> str:
     value = np.asarray(value[:, int(index[:-1])] if index else value, dtype=np.float64)
     marks: list[FigureBand | FigurePoint] = []
     if judgement.limit is not None and np.isfinite(judgement.limit):
-        marks.append(FigureBand(judgement.limit, judgement.limit, f"{judgement.limit:.4g}"))
+        marks.append(FigureBand(judgement.limit, judgement.limit, ""))
     if judgement.time is not None and judgement.value is not None and np.isfinite(judgement.value):
-        marks.append(FigurePoint(judgement.time, judgement.value, f"{judgement.time:.4g} s"))
+        marks.append(
+            FigurePoint(judgement.time, judgement.value, f"{judgement.time:.4g} s, limit {judgement.limit:.4g}")
+        )
     panel = Panel(judgement.signal, [FigureLine("measured", result.time, value)], marks, 1.3)
     title = escape(f"{result.name}: {judgement.check}")
     drawn = time_figure(Figure(number, title, "", [panel]), title)
