@@ -108,7 +108,12 @@ class Maker:
         d.input("flag", "bool")
         d.input("vector_in", width=3)
         sources = [Source(n, p, (1, 0), True) for n, p in d.inputs.items()]
+        self.unwritten = self.stores = self.more.random() < 0.3
+        if self.stores:
+            d.add("cell", lib.DataStore(self.more.uniform(-2, 2)))
         self.fill(d, "", sources, (1, 0), self.rng.randint(2, 3) if self.small else self.rng.randint(3, 6), 0)
+        if self.unwritten:
+            d.add("write", lib.StoreWrite("cell"), u="real_in")
         for i, path in enumerate(self.rng.sample(self.paths, min(2, len(self.paths)))):
             part = path.split(".")[0]
             item = d.parts[part].item
@@ -138,11 +143,12 @@ class Maker:
                 self.sources[prefix + name] = block.source
                 block.crossing = r.random() < 0.15
             d.add(name, block, rate=own, params=self.binding(d, block))
-            if block.outputs and self.more.random() < 0.2:
+            if block.outputs and self.more.random() < 0.2 and not isinstance(block, lib.StoreWrite):
                 held = self.more.choice(block.outputs)
                 value = {"real": self.more.uniform(-2, 2), "bool": True}.get(held.kind, 3)
                 d.parts[name].initial = {held.name: value}
-            waiting += [(f"{name}.{p.name}", p, own, before) for p in block.inputs]
+            if not isinstance(block, lib.StoreRead):
+                waiting += [(f"{name}.{p.name}", p, own, before) for p in block.inputs]
             for p in block.outputs:
                 self.paths.append(f"{prefix}{name}.{p.name}")
                 made.append(Source(f"{name}.{p.name}", p, own, not block.trace.feedthrough[p.name]))
@@ -187,6 +193,9 @@ class Maker:
             made: Block = r.choice(LIBRARY)(r)
             if self.more.random() < 0.15:
                 made = self.more.choice(LATER)(self.more)
+            if self.stores and self.more.random() < 0.3:
+                made = lib.StoreWrite("cell") if self.unwritten else lib.StoreRead("cell")
+                self.unwritten = False
         elif what < 0.75 or rate != (1, 0):
             made = RandomBlock(r.randrange(2**31), size=self.size)
         elif what < 0.85:

@@ -14,7 +14,16 @@ from tests.compile.differential import Case
 from twodof.blocks import Block, Diagram, Port, State
 from twodof.blocks.action_group import action_group
 from twodof.blocks.conditions import EDGES
-from twodof.blocks.library import CompareToConstant, Constant, Gain, Mux, ZeroOrderHold
+from twodof.blocks.library import (
+    CompareToConstant,
+    Constant,
+    DataStore,
+    Gain,
+    Mux,
+    StoreRead,
+    StoreWrite,
+    ZeroOrderHold,
+)
 
 Row = Mapping[str, Any]
 STEPS = 120
@@ -267,3 +276,41 @@ def switch_case() -> Told:
     given = [{"u": row["u"], "case": 2 if k == 0 else int(row["u"])} for k, row in enumerate(rows(5, ()))]
     turns = ["low" if r["case"] in (-1, 2) else "high" if r["case"] == 5 else "" for r in given]
     return acting(d, factors, turns, given)
+
+
+@told
+def stored() -> Told:
+    """A store is written in one diagram, at times, and read in others, faster and slower: as it was before the tick.
+
+    An inner store of the same name hides it. One that stands in a slower diagram changes at that one's ticks.
+    """
+    writer = Diagram("writer")
+    writer.input("u")
+    writer.add("write", StoreWrite("cell"), u="u")
+    writer.add("read", StoreRead("cell"))
+    writer.output("own", "read")
+    hidden = Diagram("hidden")
+    hidden.input("u")
+    hidden.add("cell", DataStore(7.0))
+    hidden.add("write", StoreWrite("cell"), u="u")
+    hidden.add("read", StoreRead("cell"))
+    hidden.output("inner", "read")
+    slow = Diagram("slow")
+    slow.add("read", StoreRead("cell"))
+    slow.output("late", "read")
+    d = whole("stored", "on")
+    d.add("reader", StoreRead("cell"))
+    d.add("writer", writer, u="u", enable="on")
+    d.add("hidden", hidden, u="u")
+    d.add("slow", slow, rate=(4, 1))
+    d.add("cell", DataStore(3.0))
+    for name, source in (("y", "reader"), ("own", "writer"), ("inner", "hidden"), ("late", "slow"), ("wired", "cell")):
+        d.output(name, source)
+    given = [{**row, "on": row["on"] and k > 5} for k, row in enumerate(rows(6, ("on",)))]
+    cell, inner, own, late, expected = 3.0, 7.0, 0.0, 0.0, []
+    for k, row in enumerate(given):
+        own = cell if row["on"] else own
+        late = cell if k % 4 == 1 else late
+        expected.append({"y": cell, "own": own, "inner": inner, "late": late, "wired": cell})
+        cell, inner = row["u"] if row["on"] else cell, row["u"]
+    return Told(Case(d, [], given, {}), expected)

@@ -7,7 +7,7 @@ import random
 from collections.abc import Sequence
 from typing import Any
 
-from tests.blocks.library.samples import LIBRARY, SAMPLES
+from tests.blocks.library.samples import LIBRARY, SAMPLES, add_store
 from tests.compile.differential import Case
 from twodof.blocks import Diagram
 from twodof.blocks.library import Integrator
@@ -45,6 +45,7 @@ def room(name: str, extra: bool) -> Diagram:
                 d.output(f"{part}_{port.name}", f"{part}.{port.name}")
                 if port.name in block.trace.edges:
                     d.add(f"{part}_{port.name}_sum", Integrator(), u=f"{part}.{port.name}")
+            add_store(d, block)
     return d
 
 

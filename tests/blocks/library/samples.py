@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from twodof.blocks import library
-from twodof.blocks.block import REGISTRY
+from twodof.blocks.block import REGISTRY, Block
 from twodof.blocks.declarations import Port
 from twodof.blocks.diagram import Diagram
 
@@ -28,7 +28,7 @@ EXTRA: dict[str, list[Config]] = {
         *({"operation": o} for o in ("or", "xor", "left", "right")),
         {"operation": "right", "kind": "int32", "width": 2},
     ],
-    "case_choice": [{"cases": [[3, -1], [0], [3, 2**31 - 1]]}, {"cases": [[1], [1]]}],
+    "case_choice": [{"cases": [[3, -1], [0, 4], [3, 2**31 - 1]]}, {"cases": [[1], [1]]}],
     "compare": [*({"operation": o} for o in _COMPARISONS), {"kind": "int32"}, {"kind": "uint32", "width": 2}],
     "compare_to_constant": [
         *({"operation": o, "constant": 0.5} for o in _COMPARISONS),
@@ -136,6 +136,8 @@ EXTRA: dict[str, list[Config]] = {
         {"A": _MATRIX, "B": [[1.0], [0.5], [0.1]], "C": [[1.0, 2.0, 3.0]], "D": [[0.5]], "initial": [1.0, 0.0, -1.0]},
         {"A": _MATRIX, "B": _MATRIX, "C": _MATRIX[:2]},
     ],
+    "store_read": [{"store": "other", "kind": "int32", "width": 2}],
+    "store_write": [{"store": "other", "kind": "int32", "width": 2}],
     "step": [{"start": 0.1, "before": 0.2, "after": 0.3}],
     "sum": [{"signs": "-+-", "width": 2}, {"signs": "+-", "kind": "int32"}, {"signs": "++", "kind": "uint32"}],
     "sum_of_elements": [{"width": 5}],
@@ -188,7 +190,15 @@ def room(name: str, rate: tuple[int, int] = BASE) -> Diagram:
                 if rate == BASE and port.kind == "real" and port.width is None:
                     d.add(f"{part}_{port.name}_lag", library.FirstOrder(1.0, 0.01), u=f"{part}.{port.name}")
                     d.output(f"{part}_{port.name}_lagged", f"{part}_{port.name}_lag")
+            add_store(d, block, rate)
     return d
+
+
+def add_store(d: Diagram, block: Block, rate: tuple[int, int] = BASE) -> None:
+    """The data store that a sample writes."""
+    if isinstance(block, library.StoreWrite):
+        port = block.inputs[0]
+        d.add(block.store, library.DataStore(0, port.kind, port.width), rate=rate)
 
 
 def _input(d: Diagram, port: Port, position: int, rate: tuple[int, int]) -> str:

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from twodof.blocks import Block, Diagram
+from twodof.blocks.library import DataStore, StoreRead
 from twodof.blocks.reference.interpreter import Reference
 from twodof.blocks.schema.json_form import from_json, read_diagram
 from twodof.compile.builder import emit_program
@@ -62,9 +63,11 @@ def judge_many(texts: Sequence[str], file: Path, seconds: float) -> list[dict[st
 
 
 def connected(diagram: Diagram) -> Diagram:
-    """`diagram` with an input of its own for each input of a part that nothing feeds."""
+    """`diagram` with an input of its own for each input of a part that nothing feeds, data stores apart."""
     number = 0
     for name, part in list(diagram.parts.items()):
+        if isinstance(part.item, (DataStore, StoreRead)):
+            continue
         ports = part.item.inputs if isinstance(part.item, Block) else part.item.inputs.values()
         for port in ports:
             if (name, port.name) not in diagram.connections:

@@ -9,7 +9,7 @@ import pytest
 
 from tests.compile import examples
 from twodof.blocks import Block, Diagram, Param, Port
-from twodof.blocks.library import FractionalDelay, Gain, Integrator, Sum, UnitDelay
+from twodof.blocks.library import DataStore, FractionalDelay, Gain, Integrator, StoreRead, StoreWrite, Sum, UnitDelay
 from twodof.blocks.reference import Reference
 from twodof.compile.program.lower import lower
 from twodof.errors import DiagramError
@@ -104,6 +104,42 @@ def starting(initial: Any) -> Callable[[Diagram], None]:
         d.add("part", inner, u="u", initial=initial)
 
     return fault
+
+
+def stores(*parts: Block, kind: str = "real", wired: bool = False) -> Callable[[Diagram], None]:
+    """A data store `cell`, wired or not, and parts beside it."""
+
+    def fault(d: Diagram) -> None:
+        d.add("cell", DataStore(0, kind), inputs={"u": "u"} if wired else None)
+        for i, part in enumerate(parts):
+            d.add(f"part{i}", part, inputs={"u": "u"} if isinstance(part, StoreWrite) else None)
+
+    return fault
+
+
+@pytest.mark.parametrize(
+    ("fault", "where", "what"),
+    [
+        (stores(), "cell.u", r"the input is not connected \(connect it, or add StoreWrite\(\"cell\"\)\)"),
+        (stores(StoreRead("elsewhere"), wired=True), "part0.u", "there is no data store 'elsewhere' around it"),
+        (stores(StoreWrite("elsewhere"), wired=True), "part0", "there is no data store 'elsewhere' around it"),
+        (stores(StoreWrite("cell"), StoreWrite("cell")), "part1", "sub.cell is written by sub.part0 too"),
+        (stores(StoreWrite("cell"), wired=True), "part0", "sub.cell is written by u too"),
+        (stores(StoreWrite("cell"), kind="int32"), "cell.u", "it takes int32 and sub.part0.y"),
+        (
+            stores(StoreRead("cell"), StoreWrite("cell", "int32"), kind="int32"),
+            "part0.u",
+            "it takes real and sub.cell.y",
+        ),
+    ],
+)
+@pytest.mark.parametrize("read", [lower, Reference])
+def test_a_data_store_without_one_writer_is_refused(
+    read: Callable[..., Any], fault: Callable[[Diagram], None], where: str, what: str
+) -> None:
+    with pytest.raises(DiagramError, match=what) as caught:
+        read(within(fault), 0.01)
+    assert caught.value.where == f"sub.{where}"
 
 
 def without_source(d: Diagram) -> None:

@@ -1,15 +1,24 @@
-"""Blocks that remember: unit, N-sample and fractional delay, zero-order hold, rate transition."""
+"""Blocks that remember: unit, N-sample and fractional delay, zero-order hold, rate transition, data store."""
 
 import math
 from typing import Any
 
 from twodof.blocks.block import Block, Clock, library_block
-from twodof.blocks.declarations import Param, Port, State
+from twodof.blocks.declarations import Param, Port, State, check_name
 from twodof.blocks.elementwise import count
 from twodof.blocks.expressions.arrays import array_of, store
 from twodof.blocks.expressions.expr import int32, to_int32, to_real, where
 
-__all__ = ["Delay", "FractionalDelay", "RateTransition", "UnitDelay", "ZeroOrderHold"]
+__all__ = [
+    "DataStore",
+    "Delay",
+    "FractionalDelay",
+    "RateTransition",
+    "StoreRead",
+    "StoreWrite",
+    "UnitDelay",
+    "ZeroOrderHold",
+]
 
 MAX_SAMPLES = 100_000
 
@@ -184,3 +193,55 @@ class RateTransition(UnitDelay):
     """
 
     crossing = True
+
+
+@library_block("data_store")
+class DataStore(Block):
+    """A value that one place writes and others read, without wires: y is what stood in it after its previous tick.
+
+    Its input is fed by the one StoreWrite of its name, or by a connection. It is read by StoreReads, or by
+    connections. Both look in the diagram that they are in and then in those around it; the nearest store of the name
+    is theirs. So a store reads as it did before the tick, whatever the order in which the blocks run. It is `initial`
+    until it is written, and keeps what was written while its writer does not act.
+    """
+
+    crossing = True
+
+    def __init__(self, initial: Any = 0, kind: str = "real", width: int | None = None, unit: str = "") -> None:
+        self.inputs = [Port("u", kind, width, unit)]
+        self.outputs = [Port("y", kind, width, unit)]
+        self.states = [State("x", initial, kind, width, unit)]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return x.x
+
+    def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return u.u
+
+
+@library_block("store_write")
+class StoreWrite(Block):
+    """Writes u into the DataStore named `store`, of which it is the only writer; y = u."""
+
+    def __init__(self, store: str = "store", kind: str = "real", width: int | None = None, unit: str = "") -> None:
+        self.store = check_name(store, "StoreWrite")
+        self.inputs = [Port("u", kind, width, unit)]
+        self.outputs = [Port("y", kind, width, unit)]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return u.u
+
+
+@library_block("store_read")
+class StoreRead(Block):
+    """y is what stands in the DataStore named `store`, which feeds the input u if nothing is connected to it."""
+
+    crossing = True
+
+    def __init__(self, store: str = "store", kind: str = "real", width: int | None = None, unit: str = "") -> None:
+        self.store = check_name(store, "StoreRead")
+        self.inputs = [Port("u", kind, width, unit)]
+        self.outputs = [Port("y", kind, width, unit)]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return u.u

@@ -12,6 +12,7 @@ from twodof.blocks.conditions import EnabledAgain, TriggerEdge
 from twodof.blocks.declarations import Param, Port, State, check_initial, narrowed, shape, unknown_name
 from twodof.blocks.diagram import BASE, MAX_NESTED, Diagram, Rate
 from twodof.blocks.expressions.graph import leaves
+from twodof.blocks.library.delays import DataStore, StoreRead, StoreWrite
 from twodof.errors import DiagramError, nearest, shown
 
 MAX_DEPTH = 64
@@ -124,6 +125,7 @@ class Hierarchy:
     def __init__(self, diagram: Diagram) -> None:
         self.parameters: dict[str, Param] = {}
         self.cells: list[Cell] = []
+        self.writers: dict[Cell | DiagramLevel, Cell] = {}  # of data stores
         self.root = self._open(diagram, DiagramLevel(diagram, diagram.name, None, ""), "", (), {})
         self._connect()
         self._check_states()
@@ -179,6 +181,7 @@ class Hierarchy:
         return bound
 
     def _connect(self) -> None:
+        self._find_writers(self.root)
         stack = [self.root]
         while stack:
             level = stack.pop()
@@ -251,9 +254,7 @@ class Hierarchy:
 
     def _checked_driver(self, level: DiagramLevel, part: str, port: Port, path: str) -> PortOf | str:
         source = level.diagram.connections.get((part, port.name))
-        if source is None:
-            raise DiagramError("the input is not connected", f"{path}.{port.name}", "connect it")
-        driver = level.resolve(source)
+        driver = self._stored(level, part, f"{path}.{port.name}") if source is None else level.resolve(source)
         given = self._port(driver)
         if shape(given) != shape(port):
             raise DiagramError(
@@ -268,6 +269,36 @@ class Hierarchy:
                 "convert the unit",
             )
         return driver
+
+    def _stored(self, level: DiagramLevel, part: str, where: str) -> PortOf:
+        """The data store that feeds a StoreRead, or the StoreWrite that feeds a data store."""
+        item = level.diagram.parts[part].item
+        if isinstance(item, StoreRead):
+            return PortOf(_store(level, item.store, where)[1], "y")
+        writer = self.writers.get(level.children[part])
+        if writer is not None:
+            return PortOf(writer, "y")
+        remedy = f'connect it, or add StoreWrite("{part}")' if isinstance(item, DataStore) else "connect it"
+        raise DiagramError("the input is not connected", where, remedy)
+
+    def _find_writers(self, level: DiagramLevel) -> None:
+        """Note who writes which data store, in a diagram and in those inside."""
+        for child in level.children.values():
+            if isinstance(child, DiagramLevel):
+                self._find_writers(child)
+            elif isinstance(child.block, StoreWrite):
+                name = child.block.store
+                at, store = _store(level, name, child.path)
+                wired = at.diagram.connections.get((name, "u"))
+                other = self.writers[store].path if store in self.writers else wired
+                if other is not None:
+                    raise DiagramError(
+                        f"the data store {store.path} is written by {other} too",
+                        child.path,
+                        "a store has one writer: choose between them in front of it",
+                    )
+                self.writers[store] = child
+                child.initial["y"] = store.block.states[0].initial
 
     def _check_states(self) -> None:
         for cell in self.cells:
@@ -388,6 +419,15 @@ class Hierarchy:
         if path not in self.signals:
             raise unknown_name("signal", path, sorted(self.signals), self.root.path)
         return self.signals[path]
+
+
+def _store(level: DiagramLevel, name: str, where: str) -> tuple[DiagramLevel, Cell]:
+    """The data store of this name in a diagram or, nearest first, in those around it."""
+    for at in (level, *reversed(level.around)):
+        found = at.children.get(name)
+        if isinstance(found, Cell) and isinstance(found.block, DataStore):
+            return at, found
+    raise DiagramError(f"there is no data store {name!r} around it", where, "add a DataStore of this name")
 
 
 def _units_clash(a: str, b: str) -> bool:

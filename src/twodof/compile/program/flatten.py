@@ -12,6 +12,7 @@ from twodof.blocks.conditions import EnabledAgain, TriggerEdge
 from twodof.blocks.declarations import Param, Port, check_initial, narrowed, unknown_name
 from twodof.blocks.diagram import BASE, MAX_NESTED, Diagram, Part, Rate
 from twodof.blocks.expressions.graph import leaves
+from twodof.blocks.library.delays import DataStore, StoreRead, StoreWrite
 from twodof.compile.program.flat_program import Condition, FlatParameter, FlatSignal, Node
 from twodof.errors import DiagramError, nearest, shown
 
@@ -95,6 +96,7 @@ class FlatDiagram:
         self.report = report
         self.unknown: set[FlatSignal] = set()
         self.nodes: list[Node] = []
+        self.writers: dict[Node, Node] = {}  # of data stores
         self.parameters: dict[str, FlatParameter] = {}
         self.signals: dict[str, FlatSignal] = {}  # the outputs of blocks and sub-diagrams, by path
         self.levels: list[_Level] = []
@@ -206,6 +208,7 @@ class FlatDiagram:
 
     def _connect(self) -> None:
         """Give each node its drivers and each condition its signals; checks types, widths and units."""
+        self._find_writers()
         for level in self.levels:
             for name in level.diagram.outputs:
                 with self._reported():
@@ -272,9 +275,7 @@ class FlatDiagram:
         where = f"{path}.{port.name}"
         with self._reported():
             source = level.diagram.connections.get((part, port.name))
-            if source is None:
-                raise DiagramError("the input is not connected", where, "connect it")
-            signal = level.resolve(source)
+            signal = level.resolve(source) if source is not None else self._stored(level, part, where)
             if (signal.kind, signal.width) != (port.kind, port.width):
                 raise DiagramError(
                     f"it takes {_shape(port)} and {signal.path} is {_shape(signal)}",
@@ -289,6 +290,44 @@ class FlatDiagram:
         stand_in = FlatSignal(where, port.name, port.kind, port.width, port.unit)
         self.unknown.add(stand_in)
         return stand_in
+
+    def _stored(self, level: _Level, part: str, where: str) -> FlatSignal:
+        """What feeds an input without a connection: a data store, or its writer."""
+        item, node = level.diagram.parts[part].item, level.parts.get(part)
+        if isinstance(item, StoreRead):
+            return self._store(level, item.store, where)[1].outputs["y"]
+        if isinstance(item, DataStore) and node in self.writers:
+            return self.writers[node].outputs["y"]
+        remedy = f'connect it, or add StoreWrite("{part}")' if isinstance(item, DataStore) else "connect it"
+        raise DiagramError("the input is not connected", where, remedy)
+
+    def _store(self, level: _Level, name: str, where: str) -> tuple[_Level, Node]:
+        """The data store `name` that is nearest to a level, and where it stands."""
+        at: _Level | None = level
+        while at is not None:
+            found = at.parts.get(name)
+            if isinstance(found, Node) and isinstance(found.block, DataStore):
+                return at, found
+            at = at.parent
+        raise DiagramError(f"there is no data store {name!r} around it", where, "add a DataStore of this name")
+
+    def _find_writers(self) -> None:
+        """Find who writes each data store: one at most."""
+        for level in self.levels:
+            for node in level.parts.values():
+                if not isinstance(node, Node) or not isinstance(node.block, StoreWrite):
+                    continue
+                with self._reported():
+                    at, store = self._store(level, node.block.store, node.path)
+                    other = self.writers[store].path if store in self.writers else ""
+                    other = at.diagram.connections.get((node.block.store, "u"), other)
+                    if other:
+                        what = f"the data store {store.path} is written by {other} too"
+                        raise DiagramError(
+                            what, node.path, "a store has one writer: choose between them in front of it"
+                        )
+                    self.writers[store] = node
+                    node.outputs["y"].initial = store.block.states[0].initial
 
     def _bool(self, level: _Level, source: str | None, path: str, what: str) -> FlatSignal | None:
         if not source:

@@ -9,6 +9,7 @@ from typing import Any
 from twodof.blocks.block import Block
 from twodof.blocks.declarations import Port
 from twodof.blocks.diagram import BASE, CONDITIONS, Diagram, Part
+from twodof.blocks.library.delays import StoreRead, StoreWrite
 from twodof.blocks.library.math import Sum
 from twodof.report.drawing.layered_layout import Box
 from twodof.report.drawing.text_width import shortened, text_width
@@ -117,6 +118,7 @@ def _block(part: Part, block: Block) -> BlockSymbol:
                 lines.append(f"{p.name} = {value_text(part, block, p.name)}{unit}")
     elif block.params:
         lines.append(f"{len(block.params)} parameters")
+    lines += [f"of {block.store}"] if isinstance(block, (StoreRead, StoreWrite)) else []
     lines += _starts(part)
     units = {p.name: p.unit for p in (*block.inputs, *block.outputs)}
     outputs = [(p.name, units[p.name]) for p in block.outputs]
