@@ -9,7 +9,17 @@ from twodof.blocks.library import Constant, FractionalDelay, Gain, Integrator, M
 from twodof.errors import DiagramError
 from twodof.flight.starters import starter
 from twodof.flight.starters.build import with_ports
-from twodof.flight.templates import ATTITUDE, MOTOR, POSITION, TEMPLATES, by_kind, check_template, kind_of
+from twodof.flight.templates import (
+    ATTITUDE,
+    MOTOR,
+    POSITION,
+    TEMPLATES,
+    by_kind,
+    check_template,
+    kind_of,
+    nearest_template,
+    template_fit,
+)
 
 FLAG = ("bool", "")
 
@@ -122,8 +132,50 @@ def test_what_a_diagram_is_meant_for_shows_in_its_outputs() -> None:
         assert kind_of(starter(f"empty-{name}")) == f"{name}_control"
     with pytest.raises(DiagramError, match=r"its outputs \(none\) are those of no template.*attitude_control gives M"):
         kind_of(Diagram("nothing"))
-    with pytest.raises(DiagramError, match="no template called"):
-        check_template(controller(), "yaw_control")
+    with pytest.raises(DiagramError, match=r"mine: there is no template 'atitude' \(there are: attitude_control, "):
+        check_template(controller(), "atitude")
+
+
+def renamed(d: Diagram, **names: str) -> Diagram:
+    """`d` with inputs and outputs under other names; nothing reads the inputs."""
+    made = Diagram("mine")
+    for port in d.inputs.values():
+        made.input(names.get(port.name, port.name), port.kind, unit=port.unit)
+    for name in d.outputs:
+        made.add(f"{name}_source", Constant(0.5))
+        made.output(names.get(name, name), f"{name}_source")
+    return made
+
+
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        ({"theta_0": "theta0"}, {"theta_0": "theta0"}),
+        ({"theta": "Theta", "theta_0": "Theta_set"}, {"theta": "Theta", "theta_0": "Theta_set"}),
+        ({"FLAG_RESET_INT": "flag_reset", "q_0": "q0"}, {"FLAG_RESET_INT": "flag_reset", "q_0": "q0"}),
+        ({"M": "moment"}, {"M": "moment"}),
+        ({"q": "wind"}, {}),
+    ],
+)
+def test_a_port_under_a_like_name_is_the_one_to_rename(names: dict[str, str], said: dict[str, str]) -> None:
+    found = template_fit(renamed(controller(), **names), "attitude_control")
+    assert [fault.split(": rename ")[1].split()[0] for fault in found.faults if "rename" in fault] == [
+        said[name] for name in (*(p.name for p in ATTITUDE.inputs), "M") if name in said
+    ]
+    for wanted, given in names.items():
+        assert any(f"put {wanted} is missing: " in fault for fault in found.faults)
+        assert any(f"put {given} is not of the template" in fault for fault in found.faults) == (wanted not in said)
+
+
+def test_the_nearest_template_is_that_of_most_ports() -> None:
+    for template in TEMPLATES.values():
+        other = {port.name: f"{port.name}x" for port in template.outputs}
+        empty = starter(f"empty-{template.name.removesuffix('_control')}")
+        assert nearest_template(empty) == nearest_template(renamed(empty, **other)) == template.name
+    loop = Diagram("loop")
+    loop.input("r")
+    loop.output("y", "r")
+    assert nearest_template(loop) is None
 
 
 def test_a_controller_is_discrete() -> None:

@@ -4,6 +4,7 @@ import os
 from pathlib import Path
 
 from twodof.blocks import Diagram
+from twodof.blocks.declarations import unknown_name
 from twodof.errors import DiagramError
 from twodof.flight.starters import load_diagram, save_diagram
 from twodof.flight.templates import TEMPLATES, check_template
@@ -37,9 +38,7 @@ class ControllerStore:
     def file(self, kind: str) -> Path:
         """Where the diagram of the template `kind` is. Raises DiagramError for a template that is not there."""
         if kind not in TEMPLATES:
-            raise DiagramError(
-                f"no template called {kind!r:.80}", str(self.folder), f"there are: {', '.join(TEMPLATES)}"
-            )
+            raise unknown_name("template", kind, TEMPLATES, str(self.folder))
         return self.folder / f"{kind}.json"
 
     def flashed(self) -> dict[str, Diagram]:

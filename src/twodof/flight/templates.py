@@ -2,16 +2,22 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from difflib import SequenceMatcher
 from types import MappingProxyType
 from typing import NamedTuple
 
-from twodof.blocks.declarations import Port
+from twodof.blocks.declarations import Port, unknown_name
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.library.delays import ZeroOrderHold
-from twodof.compile.program.flat_program import FlatSignal
+from twodof.compile.program.flat_program import FlatProgram, FlatSignal
 from twodof.compile.program.lower import lower
 from twodof.errors import DiagramError
 from twodof.signals import PERIOD
+
+MEANT = 0.25
+"""A diagram with this share of a template's ports, among all of both, is meant for it."""
+ALIKE = 0.6  # of two names, one is a slip of the pen of the other
+MAX_COMPARED = 100
 
 
 class TemplatePort(NamedTuple):
@@ -122,23 +128,39 @@ TEMPLATES: Mapping[str, Template] = MappingProxyType({t.name: t for t in (ATTITU
 
 
 def kind_of(diagram: Diagram) -> str:
-    """The name of the template that `diagram` is made for, judged by the names of its ports, outputs before inputs.
+    """The name of the template that `diagram` is made for, as `nearest_template` says.
 
     It says what a diagram is meant to be; whether it is one says `check_template`. Raises DiagramError for a diagram
-    that has no output of any template.
+    that has hardly a port of any template.
     """
-
-    def shared(template: Template) -> tuple[int, int]:
-        outputs = sum(port.name in diagram.outputs for port in template.outputs)
-        return outputs, sum(port.name in diagram.inputs for port in template.inputs)
-
-    best = max(TEMPLATES.values(), key=shared)
-    if shared(best)[0] == 0:
+    nearest = nearest_template(diagram)
+    if nearest is None:
         known = "; ".join(f"{t.name} gives {', '.join(port.name for port in t.outputs)}" for t in TEMPLATES.values())
         raise DiagramError(
             f"its outputs ({', '.join(diagram.outputs) or 'none'}) are those of no template", diagram.name, known
         )
-    return best.name
+    return nearest
+
+
+def nearest_template(diagram: Diagram) -> str | None:
+    """The name of the template that `diagram` is made for, judged by its ports' names, outputs before inputs.
+
+    None if it has no output of any template, and hardly an input.
+    """
+
+    def folded(inputs: Iterable[str], outputs: Iterable[str]) -> set[tuple[str, str]]:
+        ports = [*(("input", name) for name in inputs), *(("output", name) for name in outputs)]
+        return {(what, name.casefold().replace("_", "")) for what, name in ports}
+
+    def likeness(template: Template) -> tuple[int, float]:
+        outputs = [port.name for port in template.outputs]
+        asked = folded((port.name for port in template.inputs), outputs)
+        own = folded(diagram.inputs, diagram.outputs)
+        return sum(name in diagram.outputs for name in outputs), len(own & asked) / len(own | asked)
+
+    best = max(TEMPLATES.values(), key=likeness)
+    outputs, share = likeness(best)
+    return best.name if outputs or share >= MEANT else None
 
 
 def by_kind(diagrams: Iterable[Diagram]) -> dict[str, Diagram]:
@@ -163,33 +185,60 @@ def check_template(diagram: Diagram, kind: str | None = None) -> Template:
     left unused inside. Raises a DiagramError that names every port that is missing, too many or of another type or
     unit, and everything that keeps the diagram from being compiled. A controller cannot have continuous states.
     """
-    name = kind_of(diagram) if kind is None else kind
-    if name not in TEMPLATES:
-        raise DiagramError(f"no template called {name!r:.80}", diagram.name, f"there are: {', '.join(TEMPLATES)}")
-    template = TEMPLATES[name]
+    found = template_fit(diagram, kind_of(diagram) if kind is None else kind)
+    if found.faults:
+        what = f"it does not fit the template {found.template.name}: {'; '.join(found.faults)}"
+        raise DiagramError(what, diagram.name, "change these ports") from found.refusal
+    if found.refusal is not None:
+        raise found.refusal
+    return found.template
+
+
+@dataclass(frozen=True)
+class TemplateFit:
+    """How a diagram fits a template: what is wrong with its ports, and what else keeps it from flying as one."""
+
+    template: Template
+    faults: tuple[str, ...]
+    refusal: DiagramError | None
+
+    @property
+    def fits(self) -> bool:
+        """Whether the diagram can fly in the place of the template's stock controller."""
+        return not self.faults and self.refusal is None
+
+
+def template_fit(diagram: Diagram, kind: str) -> TemplateFit:
+    """How `diagram` fits the template called `kind`. Raises DiagramError only for a template that is not there."""
+    if kind not in TEMPLATES:
+        raise unknown_name("template", kind, TEMPLATES, diagram.name)
+    template = TEMPLATES[kind]
     outputs: dict[str, FlatSignal | None] = dict.fromkeys(diagram.outputs)
     refusal: DiagramError | None = None
     try:
         program = lower(diagram, PERIOD)
         outputs = {name: program.outputs[name] for name in outputs}
+        refusal = _not_as_a_controller(diagram, program)
     except DiagramError as error:
         refusal = error
-    faults = [*_faults("input", template.inputs, diagram.inputs), *_faults("output", template.outputs, outputs)]
-    if faults:
-        raise DiagramError(
-            f"it does not fit the template {name}: {'; '.join(faults)}", diagram.name, "change these ports"
-        ) from refusal
-    if refusal is not None:
-        raise refusal
+    inputs = _faults("input", template.inputs, diagram.inputs)
+    return TemplateFit(template, (*inputs, *_faults("output", template.outputs, outputs)), refusal)
+
+
+def _not_as_a_controller(diagram: Diagram, program: FlatProgram) -> DiagramError | None:
+    """What keeps a diagram that compiles from being stepped among the others."""
     moving = [node.path for node in program.integrated]
     if moving:
-        raise DiagramError(
+        return DiagramError(
             f"continuous states in {', '.join(moving[:8])}{' ...' if len(moving) > 8 else ''}",
             diagram.name,
             f"a controller is stepped every {PERIOD * 1e3:g} ms: use the discrete blocks",
         )
-    _check_among_others(diagram)
-    return template
+    try:
+        _check_among_others(diagram)
+    except DiagramError as error:
+        return error
+    return None
 
 
 def _check_among_others(diagram: Diagram) -> None:
@@ -208,19 +257,38 @@ def _check_among_others(diagram: Diagram) -> None:
 
 def _faults(what: str, wanted: Sequence[TemplatePort], given: Mapping[str, FlatSignal | Port | None]) -> Iterator[str]:
     """What is wrong with the ports `given`, by name; None for one whose type is not known."""
+    names = {port.name for port in wanted}
+    strange = [name for name in given if name not in names]
+    meant = _misnamed([port.name for port in wanted if port.name not in given], strange, what == "output")
     for port in wanted:
         asked = _described(port.kind, None, port.unit)
         if port.name not in given:
-            yield f"the {what} {port.name} is missing: add {asked}, {port.text}"
+            rename = f"rename {meant[port.name]} if it is that, or " if port.name in meant else ""
+            yield f"the {what} {port.name} is missing: {rename}add {asked}, {port.text}"
         elif (found := given[port.name]) is not None:
             # A unit that is left out is not compared, as at any connection.
             if (found.kind, found.width) != (port.kind, None) or (found.unit and found.unit != port.unit):
                 described = _described(found.kind, found.width, found.unit)
                 yield f"the {what} {port.name} is {described}: make it {asked}"
-    names = {port.name for port in wanted}
-    for name in given:
-        if name not in names:
+    for name in strange:
+        if name not in meant.values():
             yield f"the {what} {name} is not of the template: remove it"
+
+
+def _misnamed(missing: Sequence[str], strange: Sequence[str], alone: bool) -> dict[str, str]:
+    """Which of the `strange` ports may be which of the `missing` ones, by likeness; with `alone`, the only one is."""
+    if alone and len(missing) == len(strange) == 1:
+        return {missing[0]: strange[0]}
+    pairs = [
+        (SequenceMatcher(None, one.casefold(), other.casefold()).ratio(), one, other)
+        for one in missing
+        for other in strange[:MAX_COMPARED]
+    ]
+    found: dict[str, str] = {}
+    for likeness, one, other in sorted(pairs, key=lambda pair: -pair[0]):
+        if likeness >= ALIKE and one not in found and other not in found.values():
+            found[one] = other
+    return found
 
 
 def _described(kind: str, width: int | None, unit: str) -> str:

@@ -65,6 +65,41 @@ def test_check_says_what_compiles_and_what_does_not(
     assert "2 problems" in capfd.readouterr().out
 
 
+def test_check_says_what_a_template_of_the_drone_lacks(
+    loop: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["diagram", "check", loop]) == 0
+    assert "it fits no template of the drone's controllers (attitude_control, " in capfd.readouterr().out
+    assert run(["diagram", "check", "lqr-attitude", "--template", "attitude_control"]) == 0
+    assert capfd.readouterr().out.endswith("\nit fits the template attitude_control\n")
+    d = Diagram("mine")
+    for name, kind, unit in (("theta0", "real", "rad"), ("theta", "real", "deg"), ("q", "int32", "rad/s")):
+        d.input(name, kind, unit=unit)
+    d.add("k", Gain(2.0), u="theta")
+    d.output("m", "k")
+    mine = tmp_path / "mine.json"
+    mine.write_text(to_json(d))
+    for options, status in ([], 0), (["--template", "attitude_control"], 1):
+        assert run(["diagram", "check", str(mine), *options]) == status
+        head, _, lines = capfd.readouterr().out.partition("it does not fit the template attitude_control:\n")
+        assert head.startswith("it compiles")
+        assert [line.strip()[:52] for line in lines.splitlines()] == [
+            "the input theta_0 is missing: rename theta0 if it is",
+            "the input q_0 is missing: add real in rad/s, pitch-r",
+            "the input theta is real in deg: make it real in rad",
+            "the input q is int32 in rad/s: make it real in rad/s",
+            "the input FLAG_RESET_INT is missing: add bool, the i",
+            "the input FLAG_ATTITUDE_ENABLED is missing: add bool",
+            "the output M is missing: rename m if it is that, or ",
+        ]
+    assert run(["diagram", "check", str(mine), "--json", "--template", "motor_control"]) == 1
+    fit = json.loads(capfd.readouterr().out)["template"]
+    assert (fit["name"], fit["fits"]) == ("motor_control", False)
+    assert "the input gyro_y is missing: add real in rad/s, measured pitch rate, its bias still in it" in fit["faults"]
+    assert run(["diagram", "check", loop, "--template", "attitude"]) == 2
+    assert "there are: attitude_control" in capfd.readouterr().err
+
+
 def test_code_shows_both_sides(loop: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     assert run(["diagram", "code", loop]) == 0
     out = capfd.readouterr().out

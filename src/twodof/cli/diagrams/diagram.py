@@ -23,6 +23,7 @@ from twodof.compile.program.check import Findings
 from twodof.compile.program.check import check as check_diagram
 from twodof.errors import DiagramError, LogError
 from twodof.flight.starters import DIAGRAM_HELP, load_diagram, new_diagram
+from twodof.flight.templates import TEMPLATES, TemplateFit, nearest_template, template_fit
 from twodof.flightlog.atomic import atomic_write
 from twodof.flightlog.files import check_folder
 from twodof.report.drawing.diagram_svg import find, to_svg
@@ -62,9 +63,22 @@ def new(
 
 
 @app.command()
-def check(diagram: Which, dt: Tick = 0.004, json: Json = False) -> None:
-    """Name all problems of a diagram, or its sizes and what is odd about it; exit status 1 if it does not compile."""
-    found = check_diagram(load_diagram(diagram), dt)
+def check(
+    diagram: Which,
+    dt: Tick = 0.004,
+    template: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Ask that it fits this template of the drone's controllers.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Name all problems of a diagram, or its sizes, what is odd about it, and the template that it fits.
+
+    Exit status 1 if it does not compile, or does not fit the template asked for.
+    """
+    checked = load_diagram(diagram)
+    found = check_diagram(checked, dt)
+    meant = template or nearest_template(checked)
+    fit = None if meant is None else template_fit(checked, meant)
     if json:
         print_json(
             {
@@ -76,12 +90,32 @@ def check(diagram: Which, dt: Tick = 0.004, json: Json = False) -> None:
                 "port_feedthrough": found.port_feedthrough,
                 "unread": found.unread,
                 "left_out": found.left_out,
+                "template": None if fit is None else {"name": meant, "fits": fit.fits, "faults": _misfits(fit, found)},
             }
         )
     else:
         _print_findings(found, dt)
-    if not found.fine:
+        _print_fit(fit, found)
+    if not found.fine or (template and fit is not None and not fit.fits):
         raise typer.Exit(1)
+
+
+def _misfits(fit: TemplateFit, found: Findings) -> list[str]:
+    """What to change for a template, beside the problems that are listed already."""
+    return [*fit.faults, *([str(fit.refusal)] if fit.refusal is not None and found.fine else [])]
+
+
+def _print_fit(fit: TemplateFit | None, found: Findings) -> None:
+    console = table_console()
+    if fit is None:
+        console.print(f"\nit fits no template of the drone's controllers ({', '.join(TEMPLATES)})")
+    elif fit.fits:
+        console.print(f"\nit fits the template {fit.template.name}")
+    else:
+        lines = _misfits(fit, found)
+        console.print(f"\nit does not fit the template {fit.template.name}{':' if lines else ''}")
+        for line in lines:
+            console.print(f"  {line}")
 
 
 def _print_findings(found: Findings, dt: float) -> None:
