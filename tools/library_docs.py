@@ -29,7 +29,7 @@ are real scalars unless it is said otherwise; `width` n makes a block work on ar
 one of real, int32, uint32 and bool; `unit` "" is compared with nothing. All parameters may be changed while the diagram
 runs; a state starts from the parameter `initial` where there is one. T is the block's own period [s], [k] its k-th
 sample. A series of ports has the names a, b, ..., z and then u27, u28, ... by number; a block has at most 1,000 inputs.
-Numpy's arrays and numbers are taken wherever lists and numbers are; NaN is refused, and an infinity in a table.
+Numpy's arrays and numbers are taken wherever lists and numbers are; tables and matrices are finite.
 """
 
 

@@ -161,7 +161,7 @@ def _recording_config(cls: type[Block], init: Callable[..., None]) -> Callable[.
                 takes = listed(list(signature.parameters)[1:])
                 raise DiagramError(f"it {error}", "", f"its arguments: {takes}") from error
             bound.apply_defaults()
-            given = {name: _argument(name, value) for name, value in list(bound.arguments.items())[1:]}
+            given = {name: plain_data(value, name) for name, value in list(bound.arguments.items())[1:]}
             if outermost:
                 self.config = given
             bound.arguments.update(given)
@@ -180,19 +180,6 @@ def _arguments_of(block: str) -> Iterator[None]:
         raise DiagramError(error.what, where, error.remedy) from error
     except (TypeError, ValueError, ArithmeticError, LookupError) as error:
         raise DiagramError(f"it cannot be made: {error!s:.200}", block, "see docs/reference/blocks.md") from error
-
-
-def _argument(name: str, value: Any) -> Any:
-    """An argument of a block of the library as plain data. Raises DiagramError for one that is not a number (NaN)."""
-    plain = plain_data(value, name)
-    stack = [plain]
-    while stack:
-        one = stack.pop()
-        if isinstance(one, list):
-            stack.extend(one)
-        elif one != one:
-            raise DiagramError("NaN is given", name, "give numbers")
-    return plain
 
 
 @dataclass(frozen=True)

@@ -394,7 +394,7 @@ MALFORMED: dict[str, tuple[bytes, str]] = {
     "a rate of a half": (file(parts=[{"name": "g", "block": {"type": "gain"}, "rate": [0.5, 0]}]), "write .divider"),
     "the argument self": (library("gain", self=1), "cannot be made"),
     "an argument that is no argument": (library("gain", __class__=1), "unexpected keyword argument '__class__'"),
-    "an argument that is NaN": (library("gain", k={"float": "nan"}), r"\.k: NaN is given"),
+    "a matrix with NaN": (library("matrix_gain", K=[[{"float": "nan"}]]), r"K\[0\]\[0\] = nan is not finite"),
     "a table in a table": (custom(params=[{"name": "k", "width": 2, "value": [[1], [2]]}]), "a real is expected"),
     "an object for a number": (custom(params=[{"name": "k", "value": {"a": 1}}]), "a real is expected"),
     "a connection in a circle": (
