@@ -100,10 +100,13 @@ TEST = '[[test]]\nname = "t"\nduration = 1.0\n'
         (TEST + 'inputs.u = { csv = "data/no.csv", column = "u", between = "hold" }\n', "cannot be read"),
         (TEST + 'inputs.u = { csv = "../in.csv", column = "u", between = "hold" }\n', "not in the folder"),
         (TEST + 'inputs.u = { csv = "/etc/passwd", column = "u", between = "hold" }\n', "not in the folder"),
+        (TEST + 'inputs.u = { points = [[1e308, 1.0]], between = "hold" }\n', "do not increase to at most"),
+        (TEST + "inputs.u = { sine = 1.0, hz = 1e308 }\n", "at most 1e"),
         (TEST + 'parameters.k = "1"\n', "not a number"),
         (TEST + '[test.table]\nbetween = "hold"\ncsv = "data/in.csv"\n', "tolerance"),
         (TEST + '[test.table]\nabsolute = 0\ncsv = "data/in.csv"\n', "between = None"),
         (TEST + '[test.table]\nabsolute = 0\nbetween = "hold"\n', "one of both"),
+        (TEST + '[test.table]\nabsolute = {Y = 1}\nbetween = "hold"\ncsv = "data/in.csv"\n', "of 'Y', which is not"),
         (TEST + '[test.table]\nabsolute = 0\nbetween = "hold"\ncolumns = ["y"]\nrows = [[1.0]]\n', "first column"),
         (TEST + '[test.table]\nabsolute = 0\nbetween = "hold"\ncolumns = ["tick"]\nrows = [[0.5]]\n', "not increase"),
         (

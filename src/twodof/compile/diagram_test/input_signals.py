@@ -12,10 +12,12 @@ from numpy.typing import NDArray
 
 from twodof.blocks.elementary.functions import sin
 from twodof.blocks.expressions import numbers
+from twodof.compile.diagram_test.signal_table import MAX_AT
 from twodof.compile.diagram_test.tick_times import first_tick
 from twodof.errors import DiagramError, shown
 
 Between = Literal["hold", "interpolate"]
+MAX_HZ = 1e9
 BETWEEN: tuple[Between, ...] = ("hold", "interpolate")
 
 
@@ -77,7 +79,8 @@ class RampInput(InputSignal):
 
     def values(self, steps: int, dt: float, whole: bool = False) -> NDArray[np.float64]:
         time = np.minimum(np.arange(steps) * dt, self.stop)
-        found: NDArray[np.float64] = self.before + self.slope * np.maximum(time - self.start, 0.0)
+        with np.errstate(over="ignore"):
+            found: NDArray[np.float64] = self.before + self.slope * np.maximum(time - self.start, 0.0)
         return np.floor(found) if whole else found
 
 
@@ -92,12 +95,16 @@ class SineInput(InputSignal):
 
     def __post_init__(self) -> None:
         _finite("sine", self.amplitude, self.hz, self.phase, self.offset)
+        if abs(self.hz) > MAX_HZ:
+            raise DiagramError(f"hz = {self.hz:g}", "sine", f"give at most {MAX_HZ:g} Hz")
 
     def values(self, steps: int, dt: float, whole: bool = False) -> NDArray[np.float64]:
         turns = np.arange(steps) * dt * self.hz
         angles = 2.0 * pi * (turns - np.floor(turns)) + self.phase
         with numbers.precision("float64"):
-            found = self.offset + self.amplitude * np.array([float(sin(a)) for a in angles.tolist()])
+            waves = np.array([float(sin(a)) for a in angles.tolist()])
+        with np.errstate(over="ignore"):
+            found = self.offset + self.amplitude * waves
         return np.floor(found) if whole else found
 
 
@@ -116,8 +123,8 @@ class PointsInput(InputSignal):
             raise DiagramError("it has no pairs of time and value", "points", "write [[0.0, 1.0], [0.5, 2.0]]")
         times = [p[0] for p in self.points]
         _finite("points", *times)
-        if any(b <= a for a, b in pairwise(times)):
-            raise DiagramError("the times do not increase", "points", "sort them, each once")
+        if any(b <= a for a, b in pairwise(times)) or max(map(abs, times)) > MAX_AT:
+            raise DiagramError(f"the times do not increase to at most {MAX_AT:g} s", "points", "sort them, each once")
         check_between(self.between, "points")
 
     def values(self, steps: int, dt: float, whole: bool = False) -> NDArray[np.float64]:
@@ -149,7 +156,7 @@ def between_rows(
     right = np.minimum(left + 1, len(ticks) - 1)
     gap = np.where(right > left, ticks[right] - ticks[left], 1.0)
     share = np.clip((k - ticks[left]) / gap, 0.0, 1.0)
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", over="ignore"):
         between_both = values[left] + (values[right] - values[left]) * share
     found: NDArray[np.float64] = np.where((share == 0.0) | (right == left), values[left], between_both)
     return found

@@ -11,7 +11,7 @@ from twodof.compile.diagram_test.assertions import Assertion
 from twodof.compile.diagram_test.input_signals import Between, InputSignal, between_rows, check_between
 from twodof.compile.diagram_test.judgement import Judgement, first_violation
 from twodof.compile.diagram_test.signal_table import SignalTable
-from twodof.errors import DiagramError, shown
+from twodof.errors import DiagramError, listed, shown
 
 INPUT, OUTPUT = "input ", "output "
 """A column's name may begin with one of these, where the diagram has an input and an output of one name."""
@@ -40,6 +40,14 @@ class ExpectedTable:
         check_between(self.between, self.table.name)
         if self.at not in ("rows", "ticks"):
             raise DiagramError(f"at = {shown(self.at)}", self.table.name, 'compare at "rows" or "ticks"')
+        for given in (self.absolute, self.relative):
+            for column in given if isinstance(given, Mapping) else ():
+                if column not in self.table.columns:
+                    raise DiagramError(
+                        f"a tolerance of {shown(column)}, which is not a column",
+                        self.table.name,
+                        f"columns: {listed(self.table.columns)}",
+                    )
 
     def tolerance(self, column: str) -> tuple[float, float]:
         """The absolute and relative tolerance of a column. Raises DiagramError if one is not a number >= 0."""

@@ -16,6 +16,8 @@ MAX_BYTES = 64 * 2**20
 MAX_ROWS = 1_000_000
 MAX_COLUMNS = 1000
 MAX_CELLS = 10_000_000
+MAX_AT = 1e9
+"""In seconds or ticks."""
 CLOCKS = ("time", "tick")
 _UNIT = re.compile(r"\s*\s\[[^\]]*\]$")
 _WORDS = {"true": 1.0, "false": 0.0}
@@ -91,9 +93,11 @@ def table_of_rows(heads: Sequence[str], rows: Sequence[Sequence[Any]], name: str
             data[i, j], given[i, j] = (np.nan, False) if number is None else (number, True)
     at = data[:, 0]
     ticks = names[0] == "tick"
-    if not np.isfinite(at).all() or at[0] < 0 or (np.diff(at) <= 0).any() or (ticks and (at != np.rint(at)).any()):
+    if not (at <= MAX_AT).all() or at[0] < 0 or (np.diff(at) <= 0).any() or (ticks and (at != np.rint(at)).any()):
         raise DiagramError(
-            f"the column {names[0]} does not increase from 0 on", name, "sort the rows, each time once; ticks are whole"
+            f"the column {names[0]} does not increase from 0 on to at most {MAX_AT:g}",
+            name,
+            "sort the rows, each time once; ticks are whole",
         )
     columns = {n: np.ascontiguousarray(data[:, j]) for j, n in enumerate(names)}
     mask = {n: np.ascontiguousarray(given[:, j]) for j, n in enumerate(names)}
